@@ -1,0 +1,1 @@
+"""The rig: a simulated plant and the controller as two processes that exchange CAN frames."""

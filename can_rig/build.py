@@ -1,0 +1,84 @@
+"""From a scenario to what the firmware and the figures need: plant, design, target, table."""
+
+from __future__ import annotations
+
+import math
+
+from can_rig.errors import ScenarioError
+from can_rig.messages import Network
+from can_rig.scenario import PlantSettings, Scenario
+from firmware_model import plants
+from firmware_model.design import ContinuousDesign, DesignSpecification, design
+from firmware_model.errors import DesignError
+from firmware_model.layout import Record
+from firmware_model.tables import Target, build
+
+
+def continuous_plant(settings: PlantSettings) -> plants.Plant:
+    """The plant that ``settings`` describe, in continuous time.
+
+    Raises:
+        ScenarioError: parameters with which the car is not stable.
+    """
+    try:
+        if settings.kind == "chapter-2":
+            return plants.chapter_2()
+        return plants.steer_by_wire(settings, settings.variant)
+    except DesignError as error:
+        raise ScenarioError(f"plant: {error}") from None
+
+
+def continuous_design(scenario: Scenario) -> ContinuousDesign:
+    """The controller's design, for the car that it believes in.
+
+    Raises:
+        ScenarioError: an assumption of the thesis that this car or this tuning breaks.
+    """
+    chosen = scenario.design
+    specification = DesignSpecification(
+        tau_s=chosen.tau_s,
+        alpha=chosen.alpha,
+        tau_q_s=chosen.tau_q_s,
+        alpha_q=chosen.alpha_q,
+        compensation=chosen.compensation == "always",
+        feedback=scenario.model.kind != "chapter-2",
+    )
+    plant = continuous_plant(scenario.model)
+    try:
+        return design(plant, specification)
+    except DesignError as error:
+        raise ScenarioError(f"scenario {scenario.name}: design: {error}") from None
+
+
+def target(scenario: Scenario, network: Network | None) -> Target:
+    """Where the design runs; without a network, commands are neither limited nor rounded by it."""
+    limits = (scenario.limits.torque_nm, scenario.limits.force_difference_n)
+    limit_1, limit_2 = (math.inf if limit is None else limit for limit in limits)
+    lsb_1 = lsb_2 = 0.0
+    if network is not None:
+        command_1, command_2 = network.command_1, network.command_2
+        limit_1, limit_2 = min(limit_1, command_1.maximum), min(limit_2, command_2.maximum)
+        lsb_1, lsb_2 = command_1.lsb, command_2.lsb
+    return Target(
+        tick_s=scenario.tick_s,
+        latency_ticks=scenario.latency_ticks,
+        estimator=scenario.design.estimator,
+        limit_1=limit_1,
+        limit_2=limit_2,
+        lsb_1=lsb_1,
+        lsb_2=lsb_2,
+        threshold=scenario.design.fault_threshold_mps2,
+        confirm_ticks=max(1, round(scenario.design.confirm_s / scenario.tick_s)),
+    )
+
+
+def controller_table(scenario: Scenario, network: Network | None) -> Record:
+    """The constant table of the scenario's controller on ``network`` (None: without frames).
+
+    Raises:
+        ScenarioError: a design that cannot be made or discretised.
+    """
+    try:
+        return build(continuous_design(scenario), target(scenario, network))
+    except DesignError as error:
+        raise ScenarioError(f"scenario {scenario.name}: {error}") from None

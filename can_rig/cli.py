@@ -1,0 +1,157 @@
+"""``can-rig``: the command line."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import click
+from rich.console import Console
+
+from can_rig.errors import RigError
+
+Function = TypeVar("Function", bound=Callable[..., Any])
+
+
+class RigGroup(click.Group):
+    """Shows the rig's own errors as one line and exits with their status."""
+
+    def invoke(self, ctx: click.Context) -> Any:
+        """Run a command; bad input never reaches the user as a traceback."""
+        try:
+            return super().invoke(ctx)
+        except RigError as error:
+            Console(stderr=True, soft_wrap=True).print(
+                f"error: {error}", style="red", markup=False, highlight=False
+            )
+            sys.exit(error.exit_status)
+
+
+@click.group(cls=RigGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.version_option(package_name="fault-tolerant-steering", prog_name="can-rig")
+def main() -> None:
+    """A fault-tolerant steering controller and a simulated car, over CAN.
+
+    Exit status: 0 done, 2 bad input, 3 a node fell silent, 130 stopped by Ctrl-C.
+    """
+
+
+def bus_option(default: str | None, shown: str) -> Callable[[Function], Function]:
+    """--bus, with its own default."""
+    return click.option(
+        "--bus",
+        default=default,
+        metavar="NAME",
+        help="local[:NAME], socketcan:vcan0, udp_multicast:ADDRESS, or any python-can "
+        f"INTERFACE:CHANNEL?KEY=VALUE.  [default: {shown}]",
+    )
+
+
+def scenario_options(function: Function) -> Function:
+    """SCENARIO and --set, which every command that runs something takes."""
+    for decorate in (
+        click.option(
+            "--set",
+            "settings",
+            multiple=True,
+            metavar="KEY=VALUE",
+            help="Change one key of the scenario, as in plant.speed_mps=20; repeatable.",
+        ),
+        click.argument("scenario", default="thesis-step"),
+    ):
+        function = decorate(function)
+    return function
+
+
+@main.command()
+@scenario_options
+@bus_option(None, "a local bus of its own")
+@click.option("--out", type=click.Path(path_type=Path), help="Run folder [runs/SCENARIO-TIME].")
+@click.option("--force", is_flag=True, help="Replace the run folder if it is there.")
+@click.option("--in-process", is_flag=True, help="Both nodes in this process; the same log.")
+def run(
+    scenario: str,
+    settings: tuple[str, ...],
+    bus: str | None,
+    out: Path | None,
+    force: bool,
+    in_process: bool,
+) -> None:
+    """Run both nodes through SCENARIO and collect the run folder."""
+    from can_rig.commands import run_command  # noqa: PLC0415 (imports what only a run needs)
+
+    sys.exit(run_command(scenario, settings, bus, out, force, in_process))
+
+
+def node_options(function: Function) -> Function:
+    """What both nodes take beside the scenario."""
+    for decorate in (
+        bus_option("local", "local"),
+        click.option("--json", "as_json", is_flag=True, help="Progress and summary as JSON lines."),
+        click.option(
+            "--silence",
+            "silence_s",
+            default=1.0,
+            show_default=True,
+            metavar="S",
+            help="Seconds of silence after which the other node counts as gone.",
+        ),
+        click.option(
+            "--wait",
+            "first_s",
+            default=60.0,
+            show_default=True,
+            metavar="S",
+            help="Seconds to wait for the other node to appear.",
+        ),
+    ):
+        function = decorate(function)
+    return function
+
+
+@main.command()
+@scenario_options
+@node_options
+@click.option(
+    "--log", type=click.Path(path_type=Path, dir_okay=False), help="Record candump lines here."
+)
+def plant(
+    scenario: str,
+    settings: tuple[str, ...],
+    bus: str,
+    log: Path | None,
+    silence_s: float,
+    first_s: float,
+    as_json: bool,
+) -> None:
+    """Run the plant node: the simulated car, in lockstep with a controller node."""
+    from can_rig.commands import plant_command  # noqa: PLC0415
+
+    sys.exit(plant_command(scenario, settings, bus, log, (first_s, silence_s), as_json))
+
+
+@main.command()
+@scenario_options
+@node_options
+def controller(
+    scenario: str,
+    settings: tuple[str, ...],
+    bus: str,
+    silence_s: float,
+    first_s: float,
+    as_json: bool,
+) -> None:
+    """Run the controller node: the firmware, in lockstep with a plant node."""
+    from can_rig.commands import controller_command  # noqa: PLC0415
+
+    sys.exit(controller_command(scenario, settings, bus, (first_s, silence_s), as_json))
+
+
+@main.command()
+def scenarios() -> None:
+    """List the scenarios that come with the package."""
+    from can_rig.commands import scenarios_command  # noqa: PLC0415
+
+    scenarios_command()

@@ -1,0 +1,197 @@
+"""What the commands of ``can-rig`` do, and what a person sees of it."""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+
+from rich.console import Console
+from rich.progress import (
+    BarColumn,
+    MofNCompleteColumn,
+    Progress,
+    TextColumn,
+    TimeRemainingColumn,
+)
+from rich.table import Table
+
+from can_rig import scenario as scenarios
+from can_rig.build import controller_table
+from can_rig.errors import RigError
+from can_rig.lockstep import StopRequest, Waiting
+from can_rig.messages import Network
+from can_rig.metrics import Metrics, rows
+from can_rig.nodes import (
+    EveryNowAndThen,
+    NodeSummary,
+    json_line,
+    network_of,
+    run_controller,
+    run_in_process,
+    run_plant,
+)
+from can_rig.run import run_processes
+from can_rig.run_folder import LOG, Outcome, create, finish
+from can_rig.scenario import Scenario
+
+INTERRUPTED = 130  # what a shell reports for Ctrl-C
+
+OnTick = Callable[[int], None]
+
+
+def run_command(
+    name: str,
+    settings: Sequence[str],
+    bus: str | None,
+    out: Path | None,
+    force: bool,
+    in_process: bool,
+) -> int:
+    """``can-rig run``: the exit status. Without a ``bus`` the run has a local one of its own."""
+    scenario = scenarios.load(name, settings)
+    bus = bus or f"local:run-{os.getpid()}"
+    network = network_of(scenario)
+    controller_table(scenario, network)  # what cannot be designed is refused before it starts
+    folder = create(out, scenario, force)
+    outcome = Outcome(bus)
+    failure: RigError | None = None
+    start = time.perf_counter()
+    try:
+        with _progress(scenario) as on_tick:
+            if in_process:
+                summary = run_in_process(
+                    scenario, bus, folder / LOG, StopRequest().on_signals(), EveryNowAndThen(on_tick)
+                )
+                interrupted = summary.ticks < scenario.ticks
+            else:
+                arguments = [name, *(a for s in settings for a in ("--set", s)), "--bus", bus]
+                summary, interrupted = run_processes(arguments, folder / LOG, on_tick)
+        outcome.ticks, outcome.wall_s = summary.ticks, summary.wall_s
+        outcome.rejected_frames = summary.rejected_frames
+        outcome.outcome = "interrupted" if interrupted else "complete"
+    except RigError as error:
+        failure = error
+        outcome.outcome, outcome.wall_s = str(error), time.perf_counter() - start
+    if not (folder / LOG).is_file():
+        folder.rmdir()
+        if failure is not None:
+            raise failure
+        return INTERRUPTED
+    values = finish(folder, scenario, network, outcome)
+    _closing_table(scenario, network, values, outcome, folder)
+    if failure is not None:
+        raise failure
+    return INTERRUPTED if outcome.outcome == "interrupted" else 0
+
+
+def plant_command(
+    name: str,
+    settings: Sequence[str],
+    bus: str,
+    log: Path | None,
+    waiting: tuple[float, float],
+    as_json: bool,
+) -> int:
+    """``can-rig plant``: the exit status."""
+    scenario = scenarios.load(name, settings)
+    stop = StopRequest().on_signals()
+    with _node_output(scenario, as_json) as on_tick:
+        summary = run_plant(scenario, bus, log, Waiting(*waiting), stop, EveryNowAndThen(on_tick))
+    return _node_end(scenario, summary, as_json)
+
+
+def controller_command(
+    name: str,
+    settings: Sequence[str],
+    bus: str,
+    waiting: tuple[float, float],
+    as_json: bool,
+) -> int:
+    """``can-rig controller``: the exit status."""
+    scenario = scenarios.load(name, settings)
+
+    stop = StopRequest().on_signals()
+
+    def on_ready() -> None:
+        if as_json:
+            json_line(ready=True)
+
+    with _node_output(scenario, as_json) as on_tick:
+        summary = run_controller(
+            scenario, bus, Waiting(*waiting), stop, on_ready, EveryNowAndThen(on_tick)
+        )
+    return _node_end(scenario, summary, as_json)
+
+
+def scenarios_command() -> None:
+    """``can-rig scenarios``."""
+    table = Table("scenario", "what it shows", box=None, pad_edge=False)
+    for name in scenarios.shipped():
+        table.add_row(name, scenarios.load(name).description)
+    Console().print(table)
+
+
+@contextmanager
+def _progress(scenario: Scenario) -> Iterator[OnTick]:
+    """A bar on standard error, with ticks done and time left."""
+    columns = (
+        TextColumn("{task.description}"),
+        BarColumn(),
+        MofNCompleteColumn(),
+        TextColumn("ticks"),
+        TimeRemainingColumn(),
+    )
+    with Progress(*columns, console=Console(stderr=True)) as bar:
+        task = bar.add_task(scenario.name, total=scenario.ticks)
+        yield lambda tick: bar.update(task, completed=tick)
+
+
+@contextmanager
+def _node_output(scenario: Scenario, as_json: bool) -> Iterator[OnTick]:
+    """Progress of one node: a bar for a person, JSON lines for ``can-rig run``."""
+    if not as_json:
+        with _progress(scenario) as on_tick:
+            yield on_tick
+        return
+    try:
+        yield lambda tick: json_line(ticks=tick)
+    except RigError as error:
+        json_line(error=str(error))
+        raise SystemExit(error.exit_status) from None
+
+
+def _node_end(scenario: Scenario, summary: NodeSummary, as_json: bool) -> int:
+    if as_json:
+        json_line(**asdict(summary))
+        return 0
+    rate = summary.ticks / summary.wall_s if summary.wall_s else 0.0
+    Console(stderr=True).print(
+        f"{summary.ticks} of {scenario.ticks} ticks, {rate:.0f} a second", highlight=False
+    )
+    return 0 if summary.ticks == scenario.ticks else INTERRUPTED
+
+
+def _closing_table(
+    scenario: Scenario, network: Network, values: Metrics, outcome: Outcome, folder: Path
+) -> None:
+    units = {
+        "y": network.feedback.unit,
+        "u1": network.command_1.unit,
+        "u2": network.command_2.unit,
+    }
+    table = Table(box=None, pad_edge=False, show_header=False)
+    table.add_column()
+    table.add_column(justify="right")
+    for label, text in rows(values, units):
+        table.add_row(label, text)
+    factor = outcome.ticks_per_s * scenario.tick_s
+    table.add_row("rate", f"{outcome.ticks_per_s:.0f} ticks/s, {factor:.1f} x real time")
+    rejected = {k: n for counts in outcome.rejected_frames.values() for k, n in counts.items() if n}
+    if rejected:
+        table.add_row("frames not used", ", ".join(f"{n} {k}" for k, n in rejected.items()))
+    table.add_row("run folder", str(folder))
+    Console().print(table)

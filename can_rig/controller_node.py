@@ -1,0 +1,109 @@
+"""The controller node: an I/O shell around ``controller.step``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+
+import can
+
+from can_rig.build import controller_table
+from can_rig.faults import FrameFault
+from can_rig.lockstep import Interrupted, Patience
+from can_rig.messages import Network, Receiver, Transmitter
+from can_rig.scenario import Scenario
+from firmware_model.firmware import Firmware
+
+
+class ControllerNode:
+    """Answers each feedback frame with two commands and a status.
+
+    Args:
+        scenario: the run.
+        network: its frames.
+        bus: where to send.
+
+    Raises:
+        ScenarioError: a design that cannot be made.
+    """
+
+    def __init__(self, scenario: Scenario, network: Network, bus: can.BusABC) -> None:
+        self.ticks = scenario.ticks
+        self._firmware = Firmware(controller_table(scenario, network))
+        self._firmware.step(math.nan, math.nan)  # compiles before the first tick needs it
+        self._firmware.reset(0.0)
+        self._frame_fault = FrameFault(scenario)
+        self._bus = bus
+        self._reference = Receiver(network.reference)
+        self._feedback = Receiver(network.feedback)
+        self._send_1 = Transmitter(network.command_1)
+        self._send_2 = Transmitter(network.command_2)
+        self._send_status = Transmitter(network.status)
+        self._reference_now: tuple[int, float] = (-1, math.nan)
+        self._tick = 0  # the next one
+        self._expected: int | None = None  # the first frame says which tick it is
+
+    def run(self, patience: Patience, on_tick: Callable[[int], None]) -> int:
+        """Answer ticks to the end of the run or to a stop request; the number answered.
+
+        Raises:
+            SilentNodeError: the plant node is silent.
+        """
+        while self._tick < self.ticks:
+            try:
+                self.serve(patience)
+            except Interrupted:
+                break
+            on_tick(self._tick)
+        return self._tick
+
+    def serve(self, patience: Patience) -> None:
+        """Wait for one tick's feedback and answer it.
+
+        Raises:
+            SilentNodeError, Interrupted: see ``Patience.receive``.
+        """
+        while not self._handle(patience.receive(f"after tick {self._tick - 1}")):
+            pass
+        patience.hear()
+
+    def _handle(self, message: can.Message) -> bool:
+        """Whether this frame was a good feedback, which ends in a tick."""
+        if message.arbitration_id == self._reference.codec.frame_id:
+            record = self._reference.accept(message, self._expected)
+            if record is not None:
+                self._reference_now = (record.tick, record.value)
+            return False
+        if message.arbitration_id != self._feedback.codec.frame_id:
+            return False
+        record = self._feedback.accept(message, self._expected)
+        if record is None:
+            return False
+        self._answer(record.tick, record.value)
+        return True
+
+    def _answer(self, wire_tick: int, measurement: float) -> None:
+        # The wire carries 16 bits of the tick; the node counts on from there.
+        tick = self._tick + ((wire_tick - self._tick) & 0xFFFF)
+        reference_tick, value = self._reference_now
+        reference = value if reference_tick == wire_tick else math.nan  # none: hold, and say so
+        answer = self._firmware.step(reference, measurement)
+        commands = (
+            self._send_1.frame(answer.command_1, wire_tick),
+            self._send_2.frame(answer.command_2, wire_tick),
+        )
+        for channel, frame in enumerate(commands):
+            sent = self._frame_fault.on_the_wire(frame, channel, tick)
+            if sent is not None:
+                self._bus.send(sent)
+        self._bus.send(
+            self._send_status.frame(
+                answer.fault_estimate, wire_tick, answer.mode, answer.fault_state
+            )
+        )
+        self._tick = self._expected = tick + 1
+
+    def rejected(self) -> dict[str, dict[str, int]]:
+        """Per message, how many frames were not used and why."""
+        receivers = (self._reference, self._feedback)
+        return {receiver.codec.name: receiver.rejected for receiver in receivers}

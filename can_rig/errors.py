@@ -1,0 +1,29 @@
+"""What can go wrong where the user can put it right."""
+
+
+class RigError(Exception):
+    """A failure that is shown to the user as one line, with exit status 2."""
+
+    exit_status = 2
+
+
+class BusError(RigError):
+    """The bus could not be opened: an unknown name, or an interface that is not there."""
+
+
+class ScenarioError(RigError):
+    """A scenario that does not exist, an unknown key, a bad value."""
+
+
+class RunFolderError(RigError):
+    """A run folder that exists already, cannot be written, or is not one."""
+
+
+class SilentNodeError(RigError):
+    """The other node said nothing for longer than the watchdog allows."""
+
+    exit_status = 3
+
+
+class DbcError(RigError):
+    """A DBC that does not describe the frames of the rig; names file, frame and what is wanted."""

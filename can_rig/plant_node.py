@@ -1,0 +1,112 @@
+"""The plant node: an I/O shell around ``plant``. It owns virtual time and writes the log."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+import can
+
+from can_rig.lockstep import Interrupted, Patience
+from can_rig.messages import Network, Receiver, Transmitter
+from can_rig.plant import SimulatedPlant
+from can_rig.recorder import Recorder
+from can_rig.reference import reference
+from can_rig.scenario import Scenario
+
+NOT_OURS: Final[tuple[int, Receiver | None]] = (-1, None)
+
+
+class PlantNode:
+    """Sends reference and feedback, waits for the status, applies the commands that came.
+
+    Args:
+        scenario: the run.
+        network: its frames.
+        bus: where to send and, without ``patience``, receive.
+        recorder: gets every frame sent or seen; None records nothing.
+    """
+
+    def __init__(
+        self, scenario: Scenario, network: Network, bus: can.BusABC, recorder: Recorder | None
+    ) -> None:
+        self.ticks = scenario.ticks
+        self._plant = SimulatedPlant(scenario)
+        self._reference = reference(scenario).tolist()
+        self._bus = bus
+        self._recorder = recorder
+        self._send_reference = Transmitter(network.reference)
+        self._send_feedback = Transmitter(network.feedback)
+        self._commands = (Receiver(network.command_1), Receiver(network.command_2))
+        self._status = Receiver(network.status)
+        self._offered: tuple[can.Message, ...] = ()
+        self._by_id: dict[int, tuple[int, Receiver | None]] = {
+            receiver.codec.frame_id: (index, receiver)
+            for index, receiver in enumerate((*self._commands, self._status))
+        }
+
+    def run(self, patience: Patience, on_tick: Callable[[int], None]) -> int:
+        """Run to the end or to a stop request; the number of ticks completed.
+
+        Raises:
+            SilentNodeError: the controller node is silent.
+        """
+        for tick in range(self.ticks):
+            self.offer(tick)
+            try:
+                self.collect(tick, patience)
+            except Interrupted:
+                return tick
+            on_tick(tick + 1)
+        return self.ticks
+
+    def offer(self, tick: int) -> None:
+        """Start ``tick``: sample D*, send the reference and the feedback."""
+        if self._recorder is not None:
+            self._recorder.begin_tick(tick)
+        self._offered = (
+            self._send_reference.frame(self._reference[tick], tick),
+            self._send_feedback.frame(self._plant.measure(), tick),
+        )
+        for message in self._offered:
+            self._bus.send(message)
+            if self._recorder is not None:
+                self._recorder.record(message, sent=True)
+
+    def repeat(self) -> None:
+        """Send the offer again, to a controller that was not there yet; the log has it once."""
+        for message in self._offered:
+            self._bus.send(message)
+
+    def collect(self, tick: int, patience: Patience) -> None:
+        """Finish ``tick``: take the commands up to its status frame and advance the plant.
+
+        Raises:
+            SilentNodeError, Interrupted: see ``Patience.receive``.
+        """
+        commands: list[float | None] = [None, None]
+        while True:
+            message = patience.receive(f"at tick {tick}")
+            if self._recorder is not None:
+                self._recorder.record(message, sent=False)
+            index, receiver = self._by_id.get(message.arbitration_id, NOT_OURS)
+            if receiver is None:
+                continue
+            record = receiver.accept(message, tick)
+            if record is None:
+                continue
+            patience.hear()
+            if index == len(commands):
+                break
+            if math.isfinite(record.value):
+                commands[index] = record.value
+        for command, receiver in zip(commands, self._commands, strict=True):
+            if command is None:
+                receiver.checker.no_new_data()
+        self._plant.advance(tick, *commands)
+
+    def rejected(self) -> dict[str, dict[str, int]]:
+        """Per message, how many frames were not used and why."""
+        receivers = (*self._commands, self._status)
+        return {receiver.codec.name: receiver.rejected for receiver in receivers}

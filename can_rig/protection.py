@@ -1,0 +1,177 @@
+"""AUTOSAR end-to-end protection, profile 1 (variant 1A), of an 8-byte frame.
+
+Byte 0 is a CRC-8 (SAE J1850, polynomial 0x1D) over the low byte and the high byte of the data
+identifier and bytes 1 to 7; the low nibble of byte 1 is a counter 0..14. The CRC finds damage and
+a frame of another sender, the counter finds repetition, loss and wrong order. Every burst of up to
+8 bits is found, except 5 of the 769 that straddle bytes 0 and 1: the polynomial wants the CRC after
+the data, the profile sends it before. The CRC-15 of CAN finds those.
+
+Source: AUTOSAR SWS E2E Library (Doc. 428), "Specification of E2E Profile 1": data identifier mode
+E2E_P01_DATAID_BOTH, E2E_P01Protect and E2E_P01Check. Of its configuration, SyncCounterInit is 1
+and MaxNoNewOrRepeatedData is 14, which switches that monitor off.
+"""
+
+from enum import IntEnum
+from typing import Final
+
+from e2e.p01 import e2e_p01_check, e2e_p01_protect
+
+FRAME_BYTES: Final = 8
+"""Length of every protected frame [byte]."""
+
+_COUNTERS: Final = 15  # counters 0..14; 15 is never sent
+_LARGEST_DELTA: Final = _COUNTERS - 1
+_SYNC_COUNTER_INIT: Final = 1
+
+
+class CheckStatus(IntEnum):
+    """What the check of one frame found: the statuses of E2E_P01CheckStatusType, and the length."""
+
+    OK = 0
+    """The next frame."""
+    INITIAL = 1
+    """The first intact frame of a run; there is no counter to compare with."""
+    OK_SOME_LOST = 2
+    """An intact frame, newer than the last one, with a tolerable number lost between."""
+    REPEATED = 3
+    """The counter of the last frame again."""
+    WRONG_SEQUENCE = 4
+    """Too many frames lost, or an old frame."""
+    SYNC = 5
+    """In sequence again after WRONG_SEQUENCE, but not yet confirmed."""
+    WRONG_CRC = 6
+    """Damaged, another sender's frame, or the counter 15, which no sender uses."""
+    WRONG_LENGTH = 7
+    """Not 8 bytes."""
+    NO_NEW_DATA = 8
+    """No frame at all where one was due."""
+    WRONG_TICK = 9
+    """Intact, but of another tick than the one under way; its counter is not looked at."""
+
+
+USABLE: Final = (CheckStatus.OK, CheckStatus.INITIAL, CheckStatus.OK_SOME_LOST)
+"""The statuses of a frame whose content may be used; after any other it updates nothing."""
+
+# Module constants: a member lookup on the enumeration costs as much as the rest of a check.
+_OK, _INITIAL, _OK_SOME_LOST = USABLE
+_REPEATED, _WRONG_SEQUENCE = CheckStatus.REPEATED, CheckStatus.WRONG_SEQUENCE
+_SYNC, _WRONG_CRC, _WRONG_LENGTH = CheckStatus.SYNC, CheckStatus.WRONG_CRC, CheckStatus.WRONG_LENGTH
+_WRONG_TICK = CheckStatus.WRONG_TICK
+
+
+def _require_data_id(data_id: int) -> int:
+    if not 0 <= data_id <= 0xFFFF:
+        raise ValueError(f"data_id is {data_id}; it must be a 16-bit unsigned number, 0..65535")
+    return data_id
+
+
+class Protector:
+    """The sending end of one protected frame (E2E_P01Protect).
+
+    Args:
+        data_id: 16-bit identifier of the frame, known to both ends and never sent.
+
+    Raises:
+        ValueError: `data_id` is not 16-bit unsigned.
+    """
+
+    __slots__ = ("_counter", "data_id")
+
+    def __init__(self, data_id: int) -> None:
+        self.data_id: Final = _require_data_id(data_id)
+        self._counter = _LARGEST_DELTA  # the one before 0, which SWS E2E has sent first
+
+    def protect(self, data: bytearray) -> None:
+        """Write the next counter and the CRC into the 8 bytes of `data`, in place."""
+        # The library counts on from the counter that it finds in the frame, 14 to 0.
+        data[1] = (data[1] & 0xF0) | self._counter
+        e2e_p01_protect(data, self.data_id)
+        self._counter = data[1] & 0x0F
+
+
+class Checker:
+    """The receiving end of one protected frame (E2E_P01Check).
+
+    Call `check` once for every frame that arrived, or `no_new_data` where one was due and none
+    did. Each call without a usable frame widens the tolerated counter step by one, because the
+    sender has counted on meanwhile; a usable frame narrows it to `max_delta_counter` again. A step
+    beyond it takes over the received counter and asks for one more frame in sequence (SYNC)
+    before the content is used again.
+
+    Args:
+        data_id: identifier of the frame, the sender's.
+        max_delta_counter: tolerated number of frames lost between two that arrive in successive
+            calls, 1..14 (MaxDeltaCounterInit).
+
+    Raises:
+        ValueError: an argument is out of its range.
+    """
+
+    __slots__ = ("_counts", "_last", "_sync", "_window", "data_id", "max_delta_counter")
+
+    def __init__(self, data_id: int, max_delta_counter: int = 1) -> None:
+        if not 1 <= max_delta_counter <= _LARGEST_DELTA:
+            raise ValueError(f"max_delta_counter is {max_delta_counter}; it must be 1..14")
+        self.data_id: Final = _require_data_id(data_id)
+        self.max_delta_counter: Final = max_delta_counter
+        self._last: int | None = None  # counter of the last frame in sequence
+        self._window = max_delta_counter  # largest tolerated step at the last call
+        self._sync = 0  # frames still wanted in sequence before use
+        self._counts = [0] * len(CheckStatus)
+
+    @property
+    def counts(self) -> dict[CheckStatus, int]:
+        """How often each status was found since the start."""
+        return dict(zip(CheckStatus, self._counts, strict=True))
+
+    def check(self, data: bytearray) -> CheckStatus:
+        """Judge one received frame; never raises, whatever its content and length."""
+        self._window += 1  # the SWS stops at 14, which already tolerates every step
+        if len(data) != FRAME_BYTES:
+            status = _WRONG_LENGTH
+        elif not e2e_p01_check(data, self.data_id):
+            status = _WRONG_CRC
+        else:
+            status = self._judge(data[1] & 0x0F)
+        self._counts[status] += 1
+        return status
+
+    def reject(self, data: bytearray) -> None:
+        """Count a frame that says another tick than the one under way; nothing else changes.
+
+        So a frame that another sender makes up has to guess the tick too before it can disturb
+        the counter.
+        """
+        if len(data) != FRAME_BYTES:
+            self._counts[_WRONG_LENGTH] += 1
+        elif not e2e_p01_check(data, self.data_id):
+            self._counts[_WRONG_CRC] += 1
+        else:
+            self._counts[_WRONG_TICK] += 1
+
+    def no_new_data(self) -> CheckStatus:
+        """Note that a frame was due and none arrived."""
+        self._window += 1
+        self._counts[CheckStatus.NO_NEW_DATA] += 1
+        return CheckStatus.NO_NEW_DATA
+
+    def _judge(self, received: int) -> CheckStatus:
+        """Compare the counter of an intact frame with that of the last one."""
+        if self._last is None:
+            return self._accept(received, _INITIAL)
+        delta = (received - self._last) % _COUNTERS
+        if delta == 0:
+            return _REPEATED
+        if delta > self._window:
+            self._sync = _SYNC_COUNTER_INIT
+            return self._accept(received, _WRONG_SEQUENCE)
+        if self._sync:
+            self._sync -= 1
+            return self._accept(received, _SYNC)
+        return self._accept(received, _OK if delta == 1 else _OK_SOME_LOST)
+
+    def _accept(self, received: int, status: CheckStatus) -> CheckStatus:
+        """Go on from this counter, with the tolerance as narrow as at the start."""
+        self._last = received
+        self._window = self.max_delta_counter
+        return status

@@ -1,0 +1,95 @@
+"""The run folder: made once, never overwritten, finished from its ``bus.log``."""
+
+from __future__ import annotations
+
+import json
+import platform
+import shutil
+import time
+from dataclasses import asdict, dataclass, field
+from importlib.metadata import version
+from pathlib import Path
+from typing import Any
+
+from can_rig.errors import RunFolderError
+from can_rig.messages import Network
+from can_rig.metrics import Metrics, metrics
+from can_rig.scenario import Scenario
+from can_rig.signals import read_signals
+
+LOG, SIGNALS, SUMMARY, REPORT = "bus.log", "signals.csv", "run.json", "report.png"
+PACKAGES = (
+    "fault-tolerant-steering",
+    "numpy",
+    "scipy",
+    "numba",
+    "control",
+    "python-can",
+    "cantools",
+    "autosar-e2e",
+)
+
+
+@dataclass
+class Outcome:
+    """How a run went, apart from what its log says."""
+
+    bus: str
+    outcome: str = "complete"
+    ticks: int = 0
+    wall_s: float = 0.0
+    rejected_frames: dict[str, dict[str, int]] = field(default_factory=dict)
+
+    @property
+    def ticks_per_s(self) -> float:
+        """Rate of the loop in wall-clock time."""
+        return self.ticks / self.wall_s if self.wall_s > 0.0 else 0.0
+
+
+def create(folder: Path | None, scenario: Scenario, force: bool) -> Path:
+    """Make the folder; without a name it is ``runs/SCENARIO-DATE-TIME``.
+
+    Raises:
+        RunFolderError: it is there already and ``force`` is not given, or cannot be made.
+    """
+    if folder is None:
+        folder = Path("runs") / f"{scenario.name}-{time.strftime('%Y%m%d-%H%M%S')}"
+    try:
+        if folder.exists():
+            if not force:
+                raise RunFolderError(
+                    f"{folder}: there already, and no run is overwritten; "
+                    "another --out, or --force to replace it, is right"
+                )
+            if not (folder / LOG).is_file():
+                raise RunFolderError(f"{folder}: not a run folder, so --force does not replace it")
+            shutil.rmtree(folder)
+        folder.mkdir(parents=True)
+    except OSError as error:
+        raise RunFolderError(f"{folder}: cannot be made: {error.strerror}") from None
+    return folder
+
+
+def finish(folder: Path, scenario: Scenario, network: Network, outcome: Outcome) -> Metrics:
+    """Write ``signals.csv``, ``run.json`` and ``report.png`` from the log, however it ended."""
+    from can_rig.report import draw_report  # noqa: PLC0415 (matplotlib, when nodes are done)
+
+    signals = read_signals(folder / LOG, network, scenario.tick_s)
+    signals.write_csv(folder / SIGNALS)
+    values = metrics(scenario, signals)
+    summary: dict[str, Any] = {
+        "scenario": scenario.as_dict(),
+        "seed": scenario.seed,
+        "metrics": values,
+        **asdict(outcome),
+        "ticks_per_s": outcome.ticks_per_s,
+        "real_time_factor": outcome.ticks_per_s * scenario.tick_s,
+        "versions": {
+            "python": platform.python_version(),
+            **{package: version(package) for package in PACKAGES},
+        },
+    }
+    text = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False)
+    (folder / SUMMARY).write_text(text + "\n", encoding="utf-8")
+    draw_report(folder / REPORT, scenario, network, signals)
+    return values

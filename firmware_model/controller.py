@@ -1,0 +1,190 @@
+"""The control law, once: u1 = C(r - y), d̂ = F1 u + F2 y, u2 = F̂ d̂ (2.1), (2.37), (3.32).
+
+Everything that runs the controller calls ``step``: a node on a bus, a simulation, a replay, a
+batch of thousands. It allocates nothing and reads nothing but its arguments.
+
+**The algebraic loop.** With a Tustin estimator at zero latency this tick's d̂ depends on this
+tick's u2, which depends on this tick's d̂: F̂ is biproper and Tustin's G2 feeds through, with loop
+gain T/(2τ+T) for the thesis's design. It is solved exactly, in one division made at design time,
+and exactly too under saturation: for a loop gain below 1 the saturated solution of the linear loop
+is the solution of the saturated loop. With a held-input estimator, or any latency, the gain is 0.
+
+**Commands as the plant gets them.** A command is limited and rounded to the grid of its frame
+first, and that value is what the estimator works on.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from firmware_model.biquad import advance, output, settle, settle_integrator
+from firmware_model.compiled import firmware
+from firmware_model.layout import MAX_LATENCY_TICKS, FaultState, Mode, Record, state_type
+
+MODE_INIT, MODE_RUN, MODE_HOLD = int(Mode.INIT), int(Mode.RUN), int(Mode.HOLD)
+CLEAR, SUSPECTED, CONFIRMED = (
+    int(FaultState.CLEAR),
+    int(FaultState.SUSPECTED),
+    int(FaultState.CONFIRMED),
+)
+
+
+def init(table: Record) -> Record:
+    """A state at rest for ``table``, in its precision: every memory zero, mode INIT."""
+    precision = table.dtype["limit_1"].name
+    return np.zeros(1, state_type(precision)).view(np.recarray)[0]
+
+
+@firmware
+def as_sent(command: float, limit: float, lsb: float) -> float:
+    """The command as its frame carries it: limited, then on the grid of the frame."""
+    if command > limit:
+        command = limit
+    elif command < -limit:
+        command = -limit
+    if lsb > 0.0:
+        command = np.rint(command / lsb) * lsb
+    return command
+
+
+@firmware
+def step(table: Record, state: Record, reference: float, measurement: float) -> None:
+    """One tick: from the reference and D* of this tick to the commands of this tick.
+
+    Answers in ``state.command_1``, ``state.command_2``, ``state.fault_estimate``, ``state.mode``
+    and ``state.fault_state``. An input that is not a finite number changes no command: the last
+    good ones are held, the estimator follows them, and the mode says HOLD.
+
+    Args:
+        table: the constant table of ``tables.build``.
+        state: what ``init`` made; changed in place.
+        reference: r, in the measurement's unit.
+        measurement: y (D*).
+    """
+    if not (math.isfinite(reference) and math.isfinite(measurement)):
+        state.mode = MODE_HOLD
+        follow_commands(table, state)
+        return
+    state.reference = reference  # stored first: the arithmetic is in the table's own precision
+    state.measurement = measurement
+    held_1, held_2 = state.command_1, state.command_2
+
+    error = state.reference - table.feedback * state.measurement
+    torque = advance(table.tracking, state.tracking, table.tracking_n, error)
+    state.command_1 = as_sent(torque, table.limit_1, table.lsb_1)
+
+    # Every filter's answer to a zero: what this tick's u2 finds already there.
+    known = model_output(table, state) - state.measurement
+    zero = error - error
+    q_rest = output(table.one_plus_q, state.one_plus_q, table.one_plus_q_n, zero)
+    rest = output(table.compensator, state.compensator, table.compensator_n, zero)
+
+    # u2 = r2 + rest + f(q_rest + q(known + g u2)), solved for u2
+    estimate = q_rest + table.q_feedthrough * known
+    from_reference = table.reference_to_2 * state.reference
+    force = (from_reference + rest + table.compensator_feedthrough * estimate) * table.loop_inverse
+    state.command_2 = as_sent(force, table.limit_2, table.lsb_2)
+
+    residual = known + table.estimator_feedthrough_2 * state.command_2
+    estimate = advance(table.one_plus_q, state.one_plus_q, table.one_plus_q_n, residual)
+    advance(table.compensator, state.compensator, table.compensator_n, estimate)
+    if not (math.isfinite(torque) and math.isfinite(force)):
+        state.command_1, state.command_2 = held_1, held_2
+        forget(state)
+        state.mode = MODE_HOLD
+        follow_commands(table, state)
+        return
+    state.fault_estimate = estimate
+    state.mode = MODE_RUN
+    follow_commands(table, state)
+    decide(table, state)
+
+
+@firmware
+def forget(state: Record) -> None:
+    """Empty every memory after an overflow: a number that is lost must not stay lost."""
+    state.tracking[:] = 0
+    state.estimator_1[:] = 0
+    state.estimator_2[:] = 0
+    state.one_plus_q[:] = 0
+    state.compensator[:] = 0
+
+
+@firmware
+def model_output(table: Record, state: Record) -> float:
+    """G1 u1 + G2 u2 as the plant shows it at this tick, without what this tick's u2 adds."""
+    u1 = state.command_1
+    u2 = u1 - u1
+    if table.latency_ticks > 0:
+        u1 = state.delay_1[state.delay_at]
+        u2 = state.delay_2[state.delay_at]
+    lost = output(table.estimator_1, state.estimator_1, table.estimator_1_n, u1)
+    kept = output(table.estimator_2, state.estimator_2, table.estimator_2_n, u2)
+    return lost + kept
+
+
+@firmware
+def follow_commands(table: Record, state: Record) -> None:
+    """Advance F1 by the commands that reach the plant this tick, and the delay line by one."""
+    u1, u2 = state.command_1, state.command_2
+    if table.latency_ticks > 0:
+        at = state.delay_at
+        u1, state.delay_1[at] = state.delay_1[at], u1
+        u2, state.delay_2[at] = state.delay_2[at], u2
+        state.delay_at = (at + 1) % table.latency_ticks
+    advance(table.estimator_1, state.estimator_1, table.estimator_1_n, u1)
+    advance(table.estimator_2, state.estimator_2, table.estimator_2_n, u2)
+
+
+@firmware
+def decide(table: Record, state: Record) -> None:
+    """|d̂| above the threshold is suspected at once, confirmed after ``confirm_ticks`` in a row."""
+    if abs(state.fault_estimate) <= table.threshold:
+        state.over_threshold_ticks = 0
+        state.fault_state = CLEAR
+        return
+    state.over_threshold_ticks += 1
+    state.fault_state = SUSPECTED
+    if state.over_threshold_ticks >= table.confirm_ticks:
+        state.fault_state = CONFIRMED
+
+
+@firmware
+def reset(table: Record, state: Record, reference: float) -> None:
+    """Put a healthy loop where a constant ``reference`` would have brought it.
+
+    The next ``step`` with that reference, and the measurement that settles at it, repeats the
+    commands: no bump.
+    """
+    state.reference = reference
+    target = state.reference
+    zero = target - target
+    torque = as_sent(table.steady_1 * target, table.limit_1, table.lsb_1)
+    force = as_sent(table.reference_to_2 * target, table.limit_2, table.lsb_2)
+    if table.integrates:
+        settle_integrator(table.tracking, state.tracking, table.tracking_n, torque)
+    else:
+        settle(table.tracking, state.tracking, table.tracking_n, target)
+    settle(table.estimator_1, state.estimator_1, table.estimator_1_n, torque)
+    settle(table.estimator_2, state.estimator_2, table.estimator_2_n, force)
+    settle(table.one_plus_q, state.one_plus_q, table.one_plus_q_n, zero)
+    settle(table.compensator, state.compensator, table.compensator_n, zero)
+    for i in range(MAX_LATENCY_TICKS):
+        state.delay_1[i] = torque
+        state.delay_2[i] = force
+    state.delay_at = 0
+    state.command_1, state.command_2 = torque, force
+    state.fault_estimate = zero
+    state.over_threshold_ticks = 0
+    state.mode = MODE_INIT
+    state.fault_state = CLEAR
+
+
+@firmware
+def step_many(tables: Any, states: Any, references: Any, measurements: Any) -> None:
+    """``step`` for each of n controllers: record arrays (n,), reference and measurement (n,)."""
+    for i in range(len(states)):
+        step(tables[i], states[i], references[i], measurements[i])

@@ -1,0 +1,89 @@
+"""The fixed memory layout of the controller: a constant table and a private state.
+
+Two C structs, as numpy record types, in float64 or float32. The table is written once by
+``tables.build`` and never again; everything that changes lives in the state.
+"""
+
+from __future__ import annotations
+
+from enum import IntEnum
+from typing import Any, Literal
+
+import numpy as np
+
+MAX_SECTIONS = 8  # of each filter: order 16
+MAX_LATENCY_TICKS = 64
+
+Precision = Literal["float64", "float32"]
+Record = Any  # a numpy record of one of the types below
+
+
+class Mode(IntEnum):
+    """What the controller is doing, as its status frame says it."""
+
+    INIT = 0
+    """No tick has run since ``init`` or ``reset``."""
+    RUN = 1
+    """The last tick was computed from its inputs."""
+    HOLD = 2
+    """The last tick's input was not a number: the last good commands are held."""
+    OFF = 3
+    """Reserved: a controller that is switched off sends this."""
+
+
+class FaultState(IntEnum):
+    """What the decision says of |d̂|. It isolates nothing: a biased D* looks the same."""
+
+    CLEAR = 0
+    SUSPECTED = 1
+    CONFIRMED = 2
+    CANNOT_TELL = 3
+
+
+#: every filter of the controller, in the order of (2.1), (2.37), (3.32)
+FILTERS = ("tracking", "estimator_1", "estimator_2", "one_plus_q", "compensator")
+
+
+def table_type(precision: Precision = "float64") -> np.dtype[np.void]:
+    """Layout of the constant table."""
+    real = np.dtype(precision)
+    sections = [(name, real, (MAX_SECTIONS, 5)) for name in FILTERS]
+    counts = [(f"{name}_n", np.int64) for name in FILTERS]
+    reals = [
+        "feedback",  # 1: error = reference - measurement; 0: open loop
+        "reference_to_2",  # share of the reference that goes to channel 2 directly
+        "steady_1",  # command 1 per unit of a settled reference
+        "estimator_feedthrough_2",  # of F1's second channel, when it acts within the tick
+        "compensator_feedthrough",
+        "q_feedthrough",  # of 1 + Q
+        "loop_inverse",  # 1/(1 - algebraic loop gain)
+        "limit_1",
+        "limit_2",
+        "lsb_1",  # command grid, 0: none
+        "lsb_2",
+        "threshold",  # of |d̂|
+    ]
+    integers = ["integrates", "latency_ticks", "confirm_ticks"]
+    fields = [*sections, *counts, *((n, real) for n in reals), *((n, np.int64) for n in integers)]
+    return np.dtype(fields)
+
+
+def state_type(precision: Precision = "float64") -> np.dtype[np.void]:
+    """Layout of the state; the last group is what a tick answers."""
+    real = np.dtype(precision)
+    states = [(name, real, (MAX_SECTIONS, 2)) for name in FILTERS]
+    fields = [
+        *states,
+        ("delay_1", real, (MAX_LATENCY_TICKS,)),  # commands on their way to the plant
+        ("delay_2", real, (MAX_LATENCY_TICKS,)),
+        ("delay_at", np.int64),
+        ("over_threshold_ticks", np.int64),
+        ("reference", real),
+        ("measurement", real),
+        ("command_1", real),
+        ("command_2", real),
+        ("fault_estimate", real),
+        ("mode", np.int64),
+        ("fault_state", np.int64),
+    ]
+    return np.dtype(fields)

@@ -1,0 +1,120 @@
+"""Second-order sections in the delta operator: the form in which every filter runs.
+
+With ``δ = z - 1`` a section is
+
+    H(δ) = (β0 δ² + β1 δ + β2) / (δ² + α1 δ + α2)
+
+and α1, α2 are small numbers (of size |p|T and |p|²T²) instead of differences of numbers near 2
+and 1. A pole at 1 rad/s sampled at 10 kHz has α2 ~ 1e-8: stored as ``1 + a1 + a2`` it would keep
+one digit in float32 and eight in float64; stored as itself it keeps all (Middleton and Goodwin,
+"Improved finite word length characteristics in digital control using delta operators", 1986).
+Nothing is ever expanded into one polynomial.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_model.errors import ImproperError
+
+FloatArray = NDArray[np.float64]
+ComplexArray = NDArray[np.complex128]
+
+
+@dataclass(frozen=True)
+class Sections:
+    """A cascade of delta-operator second-order sections.
+
+    Attributes:
+        coefficients: shape (n, 5), one row a section: β0, β1, β2, α1, α2. Read-only.
+        tick_s: sampling period, seconds.
+    """
+
+    coefficients: FloatArray
+    tick_s: float
+
+    def __post_init__(self) -> None:
+        self.coefficients.flags.writeable = False
+
+    def __call__(self, z: ComplexArray) -> ComplexArray:
+        """Transfer function at ``z``, any shape; z = e^{jωT} gives the frequency response."""
+        delta = np.asarray(z, dtype=np.complex128) - 1.0
+        response = np.ones_like(delta)
+        for b0, b1, b2, a1, a2 in self.coefficients:
+            if a2 == 0.0 and b2 == 0.0:  # δ/δ cancels, also at δ = 0
+                first_order = (b0 * delta + b1) / (delta + a1) if a1 or b1 else b0
+                response = response * first_order
+                continue
+            response = response * (((b0 * delta + b1) * delta + b2) / ((delta + a1) * delta + a2))
+        return response
+
+    @property
+    def feedthrough(self) -> float:
+        """What this tick's input adds to this tick's output, H(z → ∞)."""
+        return float(np.prod(self.coefficients[:, 0]))
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Poles in z, shape (2n,); a first-order section counts one more at z = 1, cancelled."""
+        roots = [np.roots([1.0, a1, a2]) for *_, a1, a2 in self.coefficients]
+        return 1.0 + np.concatenate(roots).astype(np.complex128)
+
+    @property
+    def sos(self) -> FloatArray:
+        """The same cascade as scipy's ``sos``, shape (n, 6): b0 b1 b2 1 a1 a2 in powers of 1/z."""
+        b0, b1, b2, a1, a2 = self.coefficients.T
+        one = np.ones_like(b0)
+        return np.stack([b0, b1 - 2 * b0, b0 - b1 + b2, one, a1 - 2, 1 - a1 + a2], axis=1)
+
+
+def from_delta_zpk(
+    zeros: Sequence[complex] | ComplexArray,
+    poles: Sequence[complex] | ComplexArray,
+    gain: float,
+    tick_s: float,
+) -> Sections:
+    """Pair zeros and poles in δ into sections, each pole with the nearest zeros.
+
+    Raises:
+        ImproperError: more zeros than poles, a filter that needs its future input.
+    """
+    if len(zeros) > len(poles):
+        raise ImproperError(
+            f"a filter with {len(zeros)} zeros and {len(poles)} poles needs its future input; "
+            "at least as many poles as zeros are right"
+        )
+    pole_groups, zero_groups = _by_two(poles), _by_two(zeros)
+    if not pole_groups:
+        return Sections(np.array([[gain, 0.0, 0.0, 0.0, 0.0]]), tick_s)
+    partners: list[list[complex]] = [[] for _ in pole_groups]
+    for group in zero_groups:
+        free = [i for i, p in enumerate(pole_groups) if not partners[i] and len(p) >= len(group)]
+        nearest = min(free, key=lambda i: abs(sum(pole_groups[i]) / len(pole_groups[i]) - group[0]))
+        partners[nearest] = group
+    rows = [_section(z, p) for z, p in zip(partners, pole_groups, strict=True)]
+    rows[0][:3] *= gain
+    return Sections(np.array(rows), tick_s)
+
+
+def _by_two(roots: Sequence[complex] | ComplexArray) -> list[list[complex]]:
+    """Conjugate pairs, then real roots two by two in order of size, then one that is left over."""
+    upper = sorted((complex(r) for r in roots if r.imag > 0), key=abs)
+    real = sorted((complex(r) for r in roots if r.imag == 0), key=abs)
+    return [[r, r.conjugate()] for r in upper] + [real[i : i + 2] for i in range(0, len(real), 2)]
+
+
+def _section(zeros: list[complex], poles: list[complex]) -> FloatArray:
+    """β0 β1 β2 α1 α2 of Π(δ - zero)/Π(δ - pole).
+
+    A first-order section is multiplied by δ/δ: its second accumulator then stays exactly zero.
+    """
+    above, below = np.poly(zeros).real, np.poly(poles).real
+    order = len(poles)
+    row = np.zeros(5)
+    row[order - len(zeros) : order + 1] = above
+    row[3 : 3 + order] = below[1:]
+    return row

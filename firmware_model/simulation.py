@@ -1,0 +1,94 @@
+"""The sampled loop without a bus: ``step`` against the exactly sampled plant, in one array pass.
+
+What the rig does with frames this does with floats, so a difference between the two is the bus.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from firmware_model import controller
+from firmware_model.compiled import firmware
+from firmware_model.layout import Record
+from firmware_model.sampled_plant import SampledPlant, advance_plant, measure_plant
+from firmware_model.sections import FloatArray
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One value a tick, each of shape (ticks,)."""
+
+    time_s: FloatArray
+    reference: FloatArray
+    measurement: FloatArray
+    command_1: FloatArray
+    command_2: FloatArray
+    fault_estimate: FloatArray
+    fault_state: NDArray[np.int64]
+
+    @property
+    def error(self) -> FloatArray:
+        """e = r - y (3.41)."""
+        return self.reference - self.measurement
+
+
+def simulate(
+    table: Record,
+    plant: SampledPlant,
+    reference: FloatArray,
+    *,
+    effectiveness: FloatArray | None = None,
+    noise: FloatArray | None = None,
+) -> Trace:
+    """Run the loop from rest, one tick for each reference sample.
+
+    Args:
+        table: from ``tables.build``, for the plant's tick; its latency is the loop's.
+        plant: the car, which need not be the one the table was designed for.
+        reference: (ticks,).
+        effectiveness: (ticks, 2), what is left of each actuator; default all ones. A zero is the
+            thesis's fault: the channel's input is gone, the plant keeps its state.
+        noise: (ticks,), added to what the controller measures; default none.
+    """
+    ticks = len(reference)
+    if effectiveness is None:
+        effectiveness = np.ones((ticks, 2))
+    if noise is None:
+        noise = np.zeros(ticks)
+    signals = np.zeros((ticks, 4))
+    fault_state = np.zeros(ticks, dtype=np.int64)
+    _run(
+        table,
+        controller.init(table),
+        (plant.phi, plant.gamma, plant.c, plant.rest),
+        (np.asarray(reference, dtype=np.float64), effectiveness, noise),
+        signals,
+        fault_state,
+    )
+    time_s = plant.tick_s * np.arange(ticks)
+    return Trace(time_s, np.asarray(reference, dtype=np.float64), *signals.T, fault_state)
+
+
+@firmware
+def _run(
+    table: Record, state: Record, plant: Any, inputs: Any, signals: Any, fault_state: Any
+) -> None:
+    phi, gamma, c, x = plant
+    reference, effectiveness, noise = inputs
+    latency = table.latency_ticks
+    for k in range(len(reference)):
+        y = measure_plant(c, x)
+        controller.step(table, state, reference[k], y + noise[k])
+        signals[k, 0] = y
+        signals[k, 1] = state.command_1
+        signals[k, 2] = state.command_2
+        signals[k, 3] = state.fault_estimate
+        fault_state[k] = state.fault_state
+        if k >= latency:
+            u1 = effectiveness[k, 0] * signals[k - latency, 1]
+            u2 = effectiveness[k, 1] * signals[k - latency, 2]
+            advance_plant(phi, gamma, x, u1, u2)

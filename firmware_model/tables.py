@@ -1,0 +1,157 @@
+"""A continuous design, discretised at a tick, as the constant table that ``step`` runs from."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from firmware_model.design import ContinuousDesign
+from firmware_model.errors import DesignError, ParameterError
+from firmware_model.layout import MAX_LATENCY_TICKS, MAX_SECTIONS, Precision, Record, table_type
+from firmware_model.sections import Sections
+from firmware_model.tustin import tustin, tustin_held, zoh
+from firmware_model.zpk import ZeroPoleGain
+
+EstimatorRule = Literal["tustin", "tustin-held", "zoh"]
+ESTIMATOR_RULES: dict[EstimatorRule, Callable[[ZeroPoleGain, float], Sections]] = {
+    "tustin": tustin,
+    "tustin-held": tustin_held,
+    "zoh": zoh,
+}
+
+
+@dataclass(frozen=True)
+class Target:
+    """Where the design runs: everything about the table that is not the continuous design.
+
+    Attributes:
+        tick_s: sampling period, seconds.
+        latency_ticks: whole ticks from the sample of the measurement until the command computed
+            from it acts on the plant; 0 is the thesis's ideal.
+        estimator: how F1 is discretised; F̂ and C are always Tustin's.
+        limit_1, limit_2: largest magnitude of a command, in its own unit.
+        lsb_1, lsb_2: grid of a command as its frame carries it; 0 for none.
+        threshold: |d̂| above it is a suspected fault.
+        confirm_ticks: ticks in a row above the threshold that confirm it.
+        prewarp_rad_per_s: frequency at which C and F̂ keep their continuous response exactly.
+        precision: of every number in the table and the state.
+    """
+
+    tick_s: float
+    latency_ticks: int = 0
+    estimator: EstimatorRule = "tustin"
+    limit_1: float = math.inf
+    limit_2: float = math.inf
+    lsb_1: float = 0.0
+    lsb_2: float = 0.0
+    threshold: float = math.inf
+    confirm_ticks: int = 1
+    prewarp_rad_per_s: float | None = None
+    precision: Precision = "float64"
+
+    def __post_init__(self) -> None:
+        if self.estimator not in ESTIMATOR_RULES:
+            rules = ", ".join(ESTIMATOR_RULES)
+            raise ParameterError(f"estimator = {self.estimator!r}: one of {rules} is right")
+        if not 0 <= self.latency_ticks <= MAX_LATENCY_TICKS:
+            raise ParameterError(
+                f"latency_ticks = {self.latency_ticks}: 0 to {MAX_LATENCY_TICKS} is right"
+            )
+        for name in ("limit_1", "limit_2", "threshold"):
+            if not getattr(self, name) > 0.0:
+                raise ParameterError(f"{name} = {getattr(self, name):g}: above 0 is right")
+        for name in ("lsb_1", "lsb_2"):
+            if not 0.0 <= getattr(self, name) < math.inf:
+                raise ParameterError(f"{name} = {getattr(self, name):g}: 0 or above is right")
+        if self.confirm_ticks < 1:
+            raise ParameterError(f"confirm_ticks = {self.confirm_ticks}: 1 or more is right")
+
+
+@dataclass(frozen=True)
+class Filters:
+    """The discretised filters of the control law, for whoever wants to look at them."""
+
+    tracking: Sections
+    estimator_1: Sections
+    estimator_2: Sections
+    one_plus_q: Sections
+    compensator: Sections
+
+
+def discretise(design: ContinuousDesign, target: Target) -> Filters:
+    """Each filter of ``design`` as second-order sections at the target's tick.
+
+    Raises:
+        DesignError: a tick out of range, or a filter of too high an order for the fixed layout.
+    """
+    tick_s, prewarp = target.tick_s, target.prewarp_rad_per_s
+    rule = ESTIMATOR_RULES[target.estimator]
+    nothing, unity = ZeroPoleGain.constant(0.0), ZeroPoleGain.constant(1.0)
+    g1, g2 = design.plant.g1, design.plant.g2
+    filters = Filters(
+        tracking=tustin(design.tracking or unity, tick_s, prewarp),
+        estimator_1=rule(g1, tick_s),
+        estimator_2=rule(g2, tick_s),
+        one_plus_q=tustin(design.estimator.one_plus_q, tick_s),
+        compensator=tustin(design.compensator or nothing, tick_s, prewarp),
+    )
+    for name, sections in vars(filters).items():
+        if len(sections.coefficients) > MAX_SECTIONS:
+            raise ParameterError(
+                f"{name}: order {2 * len(sections.coefficients)} is more than the "
+                f"{2 * MAX_SECTIONS} that the controller's layout holds; lower alpha or alpha_q"
+            )
+    return filters
+
+
+def algebraic_loop_gain(filters: Filters, latency_ticks: int) -> float:
+    """Gain of the loop d̂ → u2 → d̂ within one tick: F̂, G2 and 1 + Q at z → ∞; T/(2τ+T) for α = 1."""
+    if latency_ticks > 0:
+        return 0.0
+    return (
+        filters.compensator.feedthrough
+        * filters.estimator_2.feedthrough
+        * filters.one_plus_q.feedthrough
+    )
+
+
+def build(design: ContinuousDesign, target: Target) -> Record:
+    """The table of ``design`` on ``target``: a read-only record of ``layout.table_type``.
+
+    Raises:
+        DesignError: what ``discretise`` refuses, or an algebraic loop gain of 1 or more, for
+            which saturation has no one answer.
+    """
+    filters = discretise(design, target)
+    loop_gain = algebraic_loop_gain(filters, target.latency_ticks)
+    if not loop_gain < 1.0:
+        raise DesignError(
+            f"the algebraic loop d̂ → u2 → d̂ has gain {loop_gain:.3g} at tick_s = "
+            f"{target.tick_s:g}; below 1 is right: a held-input estimator has none"
+        )
+    table = np.zeros(1, table_type(target.precision))
+    for name, sections in vars(filters).items():
+        n = len(sections.coefficients)
+        table[name][0, :n] = sections.coefficients
+        table[f"{name}_n"] = n
+    feedback = design.tracking is not None
+    table["feedback"] = feedback
+    table["integrates"] = feedback
+    table["reference_to_2"] = not feedback
+    table["steady_1"] = 1.0 / design.plant.g1.dc_gain if feedback else 1.0
+    table["estimator_feedthrough_2"] = (
+        0.0 if target.latency_ticks > 0 else filters.estimator_2.feedthrough
+    )
+    table["compensator_feedthrough"] = filters.compensator.feedthrough
+    table["q_feedthrough"] = filters.one_plus_q.feedthrough
+    table["loop_inverse"] = 1.0 / (1.0 - loop_gain)
+    for name in ("limit_1", "limit_2", "lsb_1", "lsb_2", "threshold"):
+        table[name] = getattr(target, name)
+    table["latency_ticks"] = target.latency_ticks
+    table["confirm_ticks"] = target.confirm_ticks
+    table.flags.writeable = False
+    return table.view(np.recarray)[0]
