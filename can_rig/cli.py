@@ -12,6 +12,8 @@ from rich.console import Console
 
 from can_rig.errors import RigError
 
+INTERRUPTED = 130  # what a shell reports for Ctrl-C
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -27,6 +29,8 @@ class RigGroup(click.Group):
                 f"error: {error}", style="red", markup=False, highlight=False
             )
             sys.exit(error.exit_status)
+        except KeyboardInterrupt:  # while it still starts; later a run ends between two ticks
+            sys.exit(INTERRUPTED)
 
 
 @click.group(cls=RigGroup, context_settings={"help_option_names": ["-h", "--help"]})
@@ -85,6 +89,12 @@ def run(
     sys.exit(run_command(scenario, settings, bus, out, force, in_process))
 
 
+def _above_zero(_context: click.Context, _option: click.Parameter, value: float) -> float:
+    if not value > 0.0:  # nan too
+        raise click.BadParameter(f"{value:g} s: above 0 is right")
+    return value
+
+
 def node_options(function: Function) -> Function:
     """What both nodes take beside the scenario."""
     for decorate in (
@@ -94,6 +104,7 @@ def node_options(function: Function) -> Function:
             "--silence",
             "silence_s",
             default=1.0,
+            callback=_above_zero,
             show_default=True,
             metavar="S",
             help="Seconds of silence after which the other node counts as gone.",
@@ -102,6 +113,7 @@ def node_options(function: Function) -> Function:
             "--wait",
             "first_s",
             default=60.0,
+            callback=_above_zero,
             show_default=True,
             metavar="S",
             help="Seconds to wait for the other node to appear.",

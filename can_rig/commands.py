@@ -21,6 +21,7 @@ from rich.table import Table
 
 from can_rig import scenario as scenarios
 from can_rig.build import controller_table
+from can_rig.cli import INTERRUPTED
 from can_rig.errors import RigError
 from can_rig.lockstep import StopRequest, Waiting
 from can_rig.messages import Network
@@ -37,8 +38,6 @@ from can_rig.nodes import (
 from can_rig.run import run_processes
 from can_rig.run_folder import LOG, Outcome, create, finish
 from can_rig.scenario import Scenario
-
-INTERRUPTED = 130  # what a shell reports for Ctrl-C
 
 OnTick = Callable[[int], None]
 
@@ -59,20 +58,21 @@ def run_command(
     folder = create(out, scenario, force)
     outcome = Outcome(bus)
     failure: RigError | None = None
+    stop = StopRequest().on_signals()
     start = time.perf_counter()
     try:
         with _progress(scenario) as on_tick:
             if in_process:
                 summary = run_in_process(
-                    scenario, bus, folder / LOG, StopRequest().on_signals(), EveryNowAndThen(on_tick)
+                    scenario, bus, folder / LOG, stop, EveryNowAndThen(on_tick)
                 )
-                interrupted = summary.ticks < scenario.ticks
             else:
                 arguments = [name, *(a for s in settings for a in ("--set", s)), "--bus", bus]
-                summary, interrupted = run_processes(arguments, folder / LOG, on_tick)
+                summary = run_processes(arguments, folder / LOG, stop, on_tick)
         outcome.ticks, outcome.wall_s = summary.ticks, summary.wall_s
         outcome.rejected_frames = summary.rejected_frames
-        outcome.outcome = "interrupted" if interrupted else "complete"
+        if summary.ticks < scenario.ticks:
+            outcome.outcome = "interrupted"
     except RigError as error:
         failure = error
         outcome.outcome, outcome.wall_s = str(error), time.perf_counter() - start

@@ -21,7 +21,7 @@ class ActuatorFault:
 
     def effectiveness(self, tick: int) -> tuple[float, float]:
         """Factor on command 1 and command 2 at ``tick``: 1 healthy, 0 dead."""
-        if self._fault is None or not self._fault.active(tick * self._tick_ns * 1e-9):
+        if self._fault is None or not self._fault.active(tick * self._tick_ns):
             return 1.0, 1.0
         return (0.0, 1.0) if self._channel == 0 else (1.0, 0.0)
 
@@ -46,7 +46,7 @@ class FrameFault:
         fault = self._fault
         if fault is None or channel != self._channel:
             return frame
-        if not fault.active(tick * self._tick_ns * 1e-9):
+        if not fault.active(tick * self._tick_ns):
             return frame
         if not self._corrupt:
             return None

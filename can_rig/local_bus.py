@@ -10,24 +10,12 @@ and before its constructor returns: a sender looks at a word of memory, needs no
 cannot miss a node. The file's lock orders joining, leaving and the removal of dead sockets.
 """
 
-import contextlib
-import errno
-import fcntl
 import logging
-import mmap
-import os
-import re
-import secrets
 import select
 import socket
-import stat
 import struct
-import tempfile
 import threading
 import time
-from collections import deque
-from collections.abc import Container, Iterator
-from pathlib import Path
 from typing import Any
 
 from can import (
@@ -40,6 +28,9 @@ from can import (
 )
 from can.typechecking import AutoDetectedConfig, Channel
 
+from can_rig.local_bus_directory import Directory, bus_root
+from can_rig.local_bus_peer import Peer
+
 log = logging.getLogger(__name__)
 
 DEFAULT_CHANNEL = "rig"
@@ -49,23 +40,8 @@ _DATAGRAM_MAX = _HEADER.size + 64
 _EXTENDED, _REMOTE, _ERROR, _FD, _BRS, _ESI, _OWN, _CUT_OFF = (1 << bit for bit in range(8))
 _LAST_FRAME = _HEADER.pack(0.0, 0, _CUT_OFF, 0)
 
-_GENERATION = ".can-generation"
-_NODE_NAME = re.compile(r"\d+-[0-9a-f]{6}\.node")  # process id, then what tells its nodes apart
-_PATH_MAX = 107 - len("/4194304-012345.node")  # sun_path holds 107 bytes and a NUL
-
-_GONE = {errno.ECONNREFUSED, errno.ECONNRESET, errno.ENOTCONN, errno.EPIPE}
-
-_RETRY_S = 0.1  # how long a drainer waits for room before it looks whether it has to end
 _SHUTDOWN_S = 2.0  # how long shutdown() waits for listeners to take what was sent
 _COARSE_S = 0.05  # SO_RCVTIMEO counts in jiffies of 4 ms; shorter timeouts go through select()
-
-
-def bus_root() -> Path:
-    """The directory that holds the named buses of this user."""
-    runtime = os.environ.get("XDG_RUNTIME_DIR", "")
-    if runtime.startswith("/") and os.access(runtime, os.W_OK | os.X_OK):
-        return Path(runtime) / "can-rig"
-    return Path(tempfile.gettempdir()) / f"can-rig-{os.getuid()}"
 
 
 class LocalBus(BusABC):
@@ -98,13 +74,13 @@ class LocalBus(BusABC):
         self._can_protocol = CanProtocol.CAN_FD if fd else CanProtocol.CAN_20
         self._tx_backlog = tx_backlog
         self._rescan_lock = threading.Lock()
-        self._known: dict[str, _Peer] = {}  # cut-off listeners stay, not to be found anew
-        self._peers: tuple[_Peer, ...] = ()
-        self._own: _Peer | None = None
+        self._known: dict[str, Peer] = {}  # cut-off listeners stay, not to be found anew
+        self._peers: tuple[Peer, ...] = ()
+        self._own: Peer | None = None
         self._timeout: float | None = None  # what SO_RCVTIMEO is set to
         self._seen = -1
         try:
-            self._directory = _Directory(self.channel)
+            self._directory = Directory(self.channel)
             self._socket, self._name = self._directory.join()
         except OSError as error:
             message = f"cannot join local bus {self.channel}: {error}"
@@ -256,7 +232,7 @@ class LocalBus(BusABC):
             except OSError as error:
                 raise CanOperationError(f"cannot look who is on {self}: {error}") from error
             for name, link in links.items():
-                self._known[name] = _Peer(name, link, self._tx_backlog)
+                self._known[name] = Peer(name, link, self._tx_backlog, _LAST_FRAME)
             self._list_peers()
             self._seen = seen
 
@@ -271,7 +247,7 @@ class LocalBus(BusABC):
             if not peer.wait_until_drained(deadline):
                 raise CanTimeoutError(f"{peer.name} on {self} took no frame within {timeout} s")
 
-    def _drop(self, peer: "_Peer") -> None:
+    def _drop(self, peer: "Peer") -> None:
         with self._rescan_lock:
             if peer.cut_off:
                 log.warning(
@@ -281,181 +257,3 @@ class LocalBus(BusABC):
                 peer.close(deadline=0.0)
                 self._directory.remove(peer.name)  # of a killed node; one that left did so itself
             self._list_peers()
-
-
-class _Peer:
-    """A listener as a sender sees it: a connected socket and the frames that wait for room."""
-
-    def __init__(self, name: str, link: socket.socket, limit: int) -> None:
-        self.name = name
-        self.cut_off = False
-        self._link = link
-        self._limit = limit
-        self._backlog: deque[bytes] = deque()
-        self._lock = threading.Lock()  # taken only by who finds or leaves a backlog
-        self._drainer: threading.Thread | None = None
-        self._closing = False
-
-    def offer(self, frame: bytes) -> bool:
-        """Deliver a frame, now or in its turn; False if there will be no more for this one."""
-        if not self._backlog:
-            try:
-                self._link.send(frame, socket.MSG_DONTWAIT)
-            except BlockingIOError:
-                pass
-            except OSError as error:
-                if error.errno in _GONE:
-                    return False
-            else:
-                return True
-        with self._lock:
-            if self.cut_off:
-                return True  # another thread has just found that out, and reports it
-            self.cut_off = len(self._backlog) >= self._limit
-            self._backlog.append(_LAST_FRAME if self.cut_off else frame)
-            if self._drainer is None:
-                self._drainer = threading.Thread(target=self._drain, daemon=True)
-                self._drainer.start()
-        return not self.cut_off
-
-    def _drain(self) -> None:
-        while True:
-            with self._lock:
-                if not self._backlog or self._closing:
-                    self._drainer = None
-                    return
-            # The frame stays in the backlog until it is sent, so that none can overtake it.
-            try:
-                self._link.send(self._backlog[0])
-            except BlockingIOError:  # SO_SNDTIMEO has passed
-                continue
-            except OSError as error:
-                if error.errno in _GONE:
-                    self._backlog.clear()  # the next offer() meets the same error and reports it
-                else:
-                    time.sleep(_RETRY_S)  # the kernel is short of memory
-            else:
-                self._backlog.popleft()
-
-    def discard(self) -> None:
-        """Empty the backlog, save the frame that may be on its way."""
-        with self._lock:
-            while len(self._backlog) > 1:
-                self._backlog.pop()
-
-    def wait_until_drained(self, deadline: float) -> bool:
-        """Wait until the backlog is empty, at most until ``deadline`` (monotonic, in s)."""
-        drainer = self._drainer
-        if drainer is not None:
-            drainer.join(max(0.0, deadline - time.monotonic()))
-        return not self._backlog
-
-    def close(self, deadline: float) -> int:
-        """Close, after the backlog is drained or at ``deadline``; returns frames never sent."""
-        if not self.cut_off:
-            self.wait_until_drained(deadline)
-        drainer, self._closing = self._drainer, True
-        if drainer is not None:
-            drainer.join(10 * _RETRY_S)  # its send() must not outlive the descriptor
-        self._link.close()
-        return len(self._backlog)
-
-
-class _Directory:
-    """The directory of a bus: who is there, and the count that moves when one joins."""
-
-    def __init__(self, channel: str) -> None:
-        root = bus_root()
-        self._named = not channel.startswith("/")
-        if self._named and (not channel or "/" in channel or channel.startswith(".")):
-            raise CanInitializationError(
-                f"local bus {channel!r} is neither a name without '/' nor an absolute path"
-            )
-        self._path = root / channel
-        excess = len(os.fsencode(self._path)) - _PATH_MAX
-        if excess > 0:
-            raise CanInitializationError(
-                f"path of local bus is {excess} bytes too long for a socket: {self._path}"
-            )
-        if self._named:
-            root.mkdir(mode=0o700, exist_ok=True)
-            status = root.lstat()
-            if status.st_uid != os.getuid() or stat.S_IMODE(status.st_mode) & 0o077:
-                raise CanInitializationError(f"{root} is not a private directory of this user")
-        self._file = self._open_locked()
-        # The view keeps the map alive, for the look of a send() after shutdown().
-        self.generation = memoryview(mmap.mmap(self._file, 8)).cast("Q")
-
-    def _open_locked(self) -> int:
-        while True:
-            self._path.mkdir(mode=0o700, exist_ok=True)
-            with contextlib.suppress(FileNotFoundError):  # the last node has just taken it away
-                file = os.open(self._path / _GENERATION, os.O_RDWR | os.O_CREAT, mode=0o600)
-                fcntl.flock(file, fcntl.LOCK_EX)
-                status = os.fstat(file)
-                if status.st_nlink:
-                    if status.st_size == 0:  # written, for a hole that no disk backs is a SIGBUS
-                        os.write(file, bytes(8))
-                    return file
-                os.close(file)
-
-    @contextlib.contextmanager
-    def _locked(self) -> Iterator[None]:
-        fcntl.flock(self._file, fcntl.LOCK_EX)
-        try:
-            yield
-        finally:
-            fcntl.flock(self._file, fcntl.LOCK_UN)
-
-    def join(self) -> tuple[socket.socket, str]:
-        """Bind a new node's socket and let the others know; returns it with its name."""
-        name = f"{os.getpid()}-{secrets.token_hex(3)}.node"
-        node = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-        with self._locked():
-            node.bind(str(self._path / name))
-            self.generation[0] += 1
-        return node, name
-
-    def connect_all_but(self, known: Container[str]) -> dict[str, socket.socket]:
-        """Links to the nodes that are not ``known``, by name; removes sockets of dead nodes."""
-        links = {}
-        with self._locked():  # a socket without a listener is dead, not one about to be bound
-            for name in self._nodes():
-                if name in known:
-                    continue
-                link = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-                try:
-                    link.connect(str(self._path / name))
-                except (ConnectionRefusedError, FileNotFoundError):
-                    link.close()
-                    self.remove(name)
-                    continue
-                timeval = struct.pack("ll", 0, round(_RETRY_S * 1e6))
-                link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, timeval)
-                links[name] = link
-        return links
-
-    def _nodes(self) -> list[str]:
-        with contextlib.suppress(FileNotFoundError):
-            return [
-                path.name
-                for path in self._path.iterdir()
-                if _NODE_NAME.fullmatch(path.name) and path.is_socket()
-            ]
-        return []
-
-    def remove(self, name: str) -> None:
-        """Unlink a node's socket; names are never used again."""
-        (self._path / name).unlink(missing_ok=True)
-
-    def leave(self, name: str) -> None:
-        """Remove a node's socket, and with the last one of a named bus the directory."""
-        with self._locked():
-            self.remove(name)
-            if self._named and not self._nodes():
-                (self._path / _GENERATION).unlink(missing_ok=True)
-                with contextlib.suppress(OSError):  # something else lies there
-                    self._path.rmdir()
-
-    def close(self) -> None:
-        os.close(self._file)

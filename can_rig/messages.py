@@ -73,12 +73,12 @@ class Receiver:
         data = message.data
         if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
             return None  # another frame that happens to have the same number
-        if tick is not None and data[2:4] != (tick & 0xFFFF).to_bytes(2, "little"):
-            self.checker.reject(data)
-            return None
-        if self.checker.check(data) not in USABLE:
-            return None
-        return self.codec.decode(data)
+        if len(data) == FRAME_BYTES:
+            record = self.codec.decode(data)
+            if tick is None or record.tick == tick & 0xFFFF:
+                return record if self.checker.check(data) in USABLE else None
+        self.checker.reject(data)
+        return None
 
     @property
     def rejected(self) -> dict[str, int]:

@@ -3,47 +3,140 @@
 from __future__ import annotations
 
 import math
-from typing import Any
+from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 
+from can_rig.build import continuous_plant, controller_table
+from can_rig.nodes import network_of
+from can_rig.reference import reference
 from can_rig.scenario import Scenario
 from can_rig.signals import Signals
+from firmware_model.sampled_plant import sample
 from firmware_model.sections import FloatArray
+from firmware_model.simulation import simulate
 
 Metrics = dict[str, float | None]
+Mask = NDArray[np.bool_]
+
+SETTLED_S = 2.0
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Which ticks of a run count as what, each of shape (ticks,).
+
+    ``before`` the loss and ``after`` its start, ``lost`` while it lasts; ``settled_before`` and
+    ``settled_after`` are the ends of the healthy time and of the run: 2 s, or two periods of a
+    slower reference, but at most the second half of the time since the last change.
+    """
+
+    before: Mask
+    after: Mask
+    lost: Mask
+    settled_before: Mask
+    settled_after: Mask
+
+
+def windows(scenario: Scenario, signals: Signals) -> Windows:
+    """The windows of a run, which may have ended early; its fault as the nodes saw it."""
+    fault = scenario.fault
+    wanted_s = SETTLED_S
+    if scenario.reference.kind == "sine":
+        wanted_s = max(wanted_s, 4.0 * math.pi / scenario.reference.frequency_rad_per_s)
+    ticks = np.rint(signals.time_s / scenario.tick_s)
+    time_s = ticks * scenario.tick_ns * 1e-9  # in the nodes' own arithmetic
+    there = fault.kind != "none"
+    after = there & (time_s >= fault.at_s)
+    over_s = fault.at_s + (math.inf if fault.for_s is None else fault.for_s)
+    lost = after & (time_s < over_s)
+    recovered = after & ~lost
+    return Windows(
+        before=~after,
+        after=after,
+        lost=lost,
+        settled_before=_end(time_s, ~after, wanted_s),
+        settled_after=_end(time_s, recovered if recovered.any() else after, wanted_s),
+    )
 
 
 def metrics(scenario: Scenario, signals: Signals) -> Metrics:
     """Errors in m/s², times in s, commands in N m and N; None where the run has no such moment.
 
-    The windows "before" and "settled" are the last 2 s before the fault and of the run, or two
-    periods of a slower reference.
+    The error means nothing in an open loop and is None there; what says the same there, and in
+    every loop, is the deviation: how far D* is from D* of the same run without the fault.
     """
-    window_s = 2.0
-    if scenario.reference.kind == "sine":
-        window_s = max(window_s, 4.0 * math.pi / scenario.reference.frequency_rad_per_s)
-    time_s, error = signals.time_s, np.abs(signals.error_mps2)
-    end_s = len(signals) * scenario.tick_s
-    fault_s = scenario.fault.at_s if scenario.fault.kind != "none" else math.inf
-    lost = time_s >= fault_s
-    before = (time_s < min(fault_s, end_s)) & (time_s >= min(fault_s, end_s) - window_s)
-    settled = lost & (time_s >= end_s - window_s)
+    window = windows(scenario, signals)
+    closed = scenario.model.kind != "chapter-2"
+    error = np.abs(signals.error_mps2) if closed else np.full(len(signals), np.nan)
     estimate = np.abs(signals.fault_estimate_mps2)
+    torque, force = np.abs(signals.torque_nm), np.abs(signals.force_difference_n)
+    deviation = np.full(len(signals), np.nan)
+    if window.after.any():
+        with np.errstate(invalid="ignore", over="ignore"):  # a loop that diverges
+            deviation = np.abs(signals.dstar_mps2 - fault_free(scenario, signals))
+    settled = window.settled_after if window.after.any() else window.settled_before
+    seen = window.after & (estimate > scenario.design.fault_threshold_mps2)
     return {
-        "error_before_fault_mps2": _peak(error[before]),
-        "error_peak_after_fault_mps2": _peak(error[lost]),
-        "error_settled_after_fault_mps2": _peak(error[settled]),
-        "fault_estimate_peak_before_fault_mps2": _peak(estimate[~lost]),
-        "fault_estimate_settled_mps2": _peak(estimate[settled]),
-        "fault_seen_after_s": _first(
-            time_s[lost & (estimate > scenario.design.fault_threshold_mps2)], fault_s
+        "error_before_fault_mps2": _peak(error[window.settled_before]),
+        "error_peak_after_fault_mps2": _peak(error[window.after]),
+        "error_peak_while_lost_mps2": _peak(error[window.lost]),
+        "error_settled_after_fault_mps2": _peak(error[window.settled_after]),
+        "deviation_peak_after_fault_mps2": _peak(deviation[window.after]),
+        "deviation_settled_after_fault_mps2": _peak(deviation[window.settled_after]),
+        "fault_estimate_peak_before_fault_mps2": _peak(estimate[window.before]),
+        "fault_estimate_peak_while_lost_mps2": _peak(estimate[window.lost]),
+        "fault_estimate_settled_mps2": _peak(estimate[window.settled_after]),
+        "fault_seen_after_s": (
+            round(float(signals.time_s[seen][0]) - scenario.fault.at_s, 9) if seen.any() else None
         ),
-        "torque_peak_nm": _peak(np.abs(signals.torque_nm)),
-        "torque_peak_after_fault_nm": _peak(np.abs(signals.torque_nm[lost])),
-        "force_difference_peak_n": _peak(np.abs(signals.force_difference_n)),
-        "force_difference_settled_n": _peak(np.abs(signals.force_difference_n[settled])),
+        "torque_peak_nm": _peak(torque),
+        "torque_peak_after_fault_nm": _peak(torque[window.after]),
+        "force_difference_peak_n": _peak(force),
+        "force_difference_settled_n": _peak(force[settled]),
     }
+
+
+def fault_free(scenario: Scenario, signals: Signals) -> FloatArray:
+    """D* at the ticks of ``signals`` as the same run without its fault measures it, m/s².
+
+    Same plant, table, command frames and noise; D* itself is not rounded to the grid of its frame,
+    which keeps the two apart by a few of its LSBs.
+    """
+    if not len(signals):
+        return np.empty(0)
+    first = round(float(signals.time_s[0]) / scenario.tick_s)
+    ticks = first + len(signals)
+    healthy = replace(
+        scenario,
+        fault=replace(scenario.fault, kind="none"),
+        duration_s=max(scenario.duration_s, ticks * scenario.tick_s),
+    )
+    noise = scenario.noise.dstar_rms_mps2 * np.random.Generator(
+        np.random.PCG64(scenario.seed)
+    ).standard_normal(ticks)
+    trace = simulate(
+        controller_table(healthy, network_of(healthy)),
+        sample(continuous_plant(healthy.plant), healthy.tick_s),
+        reference(healthy)[:ticks],
+        noise=noise,
+    )
+    return (trace.measurement + noise)[first:]
+
+
+def rows(values: Metrics, units: dict[str, str]) -> list[tuple[str, str]]:
+    """The closing table, label and text: the metrics that mean something in this run."""
+    faulted = values.get("deviation_peak_after_fault_mps2") is not None
+    out: list[tuple[str, str]] = []
+    for key, label, healthy_label, unit in _TABLE:
+        value = values.get(key)
+        text = label if faulted else healthy_label
+        if value is not None and text:
+            out.append((text, f"{value:.4g} {units.get(unit, unit)}".rstrip()))
+        elif faulted and key == "fault_seen_after_s":
+            out.append((text, "never"))
+    return out
 
 
 def _peak(values: FloatArray) -> float | None:
@@ -51,27 +144,29 @@ def _peak(values: FloatArray) -> float | None:
     return float(finite.max()) if len(finite) else None
 
 
-def _first(times_s: FloatArray, since_s: float) -> float | None:
-    return float(times_s[0] - since_s) if len(times_s) else None
+def _end(time_s: FloatArray, part: Mask, wanted_s: float) -> Mask:
+    """The last ``wanted_s`` of a part of the run, or its second half if that is shorter."""
+    inside = time_s[part]
+    if not len(inside):
+        return part
+    length_s = min(wanted_s, 0.5 * float(inside[-1] - inside[0]))
+    return part & (time_s >= inside[-1] - length_s)
 
 
-def rows(values: Metrics, units: dict[str, str]) -> list[tuple[str, str]]:
-    """The closing table, label and text, for the metrics that this run has."""
-    out: list[tuple[str, str]] = []
-    for key, label, unit in _TABLE:
-        value: Any = values.get(key)
-        text = "none seen" if value is None else f"{value:.4g} {units.get(unit, unit)}".rstrip()
-        out.append((label, text))
-    return out
-
-
+#: key, its label where a fault came, its label where none did (empty: no such row), unit
 _TABLE = (
-    ("error_before_fault_mps2", "|error| before the fault, settled", "y"),
-    ("error_peak_after_fault_mps2", "|error| after the fault, peak", "y"),
-    ("error_settled_after_fault_mps2", "|error| after the fault, settled", "y"),
-    ("fault_seen_after_s", "fault estimate over its threshold after", "s"),
-    ("fault_estimate_peak_before_fault_mps2", "|fault estimate| while healthy, peak", "y"),
-    ("torque_peak_nm", "|command 1|, peak", "u1"),
-    ("force_difference_peak_n", "|command 2|, peak", "u2"),
-    ("force_difference_settled_n", "|command 2|, settled", "u2"),
+    ("error_before_fault_mps2", "|error| before the fault, settled", "|error|, settled", "y"),
+    ("error_peak_after_fault_mps2", "|error| after the fault, peak", "", "y"),
+    ("error_settled_after_fault_mps2", "|error| after the fault, settled", "", "y"),
+    ("deviation_peak_after_fault_mps2", "deviation from the fault-free run, peak", "", "y"),
+    ("fault_seen_after_s", "fault estimate over its threshold after", "", "s"),
+    (
+        "fault_estimate_peak_before_fault_mps2",
+        "|fault estimate| while healthy, peak",
+        "|fault estimate|, peak",
+        "y",
+    ),
+    ("torque_peak_nm", "|command 1|, peak", "|command 1|, peak", "u1"),
+    ("force_difference_peak_n", "|command 2|, peak", "|command 2|, peak", "u2"),
+    ("force_difference_settled_n", "|command 2|, settled", "|command 2|, settled", "u2"),
 )

@@ -6,16 +6,15 @@ import gc
 import json
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Literal
 
-
 from can_rig.bus import open_bus
 from can_rig.controller_node import ControllerNode
-from can_rig.lockstep import Patience, StopRequest, Waiting
+from can_rig.lockstep import Interrupted, Patience, StopRequest, Waiting
 from can_rig.messages import Network, load_network
 from can_rig.plant_node import PlantNode
 from can_rig.recorder import Recorder
@@ -115,12 +114,13 @@ def run_in_process(
         with without_garbage_pauses():
             start = time.perf_counter()
             tick = 0
-            while tick < scenario.ticks and not stop.wanted:
-                plant.offer(tick)
-                controller.serve(to_controller)
-                plant.collect(tick, to_plant)
-                tick += 1
-                on_tick(tick)
+            with suppress(Interrupted):
+                while tick < scenario.ticks and not stop.wanted:
+                    plant.offer(tick)
+                    controller.serve(to_controller)
+                    plant.collect(tick, to_plant)
+                    tick += 1
+                    on_tick(tick)
             wall_s = time.perf_counter() - start
     return NodeSummary(tick, wall_s, plant.rejected() | controller.rejected())
 
@@ -143,6 +143,7 @@ class EveryNowAndThen:
         self._last_s = time.monotonic()
 
     def __call__(self, tick: int) -> None:
+        """Note that ``tick`` ticks are done."""
         self._countdown -= 1
         if self._countdown:
             return
@@ -156,5 +157,3 @@ class EveryNowAndThen:
 def json_line(**values: object) -> None:
     """One line of JSON on standard output, at once: how a node talks to ``can-rig run``."""
     print(json.dumps(values), flush=True)
-
-

@@ -21,6 +21,7 @@ FRAME_BYTES: Final = 8
 
 _COUNTERS: Final = 15  # counters 0..14; 15 is never sent
 _LARGEST_DELTA: Final = _COUNTERS - 1
+_AFTER: Final = (*range(1, _COUNTERS), 0)  # of each counter, the one that follows
 _SYNC_COUNTER_INIT: Final = 1
 
 
@@ -107,7 +108,7 @@ class Checker:
         ValueError: an argument is out of its range.
     """
 
-    __slots__ = ("_counts", "_last", "_sync", "_window", "data_id", "max_delta_counter")
+    __slots__ = ("_counts", "_last", "_next", "_sync", "_window", "data_id", "max_delta_counter")
 
     def __init__(self, data_id: int, max_delta_counter: int = 1) -> None:
         if not 1 <= max_delta_counter <= _LARGEST_DELTA:
@@ -115,6 +116,7 @@ class Checker:
         self.data_id: Final = _require_data_id(data_id)
         self.max_delta_counter: Final = max_delta_counter
         self._last: int | None = None  # counter of the last frame in sequence
+        self._next = -1  # the counter that makes the next frame OK; -1 while that is not enough
         self._window = max_delta_counter  # largest tolerated step at the last call
         self._sync = 0  # frames still wanted in sequence before use
         self._counts = [0] * len(CheckStatus)
@@ -126,13 +128,15 @@ class Checker:
 
     def check(self, data: bytearray) -> CheckStatus:
         """Judge one received frame; never raises, whatever its content and length."""
+        intact = len(data) == FRAME_BYTES and e2e_p01_check(data, self.data_id)
+        received = data[1] & 0x0F if intact else -1
+        if intact and received == self._next:  # as nearly always: no need to look further
+            self._last, self._next = received, _AFTER[received]
+            self._window = self.max_delta_counter
+            self._counts[_OK] += 1
+            return _OK
         self._window += 1  # the SWS stops at 14, which already tolerates every step
-        if len(data) != FRAME_BYTES:
-            status = _WRONG_LENGTH
-        elif not e2e_p01_check(data, self.data_id):
-            status = _WRONG_CRC
-        else:
-            status = self._judge(data[1] & 0x0F)
+        status = self._judge(received) if intact else self._damage(data)
         self._counts[status] += 1
         return status
 
@@ -142,12 +146,13 @@ class Checker:
         So a frame that another sender makes up has to guess the tick too before it can disturb
         the counter.
         """
-        if len(data) != FRAME_BYTES:
-            self._counts[_WRONG_LENGTH] += 1
-        elif not e2e_p01_check(data, self.data_id):
-            self._counts[_WRONG_CRC] += 1
-        else:
-            self._counts[_WRONG_TICK] += 1
+        intact = len(data) == FRAME_BYTES and e2e_p01_check(data, self.data_id)
+        self._counts[_WRONG_TICK if intact else self._damage(data)] += 1
+
+    @staticmethod
+    def _damage(data: bytearray) -> CheckStatus:
+        """What is wrong with a frame that is not intact."""
+        return _WRONG_LENGTH if len(data) != FRAME_BYTES else _WRONG_CRC
 
     def no_new_data(self) -> CheckStatus:
         """Note that a frame was due and none arrived."""
@@ -173,5 +178,6 @@ class Checker:
     def _accept(self, received: int, status: CheckStatus) -> CheckStatus:
         """Go on from this counter, with the tolerance as narrow as at the start."""
         self._last = received
+        self._next = -1 if self._sync else _AFTER[received]
         self._window = self.max_delta_counter
         return status

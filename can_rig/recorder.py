@@ -31,12 +31,26 @@ class Recorder:
         self._time_ns = tick * self._tick_ns
 
     def record(self, message: can.Message, sent: bool) -> None:
-        """Note one frame, ``sent`` by this node or received; its timestamp becomes virtual."""
-        message.timestamp = self._time_ns * 1e-9
-        message.channel = CHANNEL
-        message.is_rx = not sent
-        self._writer.on_message_received(message)
+        """Note one frame, ``sent`` by this node or received."""
+        seconds, rest_ns = divmod(self._time_ns, 1_000_000_000)
         self._time_ns += FRAME_SPACING_NS
+        if (
+            message.is_extended_id
+            or message.is_remote_frame
+            or message.is_error_frame
+            or message.is_fd
+        ):
+            self._record_other(message, sent, seconds + rest_ns * 1e-9)
+            return
+        # The line of a plain data frame, at half the cost of python-can's writer.
+        self._writer.file.write(
+            f"({seconds}.{rest_ns // 1000:06d}) {CHANNEL} {message.arbitration_id:03X}"
+            f"#{message.data.hex().upper()} {'T' if sent else 'R'}\n"
+        )
+
+    def _record_other(self, message: can.Message, sent: bool, time_s: float) -> None:
+        message.timestamp, message.channel, message.is_rx = time_s, CHANNEL, not sent
+        self._writer.on_message_received(message)
 
     def __enter__(self) -> Self:
         return self

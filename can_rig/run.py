@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import math
 import os
 import selectors
 import signal
@@ -16,6 +17,7 @@ from pathlib import Path
 from typing import Any
 
 from can_rig.errors import RigError, SilentNodeError
+from can_rig.lockstep import StopRequest
 from can_rig.nodes import NodeName, NodeSummary
 
 ENDS_WITHIN_S = 3.0  # the watchdog of a node plus its way out
@@ -29,6 +31,7 @@ class Child:
     process: subprocess.Popen[bytes]
     unread: bytes = b""
     said: dict[str, Any] = field(default_factory=dict)
+    ended_s: float = math.inf
 
     @classmethod
     def start(cls, name: NodeName, arguments: Sequence[str]) -> Child:
@@ -49,9 +52,8 @@ class Child:
         return bool(text)
 
     def ask_to_stop(self) -> None:
-        """The node ends after its tick."""
-        if self.process.poll() is None:
-            self.process.send_signal(signal.SIGINT)
+        """The node ends after its tick, or at once where it is still starting."""
+        self.process.terminate()
 
     def kill(self) -> None:
         """Leave nothing behind."""
@@ -59,25 +61,20 @@ class Child:
             self.process.kill()
         self.process.wait()
 
-    @property
-    def killed_by(self) -> str | None:
-        """Name of the signal that ended it, if one did."""
-        status = self.process.poll()
-        return signal.Signals(-status).name if status is not None and status < 0 else None
-
 
 def run_processes(
-    arguments: Sequence[str], log: Path, on_tick: Callable[[int], None]
-) -> tuple[NodeSummary, bool]:
+    arguments: Sequence[str], log: Path, stop: StopRequest, on_tick: Callable[[int], None]
+) -> NodeSummary:
     """Run the plant and the controller as two processes, on one core where that is possible.
 
     Args:
         arguments: scenario, ``--set`` and bus options, as each node takes them.
         log: where the plant node records.
+        stop: ends the run after a tick.
         on_tick: called now and then with the number of ticks completed.
 
     Returns:
-        The summary, and whether the run was interrupted.
+        The summary; fewer ticks than the scenario's where the run was stopped.
 
     Raises:
         SilentNodeError: a node died or said nothing for too long; the message names it.
@@ -88,14 +85,11 @@ def run_processes(
         with _one_core():
             controller = Child.start("controller", arguments)
             children.append(controller)
-            interrupted = _watch(children, until=lambda: "ready" in controller.said)
-            if "ready" in controller.said and not interrupted:
+            _watch(children, stop, until=lambda: "ready" in controller.said)
+            if "ready" in controller.said and not stop.wanted:
                 children.append(Child.start("plant", [*arguments, "--log", str(log)]))
-        if not interrupted:
-            interrupted = _watch(
-                children, until=lambda: False, progress=lambda: on_tick(_ticks(children))
-            )
-        return _conclude(children), interrupted
+        _watch(children, stop, progress=lambda: on_tick(_ticks(children)))
+        return _conclude(children, stop)
     finally:
         for child in children:
             child.kill()
@@ -103,60 +97,59 @@ def run_processes(
 
 def _watch(
     children: list[Child],
-    until: Callable[[], bool],
+    stop: StopRequest,
+    until: Callable[[], bool] = lambda: False,
     progress: Callable[[], None] = lambda: None,
-) -> bool:
-    """Read what the nodes say until ``until()`` or both have ended; whether Ctrl-C was pressed.
+) -> None:
+    """Read what the nodes say until ``until()`` or all have ended.
 
-    Ctrl-C stops the plant after its tick, then the controller. When one node has ended, the other
-    gets as long as its own watchdog needs.
+    A stop request ends the plant after its tick, then the controller. When one node has ended, the
+    other gets as long as its own watchdog needs.
     """
-    interrupted = False
-    deadline = float("inf")
+    deadline = math.inf
+    asked = False
     with selectors.DefaultSelector() as selector:
         for child in children:
             assert child.process.stdout is not None
             selector.register(child.process.stdout, selectors.EVENT_READ, child)
-        while selector.get_map() and not until():
-            try:
-                for key, _ in selector.select(timeout=0.1):
-                    if not key.data.read():
-                        selector.unregister(key.fileobj)
-                        key.data.process.wait()
-                        deadline = time.monotonic() + ENDS_WITHIN_S
-                        if interrupted:
-                            for child in children:
-                                child.ask_to_stop()
-                progress()
-            except KeyboardInterrupt:
-                interrupted = True
+        while selector.get_map() and not until() and time.monotonic() < deadline:
+            if stop.wanted and not asked:
+                asked = True
                 deadline = time.monotonic() + ENDS_WITHIN_S
                 children[-1].ask_to_stop()
-            if time.monotonic() > deadline:
-                break
-    return interrupted
+            for key, _ in selector.select(timeout=0.1):
+                child = key.data
+                if not child.read():
+                    selector.unregister(key.fileobj)
+                    child.process.wait()
+                    child.ended_s = time.monotonic()
+                    deadline = child.ended_s + ENDS_WITHIN_S
+                    if stop.wanted:
+                        children[0].ask_to_stop()
+            progress()
 
 
-def _conclude(children: list[Child]) -> NodeSummary:
-    """The summary of a run whose nodes have ended, or the error that says which did not end well."""
-    plant = children[-1]
-    for child in children:
-        if child.killed_by is not None:
+def _conclude(children: list[Child], stop: StopRequest) -> NodeSummary:
+    """The summary of a run whose nodes have ended, or the error of the first that ended badly."""
+    for child in sorted(children, key=lambda child: child.ended_s):
+        status = child.process.poll()
+        if status is None:
+            raise SilentNodeError(f"the {child.name} node does not end")
+        if status == -signal.SIGTERM and stop.wanted:
+            continue  # it was still starting
+        if status < 0:
             raise SilentNodeError(
-                f"the {child.name} node was ended by {child.killed_by} "
+                f"the {child.name} node was ended by {signal.Signals(-status).name} "
                 f"after {_ticks(children)} ticks"
             )
-        if child.process.poll() is None:
-            raise SilentNodeError(f"the {child.name} node does not end")
-    for child in reversed(children):
-        if child.process.returncode:
-            error = child.said.get("error", f"exit status {child.process.returncode}")
-            kind = SilentNodeError if child.process.returncode == 3 else RigError
+        if status > 0:
+            error = child.said.get("error", f"exit status {status}")
+            kind = SilentNodeError if status == SilentNodeError.exit_status else RigError
             raise kind(f"{child.name} node: {error}")
     rejected: dict[str, dict[str, int]] = {}
     for child in children:
         rejected |= child.said.get("rejected_frames", {})
-    return NodeSummary(_ticks(children), plant.said.get("wall_s", 0.0), rejected)
+    return NodeSummary(_ticks(children), children[-1].said.get("wall_s", 0.0), rejected)
 
 
 def _ticks(children: list[Child]) -> int:
@@ -165,14 +158,16 @@ def _ticks(children: list[Child]) -> int:
 
 @contextmanager
 def _one_core() -> Iterator[None]:
-    """Children started inside share one core: nodes in lockstep alternate, and waking another
-    core costs more than the tick."""
-    before = os.sched_getaffinity(0)
-    try:
-        os.sched_setaffinity(0, {max(before)})
-    except OSError:
+    """Let children started inside share one core.
+
+    Nodes in lockstep alternate, and waking another core costs more than the tick. Runs side by side
+    get different cores, as far as there are.
+    """
+    if not hasattr(os, "sched_setaffinity"):  # Linux alone has it
         yield
         return
+    before = os.sched_getaffinity(0)
+    os.sched_setaffinity(0, {sorted(before)[os.getpid() % len(before)]})
     try:
         yield
     finally:

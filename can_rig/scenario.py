@@ -15,7 +15,7 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any, ClassVar, Literal
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
@@ -25,11 +25,17 @@ from firmware_model.layout import MAX_LATENCY_TICKS
 from firmware_model.tables import EstimatorRule
 from firmware_model.vehicle import VehicleParameters
 
-_STRICT = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-
 FaultKind = Literal["none", "actuator-dead", "frames-missing", "frames-corrupted"]
 Channel = Literal["torque", "force-difference"]
 ReferenceKind = Literal["step", "sine", "csv"]
+
+MAX_TICKS = 10_000_000  # of a run: a log of 2 GB
+
+
+class Strict:
+    """Tells pydantic to refuse unknown keys, text for numbers, and numbers that are not finite."""
+
+    __pydantic_config__: ClassVar = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
 
 
 def _require(condition: bool, message: str) -> None:
@@ -38,7 +44,7 @@ def _require(condition: bool, message: str) -> None:
 
 
 @dataclass(frozen=True)
-class PlantSettings(VehicleParameters):
+class PlantSettings(VehicleParameters, Strict):
     """The simulated plant; for ``chapter-2`` the parameters of the car mean nothing."""
 
     kind: Literal["steer-by-wire", "chapter-2"] = "steer-by-wire"
@@ -46,7 +52,7 @@ class PlantSettings(VehicleParameters):
 
 
 @dataclass(frozen=True)
-class DesignSettings:
+class DesignSettings(Strict):
     """The thesis's tuning knobs and how they are put on the target."""
 
     tau_s: float = 0.001
@@ -69,7 +75,7 @@ class DesignSettings:
 
 
 @dataclass(frozen=True)
-class ReferenceSettings:
+class ReferenceSettings(Strict):
     """What D* shall follow. ``csv`` reads two columns, time in s and reference in m/s²."""
 
     kind: ReferenceKind = "step"
@@ -85,7 +91,7 @@ class ReferenceSettings:
 
 
 @dataclass(frozen=True)
-class FaultSettings:
+class FaultSettings(Strict):
     """One channel lost from ``at_s`` on, for good or for ``for_s`` seconds."""
 
     kind: FaultKind = "none"
@@ -98,15 +104,16 @@ class FaultSettings:
         if self.for_s is not None:
             _require(self.for_s > 0.0, f"for_s = {self.for_s:g}: above 0 is right")
 
-    def active(self, time_s: float) -> bool:
-        """Whether the channel is lost at ``time_s``."""
-        if self.kind == "none" or time_s < self.at_s:
+    def active(self, time_ns: int) -> bool:
+        """Whether the channel is lost at ``time_ns``; whole nanoseconds, so no tick by rounding."""
+        start_ns = round(self.at_s * 1e9)
+        if self.kind == "none" or time_ns < start_ns:
             return False
-        return self.for_s is None or time_s < self.at_s + self.for_s
+        return self.for_s is None or time_ns < start_ns + round(self.for_s * 1e9)
 
 
 @dataclass(frozen=True)
-class NoiseSettings:
+class NoiseSettings(Strict):
     """White noise on the measured D*, drawn from the scenario's seed."""
 
     dstar_rms_mps2: float = 0.0
@@ -119,7 +126,7 @@ class NoiseSettings:
 
 
 @dataclass(frozen=True)
-class LimitSettings:
+class LimitSettings(Strict):
     """Largest commands; without one, the range of the frame is the limit."""
 
     torque_nm: float | None = None
@@ -132,7 +139,7 @@ class LimitSettings:
 
 
 @dataclass(frozen=True)
-class ActuatorSettings:
+class ActuatorSettings(Strict):
     """What an actuator does that hears no valid command: hold the last one, then apply zero."""
 
     hold_s: float = 0.01
@@ -142,7 +149,7 @@ class ActuatorSettings:
 
 
 @dataclass(frozen=True)
-class Scenario:
+class Scenario(Strict):
     """One run, whole. ``name`` is the file's own and no key of it."""
 
     name: str
@@ -173,6 +180,11 @@ class Scenario:
         _require(
             self.tick_s <= self.duration_s <= 1e6,
             f"duration_s = {self.duration_s:g}: one tick ({self.tick_s:g} s) to 1e6 s is right",
+        )
+        _require(
+            self.ticks <= MAX_TICKS,
+            f"duration_s = {self.duration_s:g}: at most {MAX_TICKS} ticks ({self.tick_s:g} s each) "
+            "are right",
         )
         _require(
             0 <= self.latency_ticks <= MAX_LATENCY_TICKS,
@@ -224,11 +236,14 @@ def load(name: str, settings: Iterable[str] = ()) -> Scenario:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ScenarioError(f"scenario {name}: not readable as TOML: {error}") from None
+    table = values.get("reference")
+    if isinstance(table, dict) and isinstance(table.get("file"), str):
+        # in a scenario relative to it, as everywhere else; in --set to the working directory
+        table["file"] = str(path.parent / table["file"])
     for setting in settings:
         _change(values, setting)
-    if "reference" in values and "file" in values["reference"]:
-        # a path in a scenario is relative to the scenario, as everywhere else
-        values["reference"]["file"] = str(path.parent / values["reference"]["file"])
+    if "name" in values:
+        raise ScenarioError(f"scenario {name}: name: unknown key; a scenario is named by its file")
     return from_dict(path.stem, values)
 
 
@@ -251,17 +266,6 @@ def from_dict(name: str, values: Mapping[str, Any]) -> Scenario:
         raise ScenarioError(f"scenario {name}: plant: {error}") from None
 
 
-for _settings in (
-    PlantSettings,
-    DesignSettings,
-    ReferenceSettings,
-    FaultSettings,
-    NoiseSettings,
-    LimitSettings,
-    ActuatorSettings,
-    Scenario,
-):
-    _settings.__pydantic_config__ = _STRICT  # type: ignore[attr-defined]
 _ADAPTER = TypeAdapter(Scenario)
 
 

@@ -8,7 +8,7 @@ multiply-add.
 from __future__ import annotations
 
 from collections.abc import Callable
-from typing import TypeVar
+from typing import TypeVar, cast
 
 from numba import njit
 
@@ -17,5 +17,4 @@ Function = TypeVar("Function", bound=Callable[..., object])
 
 def firmware(function: Function) -> Function:
     """Compile for the target, cached on disk so that a second process starts at once."""
-    compiled: Function = njit(cache=True, fastmath=False)(function)
-    return compiled
+    return cast(Function, njit(cache=True, fastmath=False)(function))

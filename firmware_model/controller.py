@@ -22,7 +22,14 @@ import numpy as np
 
 from firmware_model.biquad import advance, output, settle, settle_integrator
 from firmware_model.compiled import firmware
-from firmware_model.layout import MAX_LATENCY_TICKS, FaultState, Mode, Record, state_type
+from firmware_model.layout import (
+    MAX_LATENCY_TICKS,
+    FaultState,
+    Mode,
+    Record,
+    RecordArray,
+    state_type,
+)
 
 MODE_INIT, MODE_RUN, MODE_HOLD = int(Mode.INIT), int(Mode.RUN), int(Mode.HOLD)
 CLEAR, SUSPECTED, CONFIRMED = (
@@ -32,10 +39,10 @@ CLEAR, SUSPECTED, CONFIRMED = (
 )
 
 
-def init(table: Record) -> Record:
-    """A state at rest for ``table``, in its precision: every memory zero, mode INIT."""
+def init(table: Record, n: int = 1) -> RecordArray:
+    """``n`` states at rest for ``table``, in its precision: every memory zero, mode INIT."""
     precision = table.dtype["limit_1"].name
-    return np.zeros(1, state_type(precision)).view(np.recarray)[0]
+    return np.zeros(n, state_type(precision))
 
 
 @firmware
@@ -184,7 +191,7 @@ def reset(table: Record, state: Record, reference: float) -> None:
 
 
 @firmware
-def step_many(tables: Any, states: Any, references: Any, measurements: Any) -> None:
+def step_many(tables: RecordArray, states: RecordArray, references: Any, measurements: Any) -> None:
     """``step`` for each of n controllers: record arrays (n,), reference and measurement (n,)."""
     for i in range(len(states)):
         step(tables[i], states[i], references[i], measurements[i])

@@ -28,11 +28,10 @@ class Firmware:
     """
 
     def __init__(self, table: Record) -> None:
-        self._table = table
-        self._state = controller.init(table)
-        # One-element arrays that share the records' memory: numba takes them faster than records.
-        self._tables = np.ndarray(1, table.dtype, table.tobytes())
-        self._states = np.ndarray(1, self._state.dtype, self._state)
+        # Arrays of one record: compiled code takes them faster than it takes a record.
+        self._tables = np.zeros(1, table.dtype)
+        self._tables[0] = table
+        self._states = controller.init(table)
         self._inputs = np.zeros((2, 1))
         self._answer = [self._states[name] for name in Answer._fields]
 
@@ -42,8 +41,15 @@ class Firmware:
         inputs[0, 0] = reference
         inputs[1, 0] = measurement
         controller.step_many(self._tables, self._states, inputs[0], inputs[1])
-        return Answer(*[field.item() for field in self._answer])
+        command_1, command_2, fault_estimate, mode, fault_state = self._answer
+        return Answer(
+            command_1.item(),
+            command_2.item(),
+            fault_estimate.item(),
+            mode.item(),
+            fault_state.item(),
+        )
 
     def reset(self, reference: float) -> None:
         """Start from the settled healthy loop at ``reference``; see ``controller.reset``."""
-        controller.reset(self._table, self._state, reference)
+        controller.reset(self._tables[0], self._states[0], reference)

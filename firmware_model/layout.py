@@ -16,6 +16,7 @@ MAX_LATENCY_TICKS = 64
 
 Precision = Literal["float64", "float32"]
 Record = Any  # a numpy record of one of the types below
+RecordArray = Any  # an array of them, shape (n,)
 
 
 class Mode(IntEnum):
@@ -65,7 +66,7 @@ def table_type(precision: Precision = "float64") -> np.dtype[np.void]:
     ]
     integers = ["integrates", "latency_ticks", "confirm_ticks"]
     fields = [*sections, *counts, *((n, real) for n in reals), *((n, np.int64) for n in integers)]
-    return np.dtype(fields)
+    return np.dtype((np.record, fields))
 
 
 def state_type(precision: Precision = "float64") -> np.dtype[np.void]:
@@ -86,4 +87,4 @@ def state_type(precision: Precision = "float64") -> np.dtype[np.void]:
         ("mode", np.int64),
         ("fault_state", np.int64),
     ]
-    return np.dtype(fields)
+    return np.dtype((np.record, fields))

@@ -59,18 +59,25 @@ def simulate(
         effectiveness = np.ones((ticks, 2))
     if noise is None:
         noise = np.zeros(ticks)
-    signals = np.zeros((ticks, 4))
+    signals = np.zeros((4, ticks))
     fault_state = np.zeros(ticks, dtype=np.int64)
     _run(
         table,
-        controller.init(table),
+        controller.init(table)[0],
         (plant.phi, plant.gamma, plant.c, plant.rest),
         (np.asarray(reference, dtype=np.float64), effectiveness, noise),
         signals,
         fault_state,
     )
-    time_s = plant.tick_s * np.arange(ticks)
-    return Trace(time_s, np.asarray(reference, dtype=np.float64), *signals.T, fault_state)
+    return Trace(
+        time_s=plant.tick_s * np.arange(ticks, dtype=np.float64),
+        reference=np.asarray(reference, dtype=np.float64),
+        measurement=signals[0],
+        command_1=signals[1],
+        command_2=signals[2],
+        fault_estimate=signals[3],
+        fault_state=fault_state,
+    )
 
 
 @firmware
@@ -83,12 +90,12 @@ def _run(
     for k in range(len(reference)):
         y = measure_plant(c, x)
         controller.step(table, state, reference[k], y + noise[k])
-        signals[k, 0] = y
-        signals[k, 1] = state.command_1
-        signals[k, 2] = state.command_2
-        signals[k, 3] = state.fault_estimate
+        signals[0, k] = y
+        signals[1, k] = state.command_1
+        signals[2, k] = state.command_2
+        signals[3, k] = state.fault_estimate
         fault_state[k] = state.fault_state
         if k >= latency:
-            u1 = effectiveness[k, 0] * signals[k - latency, 1]
-            u2 = effectiveness[k, 1] * signals[k - latency, 2]
+            u1 = effectiveness[k, 0] * signals[1, k - latency]
+            u2 = effectiveness[k, 1] * signals[2, k - latency]
             advance_plant(phi, gamma, x, u1, u2)

@@ -154,4 +154,4 @@ def build(design: ContinuousDesign, target: Target) -> Record:
     table["latency_ticks"] = target.latency_ticks
     table["confirm_ticks"] = target.confirm_ticks
     table.flags.writeable = False
-    return table.view(np.recarray)[0]
+    return table[0]

@@ -23,9 +23,7 @@ from firmware_model.sections import FloatArray, Sections, from_delta_zpk
 from firmware_model.zpk import ZeroPoleGain
 
 
-def tustin(
-    g: ZeroPoleGain, tick_s: float, prewarp_rad_per_s: float | None = None
-) -> Sections:
+def tustin(g: ZeroPoleGain, tick_s: float, prewarp_rad_per_s: float | None = None) -> Sections:
     """The bilinear transform of ``g``.
 
     Args:

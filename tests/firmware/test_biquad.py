@@ -47,7 +47,9 @@ def test_equals_scipys_second_order_sections(name: str) -> None:
 def test_is_linear(inputs: list[float], factor: float) -> None:
     sections, u = FILTERS["G2"], np.array(inputs)
     scale = 1e-12 * (1.0 + np.abs(u).max())
-    np.testing.assert_allclose(run(sections, factor * u), factor * run(sections, u), atol=10 * scale)
+    np.testing.assert_allclose(
+        run(sections, factor * u), factor * run(sections, u), atol=10 * scale
+    )
 
 
 @pytest.mark.parametrize("name", FILTERS)

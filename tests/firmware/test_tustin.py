@@ -1,8 +1,9 @@
-"""Discretisation: the exact identities of each rule, and agreement with independent computations."""
+"""Discretisation: the exact identities of each rule, and independent computations of each."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import control
 import mpmath
@@ -19,6 +20,7 @@ from firmware_model.tracking import tracking
 from firmware_model.tustin import tustin, tustin_held, zoh
 from firmware_model.zpk import ZeroPoleGain
 
+Rule = Callable[[ZeroPoleGain, float], Sections]
 TICKS_S = (1e-4, 5e-4, 1e-3, 5e-3)
 
 
@@ -89,10 +91,8 @@ def test_prewarp_keeps_one_frequency_exactly(omega: float) -> None:
 @pytest.mark.parametrize("rule", [tustin, tustin_held, zoh])
 @pytest.mark.parametrize("tick_s", TICKS_S)
 @pytest.mark.parametrize("name", STRICTLY_PROPER)
-def test_dc_gain_and_stability_carry_over(name: str, tick_s: float, rule) -> None:  # type: ignore[no-untyped-def]
+def test_dc_gain_and_stability_carry_over(name: str, tick_s: float, rule: Rule) -> None:
     g = STRICTLY_PROPER[name]
-    if not g.is_stable():
-        pytest.fail("strictly proper test filters are stable")
     sections = rule(g, tick_s)
     assert sections(np.array([1.0 + 0j]))[0].real == pytest.approx(g.dc_gain, rel=1e-12)
     moving = sections.poles[np.abs(sections.poles - 1.0) > 1e-15]
@@ -150,7 +150,7 @@ def test_zoh_of_a_held_step_is_the_continuous_step_response(name: str) -> None:
 def test_tustin_equals_scipy_and_python_control(name: str) -> None:
     """At a tick at which their polynomials still have digits left."""
     g, tick_s = FILTERS[name], 0.02
-    omega, z = _on_circle(tick_s, 20)
+    _, z = _on_circle(tick_s, 20)
     num, den = g.numerator(), g.denominator()
     num_z, den_z = signal.bilinear(num, den, fs=1.0 / tick_s)
     of_scipy = np.polyval(num_z, z) / np.polyval(den_z, z)
@@ -186,7 +186,7 @@ def test_tustin_held_is_crank_nicolson_with_one_input_an_interval(name: str) -> 
 
 
 @pytest.mark.parametrize("rule", [tustin_held, zoh])
-def test_a_held_input_passes_with_one_tick_of_delay(rule) -> None:  # type: ignore[no-untyped-def]
+def test_a_held_input_passes_with_one_tick_of_delay(rule: Rule) -> None:
     assert rule(FILTERS["G2 of the car"], 1e-3).feedthrough == 0.0
 
 
@@ -200,7 +200,7 @@ def test_order_of_convergence(order: int) -> None:
     g = ZeroPoleGain.lag(0.2, order)
     omega = 3.0
 
-    def distance(rule, tick_s: float) -> float:  # type: ignore[no-untyped-def]
+    def distance(rule: Rule, tick_s: float) -> float:
         n = round(4.0 / tick_s)
         time_s = np.arange(n) * tick_s
         smooth = np.sin(omega * time_s) ** 4
@@ -217,7 +217,7 @@ def test_order_of_convergence(order: int) -> None:
 
 @pytest.mark.parametrize("tick_s", [0.0, -1e-3, math.nan, math.inf])
 @pytest.mark.parametrize("rule", [tustin, tustin_held, zoh])
-def test_a_tick_that_is_no_tick_is_refused(rule, tick_s: float) -> None:  # type: ignore[no-untyped-def]
+def test_a_tick_that_is_no_tick_is_refused(rule: Rule, tick_s: float) -> None:
     with pytest.raises(ParameterError, match="tick_s"):
         rule(FILTERS["G1 of the car"], tick_s)
 
@@ -236,7 +236,7 @@ def test_an_improper_filter_is_refused() -> None:
 
 
 @pytest.mark.parametrize("rule", [tustin_held, zoh])
-def test_a_held_rule_refuses_feedthrough(rule) -> None:  # type: ignore[no-untyped-def]
+def test_a_held_rule_refuses_feedthrough(rule: Rule) -> None:
     with pytest.raises(ImproperError, match="use tustin"):
         rule(FILTERS["compensator of the car"], 1e-3)
 

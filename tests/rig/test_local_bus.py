@@ -20,7 +20,7 @@ from typing import Any
 import can
 import pytest
 
-from can_rig import local_bus
+from can_rig import local_bus, local_bus_directory
 from can_rig.local_bus import LocalBus
 
 TIMEOUT_S = 10.0  # for what must come
@@ -167,7 +167,7 @@ def test_killed_node_is_cleaned_away(
 
 
 def test_socket_of_a_node_that_is_just_joining_is_not_taken_for_dead(root: Path) -> None:
-    with buses({}) as (sender,), (root / "x" / local_bus._GENERATION).open() as lock:
+    with buses({}) as (sender,), (root / "x" / local_bus_directory.GENERATION).open() as lock:
         path = root / "x" / "1-abcdef.node"
         fcntl.flock(lock, fcntl.LOCK_EX)  # as a node does that joins
         with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as earlier:
@@ -481,7 +481,7 @@ def test_wrong_names(name: str) -> None:
 
 
 def test_longest_path_that_a_socket_can_have(tmp_path: Path) -> None:
-    room = local_bus._PATH_MAX - len(str(tmp_path)) - 1
+    room = local_bus_directory.PATH_MAX - len(str(tmp_path)) - 1
     with LocalBus(f"{tmp_path}/{'y' * room}") as one, LocalBus(one.channel) as other:
         one.send(frame(1))
         assert number(other.recv(TIMEOUT_S)) == 1
@@ -504,4 +504,4 @@ def test_root_that_others_can_enter_is_refused(root: Path) -> None:
 def test_root_without_a_runtime_directory(monkeypatch: pytest.MonkeyPatch) -> None:
     for unusable in ("", "relative", "/nowhere"):
         monkeypatch.setenv("XDG_RUNTIME_DIR", unusable)
-        assert local_bus.bus_root().name == f"can-rig-{os.getuid()}"
+        assert local_bus_directory.bus_root().name == f"can-rig-{os.getuid()}"

@@ -1,0 +1,144 @@
+"""Rates of the lockstep loop, interleaved so that a noisy machine disturbs all alike, medians."""
+
+from __future__ import annotations
+
+import argparse
+import os
+import statistics
+import tempfile
+import time
+import uuid
+from collections.abc import Callable
+from pathlib import Path
+
+import can
+from rich.console import Console
+from rich.table import Table
+
+from can_rig import scenario as scenarios
+from can_rig.build import controller_table
+from can_rig.bus import open_bus
+from can_rig.lockstep import StopRequest
+from can_rig.messages import Network, Receiver, Transmitter
+from can_rig.nodes import network_of, run_in_process
+from can_rig.plant import SimulatedPlant
+from can_rig.recorder import Recorder
+from can_rig.run import run_processes
+from can_rig.scenario import Scenario
+from firmware_model.firmware import Firmware
+
+MULTICAST = "udp_multicast:239.74.163.2"
+
+
+def ignore(_ticks: int) -> None:
+    """Progress that nobody watches."""
+
+
+def in_process(scenario: Scenario, folder: Path) -> float:
+    """Ticks a second of both nodes in this process."""
+    bus = f"local:bench-{uuid.uuid4().hex[:8]}"
+    summary = run_in_process(scenario, bus, folder / "in-process.log", StopRequest(), ignore)
+    return summary.ticks / summary.wall_s
+
+
+def two_processes(scenario: Scenario, bus: str, folder: Path) -> float:
+    """Ticks a second of two processes on ``bus``."""
+    arguments = [scenario.name, "--set", f"duration_s={scenario.duration_s}", "--bus", bus]
+    summary = run_processes(arguments, folder / "two.log", StopRequest(), ignore)
+    return summary.ticks / summary.wall_s
+
+
+def microseconds(action: Callable[[], object], repeats: int = 9, number: int = 2000) -> float:
+    """Median of ``repeats`` timings of ``number`` calls, per call."""
+    timings = []
+    for _ in range(repeats):
+        start = time.perf_counter()
+        for _ in range(number):
+            action()
+        timings.append((time.perf_counter() - start) / number * 1e6)
+    return statistics.median(timings)
+
+
+def parts(scenario: Scenario, network: Network, folder: Path) -> list[tuple[str, float]]:
+    """Name and µs a tick of each part, in one process."""
+    firmware = Firmware(controller_table(scenario, network))
+    simulated = SimulatedPlant(scenario)
+    transmitter = Transmitter(network.command_1)
+    frame = transmitter.frame(42.5, 7)
+
+    def codec() -> None:
+        receiver.accept(transmitter.frame(42.5, 7), 7)
+
+    receiver = Receiver(network.command_1)
+    name = f"local:bench-{uuid.uuid4().hex[:8]}"
+    with open_bus(name) as sender, open_bus(name) as listener:
+
+        def hop() -> None:
+            sender.send(frame)
+            listener.recv(0.05)
+
+        with Recorder(folder / "parts.log", scenario.tick_ns) as recorder:
+            return [
+                ("codec: 5 frames packed, protected, checked, read", 5 * microseconds(codec)),
+                ("bus: 5 frames sent and received", 5 * microseconds(hop)),
+                ("step: the control law", microseconds(lambda: firmware.step(1.0, 0.5))),
+                ("plant: measured and advanced", microseconds(lambda: step_plant(simulated))),
+                ("log: 5 lines, put on disk", microseconds(lambda: log(recorder, frame))),
+            ]
+
+
+def step_plant(simulated: SimulatedPlant) -> None:
+    """One tick of the plant."""
+    simulated.measure()
+    simulated.advance(0, 1.0, 1.0)
+
+
+def log(recorder: Recorder, frame: can.Message) -> None:
+    """One tick of the log."""
+    recorder.begin_tick(0)
+    for _ in range(5):
+        recorder.record(frame, sent=True)
+
+
+def main() -> None:
+    """Print the two tables."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--rounds", type=int, default=5, help="interleaved rounds [5]")
+    parser.add_argument("--seconds", type=float, default=5.0, help="simulated time a run [5]")
+    options = parser.parse_args()
+    scenario = scenarios.load("thesis-step", [f"duration_s={options.seconds}"])
+    network = network_of(scenario)
+    console = Console()
+    with tempfile.TemporaryDirectory() as name:
+        folder = Path(name)
+        runs: dict[str, Callable[[], float]] = {
+            "one process, local": lambda: in_process(scenario, folder),
+            "two processes, local": lambda: two_processes(
+                scenario, f"local:bench-{os.getpid()}", folder
+            ),
+            "two processes, udp_multicast": lambda: two_processes(scenario, MULTICAST, folder),
+        }
+        rates: dict[str, list[float]] = {label: [] for label in runs}
+        for _ in range(options.rounds):
+            for label, measure in runs.items():
+                rates[label].append(measure())
+        table = Table("nodes and bus", "ticks/s", "x real time at 1 kHz", "µs a tick", box=None)
+        for label, values in rates.items():
+            rate = statistics.median(values)
+            table.add_row(label, f"{rate:.0f}", f"{rate / 1000:.1f}", f"{1e6 / rate:.1f}")
+        console.print(table)
+        ratio = statistics.median(
+            a / b
+            for a, b in zip(
+                rates["two processes, local"], rates["two processes, udp_multicast"], strict=True
+            )
+        )
+        console.print(f"local over udp_multicast: {ratio:.1f} times the rate\n", highlight=False)
+        table = Table("part of a tick, in one process", "µs", box=None)
+        for label, cost in parts(scenario, network, folder):
+            table.add_row(label, f"{cost:.1f}")
+        console.print(table)
+
+
+if __name__ == "__main__":
+    main()
