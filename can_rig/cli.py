@@ -167,3 +167,26 @@ def scenarios() -> None:
     from can_rig.commands import scenarios_command  # noqa: PLC0415
 
     scenarios_command()
+
+
+@main.command()
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    default="figures",
+    show_default=True,
+    help="Folder of the PNG files.",
+)
+@click.option(
+    "--set",
+    "settings",
+    multiple=True,
+    metavar="KEY=VALUE",
+    help="Change one key of every figure's scenario, as in tick_s=0.0001; repeatable.",
+)
+@click.option("--force", is_flag=True, help="Replace figures that are there.")
+def figures(out: Path, settings: tuple[str, ...], force: bool) -> None:
+    """Draw Figs. 2.2-2.4, 3.5, 3.6 of the thesis: the firmware over the continuous loop."""
+    from can_rig.commands import figures_command  # noqa: PLC0415
+
+    figures_command(settings, out, force)

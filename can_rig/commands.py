@@ -35,6 +35,7 @@ from can_rig.nodes import (
     run_in_process,
     run_plant,
 )
+from can_rig.reference import reference
 from can_rig.run import run_processes
 from can_rig.run_folder import LOG, Outcome, create, finish
 from can_rig.scenario import Scenario
@@ -54,11 +55,12 @@ def run_command(
     scenario = scenarios.load(name, settings)
     bus = bus or f"local:run-{os.getpid()}"
     network = network_of(scenario)
-    controller_table(scenario, network)  # what cannot be designed is refused before it starts
+    controller_table(scenario, network)  # what cannot run is refused before it starts
+    reference(scenario)
+    stop = StopRequest().on_signals()
     folder = create(out, scenario, force)
     outcome = Outcome(bus)
     failure: RigError | None = None
-    stop = StopRequest().on_signals()
     start = time.perf_counter()
     try:
         with _progress(scenario) as on_tick:
@@ -135,6 +137,33 @@ def scenarios_command() -> None:
     Console().print(table)
 
 
+def figures_command(settings: Sequence[str], out: Path, force: bool) -> None:
+    """``can-rig figures``: draw them, and say how far the firmware is from the continuous loop."""
+    from can_rig import figures  # noqa: PLC0415 (matplotlib and python-control: slow to import)
+    from can_rig.comparisons import compare  # noqa: PLC0415
+
+    figures.refuse_existing(out, force)
+    comparisons = compare(settings)
+    table = Table(title="largest distance, sampled - continuous", box=None, pad_edge=False)
+    for heading in ("figure", "signal", "whole run", "of its size", "after the loss", "tick"):
+        table.add_column(heading, justify="left" if heading in {"figure", "signal"} else "right")
+    for comparison in comparisons:
+        tick = f"{comparison.scenario.tick_s * 1e3:g} ms"
+        for curve in comparison.curves:
+            distance, after = comparison.distance(curve), comparison.distance_after_loss(curve)
+            table.add_row(
+                comparison.figure,
+                curve.name,
+                f"{distance:.2e} {comparison.unit}".rstrip(),
+                f"{distance / comparison.size:.1e}",
+                "" if after is None else f"{after:.2e} {comparison.unit}".rstrip(),
+                tick,
+            )
+    figures.draw_figures(out, comparisons, force)
+    Console().print(table)
+    Console().print(f"figures in {out}", highlight=False)
+
+
 @contextmanager
 def _progress(scenario: Scenario) -> Iterator[OnTick]:
     """A bar on standard error, with ticks done and time left."""
@@ -193,5 +222,6 @@ def _closing_table(
     rejected = {k: n for counts in outcome.rejected_frames.values() for k, n in counts.items() if n}
     if rejected:
         table.add_row("frames not used", ", ".join(f"{n} {k}" for k, n in rejected.items()))
-    table.add_row("run folder", str(folder))
-    Console().print(table)
+    console = Console()
+    console.print(table)
+    console.print(f"run folder  {folder}", soft_wrap=True, markup=False, highlight=False)

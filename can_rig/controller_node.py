@@ -10,7 +10,7 @@ import can
 from can_rig.build import controller_table
 from can_rig.faults import FrameFault
 from can_rig.lockstep import Interrupted, Patience
-from can_rig.messages import Network, Receiver, Transmitter
+from can_rig.messages import Network, Receiver, Record, Transmitter
 from can_rig.scenario import Scenario
 from firmware_model.firmware import Firmware
 
@@ -39,7 +39,7 @@ class ControllerNode:
         self._send_1 = Transmitter(network.command_1)
         self._send_2 = Transmitter(network.command_2)
         self._send_status = Transmitter(network.status)
-        self._reference_now: tuple[int, float] = (-1, math.nan)
+        self._reference_now = Record(math.nan, -1)
         self._tick = 0  # the next one
         self._expected: int | None = None  # the first frame says which tick it is
 
@@ -63,44 +63,35 @@ class ControllerNode:
         Raises:
             SilentNodeError, Interrupted: see ``Patience.receive``.
         """
-        while not self._handle(patience.receive(f"after tick {self._tick - 1}")):
-            pass
+        while True:
+            message = patience.receive(self._tick)
+            if message.arbitration_id == self._reference.codec.frame_id:
+                record = self._reference.accept(message, self._expected)
+                if record is not None:
+                    self._reference_now = record
+                    continue
+            elif message.arbitration_id == self._feedback.codec.frame_id:
+                record = self._feedback.accept(message, self._expected)
+                if record is not None:
+                    break
+            patience.go_on_waiting(self._tick)
         patience.hear()
-
-    def _handle(self, message: can.Message) -> bool:
-        """Whether this frame was a good feedback, which ends in a tick."""
-        if message.arbitration_id == self._reference.codec.frame_id:
-            record = self._reference.accept(message, self._expected)
-            if record is not None:
-                self._reference_now = (record.tick, record.value)
-            return False
-        if message.arbitration_id != self._feedback.codec.frame_id:
-            return False
-        record = self._feedback.accept(message, self._expected)
-        if record is None:
-            return False
         self._answer(record.tick, record.value)
-        return True
 
     def _answer(self, wire_tick: int, measurement: float) -> None:
         # The wire carries 16 bits of the tick; the node counts on from there.
         tick = self._tick + ((wire_tick - self._tick) & 0xFFFF)
-        reference_tick, value = self._reference_now
-        reference = value if reference_tick == wire_tick else math.nan  # none: hold, and say so
-        answer = self._firmware.step(reference, measurement)
-        commands = (
-            self._send_1.frame(answer.command_1, wire_tick),
-            self._send_2.frame(answer.command_2, wire_tick),
+        now = self._reference_now
+        reference = now.value if now.tick == wire_tick else math.nan  # none: hold, and say so
+        command_1, command_2, estimate, mode, fault = self._firmware.step(reference, measurement)
+        frames = (
+            self._frame_fault.on_the_wire(self._send_1.frame(command_1, wire_tick), 0, tick),
+            self._frame_fault.on_the_wire(self._send_2.frame(command_2, wire_tick), 1, tick),
+            self._send_status.frame(estimate, wire_tick, mode, fault),
         )
-        for channel, frame in enumerate(commands):
-            sent = self._frame_fault.on_the_wire(frame, channel, tick)
-            if sent is not None:
-                self._bus.send(sent)
-        self._bus.send(
-            self._send_status.frame(
-                answer.fault_estimate, wire_tick, answer.mode, answer.fault_state
-            )
-        )
+        for frame in frames:
+            if frame is not None:
+                self._bus.send(frame)
         self._tick = self._expected = tick + 1
 
     def rejected(self) -> dict[str, dict[str, int]]:

@@ -6,83 +6,24 @@ the firmware thin and dark on it, and below it how far the two are apart.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
+from numpy.typing import NDArray
 
-from can_rig import scenario as scenarios
-from can_rig.build import continuous_plant, controller_table
-from can_rig.continuous import Solution, solve, without_fault
-from can_rig.errors import RunFolderError, ScenarioError
-from can_rig.faults import ActuatorFault
-from can_rig.nodes import network_of
-from can_rig.reference import reference
-from can_rig.scenario import Scenario
-from firmware_model.sampled_plant import advance_plant, measure_plant, sample
-from firmware_model.sections import FloatArray
-from firmware_model.simulation import simulate
+from can_rig.comparisons import MAKERS, START_S, Comparison, Curve
+from can_rig.errors import RunFolderError
 
 INK, PALE, SHADE = "#101010", "#a9bccd", "#efe9e2"
-DASHES = (0, (5, 2.5))
-#: what may change without making another figure of it
-SETTINGS = ("tick_s", "duration_s", "latency_ticks", "design.", "limits.", "plant.", "fault.at_s")
-
-
-@dataclass(frozen=True)
-class Curve:
-    """One signal of a figure, sampled and continuous at the same ticks, each (ticks,)."""
-
-    name: str
-    sampled: FloatArray
-    continuous: FloatArray
-
-    @property
-    def difference(self) -> FloatArray:
-        """Sampled less continuous."""
-        return self.sampled - self.continuous
-
-
-@dataclass(frozen=True)
-class Comparison:
-    """The curves of one figure and the run that they come from."""
-
-    figure: str
-    caption: str
-    unit: str
-    scenario: Scenario
-    time_s: FloatArray
-    curves: tuple[Curve, ...]
-
-    @property
-    def size(self) -> float:
-        """The largest value that the figure's continuous curves reach."""
-        return max(float(np.abs(curve.continuous).max()) for curve in self.curves)
-
-    def distance(self, curve: Curve, since_s: float = 0.0) -> float:
-        """Largest distance of the sampled from the continuous curve from ``since_s`` on."""
-        return float(np.abs(curve.difference[self.time_s >= since_s]).max(initial=0.0))
-
-
-def compare(settings: Sequence[str] = ()) -> list[Comparison]:
-    """Every figure's curves; ``settings`` as ``--set`` has them.
-
-    Raises:
-        ScenarioError: a setting that is wrong, or that would make another figure of it.
-    """
-    for setting in settings:
-        key = setting.partition("=")[0].strip()
-        if key == "plant.kind" or not key.startswith(SETTINGS):
-            raise ScenarioError(
-                f"--set {setting}: the figures keep the thesis's own {key}; one of "
-                f"{', '.join(s.rstrip('.') for s in SETTINGS)} is right"
-            )
-    return [make(settings) for make in (_fig_2_2, _fig_2_3, _fig_2_4, _fig_3_5, _fig_3_6)]
+STYLES: tuple[Any, ...] = ("-", (0, (5, 2.5)))
+FEW = 50  # samples that are shown one by one
+LEGEND: dict[str, Any] = {"frameon": False, "fontsize": 9, "handlelength": 3.2}
 
 
 def draw_figures(folder: Path, comparisons: Sequence[Comparison], force: bool) -> list[Path]:
@@ -91,8 +32,8 @@ def draw_figures(folder: Path, comparisons: Sequence[Comparison], force: bool) -
     Raises:
         RunFolderError: one is there already and ``force`` is not given, or cannot be written.
     """
+    refuse_existing(folder, force)
     paths = [folder / f"fig-{comparison.figure}.png" for comparison in comparisons]
-    refuse_existing(paths, force)
     try:
         folder.mkdir(parents=True, exist_ok=True)
         for path, comparison in zip(paths, comparisons, strict=True):
@@ -102,103 +43,117 @@ def draw_figures(folder: Path, comparisons: Sequence[Comparison], force: bool) -
     return paths
 
 
-def refuse_existing(paths: Sequence[Path], force: bool) -> None:
-    """Raise ``RunFolderError`` for the first of ``paths`` that is there, unless ``force``."""
-    for path in paths:
+def refuse_existing(folder: Path, force: bool) -> None:
+    """Raise ``RunFolderError`` for the first figure that is in ``folder``, unless ``force``."""
+    for path in (folder / f"fig-{figure}.png" for figure in MAKERS):
         if path.exists() and not force:
             raise RunFolderError(
                 f"{path}: there already; another --out, or --force to replace it, is right"
             )
 
 
-@dataclass(frozen=True)
-class _Loop:
-    """One run of the firmware and the continuous loop beside it."""
-
-    scenario: Scenario
-    sampled: Solution
-    continuous: Solution
-
-    def curve(self, name: str, of: Callable[[Solution], FloatArray]) -> Curve:
-        return Curve(name, of(self.sampled), of(self.continuous))
-
-
-def both(scenario: Scenario) -> _Loop:
-    """The firmware with the table, limits and grids of its target, and the continuous loop."""
-    car = sample(continuous_plant(scenario.plant), scenario.tick_s)
-    fault = ActuatorFault(scenario)
-    trace = simulate(
-        controller_table(scenario, network_of(scenario)),
-        car,
-        reference(scenario),
-        effectiveness=np.array([fault.effectiveness(tick) for tick in range(scenario.ticks)]),
+def _draw(path: Path, comparison: Comparison) -> None:
+    zoomed = comparison.figure.startswith("3.")
+    figure = Figure(figsize=(6.9, 7.4 if zoomed else 5.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    fault, scenario = comparison.scenario.fault, comparison.scenario
+    everything = (0.0, float(scenario.ticks * scenario.tick_s))
+    if zoomed:
+        # The whole run as the thesis shows it, of its own car; what happens does so in two places.
+        grid = figure.add_gridspec(3, 2, height_ratios=(1.0, 1.1, 0.9))
+        places = [(0.0, START_S), (fault.at_s - 0.1, fault.at_s + 0.9)]
+        whole = figure.add_subplot(grid[0, :])
+        _signals(whole, comparison, everything, comparison.curves[:1])
+        for column, place in enumerate(places):
+            upper = figure.add_subplot(grid[1, column])
+            _signals(upper, comparison, place, comparison.curves)
+            upper.set_title(("the start", "the loss")[column], fontsize=9)
+            _differences(figure.add_subplot(grid[2, column], sharex=upper), comparison, place)
+            if column == 0:
+                handles, labels = upper.get_legend_handles_labels()
+        whole.set_xlabel("time in s", fontsize=9)
+        figure.legend(handles, labels, loc="outside lower center", ncols=3, **LEGEND)
+    else:
+        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(1.7, 1.0))
+        _signals(upper, comparison, everything, comparison.curves)
+        _differences(lower, comparison, everything)
+        figure.legend(
+            *upper.get_legend_handles_labels(), loc="outside lower center", ncols=4, **LEGEND
+        )
+    figure.suptitle(
+        f"Fig. {comparison.figure}: {comparison.caption}\n"
+        f"tick {scenario.tick_s * 1e3:g} ms, latency {scenario.latency_ticks} ticks, "
+        f"estimator {scenario.design.estimator}",
+        fontsize=10,
     )
-    nothing = np.zeros(scenario.ticks)
-    late = scenario.latency_ticks
-    commands = [np.concatenate([nothing[:late], u])[: scenario.ticks] for u in
-                (trace.command_1, trace.command_2)]
-    models = []
-    for inputs in ((commands[0], nothing), (nothing, commands[1])):
-        x, y = car.rest, np.empty(scenario.ticks)
-        for k, (u1, u2) in enumerate(zip(*inputs, strict=True)):
-            y[k] = measure_plant(car.c, x)
-            advance_plant(car.phi, car.gamma, x, u1, u2)
-        models.append(y)
-    sampled = Solution(
-        trace.time_s,
-        trace.reference,
-        trace.measurement,
-        trace.command_1,
-        trace.command_2,
-        trace.fault_estimate,
-        *models,
+    figure.savefig(path, dpi=300)
+
+
+def _signals(
+    axis: Axes, comparison: Comparison, place: tuple[float, float], curves: Sequence[Curve]
+) -> None:
+    """The curves within ``place``, sampled on continuous."""
+    inside = _inside(comparison, place)
+    time_s = comparison.time_s[inside]
+    label: str | None = "continuous"
+    for curve in curves:
+        if place == (0.0, START_S) and comparison.start is not None:
+            axis.plot(*comparison.start, color=PALE, lw=4.0, label=label)
+        else:
+            axis.plot(time_s, curve.continuous[inside], color=PALE, lw=4.0, label=label)
+        label = None
+    marker = "o" if len(time_s) <= FEW else None
+    for curve, style in zip(curves, STYLES, strict=False):
+        axis.plot(
+            time_s,
+            curve.sampled[inside],
+            color=INK,
+            lw=1.2,
+            ls=style,
+            marker=marker,
+            ms=3,
+            label=f"{_math(curve.name)}, sampled",
+        )
+    axis.set_ylabel(
+        f"$e$ in {comparison.unit}"
+        if comparison.unit
+        else ", ".join(_math(curve.name) for curve in curves),
+        fontsize=9,
     )
-    return _Loop(scenario, sampled, solve(scenario))
+    _finish(axis, comparison, place)
 
 
-def _compared(figure: str, caption: str, loop: _Loop, *curves: Curve) -> Comparison:
-    unit = network_of(loop.scenario).feedback.unit.replace("^2", "²")
-    return Comparison(figure, caption, unit, loop.scenario, loop.continuous.time_s, curves)
+def _differences(axis: Axes, comparison: Comparison, place: tuple[float, float]) -> None:
+    inside = _inside(comparison, place)
+    for curve, style in zip(comparison.curves, STYLES, strict=False):
+        difference = curve.difference[inside]
+        axis.plot(comparison.time_s[inside], difference, color=INK, lw=1.0, ls=style)
+    unit = f"\nin {comparison.unit}" if comparison.unit else ""
+    axis.set_ylabel(f"sampled − continuous{unit}", fontsize=9)
+    axis.set_xlabel("time in s", fontsize=9)
+    _finish(axis, comparison, place)
 
 
-def _fig_2_2(settings: Sequence[str]) -> Comparison:
-    loop = both(without_fault(scenarios.load("chapter-2", settings)))
-    caption = "$\\hat d$ and $G_1 u_1$ while the plant is healthy"
-    return _compared("2.2", caption, loop, *_estimate_and_channel(loop))
+def _finish(axis: Axes, comparison: Comparison, place: tuple[float, float]) -> None:
+    formatter = ScalarFormatter(useMathText=True)
+    formatter.set_powerlimits((-2, 3))
+    axis.yaxis.set_major_formatter(formatter)
+    axis.tick_params(labelsize=8)
+    axis.yaxis.get_offset_text().set_fontsize(8)
+    axis.grid(alpha=0.35, lw=0.5)
+    axis.set_xlim(place)
+    fault = comparison.scenario.fault
+    if fault.kind != "none" and place[0] <= fault.at_s < place[1]:
+        axis.axvspan(fault.at_s, place[1], color=SHADE, lw=0, zorder=0)
+        axis.axvline(fault.at_s, color=INK, lw=0.8, zorder=1)
 
 
-def _fig_2_3(settings: Sequence[str]) -> Comparison:
-    scenario = scenarios.load("chapter-2", settings)
-    loop = both(replace(scenario, fault=replace(scenario.fault, at_s=0.0)))
-    caption = "$\\hat d$ and $G_1 u_1$, channel 1 lost from the start"
-    return _compared("2.3", caption, loop, *_estimate_and_channel(loop))
+def _inside(comparison: Comparison, place: tuple[float, float]) -> NDArray[np.bool_]:
+    return (comparison.time_s >= place[0]) & (comparison.time_s <= place[1])
 
 
-def _fig_2_4(settings: Sequence[str]) -> Comparison:
-    loop = both(scenarios.load("chapter-2", settings))
-    caption = f"$y$ and $G_2 u_2$, channel 1 lost at {loop.scenario.fault.at_s:g} s"
-    y = loop.curve("y", lambda s: s.measurement)
-    return _compared("2.4", caption, loop, y, loop.curve("G2 u2", lambda s: s.model_2))
-
-
-def _fig_3_5(settings: Sequence[str]) -> Comparison:
-    return _error("3.5", "thesis-step", "r = 1 m/s²", settings)
-
-
-def _fig_3_6(settings: Sequence[str]) -> Comparison:
-    return _error("3.6", "thesis-sine", "r = sin 5t m/s²", settings)
-
-
-def _estimate_and_channel(loop: _Loop) -> tuple[Curve, Curve]:
-    estimate = loop.curve("d̂", lambda s: s.fault_estimate)
-    return estimate, loop.curve("G1 u1", lambda s: s.model_1)
-
-
-def _error(figure: str, name: str, signal: str, settings: Sequence[str]) -> Comparison:
-    """The thesis drew its figures from the printed coefficients: the ``published`` car."""
-    chosen = [f"plant.variant={variant}" for variant in ("published", "physics")]
-    own = [s for s in settings if s.partition("=")[0].strip() != "plant.variant"]
-    loops = [both(scenarios.load(name, [*own, variant])) for variant in chosen]
-    lost = f"steering motor lost at {loops[0].scenario.fault.at_s:g} s"
-    curves = [loop.curve(f"e, {loop.scenario.plant.variant}", lambda s: s.error) for loop in loops]
-    return _compared(figure, f"error $e = r - y$ for ${signal}$, {lost}", loops[0], *curves)
+def _math(name: str) -> str:
+    """A curve's name as mathematics."""
+    symbol, comma, rest = name.partition(",")
+    shown = {"d̂": r"\hat d", "G1 u1": "G_1 u_1", "G2 u2": "G_2 u_2"}.get(symbol, symbol)
+    return f"${shown}${comma}{rest}"

@@ -77,36 +77,44 @@ class Patience:
         self._silence_s = waiting.silence_s
         self._stop = stop
         self._while_alone = while_alone
-        self.heard = False
+        self._waiting_since_s: float | None = None  # None: it has just been heard
 
     def hear(self) -> None:
-        """Note that the other node has spoken: from now on silence is short."""
-        if not self.heard:
-            self.heard = True
-            self._allowed_s = self._silence_s
+        """Note that the other node has spoken: from now on only a short silence is allowed."""
+        self._allowed_s = self._silence_s
+        self._while_alone = None
+        self._waiting_since_s = None
 
-    def receive(self, doing: str) -> can.Message:
+    def receive(self, tick: int) -> can.Message:
         """The next frame of any kind.
 
         Args:
-            doing: what the node was doing, for the message of the error.
+            tick: the one under way, for the message of the error.
 
         Raises:
             SilentNodeError: nothing came for as long as allowed.
             Interrupted: a stop was requested.
         """
         message = self._bus.recv(POLL_S)
-        if message is not None:
-            return message
-        deadline = time.monotonic() + self._allowed_s - POLL_S
         while message is None:
-            if self._stop.wanted:
-                raise Interrupted
-            if time.monotonic() >= deadline:
-                raise SilentNodeError(
-                    f"no frame from the {self._other} node for {self._allowed_s:g} s {doing}"
-                )
-            if self._while_alone is not None and not self.heard:
+            self.go_on_waiting(tick)
+            if self._while_alone is not None:
                 self._while_alone()
             message = self._bus.recv(POLL_S)
         return message
+
+    def go_on_waiting(self, tick: int) -> None:
+        """Note that nothing came, or a frame that the other node did not send.
+
+        Raises:
+            SilentNodeError, Interrupted: as ``receive``.
+        """
+        if self._stop.wanted:
+            raise Interrupted
+        now_s = time.monotonic()
+        if self._waiting_since_s is None:
+            self._waiting_since_s = now_s
+        elif now_s - self._waiting_since_s >= self._allowed_s:
+            raise SilentNodeError(
+                f"no frame from the {self._other} node for {self._allowed_s:g} s at tick {tick}"
+            )

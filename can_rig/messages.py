@@ -44,7 +44,9 @@ class Transmitter:
         """The next frame, ready to send; arguments as those of `MessageCodec.encode`."""
         data = self.codec.encode(value, tick, mode, fault_state)
         self._protector.protect(data)
-        return Message(timestamp_s, self.codec.frame_id, is_extended_id=False, data=data)
+        return Message(
+            timestamp_s, self.codec.frame_id, False, False, False, None, FRAME_BYTES, data
+        )
 
 
 class Receiver:

@@ -45,19 +45,17 @@ def windows(scenario: Scenario, signals: Signals) -> Windows:
     wanted_s = SETTLED_S
     if scenario.reference.kind == "sine":
         wanted_s = max(wanted_s, 4.0 * math.pi / scenario.reference.frequency_rad_per_s)
-    ticks = np.rint(signals.time_s / scenario.tick_s)
-    time_s = ticks * scenario.tick_ns * 1e-9  # in the nodes' own arithmetic
-    there = fault.kind != "none"
-    after = there & (time_s >= fault.at_s)
-    over_s = fault.at_s + (math.inf if fault.for_s is None else fault.for_s)
-    lost = after & (time_s < over_s)
+    ticks = np.rint(signals.time_s / scenario.tick_s).astype(np.int64)
+    time_ns = ticks * scenario.tick_ns
+    lost = np.array([fault.active(now_ns) for now_ns in time_ns.tolist()], dtype=np.bool_)
+    after = (fault.kind != "none") & (time_ns >= round(fault.at_s * 1e9))
     recovered = after & ~lost
     return Windows(
         before=~after,
         after=after,
         lost=lost,
-        settled_before=_end(time_s, ~after, wanted_s),
-        settled_after=_end(time_s, recovered if recovered.any() else after, wanted_s),
+        settled_before=_end(time_ns, ~after, wanted_s),
+        settled_after=_end(time_ns, recovered if recovered.any() else after, wanted_s),
     )
 
 
@@ -144,13 +142,14 @@ def _peak(values: FloatArray) -> float | None:
     return float(finite.max()) if len(finite) else None
 
 
-def _end(time_s: FloatArray, part: Mask, wanted_s: float) -> Mask:
+def _end(time_ns: NDArray[np.int64], part: Mask, wanted_s: float) -> Mask:
     """The last ``wanted_s`` of a part of the run, or its second half if that is shorter."""
-    inside = time_s[part]
+    inside = time_ns[part]
     if not len(inside):
         return part
-    length_s = min(wanted_s, 0.5 * float(inside[-1] - inside[0]))
-    return part & (time_s >= inside[-1] - length_s)
+    length_ns = min(round(wanted_s * 1e9), int(inside[-1] - inside[0]) // 2)
+    end: Mask = part & (time_ns >= inside[-1] - length_ns)
+    return end
 
 
 #: key, its label where a fault came, its label where none did (empty: no such row), unit

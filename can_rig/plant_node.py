@@ -87,17 +87,16 @@ class PlantNode:
         """
         commands: list[float | None] = [None, None]
         while True:
-            message = patience.receive(f"at tick {tick}")
+            message = patience.receive(tick)
             if self._recorder is not None:
                 self._recorder.record(message, sent=False)
             index, receiver = self._by_id.get(message.arbitration_id, NOT_OURS)
-            if receiver is None:
-                continue
-            record = receiver.accept(message, tick)
+            record = receiver.accept(message, tick) if receiver is not None else None
             if record is None:
+                patience.go_on_waiting(tick)
                 continue
-            patience.hear()
             if index == len(commands):
+                patience.hear()
                 break
             if math.isfinite(record.value):
                 commands[index] = record.value

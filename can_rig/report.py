@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
+from typing import Literal
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -20,9 +21,15 @@ from firmware_model.sections import FloatArray
 INK = "#1b1b1b"
 BLUE, ORANGE, GREEN = "#0b4f8a", "#b8461a", "#2f7d4f"  # of different greys in print
 LOST = "#efe9e2"
+Side = Literal["lower left", "lower right"]
 
 
 def draw_report(path: Path, scenario: Scenario, network: Network, signals: Signals) -> None:
+    """Write ``page`` as a PNG."""
+    page(scenario, network, signals).savefig(path, dpi=150)
+
+
+def page(scenario: Scenario, network: Network, signals: Signals) -> Figure:
     """Five panels over one time axis, the loss shaded, readable in grey print.
 
     A closed loop shows r, D* and |r - D*|. An open loop follows nothing: it shows D* beside D* of
@@ -43,7 +50,7 @@ def draw_report(path: Path, scenario: Scenario, network: Network, signals: Signa
         beside, label, distance = signals.reference_mps2, "reference", "error"
     name = "D*" if network.feedback.signal_name == "DStar" else "output y"
     late = len(signals) > 0 and scenario.fault.at_s > 0.5 * float(time_s[0] + time_s[-1]) + 1.0
-    _output(axes[0], signals, beside, (name, label), "left" if late else "right")
+    _output(axes[0], signals, beside, (name, label), "lower left" if late else "lower right")
     axes[0].set_ylabel(_label(name, unit))
     with np.errstate(over="ignore", invalid="ignore"):
         _logarithmic(axes[1], time_s, beside - signals.dstar_mps2, network.feedback.lsb)
@@ -61,20 +68,18 @@ def draw_report(path: Path, scenario: Scenario, network: Network, signals: Signa
     _mark_loss(axes, scenario, signals)
     figure.align_ylabels(axes)
     figure.suptitle(_title(scenario), fontsize=11)
-    figure.savefig(path, dpi=150)
+    return figure
 
 
 def _output(
-    axis: Axes, signals: Signals, beside: FloatArray, labels: tuple[str, str], side: str
+    axis: Axes, signals: Signals, beside: FloatArray, labels: tuple[str, str], side: Side
 ) -> None:
     axis.plot(signals.time_s, beside, color=INK, lw=1.1, ls=(0, (4, 3)), label=labels[1], zorder=3)
     axis.plot(signals.time_s, signals.dstar_mps2, color=BLUE, lw=1.7, label=labels[0], alpha=0.75)
     _include_zero(axis, signals.dstar_mps2)
     # Above the panel, where no curve can be, and on the side where the loss is not named.
-    corner = (0.0, 1.0) if side == "left" else (1.0, 1.0)
-    axis.legend(
-        loc=f"lower {side}", bbox_to_anchor=corner, ncols=2, frameon=False, fontsize=9, borderpad=0
-    )
+    corner = (0.0 if side == "lower left" else 1.0, 1.0)
+    axis.legend(loc=side, bbox_to_anchor=corner, ncols=2, frameon=False, fontsize=9, borderpad=0)
 
 
 def _include_zero(axis: Axes, values: FloatArray) -> None:

@@ -20,7 +20,7 @@ from can_rig.errors import RigError, SilentNodeError
 from can_rig.lockstep import StopRequest
 from can_rig.nodes import NodeName, NodeSummary
 
-ENDS_WITHIN_S = 3.0  # the watchdog of a node plus its way out
+ENDS_WITHIN_S = 2.0  # the watchdog of a node plus its way out
 
 
 @dataclass

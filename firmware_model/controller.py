@@ -9,8 +9,8 @@ gain T/(2τ+T) for the thesis's design. It is solved exactly, in one division ma
 and exactly too under saturation: for a loop gain below 1 the saturated solution of the linear loop
 is the solution of the saturated loop. With a held-input estimator, or any latency, the gain is 0.
 
-**Commands as the plant gets them.** A command is limited and rounded to the grid of its frame
-first, and that value is what the estimator works on.
+**Commands as the plant gets them.** A command is limited in size and rate and rounded to the grid of
+its frame first, and that value is what the estimator works on; C goes on from the limited one.
 """
 
 from __future__ import annotations
@@ -46,12 +46,15 @@ def init(table: Record, n: int = 1) -> RecordArray:
 
 
 @firmware
-def as_sent(command: float, limit: float, lsb: float) -> float:
-    """The command as its frame carries it: limited, then on the grid of the frame."""
-    if command > limit:
-        command = limit
-    elif command < -limit:
-        command = -limit
+def limited(command: float, before: float, limit: float, slew: float) -> float:
+    """The command that the actuator can follow: within ``limit``, and ``slew`` from the last."""
+    low, high = max(-limit, before - slew), min(limit, before + slew)
+    return min(max(command, low), high)
+
+
+@firmware
+def as_sent(command: float, lsb: float) -> float:
+    """The command as its frame carries it: on the grid of the frame."""
     if lsb > 0.0:
         command = np.rint(command / lsb) * lsb
     return command
@@ -80,8 +83,12 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
     held_1, held_2 = state.command_1, state.command_2
 
     error = state.reference - table.feedback * state.measurement
-    torque = advance(table.tracking, state.tracking, table.tracking_n, error)
-    state.command_1 = as_sent(torque, table.limit_1, table.lsb_1)
+    torque = output(table.tracking, state.tracking, table.tracking_n, error)
+    possible = limited(torque, held_1, table.limit_1, table.slew_1)
+    # No wind-up: C goes on from the error that would have asked for what is possible (Hanus 1987).
+    realisable = error + (possible - torque) * table.conditioning
+    advance(table.tracking, state.tracking, table.tracking_n, realisable)
+    state.command_1 = as_sent(possible, table.lsb_1)
 
     # Every filter's answer to a zero: what this tick's u2 finds already there.
     known = model_output(table, state) - state.measurement
@@ -93,7 +100,7 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
     estimate = q_rest + table.q_feedthrough * known
     from_reference = table.reference_to_2 * state.reference
     force = (from_reference + rest + table.compensator_feedthrough * estimate) * table.loop_inverse
-    state.command_2 = as_sent(force, table.limit_2, table.lsb_2)
+    state.command_2 = as_sent(limited(force, held_2, table.limit_2, table.slew_2), table.lsb_2)
 
     residual = known + table.estimator_feedthrough_2 * state.command_2
     estimate = advance(table.one_plus_q, state.one_plus_q, table.one_plus_q_n, residual)
@@ -169,8 +176,9 @@ def reset(table: Record, state: Record, reference: float) -> None:
     state.reference = reference
     target = state.reference
     zero = target - target
-    torque = as_sent(table.steady_1 * target, table.limit_1, table.lsb_1)
-    force = as_sent(table.reference_to_2 * target, table.limit_2, table.lsb_2)
+    limit_1, limit_2 = table.limit_1, table.limit_2
+    torque = as_sent(limited(table.steady_1 * target, zero, limit_1, limit_1), table.lsb_1)
+    force = as_sent(limited(table.reference_to_2 * target, zero, limit_2, limit_2), table.lsb_2)
     if table.integrates:
         settle_integrator(table.tracking, state.tracking, table.tracking_n, torque)
     else:

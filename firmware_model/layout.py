@@ -58,8 +58,11 @@ def table_type(precision: Precision = "float64") -> np.dtype[np.void]:
         "compensator_feedthrough",
         "q_feedthrough",  # of 1 + Q
         "loop_inverse",  # 1/(1 - algebraic loop gain)
+        "conditioning",  # 1/C(z → ∞): from what a limit took off the command to the error
         "limit_1",
         "limit_2",
+        "slew_1",  # largest change of a command in a tick
+        "slew_2",
         "lsb_1",  # command grid, 0: none
         "lsb_2",
         "threshold",  # of |d̂|

@@ -34,6 +34,7 @@ class Target:
             from it acts on the plant; 0 is the thesis's ideal.
         estimator: how F1 is discretised; F̂ and C are always Tustin's.
         limit_1, limit_2: largest magnitude of a command, in its own unit.
+        rate_1, rate_2: largest change of a command in a second.
         lsb_1, lsb_2: grid of a command as its frame carries it; 0 for none.
         threshold: |d̂| above it is a suspected fault.
         confirm_ticks: ticks in a row above the threshold that confirm it.
@@ -46,6 +47,8 @@ class Target:
     estimator: EstimatorRule = "tustin"
     limit_1: float = math.inf
     limit_2: float = math.inf
+    rate_1: float = math.inf
+    rate_2: float = math.inf
     lsb_1: float = 0.0
     lsb_2: float = 0.0
     threshold: float = math.inf
@@ -61,7 +64,7 @@ class Target:
             raise ParameterError(
                 f"latency_ticks = {self.latency_ticks}: 0 to {MAX_LATENCY_TICKS} is right"
             )
-        for name in ("limit_1", "limit_2", "threshold"):
+        for name in ("limit_1", "limit_2", "rate_1", "rate_2", "threshold"):
             if not getattr(self, name) > 0.0:
                 raise ParameterError(f"{name} = {getattr(self, name):g}: above 0 is right")
         for name in ("lsb_1", "lsb_2"):
@@ -148,6 +151,9 @@ def build(design: ContinuousDesign, target: Target) -> Record:
     )
     table["compensator_feedthrough"] = filters.compensator.feedthrough
     table["q_feedthrough"] = filters.one_plus_q.feedthrough
+    table["conditioning"] = 1.0 / filters.tracking.feedthrough
+    table["slew_1"] = target.rate_1 * target.tick_s
+    table["slew_2"] = target.rate_2 * target.tick_s
     table["loop_inverse"] = 1.0 / (1.0 - loop_gain)
     for name in ("limit_1", "limit_2", "lsb_1", "lsb_2", "threshold"):
         table[name] = getattr(target, name)
