@@ -75,6 +75,7 @@ def scenario_options(function: Function) -> Function:
 @click.option("--out", type=click.Path(path_type=Path), help="Run folder [runs/SCENARIO-TIME].")
 @click.option("--force", is_flag=True, help="Replace the run folder if it is there.")
 @click.option("--in-process", is_flag=True, help="Both nodes in this process; the same log.")
+@click.option("--allow-unstable", is_flag=True, help="Run a loop that `can-rig check` refuses.")
 def run(
     scenario: str,
     settings: tuple[str, ...],
@@ -82,11 +83,25 @@ def run(
     out: Path | None,
     force: bool,
     in_process: bool,
+    allow_unstable: bool,
 ) -> None:
     """Run both nodes through SCENARIO and collect the run folder."""
     from can_rig.commands import run_command  # noqa: PLC0415 (imports what only a run needs)
 
-    sys.exit(run_command(scenario, settings, bus, out, force, in_process))
+    sys.exit(run_command(scenario, settings, bus, out, force, in_process, allow_unstable))
+
+
+@main.command()
+@scenario_options
+@click.option("--json", "as_json", is_flag=True, help="The figures as one JSON object.")
+def check(scenario: str, settings: tuple[str, ...], as_json: bool) -> None:
+    """Say whether SCENARIO's loop is stable, healthy and faulted, and by how much.
+
+    Exit status: 0 stable, 1 not.
+    """
+    from can_rig.commands import check_command  # noqa: PLC0415
+
+    sys.exit(check_command(scenario, settings, as_json))
 
 
 def _above_zero(_context: click.Context, _option: click.Parameter, value: float) -> float:
@@ -159,6 +174,43 @@ def controller(
     from can_rig.commands import controller_command  # noqa: PLC0415
 
     sys.exit(controller_command(scenario, settings, bus, (first_s, silence_s), as_json))
+
+
+@main.command("bus")
+@scenario_options
+@click.option(
+    "--dbc",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Look at all messages of this DBC that have a cycle time, not at the scenario.",
+)
+@click.option(
+    "--bitrate",
+    type=click.IntRange(min=1),
+    metavar="BIT/S",
+    help="Nominal bit rate.  [default: the scenario's bus.bitrate]",
+)
+@click.option(
+    "--data-bitrate",
+    type=click.IntRange(min=1),
+    metavar="BIT/S",
+    help="Bit rate of the data phase of FD frames.  [default: they do not switch]",
+)
+@click.option("--json", "as_json", is_flag=True, help="One line of JSON.")
+def bus_timing(
+    scenario: str,
+    settings: tuple[str, ...],
+    dbc: Path | None,
+    bitrate: int | None,
+    data_bitrate: int | None,
+    as_json: bool,
+) -> None:
+    """Say when the frames arrive at worst, and the latency in ticks that follows.
+
+    Exit status: 0 if every frame is sure to be sent in time, 1 if not.
+    """
+    from can_rig.bus_table import bus_command  # noqa: PLC0415
+
+    sys.exit(bus_command(scenario, settings, dbc, (bitrate, data_bitrate), as_json))
 
 
 @main.command()

@@ -21,6 +21,7 @@ from rich.table import Table
 
 from can_rig import scenario as scenarios
 from can_rig.build import controller_table
+from can_rig.check import check, refuse_unstable, table_rows
 from can_rig.cli import INTERRUPTED
 from can_rig.errors import RigError
 from can_rig.lockstep import StopRequest, Waiting
@@ -50,6 +51,7 @@ def run_command(
     out: Path | None,
     force: bool,
     in_process: bool,
+    allow_unstable: bool,
 ) -> int:
     """``can-rig run``: the exit status. Without a ``bus`` the run has a local one of its own."""
     scenario = scenarios.load(name, settings)
@@ -57,6 +59,8 @@ def run_command(
     network = network_of(scenario)
     controller_table(scenario, network)  # what cannot run is refused before it starts
     reference(scenario)
+    if not allow_unstable:
+        refuse_unstable(scenario)
     stop = StopRequest().on_signals()
     folder = create(out, scenario, force)
     outcome = Outcome(bus)
@@ -127,6 +131,24 @@ def controller_command(
             scenario, bus, Waiting(*waiting), stop, on_ready, EveryNowAndThen(on_tick)
         )
     return _node_end(scenario, summary, as_json)
+
+
+def check_command(name: str, settings: Sequence[str], as_json: bool) -> int:
+    """``can-rig check``: the exit status, 0 for a stable loop and 1 for one that is not."""
+    result = check(scenarios.load(name, settings))
+    if as_json:
+        json_line(**result.as_dict())
+        return 0 if result.stable else 1
+    headings, *rows_of_figures = table_rows(result)
+    table = Table(box=None, pad_edge=False)
+    for heading in headings:
+        table.add_column(heading, justify="right" if heading else "left")
+    for row in rows_of_figures:
+        table.add_row(*row)
+    console = Console()
+    console.print(table)
+    console.print(result.verdict, soft_wrap=True, markup=False, highlight=False)
+    return 0 if result.stable else 1
 
 
 def scenarios_command() -> None:

@@ -49,7 +49,7 @@ class ControllerNode:
         Raises:
             SilentNodeError: the plant node is silent.
         """
-        while self._tick < self.ticks:
+        while self._tick < self.ticks and not patience.stop.wanted:
             try:
                 self.serve(patience)
             except Interrupted:

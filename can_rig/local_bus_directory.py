@@ -119,6 +119,8 @@ class Directory:
 
     def leave(self, name: str) -> None:
         """Remove a node's socket, and with the last one of a named bus the directory."""
+        for link in self.connect_all_but(known=()).values():  # removes what killed nodes left
+            link.close()
         with self._locked():
             self.remove(name)
             if self._named and not self._nodes():

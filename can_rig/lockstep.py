@@ -43,9 +43,10 @@ class StopRequest:
         self.wanted = False
 
     def on_signals(self) -> Self:
-        """Let SIGINT and SIGTERM end the node between two ticks, for the rest of the process."""
-        for number in (signal.SIGINT, signal.SIGTERM):
-            signal.signal(number, self._want)
+        """Let Ctrl-C, SIGTERM and a closed terminal end the node between two ticks, for good."""
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
+                signal.signal(number, self._want)
         return self
 
     def _want(self, _signal: int, _frame: FrameType | None) -> None:
@@ -75,7 +76,7 @@ class Patience:
         self._other = other
         self._allowed_s = waiting.first_s
         self._silence_s = waiting.silence_s
-        self._stop = stop
+        self.stop = stop
         self._while_alone = while_alone
         self._waiting_since_s: float | None = None  # None: it has just been heard
 
@@ -109,7 +110,7 @@ class Patience:
         Raises:
             SilentNodeError, Interrupted: as ``receive``.
         """
-        if self._stop.wanted:
+        if self.stop.wanted:
             raise Interrupted
         now_s = time.monotonic()
         if self._waiting_since_s is None:

@@ -60,6 +60,7 @@ class Receiver:
     def __init__(self, codec: MessageCodec, max_delta_counter: int = 1) -> None:
         self.codec: Final = codec
         self.checker: Final = Checker(codec.data_id, max_delta_counter)
+        self._judged = False  # in this tick
 
     def accept(self, message: Message, tick: int | None = None) -> Record | None:
         """What the frame says; None if it is not to be used, for a reason that is counted.
@@ -69,8 +70,8 @@ class Receiver:
             tick: the tick under way, any multiple of 65536 more; a frame of another one is not
                 used. None takes a frame of any tick.
 
-        The value is nan where the frame says NOT_AVAILABLE. Call `checker.no_new_data` where a
-        frame was due and none arrived.
+        The value is nan where the frame says NOT_AVAILABLE. Call `end_tick` when each tick
+        is over.
         """
         data = message.data
         if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
@@ -78,9 +79,16 @@ class Receiver:
         if len(data) == FRAME_BYTES:
             record = self.codec.decode(data)
             if tick is None or record.tick == tick & 0xFFFF:
+                self._judged = True
                 return record if self.checker.check(data) in USABLE else None
         self.checker.reject(data)
         return None
+
+    def end_tick(self) -> None:
+        """Tell the checker of a tick in which no frame came that it could judge."""
+        if not self._judged:
+            self.checker.no_new_data()
+        self._judged = False
 
     @property
     def rejected(self) -> dict[str, int]:

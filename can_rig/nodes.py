@@ -14,7 +14,6 @@ from typing import Literal
 
 from can_rig.bus import open_bus
 from can_rig.controller_node import ControllerNode
-from can_rig.errors import RunFolderError
 from can_rig.lockstep import Interrupted, Patience, StopRequest, Waiting
 from can_rig.messages import Network, load_network
 from can_rig.plant_node import PlantNode
@@ -131,11 +130,7 @@ def _recorder(log: Path | None, scenario: Scenario) -> Iterator[Recorder | None]
     if log is None:
         yield None
         return
-    try:
-        recorder = Recorder(log, scenario.tick_ns)
-    except OSError as error:
-        raise RunFolderError(f"{log}: cannot be written: {error.strerror}") from None
-    with recorder:
+    with Recorder(log, scenario.tick_ns) as recorder:
         yield recorder
 
 

@@ -7,13 +7,16 @@ from collections.abc import Callable
 from typing import Final
 
 import can
+import numpy as np
 
+from can_rig.errors import ScenarioError
 from can_rig.lockstep import Interrupted, Patience
 from can_rig.messages import Network, Receiver, Transmitter
 from can_rig.plant import SimulatedPlant
 from can_rig.recorder import Recorder
 from can_rig.reference import reference
 from can_rig.scenario import Scenario
+from firmware_model.sections import FloatArray
 
 NOT_OURS: Final[tuple[int, Receiver | None]] = (-1, None)
 
@@ -26,6 +29,9 @@ class PlantNode:
         network: its frames.
         bus: where to send and, without ``patience``, receive.
         recorder: gets every frame sent or seen; None records nothing.
+
+    Raises:
+        ScenarioError: a reference that does not fit its frame.
     """
 
     def __init__(
@@ -33,7 +39,7 @@ class PlantNode:
     ) -> None:
         self.ticks = scenario.ticks
         self._plant = SimulatedPlant(scenario)
-        self._reference = reference(scenario).tolist()
+        self._reference = _within_frame(reference(scenario), network)
         self._bus = bus
         self._recorder = recorder
         self._send_reference = Transmitter(network.reference)
@@ -53,8 +59,10 @@ class PlantNode:
             SilentNodeError: the controller node is silent.
         """
         for tick in range(self.ticks):
-            self.offer(tick)
             try:
+                if patience.stop.wanted:
+                    return tick
+                self.offer(tick)
                 self.collect(tick, patience)
             except Interrupted:
                 return tick
@@ -100,12 +108,22 @@ class PlantNode:
                 break
             if math.isfinite(record.value):
                 commands[index] = record.value
-        for command, receiver in zip(commands, self._commands, strict=True):
-            if command is None:
-                receiver.checker.no_new_data()
+        for receiver in self._commands:
+            receiver.end_tick()
         self._plant.advance(tick, *commands)
 
     def rejected(self) -> dict[str, dict[str, int]]:
         """Per message, how many frames were not used and why."""
         receivers = (*self._commands, self._status)
         return {receiver.codec.name: receiver.rejected for receiver in receivers}
+
+
+def _within_frame(values: FloatArray, network: Network) -> list[float]:
+    """The reference, refused where its frame would saturate."""
+    largest, range_end = float(np.abs(values).max()), network.reference.maximum
+    if largest > range_end:
+        raise ScenarioError(
+            f"the reference reaches {largest:g} {network.reference.unit}, more than "
+            f"{network.reference.name} carries: up to {range_end:g} is right"
+        )
+    return [float(value) for value in values]

@@ -91,7 +91,6 @@ def _include_zero(axis: Axes, values: FloatArray) -> None:
 def _logarithmic(axis: Axes, time_s: FloatArray, values: FloatArray, floor: float) -> None:
     """|values| in decades, nothing below the grid of the frame that brought them."""
     size = np.maximum(np.abs(values), floor)
-    size[~np.isfinite(size)] = np.nan
     axis.plot(time_s, size, color=BLUE, lw=0.8)
     axis.set_yscale("log")
     largest = float(np.nanmax(size)) if np.isfinite(size).any() else 1.0

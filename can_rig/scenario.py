@@ -19,7 +19,7 @@ from typing import Any, ClassVar, Literal
 
 from pydantic import ConfigDict, TypeAdapter, ValidationError
 
-from can_rig.errors import ScenarioError
+from can_rig.errors import RigError, ScenarioError
 from firmware_model.errors import DesignError
 from firmware_model.layout import MAX_LATENCY_TICKS
 from firmware_model.tables import EstimatorRule
@@ -30,6 +30,7 @@ Channel = Literal["torque", "force-difference"]
 ReferenceKind = Literal["step", "sine", "csv"]
 
 MAX_TICKS = 10_000_000  # of a run: a log of 2 GB
+FROM_BUS = "from-bus"  # what ``latency_ticks`` may be in a file
 
 
 class Strict:
@@ -149,6 +150,21 @@ class ActuatorSettings(Strict):
 
 
 @dataclass(frozen=True)
+class BusSettings(Strict):
+    """The bus that ``latency_ticks = "from-bus"`` asks for the latency; see ``bus_timing``."""
+
+    bitrate: int = 1_000_000
+    compute_s: float = 0.0002
+
+    def __post_init__(self) -> None:
+        _require(
+            1_000 <= self.bitrate <= 1_000_000,  # bit/s; classic frames know no more
+            f"bitrate = {self.bitrate}: 1000 to 1000000 (bit/s) is right",
+        )
+        _require(self.compute_s >= 0.0, f"compute_s = {self.compute_s:g}: 0 or above is right")
+
+
+@dataclass(frozen=True)
 class Scenario(Strict):
     """One run, whole. ``name`` is the file's own and no key of it."""
 
@@ -166,6 +182,7 @@ class Scenario(Strict):
     noise: NoiseSettings = field(default_factory=NoiseSettings)
     limits: LimitSettings = field(default_factory=LimitSettings)
     actuator: ActuatorSettings = field(default_factory=ActuatorSettings)
+    bus: BusSettings = field(default_factory=BusSettings)
 
     def __post_init__(self) -> None:
         _require(
@@ -250,6 +267,8 @@ def load(name: str, settings: Iterable[str] = ()) -> Scenario:
 def from_dict(name: str, values: Mapping[str, Any]) -> Scenario:
     """A scenario from plain values; ``model`` is the plant's own but for the keys it names.
 
+    ``latency_ticks`` may be ``"from-bus"`` here; the scenario has the number that follows.
+
     Raises:
         ScenarioError: an unknown key, a bad value; the message names the key.
     """
@@ -257,13 +276,30 @@ def from_dict(name: str, values: Mapping[str, Any]) -> Scenario:
     plant, model = merged.get("plant", {}), merged.get("model", {})
     if isinstance(plant, Mapping) and isinstance(model, Mapping):
         merged["model"] = {**plant, **model}
+    from_bus = merged.get("latency_ticks") == FROM_BUS
+    if from_bus:
+        merged["latency_ticks"] = 0  # until the rest, on which it depends, is known to be right
     try:
         # As JSON, where strict still takes a table for a dataclass and a whole number for a float.
-        return _ADAPTER.validate_json(json.dumps({"name": name, **merged}, default=str))
+        scenario = _ADAPTER.validate_json(json.dumps({"name": name, **merged}, default=str))
     except ValidationError as error:
         raise ScenarioError(f"scenario {name}: {_first_line(error)}") from None
     except DesignError as error:
         raise ScenarioError(f"scenario {name}: plant: {error}") from None
+    return _with_latency_of_bus(scenario) if from_bus else scenario
+
+
+def _with_latency_of_bus(scenario: Scenario) -> Scenario:
+    from can_rig.bus_timing import latency_ticks  # noqa: PLC0415 (cantools: slow to import)
+    from can_rig.nodes import network_of  # noqa: PLC0415 (imports this module)
+
+    network, bus = network_of(scenario), scenario.bus
+    try:
+        ticks = latency_ticks(network, bus.bitrate, scenario.tick_s, bus.compute_s)
+        return dataclasses.replace(scenario, latency_ticks=ticks)
+    except (RigError, ValueError) as error:
+        where = f'scenario {scenario.name}: latency_ticks = "{FROM_BUS}"'
+        raise ScenarioError(f"{where}: {error}") from None
 
 
 _ADAPTER = TypeAdapter(Scenario)

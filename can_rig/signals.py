@@ -141,7 +141,7 @@ class _Table:
         else:
             ahead = self._ticks_ahead(message)
             if ahead and self.rows:
-                self._lost(at, ahead - 1 + math.isnan(self._row[at]))
+                self._end_ticks(at, ahead)
             record = receiver.accept(message, None if ahead else self._tick)
             if record is not None and ahead:
                 self._begin(at, record.tick, message.timestamp, ahead)
@@ -164,7 +164,7 @@ class _Table:
         if self.rows:
             for at in range(len(self._receivers)):
                 if at != announced_by:
-                    self._lost(at, ahead - 1 + math.isnan(self._row[at]))
+                    self._end_ticks(at, ahead)
             self._tick += ahead
         else:
             self._tick = self.first_tick = _absolute(wire_tick, timestamp_s, self._tick_s)
@@ -173,10 +173,10 @@ class _Table:
             self._row = [math.nan] * (ROLE_COLUMNS + 2)
             self.rows.append(self._row)
 
-    def _lost(self, at: int, ticks: int) -> None:
-        """Tell a receiver that whole ticks have gone by without its frame."""
+    def _end_ticks(self, at: int, ticks: int) -> None:
+        """Tell a receiver that this tick is over, and so many more without its frame."""
         for _ in range(min(ticks, MOST_GAPS)):
-            self._receivers[at].checker.no_new_data()
+            self._receivers[at].end_tick()
 
 
 def _absolute(wire_tick: int, timestamp_s: float, tick_s: float) -> int:

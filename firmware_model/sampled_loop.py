@@ -19,6 +19,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy import linalg
 
 from firmware_model import controller
@@ -39,12 +40,14 @@ class LinearController:
 
     Attributes:
         a: (k, k). b: (k, 2). c: (3, k). d: (3, 2).
+        latency_ticks: of the commands, as the controller believes.
     """
 
     a: FloatArray
     b: FloatArray
     c: FloatArray
     d: FloatArray
+    latency_ticks: int
 
 
 @dataclass(frozen=True)
@@ -79,7 +82,7 @@ class SampledLoop:
         plant, and is left out. "Does not reach" is a question about exact zeros of the matrix.
         """
         a = self.closed(gain)
-        reaches = _reaches_output(a, self.c)
+        reaches = reaching(a, self.c)
         acting = np.linalg.eigvals(a[np.ix_(reaches, reaches)])
         idle = np.linalg.eigvals(a[np.ix_(~reaches, ~reaches)])
         idle = idle[np.abs(idle - 1.0) > OPEN_INTEGRATOR]
@@ -105,6 +108,17 @@ class SampledLoop:
             x[i] = (b[i] + triangle[i, i + 1 :] @ x[i + 1 :]) / (z - triangle[i, i])
         return np.asarray(-(c @ x), dtype=np.complex128)
 
+    def angles(self) -> FloatArray:
+        """ωT, ascending to π: a logarithmic grid, closer where a pole is near the unit circle."""
+        poles = np.concatenate([np.linalg.eigvals(self.a), self.poles()])
+        distance = np.abs(poles - 1.0)
+        lowest = 1e-2 * distance[distance > OPEN_INTEGRATOR].min(initial=math.pi)
+        resonant = poles[(poles.imag > 0.0) & (np.abs(poles) > 0.5)]
+        around = np.linspace(-4.0, 4.0, 33)
+        close = np.angle(resonant)[:, None] + (1.0 - np.abs(resonant))[:, None] * around
+        angles = np.concatenate([np.geomspace(lowest, math.pi, 1500), close.ravel()])
+        return np.unique(angles[(angles >= lowest) & (angles <= math.pi)])
+
 
 def linear_controller(table: Record) -> LinearController:
     """The matrices of ``controller.step`` for ``table``, in float64 whatever its precision."""
@@ -123,25 +137,26 @@ def linear_controller(table: Record) -> LinearController:
     after = np.array([states[name][(slice(None), *index)] for name, index in memories])
     after = after.reshape(k, k + 2)  # also when there is no memory at all
     answers = np.array([states[name] for name in ANSWERS])
-    return LinearController(after[:, :k], after[:, k:], answers[:, :k], answers[:, k:])
+    latency = int(table.latency_ticks)
+    return LinearController(after[:, :k], after[:, k:], answers[:, :k], answers[:, k:], latency)
 
 
 def sampled_loop(
-    table: Record,
+    law: LinearController,
     plant: Plant,
     tick_s: float,
     effectiveness: tuple[float, float] = (1.0, 1.0),
     extra_delay_ticks: float = 0.0,
 ) -> SampledLoop:
-    """The loop of ``table`` around ``plant``.
+    """The loop of ``law`` around ``plant``.
 
     Args:
-        table: from ``tables.build`` at ``tick_s``; limits, grid and threshold do not count.
+        law: ``linear_controller`` of a table that was built for ``tick_s``.
         plant: the car, which need not be the one the table was designed for.
         tick_s: the tick, seconds.
         effectiveness: what is left of each actuator, 1 healthy, 0 dead.
-        extra_delay_ticks: by how much commands come later than the table's ``latency_ticks``,
-            which is all that the controller knows of; need not be whole.
+        extra_delay_ticks: by how much commands come later than the ``latency_ticks`` that the
+            controller knows of; need not be whole.
 
     Raises:
         ParameterError: a delay that is not finite and >= 0, an effectiveness outside 0..1.
@@ -151,8 +166,7 @@ def sampled_loop(
     for left in effectiveness:
         if not 0.0 <= left <= 1.0:
             raise ParameterError(f"effectiveness = {left:g}: 0 (dead) to 1 (healthy) is right")
-    law = linear_controller(table)
-    m = int(table.latency_ticks) + math.floor(extra_delay_ticks)
+    m = law.latency_ticks + math.floor(extra_delay_ticks)
     phi, gamma_new, gamma_old = _split_hold(plant, tick_s, extra_delay_ticks % 1.0)
     gamma_new, gamma_old = gamma_new * effectiveness, gamma_old * effectiveness
     waiting = m + bool(gamma_old.any())
@@ -179,6 +193,16 @@ def sampled_loop(
     return SampledLoop(a, b, c, h, law.d, tick_s)
 
 
+def reaching(a: FloatArray, row: FloatArray) -> NDArray[np.bool_]:
+    """Which states (n,) can ever be seen in ``row`` ξ: by a path of non-zeros of ``a`` to it."""
+    reaches = row != 0.0
+    while True:
+        wider = reaches | (a[reaches] != 0.0).any(axis=0)
+        if (wider == reaches).all():
+            return np.asarray(reaches, dtype=np.bool_)
+        reaches = wider
+
+
 def _memories(table: Record) -> list[Memory]:
     """Everything that one tick leaves to the next, but for accumulators that stay zero for ever.
 
@@ -202,11 +226,10 @@ def _without_limits(table: Record, n: int) -> RecordArray:
     """``n`` copies of ``table`` that are linear, in float64."""
     tables = np.zeros(n, table_type())
     for name in table.dtype.names:
-        tables[name] = table[name]
-    for name in ("limit_1", "limit_2", "threshold"):
-        tables[name] = math.inf
-    for name in ("lsb_1", "lsb_2"):
-        tables[name] = 0.0
+        if name.startswith(("limit_", "slew_", "threshold")):
+            tables[name] = math.inf
+        elif not name.startswith("lsb_"):
+            tables[name] = table[name]
     return tables
 
 
@@ -219,13 +242,3 @@ def _split_hold(
         return whole.phi, whole.gamma, np.zeros_like(whole.gamma)
     before, after = sample(plant, fraction * tick_s), sample(plant, (1.0 - fraction) * tick_s)
     return after.phi @ before.phi, after.gamma, after.phi @ before.gamma
-
-
-def _reaches_output(a: FloatArray, c: FloatArray) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-    """Which states (n,) can ever be seen in y: a path of non-zeros from the state to c."""
-    reaches = c != 0.0
-    while True:
-        wider = reaches | (a[reaches] != 0.0).any(axis=0)
-        if (wider == reaches).all():
-            return reaches
-        reaches = wider

@@ -5,8 +5,8 @@ import subprocess
 import sys
 from pathlib import Path
 
-import cantools
 import can
+import cantools
 import numpy as np
 import pytest
 

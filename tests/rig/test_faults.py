@@ -92,9 +92,7 @@ def test_damage_comes_from_the_seed_reaches_every_byte_and_every_bit_and_none_is
     receiver = Receiver(COMMANDS[0])
     for tick, (before, after) in enumerate(pairs):
         reached |= int.from_bytes(before, "big") ^ int.from_bytes(after, "big")
-        message = can.Message(
-            arbitration_id=COMMANDS[0].frame_id, is_extended_id=False, data=after
-        )
+        message = can.Message(arbitration_id=COMMANDS[0].frame_id, is_extended_id=False, data=after)
         assert receiver.accept(message, tick) is None
     assert reached == 2**64 - 1
     assert receiver.rejected == {"wrong_crc": len(pairs)}

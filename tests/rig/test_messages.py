@@ -154,15 +154,42 @@ def test_receiver_refuses_and_counts():
     damaged = transmitter.frame(1.0, 1)
     damaged.data[4] ^= 1
     assert receiver.accept(damaged) is None
-    assert receiver.accept(can.Message(arbitration_id=codec.frame_id, data=b"123")) is None
-    assert receiver.accept(can.Message(is_remote_frame=True, dlc=8)) is None
-    assert receiver.accept(transmitter.frame(math.nan, 2)) is None
-    assert receiver.not_available == 1
+    short = can.Message(arbitration_id=codec.frame_id, is_extended_id=False, data=b"123")
+    assert receiver.accept(short) is None
+    without = receiver.accept(transmitter.frame(math.nan, 2))
+    assert math.isnan(without.value)  # an intact frame that says NOT_AVAILABLE
+    assert without.tick == 2
     assert receiver.accept(transmitter.frame(2.0, 3)) == Record(2.0, 3)
     counts = {status.name: n for status, n in receiver.checker.counts.items() if n}
     assert counts == {
-        "INITIAL": 1, "REPEATED": 1, "WRONG_CRC": 1, "WRONG_LENGTH": 2, "OK_SOME_LOST": 1, "OK": 1,
+        "INITIAL": 1, "REPEATED": 1, "WRONG_CRC": 1, "WRONG_LENGTH": 1, "OK_SOME_LOST": 1, "OK": 1,
     }  # fmt: skip
+    assert receiver.rejected == {"repeated": 1, "wrong_crc": 1, "wrong_length": 1}
+
+
+@pytest.mark.parametrize("kind", ["is_extended_id", "is_remote_frame", "is_error_frame"])
+def test_a_frame_of_another_kind_with_the_same_number_touches_nothing(kind):
+    codec = load_network(STEER_BY_WIRE).feedback
+    transmitter, receiver = Transmitter(codec), Receiver(codec)
+    stranger = transmitter.frame(1.0, 0)
+    setattr(stranger, kind, True)
+    before = receiver.checker.counts
+    assert receiver.accept(stranger, 0) is None
+    assert receiver.checker.counts == before
+    assert receiver.accept(transmitter.frame(2.0, 1), 1) == Record(2.0, 1)
+
+
+@given(codecs, st.integers(0, 2**40), st.integers(1, 65535))
+def test_a_frame_of_another_tick_is_counted_and_its_counter_is_not_looked_at(codec, tick, off):
+    transmitter, receiver = Transmitter(codec), Receiver(codec)
+    assert receiver.accept(transmitter.frame(1.0, tick), tick) is not None
+    intruder = Transmitter(codec)
+    for _ in range(7):  # counters that would break the sequence
+        assert receiver.accept(intruder.frame(9.0, tick + 1 + off), tick + 1) is None
+    assert receiver.rejected == {"wrong_tick": 7}
+    following = receiver.accept(transmitter.frame(2.0, tick + 1), tick + 1)
+    assert following == Record(codec.quantise(2.0), (tick + 1) % 65536)
+    assert receiver.checker.counts[CheckStatus.OK] == 1
 
 
 def test_layout_variant_with_swapped_status_words(tmp_path):

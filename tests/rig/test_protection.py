@@ -194,3 +194,16 @@ def test_data_id_out_of_range_is_refused(data_id):
 def test_max_delta_counter_out_of_range_is_refused(max_delta_counter):
     with pytest.raises(ValueError, match=r"must be 1\.\.14"):
         Checker(DATA_ID, max_delta_counter)
+
+
+def test_reject_counts_what_is_wrong_with_a_frame_and_leaves_the_sequence_alone():
+    checker = Checker(DATA_ID)
+    assert checker.check(frame(3)) is CheckStatus.INITIAL
+    damaged = frame(4)
+    damaged[5] ^= 0x10
+    for data in (frame(4), frame(9), damaged, frame(4, data_id=1), bytearray(3), bytearray()):
+        checker.reject(data)
+    counts = {status.name: n for status, n in checker.counts.items() if n}
+    assert counts == {"INITIAL": 1, "WRONG_TICK": 2, "WRONG_CRC": 2, "WRONG_LENGTH": 2}
+    assert checker.check(frame(5)) is CheckStatus.OK_SOME_LOST  # the window of one call, not seven
+    assert checker.check(frame(8)) is CheckStatus.WRONG_SEQUENCE

@@ -21,7 +21,9 @@ def test_step_and_sine(amplitude, frequency, ticks):
     assert step.tolist() == [amplitude] * ticks
     sine = reference(load("thesis-step", [*settings, "reference.kind=sine"]))
     expected = [amplitude * math.sin(frequency * k / 500) for k in range(ticks)]
-    assert sine.tolist() == pytest.approx(expected, abs=1e-12 * max(1.0, abs(amplitude) * frequency))
+    assert sine.tolist() == pytest.approx(
+        expected, abs=1e-12 * max(1.0, abs(amplitude) * frequency)
+    )
 
 
 def from_csv(tmp_path, data, *settings):

@@ -1,0 +1,214 @@
+"""The numbers of a run: windows by hand, the rig's own fault-free run, the continuous loop."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from can_rig.continuous import solve, without_fault
+from can_rig.lockstep import StopRequest
+from can_rig.metrics import Metrics, fault_free, metrics, rows, windows
+from can_rig.nodes import network_of, run_in_process
+from can_rig.scenario import Scenario, load
+from can_rig.signals import Signals, read_signals
+
+LSB_MPS2 = 1e-8
+Run = Callable[..., tuple[Scenario, Signals]]
+
+
+@pytest.fixture
+def run(tmp_path: Path) -> Run:
+    def rig(name: str, *settings: str) -> tuple[Scenario, Signals]:
+        scenario, log = load(name, settings), tmp_path / "bus.log"
+        run_in_process(scenario, "local:metrics", log, StopRequest(), lambda tick: None)
+        return scenario, read_signals(log, network_of(scenario), scenario.tick_s)
+
+    return rig
+
+
+def quiet(scenario: Scenario, **changed: np.ndarray) -> Signals:
+    """A run in which nothing moves, but for the columns given."""
+    zero = np.zeros(scenario.ticks)
+    names = [name for name in Signals.__dataclass_fields__ if name != "time_s"]
+    columns = {name: zero.copy() for name in names} | changed
+    return Signals(np.arange(scenario.ticks) * scenario.tick_s, **columns)
+
+
+def spans(scenario: Scenario) -> dict[str, tuple[float, float] | None]:
+    """First and last time of every window, s."""
+    signals = quiet(scenario)
+    found = {}
+    for name, mask in vars(windows(scenario, signals)).items():
+        inside = signals.time_s[mask]
+        found[name] = (round(inside[0], 6), round(inside[-1], 6)) if len(inside) else None
+    return found
+
+
+def test_windows_of_a_lasting_fault() -> None:
+    assert spans(load("thesis-step", ["tick_s=0.01"])) == {
+        "before": (0.0, 9.99),
+        "after": (10.0, 19.99),
+        "lost": (10.0, 19.99),
+        "settled_before": (7.99, 9.99),
+        "settled_after": (17.99, 19.99),
+    }
+
+
+def test_windows_of_a_passing_fault_settle_after_it_has_passed() -> None:
+    found = spans(load("thesis-step", ["tick_s=0.01", "fault.for_s=9"]))
+    assert found["lost"] == (10.0, 18.99)
+    assert found["after"] == (10.0, 19.99)
+    # Half of the second that is left: its first half is the transient of the return.
+    assert found["settled_after"] == (19.5, 19.99)
+
+
+def test_two_periods_of_a_slow_reference_count_as_settled() -> None:
+    settings = ["tick_s=0.01", "reference.frequency_rad_per_s=3.141592653589793"]
+    assert spans(load("thesis-sine", settings))["settled_after"] == (15.99, 19.99)
+
+
+@pytest.mark.parametrize("settings", [["fault.kind=none"], ["duration_s=2.0"]])
+def test_windows_without_a_fault(settings: list[str]) -> None:
+    found = spans(load("thesis-step", ["tick_s=0.01", *settings]))
+    assert found["after"] is found["lost"] is found["settled_after"] is None
+    assert found["before"] is not None
+
+
+def test_the_fault_is_lost_at_the_ticks_at_which_the_nodes_lose_it() -> None:
+    """Binary fractions of a second must not shift it by a tick."""
+    for at in range(1, 1500, 7):
+        scenario = load("thesis-step", ["duration_s=2.0", f"fault.at_s={at / 1000}"])
+        lost = windows(scenario, quiet(scenario)).lost
+        active = [scenario.fault.active(k * scenario.tick_ns) for k in range(scenario.ticks)]
+        assert lost.tolist() == active
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        ("thesis-step", []),
+        ("thesis-sine", ["noise.dstar_rms_mps2=0.005", "seed=7"]),
+        ("chapter-2", []),
+        ("thesis-sine", ["latency_ticks=1", "design.tau_s=0.01", "design.tau_q_s=0.02"]),
+        ("thesis-step", ["plant.mass_kg=1500", "model.mass_kg=1400", "limits.torque_nm=500"]),
+    ],
+)
+def test_fault_free_is_the_rig_s_own_run_without_the_fault(
+    run: Run, name: str, settings: list[str]
+) -> None:
+    """Same plant, limits, noise and latency; the frame of D* alone keeps them apart."""
+    short = ["duration_s=0.3", "fault.at_s=0.1", *settings]
+    _, signals = run(name, *short, "fault.kind=none")
+    distance = np.abs(fault_free(load(name, short), signals) - signals.dstar_mps2)
+    assert distance.max() < 20 * LSB_MPS2
+
+
+def test_fault_free_of_a_log_that_starts_late() -> None:
+    scenario = load("thesis-sine", ["duration_s=0.2"])
+    signals = quiet(scenario)
+    late = Signals(*(getattr(signals, name)[150:] for name in Signals.__dataclass_fields__))
+    np.testing.assert_array_equal(fault_free(scenario, late), fault_free(scenario, signals)[150:])
+    empty = Signals(*(getattr(signals, name)[:0] for name in Signals.__dataclass_fields__))
+    assert fault_free(scenario, empty).shape == (0,)
+
+
+@pytest.mark.parametrize(("name", "within"), [("thesis-step", 0.08), ("chapter-2", 0.01)])
+def test_deviation_is_that_of_the_continuous_loop(run: Run, name: str, within: float) -> None:
+    scenario, signals = run(name, "duration_s=3.0", "fault.at_s=1.5")
+    lost, kept = solve(scenario), solve(without_fault(scenario))
+    expected = np.abs(lost.measurement - kept.measurement).max()
+    values = metrics(scenario, signals)
+    assert values["deviation_peak_after_fault_mps2"] == pytest.approx(expected, rel=within)
+    assert (values["error_peak_after_fault_mps2"] is None) == (name == "chapter-2")
+
+
+def test_a_fault_where_nothing_acts_changes_nothing(run: Run) -> None:
+    """Channel 2 idles in a settled healthy loop, so losing it is not seen."""
+    scenario, signals = run(
+        "thesis-step", "fault.channel=force-difference", "fault.at_s=1.5", "duration_s=2.0"
+    )
+    values = metrics(scenario, signals)
+    deviation = values["deviation_peak_after_fault_mps2"]
+    assert deviation is not None and deviation < 1e-6
+    assert values["fault_seen_after_s"] is None
+    assert ("fault estimate over its threshold after", "never") in rows(values, {})
+
+
+def test_a_passing_fault_is_over_at_the_end(run: Run) -> None:
+    scenario, signals = run("thesis-step", "fault.at_s=1.0", "fault.for_s=0.5", "duration_s=6.0")
+    values = metrics(scenario, signals)
+    assert values["fault_estimate_peak_while_lost_mps2"] == pytest.approx(1.0, rel=0.1)
+    settled = values["fault_estimate_settled_mps2"]
+    assert settled is not None and settled < 1e-3
+    force = values["force_difference_settled_n"]
+    assert force is not None and force < 10.0
+
+
+def test_detection_is_the_first_tick_over_the_threshold_from_the_fault_on() -> None:
+    scenario = load("thesis-step", ["duration_s=2.0", "fault.at_s=1.0"])
+    estimate = np.zeros(scenario.ticks)
+    estimate[500] = 5.0  # a false alarm before the fault detects nothing
+    estimate[1100] = -scenario.design.fault_threshold_mps2  # at it is not over it
+    estimate[1234:] = -0.31
+    values = metrics(scenario, quiet(scenario, fault_estimate_mps2=estimate))
+    assert values["fault_seen_after_s"] == 0.234
+    estimate[1000] = 0.4
+    values = metrics(scenario, quiet(scenario, fault_estimate_mps2=estimate))
+    assert values["fault_seen_after_s"] == 0.0
+
+
+def test_peaks_belong_to_their_windows() -> None:
+    settings = ["tick_s=0.01", "fault.for_s=5"]
+    scenario = load("thesis-step", settings)
+    reference = np.zeros(scenario.ticks)
+    for tick, error in (
+        (100, 9.0),
+        (990, 1.0),
+        (1000, -7.0),
+        (1499, 2.0),
+        (1500, 8.0),
+        (1990, 3.0),
+    ):
+        reference[tick] = error
+    values = metrics(scenario, quiet(scenario, reference_mps2=reference))
+    assert values["error_before_fault_mps2"] == 1.0
+    assert values["error_peak_while_lost_mps2"] == 7.0
+    assert values["error_peak_after_fault_mps2"] == 8.0
+    assert values["error_settled_after_fault_mps2"] == 3.0
+
+
+def labels(scenario: Scenario, values: Metrics) -> str:
+    units = {"y": "m/s^2", "u1": "N.m", "u2": "N"}
+    return "\n".join(f"{label}: {text}" for label, text in rows(values, units))
+
+
+def test_rows_say_only_what_the_run_has() -> None:
+    scenario = load("thesis-step", ["tick_s=0.01"])
+    closed = labels(scenario, metrics(scenario, quiet(scenario)))
+    assert "|error| after the fault, peak: 0 m/s^2" in closed
+    assert "deviation" in closed and "never" in closed
+    healthy = replace(scenario, fault=replace(scenario.fault, kind="none"))
+    without = labels(healthy, metrics(healthy, quiet(healthy)))
+    assert "|error|, settled: 0 m/s^2" in without
+    assert not any(word in without for word in ("after", "before", "deviation", "never", "None"))
+    other = load("chapter-2", ["tick_s=0.01"])
+    opened = labels(other, metrics(other, quiet(other)))
+    assert "error" not in opened and "deviation" in opened
+
+
+def test_a_run_without_a_tick_has_no_numbers() -> None:
+    scenario = load("thesis-step")
+    empty = Signals(*(np.empty(0) for _ in Signals.__dataclass_fields__))
+    values = metrics(scenario, empty)
+    assert set(values.values()) == {None}
+    assert rows(values, {}) == []
+
+
+def test_every_key_says_its_unit() -> None:
+    scenario = load("thesis-step", ["tick_s=0.01"])
+    for key in metrics(scenario, quiet(scenario)):
+        assert key.endswith(("_mps2", "_s", "_nm", "_n"))
