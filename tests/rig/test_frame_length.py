@@ -208,10 +208,10 @@ def test_the_worst_fd_frame_is_the_sum_of_its_fields(length, extended):
 
 
 def test_the_header_alone_reaches_its_bound_of_stuff_bits_in_the_arbitration_phase():
-    """0 00000 11110 0 ...: an identifier that stuffs as early as it can."""
+    """An identifier that stuffs as early and as often as any can."""
     message = Message(arbitration_id=0b00001111000, is_extended_id=False, is_fd=True, data=b"")
     runs = [len(list(run)) for _, run in groupby([0, *bits_of(message.arbitration_id, 11), 0, 0])]
-    assert runs == [5, 4, 5]  # the last of the five is one too many, its stuff bit is before FDF
+    assert runs == [5, 4, 5]  # a stuff bit opens each later run, so four are enough
     assert frame_bits(message) == flexible(message)
     switched = Message(
         arbitration_id=message.arbitration_id, is_extended_id=False, is_fd=True,
