@@ -15,7 +15,10 @@ from firmware_model.tables import Target, build
 
 
 def continuous_plant(settings: PlantSettings) -> plants.Plant:
-    """The plant that ``settings`` describe, in continuous time.
+    """The linear plant that ``settings`` describe, in continuous time.
+
+    Of a plant that is a class, all that is known before it runs: the thesis's car with its
+    parameters. Designs and margins are of that car, runs are of the class (``plant.plant_of``).
 
     Raises:
         ScenarioError: parameters with which the car is not stable.
@@ -40,7 +43,7 @@ def continuous_design(scenario: Scenario) -> ContinuousDesign:
         alpha=chosen.alpha,
         tau_q_s=chosen.tau_q_s,
         alpha_q=chosen.alpha_q,
-        compensation=chosen.compensation == "always",
+        compensation=chosen.compensation != "off",
         feedback=scenario.model.kind != "chapter-2",
     )
     plant = continuous_plant(scenario.model)
@@ -52,8 +55,16 @@ def continuous_design(scenario: Scenario) -> ContinuousDesign:
 
 def target(scenario: Scenario, network: Network | None) -> Target:
     """Where the design runs; without a network, commands are neither limited nor rounded by it."""
-    limits = (scenario.limits.torque_nm, scenario.limits.force_difference_n)
-    limit_1, limit_2 = (math.inf if limit is None else limit for limit in limits)
+    chosen, limits = scenario.design, scenario.limits
+    limit_1, limit_2, rate_1, rate_2 = (
+        math.inf if limit is None else limit
+        for limit in (
+            limits.torque_nm,
+            limits.force_difference_n,
+            limits.torque_rate_nm_per_s,
+            limits.force_difference_rate_n_per_s,
+        )
+    )
     lsb_1 = lsb_2 = 0.0
     if network is not None:
         command_1, command_2 = network.command_1, network.command_2
@@ -62,13 +73,17 @@ def target(scenario: Scenario, network: Network | None) -> Target:
     return Target(
         tick_s=scenario.tick_s,
         latency_ticks=scenario.latency_ticks,
-        estimator=scenario.design.estimator,
+        estimator=chosen.estimator,
         limit_1=limit_1,
         limit_2=limit_2,
+        rate_1=rate_1,
+        rate_2=rate_2,
         lsb_1=lsb_1,
         lsb_2=lsb_2,
-        threshold=scenario.design.fault_threshold_mps2,
-        confirm_ticks=max(1, round(scenario.design.confirm_s / scenario.tick_s)),
+        threshold=chosen.fault_threshold_mps2,
+        confirm_ticks=max(1, round(chosen.confirm_s / scenario.tick_s)),
+        clear_ticks=max(1, round(chosen.clear_s / scenario.tick_s)),
+        on_confirmation=chosen.compensation == "on-confirmation",
     )
 
 

@@ -134,7 +134,7 @@ def latency_ticks(network: Network, bitrate: int, tick_s: Seconds, compute_s: Se
         raise TimingError(
             f"{bitrate} bit/s: the frames of a tick of {float(tick_s) * 1e3:g} ms take the bus for "
             f"{float(timing.utilisation):.0%} of it and some may come too late; "
-            "a faster bus or a longer tick is right"
+            "a faster bus, a quicker controller or a longer tick is right"
         )
     return timing.latency_ticks
 

@@ -3,19 +3,21 @@
 from __future__ import annotations
 
 import math
+from contextlib import suppress
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig.build import continuous_plant, controller_table
+from can_rig.build import controller_table
+from can_rig.errors import RigError
 from can_rig.nodes import network_of
+from can_rig.plant import SimulatedPlant
 from can_rig.reference import reference
 from can_rig.scenario import Scenario
 from can_rig.signals import Signals
-from firmware_model.sampled_plant import sample
+from firmware_model.firmware import Firmware
 from firmware_model.sections import FloatArray
-from firmware_model.simulation import simulate
 
 Metrics = dict[str, float | None]
 Mask = NDArray[np.bool_]
@@ -100,7 +102,8 @@ def fault_free(scenario: Scenario, signals: Signals) -> FloatArray:
     """D* at the ticks of ``signals`` as the same run without its fault measures it, m/s².
 
     Same plant, table, command frames and noise; D* itself is not rounded to the grid of its frame,
-    which keeps the two apart by a few of its LSBs.
+    which keeps the two apart by a few of its LSBs. Not a number from where on a plant of one's own
+    fails without the fault too.
     """
     if not len(signals):
         return np.empty(0)
@@ -111,16 +114,15 @@ def fault_free(scenario: Scenario, signals: Signals) -> FloatArray:
         fault=replace(scenario.fault, kind="none"),
         duration_s=max(scenario.duration_s, ticks * scenario.tick_s),
     )
-    noise = scenario.noise.dstar_rms_mps2 * np.random.Generator(
-        np.random.PCG64(scenario.seed)
-    ).standard_normal(ticks)
-    trace = simulate(
-        controller_table(healthy, network_of(healthy)),
-        sample(continuous_plant(healthy.plant), healthy.tick_s),
-        reference(healthy)[:ticks],
-        noise=noise,
-    )
-    return (trace.measurement + noise)[first:]
+    plant, wanted = SimulatedPlant(healthy), reference(healthy)[:ticks].tolist()
+    firmware = Firmware(controller_table(healthy, network_of(healthy)))
+    measured = np.full(ticks, np.nan)
+    with suppress(RigError):
+        for tick in range(ticks):
+            measured[tick] = plant.measure()
+            answer = firmware.step(wanted[tick], measured[tick])
+            plant.advance(tick, answer.command_1, answer.command_2)
+    return measured[first:]
 
 
 def rows(values: Metrics, units: dict[str, str]) -> list[tuple[str, str]]:

@@ -8,7 +8,8 @@ import numpy as np
 
 from can_rig.build import continuous_plant
 from can_rig.faults import ActuatorFault
-from can_rig.scenario import Scenario
+from can_rig.plant_protocol import GuardedPlant, PlantProtocol, load_plant
+from can_rig.scenario import PlantSettings, Scenario
 from firmware_model.sampled_plant import advance_plant, measure_plant, sample
 
 
@@ -32,14 +33,58 @@ class Actuator:
         return self._command
 
 
+class LinearPlant:
+    """The plants of the thesis as a ``PlantProtocol``: exact for held commands.
+
+    Raises:
+        ScenarioError: parameters with which the car is not stable.
+    """
+
+    def __init__(self, settings: PlantSettings) -> None:
+        self._plant = continuous_plant(settings)
+        self._dt_s = 0.0  # what the matrices below are for; the first advance makes them
+        self._phi = self._gamma = self._c = np.empty(0)
+        self._x = np.zeros(len(self._plant.a))
+
+    def reset(self) -> None:
+        """Back to rest."""
+        self._x[:] = 0.0
+
+    def advance(self, dt_s: float, torque_nm: float, force_difference_n: float) -> float:
+        """The output ``dt_s`` seconds later; for ``chapter-2`` nothing has a unit."""
+        if dt_s != self._dt_s:
+            sampled = sample(self._plant, dt_s)
+            self._phi, self._gamma, self._c = sampled.phi, sampled.gamma, sampled.c
+            self._dt_s = dt_s
+        advance_plant(self._phi, self._gamma, self._x, torque_nm, force_difference_n)
+        return float(measure_plant(self._c, self._x))
+
+
+def plant_of(settings: PlantSettings) -> PlantProtocol:
+    """The plant that ``settings`` name, at rest.
+
+    Raises:
+        ScenarioError: a car that is not stable, a class that is no plant.
+    """
+    if settings.is_class:
+        return GuardedPlant(settings.kind, load_plant(settings.kind, settings))
+    return LinearPlant(settings)
+
+
 class SimulatedPlant:
-    """The car: two actuators, a latency line, the exactly sampled plant, a noisy sensor."""
+    """The car: two actuators, a latency line, a plant that commands are held for, a noisy sensor.
+
+    Raises:
+        ScenarioError: see ``plant_of``.
+    """
 
     def __init__(self, scenario: Scenario) -> None:
-        sampled = sample(continuous_plant(scenario.plant), scenario.tick_s)
         hold_ticks = round(scenario.actuator.hold_s / scenario.tick_s)
-        self._phi, self._gamma, self._c = sampled.phi, sampled.gamma, sampled.c
-        self._x = sampled.rest
+        self._plant = plant_of(scenario.plant)
+        self._plant.advance(scenario.tick_s, 0.0, 0.0)  # compiles before the first tick needs it
+        self._plant.reset()
+        self._tick_s = scenario.tick_s
+        self._output = 0.0  # at rest
         self._fault = ActuatorFault(scenario)
         self._actuators = (Actuator(hold_ticks), Actuator(hold_ticks))
         self._on_the_way = deque([(0.0, 0.0)] * scenario.latency_ticks)
@@ -48,15 +93,19 @@ class SimulatedPlant:
 
     def measure(self) -> float:
         """D* as the sensor reads it now, m/s²."""
-        y = float(measure_plant(self._c, self._x))
+        y = self._output
         if self._noise_rms > 0.0:
             y += self._noise_rms * float(self._random.standard_normal())
         return y
 
     def advance(self, tick: int, command_1: float | None, command_2: float | None) -> None:
-        """One tick on, with the valid commands of ``tick`` (None: there was none)."""
+        """One tick on, with the valid commands of ``tick`` (None: there was none).
+
+        Raises:
+            RigError: an exception in a plant that is the user's own.
+        """
         left_1, left_2 = self._fault.effectiveness(tick)
         acting = (self._actuators[0].hear(command_1), self._actuators[1].hear(command_2))
         self._on_the_way.append(acting)
         u1, u2 = self._on_the_way.popleft()
-        advance_plant(self._phi, self._gamma, self._x, left_1 * u1, left_2 * u2)
+        self._output = self._plant.advance(self._tick_s, left_1 * u1, left_2 * u2)

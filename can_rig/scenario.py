@@ -29,6 +29,7 @@ FaultKind = Literal["none", "actuator-dead", "frames-missing", "frames-corrupted
 Channel = Literal["torque", "force-difference"]
 ReferenceKind = Literal["step", "sine", "csv"]
 
+BUILT_IN = ("steer-by-wire", "chapter-2")  # the plants of the thesis, both linear
 MAX_TICKS = 10_000_000  # of a run: a log of 2 GB
 FROM_BUS = "from-bus"  # what ``latency_ticks`` may be in a file
 
@@ -46,10 +47,30 @@ def _require(condition: bool, message: str) -> None:
 
 @dataclass(frozen=True)
 class PlantSettings(VehicleParameters, Strict):
-    """The simulated plant; for ``chapter-2`` the parameters of the car mean nothing."""
+    """The simulated plant; for ``chapter-2`` the parameters of the car mean nothing.
 
-    kind: Literal["steer-by-wire", "chapter-2"] = "steer-by-wire"
+    ``kind`` is built in or ``package.module:Class``, a plant of one's own (``plant_protocol``).
+    ``friction`` μ is what tires can transmit at most, as a part of their load: the linear cars
+    ignore it, a nonlinear one saturates with it.
+    """
+
+    kind: str = "steer-by-wire"
     variant: Literal["physics", "published"] = "physics"
+    friction: float = 0.9
+
+    def __post_init__(self) -> None:
+        super().__post_init__()
+        _require(
+            self.kind in BUILT_IN or self.is_class,
+            f"kind = {self.kind!r}: {', '.join(BUILT_IN)} or package.module:Class is right",
+        )
+        _require(self.friction > 0.0, f"friction = {self.friction:g}: above 0 is right")
+
+    @property
+    def is_class(self) -> bool:
+        """Whether ``kind`` reads ``package.module:Class``; not whether there is one."""
+        module, _, name = self.kind.partition(":")
+        return name.isidentifier() and all(part.isidentifier() for part in module.split("."))
 
 
 @dataclass(frozen=True)
@@ -61,9 +82,10 @@ class DesignSettings(Strict):
     tau_q_s: float = 0.001
     alpha_q: int = 2
     estimator: EstimatorRule = "tustin"
-    compensation: Literal["always", "off"] = "always"
+    compensation: Literal["always", "on-confirmation", "off"] = "always"
     fault_threshold_mps2: float = 0.3
     confirm_s: float = 0.01
+    clear_s: float = 0.5
 
     def __post_init__(self) -> None:
         for name in ("tau_s", "tau_q_s", "fault_threshold_mps2"):
@@ -72,7 +94,9 @@ class DesignSettings(Strict):
         for name in ("alpha", "alpha_q"):
             value = getattr(self, name)
             _require(1 <= value <= 8, f"{name} = {value}: 1 to 8 is right")
-        _require(self.confirm_s >= 0.0, f"confirm_s = {self.confirm_s:g}: 0 or above is right")
+        for name in ("confirm_s", "clear_s"):
+            value = getattr(self, name)
+            _require(value >= 0.0, f"{name} = {value:g}: 0 or above is right")
 
 
 @dataclass(frozen=True)
@@ -128,15 +152,17 @@ class NoiseSettings(Strict):
 
 @dataclass(frozen=True)
 class LimitSettings(Strict):
-    """Largest commands; without one, the range of the frame is the limit."""
+    """Largest commands and rates of commands; without one, the range of the frame limits it."""
 
     torque_nm: float | None = None
+    torque_rate_nm_per_s: float | None = None
     force_difference_n: float | None = None
+    force_difference_rate_n_per_s: float | None = None
 
     def __post_init__(self) -> None:
-        for name in ("torque_nm", "force_difference_n"):
-            value = getattr(self, name)
-            _require(value is None or value > 0.0, f"{name} = {value}: above 0 is right")
+        for limit in dataclasses.fields(self):
+            value = getattr(self, limit.name)
+            _require(value is None or value > 0.0, f"{limit.name} = {value}: above 0 is right")
 
 
 @dataclass(frozen=True)
@@ -208,6 +234,10 @@ class Scenario(Strict):
             f"latency_ticks = {self.latency_ticks}: 0 to {MAX_LATENCY_TICKS} is right",
         )
         _require(self.seed >= 0, f"seed = {self.seed}: 0 or above is right")
+        _require(
+            not self.model.is_class,
+            f"model.kind = {self.model.kind!r}: a linear car, {' or '.join(BUILT_IN)}, is right",
+        )
 
     @property
     def tick_ns(self) -> int:
@@ -221,8 +251,8 @@ class Scenario(Strict):
 
     @property
     def dbc(self) -> str:
-        """File name of the network's DBC in ``dbc/``."""
-        return f"{self.plant.kind.replace('-', '_')}.dbc"
+        """File name of the network's DBC in ``dbc/``; a plant of one's own is a car."""
+        return "chapter_2.dbc" if self.plant.kind == "chapter-2" else "steer_by_wire.dbc"
 
     def as_dict(self) -> dict[str, Any]:
         """Every key and value, as a scenario file would have them."""
@@ -267,6 +297,9 @@ def load(name: str, settings: Iterable[str] = ()) -> Scenario:
 def from_dict(name: str, values: Mapping[str, Any]) -> Scenario:
     """A scenario from plain values; ``model`` is the plant's own but for the keys it names.
 
+    What the controller believes in is linear: of a plant of one's own, the thesis's car with the
+    same parameters.
+
     ``latency_ticks`` may be ``"from-bus"`` here; the scenario has the number that follows.
 
     Raises:
@@ -275,7 +308,8 @@ def from_dict(name: str, values: Mapping[str, Any]) -> Scenario:
     merged = {key: value for key, value in values.items() if key != "name"}
     plant, model = merged.get("plant", {}), merged.get("model", {})
     if isinstance(plant, Mapping) and isinstance(model, Mapping):
-        merged["model"] = {**plant, **model}
+        linear = {"kind": BUILT_IN[0]} if ":" in str(plant.get("kind")) else {}
+        merged["model"] = {**plant, **linear, **model}
     from_bus = merged.get("latency_ticks") == FROM_BUS
     if from_bus:
         merged["latency_ticks"] = 0  # until the rest, on which it depends, is known to be right

@@ -7,14 +7,40 @@ multiply-add.
 
 from __future__ import annotations
 
+import hashlib
+import os
 from collections.abc import Callable
-from typing import TypeVar, cast
+from pathlib import Path
+from typing import Any, TypeVar, cast
 
 from numba import njit
+from numba.core import config
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
 
+def _cache_folder() -> str:
+    """Where compiled code is kept: a folder of its own for each state of this package's files.
+
+    Numba looks only at the file of the function that it has cached, and would go on with an old
+    copy of what that function calls in another file.
+    """
+    package = Path(__file__).parent
+    states = ((file.name, file.stat()) for file in sorted(package.glob("*.py")))
+    text = repr([(name, state.st_mtime_ns, state.st_size) for name, state in states])
+    home = os.environ.get("XDG_CACHE_HOME") or str(Path("~/.cache").expanduser())
+    digest = hashlib.sha256(f"{package}{text}".encode()).hexdigest()[:16]
+    return str(Path(home) / "fault-tolerant-steering" / digest)
+
+
+_CACHE_FOLDER = _cache_folder()
+
+
 def firmware(function: Function) -> Function:
     """Compile for the target, cached on disk so that a second process starts at once."""
-    return cast(Function, njit(cache=True, fastmath=False)(function))
+    settings: Any = config
+    before, settings.CACHE_DIR = settings.CACHE_DIR, _CACHE_FOLDER
+    try:
+        return cast(Function, njit(cache=True, fastmath=False)(function))
+    finally:
+        settings.CACHE_DIR = before

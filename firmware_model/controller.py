@@ -9,8 +9,12 @@ gain T/(2τ+T) for the thesis's design. It is solved exactly, in one division ma
 and exactly too under saturation: for a loop gain below 1 the saturated solution of the linear loop
 is the solution of the saturated loop. With a held-input estimator, or any latency, the gain is 0.
 
-**Commands as the plant gets them.** A command is limited in size and rate and rounded to the grid of
-its frame first, and that value is what the estimator works on; C goes on from the limited one.
+**Commands as the plant gets them.** A command is limited in size and rate and rounded to the grid
+of its frame first, and that value is what the estimator works on; C goes on from the limited one.
+
+**Compensation on confirmation.** The thesis feeds F̂ with d̂, which has waited for the bus twice:
+once in the model, once on the way of u2. After a confirmed loss the lost channel's own command is
+known at once, so F̂ may work on w = G1 u1 instead, and the delay around the loop is halved.
 """
 
 from __future__ import annotations
@@ -22,9 +26,9 @@ import numpy as np
 
 from firmware_model.biquad import advance, output, settle, settle_integrator
 from firmware_model.compiled import firmware
+from firmware_model.decision import CLEAR, decide, lost_now, remember
 from firmware_model.layout import (
     MAX_LATENCY_TICKS,
-    FaultState,
     Mode,
     Record,
     RecordArray,
@@ -32,11 +36,6 @@ from firmware_model.layout import (
 )
 
 MODE_INIT, MODE_RUN, MODE_HOLD = int(Mode.INIT), int(Mode.RUN), int(Mode.HOLD)
-CLEAR, SUSPECTED, CONFIRMED = (
-    int(FaultState.CLEAR),
-    int(FaultState.SUSPECTED),
-    int(FaultState.CONFIRMED),
-)
 
 
 def init(table: Record, n: int = 1) -> RecordArray:
@@ -90,21 +89,34 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
     advance(table.tracking, state.tracking, table.tracking_n, realisable)
     state.command_1 = as_sent(possible, table.lsb_1)
 
+    at_stake, kept = model_output(table, state)
+    known = at_stake + kept - state.measurement
+
     # Every filter's answer to a zero: what this tick's u2 finds already there.
-    known = model_output(table, state) - state.measurement
     zero = error - error
     q_rest = output(table.one_plus_q, state.one_plus_q, table.one_plus_q_n, zero)
     rest = output(table.compensator, state.compensator, table.compensator_n, zero)
-
-    # u2 = r2 + rest + f(q_rest + q(known + g u2)), solved for u2
-    estimate = q_rest + table.q_feedthrough * known
     from_reference = table.reference_to_2 * state.reference
-    force = (from_reference + rest + table.compensator_feedthrough * estimate) * table.loop_inverse
+
+    # Without feedthrough of u2 this is already d̂; with it, all but what u2 changes in this tick.
+    before = known + table.estimator_feedthrough_2 * held_2
+    decide(table, state, q_rest + table.q_feedthrough * before, at_stake)
+
+    if table.on_confirmation:  # u2 = r2 + F̂w, with the w that is known before it reaches the plant
+        drive = lost_now(table, state)
+        force = rest + table.compensator_feedthrough * drive
+        force = from_reference + (force if state.engaged else zero)
+    else:  # the thesis: u2 = r2 + rest + f(q_rest + q(known + g u2)), solved for u2
+        estimate = q_rest + table.q_feedthrough * known
+        force = from_reference + rest + table.compensator_feedthrough * estimate
+        force = force * table.loop_inverse
+        drive = zero
     state.command_2 = as_sent(limited(force, held_2, table.limit_2, table.slew_2), table.lsb_2)
 
     residual = known + table.estimator_feedthrough_2 * state.command_2
     estimate = advance(table.one_plus_q, state.one_plus_q, table.one_plus_q_n, residual)
-    advance(table.compensator, state.compensator, table.compensator_n, estimate)
+    drive = drive if table.on_confirmation else estimate
+    advance(table.compensator, state.compensator, table.compensator_n, drive)
     if not (math.isfinite(torque) and math.isfinite(force)):
         state.command_1, state.command_2 = held_1, held_2
         forget(state)
@@ -113,8 +125,8 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
         return
     state.fault_estimate = estimate
     state.mode = MODE_RUN
+    remember(table, state)
     follow_commands(table, state)
-    decide(table, state)
 
 
 @firmware
@@ -125,19 +137,21 @@ def forget(state: Record) -> None:
     state.estimator_2[:] = 0
     state.one_plus_q[:] = 0
     state.compensator[:] = 0
+    state.lost[:] = 0
 
 
 @firmware
-def model_output(table: Record, state: Record) -> float:
-    """G1 u1 + G2 u2 as the plant shows it at this tick, without what this tick's u2 adds."""
+def model_output(table: Record, state: Record) -> tuple[float, float]:
+    """G1 u1 and G2 u2 as the plant shows them at this tick, without what this tick's u2 adds."""
     u1 = state.command_1
     u2 = u1 - u1
     if table.latency_ticks > 0:
         u1 = state.delay_1[state.delay_at]
         u2 = state.delay_2[state.delay_at]
-    lost = output(table.estimator_1, state.estimator_1, table.estimator_1_n, u1)
-    kept = output(table.estimator_2, state.estimator_2, table.estimator_2_n, u2)
-    return lost + kept
+    return (
+        output(table.estimator_1, state.estimator_1, table.estimator_1_n, u1),
+        output(table.estimator_2, state.estimator_2, table.estimator_2_n, u2),
+    )
 
 
 @firmware
@@ -149,21 +163,9 @@ def follow_commands(table: Record, state: Record) -> None:
         u1, state.delay_1[at] = state.delay_1[at], u1
         u2, state.delay_2[at] = state.delay_2[at], u2
         state.delay_at = (at + 1) % table.latency_ticks
+    state.acting_1 = u1
     advance(table.estimator_1, state.estimator_1, table.estimator_1_n, u1)
     advance(table.estimator_2, state.estimator_2, table.estimator_2_n, u2)
-
-
-@firmware
-def decide(table: Record, state: Record) -> None:
-    """|d̂| above the threshold is suspected at once, confirmed after ``confirm_ticks`` in a row."""
-    if abs(state.fault_estimate) <= table.threshold:
-        state.over_threshold_ticks = 0
-        state.fault_state = CLEAR
-        return
-    state.over_threshold_ticks += 1
-    state.fault_state = SUSPECTED
-    if state.over_threshold_ticks >= table.confirm_ticks:
-        state.fault_state = CONFIRMED
 
 
 @firmware
@@ -190,10 +192,14 @@ def reset(table: Record, state: Record, reference: float) -> None:
     for i in range(MAX_LATENCY_TICKS):
         state.delay_1[i] = torque
         state.delay_2[i] = force
+        state.delay_lost[i] = zero
     state.delay_at = 0
+    state.lost[:] = zero
     state.command_1, state.command_2 = torque, force
+    state.acting_1 = torque
     state.fault_estimate = zero
-    state.over_threshold_ticks = 0
+    state.decide_ticks = 0
+    state.engaged = 0
     state.mode = MODE_INIT
     state.fault_state = CLEAR
 

@@ -33,12 +33,16 @@ class Mode(IntEnum):
 
 
 class FaultState(IntEnum):
-    """What the decision says of |d̂|. It isolates nothing: a biased D* looks the same."""
+    """What ``decision`` says of d̂. It isolates nothing: a biased D* looks the same."""
 
     CLEAR = 0
+    """|d̂| is below the threshold, and the loss of channel 1 would lift it above."""
     SUSPECTED = 1
+    """|d̂| is above the threshold, not yet for long enough."""
     CONFIRMED = 2
+    """It has been, and has not since fallen to what a channel that works would leave."""
     CANNOT_TELL = 3
+    """Channel 1 does so little now that its loss would not show."""
 
 
 #: every filter of the controller, in the order of (2.1), (2.37), (3.32)
@@ -66,8 +70,9 @@ def table_type(precision: Precision = "float64") -> np.dtype[np.void]:
         "lsb_1",  # command grid, 0: none
         "lsb_2",
         "threshold",  # of |d̂|
+        "clear_ratio",  # of the d̂ of a loss, which has to be above the threshold to clear it
     ]
-    integers = ["integrates", "latency_ticks", "confirm_ticks"]
+    integers = ["integrates", "latency_ticks", "confirm_ticks", "clear_ticks", "on_confirmation"]
     fields = [*sections, *counts, *((n, real) for n in reals), *((n, np.int64) for n in integers)]
     return np.dtype((np.record, fields))
 
@@ -78,10 +83,14 @@ def state_type(precision: Precision = "float64") -> np.dtype[np.void]:
     states = [(name, real, (MAX_SECTIONS, 2)) for name in FILTERS]
     fields = [
         *states,
+        ("lost", real, (MAX_SECTIONS, 2)),  # G1 driven by command 1 while it is believed lost
         ("delay_1", real, (MAX_LATENCY_TICKS,)),  # commands on their way to the plant
         ("delay_2", real, (MAX_LATENCY_TICKS,)),
+        ("delay_lost", real, (MAX_LATENCY_TICKS,)),  # what was lost, on its way into d̂
+        ("acting_1", real),  # command 1 as it reached the plant in the last tick
         ("delay_at", np.int64),
-        ("over_threshold_ticks", np.int64),
+        ("decide_ticks", np.int64),  # ticks in a row that ask for another fault state
+        ("engaged", np.int64),  # 1: compensation on confirmation acts
         ("reference", real),
         ("measurement", real),
         ("command_1", real),

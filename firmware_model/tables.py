@@ -38,6 +38,11 @@ class Target:
         lsb_1, lsb_2: grid of a command as its frame carries it; 0 for none.
         threshold: |d̂| above it is a suspected fault.
         confirm_ticks: ticks in a row above the threshold that confirm it.
+        clear_ticks: ticks in a row in which the channel has to look well to be cleared.
+        clear_ratio: share of the d̂ of a loss that has to be above the threshold, with |d̂| below
+            it, for the channel to be taken to work again.
+        on_confirmation: compensate from the confirmed loss on, with what the lost channel's own
+            commands would have done, instead of always and with d̂ (the thesis).
         prewarp_rad_per_s: frequency at which C and F̂ keep their continuous response exactly.
         precision: of every number in the table and the state.
     """
@@ -53,6 +58,9 @@ class Target:
     lsb_2: float = 0.0
     threshold: float = math.inf
     confirm_ticks: int = 1
+    clear_ticks: int = 1
+    clear_ratio: float = 0.25
+    on_confirmation: bool = False
     prewarp_rad_per_s: float | None = None
     precision: Precision = "float64"
 
@@ -70,8 +78,11 @@ class Target:
         for name in ("lsb_1", "lsb_2"):
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise ParameterError(f"{name} = {getattr(self, name):g}: 0 or above is right")
-        if self.confirm_ticks < 1:
-            raise ParameterError(f"confirm_ticks = {self.confirm_ticks}: 1 or more is right")
+        if not 0.0 <= self.clear_ratio < 1.0:
+            raise ParameterError(f"clear_ratio = {self.clear_ratio:g}: 0 to below 1 is right")
+        for name in ("confirm_ticks", "clear_ticks"):
+            if getattr(self, name) < 1:
+                raise ParameterError(f"{name} = {getattr(self, name)}: 1 or more is right")
 
 
 @dataclass(frozen=True)
@@ -155,9 +166,11 @@ def build(design: ContinuousDesign, target: Target) -> Record:
     table["slew_1"] = target.rate_1 * target.tick_s
     table["slew_2"] = target.rate_2 * target.tick_s
     table["loop_inverse"] = 1.0 / (1.0 - loop_gain)
-    for name in ("limit_1", "limit_2", "lsb_1", "lsb_2", "threshold"):
+    for name in ("limit_1", "limit_2", "lsb_1", "lsb_2", "threshold", "clear_ratio"):
         table[name] = getattr(target, name)
     table["latency_ticks"] = target.latency_ticks
     table["confirm_ticks"] = target.confirm_ticks
+    table["clear_ticks"] = target.clear_ticks
+    table["on_confirmation"] = target.on_confirmation
     table.flags.writeable = False
     return table[0]

@@ -178,7 +178,18 @@ def test_many_ticks_of_the_matrix_are_the_simulation(
 
 def test_limits_and_grid_and_precision_do_not_enter() -> None:
     """The linear loop of a float32 table with limits is that of its coefficients."""
-    rough = Target(1e-3, 2, "zoh", limit_1=1e-3, limit_2=1.0, lsb_1=0.5, lsb_2=0.5, threshold=1e-9)
+    rough = Target(
+        1e-3,
+        2,
+        "zoh",
+        limit_1=1e-3,
+        limit_2=1.0,
+        rate_1=1e-3,
+        rate_2=1.0,
+        lsb_1=0.5,
+        lsb_2=0.5,
+        threshold=1e-9,
+    )
     smooth = Target(1e-3, 2, "zoh")
     ours, plain = (linear_controller(build(SLOW, target)) for target in (rough, smooth))
     for name in "abcd":

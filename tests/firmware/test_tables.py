@@ -80,6 +80,9 @@ def test_open_loop_takes_the_reference_on_both_channels() -> None:
         ({"lsb_1": -1.0}, "lsb_1"),
         ({"lsb_2": math.inf}, "lsb_2"),
         ({"confirm_ticks": 0}, "confirm_ticks"),
+        ({"clear_ticks": 0}, "clear_ticks"),
+        ({"clear_ratio": 1.0}, "clear_ratio"),
+        ({"rate_1": 0.0}, "rate_1"),
     ],
 )
 def test_a_target_that_means_nothing_is_refused(change: dict[str, Any], named: str) -> None:

@@ -76,7 +76,10 @@ def test_a_person_sees_one_table_and_one_verdict() -> None:
     assert done.stderr == ""
 
 
-@pytest.mark.parametrize("settings", [[LATE], ["tick_s=0.01"], [LATE, "fault.kind=none"]])
+@pytest.mark.parametrize(
+    "settings",
+    [[LATE], ["tick_s=0.01"], [LATE, "fault.kind=none"], [LATE, "design.estimator=zoh"]],
+)
 def test_run_refuses_an_unstable_loop_and_says_what_works(settings: list[str]) -> None:
     """Unstable healthy, after the fault, or after one that the scenario does not have."""
     arguments = [a for setting in settings for a in ("--set", setting)]
@@ -89,6 +92,7 @@ def test_run_refuses_an_unstable_loop_and_says_what_works(settings: list[str]) -
     latency = "no latency_ticks" if "tick_s=0.01" in settings else "latency_ticks up to 0"
     assert latency in message
     offered = message.split("; ")[-2].removesuffix(" works").replace("--set ", "").split()
+    assert ("design.estimator=tustin" in offered) == ("design.estimator=zoh" in settings)
     better = load("thesis-step", [*settings, *offered])
     assert check(better).stable
     done = rig("check", "thesis-step", *arguments, *[a for s in offered for a in ("--set", s)])
@@ -130,7 +134,7 @@ def test_a_partial_loss_that_is_unstable_is_said_and_does_not_decide() -> None:
 
 
 def test_no_tuning_is_said_where_there_is_none() -> None:
-    scenario = load("thesis-step", ["latency_ticks=64", "tick_s=0.1"])
+    scenario = load("thesis-step", ["latency_ticks=20", "tick_s=0.1"])
     assert working_tuning(scenario) is None
     with pytest.raises(ScenarioError, match=r"no tau_s = tau_q_s up to 0\.1 works"):
         refuse_unstable(scenario)

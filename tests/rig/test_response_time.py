@@ -197,7 +197,8 @@ def test_no_response_exceeds_its_bound_where_frames_are_destroyed(frames, every,
     found = bounds(frames, Errors(Fraction(every), burst))
     start = chance.randint(0, 50)
     at_once = [start + 40 * k for k in range(burst - 1)]  # one after the other, early
-    errors = [*at_once, *(start + chance.randint(0, 30) + every * k for k in range(8))]
+    first = start + chance.randint(0, 30)
+    errors = [*at_once, *(first + every * k for k in range(8))]
     offsets = [chance.randint(0, 30) for _ in frames]
     seen = observed(frames, offsets, chance, 20, errors)
     assert all(bound is None or s <= bound for s, bound in zip(seen, found, strict=True))

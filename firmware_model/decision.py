@@ -1,0 +1,125 @@
+"""Is channel 1 lost? What is made of the fault estimate d̂, tick by tick.
+
+Two hypotheses are compared, each with what it makes of d̂:
+
+    works   d̂ = 0, but for what the threshold's budget allows
+    lost    d̂ = w, the answer of G1 to the commands since the loss: what channel 1 would have added
+
+|d̂| above the threshold is SUSPECTED at once and CONFIRMED after ``confirm_ticks`` in a row. It is
+cleared when for ``clear_ticks`` |d̂| stays below the threshold while ``clear_ratio`` of |w| is
+above: a reference that passes through zero takes d̂ and w along and clears nothing. Ticks to clear
+should outlast the ringing of G1, which d̂ follows when the channel comes back.
+
+None of this isolates the torque channel: a bias b of the D* sensor gives d̂ = -b, a change of the
+car gives some d̂. Where channel 1 asks for so little that its loss would stay below the threshold,
+silence means nothing, and the state is CANNOT_TELL instead of CLEAR.
+"""
+
+from __future__ import annotations
+
+from firmware_model.biquad import advance, output
+from firmware_model.compiled import firmware
+from firmware_model.layout import MAX_LATENCY_TICKS, FaultState, Record
+
+CLEAR, SUSPECTED, CONFIRMED, CANNOT_TELL = (
+    int(FaultState.CLEAR),
+    int(FaultState.SUSPECTED),
+    int(FaultState.CONFIRMED),
+    int(FaultState.CANNOT_TELL),
+)
+
+NEAR = 0.9  # of |d̂|: w grows with the square of time, so this is between one tick and the next
+
+
+@firmware
+def decide(table: Record, state: Record, estimate: float, at_stake: float) -> None:
+    """The fault state of this tick.
+
+    Args:
+        table: the constant table.
+        state: changed in place.
+        estimate: d̂.
+        at_stake: what channel 1, if it works, adds to y at this tick by the model.
+    """
+    over = abs(estimate) > table.threshold
+    if state.fault_state == CONFIRMED:
+        expected = lost_as_seen(table, state)
+        would_show = table.clear_ratio * abs(expected) > table.threshold
+        if would_show and not over:
+            state.decide_ticks += 1
+            if state.decide_ticks >= table.clear_ticks:
+                state.fault_state = CLEAR
+                state.decide_ticks = 0
+        else:
+            state.decide_ticks = 0
+    elif over:
+        if state.decide_ticks == 0:
+            explain(table, state, estimate)
+        state.decide_ticks += 1
+        state.fault_state = SUSPECTED
+        if state.decide_ticks >= table.confirm_ticks:
+            state.fault_state = CONFIRMED
+            state.decide_ticks = 0
+            state.engaged = table.on_confirmation
+    else:
+        state.decide_ticks = 0
+        state.fault_state = CLEAR if abs(at_stake) > table.threshold else CANNOT_TELL
+
+
+@firmware
+def explain(table: Record, state: Record, estimate: float) -> None:
+    """Start w where it makes the first d̂ over the threshold: at the loss, some ticks ago.
+
+    d̂ shows what channel 1 did not do until now. It is given the command of then for one tick, and
+    more until the model's answer comes near to d̂; after that, the commands still on their way.
+    """
+    for _ in range(MAX_LATENCY_TICKS):
+        advance(table.estimator_1, state.lost, table.estimator_1_n, state.acting_1)
+        shown = output(table.estimator_1, state.lost, table.estimator_1_n, state.acting_1)
+        if abs(shown) >= NEAR * abs(estimate):
+            break
+    for i in range(table.latency_ticks):
+        at = (state.delay_at + i) % table.latency_ticks
+        state.delay_lost[at] = output(
+            table.estimator_1, state.lost, table.estimator_1_n, state.delay_1[at]
+        )
+        advance(table.estimator_1, state.lost, table.estimator_1_n, state.delay_1[at])
+
+
+@firmware
+def lost_now(table: Record, state: Record) -> float:
+    """w of this tick, before the bus: G1 driven by command 1 for as long as that is believed lost.
+
+    A channel that works again is driven with zero: w then fades as fast as the channel comes back.
+    """
+    u1 = believed_lost(state)
+    w: float = output(table.estimator_1, state.lost, table.estimator_1_n, u1)
+    return w
+
+
+@firmware
+def believed_lost(state: Record) -> float:
+    """The part of command 1 that is believed not to act: all of it, or nothing."""
+    u1 = state.command_1
+    lost: float = u1 if state.fault_state in (SUSPECTED, CONFIRMED) else u1 - u1
+    return lost
+
+
+@firmware
+def lost_as_seen(table: Record, state: Record) -> float:
+    """w as d̂ shows it now, ``latency_ticks`` late."""
+    if table.latency_ticks > 0:
+        seen: float = state.delay_lost[state.delay_at]
+        return seen
+    return lost_now(table, state)
+
+
+@firmware
+def remember(table: Record, state: Record) -> None:
+    """Advance w by this tick; release the compensation once nothing of it is left."""
+    w = lost_now(table, state)
+    advance(table.estimator_1, state.lost, table.estimator_1_n, believed_lost(state))
+    if table.latency_ticks > 0:
+        state.delay_lost[state.delay_at] = w
+    if state.fault_state == CLEAR and abs(w) < table.threshold * table.clear_ratio:
+        state.engaged = 0
