@@ -22,9 +22,10 @@ from firmware_model.margins import (
     Margins,
     is_stable_in,
     largest_latency_survived,
+    law_in,
     margins,
 )
-from firmware_model.sampled_loop import linear_controller, sampled_loop
+from firmware_model.sampled_loop import sampled_loop
 from firmware_model.tables import EstimatorRule
 
 Effectiveness = tuple[float, float]
@@ -50,14 +51,16 @@ SPARE_TICKS = (0, 1)  # extra delays that a tuning must survive to be called one
 class Check:
     """Margins of a scenario's loop in every state that matters.
 
-    ``partly_lost`` has the margins by what is left of the torque channel; they are there to be
-    seen and do not decide.
+    ``partly_lost`` has the margins by what is left of the torque channel, ``false_alarm`` those of
+    a whole car whose controller compensates a loss all the same, where it does so on confirmation
+    alone. Both are there to be seen and do not decide.
     """
 
     scenario: Scenario
     healthy: Margins
     faulted: Margins
     partly_lost: dict[float, Margins]
+    false_alarm: Margins | None
 
     @property
     def stable(self) -> bool:
@@ -70,6 +73,8 @@ class Check:
         yield from zip(_both_ends(self.scenario), (self.healthy, self.faulted), strict=True)
         for left, figures in self.partly_lost.items():
             yield f"torque {left:.0%}", figures
+        if self.false_alarm is not None:
+            yield "false alarm", self.false_alarm
 
     @property
     def verdict(self) -> str:
@@ -91,6 +96,7 @@ class Check:
             "healthy": _finite(self.healthy),
             "faulted": _finite(self.faulted),
             "partly_lost": {f"{left:g}": _finite(m) for left, m in self.partly_lost.items()},
+            "false_alarm": None if self.false_alarm is None else _finite(self.false_alarm),
         }
 
 
@@ -110,6 +116,11 @@ def check(scenario: Scenario) -> Check:
         healthy=with_left(HEALTHY),
         faulted=with_left(DEAD[scenario.fault.channel]),
         partly_lost={left: with_left((left, 1.0)) for left in PARTLY_LOST},
+        false_alarm=(
+            margins(table, plant, scenario.tick_s, confirmed=True)
+            if table.on_confirmation
+            else None
+        ),
     )
 
 
@@ -119,10 +130,10 @@ def refuse_unstable(scenario: Scenario) -> None:
     Raises:
         ScenarioError: which state is unstable and what would work; a design that cannot be made.
     """
-    law = linear_controller(controller_table(scenario, None))
-    plant = continuous_plant(scenario.plant)
+    table, plant = controller_table(scenario, None), continuous_plant(scenario.plant)
     for name, left in _both_ends(scenario).items():
-        radius = sampled_loop(law, plant, scenario.tick_s, left).spectral_radius()
+        loop = sampled_loop(law_in(table, left), plant, scenario.tick_s, left)
+        radius = loop.spectral_radius()
         if not radius < 1.0:
             reason = _reason(scenario, name, radius)
             raise ScenarioError(

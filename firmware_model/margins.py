@@ -21,6 +21,7 @@ from firmware_model.layout import MAX_LATENCY_TICKS, Record
 from firmware_model.plants import Plant
 from firmware_model.sampled_loop import (
     OPEN_INTEGRATOR,
+    LinearController,
     SampledLoop,
     linear_controller,
     reaching,
@@ -74,13 +75,18 @@ class Margins:
 
 
 def margins(
-    table: Record, plant: Plant, tick_s: float, effectiveness: tuple[float, float] = HEALTHY
+    table: Record,
+    plant: Plant,
+    tick_s: float,
+    effectiveness: tuple[float, float] = HEALTHY,
+    confirmed: bool | None = None,
 ) -> Margins:
     """The margins of ``table`` around ``plant``, with ``effectiveness`` left of its actuators.
 
-    Arguments and errors are those of ``sampled_loop``.
+    Arguments and errors are those of ``sampled_loop``; ``confirmed`` is that of
+    ``linear_controller``, by default whenever an actuator is not whole.
     """
-    law = linear_controller(table)
+    law = law_in(table, effectiveness) if confirmed is None else linear_controller(table, confirmed)
     loop = sampled_loop(law, plant, tick_s, effectiveness)
     poles = loop.poles()
     slowest = complex(poles[np.argmax(np.abs(poles))])
@@ -118,6 +124,11 @@ def margins(
         noise_to_command_1=noise_gain(loop, 0),
         noise_to_command_2=noise_gain(loop, 1),
     )
+
+
+def law_in(table: Record, effectiveness: tuple[float, float]) -> LinearController:
+    """The law that acts in this state: a loss has been confirmed wherever there is one."""
+    return linear_controller(table, confirmed=effectiveness != HEALTHY)
 
 
 def gain_margin(loop: SampledLoop, gains: FloatArray) -> float:
@@ -199,6 +210,8 @@ def is_stable_in(
         table = build(design, target)
     except DesignError:
         return False
-    law, tick_s = linear_controller(table), target.tick_s
-    loops = (sampled_loop(law, plant, tick_s, state, extra_delay_ticks) for state in states)
+    loops = (
+        sampled_loop(law_in(table, state), plant, target.tick_s, state, extra_delay_ticks)
+        for state in states
+    )
     return all(loop.spectral_radius() < 1.0 for loop in loops)

@@ -24,7 +24,7 @@ from scipy import linalg
 
 from firmware_model import controller
 from firmware_model.errors import ParameterError
-from firmware_model.layout import FILTERS, Record, RecordArray, table_type
+from firmware_model.layout import FILTERS, FaultState, Record, RecordArray, table_type
 from firmware_model.plants import Plant
 from firmware_model.sampled_plant import sample
 from firmware_model.sections import ComplexArray, FloatArray
@@ -120,12 +120,19 @@ class SampledLoop:
         return np.unique(angles[(angles >= lowest) & (angles <= math.pi)])
 
 
-def linear_controller(table: Record) -> LinearController:
-    """The matrices of ``controller.step`` for ``table``, in float64 whatever its precision."""
+def linear_controller(table: Record, confirmed: bool = False) -> LinearController:
+    """The matrices of ``controller.step`` for ``table``, in float64 whatever its precision.
+
+    ``confirmed``: as the law is after a confirmed loss. That is another one only for a table that
+    compensates on confirmation.
+    """
     memories = _memories(table)
     k = len(memories)
     tables = _without_limits(table, k + 2)
     states = controller.init(tables[0], k + 2)
+    if confirmed:
+        states["fault_state"] = FaultState.CONFIRMED
+        states["engaged"] = table.on_confirmation
     for j, (name, index) in enumerate(memories):
         states[name][(j, *index)] = 1.0
     inputs = np.zeros((2, k + 2))
@@ -210,13 +217,16 @@ def _memories(table: Record) -> list[Memory]:
     count them would add eigenvalues at 1 that no signal ever sees.
     """
     memories: list[Memory] = []
-    for name in FILTERS:
+    filters = {name: name for name in FILTERS}
+    if table.on_confirmation:
+        filters["lost"] = "estimator_1"  # a second memory of the same filter
+    for memory, name in filters.items():
         for i in range(table[f"{name}_n"]):
             _, b1, b2, a1, a2 = table[name][i]
             if b1 or a1 or b2 or a2:
-                memories.append((name, (i, 0)))
+                memories.append((memory, (i, 0)))
             if b2 or a2:
-                memories.append((name, (i, 1)))
+                memories.append((memory, (i, 1)))
     for line in ("delay_1", "delay_2"):
         memories += [(line, (j,)) for j in range(table.latency_ticks)]
     return memories

@@ -18,6 +18,7 @@ from firmware_model.margins import (
     gain_margin,
     is_stable_in,
     largest_latency_survived,
+    law_in,
     margins,
     noise_gain,
     peak_sensitivity,
@@ -276,3 +277,24 @@ def test_chapter_2_is_a_loop_of_the_compensator_alone() -> None:
     figures = margins(build(OPEN_LOOP, Target(1e-3)), OPEN_LOOP.plant, 1e-3, TORQUE_DEAD)
     assert figures.stable
     assert figures.spectral_radius == pytest.approx(math.exp(-1e-3), rel=1e-9)  # the pole -1
+
+
+@pytest.mark.parametrize("latency", [0, 1, 2])
+@pytest.mark.parametrize("tau_q_s", [0.0005, 0.001, 0.002, 0.005])
+@pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD, (0.5, 1.0)])
+def test_compensation_on_confirmation_is_predicted_as_it_simulates(
+    latency: int, tau_q_s: float, left: tuple[float, float]
+) -> None:
+    """After the decision the loop is another one; its growth is that of its spectral radius."""
+    wanted = design(CAR, DesignSpecification(tau_s=0.0005, tau_q_s=tau_q_s))
+    target = Target(1e-3, latency, "zoh", threshold=1e-9, clear_ticks=10**9, on_confirmation=True)
+    table = build(wanted, target)
+    radius = sampled_loop(law_in(table, left), CAR, 1e-3, left).spectral_radius()
+    whole = np.ones((500, 2))
+    whole[100:] = left
+    trace = simulate(table, sample(CAR, 1e-3), np.ones(500), effectiveness=whole)
+    tail, later = np.abs(trace.error[300:400]).max(), np.abs(trace.error[400:]).max()
+    if radius < 1.0:
+        assert later < 1.05 * tail + 1e-9
+    else:
+        assert later / tail == pytest.approx(radius**100, rel=0.2)
