@@ -10,9 +10,11 @@ import numpy as np
 import pytest
 
 from can_rig.continuous import solve, without_fault
+from can_rig.errors import RigError
 from can_rig.lockstep import StopRequest
 from can_rig.metrics import Metrics, fault_free, metrics, rows, windows
 from can_rig.nodes import network_of, run_in_process
+from can_rig.plant import LinearPlant
 from can_rig.scenario import Scenario, load
 from can_rig.signals import Signals, read_signals
 
@@ -93,6 +95,7 @@ def test_the_fault_is_lost_at_the_ticks_at_which_the_nodes_lose_it() -> None:
         ("thesis-step", []),
         ("thesis-sine", ["noise.dstar_rms_mps2=0.005", "seed=7"]),
         ("chapter-2", []),
+        ("nonlinear-car", ["noise.dstar_rms_mps2=0.005"]),
         ("thesis-sine", ["latency_ticks=1", "design.tau_s=0.01", "design.tau_q_s=0.02"]),
         ("thesis-step", ["plant.mass_kg=1500", "model.mass_kg=1400", "limits.torque_nm=500"]),
     ],
@@ -105,6 +108,26 @@ def test_fault_free_is_the_rig_s_own_run_without_the_fault(
     _, signals = run(name, *short, "fault.kind=none")
     distance = np.abs(fault_free(load(name, short), signals) - signals.dstar_mps2)
     assert distance.max() < 20 * LSB_MPS2
+
+
+def test_fault_free_ends_where_a_plant_fails_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario = load("thesis-step", ["duration_s=0.1", "fault.at_s=0.05"])
+    whole = fault_free(scenario, quiet(scenario))
+    advance = LinearPlant.advance
+
+    def fails(plant: LinearPlant, *arguments: float) -> float:
+        calls.append(arguments)
+        if len(calls) > 71:  # one of them before the first tick
+            raise RigError("it broke")
+        return advance(plant, *arguments)
+
+    calls: list[tuple[float, ...]] = []
+    monkeypatch.setattr(LinearPlant, "advance", fails)
+    broken = fault_free(scenario, quiet(scenario))
+    np.testing.assert_array_equal(broken[:71], whole[:71])
+    assert np.isnan(broken[71:]).all()
+    # All calls fail by now: nothing to compare with is no number, not zero.
+    assert metrics(scenario, quiet(scenario))["deviation_settled_after_fault_mps2"] is None
 
 
 def test_fault_free_of_a_log_that_starts_late() -> None:

@@ -7,8 +7,8 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from can_rig.build import continuous_plant
-from can_rig.plant import Actuator, SimulatedPlant
-from can_rig.scenario import load
+from can_rig.plant import Actuator, LinearPlant, SimulatedPlant
+from can_rig.scenario import PlantSettings, load
 
 HEALTHY = ["fault.kind=none"]
 commands = st.one_of(st.none(), st.floats(-1e3, 1e3))
@@ -53,6 +53,17 @@ def test_between_ticks_it_is_the_continuous_plant_under_held_commands(name, tick
         expected.append((plant.c @ state).item())
     measured = outputs(settings, sequence, name)
     assert np.abs(measured - expected).max() < 1e-8 * np.abs(expected).max()
+
+
+def test_the_time_between_two_outputs_may_change():
+    """Three ticks are one of three times the length, whatever came before."""
+    fine, coarse = LinearPlant(PlantSettings()), LinearPlant(PlantSettings())
+    for torque in (50.0, -70.0, 20.0):
+        outputs_of_three = [fine.advance(0.001, torque, 300.0) for _ in range(3)]
+        assert coarse.advance(0.003, torque, 300.0) == pytest.approx(outputs_of_three[-1], rel=1e-9)
+        assert coarse.advance(0.001, 0.0, 0.0) == pytest.approx(fine.advance(0.001, 0.0, 0.0))
+    fine.reset()
+    assert fine.advance(0.001, 0.0, 0.0) == 0.0
 
 
 def test_a_constant_command_settles_at_the_steady_state_gain():

@@ -110,8 +110,8 @@ REFUSED = {
     "too few": (("dt_s, torque_nm, ", "dt_s, "), r"advance\(dt_s, force_\w+\): advance\(dt_s, tor"),
     "too many": ((ADVANCE, ADVANCE.replace(")", ", more)")), r"advance\(.*, more\): advance"),
     "reset wants more": (("reset(self)", "reset(self, state)"), r"reset\(state\): reset\(\) is"),
-    "no settings": ((INIT, INIT.replace(")", ", x)")), r"Car\(settings, x\): Car\(settings\) is right"),
-    "nan": (("return 0.5", "return float('nan')"), r"advance\(0.001, 0, 0\) at rest gives nan: D\*"),
+    "no settings": ((INIT, INIT.replace(")", ", x)")), r"Car\(settings, x\): Car\(settings\) is"),
+    "nan": (("return 0.5", "return float('nan')"), r"advance\(0.001, 0, 0\) at rest gives nan"),
     "infinity": (("return 0.5", "return 1e999"), r"gives inf: D\* as a finite float is right"),
     "text": (("return 0.5", "return '0.5'"), "gives '0.5': "),
     "nothing": (("return 0.5", "pass"), "gives None: "),
@@ -211,7 +211,7 @@ def test_a_plant_that_fails_in_mid_run_is_one_line_that_says_when(answer, tmp_pa
 def test_from_the_command_line_a_file_beside_the_scenario_is_a_plant(tmp_path):
     write(LAG)
     write("[plant]\nkind = 'mycar:Lag'\n[fault]\nkind = 'actuator-dead'\nat_s = 0.1", "drive.toml")
-    run = ["run", "drive.toml", "--set", "duration_s=0.2", "--out", "run", "--set"]
+    run = ["run", "drive.toml", "--in-process", "--set", "duration_s=0.2", "--out", "run", "--set"]
     tame = ["design.tau_q_s=0.02", "--set", "design.tau_s=0.02"]
     done = rig(*run, *tame)
     assert done.returncode == 0, done.stderr

@@ -35,6 +35,7 @@ OTHER = {
     "plant.steering_damping_nms_per_rad": 8.0, "plant.front_cornering_stiffness_n_per_rad": 34e3,
     "plant.rear_cornering_stiffness_n_per_rad": 57e3, "plant.trail_m": 0.06,
     "plant.lateral_weight": 0.4, "plant.kind": "chapter-2", "plant.variant": "published",
+    "plant.friction": 0.5,
     "design.tau_s": 0.002, "design.alpha": 2, "design.tau_q_s": 0.002, "design.alpha_q": 3,
     "design.estimator": "zoh", "design.compensation": "off",
     "design.fault_threshold_mps2": 0.5, "design.confirm_s": 0.02,
@@ -49,7 +50,9 @@ OTHER = {
 
 def test_every_shipped_scenario_loads_and_its_controller_can_be_built():
     assert list(shipped()) == sorted(shipped())
-    assert {"thesis-step", "thesis-sine", "no-compensation", "chapter-2"} <= set(shipped())
+    assert {"thesis-step", "thesis-sine", "no-compensation", "chapter-2", "nonlinear-car"} <= set(
+        shipped()
+    )
     for name in shipped():
         scenario = load(name)
         assert scenario.name == name
@@ -141,6 +144,7 @@ BAD = [
     ("latency_ticks=1.5", "latency_ticks"), ("seed=-1", "seed"), ("seed=x", "seed"),
     ("plant.mass_kg=0", "plant.mass_kg"), ("plant.mass_kg=-1400", "plant.mass_kg"),
     ("plant.mass_kg='heavy'", "plant.mass_kg"), ("plant.kind=boat", "plant.kind"),
+    ("plant.friction=0", "plant.friction"), ("model.kind=a:B", "model.kind"),
     ("model.speed_mps=nan", "model.speed_mps"), ("plant.lateral_weight=1.5", "lateral_weight"),
     ("plant={a=1}", "plant.a: unknown key"), ("plant=5", "plant"), ("plant=fast", "plant"),
     ("model=5", "model"), ("design.tau_s=0", "design.tau_s"), ("design.alpha=0", "design.alpha"),
