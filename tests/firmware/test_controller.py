@@ -94,6 +94,7 @@ def test_algebraic_loop_is_solved_under_saturation(y: list[float]) -> None:
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("variant", ["physics", "published"])
 @pytest.mark.parametrize("latency", [0, 1, 2, 5])
 def test_exact_estimator_is_silent_while_healthy(variant: str, latency: int) -> None:
@@ -106,6 +107,7 @@ def test_exact_estimator_is_silent_while_healthy(variant: str, latency: int) -> 
     assert np.abs(trace.fault_estimate).max() < 1e-12 * np.abs(trace.measurement).max()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("variant", ["physics", "published"])
 def test_estimate_equals_the_lost_channel_after_the_fault(variant: str) -> None:
     """(2.9): d̂ = G1 u1, what torque would have given; settled it is the whole reference."""
@@ -122,6 +124,7 @@ def test_estimate_equals_the_lost_channel_after_the_fault(variant: str) -> None:
     np.testing.assert_allclose(trace.command_2[-1], 1.0 / plant.g2.dc_gain, rtol=1e-5)
 
 
+@pytest.mark.long
 def test_published_tuning_survives_no_tick_of_latency() -> None:
     """MATHS trap 2: ignoring the delay it diverges healthy; matching it, after the fault."""
     plant = sample(CAR, 1e-3)
@@ -271,6 +274,7 @@ def test_a_batch_is_its_members() -> None:
             assert states["command_2"][i] == answer.command_2
 
 
+@pytest.mark.long
 def test_compiled_and_interpreted_are_bit_identical() -> None:
     """The same script, once with numba and once without, in float64 and float32."""
     script = """
@@ -302,6 +306,7 @@ for precision in ("float64", "float32"):
     assert outputs[0] == outputs[1]
 
 
+@pytest.mark.long
 def test_float32_table_follows_the_float64_one() -> None:
     """Settled loop in single precision: D* within a few float32 roundings of the reference."""
     trace = simulate(
@@ -313,6 +318,7 @@ def test_float32_table_follows_the_float64_one() -> None:
     assert np.abs(trace.fault_estimate[-500:]).max() < 1e-3
 
 
+@pytest.mark.long
 @settings(max_examples=20)
 @given(
     latency=st.integers(0, 3),
@@ -326,6 +332,7 @@ def test_no_command_leaves_its_limits(latency: int, rule: str, limit: float) -> 
     assert np.abs(trace.command_2).max() <= limit
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("alpha_q", [2, 3])
 @pytest.mark.parametrize("limit", [60.0, 100.0, 300.0])
 def test_a_limit_on_the_torque_winds_nothing_up(limit: float, alpha_q: int) -> None:

@@ -42,6 +42,7 @@ def confirming(latency: int = 1, **changes: object) -> Target:
     return Target(TICK_S, latency, **settings)  # type: ignore[arg-type]
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("latency", [1, 2])
 def test_post_fault_peak_is_at_most_twice_the_unavoidable(latency: int) -> None:
     trace = drive(confirming(latency), np.ones(TICKS))
@@ -51,6 +52,7 @@ def test_post_fault_peak_is_at_most_twice_the_unavoidable(latency: int) -> None:
     assert np.abs(trace.error[-200:]).max() < 1e-6
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("latency", [1, 2, 3])
 def test_it_beats_waiting_for_the_estimate(latency: int) -> None:
     """Half the delay around the loop: less error than the thesis's law with the same tuning."""
@@ -143,3 +145,11 @@ def test_a_biased_sensor_looks_the_same() -> None:
         trace.fault_state[LOST] == FaultState.CONFIRMED
     )
     assert trace.fault_estimate[LOST] == pytest.approx(-0.1, abs=1e-9)
+
+
+def test_a_bias_that_no_command_explains_ends_the_search() -> None:
+    """D* jumps while nothing was commanded: no loss in the last ticks makes that d̂."""
+    firmware = Firmware(build(FAST, confirming(0)))
+    answer = firmware.step(0.0, 1.0)
+    assert answer.fault_state == FaultState.CONFIRMED
+    assert answer.fault_estimate == -1.0

@@ -101,6 +101,7 @@ def grows(trace: Any) -> bool:
     return bool(size[-quarter:].max() > size[-2 * quarter : -quarter].max())
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD])
 @pytest.mark.parametrize("rule", ["tustin", "zoh"])
 def test_stable_at_the_delay_margin_and_unstable_beyond_in_simulation(
@@ -192,6 +193,7 @@ def test_a_loop_that_needs_its_gain_has_a_lower_margin_too() -> None:
     assert gain_margin(loop, 1.0 / grid) == pytest.approx(0.4, rel=1e-6)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("wanted", "latency"), [(PUBLISHED, 0), (SLOW, 2)])
 def test_peak_sensitivity_is_what_a_sine_of_noise_becomes(
     wanted: ContinuousDesign, latency: int
@@ -279,6 +281,7 @@ def test_chapter_2_is_a_loop_of_the_compensator_alone() -> None:
     assert figures.spectral_radius == pytest.approx(math.exp(-1e-3), rel=1e-9)  # the pole -1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("latency", [0, 1, 2])
 @pytest.mark.parametrize("tau_q_s", [0.0005, 0.001, 0.002, 0.005])
 @pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD, (0.5, 1.0)])
@@ -300,3 +303,13 @@ def test_compensation_on_confirmation_is_predicted_as_it_simulates(
         assert later < 1.05 * tail + 1e-9
     else:
         assert math.log(later / tail) / 100 == pytest.approx(math.log(radius), rel=0.1)
+
+
+def test_only_a_confirmed_loss_lets_compensation_on_confirmation_act() -> None:
+    """Row 1 of C and D is u2: nothing reaches it before, the model of the lost channel after."""
+    table = build(PUBLISHED, Target(1e-3, 1, "zoh", on_confirmation=True))
+    whole, lost = law_in(table, HEALTHY), law_in(table, TORQUE_DEAD)
+    assert not whole.c[1].any()
+    assert not whole.d[1].any()
+    assert lost.c[1].any()
+    assert len(lost.a) == len(linear_controller(build(PUBLISHED, Target(1e-3, 1, "zoh"))).a) + 4

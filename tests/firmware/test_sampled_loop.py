@@ -127,6 +127,7 @@ def test_poles_are_those_of_the_block_diagram(
         assert np.abs(ours - pole).min() < 1e-5
 
 
+@pytest.mark.long
 @settings(max_examples=25, deadline=None)
 @given(
     tick_s=st.floats(1e-4, 5e-3),

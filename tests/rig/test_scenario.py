@@ -38,12 +38,14 @@ OTHER = {
     "plant.friction": 0.5,
     "design.tau_s": 0.002, "design.alpha": 2, "design.tau_q_s": 0.002, "design.alpha_q": 3,
     "design.estimator": "zoh", "design.compensation": "off",
-    "design.fault_threshold_mps2": 0.5, "design.confirm_s": 0.02,
+    "design.fault_threshold_mps2": 0.5, "design.confirm_s": 0.02, "design.clear_s": 0.3,
     "reference.kind": "sine", "reference.amplitude_mps2": 2.0,
     "reference.frequency_rad_per_s": 3.0, "reference.file": "r.csv",
     "fault.kind": "frames-missing", "fault.channel": "force-difference", "fault.at_s": 1.5,
     "fault.for_s": 0.5, "noise.dstar_rms_mps2": 0.01, "limits.torque_nm": 100.0,
-    "limits.force_difference_n": 200.0, "actuator.hold_s": 0.03,
+    "limits.force_difference_n": 200.0, "limits.torque_rate_nm_per_s": 300.0,
+    "limits.force_difference_rate_n_per_s": 4e3, "actuator.hold_s": 0.03,
+    "bus.bitrate": 500000, "bus.compute_s": 0.0001,
     "description": "words",
 }  # fmt: skip
 
