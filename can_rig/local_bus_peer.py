@@ -7,6 +7,7 @@ import time
 from collections import deque
 
 GONE = {errno.ECONNREFUSED, errno.ECONNRESET, errno.ENOTCONN, errno.EPIPE}
+DONTWAIT = int(socket.MSG_DONTWAIT)
 RETRY_S = 0.1  # how long a drainer waits for room before it looks whether it has to end
 
 
@@ -28,7 +29,7 @@ class Peer:
         """Deliver a frame, now or in its turn; False if there will be no more for this one."""
         if not self._backlog:
             try:
-                self._link.send(frame, socket.MSG_DONTWAIT)
+                self._link.send(frame, DONTWAIT)
             except BlockingIOError:
                 pass
             except OSError as error:

@@ -7,16 +7,13 @@ from collections.abc import Callable
 from typing import Final
 
 import can
-import numpy as np
 
-from can_rig.errors import ScenarioError
 from can_rig.lockstep import Interrupted, Patience
 from can_rig.messages import Network, Receiver, Transmitter
 from can_rig.plant import SimulatedPlant
 from can_rig.recorder import Recorder
-from can_rig.reference import reference
+from can_rig.reference import on_the_bus
 from can_rig.scenario import Scenario
-from firmware_model.sections import FloatArray
 
 NOT_OURS: Final[tuple[int, Receiver | None]] = (-1, None)
 
@@ -39,7 +36,7 @@ class PlantNode:
     ) -> None:
         self.ticks = scenario.ticks
         self._plant = SimulatedPlant(scenario)
-        self._reference = _within_frame(reference(scenario), network)
+        self._reference = on_the_bus(scenario, network)
         self._bus = bus
         self._recorder = recorder
         self._send_reference = Transmitter(network.reference)
@@ -116,14 +113,3 @@ class PlantNode:
         """Per message, how many frames were not used and why."""
         receivers = (*self._commands, self._status)
         return {receiver.codec.name: receiver.rejected for receiver in receivers}
-
-
-def _within_frame(values: FloatArray, network: Network) -> list[float]:
-    """The reference, refused where its frame would saturate."""
-    largest, range_end = float(np.abs(values).max()), network.reference.maximum
-    if largest > range_end:
-        raise ScenarioError(
-            f"the reference reaches {largest:g} {network.reference.unit}, more than "
-            f"{network.reference.name} carries: up to {range_end:g} is right"
-        )
-    return [float(value) for value in values]

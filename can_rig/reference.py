@@ -8,8 +8,25 @@ from pathlib import Path
 import numpy as np
 
 from can_rig.errors import ScenarioError
+from can_rig.messages import Network
 from can_rig.scenario import Scenario
 from firmware_model.sections import FloatArray
+
+
+def on_the_bus(scenario: Scenario, network: Network) -> list[float]:
+    """The reference of every tick, refused where its frame would saturate.
+
+    Raises:
+        ScenarioError: it does not fit; what ``reference`` refuses.
+    """
+    values, frame = reference(scenario), network.reference
+    largest = float(np.abs(values).max())
+    if largest > frame.maximum:
+        raise ScenarioError(
+            f"scenario {scenario.name}: reference: reaches {largest:g} {frame.unit}, more than "
+            f"{frame.name} carries: up to {frame.maximum:g} is right"
+        )
+    return [float(value) for value in values]
 
 
 def reference(scenario: Scenario) -> FloatArray:

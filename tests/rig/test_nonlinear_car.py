@@ -219,7 +219,7 @@ def test_a_tick_is_steps_of_at_most_1_ms():
 
 
 def test_a_car_that_creeps_is_stiff_and_still_right():
-    """At 0.02 m/s the fastest mode is 6000 rad/s, which steps of 1 ms would not survive."""
+    """At 0.02 m/s the fastest mode is 9700 rad/s, which steps of 1 ms would not survive."""
     settings = PlantSettings(speed_mps=0.02)
     nonlinear, linear = NonlinearCar(settings), LinearPlant(settings)
     outputs = [(nonlinear.advance(0.01, 1e-3, 0.0), linear.advance(0.01, 1e-3, 0.0))
