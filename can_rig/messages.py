@@ -38,15 +38,11 @@ class Transmitter:
         tick: int,
         mode: int = 0,
         fault_state: int = 0,
-        *,
-        timestamp_s: float = 0.0,
     ) -> Message:
         """The next frame, ready to send; arguments as those of `MessageCodec.encode`."""
         data = self.codec.encode(value, tick, mode, fault_state)
         self._protector.protect(data)
-        return Message(
-            timestamp_s, self.codec.frame_id, False, False, False, None, FRAME_BYTES, data
-        )
+        return Message(0.0, self.codec.frame_id, False, False, False, None, FRAME_BYTES, data)
 
 
 class Receiver:

@@ -10,7 +10,7 @@ from can_rig.build import continuous_plant
 from can_rig.faults import ActuatorFault
 from can_rig.plant_protocol import GuardedPlant, PlantProtocol, load_plant
 from can_rig.scenario import PlantSettings, Scenario
-from firmware_model.sampled_plant import advance_plant, measure_plant, sample
+from firmware_model.sampled_plant import follow_plant, sample
 
 
 class Actuator:
@@ -56,8 +56,9 @@ class LinearPlant:
             sampled = sample(self._plant, dt_s)
             self._phi, self._gamma, self._c = sampled.phi, sampled.gamma, sampled.c
             self._dt_s = dt_s
-        advance_plant(self._phi, self._gamma, self._x, torque_nm, force_difference_n)
-        return float(measure_plant(self._c, self._x))
+        return float(
+            follow_plant(self._phi, self._gamma, self._c, self._x, torque_nm, force_difference_n)
+        )
 
 
 def plant_of(settings: PlantSettings) -> PlantProtocol:

@@ -28,26 +28,17 @@ class Firmware:
     """
 
     def __init__(self, table: Record) -> None:
-        # Arrays of one record: compiled code takes them faster than it takes a record.
         self._tables = np.zeros(1, table.dtype)
         self._tables[0] = table
         self._states = controller.init(table)
-        self._inputs = np.zeros((2, 1))
-        self._answer = [self._states[name] for name in Answer._fields]
 
     def step(self, reference: float, measurement: float) -> Answer:
         """One tick; see ``controller.step``."""
-        inputs = self._inputs
-        inputs[0, 0] = reference
-        inputs[1, 0] = measurement
-        controller.step_many(self._tables, self._states, inputs[0], inputs[1])
-        command_1, command_2, fault_estimate, mode, fault_state = self._answer
+        command_1, command_2, estimate, mode, fault_state = controller.step_first(
+            self._tables, self._states, reference, measurement
+        )
         return Answer(
-            command_1.item(),
-            command_2.item(),
-            fault_estimate.item(),
-            mode.item(),
-            fault_state.item(),
+            float(command_1), float(command_2), float(estimate), int(mode), int(fault_state)
         )
 
     def reset(self, reference: float) -> None:

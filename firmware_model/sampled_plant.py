@@ -76,3 +76,10 @@ def measure_plant(c: Any, x: Any) -> float:
     for j in range(len(x)):
         total += c[j] * x[j]
     return total
+
+
+@firmware
+def follow_plant(phi: Any, gamma: Any, c: Any, x: Any, u1: float, u2: float) -> float:
+    """Advance by one tick, in place, and measure."""
+    advance_plant(phi, gamma, x, u1, u2)
+    return measure_plant(c, x)

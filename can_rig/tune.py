@@ -1,0 +1,266 @@
+"""The search behind ``can-rig tune``: τ, α, τ_q, α_q for a tick, a latency, limits, noise and a box.
+
+Of every candidate, on a grid that follows the tick:
+
+1. the design exists, and the nominal car is stable healthy and lost with the ticks to spare;
+2. the noise in both commands, exactly, and the loss of the torque channel in a held curve, with the
+   scenario's limits, rates, latency and decision on d̂;
+3. only of those that no accepted one beats in both noise and peak: the vertices of the box.
+
+Step 3 goes from the least peak upwards, so it looks at the trade-off alone and at little besides.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from can_rig.build import continuous_design, continuous_plant, target
+from can_rig.errors import ScenarioError
+from can_rig.scenario import DesignSettings, Scenario
+from can_rig.tuning_box import Car, delay_margin, loops, survives
+from firmware_model.errors import DesignError
+from firmware_model.layout import Record
+from firmware_model.margins import noise_gain
+from firmware_model.sampled_plant import sample
+from firmware_model.simulation import simulate
+from firmware_model.tables import build
+
+E6 = (1.0, 1.5, 2.2, 3.3, 4.7, 6.8)  # preferred numbers, a factor of about 1.5 apart
+E12 = (1.0, 1.2, 1.5, 1.8, 2.2, 2.7, 3.3, 3.9, 4.7, 5.6, 6.8, 8.2)
+TAU_TICKS, TAU_Q_TICKS = (0.1, 20.0), (0.5, 100.0)  # smallest and largest tried, in ticks
+ORDERS, TRACKING_ORDERS = (1, 2), (2, 3, 4)
+
+BEFORE_S, AFTER_S = 3.0, 2.0  # of the loss; the slowest mode of F̂ decays with 3.5 rad/s
+NOISE_SIGMAS = 3.0  # of a command that have to fit below its limit
+ALIKE = 1.05  # peaks within this factor are told apart by their noise
+SETTLED = 0.5  # largest part of the peak in the last quarter of a transient that decays
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """One candidate and what it achieves.
+
+    Attributes:
+        design: its keys, the rest of them the scenario's.
+        peak_mps2: largest deviation from the fault-free run after the loss.
+        unavoidable_mps2: the deviation before the first corrected sample, ½ g1 |u1| ((n+1) T)².
+        noise_to_torque: rms of the torque command for D* noise of rms 1 m/s², N m per m/s².
+        noise_to_force: the same of X_diff, N per m/s²; each in its worst state.
+        torque_peak_nm: of the whole run, the first step of the reference included.
+        torque_after_nm, force_after_n: largest commands from the loss on.
+        within_limits: those, with ``NOISE_SIGMAS`` of the noise, are below the limits.
+        delay_margin_ticks: over the whole box; None where it was not looked at.
+    """
+
+    design: DesignSettings
+    peak_mps2: float
+    unavoidable_mps2: float
+    noise_to_torque: float
+    noise_to_force: float
+    torque_peak_nm: float
+    torque_after_nm: float
+    force_after_n: float
+    within_limits: bool
+    delay_margin_ticks: int | None = None
+
+    @property
+    def peak_ratio(self) -> float:
+        """The peak in units of what no controller can avoid."""
+        return self.peak_mps2 / self.unavoidable_mps2
+
+
+@dataclass(frozen=True)
+class Tunings:
+    """What was found: ``front`` from the least peak to the least noise, and all that was tried."""
+
+    scenario: Scenario
+    spare_ticks: int
+    cars: int
+    noise_limit_n: float | None
+    tried: int
+    nominal: list[Tuning]
+    front: list[Tuning]
+
+    @property
+    def chosen(self) -> Tuning:
+        """The least noise among the peaks that are as good as the least one within the limit."""
+        quiet = [tuning for tuning in self.front if self.is_quiet(tuning)]
+        if not quiet:
+            return self.front[-1]
+        least = min(tuning.peak_mps2 for tuning in quiet)
+        alike = [tuning for tuning in quiet if tuning.peak_mps2 <= ALIKE * least]
+        return min(alike, key=lambda tuning: tuning.noise_to_force)
+
+    def is_quiet(self, tuning: Tuning) -> bool:
+        """Whether the noise in X_diff is within the limit, where there is one."""
+        limit = math.inf if self.noise_limit_n is None else self.noise_limit_n
+        return tuning.noise_to_force * self.scenario.noise.dstar_rms_mps2 <= limit
+
+
+def grid(tick_s: float) -> list[tuple[float, int, float, int]]:
+    """τ, α, τ_q, α_q of every candidate; round numbers between multiples of the tick."""
+    return [
+        (tau_s, alpha, tau_q_s, alpha_q)
+        for tau_s, tau_q_s, alpha, alpha_q in product(
+            _round_numbers(E6, *(n * tick_s for n in TAU_TICKS)),
+            _round_numbers(E12, *(n * tick_s for n in TAU_Q_TICKS)),
+            ORDERS,
+            TRACKING_ORDERS,
+        )
+    ]
+
+
+def tune(
+    scenario: Scenario,
+    cars: Sequence[Car],
+    spare_ticks: int = 1,
+    noise_limit_n: float | None = None,
+    candidates: Sequence[tuple[float, int, float, int]] | None = None,
+    on_candidate: Callable[[int, int], None] = lambda done, of: None,
+) -> Tunings:
+    """Search the trade-off.
+
+    Args:
+        scenario: everything but the four numbers; its reference is a step of its amplitude.
+        cars: the nominal one first (``tuning_box.cars``).
+        spare_ticks: more ticks of delay than the controller knows of that have to be survived.
+        noise_limit_n: rms of X_diff that ``noise.dstar_rms_mps2`` may cause, N.
+        candidates: instead of ``grid``.
+        on_candidate: told how many are done, of how many.
+
+    Raises:
+        ScenarioError: nothing to tune, or nothing that survives.
+    """
+    _refuse(scenario, spare_ticks, noise_limit_n)
+    candidates = grid(scenario.tick_s) if candidates is None else candidates
+    own = Car("the scenario's car", continuous_plant(scenario.plant))
+    nominal: list[Tuning] = []
+    for done, values in enumerate(candidates, 1):
+        tuning = assess(scenario, values, (cars[0], own), spare_ticks)
+        nominal += [tuning] if tuning is not None else []
+        on_candidate(done, len(candidates))
+    # What fits below the limits comes first; what does not, only where nothing does.
+    for some in ([t for t in nominal if t.within_limits], nominal):
+        front = _front(scenario, some, (*cars, own), spare_ticks)
+        if front:
+            return Tunings(
+                scenario, spare_ticks, len(cars), noise_limit_n, len(candidates), nominal, front
+            )
+    raise ScenarioError(
+        f"scenario {scenario.name}: of {len(candidates)} tunings {len(nominal)} are stable at the "
+        f"nominal car with {spare_ticks} ticks to spare and none over the box; a smaller --box, "
+        "fewer --spare-ticks or a smaller latency is right"
+    )
+
+
+def with_tuning(scenario: Scenario, values: tuple[float, int, float, int]) -> Scenario:
+    """``scenario`` with these τ, α, τ_q, α_q."""
+    tau_s, alpha, tau_q_s, alpha_q = values
+    chosen = replace(scenario.design, tau_s=tau_s, alpha=alpha, tau_q_s=tau_q_s, alpha_q=alpha_q)
+    return replace(scenario, design=chosen)
+
+
+def assess(
+    scenario: Scenario,
+    values: tuple[float, int, float, int],
+    cars: Iterable[Car],
+    spare_ticks: int,
+) -> Tuning | None:
+    """Steps 1 and 2 for one candidate; None if there is no such design or it is not stable."""
+    scenario, tick_s = with_tuning(scenario, values), scenario.tick_s
+    table = _table(scenario)
+    cars = list(cars)
+    if table is None or not survives(table, cars, tick_s, spare_ticks):
+        return None
+    states = list(loops(table, cars[0], tick_s))
+    noise_1, noise_2 = (max(noise_gain(loop, answer) for loop in states) for answer in (0, 1))
+    if not math.isfinite(noise_1 + noise_2):
+        return None
+    return _lose_torque(scenario, table, (noise_1, noise_2))
+
+
+def _lose_torque(scenario: Scenario, table: Record, noise: tuple[float, float]) -> Tuning | None:
+    """The loss in a settled step; None for a transient that does not decay."""
+    tick_s, car = scenario.tick_s, continuous_plant(scenario.plant)
+    loss = round(BEFORE_S / tick_s)
+    ticks = loss + round(AFTER_S / tick_s)
+    step = np.full(ticks, scenario.reference.amplitude_mps2)
+    left = np.ones((ticks, 2))
+    left[loss:, 0] = 0.0
+    plant = sample(car, tick_s)
+    healthy = simulate(table, plant, step)
+    lost = simulate(table, plant, step, effectiveness=left)
+    deviation = np.abs(lost.measurement - healthy.measurement)[loss:]
+    peak = float(deviation.max())
+    if not (math.isfinite(peak) and deviation[-len(deviation) // 4 :].max() <= SETTLED * peak):
+        return None
+    delay_s = (scenario.latency_ticks + 1) * tick_s
+    torque, force = np.abs(lost.command_1), np.abs(lost.command_2)
+    torque_after, force_after = float(torque[loss:].max()), float(force[loss:].max())
+    tail = NOISE_SIGMAS * scenario.noise.dstar_rms_mps2
+    room_1 = table.limit_1 - tail * noise[0] - torque_after
+    room_2 = table.limit_2 - tail * noise[1] - force_after
+    return Tuning(
+        design=scenario.design,
+        peak_mps2=peak,
+        unavoidable_mps2=0.5 * abs(car.g1.gain * healthy.command_1[loss - 1]) * delay_s**2,
+        noise_to_torque=noise[0],
+        noise_to_force=noise[1],
+        torque_peak_nm=float(torque.max()),
+        torque_after_nm=torque_after,
+        force_after_n=force_after,
+        within_limits=bool(room_1 > 0.0 and room_2 > 0.0),
+    )
+
+
+def _front(
+    scenario: Scenario, some: Iterable[Tuning], cars: Sequence[Car], spare_ticks: int
+) -> list[Tuning]:
+    """Those stable over the box that none such beats in both noise and peak; least peak first."""
+    front: list[Tuning] = []
+    for tuning in sorted(some, key=lambda t: (t.peak_mps2, t.noise_to_force)):
+        if front and tuning.noise_to_force >= front[-1].noise_to_force:
+            continue
+        table = _table(replace(scenario, design=tuning.design))
+        if table is not None and survives(table, cars, scenario.tick_s, spare_ticks):
+            margin = delay_margin(table, cars, scenario.tick_s)
+            front.append(replace(tuning, delay_margin_ticks=margin))
+    return front
+
+
+def _table(scenario: Scenario) -> Record | None:
+    """The controller's table without frames; None for a design that cannot be made."""
+    try:
+        return build(continuous_design(scenario), target(scenario, None))
+    except (DesignError, ScenarioError):
+        return None
+
+
+def _refuse(scenario: Scenario, spare_ticks: int, noise_limit_n: float | None) -> None:
+    where = f"scenario {scenario.name}:"
+    if scenario.model.kind == "chapter-2":
+        raise ScenarioError(f"{where} model.kind = 'chapter-2': a car is right, as steer-by-wire")
+    if scenario.design.compensation == "off":
+        raise ScenarioError(f"{where} design.compensation = 'off': on-confirmation is right")
+    if scenario.reference.amplitude_mps2 == 0.0:
+        raise ScenarioError(f"{where} reference.amplitude_mps2 = 0: a loss would not show")
+    if spare_ticks < 0:
+        raise ScenarioError(f"--spare-ticks {spare_ticks}: 0 or above is right")
+    if noise_limit_n is not None and not (
+        noise_limit_n > 0.0 and scenario.noise.dstar_rms_mps2 > 0.0
+    ):
+        raise ScenarioError(
+            f"--noise-limit {noise_limit_n:g}: above 0 is right, with noise.dstar_rms_mps2 above 0"
+        )
+
+
+def _round_numbers(series: Iterable[float], low: float, high: float) -> list[float]:
+    """``series`` in every decade, within ``low``..``high``."""
+    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    numbers = [float(f"{number}e{decade}") for decade in decades for number in series]
+    return [number for number in numbers if low * (1 - 1e-9) <= number <= high * (1 + 1e-9)]
