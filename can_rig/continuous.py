@@ -183,7 +183,7 @@ def _phases(scenario: Scenario) -> list[tuple[float, tuple[float, float]]]:
             f"fault.kind = {fault.kind!r}: actuator-dead is right for the continuous loop, "
             "which has no frames"
         )
-    dead = (0.0, 1.0) if CHANNELS.index(fault.channel) == 0 else (1.0, 0.0)
+    dead = (fault.left, 1.0) if CHANNELS.index(fault.channel) == 0 else (1.0, fault.left)
     phases = [(0.0, healthy), (fault.at_s, dead)] if fault.at_s > 0.0 else [(0.0, dead)]
     if fault.for_s is not None:
         phases.append((fault.at_s + fault.for_s, healthy))

@@ -20,10 +20,11 @@ class ActuatorFault:
         self._channel = CHANNELS.index(scenario.fault.channel)
 
     def effectiveness(self, tick: int) -> tuple[float, float]:
-        """Factor on command 1 and command 2 at ``tick``: 1 healthy, 0 dead."""
+        """Factor on command 1 and command 2 at ``tick``: 1 healthy, ``fault.left`` dead."""
         if self._fault is None or not self._fault.active(tick * self._tick_ns):
             return 1.0, 1.0
-        return (0.0, 1.0) if self._channel == 0 else (1.0, 0.0)
+        left = self._fault.left
+        return (left, 1.0) if self._channel == 0 else (1.0, left)
 
 
 class FrameFault:

@@ -12,6 +12,8 @@ from can_rig.messages import Network
 from can_rig.scenario import Scenario
 from firmware_model.sections import FloatArray
 
+LANE_CHANGE_S = 1.0  # when a lane change begins
+
 
 def on_the_bus(scenario: Scenario, network: Network) -> list[float]:
     """The reference of every tick, refused where its frame would saturate.
@@ -41,7 +43,25 @@ def reference(scenario: Scenario) -> FloatArray:
         return np.full(scenario.ticks, settings.amplitude_mps2)
     if settings.kind == "sine":
         return settings.amplitude_mps2 * np.sin(settings.frequency_rad_per_s * time_s)
+    if settings.kind == "lane-change":
+        return lane_change(settings.amplitude_mps2, settings.frequency_rad_per_s, time_s)
     return _from_csv(scenario, time_s)
+
+
+def lane_change(
+    amplitude_mps2: float, frequency_rad_per_s: float, time_s: FloatArray
+) -> FloatArray:
+    """A double lane change from ``LANE_CHANGE_S`` on, m/s² at ``time_s``: there and back once.
+
+    One period of a sine out, half a period of nothing, one period of the opposite sine back. A
+    sine's integral over its period is zero: as a lateral acceleration either one ends with no
+    lateral speed, 2πA/ω² to the side, and both together on the lane where they began. r is
+    continuous throughout, and zero where it starts and ends; its slope, at most Aω, jumps there.
+    """
+    phase = frequency_rad_per_s * (time_s - LANE_CHANGE_S) / (2.0 * np.pi)  # in periods
+    out, back = (phase >= 0.0) & (phase < 1.0), (phase >= 1.5) & (phase < 2.5)
+    # Half a period later the same sine runs the other way: back is already the opposite.
+    return np.where(out | back, amplitude_mps2 * np.sin(2.0 * np.pi * phase), 0.0)
 
 
 def _from_csv(scenario: Scenario, time_s: FloatArray) -> FloatArray:

@@ -27,7 +27,7 @@ from firmware_model.vehicle import VehicleParameters
 
 FaultKind = Literal["none", "actuator-dead", "frames-missing", "frames-corrupted"]
 Channel = Literal["torque", "force-difference"]
-ReferenceKind = Literal["step", "sine", "csv"]
+ReferenceKind = Literal["step", "sine", "lane-change", "csv"]
 
 BUILT_IN = ("steer-by-wire", "chapter-2")  # the plants of the thesis, both linear
 MAX_TICKS = 10_000_000  # of a run: a log of 2 GB
@@ -101,7 +101,10 @@ class DesignSettings(Strict):
 
 @dataclass(frozen=True)
 class ReferenceSettings(Strict):
-    """What D* shall follow. ``csv`` reads two columns, time in s and reference in m/s²."""
+    """What D* shall follow; ``reference`` has the shapes.
+
+    ``csv`` reads two columns, time in s and reference in m/s².
+    """
 
     kind: ReferenceKind = "step"
     amplitude_mps2: float = 1.0
@@ -117,14 +120,19 @@ class ReferenceSettings(Strict):
 
 @dataclass(frozen=True)
 class FaultSettings(Strict):
-    """One channel lost from ``at_s`` on, for good or for ``for_s`` seconds."""
+    """One channel lost from ``at_s`` on, for good or for ``for_s`` seconds.
+
+    ``left`` is the share of an ``actuator-dead``'s effect that is not lost.
+    """
 
     kind: FaultKind = "none"
     channel: Channel = "torque"
     at_s: float = 10.0
     for_s: float | None = None
+    left: float = 0.0
 
     def __post_init__(self) -> None:
+        _require(0.0 <= self.left < 1.0, f"left = {self.left:g}: 0 (dead) to below 1 is right")
         _require(self.at_s >= 0.0, f"at_s = {self.at_s:g}: 0 or above is right")
         if self.for_s is not None:
             _require(self.for_s > 0.0, f"for_s = {self.for_s:g}: above 0 is right")

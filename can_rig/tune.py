@@ -1,4 +1,4 @@
-"""The search behind ``can-rig tune``: τ, α, τ_q, α_q for a tick, a latency, limits, noise and a box.
+"""The search behind ``can-rig tune``: τ, α, τ_q, α_q for a tick, a latency, limits and a box.
 
 Of every candidate, on a grid that follows the tick:
 
