@@ -41,6 +41,8 @@ def firmware(function: Function) -> Function:
     settings: Any = config
     before, settings.CACHE_DIR = settings.CACHE_DIR, _CACHE_FOLDER
     try:
-        return cast(Function, njit(cache=True, fastmath=False)(function))
+        return cast(Function, njit(cache=True)(function))
+    except RuntimeError:  # there is no folder to keep it in
+        return cast(Function, njit(function))
     finally:
         settings.CACHE_DIR = before

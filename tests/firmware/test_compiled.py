@@ -1,0 +1,36 @@
+"""Where compiled code is kept, and what happens where it cannot be."""
+
+from __future__ import annotations
+
+import os
+from pathlib import Path
+
+import pytest
+
+from firmware_model import compiled
+
+
+def test_another_state_of_the_package_has_another_folder(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Numba looks at the file of the cached function alone, not at what that calls."""
+    (tmp_path / "a.py").write_text("1")
+    monkeypatch.setattr(compiled, "__file__", str(tmp_path / "compiled.py"))
+    before = compiled._cache_folder()
+    assert compiled._cache_folder() == before
+    os.utime(tmp_path / "a.py", ns=(0, 0))
+    assert compiled._cache_folder() != before
+
+
+def test_refusal_to_cache_is_no_refusal_to_compile(monkeypatch: pytest.MonkeyPatch) -> None:
+    calls = []
+
+    def njit(function=None, cache=False):  # type: ignore[no-untyped-def]
+        calls.append(cache)
+        if cache:
+            raise RuntimeError("no locator available")
+        return function
+
+    monkeypatch.setattr(compiled, "njit", njit)
+    assert compiled.firmware(abs) is abs
+    assert calls == [True, False]
