@@ -5,7 +5,9 @@ Of every candidate, on a grid that follows the tick:
 1. the design exists, and the nominal car is stable healthy and lost with the ticks to spare;
 2. the noise in both commands, exactly, and the loss of the torque channel in a held curve, with the
    scenario's limits, rates, latency and decision on d̂;
-3. only of those that no accepted one beats in both noise and peak: the vertices of the box.
+3. only of those that no accepted one beats in both noise and peak: the vertices of the box, their
+   margins and their answer to the step. A loop that is stable may still run back and forth between
+   the limits of its torque for ever, once the step has sent it there.
 
 Step 3 goes from the least peak upwards, so it looks at the trade-off alone and at little besides.
 """
@@ -27,17 +29,19 @@ from firmware_model.errors import DesignError
 from firmware_model.layout import Record
 from firmware_model.margins import noise_gain
 from firmware_model.sampled_plant import sample
+from firmware_model.sections import FloatArray
 from firmware_model.simulation import simulate
 from firmware_model.tables import build
 
 E6 = (1.0, 1.5, 2.2, 3.3, 4.7, 6.8)  # preferred numbers, a factor of about 1.5 apart
 E12 = (1.0, 1.2, 1.5, 1.8, 2.2, 2.7, 3.3, 3.9, 4.7, 5.6, 6.8, 8.2)
-TAU_TICKS, TAU_Q_TICKS = (0.1, 20.0), (0.5, 100.0)  # smallest and largest tried, in ticks
+TAU_TICKS, TAU_Q_TICKS = (0.1, 20.0), (1.0, 100.0)  # smallest and largest tried, in ticks
 ORDERS, TRACKING_ORDERS = (1, 2), (2, 3, 4)
 
 BEFORE_S, AFTER_S = 3.0, 2.0  # of the loss; the slowest mode of F̂ decays with 3.5 rad/s
 NOISE_SIGMAS = 3.0  # of a command that have to fit below its limit
 ALIKE = 1.05  # peaks within this factor are told apart by their noise
+AT_REST = 0.05  # of the step: largest error that counts as rest
 SETTLED = 0.5  # largest part of the peak in the last quarter of a transient that decays
 
 
@@ -138,15 +142,17 @@ def tune(
     """
     _refuse(scenario, spare_ticks, noise_limit_n)
     candidates = grid(scenario.tick_s) if candidates is None else candidates
-    own = Car("the scenario's car", continuous_plant(scenario.plant))
+    own = (
+        [] if scenario.plant == scenario.model else [Car("plant", continuous_plant(scenario.plant))]
+    )
     nominal: list[Tuning] = []
     for done, values in enumerate(candidates, 1):
-        tuning = assess(scenario, values, (cars[0], own), spare_ticks)
+        tuning = assess(scenario, values, (cars[0], *own), spare_ticks)
         nominal += [tuning] if tuning is not None else []
         on_candidate(done, len(candidates))
     # What fits below the limits comes first; what does not, only where nothing does.
     for some in ([t for t in nominal if t.within_limits], nominal):
-        front = _front(scenario, some, (*cars, own), spare_ticks)
+        front = _front(scenario, some, (*cars, *own), spare_ticks)
         if front:
             return Tunings(
                 scenario, spare_ticks, len(cars), noise_limit_n, len(candidates), nominal, front
@@ -177,7 +183,7 @@ def assess(
     cars = list(cars)
     if table is None or not survives(table, cars, tick_s, spare_ticks):
         return None
-    states = list(loops(table, cars[0], tick_s))
+    states = loops(table, cars[0], tick_s)
     noise_1, noise_2 = (max(noise_gain(loop, answer) for loop in states) for answer in (0, 1))
     if not math.isfinite(noise_1 + noise_2):
         return None
@@ -187,11 +193,7 @@ def assess(
 def _lose_torque(scenario: Scenario, table: Record, noise: tuple[float, float]) -> Tuning | None:
     """The loss in a settled step; None for a transient that does not decay."""
     tick_s, car = scenario.tick_s, continuous_plant(scenario.plant)
-    loss = round(BEFORE_S / tick_s)
-    ticks = loss + round(AFTER_S / tick_s)
-    step = np.full(ticks, scenario.reference.amplitude_mps2)
-    left = np.ones((ticks, 2))
-    left[loss:, 0] = 0.0
+    loss, step, left = _held_step(scenario)
     plant = sample(car, tick_s)
     healthy = simulate(table, plant, step)
     lost = simulate(table, plant, step, effectiveness=left)
@@ -218,17 +220,42 @@ def _lose_torque(scenario: Scenario, table: Record, noise: tuple[float, float]) 
     )
 
 
+def _held_step(scenario: Scenario) -> tuple[int, FloatArray, FloatArray]:
+    """The tick of the loss, the reference (ticks,), what is left of the actuators (ticks, 2)."""
+    loss = round(BEFORE_S / scenario.tick_s)
+    ticks = loss + round(AFTER_S / scenario.tick_s)
+    left = np.ones((ticks, 2))
+    left[loss:, 0] = 0.0
+    return loss, np.full(ticks, scenario.reference.amplitude_mps2), left
+
+
+def _settles(scenario: Scenario, table: Record, car: Car) -> bool:
+    """Whether D* of ``car`` comes to rest at the step, within its limits, before and after."""
+    loss, step, left = _held_step(scenario)
+    run = simulate(table, sample(car.plant, scenario.tick_s), step, effectiveness=left)
+    error, last = np.abs(run.error), round(0.25 * AFTER_S / scenario.tick_s)
+    rest = max(error[loss - last : loss].max(), error[-last:].max())
+    return bool(rest <= AT_REST * abs(step[0]))
+
+
 def _front(
     scenario: Scenario, some: Iterable[Tuning], cars: Sequence[Car], spare_ticks: int
 ) -> list[Tuning]:
-    """Those stable over the box that none such beats in both noise and peak; least peak first."""
+    """Those that are stable and settle over the box, and that no such one beats in noise and peak.
+
+    Least peak first.
+    """
     front: list[Tuning] = []
     for tuning in sorted(some, key=lambda t: (t.peak_mps2, t.noise_to_force)):
         if front and tuning.noise_to_force >= front[-1].noise_to_force:
             continue
         table = _table(replace(scenario, design=tuning.design))
-        if table is not None and survives(table, cars, scenario.tick_s, spare_ticks):
-            margin = delay_margin(table, cars, scenario.tick_s)
+        if (
+            table is not None
+            and survives(table, cars, scenario.tick_s, spare_ticks)
+            and all(_settles(scenario, table, car) for car in cars)
+        ):
+            margin = delay_margin(table, cars, scenario.tick_s, spare_ticks)
             front.append(replace(tuning, delay_margin_ticks=margin))
     return front
 

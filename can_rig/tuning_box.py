@@ -9,9 +9,10 @@ test confirms with cars drawn from the inside.
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import product
+from typing import Any
 
 from can_rig.build import continuous_plant
 from can_rig.errors import ScenarioError
@@ -20,12 +21,16 @@ from firmware_model.errors import DesignError
 from firmware_model.layout import Record
 from firmware_model.margins import HEALTHY, TORQUE_DEAD
 from firmware_model.plants import Plant
-from firmware_model.sampled_loop import LinearController, SampledLoop, linear_controller
-from firmware_model.sampled_loop import sampled_loop as loop_of
+from firmware_model.sampled_loop import (
+    LinearController,
+    SampledLoop,
+    linear_controller,
+    sampled_loop,
+)
 from firmware_model.vehicle import VehicleParameters
 
 Range = tuple[float, float]
-Effectiveness = tuple[float, float]
+Law = tuple[LinearController, tuple[float, float]]  # and what is left of the actuators
 #: what differs from car to car and from day to day; the rest of Table 3.1 is known
 UNCERTAIN = (
     "mass_kg",
@@ -88,7 +93,7 @@ def cars(nominal: PlantSettings, box: Mapping[str, Range]) -> list[Car]:
     """
     found = [Car("the nominal car", continuous_plant(nominal))]
     for corner in product(*box.values()) if box else ():
-        values = dict(zip(box, corner, strict=True))
+        values: dict[str, Any] = dict(zip(box, corner, strict=True))
         label = ", ".join(f"{key} = {value:g}" for key, value in values.items())
         try:
             found.append(Car(label, continuous_plant(dataclasses.replace(nominal, **values))))
@@ -99,48 +104,47 @@ def cars(nominal: PlantSettings, box: Mapping[str, Range]) -> list[Car]:
     return found
 
 
-def laws(table: Record) -> list[tuple[LinearController, Effectiveness]]:
-    """What acts, and what is left of the actuators, in every state that has to be stable.
-
-    A table that compensates on confirmation has a third: the channel is whole and compensated all
-    the same. A car that is not the nominal one gives some d̂, and so an alarm that is false.
-    """
-    healthy, lost = linear_controller(table), linear_controller(table, confirmed=True)
-    states = [(healthy, HEALTHY), (lost, TORQUE_DEAD)]
-    return [*states, (lost, HEALTHY)] if table.on_confirmation else states
-
-
-def loops(table: Record, car: Car, tick_s: float, extra_ticks: int = 0) -> Iterator[SampledLoop]:
-    """The loop with ``car`` in every state, ``extra_ticks`` later than the controller knows."""
-    for law, left in laws(table):
-        yield loop_of(law, car.plant, tick_s, left, extra_ticks)
-
-
-def survives(table: Record, some: Iterable[Car], tick_s: float, spare_ticks: int) -> bool:
-    """Whether every state of every one of ``some`` is stable with 0 to ``spare_ticks`` more ticks.
-
-    The largest delay first: it is the one that fails.
-    """
-    states = laws(table)
-    return all(
-        loop_of(law, car.plant, tick_s, left, extra).spectral_radius() < 1.0
-        for car in some
-        for extra in range(spare_ticks, -1, -1)
-        for law, left in states
+def laws(table: Record) -> tuple[Law, Law]:
+    """What acts, and what is left of the actuators: healthy, and with the torque channel dead."""
+    return (
+        (linear_controller(table), HEALTHY),
+        (linear_controller(table, confirmed=True), TORQUE_DEAD),
     )
 
 
-def delay_margin(table: Record, some: Iterable[Car], tick_s: float) -> int:
+def loops(table: Record, car: Car, tick_s: float) -> list[SampledLoop]:
+    """The loop with ``car``, healthy and with the torque channel dead."""
+    return [sampled_loop(law, car.plant, tick_s, left) for law, left in laws(table)]
+
+
+def survives(table: Record, some: Iterable[Car], tick_s: float, spare_ticks: int) -> bool:
+    """Whether every one of ``some`` is stable, healthy and lost, with 0 to ``spare_ticks`` more.
+
+    A false alarm has to be stable too, without more ticks: a car that is not the nominal one gives
+    some d̂, and a table that compensates on confirmation then compensates a channel that works.
+    """
+    healthy, lost = laws(table)
+    needed = [(law, extra) for extra in range(spare_ticks, -1, -1) for law in (healthy, lost)]
+    if table.on_confirmation:
+        needed.append(((lost[0], HEALTHY), 0))
+    return all(_is_stable(law, car, tick_s, extra) for car in some for law, extra in needed)
+
+
+def delay_margin(table: Record, some: Iterable[Car], tick_s: float, known: int = -1) -> int:
     """Extra ticks, up to ``MOST_DELAY_TICKS``, with each of which every car is stable.
 
-    -1 when one is unstable as it is.
+    Healthy and lost; -1 when one is unstable as it is. ``known``: so many are known to be survived.
     """
-    states, margin = laws(table), MOST_DELAY_TICKS
-    for car in some:
-        for law, left in states:
-            extra = 0
-            while extra <= margin:
-                if not loop_of(law, car.plant, tick_s, left, extra).spectral_radius() < 1.0:
-                    margin = extra - 1
-                extra += 1
+    margin, states = max(MOST_DELAY_TICKS, known), laws(table)
+    for car, law in product(some, states):
+        for extra in range(known + 1, margin + 1):
+            if not _is_stable(law, car, tick_s, extra):
+                margin = extra - 1
+                break
     return margin
+
+
+def _is_stable(law: Law, car: Car, tick_s: float, extra_ticks: int) -> bool:
+    controller, left = law
+    loop = sampled_loop(controller, car.plant, tick_s, left, extra_ticks)
+    return loop.spectral_radius() < 1.0

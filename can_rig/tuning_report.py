@@ -19,7 +19,7 @@ from can_rig.tune import ALIKE, Tuning, Tunings, tune
 from can_rig.tuning_box import MOST_DELAY_TICKS, cars, ranges
 
 PICTURE = "tuning.png"
-APART = 1.25  # factor in peak or noise from one row of the table to the next
+APART = 1.6  # factor in peak or noise from one row of the table to the next
 HEADINGS = ("tau", "tau_q", "alpha", "alpha_q", "margin", "peak", "of least", "X_diff", "torque")
 UNITS = ("ms", "ms", "", "", "ticks", "m/s²", "possible", "rms", "peak N m")
 
@@ -123,7 +123,7 @@ def rows(found: Tunings) -> Iterator[tuple[Tuning, tuple[str, ...]]]:
                 f"{1e3 * design.tau_q_s:g}",
                 str(design.alpha),
                 str(design.alpha_q),
-                f"{margin}+" if margin == MOST_DELAY_TICKS else str(margin),
+                str(margin) if margin is None or margin < MOST_DELAY_TICKS else f"{margin}+",
                 f"{tuning.peak_mps2:.2e}",
                 f"x {tuning.peak_ratio:.2f}",
                 f"{noise_n(found, tuning):.3g}",
@@ -170,7 +170,7 @@ def _values(tuning: Tuning) -> dict[str, Any]:
             k: v if not isinstance(v, float) or math.isfinite(v) else None
             for k, v in values.items()
         },
-        "delay_margin_is_at_least": margin == MOST_DELAY_TICKS,
+        "delay_margin_is_at_least": margin is not None and margin >= MOST_DELAY_TICKS,
         "peak_ratio": tuning.peak_ratio,
     }
 

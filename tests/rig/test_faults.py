@@ -1,13 +1,17 @@
 """Faults: the right channel, the right ticks, and no damage that a receiver could miss."""
 
 import can
+import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from can_rig.build import continuous_plant
+from can_rig.continuous import solve
 from can_rig.faults import ActuatorFault, FrameFault
 from can_rig.messages import Receiver, Transmitter
 from can_rig.nodes import network_of
+from can_rig.plant import SimulatedPlant
 from can_rig.scenario import load
 
 CHANNELS = ["torque", "force-difference"]
@@ -34,6 +38,38 @@ def test_a_dead_actuator_is_dead_in_its_window_and_the_other_lives(channel):
     dead = (0.0, 1.0) if channel == "torque" else (1.0, 0.0)
     for tick in range(12):
         assert fault.effectiveness(tick) == (dead if tick in WINDOW else (1.0, 1.0))
+
+
+@pytest.mark.parametrize("channel", CHANNELS)
+@given(left=st.floats(0, 1, exclude_max=True))
+def test_a_partial_loss_leaves_its_share_in_its_window(channel, left):
+    settings = [*SHORT, "fault.kind=actuator-dead", f"fault.channel={channel}"]
+    fault = ActuatorFault(load("thesis-step", [*settings, f"fault.left={left!r}"]))
+    lost = (left, 1.0) if channel == "torque" else (1.0, left)
+    for tick in range(12):
+        assert fault.effectiveness(tick) == (lost if tick in WINDOW else (1.0, 1.0))
+
+
+def test_half_of_the_torque_moves_a_linear_car_half_as_far():
+    half = ["fault.kind=actuator-dead", "fault.at_s=0", "fault.left=0.5", "duration_s=1"]
+    outputs = []
+    for settings, torque in ((half, 100.0), (["fault.kind=none"], 50.0)):
+        plant = SimulatedPlant(load("thesis-step", settings))
+        for tick in range(50):
+            plant.advance(tick, torque, 0.0)
+        outputs.append(plant.measure())
+    assert outputs[0] == outputs[1] != 0.0
+
+
+@pytest.mark.parametrize("channel", CHANNELS)
+def test_the_continuous_loop_knows_a_partial_loss_too(channel):
+    """By the plant's own equations: what is left of the commands is all that moves the car."""
+    settings = ["fault.kind=actuator-dead", f"fault.channel={channel}", "fault.left=0.25"]
+    scenario = load("thesis-step", [*settings, "fault.at_s=0", "duration_s=2"])
+    run, car = solve(scenario), continuous_plant(scenario.plant)
+    left = [0.25, 1.0] if channel == "torque" else [1.0, 0.25]
+    steady = -car.c @ np.linalg.solve(car.a, car.b * left) @ [run.command_1[-1], run.command_2[-1]]
+    assert run.measurement[-1] == pytest.approx(steady.item(), rel=1e-3)
 
 
 @pytest.mark.parametrize("channel", CHANNELS)

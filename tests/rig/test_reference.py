@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from can_rig.errors import ScenarioError
-from can_rig.reference import reference
+from can_rig.reference import LANE_CHANGE_S, lane_change, reference
 from can_rig.scenario import load
 
 
@@ -24,6 +24,42 @@ def test_step_and_sine(amplitude, frequency, ticks):
     assert sine.tolist() == pytest.approx(
         expected, abs=1e-12 * max(1.0, abs(amplitude) * frequency)
     )
+
+
+@given(st.floats(-5, 5), st.floats(0.5, 20.0))
+def test_a_double_lane_change_ends_on_its_lane(amplitude, omega):
+    period = 2.0 * math.pi / omega
+    time_s = np.linspace(0.0, LANE_CHANGE_S + 3.0 * period, 30_001)
+    r = lane_change(amplitude, omega, time_s)
+    step = time_s[1] - time_s[0]
+    speed = np.cumsum(r) * step
+    offset = np.cumsum(speed) * step
+    rounding = 1e-2 * abs(amplitude) / omega
+
+    def at(periods):
+        return int(np.searchsorted(time_s, LANE_CHANGE_S + periods * period))
+
+    assert (r[time_s < LANE_CHANGE_S] == 0.0).all()
+    assert (r[at(1.0) + 1 : at(1.5) - 1] == 0.0).all()
+    assert (r[at(2.5) + 1 :] == 0.0).all()
+    assert np.abs(np.diff(r)).max() <= 1.01 * abs(amplitude) * omega * step + 1e-300
+    assert abs(r[at(0.25)]) == pytest.approx(abs(amplitude), rel=1e-3)
+    for periods in (0.0, 1.2, 2.8):  # there is no lateral speed on a lane
+        assert speed[at(periods)] == pytest.approx(0.0, abs=rounding)
+    aside = 2.0 * math.pi * amplitude / omega**2
+    assert offset[at(1.2)] == pytest.approx(aside, abs=rounding * period)
+    assert offset[-1] == pytest.approx(0.0, abs=rounding * period)
+
+
+def test_a_lane_change_is_a_reference_and_happens_once():
+    scenario = load("lane-change")
+    settings, values = scenario.reference, reference(scenario)
+    assert len(values) == scenario.ticks
+    time_s = np.arange(scenario.ticks) * scenario.tick_s
+    assert np.abs(values).max() == pytest.approx(settings.amplitude_mps2, rel=1e-5)
+    expected = lane_change(settings.amplitude_mps2, settings.frequency_rad_per_s, time_s)
+    np.testing.assert_allclose(values, expected, atol=1e-12)
+    assert (values[time_s > 1.0 + 5.0 * math.pi / settings.frequency_rad_per_s] == 0.0).all()
 
 
 def from_csv(tmp_path, data, *settings):

@@ -42,7 +42,7 @@ OTHER = {
     "reference.kind": "sine", "reference.amplitude_mps2": 2.0,
     "reference.frequency_rad_per_s": 3.0, "reference.file": "r.csv",
     "fault.kind": "frames-missing", "fault.channel": "force-difference", "fault.at_s": 1.5,
-    "fault.for_s": 0.5, "noise.dstar_rms_mps2": 0.01, "limits.torque_nm": 100.0,
+    "fault.for_s": 0.5, "fault.left": 0.5, "noise.dstar_rms_mps2": 0.01, "limits.torque_nm": 100.0,
     "limits.force_difference_n": 200.0, "limits.torque_rate_nm_per_s": 300.0,
     "limits.force_difference_rate_n_per_s": 4e3, "actuator.hold_s": 0.03,
     "bus.bitrate": 500000, "bus.compute_s": 0.0001,
@@ -53,6 +53,9 @@ OTHER = {
 def test_every_shipped_scenario_loads_and_its_controller_can_be_built():
     assert list(shipped()) == sorted(shipped())
     assert {"thesis-step", "thesis-sine", "no-compensation", "chapter-2", "nonlinear-car"} <= set(
+        shipped()
+    )
+    assert {"default", "noisy", "slow-bus", "lane-change", "highway", "partial-loss"} <= set(
         shipped()
     )
     for name in shipped():
@@ -71,6 +74,21 @@ def test_the_defaults_are_the_thesis_s():
     assert (step.fault.kind, step.fault.channel, step.fault.at_s) == ("actuator-dead", "torque", 10)
     assert load("thesis-sine").reference.frequency_rad_per_s == 5
     assert load("no-compensation").design.compensation == "off"
+
+
+def test_the_scenarios_of_use_are_what_their_names_say():
+    default = load("default")
+    assert (default.tick_s, default.latency_ticks, default.bus.bitrate) == (0.001, 1, 1_000_000)
+    assert (default.plant.variant, default.noise.dstar_rms_mps2) == ("physics", 0.0)
+    assert default.limits.torque_nm is not None
+    assert default.limits.force_difference_n is not None
+    slow = load("slow-bus")
+    assert (slow.tick_s, slow.latency_ticks, slow.bus.bitrate) == (0.002, 2, 500_000)
+    assert load("slow-bus", ["latency_ticks=from-bus"]).latency_ticks <= slow.latency_ticks
+    assert load("noisy").noise.dstar_rms_mps2 > 0.0
+    assert load("highway").plant.speed_mps == load("highway").model.speed_mps == 30.0
+    assert load("lane-change").reference.kind == "lane-change"
+    assert load("partial-loss").fault.left == 0.5
 
 
 def test_the_list_of_changes_below_names_every_key():
@@ -159,6 +177,7 @@ BAD = [
     ("reference.frequency_rad_per_s=0", "frequency_rad_per_s"),
     ("fault.kind=dead", "fault.kind"), ("fault.channel=rear", "fault.channel"),
     ("fault.at_s=-1", "fault.at_s"), ("fault.for_s=0", "fault.for_s"),
+    ("fault.left=1", "fault.left"), ("fault.left=-0.1", "fault.left"), ("fault.left=nan", "left"),
     ("noise.dstar_rms_mps2=-0.1", "noise.dstar_rms_mps2"), ("limits.torque_nm=0", "torque_nm"),
     ("limits.force_difference_n=-5", "force_difference_n"), ("actuator.hold_s=-1", "hold_s"),
     ("seed", "KEY=VALUE"), ("=5", "KEY=VALUE"), ("plant.=5", "KEY=VALUE"), ("", "KEY=VALUE"),
