@@ -15,8 +15,9 @@ from rich.table import Table
 from can_rig import scenario as scenarios
 from can_rig.errors import RunFolderError
 from can_rig.nodes import json_line
-from can_rig.tune import ALIKE, Tuning, Tunings, tune
+from can_rig.tune import ALIKE, Tunings, tune
 from can_rig.tuning_box import MOST_DELAY_TICKS, cars, ranges
+from can_rig.tuning_candidate import Tuning
 
 PICTURE = "tuning.png"
 APART = 1.6  # factor in peak or noise from one row of the table to the next

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from firmware_model import controller
 from firmware_model.compiled import firmware
 from firmware_model.layout import Record
-from firmware_model.sampled_plant import SampledPlant, advance_plant, measure_plant
+from firmware_model.sampled_plant import SampledPlant, follow_plant, measure_plant
 from firmware_model.sections import FloatArray
 
 
@@ -87,15 +87,15 @@ def _run(
     phi, gamma, c, x = plant
     reference, effectiveness, noise = inputs
     latency = table.latency_ticks
+    y = measure_plant(c, x)
     for k in range(len(reference)):
-        y = measure_plant(c, x)
         controller.step(table, state, reference[k], y + noise[k])
         signals[0, k] = y
         signals[1, k] = state.command_1
         signals[2, k] = state.command_2
         signals[3, k] = state.fault_estimate
         fault_state[k] = state.fault_state
-        if k >= latency:
+        if k >= latency:  # until then the plant rests
             u1 = effectiveness[k, 0] * signals[1, k - latency]
             u2 = effectiveness[k, 1] * signals[2, k - latency]
-            advance_plant(phi, gamma, x, u1, u2)
+            y = follow_plant(phi, gamma, c, x, u1, u2)

@@ -16,8 +16,9 @@ import pytest
 from can_rig.build import continuous_design, continuous_plant, target
 from can_rig.errors import ScenarioError
 from can_rig.scenario import Scenario, load
-from can_rig.tune import ALIKE, Tuning, Tunings, assess, grid, tune, with_tuning
+from can_rig.tune import ALIKE, Tunings, tune
 from can_rig.tuning_box import MOST_DELAY_TICKS, Car, cars, delay_margin, laws, ranges, survives
+from can_rig.tuning_candidate import Tuning, assess, grid, with_tuning
 from can_rig.tuning_report import as_dict, options, rows, why
 from firmware_model.delay_margin import delay_margins
 from firmware_model.margins import HEALTHY, TORQUE_DEAD, law_in
