@@ -18,17 +18,14 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from fractions import Fraction
 from pathlib import Path
-from typing import Final, cast
+from typing import Final
 
-import cantools
-from cantools.database.can import Database
 from cantools.database.can import Message as DbcMessage
-from cantools.database.errors import Error
 
 from can_rig.codec import MessageCodec
-from can_rig.errors import DbcError, RigError
+from can_rig.errors import RigError
 from can_rig.frame_length import CLASSIC_BYTES, FD_LENGTHS, worst_case_bits
-from can_rig.messages import Network
+from can_rig.messages import Network, load_dbc
 from can_rig.protection import FRAME_BYTES
 from can_rig.response_time import (
     PeriodicFrame,
@@ -152,7 +149,7 @@ def dbc_timing(path: str | Path, bitrate: int, data_bitrate: int | None = None) 
         AnalysisError, FrameError: no bus has such frames or such a bit rate.
     """
     frames, left_out = [], []
-    for message in _load(path).messages:
+    for message in load_dbc(path, strict=False).messages:
         longest = FD_LENGTHS[-1] if message.is_fd else CLASSIC_BYTES
         if not message.cycle_time:
             left_out.append(f"{message.name} (no cycle time)")
@@ -239,15 +236,3 @@ def _latest(frames: Iterable[FrameTiming]) -> Fraction | None:
             return None
         latest = max(latest, frame.arrival_s)
     return latest
-
-
-def _load(path: str | Path) -> Database:
-    """A DBC of anybody's: signals that overlap do not change how long a frame is."""
-    try:
-        loaded = cantools.database.load_file(path, database_format="dbc", strict=False)
-    except OSError as error:
-        raise DbcError(f"{path}: cannot be read: {error.strerror}") from error
-    except (Error, ValueError, KeyError) as error:
-        reason = " ".join(str(error).split())
-        raise DbcError(f"{path}: not a DBC that can be loaded: {reason}") from error
-    return cast(Database, loaded)  # another format would have another kind

@@ -22,7 +22,15 @@ from can_rig.errors import DbcError
 from can_rig.frame_layout import ROLES
 from can_rig.protection import FRAME_BYTES, USABLE, Checker, Protector
 
-__all__ = ["MessageCodec", "Network", "Receiver", "Record", "Transmitter", "load_network"]
+__all__ = [
+    "MessageCodec",
+    "Network",
+    "Receiver",
+    "Record",
+    "Transmitter",
+    "load_dbc",
+    "load_network",
+]
 
 
 class Transmitter:
@@ -116,7 +124,7 @@ def load_network(path: str | Path) -> Network:
             `frame_layout` says, or an `E2EDataId` is missing or does not tell two frames apart.
     """
     by_role: dict[int | str, DbcMessage] = {}
-    for message in _load(path).messages:
+    for message in load_dbc(path).messages:
         role = frame_layout.attribute(message, "RigRole")
         if role is None or role == "none":
             continue
@@ -134,9 +142,14 @@ def load_network(path: str | Path) -> Network:
     return network
 
 
-def _load(path: str | Path) -> Database:
+def load_dbc(path: str | Path, strict: bool = True) -> Database:
+    """The DBC at `path`; one that is not `strict` may have signals that overlap.
+
+    Raises:
+        DbcError: it cannot be read, or is not a DBC.
+    """
     try:
-        loaded = cantools.database.load_file(path, database_format="dbc", strict=True)
+        loaded = cantools.database.load_file(path, database_format="dbc", strict=strict)
     except OSError as error:
         raise DbcError(f"{path}: cannot be read: {error.strerror}") from error
     except (Error, ValueError, KeyError) as error:
