@@ -6,12 +6,14 @@ import math
 
 from can_rig.errors import ScenarioError
 from can_rig.messages import Network
-from can_rig.scenario import PlantSettings, Scenario
+from can_rig.settings import PlantSettings, Scenario
 from firmware_model import plants
 from firmware_model.design import ContinuousDesign, DesignSpecification, design
 from firmware_model.errors import DesignError
 from firmware_model.layout import Record
 from firmware_model.tables import Target, build
+
+GOVERNED = 0.5  # share of the motor's limit that may go into the second derivative of D*
 
 
 def continuous_plant(settings: PlantSettings) -> plants.Plant:
@@ -78,13 +80,32 @@ def target(scenario: Scenario, network: Network | None) -> Target:
         limit_2=limit_2,
         rate_1=rate_1,
         rate_2=rate_2,
+        reference_acceleration=reference_acceleration(scenario),
         lsb_1=lsb_1,
         lsb_2=lsb_2,
         threshold=chosen.fault_threshold_mps2,
         confirm_ticks=max(1, round(chosen.confirm_s / scenario.tick_s)),
         clear_ticks=max(1, round(chosen.clear_s / scenario.tick_s)),
+        probe=chosen.probe_nm,
+        probe_rad_per_s=chosen.probe_rad_per_s,
         on_confirmation=chosen.compensation == "on-confirmation",
     )
+
+
+def reference_acceleration(scenario: Scenario) -> float:
+    """How fast a reference C may follow, m/s⁴: what ``GOVERNED`` of the motor's limits can do.
+
+    u1 = r̈/g1 and the rest of D/N1, so half of the limit goes to r̈. A turn from full ahead to full
+    back is 2R/g1, smoothed by q̂: at most 0.37·2R/(g1 τ_q) a second for α_q = 2, less for more, and
+    as much again is left for the rest.
+    """
+    limits = scenario.limits
+    if scenario.model.kind == "chapter-2":  # open loop: no C that would follow
+        return math.inf
+    torque = math.inf if limits.torque_nm is None else limits.torque_nm
+    if limits.torque_rate_nm_per_s is not None:
+        torque = min(torque, limits.torque_rate_nm_per_s * scenario.design.tau_q_s)
+    return GOVERNED * torque * abs(continuous_plant(scenario.model).g1.gain)
 
 
 def controller_table(scenario: Scenario, network: Network | None) -> Record:

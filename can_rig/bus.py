@@ -6,6 +6,7 @@ knows and any argument of its bus class; values are cast as in python-can's conf
 
 import difflib
 import errno
+from collections.abc import Collection
 from pathlib import Path
 from typing import Any
 
@@ -13,7 +14,7 @@ import can
 from can.interfaces import VALID_INTERFACES
 from can.util import cast_from_string
 
-from can_rig.errors import BusError
+from can_rig.errors import BusError, BusLostError
 
 _NETWORK = Path("/sys/class/net")
 _IFF_UP = 1
@@ -54,6 +55,24 @@ def open_bus(name: str, **kwargs: Any) -> can.BusABC:
         raise BusError(_explain(name, interface, channel, error)) from error
 
 
+def open_for_node(name: str, identifiers: Collection[int], overhear: bool) -> can.BusABC:
+    """The bus called ``name`` as a node of the rig wants it; ``open_bus`` where that is the same.
+
+    On SocketCAN what others send cannot crowd out the 11-bit ``identifiers`` that the node lives
+    on, and is heard only if the node is to ``overhear`` it; see ``NodeSocketcanBus``.
+
+    :raises BusError: as ``open_bus``.
+    """
+    if _parse(name)[0] != "socketcan":
+        return open_bus(name)
+    from can_rig.socketcan import NodeSocketcanBus  # noqa: PLC0415 (Linux alone has it)
+
+    def opened(**kwargs: Any) -> can.BusABC:
+        return open_bus(name, **kwargs)
+
+    return NodeSocketcanBus(opened, identifiers, overhear)
+
+
 def _parse(name: str) -> tuple[str, str | int | None, dict[str, Any]]:
     address, _, query = name.partition("?")
     interface, _, channel = address.partition(":")
@@ -80,17 +99,44 @@ def _check_is_up(channel: str) -> None:
         raise BusError(f"CAN interface {channel} is down: sudo ip link set up {channel}")
 
 
+def lost(bus: can.BusABC, error: can.CanError, for_s: float) -> BusLostError:
+    """What to raise when ``bus`` has refused with ``error`` for ``for_s``: one line, and a way."""
+    code = error.error_code or 0
+    channel = getattr(bus, "channel", "")
+    reasons = {
+        errno.ENETDOWN: f"the interface has been down for {for_s:g} s: "
+        f"sudo ip link set up {channel}",
+        errno.ENODEV: f"the interface is gone: {_recipe(channel)}",
+        errno.ENXIO: f"the interface is gone: {_recipe(channel)}",
+        errno.ENOBUFS: f"the transmit queue has been full for {for_s:g} s; is there a node that "
+        f"acknowledges? a longer queue: sudo ip link set {channel} txqueuelen 1000",
+    }
+    return BusLostError(f"{bus.channel_info}: {reasons.get(code) or one_line(error)}")
+
+
+def one_line(error: Exception) -> str:
+    """What ``error`` says, on one line."""
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def _recipe(channel: object) -> str:
+    return (
+        f"sudo modprobe vcan; sudo ip link add dev {channel} type vcan; "
+        f"sudo ip link set up {channel}"
+    )
+
+
 def _explain(name: str, interface: str, channel: object, error: Exception) -> str:
     """What the user can do about it, in one line."""
     if interface == "socketcan" and isinstance(error, OSError):
         if error.errno in _NO_CAN:
-            return f"bus {name!r}: this kernel has no CAN support; the bus 'local' needs none"
-        if error.errno == errno.ENODEV:
             return (
-                f"no such CAN interface {channel}: sudo modprobe vcan; "
-                f"sudo ip link add dev {channel} type vcan; sudo ip link set up {channel}"
+                f"bus {name!r}: this kernel has no CAN support; the bus 'local' needs none, "
+                "and tools/vcan_guest runs a command in a kernel that has it"
             )
-    reason = " ".join(str(error).split()) or type(error).__name__
+        if error.errno == errno.ENODEV:
+            return f"no such CAN interface {channel}: {_recipe(channel)}"
+    reason = one_line(error)
     if isinstance(error, can.CanInterfaceNotImplementedError) and interface in _EXTRAS:
         reason += f": pip install 'python-can[{_EXTRAS[interface]}]'"
     return f"cannot open bus {name!r}: {reason}"

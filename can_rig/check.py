@@ -14,9 +14,12 @@ from dataclasses import asdict, dataclass, replace
 from itertools import product
 from typing import Any, get_args
 
+from can_rig.authority import Authority, authority
+from can_rig.budget import Budget, budget
 from can_rig.build import continuous_design, continuous_plant, controller_table, target
 from can_rig.errors import ScenarioError
-from can_rig.scenario import Scenario
+from can_rig.nodes import network_of
+from can_rig.settings import Scenario
 from firmware_model.margins import (
     HEALTHY,
     Margins,
@@ -61,6 +64,8 @@ class Check:
     faulted: Margins
     partly_lost: dict[float, Margins]
     false_alarm: Margins | None
+    budget: Budget
+    authority: Authority | None
 
     @property
     def stable(self) -> bool:
@@ -75,6 +80,17 @@ class Check:
             yield f"torque {left:.0%}", figures
         if self.false_alarm is not None:
             yield "false alarm", self.false_alarm
+
+    @property
+    def notes(self) -> Iterator[str]:
+        """What does not decide, a line each: the threshold's budget, and who carries the load."""
+        scenario = self.scenario
+        if self.healthy.stable:
+            gain = continuous_plant(scenario.model).g1.dc_gain
+            yield self.budget.describe(scenario.design.fault_threshold_mps2, gain)
+            yield _isolation(scenario.design.probe_nm)
+        if self.authority is not None:
+            yield str(self.authority)
 
     @property
     def verdict(self) -> str:
@@ -97,6 +113,12 @@ class Check:
             "faulted": _finite(self.faulted),
             "partly_lost": {f"{left:g}": _finite(m) for left, m in self.partly_lost.items()},
             "false_alarm": None if self.false_alarm is None else _finite(self.false_alarm),
+            "decision": {
+                "threshold_mps2": self.scenario.design.fault_threshold_mps2,
+                **asdict(self.budget),
+                "budget": self.budget.total,
+            },
+            "authority": None if self.authority is None else self.authority.as_dict(),
         }
 
 
@@ -107,6 +129,7 @@ def check(scenario: Scenario) -> Check:
         ScenarioError: a design that cannot be made or discretised.
     """
     table, plant = controller_table(scenario, None), continuous_plant(scenario.plant)
+    network = network_of(scenario)
 
     def with_left(effectiveness: Effectiveness) -> Margins:
         return margins(table, plant, scenario.tick_s, effectiveness)
@@ -117,10 +140,10 @@ def check(scenario: Scenario) -> Check:
         faulted=with_left(DEAD[scenario.fault.channel]),
         partly_lost={left: with_left((left, 1.0)) for left in PARTLY_LOST},
         false_alarm=(
-            margins(table, plant, scenario.tick_s, confirmed=True)
-            if table.on_confirmation
-            else None
+            margins(table, plant, scenario.tick_s, confirmed=1.0) if table.on_confirmation else None
         ),
+        budget=budget(scenario, network),
+        authority=authority(scenario, network),
     )
 
 
@@ -187,6 +210,18 @@ def table_rows(result: Check) -> Iterator[tuple[str, ...]]:
 
 def _or_any(value: float | None, scale: float = 1.0) -> str:
     return "any" if value is None else f"{scale * value:.4g}"
+
+
+def _isolation(probe_nm: float) -> str:
+    if probe_nm > 0.0:
+        return (
+            f"isolation: a loss is confirmed only where a torque probe of {probe_nm:g} N m goes "
+            "unanswered; a biased D* stays suspected"
+        )
+    return (
+        "isolation: none: a D* that is biased by more than the threshold is taken for a loss; "
+        "design.probe_nm, a small torque probe, would tell"
+    )
 
 
 def _both_ends(scenario: Scenario) -> dict[str, Effectiveness]:

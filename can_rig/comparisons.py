@@ -9,12 +9,12 @@ import numpy as np
 
 from can_rig import scenario as scenarios
 from can_rig.build import continuous_plant, controller_table
-from can_rig.continuous import Solution, solve, without_fault
+from can_rig.continuous import Solution, solve
 from can_rig.errors import ScenarioError
 from can_rig.faults import ActuatorFault
 from can_rig.nodes import network_of
 from can_rig.reference import reference
-from can_rig.scenario import Scenario
+from can_rig.settings import Scenario
 from firmware_model.sampled_plant import SampledPlant, advance_plant, measure_plant, sample
 from firmware_model.sections import FloatArray
 from firmware_model.simulation import simulate
@@ -139,7 +139,7 @@ def _compared(figure: str, caption: str, loop: _Loop, *curves: Curve) -> Compari
 
 
 def _fig_2_2(settings: Sequence[str]) -> Comparison:
-    loop = both(without_fault(scenarios.load("chapter-2", settings)))
+    loop = both(scenarios.load("chapter-2", settings).healthy)
     caption = "$\\hat d$ and $G_1 u_1$ while the plant is healthy"
     return _compared("2.2", caption, loop, *_estimate_and_channel(loop))
 

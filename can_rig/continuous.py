@@ -15,7 +15,7 @@ python-control and advanced by exact matrix exponentials, tick by tick, however 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from itertools import pairwise
 
 import control
@@ -25,7 +25,7 @@ from scipy import linalg
 from can_rig.build import continuous_plant
 from can_rig.errors import ScenarioError
 from can_rig.faults import CHANNELS
-from can_rig.scenario import Scenario
+from can_rig.settings import Scenario
 from firmware_model.plants import Plant
 from firmware_model.sections import FloatArray
 
@@ -89,11 +89,6 @@ def solve(scenario: Scenario) -> Solution:
         if end_s < math.inf:
             x = linalg.expm(joined * (end_s - now_s)) @ x
     return Solution(time_s, *signals)
-
-
-def without_fault(scenario: Scenario) -> Scenario:
-    """The same scenario with nothing lost."""
-    return replace(scenario, fault=replace(scenario.fault, kind="none"))
 
 
 def closed_loop(scenario: Scenario, left: tuple[float, float]) -> StateSpace:

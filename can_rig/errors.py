@@ -25,5 +25,15 @@ class SilentNodeError(RigError):
     exit_status = 3
 
 
+class BusLostError(RigError):
+    """The bus stopped carrying frames during a run, for longer than the watchdog allows."""
+
+    exit_status = 3
+
+
 class DbcError(RigError):
     """A DBC that does not describe the frames of the rig; names file, frame and what is wanted."""
+
+
+class LogError(RigError):
+    """A log that cannot be read or written, or is not what its name says; names file and place."""

@@ -1,4 +1,4 @@
-"""Scheduled faults: a dead actuator in the plant, frames lost or corrupted on their way to it."""
+"""Scheduled faults: a dead actuator or a biased sensor in the plant, frames lost or corrupted."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import random
 
 import can
 
-from can_rig.scenario import Scenario
+from can_rig.settings import Scenario
 
 CHANNELS = ("torque", "force-difference")
 
@@ -25,6 +25,20 @@ class ActuatorFault:
             return 1.0, 1.0
         left = self._fault.left
         return (left, 1.0) if self._channel == 0 else (1.0, left)
+
+
+class SensorFault:
+    """What a biased sensor adds to D*, by tick."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._fault = scenario.fault if scenario.fault.kind == "sensor-biased" else None
+        self._tick_ns = scenario.tick_ns
+
+    def bias(self, tick: int) -> float:
+        """m/s² at ``tick``."""
+        if self._fault is None or not self._fault.active(tick * self._tick_ns):
+            return 0.0
+        return self._fault.bias_mps2
 
 
 class FrameFault:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import signal
 import time
+from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
 from types import FrameType
@@ -16,9 +17,11 @@ from typing import Self
 
 import can
 
+from can_rig.bus import lost, one_line
 from can_rig.errors import SilentNodeError
 
 POLL_S = 0.05  # how soon a waiting node notices a stop request
+RETRY_S = 0.001  # how soon it turns to a bus again that has just refused
 
 
 class Interrupted(Exception):  # noqa: N818 (not an error)
@@ -53,6 +56,47 @@ class StopRequest:
         self.wanted = True
 
 
+class Sender:
+    """Sends on ``bus``, again and again for a bounded time where the bus refuses.
+
+    A full transmit queue has room again as soon as the controller has sent; an interface that is
+    down may come back. Both ends wait, in virtual time, so nothing is lost meanwhile.
+
+    Args:
+        bus: where to send.
+        within_s: how long a frame may be refused, in wall-clock time.
+    """
+
+    def __init__(self, bus: can.BusABC, within_s: float) -> None:
+        self._bus = bus
+        self._within_s = within_s
+        self.errors: Counter[str] = Counter()  # what the bus said, and how often
+
+    def __call__(self, message: can.Message) -> None:
+        """Send one frame.
+
+        Raises:
+            BusLostError: the bus has refused it for too long.
+        """
+        try:
+            self._bus.send(message)
+        except can.CanError as error:
+            self._insist(message, error)
+
+    def _insist(self, message: can.Message, error: can.CanError) -> None:
+        deadline_s = time.monotonic() + self._within_s
+        while time.monotonic() < deadline_s:
+            self.errors[one_line(error)] += 1
+            time.sleep(RETRY_S)
+            try:
+                self._bus.send(message)
+            except can.CanError as again:
+                error = again
+            else:
+                return
+        raise lost(self._bus, error, self._within_s)
+
+
 class Patience:
     """Receives from ``bus`` and gives up on a silent node.
 
@@ -75,16 +119,20 @@ class Patience:
         self._bus = bus
         self._other = other
         self._allowed_s = waiting.first_s
-        self._silence_s = waiting.silence_s
+        self.silence_s = waiting.silence_s
         self.stop = stop
         self._while_alone = while_alone
         self._waiting_since_s: float | None = None  # None: it has just been heard
+        self._repeated_s = 0.0
+        self._trouble: can.CanError | None = None  # of the bus, since the other was heard
+        self.errors: Counter[str] = Counter()  # what the bus said, and how often
 
     def hear(self) -> None:
         """Note that the other node has spoken: from now on only a short silence is allowed."""
-        self._allowed_s = self._silence_s
+        self._allowed_s = self.silence_s
         self._while_alone = None
         self._waiting_since_s = None
+        self._trouble = None
 
     def receive(self, tick: int) -> can.Message:
         """The next frame of any kind.
@@ -94,28 +142,37 @@ class Patience:
 
         Raises:
             SilentNodeError: nothing came for as long as allowed.
+            BusLostError: likewise, and the bus itself had said why.
             Interrupted: a stop was requested.
         """
-        message = self._bus.recv(POLL_S)
-        while message is None:
+        while True:
+            try:
+                message = self._bus.recv(POLL_S)
+            except can.CanError as error:  # it may come back
+                self._trouble, message = error, None
+                self.errors[one_line(error)] += 1
+                time.sleep(RETRY_S)
+            if message is not None:
+                return message
             self.go_on_waiting(tick)
-            if self._while_alone is not None:
-                self._while_alone()
-            message = self._bus.recv(POLL_S)
-        return message
 
     def go_on_waiting(self, tick: int) -> None:
         """Note that nothing came, or a frame that the other node did not send.
 
         Raises:
-            SilentNodeError, Interrupted: as ``receive``.
+            SilentNodeError, BusLostError, Interrupted: as ``receive``.
         """
         if self.stop.wanted:
             raise Interrupted
         now_s = time.monotonic()
         if self._waiting_since_s is None:
-            self._waiting_since_s = now_s
-        elif now_s - self._waiting_since_s >= self._allowed_s:
+            self._waiting_since_s = self._repeated_s = now_s
+        elif self._while_alone is not None and now_s - self._repeated_s >= POLL_S:
+            self._repeated_s = now_s
+            self._while_alone()
+        if now_s - self._waiting_since_s >= self._allowed_s:
+            if self._trouble is not None:
+                raise lost(self._bus, self._trouble, self._allowed_s)
             raise SilentNodeError(
                 f"no frame from the {self._other} node for {self._allowed_s:g} s at tick {tick}"
             )

@@ -7,6 +7,7 @@ not that of `frame_layout`. A `Transmitter` and a `Receiver` add the end-to-end 
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from importlib.resources import files
 from pathlib import Path
 from typing import Final
 
@@ -30,6 +31,7 @@ __all__ = [
     "Transmitter",
     "load_dbc",
     "load_network",
+    "shipped_dbc",
 ]
 
 
@@ -115,6 +117,11 @@ class Network:
         """The frames in the order of `ROLES`."""
         return (getattr(self, role) for role in ROLES)
 
+    @property
+    def identifiers(self) -> tuple[int, ...]:
+        """Their CAN identifiers, in the same order."""
+        return tuple(codec.frame_id for codec in self)
+
 
 def load_network(path: str | Path) -> Network:
     """The frames of the rig in the DBC at `path`, found by their `RigRole`.
@@ -140,6 +147,13 @@ def load_network(path: str | Path) -> Network:
     network = Network(*(_codec(by_role[role], role, path) for role in ROLES))
     _require_distinct_data_ids(network, path)
     return network
+
+
+def shipped_dbc(name: str) -> Path:
+    """A DBC that comes with the package or lies in the checkout."""
+    package = Path(str(files("can_rig")))
+    folder = package / "dbc" if (package / "dbc").is_dir() else package.parent / "dbc"
+    return folder / name
 
 
 def load_dbc(path: str | Path, strict: bool = True) -> Database:

@@ -3,23 +3,20 @@
 from __future__ import annotations
 
 import math
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig.build import controller_table
-from can_rig.errors import RigError
+from can_rig.authority import authority
+from can_rig.beside import fault_free, noise_free
+from can_rig.loss_metrics import decision_metrics, unavoidable_deviation
 from can_rig.nodes import network_of
-from can_rig.plant import SimulatedPlant
-from can_rig.reference import reference
-from can_rig.scenario import Scenario
+from can_rig.settings import Scenario
 from can_rig.signals import Signals
-from firmware_model.firmware import Firmware
 from firmware_model.sections import FloatArray
 
-Metrics = dict[str, float | None]
+Metrics = dict[str, float | bool | None]
 Mask = NDArray[np.bool_]
 
 SETTLED_S = 2.0
@@ -29,8 +26,8 @@ SETTLED_S = 2.0
 class Windows:
     """Which ticks of a run count as what, each of shape (ticks,).
 
-    ``before`` the loss and ``after`` its start, ``lost`` while it lasts; ``settled_before`` and
-    ``settled_after`` are the ends of the healthy time and of the run: 2 s, or two periods of a
+    ``before`` the fault and ``after`` its start, ``lost`` while a channel is; ``settled_before``
+    and ``settled_after`` are the ends of the healthy time and of the run: 2 s, or two periods of a
     slower reference, but at most the second half of the time since the last change.
     """
 
@@ -49,13 +46,13 @@ def windows(scenario: Scenario, signals: Signals) -> Windows:
         wanted_s = max(wanted_s, 4.0 * math.pi / scenario.reference.frequency_rad_per_s)
     ticks = np.rint(signals.time_s / scenario.tick_s).astype(np.int64)
     time_ns = ticks * scenario.tick_ns
-    lost = np.array([fault.active(now_ns) for now_ns in time_ns.tolist()], dtype=np.bool_)
+    active = np.array([fault.active(now_ns) for now_ns in time_ns.tolist()], dtype=np.bool_)
     after = (fault.kind != "none") & (time_ns >= round(fault.at_s * 1e9))
-    recovered = after & ~lost
+    recovered = after & ~active
     return Windows(
         before=~after,
         after=after,
-        lost=lost,
+        lost=active & fault.loses_a_channel,
         settled_before=_end(time_ns, ~after, wanted_s),
         settled_after=_end(time_ns, recovered if recovered.any() else after, wanted_s),
     )
@@ -75,54 +72,47 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
     deviation = np.full(len(signals), np.nan)
     if window.after.any():
         with np.errstate(invalid="ignore", over="ignore"):  # a loop that diverges
-            deviation = np.abs(signals.dstar_mps2 - fault_free(scenario, signals))
+            deviation = np.abs(signals.dstar_mps2 - fault_free(scenario, signals).dstar_mps2)
     settled = window.settled_after if window.after.any() else window.settled_before
-    seen = window.after & (estimate > scenario.design.fault_threshold_mps2)
+    carried = authority(scenario, network_of(scenario)) if window.lost.any() else None
+    unavoidable = unavoidable_deviation(scenario, signals)
+    peak = _peak(deviation[window.after])
     return {
         "error_before_fault_mps2": _peak(error[window.settled_before]),
         "error_peak_after_fault_mps2": _peak(error[window.after]),
         "error_peak_while_lost_mps2": _peak(error[window.lost]),
         "error_settled_after_fault_mps2": _peak(error[window.settled_after]),
-        "deviation_peak_after_fault_mps2": _peak(deviation[window.after]),
+        "error_integral_after_fault_mps": _integral(error[window.after], scenario.tick_s),
+        "deviation_peak_after_fault_mps2": peak,
+        "unavoidable_deviation_mps2": unavoidable,
+        "deviation_over_unavoidable": peak / unavoidable if peak and unavoidable else None,
         "deviation_settled_after_fault_mps2": _peak(deviation[window.settled_after]),
         "fault_estimate_peak_before_fault_mps2": _peak(estimate[window.before]),
         "fault_estimate_peak_while_lost_mps2": _peak(estimate[window.lost]),
         "fault_estimate_settled_mps2": _peak(estimate[window.settled_after]),
-        "fault_seen_after_s": (
-            round(float(signals.time_s[seen][0]) - scenario.fault.at_s, 9) if seen.any() else None
-        ),
+        **decision_metrics(scenario, signals, window.lost),
         "torque_peak_nm": _peak(torque),
         "torque_peak_after_fault_nm": _peak(torque[window.after]),
         "force_difference_peak_n": _peak(force),
         "force_difference_settled_n": _peak(force[settled]),
+        "force_difference_noise_rms_n": _noise_rms(scenario, signals, window.settled_before),
+        "force_difference_needed_n": None if carried is None else carried.needed_n,
+        "force_difference_available_n": None if carried is None else carried.available_n,
+        "dstar_carried_mps2": None if carried is None else carried.carries_mps2,
     }
 
 
-def fault_free(scenario: Scenario, signals: Signals) -> FloatArray:
-    """D* at the ticks of ``signals`` as the same run without its fault measures it, m/s².
+def _noise_rms(scenario: Scenario, signals: Signals, settled: Mask) -> float | None:
+    """Rms of what the sensor's noise alone adds to X_diff, N: the run less the run without it."""
+    if scenario.noise.dstar_rms_mps2 == 0.0 or not settled.any():
+        return None
+    added = signals.force_difference_n - noise_free(scenario, signals).force_difference_n
+    added = added[settled & np.isfinite(added)]
+    return float(np.sqrt(np.mean(added**2))) if len(added) else None
 
-    Same plant, table, command frames and noise; D* itself is not rounded to the grid of its frame,
-    which keeps the two apart by a few of its LSBs. Not a number from where on a plant of one's own
-    fails without the fault too.
-    """
-    if not len(signals):
-        return np.empty(0)
-    first = round(float(signals.time_s[0]) / scenario.tick_s)
-    ticks = first + len(signals)
-    healthy = replace(
-        scenario,
-        fault=replace(scenario.fault, kind="none"),
-        duration_s=max(scenario.duration_s, ticks * scenario.tick_s),
-    )
-    plant, wanted = SimulatedPlant(healthy), reference(healthy)[:ticks].tolist()
-    firmware = Firmware(controller_table(healthy, network_of(healthy)))
-    measured = np.full(ticks, np.nan)
-    with suppress(RigError):
-        for tick in range(ticks):
-            measured[tick] = plant.measure()
-            answer = firmware.step(wanted[tick], measured[tick])
-            plant.advance(tick, answer.command_1, answer.command_2)
-    return measured[first:]
+
+def _integral(values: FloatArray, tick_s: float) -> float | None:
+    return float(np.nansum(values)) * tick_s if np.isfinite(values).any() else None
 
 
 def rows(values: Metrics, units: dict[str, str]) -> list[tuple[str, str]]:
@@ -134,7 +124,7 @@ def rows(values: Metrics, units: dict[str, str]) -> list[tuple[str, str]]:
         text = label if faulted else healthy_label
         if value is not None and text:
             out.append((text, f"{value:.4g} {units.get(unit, unit)}".rstrip()))
-        elif faulted and key == "fault_seen_after_s":
+        elif key == "detection_delay_s" and values.get("missed_detection"):
             out.append((text, "never"))
     return out
 
@@ -160,7 +150,10 @@ _TABLE = (
     ("error_peak_after_fault_mps2", "|error| after the fault, peak", "", "y"),
     ("error_settled_after_fault_mps2", "|error| after the fault, settled", "", "y"),
     ("deviation_peak_after_fault_mps2", "deviation from the fault-free run, peak", "", "y"),
-    ("fault_seen_after_s", "fault estimate over its threshold after", "", "s"),
+    ("deviation_over_unavoidable", "    times the least possible", "", "x"),
+    ("error_integral_after_fault_mps", "|error| after the fault, integral", "", "y.s"),
+    ("detection_delay_s", "loss confirmed after", "", "s"),
+    ("false_alarms_per_hour", "false alarms", "false alarms", "1/h"),
     (
         "fault_estimate_peak_before_fault_mps2",
         "|fault estimate| while healthy, peak",
@@ -169,5 +162,12 @@ _TABLE = (
     ),
     ("torque_peak_nm", "|command 1|, peak", "|command 1|, peak", "u1"),
     ("force_difference_peak_n", "|command 2|, peak", "|command 2|, peak", "u2"),
+    (
+        "force_difference_noise_rms_n",
+        "|command 2|, rms from noise",
+        "|command 2|, rms from noise",
+        "u2",
+    ),
     ("force_difference_settled_n", "|command 2|, settled", "|command 2|, settled", "u2"),
+    ("dstar_carried_mps2", "|D*| that command 2 could hold by itself", "", "y"),
 )

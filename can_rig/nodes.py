@@ -5,20 +5,22 @@ from __future__ import annotations
 import gc
 import json
 import time
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from importlib.resources import files
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
-from can_rig.bus import open_bus
+import can
+
+from can_rig.bus import open_for_node
 from can_rig.controller_node import ControllerNode
-from can_rig.lockstep import Interrupted, Patience, StopRequest, Waiting
-from can_rig.messages import Network, load_network
+from can_rig.lockstep import Interrupted, Patience, Sender, StopRequest, Waiting
+from can_rig.messages import Network, load_network, shipped_dbc
 from can_rig.plant_node import PlantNode
 from can_rig.recorder import Recorder
-from can_rig.scenario import Scenario
+from can_rig.settings import Scenario
 
 NodeName = Literal["plant", "controller"]
 PROGRESS_EVERY_S = 0.1
@@ -31,13 +33,16 @@ class NodeSummary:
     ticks: int
     wall_s: float
     rejected_frames: dict[str, dict[str, int]]
+    """Of each message, how many were not used, by reason."""
+    bus_events: dict[str, dict[str, int]]
+    """Of each node, what its bus refused, failed or dropped, and how often; only what occurred."""
+    realtime: dict[str, Any] | None = None
+    """How deadlines were met and what the system permitted; None in lockstep."""
 
 
 def network_of(scenario: Scenario) -> Network:
-    """The scenario's frames, from the DBC that comes with the package or lies in the checkout."""
-    package = Path(str(files("can_rig")))
-    folder = package / "dbc" if (package / "dbc").is_dir() else package.parent / "dbc"
-    return load_network(folder / scenario.dbc)
+    """The scenario's frames, from its DBC."""
+    return load_network(shipped_dbc(scenario.dbc))
 
 
 @contextmanager
@@ -61,14 +66,19 @@ def run_plant(
 ) -> NodeSummary:
     """The plant node from start to end; see ``PlantNode`` for what it raises."""
     network = network_of(scenario)
-    with open_bus(bus_name) as bus, _recorder(log, scenario) as recorder:
-        node = PlantNode(scenario, network, bus, recorder)
+    with (
+        open_for_node(bus_name, network.identifiers, overhear=log is not None) as bus,
+        _recorder(log, scenario) as recorder,
+    ):
+        node = PlantNode(scenario, network, bus, recorder, waiting)
         patience = Patience(bus, "controller", waiting, stop, while_alone=node.repeat)
         with without_garbage_pauses():
             start = time.perf_counter()
             ticks = node.run(patience, on_tick)
             wall_s = time.perf_counter() - start
-    return NodeSummary(ticks, wall_s, node.rejected())
+        node.record_the_rest()
+        events = bus_events("plant", bus, node.send, patience)
+    return NodeSummary(ticks, wall_s, node.rejected(), events)
 
 
 def run_controller(
@@ -81,15 +91,16 @@ def run_controller(
 ) -> NodeSummary:
     """The controller node from start to end; ``on_ready`` is called once it listens."""
     network = network_of(scenario)
-    with open_bus(bus_name) as bus:
-        node = ControllerNode(scenario, network, bus)
+    with open_for_node(bus_name, network.identifiers, overhear=False) as bus:
+        node = ControllerNode(scenario, network, bus, waiting)
         patience = Patience(bus, "plant", waiting, stop)
         on_ready()
         with without_garbage_pauses():
             start = time.perf_counter()
             ticks = node.run(patience, on_tick)
             wall_s = time.perf_counter() - start
-    return NodeSummary(ticks, wall_s, node.rejected())
+        events = bus_events("controller", bus, node.send, patience)
+    return NodeSummary(ticks, wall_s, node.rejected(), events)
 
 
 def run_in_process(
@@ -103,8 +114,8 @@ def run_in_process(
     network = network_of(scenario)
     waiting = Waiting()
     with (
-        open_bus(bus_name) as plant_bus,
-        open_bus(bus_name) as controller_bus,
+        open_for_node(bus_name, network.identifiers, overhear=True) as plant_bus,
+        open_for_node(bus_name, network.identifiers, overhear=False) as controller_bus,
         Recorder(log, scenario.tick_ns) as recorder,
     ):
         plant = PlantNode(scenario, network, plant_bus, recorder)
@@ -122,7 +133,22 @@ def run_in_process(
                     tick += 1
                     on_tick(tick)
             wall_s = time.perf_counter() - start
-    return NodeSummary(tick, wall_s, plant.rejected() | controller.rejected())
+        plant.record_the_rest()
+        events = bus_events("plant", plant_bus, plant.send, to_plant)
+        events |= bus_events("controller", controller_bus, controller.send, to_controller)
+    return NodeSummary(tick, wall_s, plant.rejected() | controller.rejected(), events)
+
+
+def bus_events(
+    node: NodeName, bus: can.BusABC, send: Sender, patience: Patience
+) -> dict[str, dict[str, int]]:
+    """What the bus of one node did beside carrying frames."""
+    counts = Counter(patience.errors)
+    for errors in (send.errors, getattr(bus, "errors", {})):
+        counts.update(errors)
+    counts["frames dropped unread"] = getattr(bus, "lost_frames", 0)
+    counts = +counts  # without zeros
+    return {node: dict(counts)} if counts else {}
 
 
 @contextmanager

@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from can_rig.scenario import PlantSettings
+from can_rig.settings import PlantSettings
 from firmware_model.vehicle import vehicle_state_space
 
 GRAVITY_MPS2 = 9.81

@@ -7,9 +7,9 @@ from collections import deque
 import numpy as np
 
 from can_rig.build import continuous_plant
-from can_rig.faults import ActuatorFault
+from can_rig.faults import ActuatorFault, SensorFault
 from can_rig.plant_protocol import GuardedPlant, PlantProtocol, load_plant
-from can_rig.scenario import PlantSettings, Scenario
+from can_rig.settings import PlantSettings, Scenario
 from firmware_model.sampled_plant import follow_plant, sample
 
 
@@ -85,8 +85,10 @@ class SimulatedPlant:
         self._plant.advance(scenario.tick_s, 0.0, 0.0)  # compiles before the first tick needs it
         self._plant.reset()
         self._tick_s = scenario.tick_s
+        self._tick = 0
         self._output = 0.0  # at rest
         self._fault = ActuatorFault(scenario)
+        self._sensor = SensorFault(scenario)
         self._actuators = (Actuator(hold_ticks), Actuator(hold_ticks))
         self._on_the_way = deque([(0.0, 0.0)] * scenario.latency_ticks)
         self._noise_rms = scenario.noise.dstar_rms_mps2
@@ -94,7 +96,7 @@ class SimulatedPlant:
 
     def measure(self) -> float:
         """D* as the sensor reads it now, m/s²."""
-        y = self._output
+        y = self._output + self._sensor.bias(self._tick)
         if self._noise_rms > 0.0:
             y += self._noise_rms * float(self._random.standard_normal())
         return y
@@ -105,6 +107,7 @@ class SimulatedPlant:
         Raises:
             RigError: an exception in a plant that is the user's own.
         """
+        self._tick = tick + 1
         left_1, left_2 = self._fault.effectiveness(tick)
         acting = (self._actuators[0].hear(command_1), self._actuators[1].hear(command_2))
         self._on_the_way.append(acting)

@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 import math
+import time
 from collections.abc import Callable
+from contextlib import suppress
 from typing import Final
 
 import can
 
-from can_rig.lockstep import Interrupted, Patience
+from can_rig.lockstep import Interrupted, Patience, Sender, Waiting
 from can_rig.messages import Network, Receiver, Transmitter
 from can_rig.plant import SimulatedPlant
 from can_rig.recorder import Recorder
 from can_rig.reference import on_the_bus
-from can_rig.scenario import Scenario
+from can_rig.settings import Scenario
 
+QUIET_S: Final = 0.02  # when nothing has come for so long after the end, nothing is on its way
+UNREAD_S: Final = 2.0  # on a bus whose time stamps do not tell what was sent before the end
 NOT_OURS: Final[tuple[int, Receiver | None]] = (-1, None)
 
 
@@ -26,18 +30,25 @@ class PlantNode:
         network: its frames.
         bus: where to send and, without ``patience``, receive.
         recorder: gets every frame sent or seen; None records nothing.
+        waiting: how long the bus may refuse a frame.
 
     Raises:
         ScenarioError: a reference that does not fit its frame.
     """
 
     def __init__(
-        self, scenario: Scenario, network: Network, bus: can.BusABC, recorder: Recorder | None
+        self,
+        scenario: Scenario,
+        network: Network,
+        bus: can.BusABC,
+        recorder: Recorder | None,
+        waiting: Waiting = Waiting(),  # noqa: B008 (frozen)
     ) -> None:
         self.ticks = scenario.ticks
         self._plant = SimulatedPlant(scenario)
         self._reference = on_the_bus(scenario, network)
         self._bus = bus
+        self.send = Sender(bus, waiting.silence_s)
         self._recorder = recorder
         self._send_reference = Transmitter(network.reference)
         self._send_feedback = Transmitter(network.feedback)
@@ -54,6 +65,7 @@ class PlantNode:
 
         Raises:
             SilentNodeError: the controller node is silent.
+            BusLostError: the bus carries nothing any more.
         """
         for tick in range(self.ticks):
             try:
@@ -70,25 +82,31 @@ class PlantNode:
         """Start ``tick``: sample D*, send the reference and the feedback."""
         if self._recorder is not None:
             self._recorder.begin_tick(tick)
+        self._sample(tick)
+        self._send_sample()
+
+    def _sample(self, tick: int) -> None:
         self._offered = (
             self._send_reference.frame(self._reference[tick], tick),
             self._send_feedback.frame(self._plant.measure(), tick),
         )
+
+    def _send_sample(self) -> None:
         for message in self._offered:
-            self._bus.send(message)
+            self.send(message)
             if self._recorder is not None:
                 self._recorder.record(message, sent=True)
 
     def repeat(self) -> None:
         """Send the offer again, to a controller that was not there yet; the log has it once."""
         for message in self._offered:
-            self._bus.send(message)
+            self.send(message)
 
     def collect(self, tick: int, patience: Patience) -> None:
         """Finish ``tick``: take the commands up to its status frame and advance the plant.
 
         Raises:
-            SilentNodeError, Interrupted: see ``Patience.receive``.
+            SilentNodeError, BusLostError, Interrupted: see ``Patience.receive``.
         """
         commands: list[float | None] = [None, None]
         while True:
@@ -108,6 +126,18 @@ class PlantNode:
         for receiver in self._commands:
             receiver.end_tick()
         self._plant.advance(tick, *commands)
+
+    def record_the_rest(self) -> None:
+        """Put in the log what others had sent by the end and was not read yet."""
+        if self._recorder is None:
+            return
+        end_s, deadline_s = time.time(), time.monotonic() + UNREAD_S
+        with suppress(can.CanError):
+            while time.monotonic() < deadline_s:
+                message = self._bus.recv(QUIET_S)
+                if message is None or message.timestamp > end_s:
+                    return
+                self._recorder.record(message, sent=False)
 
     def rejected(self) -> dict[str, dict[str, int]]:
         """Per message, how many frames were not used and why."""

@@ -3,7 +3,10 @@
 from __future__ import annotations
 
 import io
+import threading
+from contextlib import suppress
 from pathlib import Path
+from queue import SimpleQueue
 from types import TracebackType
 from typing import Self
 
@@ -17,6 +20,8 @@ CHANNEL = "vcan0"  # so that can-utils' canplayer needs no mapping
 
 class Recorder:
     """Writes candump lines in virtual time: the n-th frame of tick k at k·T + n µs.
+
+    Time never goes back: where others flood the bus, a tick may start in the log later than k·T.
 
     A tick's lines reach the operating system when the next one begins, so a killed process leaves
     every tick that it finished. Frames of the recording node are marked T, all others R.
@@ -39,7 +44,7 @@ class Recorder:
     def begin_tick(self, tick: int) -> None:
         """Put the previous tick on disk; the next frame is the first of ``tick``."""
         self._put()
-        self._time_us = tick * self._tick_ns // 1000
+        self._time_us = max(self._time_us, tick * self._tick_ns // 1000)
 
     def record(self, message: can.Message, sent: bool) -> None:
         """Note one frame, ``sent`` by this node or received."""
@@ -59,12 +64,15 @@ class Recorder:
         )
 
     def _put(self) -> None:
+        self._write(self._lines)
+        self._lines.clear()
+
+    def _write(self, lines: list[str]) -> None:
         try:
-            self._file.write("".join(self._lines).encode("ascii"))
+            self._file.write("".join(lines).encode("ascii"))
             self._file.flush()
         except OSError as error:
             raise RunFolderError(f"{self._path}: cannot be written: {error.strerror}") from None
-        self._lines.clear()
 
     def __enter__(self) -> Self:
         return self
@@ -75,8 +83,64 @@ class Recorder:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        self._put()
-        self._file.close()
+        try:
+            self._put()
+        finally:
+            with suppress(OSError):  # again what _put has just said: its lines are still there
+                self._file.close()
+
+
+class RealTimeRecorder(Recorder):
+    """The same lines, at the time since the start of the run, put on disk by a thread.
+
+    A disk that stalls for a moment so stalls no tick. ``at`` says when the next frame was sent or
+    read, and ``hand_over`` gives the thread what there is; it is on disk some 0.1 ms later.
+    """
+
+    def __init__(self, path: Path, tick_ns: int) -> None:
+        super().__init__(path, tick_ns)
+        self._queue: SimpleQueue[list[str]] = SimpleQueue()  # an empty list is the last
+        self._writer: threading.Thread | None = None
+        self._failure: RunFolderError | None = None
+
+    def at(self, time_ns: int) -> None:
+        """The next frame's time since the start; no frame is earlier than the one before it."""
+        self._time_us = max(self._time_us, time_ns // 1000)
+
+    def begin_tick(self, tick: int) -> None:
+        """Nothing: time is the wall clock's, and the disk can wait until ``hand_over``."""
+
+    def hand_over(self) -> None:
+        """Give what was recorded to the thread, which inherits the scheduling of this one.
+
+        Raises:
+            RunFolderError: writing has failed since the last call.
+        """
+        if self._failure is not None:
+            raise self._failure
+        if not self._lines:
+            return
+        if self._writer is None:
+            self._writer = threading.Thread(target=self._write_all, daemon=True)
+            self._writer.start()
+        self._queue.put(self._lines)
+        self._lines = []
+
+    def _write_all(self) -> None:
+        while (lines := self._queue.get()) and self._failure is None:
+            try:
+                self._write(lines)
+            except RunFolderError as failure:
+                self._failure = failure
+
+    def _put(self) -> None:
+        """At the end: wait for the thread."""
+        self.hand_over()
+        if self._writer is not None:
+            self._queue.put([])
+            self._writer.join()
+            if self._failure is not None:
+                raise self._failure
 
 
 def _other_line(message: can.Message, sent: bool, time_us: int) -> str:

@@ -9,7 +9,7 @@ import numpy as np
 
 from can_rig.errors import ScenarioError
 from can_rig.messages import Network
-from can_rig.scenario import Scenario
+from can_rig.settings import Scenario
 from firmware_model.sections import FloatArray
 
 LANE_CHANGE_S = 1.0  # when a lane change begins

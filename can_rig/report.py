@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import math
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
+from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import LogLocator, NullFormatter
 
+from can_rig.authority import authority
+from can_rig.beside import fault_free
 from can_rig.messages import Network
-from can_rig.metrics import fault_free, windows
-from can_rig.scenario import Scenario
+from can_rig.metrics import windows
+from can_rig.settings import Scenario
 from can_rig.signals import Signals
 from firmware_model.sections import FloatArray
 
@@ -24,20 +26,39 @@ LOST = "#efe9e2"
 Side = Literal["lower left", "lower right"]
 
 
-def draw_report(path: Path, scenario: Scenario, network: Network, signals: Signals) -> None:
+def draw_report(
+    path: Path,
+    scenario: Scenario,
+    network: Network,
+    signals: Signals,
+    realtime: dict[str, Any] | None = None,
+) -> None:
     """Write ``page`` as a PNG."""
-    page(scenario, network, signals).savefig(path, dpi=150)
+    page(scenario, network, signals, realtime).savefig(path, dpi=150)
 
 
-def page(scenario: Scenario, network: Network, signals: Signals) -> Figure:
+def page(
+    scenario: Scenario,
+    network: Network,
+    signals: Signals,
+    realtime: dict[str, Any] | None = None,
+) -> Figure:
     """Five panels over one time axis, the loss shaded, readable in grey print.
 
     A closed loop shows r, D* and |r - D*|. An open loop follows nothing: it shows D* beside D* of
-    the same run without the fault, and how far apart they are.
+    the same run without the fault, and how far apart they are. A real-time run has a sixth panel:
+    how late the plant node woke and how long the answers took.
     """
     figure = Figure(figsize=(8.27, 10.6), layout="constrained")
     FigureCanvasAgg(figure)
-    axes: list[Axes] = list(figure.subplots(5, 1, sharex=True, height_ratios=(1.25, 1, 1, 1, 1)))
+    signals_part: Figure | SubFigure = figure
+    if realtime:
+        parts: Any = figure.subfigures(2, 1, height_ratios=(5.25, 1.2))
+        signals_part = parts[0]
+        _timing(parts[1].subplots(), scenario, realtime)
+    axes: list[Axes] = list(
+        signals_part.subplots(5, 1, sharex=True, height_ratios=(1.25, 1, 1, 1, 1))
+    )
     time_s, unit = signals.time_s, network.feedback.unit
     command_1, command_2 = network.command_1, network.command_2
 
@@ -45,7 +66,11 @@ def page(scenario: Scenario, network: Network, signals: Signals) -> Figure:
         axis.grid(alpha=0.3, lw=0.5)
         axis.margins(x=0.0, y=0.08)
     if scenario.model.kind == "chapter-2":
-        beside, label, distance = fault_free(scenario, signals), "without the fault", "deviation"
+        beside, label, distance = (
+            fault_free(scenario, signals).dstar_mps2,
+            "without the fault",
+            "deviation",
+        )
     else:
         beside, label, distance = signals.reference_mps2, "reference", "error"
     name = "D*" if network.feedback.signal_name == "DStar" else "output y"
@@ -62,12 +87,13 @@ def page(scenario: Scenario, network: Network, signals: Signals) -> Figure:
         axis.plot(time_s, values, color=ORANGE, lw=1.0)
         axis.set_ylabel(_label(_words(codec.signal_name), codec.unit))
         _clip(axis, time_s, values, codec.unit)
+    _authority(axes[3], scenario, network, signals)
     _estimate(axes[4], scenario, signals)
     axes[4].set_ylabel(_label("fault estimate", unit))
     axes[4].set_xlabel("time in s")
     _mark_loss(axes, scenario, signals)
-    figure.align_ylabels(axes)
-    figure.suptitle(_title(scenario), fontsize=11)
+    signals_part.align_ylabels(axes)
+    signals_part.suptitle(_title(scenario), fontsize=11)
     return figure
 
 
@@ -105,10 +131,53 @@ def _estimate(axis: Axes, scenario: Scenario, signals: Signals) -> None:
     axis.plot(signals.time_s, signals.fault_estimate_mps2, color=GREEN, lw=1.2)
     for level, label in ((-threshold, None), (threshold, "fault threshold")):
         axis.axhline(level, color=INK, lw=0.7, ls=(0, (1, 2)), label=label)
+    _legend_above(axis)
+    _clip(axis, signals.time_s, signals.fault_estimate_mps2, "")
+
+
+def _authority(axis: Axes, scenario: Scenario, network: Network, signals: Signals) -> None:
+    """Where limit and tires end, if X_diff comes near."""
+    carried = authority(scenario, network)
+    force = np.abs(signals.force_difference_n)
+    if carried is None or not np.isfinite(force).any():
+        return
+    available = carried.available_n
+    if np.nanmax(force) < 0.5 * available:
+        return
+    sign = float(np.sign(signals.force_difference_n[int(np.nanargmax(force))]))
+    label = "most that limit and tires allow in this bend"
+    axis.axhline(sign * available, color=INK, lw=0.9, ls=(0, (1, 2)), label=label)
+    _legend_above(axis)
+
+
+def _legend_above(axis: Axes) -> None:
     axis.legend(
         loc="lower right", bbox_to_anchor=(1.0, 0.98), frameon=False, fontsize=9, borderpad=0
     )
-    _clip(axis, signals.time_s, signals.fault_estimate_mps2, "")
+
+
+def _timing(axis: Axes, scenario: Scenario, realtime: dict[str, Any]) -> None:
+    """Two histograms side by side over logarithmic bins of time, and the tick that limits both."""
+    for key, label, color, shift in (
+        ("wake_up_lateness_us", "wake-up lateness", BLUE, -0.2),
+        ("answer_after_us", "answer after", ORANGE, 0.2),
+    ):
+        counts = realtime[key]["counts"]
+        edges = realtime[key]["edges_us"]
+        axis.bar(np.arange(len(counts)) + shift, counts, 0.4, color=color, label=label)
+    axis.set_yscale("symlog", linthresh=1.0)
+    axis.set_ylim(bottom=0.0)
+    axis.set_xticks(np.arange(len(edges)) - 0.5, [f"{edge:g}" for edge in edges])
+    tick_us = scenario.tick_s * 1e6
+    at = float(np.interp(tick_us, edges, np.arange(len(edges)))) - 0.5
+    axis.axvline(at, color=INK, lw=0.8, ls=(0, (4, 3)), label="one tick")
+    axis.set_xlabel("time in µs, lower edge of the bin")
+    axis.set_ylabel("ticks")
+    axis.grid(axis="y", alpha=0.3, lw=0.5)
+    axis.legend(
+        loc="lower right", bbox_to_anchor=(1.0, 0.98), ncols=3, frameon=False, fontsize=9,
+        borderpad=0,
+    )  # fmt: skip
 
 
 def _title(scenario: Scenario) -> str:
@@ -118,7 +187,10 @@ def _title(scenario: Scenario) -> str:
     else:
         until = "" if fault.for_s is None else f" for {fault.for_s:g} s"
         channel = fault.channel.replace("-", " ")
-        what = f"{fault.kind.replace('-', ' ')}, {channel}, at {fault.at_s:g} s{until}"
+        left = f", {fault.left:.0%} left" if fault.left else ""
+        what = f"{fault.kind.replace('-', ' ')}, {channel}{left}, at {fault.at_s:g} s{until}"
+        if not fault.loses_a_channel:
+            what = f"sensor biased by {fault.bias_mps2:g} m/s², at {fault.at_s:g} s{until}"
     ticks = "tick" if scenario.latency_ticks == 1 else "ticks"
     rig = f"tick {scenario.tick_s * 1e3:g} ms, latency {scenario.latency_ticks} {ticks}"
     car = plant.kind if plant.kind == "chapter-2" else f"{plant.kind}, {plant.variant}"
@@ -171,7 +243,7 @@ def _mark_loss(axes: list[Axes], scenario: Scenario, signals: Signals) -> None:
     first_s, last_s = float(signals.time_s[0]), float(signals.time_s[-1]) + scenario.tick_s
     for axis in axes:
         axis.set_xlim(first_s, last_s)
-    if not windows(scenario, signals).lost.any():
+    if not windows(scenario, signals).after.any():
         return
     fault = scenario.fault
     for_s = math.inf if fault.for_s is None else fault.for_s
@@ -180,6 +252,7 @@ def _mark_loss(axes: list[Axes], scenario: Scenario, signals: Signals) -> None:
         axis.axvspan(start_s, end_s, color=LOST, lw=0, zorder=0)
         axis.axvline(start_s, color=INK, lw=0.8, zorder=1)
     lost = {"torque": "channel 1 lost", "force-difference": "channel 2 lost"}[fault.channel]
+    lost = lost if fault.loses_a_channel else "sensor biased"
     axes[0].annotate(
         lost,
         (start_s, 1.0),

@@ -11,16 +11,16 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 from can_rig.errors import RigError, SilentNodeError
-from can_rig.lockstep import StopRequest
+from can_rig.lockstep import StopRequest, Waiting
 from can_rig.nodes import NodeName, NodeSummary
 
-ENDS_WITHIN_S = 2.0  # the watchdog of a node plus its way out
+ENDS_WITHIN_S = 4.0  # the watchdog of a node, and its bus that waits 2 s for slow listeners
 
 
 @dataclass
@@ -63,15 +63,20 @@ class Child:
 
 
 def run_processes(
-    arguments: Sequence[str], log: Path, stop: StopRequest, on_tick: Callable[[int], None]
+    arguments: Sequence[str],
+    log: Path,
+    stop: StopRequest,
+    on_tick: Callable[[int], None],
+    real_time: bool = False,
 ) -> NodeSummary:
-    """Run the plant and the controller as two processes, on one core where that is possible.
+    """Run the plant and the controller as two processes, in lockstep on one core where possible.
 
     Args:
         arguments: scenario, ``--set`` and bus options, as each node takes them.
         log: where the plant node records.
         stop: ends the run after a tick.
         on_tick: called now and then with the number of ticks completed.
+        real_time: by the wall clock, each on a core of its own where possible.
 
     Returns:
         The summary; fewer ticks than the scenario's where the run was stopped.
@@ -81,13 +86,17 @@ def run_processes(
         RigError: a node refused to start; its own line says why.
     """
     children: list[Child] = []
+    to_plant = ["--log", str(log)]
+    if real_time:
+        arguments = [*arguments, "--realtime"]
+        to_plant += ["--silence", f"{Waiting().silence_s:g}"]  # by hand it would drive on alone
     try:
-        with _one_core():
+        with nullcontext() if real_time else _one_core():
             controller = Child.start("controller", arguments)
             children.append(controller)
             _watch(children, stop, until=lambda: "ready" in controller.said)
             if "ready" in controller.said and not stop.wanted:
-                children.append(Child.start("plant", [*arguments, "--log", str(log)]))
+                children.append(Child.start("plant", [*arguments, *to_plant]))
         _watch(children, stop, progress=lambda: on_tick(_ticks(children)))
         return _conclude(children, stop)
     finally:
@@ -147,9 +156,16 @@ def _conclude(children: list[Child], stop: StopRequest) -> NodeSummary:
             kind = SilentNodeError if status == SilentNodeError.exit_status else RigError
             raise kind(f"{child.name} node: {error}")
     rejected: dict[str, dict[str, int]] = {}
+    events: dict[str, dict[str, int]] = {}
+    realtime: dict[str, Any] | None = None
     for child in children:
         rejected |= child.said.get("rejected_frames", {})
-    return NodeSummary(_ticks(children), children[-1].said.get("wall_s", 0.0), rejected)
+        events |= child.said.get("bus_events", {})
+        if figures := child.said.get("realtime"):
+            scheduling = (realtime or {}).get("scheduling", {}) | figures["scheduling"]
+            realtime = {**(realtime or {}), **figures, "scheduling": scheduling}
+    wall_s = children[-1].said.get("wall_s", 0.0)
+    return NodeSummary(_ticks(children), wall_s, rejected, events, realtime)
 
 
 def _ticks(children: list[Child]) -> int:

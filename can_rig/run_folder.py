@@ -14,7 +14,7 @@ from typing import Any
 from can_rig.errors import RunFolderError
 from can_rig.messages import Network
 from can_rig.metrics import Metrics, metrics
-from can_rig.scenario import Scenario
+from can_rig.settings import Scenario
 from can_rig.signals import read_signals
 
 LOG, SIGNALS, SUMMARY, REPORT = "bus.log", "signals.csv", "run.json", "report.png"
@@ -39,6 +39,9 @@ class Outcome:
     ticks: int = 0
     wall_s: float = 0.0
     rejected_frames: dict[str, dict[str, int]] = field(default_factory=dict)
+    bus_events: dict[str, dict[str, int]] = field(default_factory=dict)
+    realtime: dict[str, Any] | None = None
+    """Of a real-time run; empty where it ended without figures."""
 
     @property
     def ticks_per_s(self) -> float:
@@ -48,6 +51,8 @@ class Outcome:
 
 def create(folder: Path | None, scenario: Scenario, force: bool) -> Path:
     """Make the folder; without a name it is ``runs/SCENARIO-DATE-TIME``.
+
+    A run that it replaces is only set aside: ``finish`` removes it, ``give_up`` brings it back.
 
     Raises:
         RunFolderError: it is there already and ``force`` is not given, or cannot be made.
@@ -63,18 +68,31 @@ def create(folder: Path | None, scenario: Scenario, force: bool) -> Path:
                 )
             if not (folder / LOG).is_file():
                 raise RunFolderError(f"{folder}: not a run folder, so --force does not replace it")
-            shutil.rmtree(folder)
+            folder.rename(_replaced(folder))
         folder.mkdir(parents=True)
     except OSError as error:
         raise RunFolderError(f"{folder}: cannot be made: {error.strerror}") from None
     return folder
 
 
+def give_up(folder: Path) -> None:
+    """Take away the folder of a run that recorded nothing; the one that it replaced comes back."""
+    folder.rmdir()
+    if _replaced(folder).is_dir():
+        _replaced(folder).rename(folder)
+
+
+def _replaced(folder: Path) -> Path:
+    """Where the run that ``--force`` replaces waits until there is another."""
+    return folder.with_name(f"{folder.name}.replaced")
+
+
 def finish(folder: Path, scenario: Scenario, network: Network, outcome: Outcome) -> Metrics:
     """Write ``signals.csv``, ``run.json`` and ``report.png`` from the log, however it ended."""
     from can_rig.report import draw_report  # noqa: PLC0415 (matplotlib, when nodes are done)
 
-    signals = read_signals(folder / LOG, network, scenario.tick_s)
+    in_time_ticks = 1 if outcome.realtime is None else scenario.latency_ticks
+    signals = read_signals(folder / LOG, network, scenario.tick_s, in_time_ticks)
     signals.write_csv(folder / SIGNALS)
     values = metrics(scenario, signals)
     summary: dict[str, Any] = {
@@ -89,7 +107,10 @@ def finish(folder: Path, scenario: Scenario, network: Network, outcome: Outcome)
             **{package: version(package) for package in PACKAGES},
         },
     }
+    if outcome.realtime is None:
+        del summary["realtime"]
     text = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False)
     (folder / SUMMARY).write_text(text + "\n", encoding="utf-8")
-    draw_report(folder / REPORT, scenario, network, signals)
+    draw_report(folder / REPORT, scenario, network, signals, outcome.realtime)
+    shutil.rmtree(_replaced(folder), ignore_errors=True)
     return values

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
@@ -12,7 +12,8 @@ import numpy as np
 from can import Message
 from numpy.typing import NDArray
 
-from can_rig.errors import RunFolderError
+from can_rig.frames import SENT
+from can_rig.log_reading import read_log
 from can_rig.messages import Network, Receiver
 from firmware_model.sections import FloatArray
 
@@ -63,10 +64,15 @@ class Signals:
         with path.open("w", encoding="ascii", newline="\n") as file:
             file.write(",".join(COLUMNS) + "\n")
             for row in zip(*columns, strict=True):
-                file.write(",".join("" if math.isnan(x) else f"{x:.10g}" for x in row) + "\n")
+                file.write(",".join(map(cell, row)) + "\n")
 
 
-def read_signals(log: Path, network: Network, tick_s: float) -> Signals:
+def cell(value: float) -> str:
+    """A value as ``signals.csv`` has it; nan is an empty cell."""
+    return "" if math.isnan(value) else f"{value:.10g}"
+
+
+def read_signals(log: Path, network: Network, tick_s: float, in_time_ticks: int = 1) -> Signals:
     """Decode a rig's log through the checks that the plant node makes.
 
     The plant node's frames, the reference and the feedback, say what tick is under way; a frame of
@@ -75,11 +81,25 @@ def read_signals(log: Path, network: Network, tick_s: float) -> Signals:
     tick on the wire. Ticks that are missing within it are rows of nan; a last line that a killed
     run left unfinished is not read.
 
+    Args:
+        log: of any format that ``log_reading`` knows.
+        network: its frames.
+        tick_s: seconds a tick.
+        in_time_ticks: from the start of its own tick on, how many ticks a command may take: one in
+            lockstep, the latency in a real-time run.
+
     Raises:
-        RunFolderError: the log cannot be read, or a line of it is not candump's.
+        LogError: the log cannot be read, or something in it is no frame.
     """
-    table = _Table(network, tick_s)
-    for message in read_frames(log):
+    return signals_of(plain_frames(log), network, tick_s, in_time_ticks)
+
+
+def signals_of(
+    messages: Iterable[Message], network: Network, tick_s: float, in_time_ticks: int = 1
+) -> Signals:
+    """The same from frames of any source, in their order, time stamps in s."""
+    table = _Table(network, tick_s, in_time_ticks)
+    for message in messages:
         table.take(message)
     values: NDArray[np.float64] = np.array(table.rows, dtype=np.float64)
     columns = values.reshape(len(table.rows), ROLE_COLUMNS + 2).T
@@ -87,57 +107,44 @@ def read_signals(log: Path, network: Network, tick_s: float) -> Signals:
     return Signals(ticks * tick_s, *columns)
 
 
-def read_frames(log: Path) -> Iterator[Message]:
-    """Classic data frames with 11-bit identifiers of a candump log (``candump -L``), in order.
-
-    python-can's reader knows every kind of frame and takes three times as long.
+def plain_frames(log: Path) -> Iterator[Message]:
+    """Classic data frames with 11-bit identifiers of a log, in order; the rig's are such.
 
     Raises:
-        RunFolderError: as ``read_signals``.
+        LogError: as ``read_signals``.
     """
-    try:
-        with log.open(encoding="ascii", newline="\n") as file:
-            for number, line in enumerate(file, start=1):
-                fields = line.split()
-                if not fields:
-                    continue
-                try:
-                    time_s = float(fields[0][1:-1])
-                    identifier, text = fields[2].split("#", 1)
-                    if len(identifier) != 3 or text[:1] in {"#", "R", "r"}:
-                        continue
-                    frame_id, data = int(identifier, 16), bytearray.fromhex(text)
-                except (IndexError, ValueError):
-                    if not line.endswith("\n"):
-                        return  # a killed run was writing it
-                    raise RunFolderError(
-                        f"{log}: line {number}: not a frame as candump -L writes it: {line[:60]!r}"
-                    ) from None
-                yield Message(time_s, frame_id, is_extended_id=False, data=data)
-    except (OSError, UnicodeDecodeError) as error:
-        raise RunFolderError(f"{log}: cannot be read: {error}") from None
+    for frames in read_log(log):
+        yield from frames[~frames.has(~SENT & 0xFF)].messages()
 
 
 class _Table:
     """Frames into rows, one a tick."""
 
-    def __init__(self, network: Network, tick_s: float) -> None:
+    def __init__(self, network: Network, tick_s: float, in_time_ticks: int) -> None:
         self.rows: list[list[float]] = []
         self.first_tick = 0
         self._tick_s = tick_s
+        self._in_time_ticks = in_time_ticks
         self._receivers = [Receiver(codec) for codec in network]
         self._by_id = {r.codec.frame_id: at for at, r in enumerate(self._receivers)}
         self._tick = -1  # the one under way
-        self._row: list[float] = []
+        self._marked = False
 
     def take(self, message: Message) -> None:
         """Use a frame, or not."""
         at = self._by_id.get(message.arbitration_id)
         if at is None:
             return
+        if at < OWN:  # the plant node marks its own as sent; where it does, others are not its
+            self._marked |= not message.is_rx
+            if self._marked and message.is_rx:
+                return
         receiver = self._receivers[at]
+        row = -1
         if at >= OWN:
-            record = receiver.accept(message, self._tick) if self.rows else None
+            age = self._age(message)
+            record = receiver.accept(message, self._tick - age) if self.rows else None
+            row -= age
         else:
             ahead = self._ticks_ahead(message)
             if ahead and self.rows:
@@ -147,9 +154,14 @@ class _Table:
                 self._begin(at, record.tick, message.timestamp, ahead)
         if record is None or not math.isfinite(record.value):
             return
-        self._row[at] = record.value
+        self.rows[row][at] = record.value
         if at == STATUS:
-            self._row[-2:] = [record.mode, record.fault_state]
+            self.rows[row][-2:] = [record.mode, record.fault_state]
+
+    def _age(self, message: Message) -> int:
+        """How many ticks ago a command's tick was, if it is in time; 0 otherwise."""
+        age = (self._tick - int.from_bytes(message.data[2:4], "little")) % WIRE_TICKS
+        return age if age < min(self._in_time_ticks, len(self.rows)) else 0
 
     def _ticks_ahead(self, message: Message) -> int:
         """How far the frame says that time has gone on; 0: it is of this tick, or of an old one."""
@@ -167,11 +179,10 @@ class _Table:
                     self._end_ticks(at, ahead)
             self._tick += ahead
         else:
-            self._tick = self.first_tick = _absolute(wire_tick, timestamp_s, self._tick_s)
+            self._tick = self.first_tick = absolute_tick(wire_tick, timestamp_s, self._tick_s)
             ahead = 1
         for _ in range(ahead):
-            self._row = [math.nan] * (ROLE_COLUMNS + 2)
-            self.rows.append(self._row)
+            self.rows.append([math.nan] * (ROLE_COLUMNS + 2))
 
     def _end_ticks(self, at: int, ticks: int) -> None:
         """Tell a receiver that this tick is over, and so many more without its frame."""
@@ -179,7 +190,7 @@ class _Table:
             self._receivers[at].end_tick()
 
 
-def _absolute(wire_tick: int, timestamp_s: float, tick_s: float) -> int:
+def absolute_tick(wire_tick: int, timestamp_s: float, tick_s: float) -> int:
     """The tick of a frame from its 16 bits and its time stamp, if that is in virtual time."""
     tick = round((timestamp_s / tick_s - wire_tick) / WIRE_TICKS) * WIRE_TICKS + wire_tick
     return tick if abs(tick * tick_s - timestamp_s) < tick_s else wire_tick

@@ -20,7 +20,7 @@ from dataclasses import dataclass, replace
 
 from can_rig.build import continuous_plant
 from can_rig.errors import ScenarioError
-from can_rig.scenario import Scenario
+from can_rig.settings import Scenario
 from can_rig.tuning_box import Car, delay_margin, survives
 from can_rig.tuning_candidate import Tuning, Values, assess, grid, settles, table_of
 
@@ -60,6 +60,7 @@ def tune(
     cars: Sequence[Car],
     spare_ticks: int = 1,
     noise_limit_n: float | None = None,
+    torque_noise_limit_nm: float | None = None,
     candidates: Sequence[Values] | None = None,
     on_candidate: Callable[[int, int], None] = lambda done, of: None,
 ) -> Tunings:
@@ -70,13 +71,20 @@ def tune(
         cars: the nominal one first (``tuning_box.cars``).
         spare_ticks: more ticks of delay than the controller knows of that have to be survived.
         noise_limit_n: rms of X_diff that ``noise.dstar_rms_mps2`` may cause, N.
+        torque_noise_limit_nm: the same of the torque, N m; nothing above it is looked at.
         candidates: instead of ``grid``.
         on_candidate: told how many are done, of how many.
 
     Raises:
         ScenarioError: nothing to tune, or nothing that survives.
     """
-    _refuse(scenario, spare_ticks, noise_limit_n)
+    _refuse(scenario, spare_ticks)
+    for option, limit in (
+        ("--noise-limit", noise_limit_n),
+        ("--torque-noise-limit", torque_noise_limit_nm),
+    ):
+        _refuse_limit(scenario, option, limit)
+    loudest = math.inf if torque_noise_limit_nm is None else torque_noise_limit_nm
     candidates = grid(scenario.tick_s) if candidates is None else candidates
     own = (
         [] if scenario.plant == scenario.model else [Car("plant", continuous_plant(scenario.plant))]
@@ -84,7 +92,8 @@ def tune(
     nominal: list[Tuning] = []
     for done, values in enumerate(candidates, 1):
         tuning = assess(scenario, values, (cars[0], *own), spare_ticks)
-        nominal += [tuning] if tuning is not None else []
+        if tuning is not None and tuning.noise_to_torque * scenario.noise.dstar_rms_mps2 <= loudest:
+            nominal.append(tuning)
         on_candidate(done, len(candidates))
     # What fits below the limits comes first; what does not, only where nothing does.
     for some in ([t for t in nominal if t.within_limits], nominal):
@@ -95,8 +104,8 @@ def tune(
             )
     raise ScenarioError(
         f"scenario {scenario.name}: of {len(candidates)} tunings {len(nominal)} are stable at the "
-        f"nominal car with {spare_ticks} ticks to spare and none over the box; a smaller --box, "
-        "fewer --spare-ticks or a smaller latency is right"
+        f"nominal car with {spare_ticks} ticks to spare and quiet enough, and none over the box; a "
+        "smaller --box, fewer --spare-ticks, a smaller latency or less noise is right"
     )
 
 
@@ -122,7 +131,7 @@ def _front(
     return front
 
 
-def _refuse(scenario: Scenario, spare_ticks: int, noise_limit_n: float | None) -> None:
+def _refuse(scenario: Scenario, spare_ticks: int) -> None:
     where = f"scenario {scenario.name}:"
     if scenario.model.kind == "chapter-2":
         raise ScenarioError(f"{where} model.kind = 'chapter-2': a car is right, as steer-by-wire")
@@ -132,9 +141,10 @@ def _refuse(scenario: Scenario, spare_ticks: int, noise_limit_n: float | None) -
         raise ScenarioError(f"{where} reference.amplitude_mps2 = 0: a loss would not show")
     if spare_ticks < 0:
         raise ScenarioError(f"--spare-ticks {spare_ticks}: 0 or above is right")
-    if noise_limit_n is not None and not (
-        noise_limit_n > 0.0 and scenario.noise.dstar_rms_mps2 > 0.0
-    ):
+
+
+def _refuse_limit(scenario: Scenario, option: str, limit: float | None) -> None:
+    if limit is not None and not (limit > 0.0 and scenario.noise.dstar_rms_mps2 > 0.0):
         raise ScenarioError(
-            f"--noise-limit {noise_limit_n:g}: above 0 is right, with noise.dstar_rms_mps2 above 0"
+            f"{option} {limit:g}: above 0 is right, with noise.dstar_rms_mps2 above 0"
         )

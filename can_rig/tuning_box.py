@@ -16,7 +16,7 @@ from typing import Any
 
 from can_rig.build import continuous_plant
 from can_rig.errors import ScenarioError
-from can_rig.scenario import PlantSettings
+from can_rig.settings import PlantSettings
 from firmware_model.errors import DesignError
 from firmware_model.layout import Record
 from firmware_model.margins import HEALTHY, TORQUE_DEAD
@@ -108,7 +108,7 @@ def laws(table: Record) -> tuple[Law, Law]:
     """What acts, and what is left of the actuators: healthy, and with the torque channel dead."""
     return (
         (linear_controller(table), HEALTHY),
-        (linear_controller(table, confirmed=True), TORQUE_DEAD),
+        (linear_controller(table, confirmed=1.0), TORQUE_DEAD),
     )
 
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from can_rig.build import continuous_design, continuous_plant, target
 from can_rig.errors import ScenarioError
-from can_rig.scenario import DesignSettings, Scenario
+from can_rig.settings import DesignSettings, Scenario
 from can_rig.tuning_box import Car, loops, survives
 from firmware_model.errors import DesignError
 from firmware_model.layout import Record

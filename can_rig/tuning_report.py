@@ -21,22 +21,23 @@ from can_rig.tuning_candidate import Tuning
 
 PICTURE = "tuning.png"
 APART = 1.6  # factor in peak or noise from one row of the table to the next
-HEADINGS = ("tau", "tau_q", "alpha", "alpha_q", "margin", "peak", "of least", "X_diff", "torque")
-UNITS = ("ms", "ms", "", "", "ticks", "m/s²", "possible", "rms", "peak N m")
+HEADINGS = ("τ", "τ_q", "α", "α_q", "margin", "peak", "of least", "X_diff", "torque", "torque")
+UNITS = ("ms", "ms", "", "", "ticks", "m/s²", "possible", "rms", "rms", "peak N m")
 
 
 def tune_command(
     name: str,
     settings: Sequence[str],
     box: tuple[float, Sequence[str]],
-    limits: tuple[int, float | None],
+    limits: tuple[int, float | None, float | None],
     out: Path,
     force: bool,
     as_json: bool,
 ) -> int:
     """``can-rig tune``: the exit status, 1 where no tuning is as quiet as wanted.
 
-    ``box`` is what ``ranges`` takes, ``limits`` are the ticks to spare and the noise in X_diff, N.
+    ``box`` is what ``ranges`` takes, ``limits`` are the ticks to spare, the noise in X_diff, N, and
+    that in the torque, N m.
     """
     from can_rig.tuning_picture import draw_tunings  # noqa: PLC0415 (matplotlib: slow to import)
 
@@ -128,6 +129,7 @@ def rows(found: Tunings) -> Iterator[tuple[Tuning, tuple[str, ...]]]:
                 f"{tuning.peak_mps2:.2e}",
                 f"x {tuning.peak_ratio:.2f}",
                 f"{noise_n(found, tuning):.3g}",
+                f"{tuning.noise_to_torque * (found.scenario.noise.dstar_rms_mps2 or 1.0):.3g}",
                 f"{tuning.torque_peak_nm:.4g}",
             ),
         )
@@ -144,7 +146,8 @@ def noise_unit(found: Tunings) -> str:
 
 
 def _print(found: Tunings, path: Path) -> None:
-    units = (*UNITS[:-2], f"rms {noise_unit(found)}", UNITS[-1])
+    force = noise_unit(found)
+    units = (*UNITS[:-3], f"rms {force}", f"rms {force.replace('N', 'N m', 1)}", UNITS[-1])
     table = Table(box=None, pad_edge=False)
     table.add_column("")
     for heading, unit in zip(HEADINGS, units, strict=True):

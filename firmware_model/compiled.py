@@ -1,4 +1,4 @@
-"""The one place that compiles: ``@firmware`` marks what runs on the target.
+"""The one place that compiles: ``@firmware`` marks what runs on the target, ``@compiled`` the rest.
 
 The same lines run interpreted with ``NUMBA_DISABLE_JIT=1`` (for a debugger, for coverage) and
 compiled without it, with bit-identical float64 results: no fast-math, no reordering, no fused
@@ -36,8 +36,8 @@ def _cache_folder() -> str:
 _CACHE_FOLDER = _cache_folder()
 
 
-def firmware(function: Function) -> Function:
-    """Compile for the target, cached on disk so that a second process starts at once."""
+def compiled(function: Function) -> Function:
+    """Compile, cached on disk so that a second process starts at once."""
     settings: Any = config
     before, settings.CACHE_DIR = settings.CACHE_DIR, _CACHE_FOLDER
     try:
@@ -46,3 +46,6 @@ def firmware(function: Function) -> Function:
         return cast(Function, njit(function))
     finally:
         settings.CACHE_DIR = before
+
+
+firmware = compiled

@@ -14,7 +14,8 @@ of its frame first, and that value is what the estimator works on; C goes on fro
 
 **Compensation on confirmation.** The thesis feeds F̂ with d̂, which has waited for the bus twice:
 once in the model, once on the way of u2. After a confirmed loss the lost channel's own command is
-known at once, so F̂ may work on w = G1 u1 instead, and the delay around the loop is halved.
+known at once, so F̂ may work on s w = s G1 u1 instead, s the share that is lost, and the delay
+around the loop is halved.
 """
 
 from __future__ import annotations
@@ -27,6 +28,7 @@ import numpy as np
 from firmware_model.biquad import advance, output, settle, settle_integrator
 from firmware_model.compiled import firmware
 from firmware_model.decision import CLEAR, decide, lost_now, remember
+from firmware_model.governor import govern, start
 from firmware_model.layout import (
     MAX_LATENCY_TICKS,
     Mode,
@@ -34,6 +36,7 @@ from firmware_model.layout import (
     RecordArray,
     state_type,
 )
+from firmware_model.probe import probe_response, probe_torque
 
 MODE_INIT, MODE_RUN, MODE_HOLD = int(Mode.INIT), int(Mode.RUN), int(Mode.HOLD)
 
@@ -81,8 +84,10 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
     state.measurement = measurement
     held_1, held_2 = state.command_1, state.command_2
 
-    error = state.reference - table.feedback * state.measurement
+    error = wanted(table, state) - table.feedback * state.measurement
     torque = output(table.tracking, state.tracking, table.tracking_n, error)
+    if state.probe_at > 0:
+        torque = torque + probe_torque(table, state)
     possible = limited(torque, held_1, table.limit_1, table.slew_1)
     # No wind-up: C goes on from the error that would have asked for what is possible (Hanus 1987).
     realisable = error + (possible - torque) * table.conditioning
@@ -103,7 +108,7 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
     decide(table, state, q_rest + table.q_feedthrough * before, at_stake)
 
     if table.on_confirmation:  # u2 = r2 + F̂w, with the w that is known before it reaches the plant
-        drive = lost_now(table, state)
+        drive = state.share_lost * lost_now(table, state)
         force = rest + table.compensator_feedthrough * drive
         force = from_reference + (force if state.engaged else zero)
     else:  # the thesis: u2 = r2 + rest + f(q_rest + q(known + g u2)), solved for u2
@@ -130,8 +135,22 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
 
 
 @firmware
+def wanted(table: Record, state: Record) -> float:
+    """What C follows: the reference, governed where the motor has a limit, and a probe's answer."""
+    r: float = state.reference
+    if table.governs:
+        govern(table, state)
+        r = state.governed
+    if state.probe_at > 0:
+        r = r + probe_response(table, state)
+    return r
+
+
+@firmware
 def forget(state: Record) -> None:
     """Empty every memory after an overflow: a number that is lost must not stay lost."""
+    start(state, 0.0, 0.0)
+    state.probe_at = 0
     state.tracking[:] = 0
     state.estimator_1[:] = 0
     state.estimator_2[:] = 0
@@ -176,6 +195,7 @@ def reset(table: Record, state: Record, reference: float) -> None:
     commands: no bump.
     """
     state.reference = reference
+    start(state, state.reference, 0.0)
     target = state.reference
     zero = target - target
     limit_1, limit_2 = table.limit_1, table.limit_2
@@ -199,6 +219,7 @@ def reset(table: Record, state: Record, reference: float) -> None:
     state.acting_1 = torque
     state.fault_estimate = zero
     state.decide_ticks = 0
+    state.probe_at = 0
     state.engaged = 0
     state.mode = MODE_INIT
     state.fault_state = CLEAR

@@ -11,15 +11,19 @@ above: a reference that passes through zero takes d̂ and w along and clears not
 should outlast the ringing of G1, which d̂ follows when the channel comes back.
 
 None of this isolates the torque channel: a bias b of the D* sensor gives d̂ = -b, a change of the
-car gives some d̂. Where channel 1 asks for so little that its loss would stay below the threshold,
-silence means nothing, and the state is CANNOT_TELL instead of CLEAR.
+car gives some d̂. A table with a ``probe`` asks the motor before it confirms: d̂ that does not answer
+to a small torque stays SUSPECTED. Where channel 1 asks for so little that its loss would stay below
+the threshold, silence means nothing, and the state is CANNOT_TELL instead of CLEAR.
 """
 
 from __future__ import annotations
 
+import math
+
 from firmware_model.biquad import advance, output
 from firmware_model.compiled import firmware
 from firmware_model.layout import MAX_LATENCY_TICKS, FaultState, Record
+from firmware_model.probe import begin, listen, share_heard
 
 CLEAR, SUSPECTED, CONFIRMED, CANNOT_TELL = (
     int(FaultState.CLEAR),
@@ -42,28 +46,49 @@ def decide(table: Record, state: Record, estimate: float, at_stake: float) -> No
         at_stake: what channel 1, if it works, adds to y at this tick by the model.
     """
     over = abs(estimate) > table.threshold
+    if over and state.fault_state not in (SUSPECTED, CONFIRMED):
+        explain(table, state, estimate)
+    weigh(table, state, estimate, lost_as_seen(table, state))
     if state.fault_state == CONFIRMED:
-        expected = lost_as_seen(table, state)
-        would_show = table.clear_ratio * abs(expected) > table.threshold
-        if would_show and not over:
-            state.decide_ticks += 1
-            if state.decide_ticks >= table.clear_ticks:
-                state.fault_state = CLEAR
-                state.decide_ticks = 0
-        else:
-            state.decide_ticks = 0
+        look_for_recovery(table, state, over)
+    elif state.probe_at > 0:
+        if listen(table, state, estimate, lost_as_seen(table, state)):
+            if share_heard(state) >= table.probe_share:
+                confirm(table, state)
+            else:
+                state.decide_ticks = table.confirm_ticks - table.clear_ticks  # the next, later
     elif over:
-        if state.decide_ticks == 0:
-            explain(table, state, estimate)
         state.decide_ticks += 1
         state.fault_state = SUSPECTED
         if state.decide_ticks >= table.confirm_ticks:
-            state.fault_state = CONFIRMED
-            state.decide_ticks = 0
-            state.engaged = table.on_confirmation
+            if table.probe_ticks > 0:
+                begin(state)
+            else:
+                confirm(table, state)
     else:
         state.decide_ticks = 0
         state.fault_state = CLEAR if abs(at_stake) > table.threshold else CANNOT_TELL
+
+
+@firmware
+def look_for_recovery(table: Record, state: Record, over: bool) -> None:
+    """Clear a confirmed loss once a channel that is lost would have shown for long enough."""
+    would_show = table.clear_ratio * abs(lost_as_seen(table, state)) > table.threshold
+    if over or not would_show:
+        state.decide_ticks = 0
+        return
+    state.decide_ticks += 1
+    if state.decide_ticks >= table.clear_ticks:
+        state.fault_state = CLEAR
+        state.decide_ticks = 0
+
+
+@firmware
+def confirm(table: Record, state: Record) -> None:
+    """Take channel 1 for lost."""
+    state.fault_state = CONFIRMED
+    state.decide_ticks = 0
+    state.engaged = table.on_confirmation
 
 
 @firmware
@@ -72,7 +97,10 @@ def explain(table: Record, state: Record, estimate: float) -> None:
 
     d̂ shows what channel 1 did not do until now. It is given the command of then for one tick, and
     more until the model's answer comes near to d̂; after that, the commands still on their way.
+    How much of the channel is lost, ``weigh`` finds out from the ticks that follow.
     """
+    state.share_sums[:] = 0.0
+    state.share_lost = 1.0
     for _ in range(MAX_LATENCY_TICKS):
         advance(table.estimator_1, state.lost, table.estimator_1_n, state.acting_1)
         shown = output(table.estimator_1, state.lost, table.estimator_1_n, state.acting_1)
@@ -84,6 +112,22 @@ def explain(table: Record, state: Record, estimate: float) -> None:
             table.estimator_1, state.lost, table.estimator_1_n, state.delay_1[at]
         )
         advance(table.estimator_1, state.lost, table.estimator_1_n, state.delay_1[at])
+
+
+@firmware
+def weigh(table: Record, state: Record, estimate: float, expected: float) -> None:
+    """The share s of channel 1 that is lost, 0..1: least squares of d̂ = s w with a fading memory.
+
+    Where w is below the threshold, or a square is out of range, nothing is learnt. It grows from
+    zero, so what was seen first, and says least, soon weighs nothing.
+    """
+    if not abs(expected) > table.threshold:
+        return
+    seen = table.share_memory * state.share_sums[0] + estimate * expected
+    of = table.share_memory * state.share_sums[1] + expected * expected
+    if of > 0.0 and math.isfinite(seen) and math.isfinite(of):
+        state.share_sums[0], state.share_sums[1] = seen, of
+        state.share_lost = min(max(seen / of, 0.0), 1.0)
 
 
 @firmware

@@ -7,7 +7,9 @@ from typing import NamedTuple
 import numpy as np
 
 from firmware_model import controller
+from firmware_model.governor import start
 from firmware_model.layout import Record
+from firmware_model.sections import FloatArray
 
 
 class Answer(NamedTuple):
@@ -44,3 +46,29 @@ class Firmware:
     def reset(self, reference: float) -> None:
         """Start from the settled healthy loop at ``reference``; see ``controller.reset``."""
         controller.reset(self._tables[0], self._states[0], reference)
+
+    def move(self, sections: FloatArray) -> None:
+        """Let F1 know of a motion of the plant that no command of this controller made.
+
+        Args:
+            sections: shape (MAX_SECTIONS, 2), what to add to the state of F1's first model.
+        """
+        self._states[0].estimator_1 += sections.astype(self._tables[0].limit_1.dtype)
+
+    def follow(self, reference: float, speed: float) -> None:
+        """Let the reference that C follows be on its way: at ``reference``, by ``speed`` a tick."""
+        start(self._states[0], reference, speed)
+
+    def act(self, command_1: float, command_2: float) -> None:
+        """Let F1 know what the actuators do from the next ``step`` on, where commands were lost.
+
+        For a latency of at least one tick: commands of the tick itself cannot be late.
+        """
+        state = self._states[0]
+        state.delay_1[state.delay_at], state.delay_2[state.delay_at] = command_1, command_2
+
+    @property
+    def commands(self) -> tuple[float, float]:
+        """The last commands, computed, held or settled."""
+        state = self._states[0]
+        return float(state.command_1), float(state.command_2)

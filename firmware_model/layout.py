@@ -67,13 +67,35 @@ def table_type(precision: Precision = "float64") -> np.dtype[np.void]:
         "limit_2",
         "slew_1",  # largest change of a command in a tick
         "slew_2",
+        "slew_reference",  # largest change, in a tick, of what the reference changes in a tick
         "lsb_1",  # command grid, 0: none
         "lsb_2",
         "threshold",  # of |d̂|
+        "probe_amplitude",  # of command 1, half of it
+        "probe_share",  # of the torque that a probe has to find lost
+        "share_memory",  # what a tick leaves of the sums behind the share that is lost
         "clear_ratio",  # of the d̂ of a loss, which has to be above the threshold to clear it
     ]
-    integers = ["integrates", "latency_ticks", "confirm_ticks", "clear_ticks", "on_confirmation"]
-    fields = [*sections, *counts, *((n, real) for n in reals), *((n, np.int64) for n in integers)]
+    integers = [
+        "integrates",
+        "governs",
+        "probe_ticks",  # that a probe lasts; 0: none
+        "latency_ticks",
+        "confirm_ticks",
+        "clear_ticks",
+        "on_confirmation",
+    ]
+    vectors = [
+        ("probe_gain", real, (2,)),  # G1 at its frequency, latency included: real, imaginary
+        ("probe_turn", real, (2,)),  # of half its phase in a tick: cosine, sine
+    ]
+    fields = [
+        *sections,
+        *counts,
+        *vectors,
+        *((n, real) for n in reals),
+        *((n, np.int64) for n in integers),
+    ]
     return np.dtype((np.record, fields))
 
 
@@ -89,9 +111,18 @@ def state_type(precision: Precision = "float64") -> np.dtype[np.void]:
         ("delay_lost", real, (MAX_LATENCY_TICKS,)),  # what was lost, on its way into d̂
         ("acting_1", real),  # command 1 as it reached the plant in the last tick
         ("delay_at", np.int64),
+        ("probe_heard", real, (4,)),  # d̂ and w at the frequency of a probe: cosine and sine parts
+        ("probe_cos", real),  # half its phase
+        ("probe_sin", real),
+        ("probe_at", np.int64),  # the tick of a probe, from 1 on; 0: none
+        ("share_lost", real),  # of channel 1, as far as d̂ shows it
+        ("share_sums", real, (2,)),  # of d̂ w and of w², fading
         ("decide_ticks", np.int64),  # ticks in a row that ask for another fault state
         ("engaged", np.int64),  # 1: compensation on confirmation acts
         ("reference", real),
+        ("reference_before", real),
+        ("governed", real),  # the reference that C follows, and what it changed in the last tick
+        ("governed_speed", real),
         ("measurement", real),
         ("command_1", real),
         ("command_2", real),

@@ -79,7 +79,7 @@ def margins(
     plant: Plant,
     tick_s: float,
     effectiveness: tuple[float, float] = HEALTHY,
-    confirmed: bool | None = None,
+    confirmed: float | None = None,
 ) -> Margins:
     """The margins of ``table`` around ``plant``, with ``effectiveness`` left of its actuators.
 
@@ -127,8 +127,12 @@ def margins(
 
 
 def law_in(table: Record, effectiveness: tuple[float, float]) -> LinearController:
-    """The law that acts in this state: a loss has been confirmed wherever there is one."""
-    return linear_controller(table, confirmed=effectiveness != HEALTHY)
+    """The law that acts in this state: a loss has been confirmed wherever there is one.
+
+    Of channel 1 as much as is lost; of all of it where channel 2 is, which d̂ cannot tell from it.
+    """
+    lost = 1.0 - effectiveness[0]
+    return linear_controller(table, lost if lost > 0.0 or effectiveness == HEALTHY else 1.0)
 
 
 def gain_margin(loop: SampledLoop, gains: FloatArray) -> float:

@@ -120,18 +120,19 @@ class SampledLoop:
         return np.unique(angles[(angles >= lowest) & (angles <= math.pi)])
 
 
-def linear_controller(table: Record, confirmed: bool = False) -> LinearController:
+def linear_controller(table: Record, confirmed: float = 0.0) -> LinearController:
     """The matrices of ``controller.step`` for ``table``, in float64 whatever its precision.
 
-    ``confirmed``: as the law is after a confirmed loss. That is another one only for a table that
-    compensates on confirmation.
+    ``confirmed``: as the law is after a confirmed loss of that share of channel 1; 0: none is. That
+    is another law only for a table that compensates on confirmation.
     """
     memories = _memories(table)
     k = len(memories)
     tables = _without_limits(table, k + 2)
     states = controller.init(tables[0], k + 2)
-    if confirmed:
+    if confirmed > 0.0:
         states["fault_state"] = FaultState.CONFIRMED
+        states["share_lost"] = confirmed
         states["engaged"] = table.on_confirmation
     for j, (name, index) in enumerate(memories):
         states[name][(j, *index)] = 1.0
@@ -238,7 +239,7 @@ def _without_limits(table: Record, n: int) -> RecordArray:
     for name in table.dtype.names:
         if name.startswith(("limit_", "slew_", "threshold")):
             tables[name] = math.inf
-        elif not name.startswith("lsb_"):
+        elif not name.startswith(("lsb_", "governs")):
             tables[name] = table[name]
     return tables
 

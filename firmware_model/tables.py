@@ -11,7 +11,14 @@ import numpy as np
 
 from firmware_model.design import ContinuousDesign
 from firmware_model.errors import DesignError, ParameterError
-from firmware_model.layout import MAX_LATENCY_TICKS, MAX_SECTIONS, Precision, Record, table_type
+from firmware_model.layout import (
+    MAX_LATENCY_TICKS,
+    MAX_SECTIONS,
+    Precision,
+    Record,
+    RecordArray,
+    table_type,
+)
 from firmware_model.sections import Sections
 from firmware_model.tustin import tustin, tustin_held, zoh
 from firmware_model.zpk import ZeroPoleGain
@@ -22,6 +29,11 @@ ESTIMATOR_RULES: dict[EstimatorRule, Callable[[ZeroPoleGain, float], Sections]] 
     "tustin-held": tustin_held,
     "zoh": zoh,
 }
+
+
+SHARE_MEMORY_S = 0.05  # of how much is lost: some time constants of w, 1/17.7 s for this car
+PROBE_PERIODS = 2  # the half phase of ``probe`` goes once around
+PROBE_SHARE = 0.4  # lost that confirms; a car that is 20 % off looks like 0.3 at 10 rad/s
 
 
 @dataclass(frozen=True)
@@ -35,6 +47,8 @@ class Target:
         estimator: how F1 is discretised; F̂ and C are always Tustin's.
         limit_1, limit_2: largest magnitude of a command, in its own unit.
         rate_1, rate_2: largest change of a command in a second.
+        reference_acceleration: largest second derivative of the reference that C follows; a faster
+            reference is followed later (``governor``).
         lsb_1, lsb_2: grid of a command as its frame carries it; 0 for none.
         threshold: |d̂| above it is a suspected fault.
         confirm_ticks: ticks in a row above the threshold that confirm it.
@@ -43,6 +57,9 @@ class Target:
             it, for the channel to be taken to work again.
         on_confirmation: compensate from the confirmed loss on, with what the lost channel's own
             commands would have done, instead of always and with d̂ (the thesis).
+        probe: amplitude of the sine, in the unit of command 1, that has to be missing in the
+            measurement before a loss is confirmed; 0 for none.
+        probe_rad_per_s: its frequency.
         prewarp_rad_per_s: frequency at which C and F̂ keep their continuous response exactly.
         precision: of every number in the table and the state.
     """
@@ -54,6 +71,7 @@ class Target:
     limit_2: float = math.inf
     rate_1: float = math.inf
     rate_2: float = math.inf
+    reference_acceleration: float = math.inf
     lsb_1: float = 0.0
     lsb_2: float = 0.0
     threshold: float = math.inf
@@ -61,6 +79,8 @@ class Target:
     clear_ticks: int = 1
     clear_ratio: float = 0.25
     on_confirmation: bool = False
+    probe: float = 0.0
+    probe_rad_per_s: float = 10.0
     prewarp_rad_per_s: float | None = None
     precision: Precision = "float64"
 
@@ -72,7 +92,14 @@ class Target:
             raise ParameterError(
                 f"latency_ticks = {self.latency_ticks}: 0 to {MAX_LATENCY_TICKS} is right"
             )
-        for name in ("limit_1", "limit_2", "rate_1", "rate_2", "threshold"):
+        for name in (
+            "limit_1",
+            "limit_2",
+            "rate_1",
+            "rate_2",
+            "reference_acceleration",
+            "threshold",
+        ):
             if not getattr(self, name) > 0.0:
                 raise ParameterError(f"{name} = {getattr(self, name):g}: above 0 is right")
         for name in ("lsb_1", "lsb_2"):
@@ -80,6 +107,13 @@ class Target:
                 raise ParameterError(f"{name} = {getattr(self, name):g}: 0 or above is right")
         if not 0.0 <= self.clear_ratio < 1.0:
             raise ParameterError(f"clear_ratio = {self.clear_ratio:g}: 0 to below 1 is right")
+        if not 0.0 <= self.probe < math.inf:
+            raise ParameterError(f"probe = {self.probe:g}: 0 (none) or above is right")
+        if self.probe and not 0.0 < self.probe_rad_per_s * self.tick_s <= math.pi / 4:
+            raise ParameterError(
+                f"probe_rad_per_s = {self.probe_rad_per_s:g}: above 0, up to an eighth of the "
+                f"sampling frequency, {math.pi / 4 / self.tick_s:g}, is right"
+            )
         for name in ("confirm_ticks", "clear_ticks"):
             if getattr(self, name) < 1:
                 raise ParameterError(f"{name} = {getattr(self, name)}: 1 or more is right")
@@ -165,12 +199,29 @@ def build(design: ContinuousDesign, target: Target) -> Record:
     table["conditioning"] = 1.0 / filters.tracking.feedthrough
     table["slew_1"] = target.rate_1 * target.tick_s
     table["slew_2"] = target.rate_2 * target.tick_s
+    table["slew_reference"] = target.reference_acceleration * target.tick_s**2
+    table["governs"] = feedback and math.isfinite(target.reference_acceleration)
     table["loop_inverse"] = 1.0 / (1.0 - loop_gain)
     for name in ("limit_1", "limit_2", "lsb_1", "lsb_2", "threshold", "clear_ratio"):
         table[name] = getattr(target, name)
+    if target.probe > 0.0:
+        add_probe(table, target, filters)
+    table["share_memory"] = math.exp(-target.tick_s / SHARE_MEMORY_S)
     table["latency_ticks"] = target.latency_ticks
     table["confirm_ticks"] = target.confirm_ticks
     table["clear_ticks"] = target.clear_ticks
     table["on_confirmation"] = target.on_confirmation
     table.flags.writeable = False
     return table[0]
+
+
+def add_probe(table: RecordArray, target: Target, filters: Filters) -> None:
+    """Whole ticks for two periods, so the frequency moves a little; G1 there, latency included."""
+    ticks = round(PROBE_PERIODS * 2.0 * math.pi / (target.probe_rad_per_s * target.tick_s))
+    half = np.exp(2j * math.pi / ticks)  # once around in a probe: two periods of the whole phase
+    answer = filters.estimator_1(half**2) * half ** (-2 * target.latency_ticks)
+    table["probe_amplitude"] = 0.5 * target.probe
+    table["probe_gain"] = answer.real, answer.imag
+    table["probe_turn"] = half.real, half.imag
+    table["probe_ticks"] = ticks
+    table["probe_share"] = PROBE_SHARE

@@ -1,4 +1,7 @@
-"""Rates of the lockstep loop, interleaved so that a noisy machine disturbs all alike, medians."""
+"""Rates of the lockstep loop, or of decoding a log (bench_decode.py).
+
+Interleaved, so that a noisy machine disturbs all alike; medians.
+"""
 
 from __future__ import annotations
 
@@ -24,7 +27,7 @@ from can_rig.nodes import network_of, run_in_process
 from can_rig.plant import SimulatedPlant
 from can_rig.recorder import Recorder
 from can_rig.run import run_processes
-from can_rig.scenario import Scenario
+from can_rig.settings import Scenario
 from firmware_model.firmware import Firmware
 
 MULTICAST = "udp_multicast:239.74.163.2"
@@ -101,12 +104,26 @@ def log(recorder: Recorder, frame: can.Message) -> None:
 
 
 def main() -> None:
-    """Print the two tables."""
+    """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("what", nargs="?", choices=("loop", "decode"), default="loop")
     parser.add_argument("--rounds", type=int, default=5, help="interleaved rounds [5]")
-    parser.add_argument("--seconds", type=float, default=5.0, help="simulated time a run [5]")
+    parser.add_argument("--seconds", type=float, default=5.0, help="loop: simulated time a run [5]")
+    parser.add_argument(
+        "--frames", type=int, default=1_000_000, help="decode: length of the log [1000000]"
+    )
     options = parser.parse_args()
-    scenario = scenarios.load("thesis-step", [f"duration_s={options.seconds}"])
+    if options.what == "decode":
+        from bench_decode import bench_decode  # noqa: PLC0415 (asammdf is slow to import)
+
+        bench_decode(options.frames, options.rounds)
+    else:
+        bench_loop(options.rounds, options.seconds)
+
+
+def bench_loop(rounds: int, seconds: float) -> None:
+    """Print the two tables of the loop."""
+    scenario = scenarios.load("thesis-step", [f"duration_s={seconds}"])
     network = network_of(scenario)
     console = Console()
     with tempfile.TemporaryDirectory() as name:
@@ -119,7 +136,7 @@ def main() -> None:
             "two processes, udp_multicast": lambda: two_processes(scenario, MULTICAST, folder),
         }
         rates: dict[str, list[float]] = {label: [] for label in runs}
-        for _ in range(options.rounds):
+        for _ in range(rounds):
             for label, measure in runs.items():
                 rates[label].append(measure())
         table = Table("nodes and bus", "ticks/s", "x real time at 1 kHz", "µs a tick", box=None)

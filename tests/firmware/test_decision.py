@@ -5,11 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from firmware_model import controller
 from firmware_model.design import DesignSpecification, design
 from firmware_model.firmware import Firmware
-from firmware_model.layout import FaultState
+from firmware_model.layout import FaultState, Mode
 from firmware_model.plants import steer_by_wire
-from firmware_model.sampled_plant import sample
+from firmware_model.sampled_plant import follow_plant, sample
 from firmware_model.sections import FloatArray
 from firmware_model.simulation import Trace, simulate
 from firmware_model.tables import Target, build
@@ -153,3 +154,44 @@ def test_a_bias_that_no_command_explains_ends_the_search() -> None:
     answer = firmware.step(0.0, 1.0)
     assert answer.fault_state == FaultState.CONFIRMED
     assert answer.fault_estimate == -1.0
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("left", [0.0, 0.25, 0.5, 0.9])
+@pytest.mark.parametrize("latency", [1, 2])
+def test_as_much_is_compensated_as_is_lost(left: float, latency: int) -> None:
+    """X_diff settles at the share that the torque lost of what carries the bend, and as fast."""
+    trace = drive(confirming(latency), np.ones(TICKS), left)
+    whole = 1.0 / CAR.g2.dc_gain
+    assert trace.command_2[-1] == pytest.approx((1.0 - left) * whole, rel=5e-3)
+    missing = (1.0 - left) / CAR.g1.dc_gain
+    assert np.abs(trace.error[LOST:]).max() < 4.0 * unavoidable(latency, missing)
+
+
+def test_the_share_is_that_of_a_loss_within_some_ticks_of_noise() -> None:
+    """Least squares over a memory of 50 ticks: noise of 5 % of w leaves some 1 % of the share."""
+    table = build(TAME, confirming(threshold=0.02, confirm_ticks=3))
+    state = controller.init(table)[0]
+    draw, x = np.random.default_rng(1), PLANT.rest.copy()
+    y, late, shares = 0.0, (0.0, 0.0), []
+    for k in range(1500):
+        controller.step(table, state, 1.0, y + 0.005 * draw.standard_normal())
+        left = 1.0 if k < LOST else 0.4
+        y = follow_plant(PLANT.phi, PLANT.gamma, PLANT.c, x, left * late[0], late[1])
+        late = float(state.command_1), float(state.command_2)
+        shares.append(float(state.share_lost))
+    settled = np.array(shares[LOST + 300 :])
+    assert settled.mean() == pytest.approx(0.6, abs=0.01)
+    assert settled.std() < 0.01
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_an_overflow_of_the_share_is_forgotten(precision: str) -> None:
+    """Squares of d̂ and w that leave the numbers must not leave the compensation without one."""
+    huge = 1e25 if precision == "float32" else 1e200
+    table = build(TAME, confirming(precision=precision, threshold=1e-3))
+    state = controller.init(table)[0]
+    for y in (0.0, huge, -huge, huge, *[0.0] * 400):
+        controller.step(table, state, huge if abs(y) > 0.0 else 0.0, y)
+        assert np.isfinite([state.share_lost, *state.share_sums]).all()
+    assert state.mode == Mode.RUN

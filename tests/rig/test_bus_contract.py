@@ -62,6 +62,8 @@ class BusContract:
     """The contract; a subclass says how to open the bus and what it does not promise."""
 
     error_frames = True
+    burst = 2000
+    marks_own = True
     receive_own = True
     lossless = True
     has_descriptor = True
@@ -77,10 +79,7 @@ class BusContract:
         opened = []
 
         def open_near(**kwargs: Any) -> can.BusABC:
-            try:
-                opened.append(open_bus(name, fd=True, **kwargs))
-            except BusError as error:
-                pytest.skip(f"NOT TESTED: {error}")
+            opened.append(open_bus(name, fd=True, **kwargs))
             return opened[-1]
 
         yield open_near
@@ -101,7 +100,7 @@ class BusContract:
             sender.send(sent)
             received = receiver.recv(TIMEOUT_S)
             assert received is not None
-            assert received.is_rx
+            assert received.is_rx == self.marks_own
             same = {"timestamp_delta": None, "check_channel": False, "check_direction": False}
             assert received.equals(sent, **same), f"{sent!r} became {received!r}"
 
@@ -111,9 +110,9 @@ class BusContract:
         if not self.lossless:
             pytest.skip("NOT PROMISED: this bus may lose frames of a burst")
         sender, receiver = near(), far()
-        for number in range(2000):
+        for number in range(self.burst):
             sender.send(frame(number))
-        assert numbers(receiver, 2000) == list(range(2000))
+        assert numbers(receiver, self.burst) == list(range(self.burst))
         assert receiver.recv(0) is None
 
     def test_frames_go_both_ways(self, near: Open, far: Open) -> None:
@@ -161,7 +160,7 @@ class BusContract:
         assert echo is not None
         assert received is not None
         assert echo.data == received.data
-        assert (echo.is_rx, received.is_rx) == (False, True)
+        assert (echo.is_rx, received.is_rx) == (False, self.marks_own)
 
     def test_filters_pass_what_matches_and_nothing_else(self, near: Open, far: Open) -> None:
         filters = [
@@ -294,8 +293,12 @@ class TestUdpMulticast(BusContract):
         yield from super().near.__wrapped__(self, name)  # type: ignore[attr-defined]
 
 
+@pytest.mark.vcan
 class TestSocketcan(BusContract):
-    error_frames = False  # the kernel makes them, it does not send them
+    error_frames = False  # the kernel delivers those alone that have a class; see test_socketcan
+    burst = 250  # a receive queue of the kernel's default size holds some 270
+    marks_own = False  # the kernel marks what this machine sent, whoever it was
+    refuses_when_closed = False
 
     @pytest.fixture
     def name(self) -> str:

@@ -66,7 +66,7 @@ def test_an_unstable_loop_is_exit_status_1_and_still_json() -> None:
 
 
 def test_a_person_sees_one_table_and_one_verdict() -> None:
-    done = rig("check", "--set", LATE, env={**os.environ, "COLUMNS": "80"})
+    done = rig("check", "thesis-step", "--set", LATE, env={**os.environ, "COLUMNS": "80"})
     lines = done.stdout.splitlines()
     assert done.returncode == 1
     for word in ("healthy", "torque dead", "torque 25%"):

@@ -97,6 +97,19 @@ def test_a_frame_fault_leaves_the_actuators_alone(kind):
     assert {fault.effectiveness(tick) for tick in range(12)} == {(1.0, 1.0)}
 
 
+def test_a_biased_sensor_is_biased_while_the_fault_lasts_and_loses_nothing():
+    timing = ["tick_s=0.001", "duration_s=0.02", "fault.at_s=0.005", "fault.for_s=0.01"]
+    scenario = load("thesis-step", [*timing, "fault.kind=sensor-biased", "fault.bias_mps2=-0.25"])
+    plant, healthy = SimulatedPlant(scenario), SimulatedPlant(scenario.healthy)
+    added = []
+    for tick in range(20):
+        added.append(plant.measure() - healthy.measure())
+        for each in (plant, healthy):
+            each.advance(tick, 10.0, 100.0)
+    np.testing.assert_allclose(added, [-0.25 if 5 <= tick < 15 else 0.0 for tick in range(20)])
+    assert not scenario.fault.loses_a_channel
+
+
 @given(st.floats(-1e6, 1e6), st.integers(0, 2**16), st.sampled_from(COMMANDS))
 def test_a_crc_8_finds_every_change_of_one_byte(value, tick, codec):
     good = Transmitter(codec).frame(value, tick).data

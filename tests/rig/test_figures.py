@@ -15,10 +15,11 @@ from scipy import integrate, signal
 from can_rig.build import continuous_plant
 from can_rig.cli import main
 from can_rig.comparisons import Comparison, both, compare
-from can_rig.continuous import OUTPUTS, closed_loop, lag_over, solve, without_fault
+from can_rig.continuous import OUTPUTS, closed_loop, lag_over, solve
 from can_rig.errors import ScenarioError
 from can_rig.figures import draw_figures, refuse_existing
-from can_rig.scenario import Scenario, load
+from can_rig.scenario import load
+from can_rig.settings import Scenario
 
 VARIANTS = ("published", "physics")
 LOST_AT_S = 10.0
@@ -64,7 +65,7 @@ def test_error_when_broken_is_that_of_the_broken_loop(variant: str) -> None:
 def test_chapter_2_s_theorems() -> None:
     """(2.8), (2.9): d̂ = 0 while healthy and G1 u1 when broken; y = G2 u2 then."""
     scenario = loaded("chapter-2")
-    healthy = solve(without_fault(scenario))
+    healthy = solve(scenario.healthy)
     assert np.abs(healthy.fault_estimate).max() < 1e-12
     frequency = 0.4 * np.pi
     g1 = continuous_plant(scenario.plant).g1(1j * frequency)

@@ -8,15 +8,20 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from scipy import signal
 
-from can_rig.continuous import solve, without_fault
+from can_rig.beside import fault_free
+from can_rig.check import check
+from can_rig.continuous import solve
 from can_rig.errors import RigError
 from can_rig.lockstep import StopRequest
-from can_rig.metrics import Metrics, fault_free, metrics, rows, windows
+from can_rig.metrics import Metrics, metrics, rows, windows
 from can_rig.nodes import network_of, run_in_process
 from can_rig.plant import LinearPlant
-from can_rig.scenario import Scenario, load
+from can_rig.scenario import load
+from can_rig.settings import Scenario
 from can_rig.signals import Signals, read_signals
+from firmware_model.plants import steer_by_wire
 
 LSB_MPS2 = 1e-8
 Run = Callable[..., tuple[Scenario, Signals]]
@@ -106,13 +111,13 @@ def test_fault_free_is_the_rig_s_own_run_without_the_fault(
     """Same plant, limits, noise and latency; the frame of D* alone keeps them apart."""
     short = ["duration_s=0.3", "fault.at_s=0.1", *settings]
     _, signals = run(name, *short, "fault.kind=none")
-    distance = np.abs(fault_free(load(name, short), signals) - signals.dstar_mps2)
+    distance = np.abs(fault_free(load(name, short), signals).dstar_mps2 - signals.dstar_mps2)
     assert distance.max() < 20 * LSB_MPS2
 
 
 def test_fault_free_ends_where_a_plant_fails_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
     scenario = load("thesis-step", ["duration_s=0.1", "fault.at_s=0.05"])
-    whole = fault_free(scenario, quiet(scenario))
+    whole = fault_free(scenario, quiet(scenario)).dstar_mps2
     advance = LinearPlant.advance
 
     def fails(plant: LinearPlant, *arguments: float) -> float:
@@ -123,7 +128,7 @@ def test_fault_free_ends_where_a_plant_fails_by_itself(monkeypatch: pytest.Monke
 
     calls: list[tuple[float, ...]] = []
     monkeypatch.setattr(LinearPlant, "advance", fails)
-    broken = fault_free(scenario, quiet(scenario))
+    broken = fault_free(scenario, quiet(scenario)).dstar_mps2
     np.testing.assert_array_equal(broken[:71], whole[:71])
     assert np.isnan(broken[71:]).all()
     calls.clear()
@@ -135,15 +140,17 @@ def test_fault_free_of_a_log_that_starts_late() -> None:
     scenario = load("thesis-sine", ["duration_s=0.2"])
     signals = quiet(scenario)
     late = Signals(*(getattr(signals, name)[150:] for name in Signals.__dataclass_fields__))
-    np.testing.assert_array_equal(fault_free(scenario, late), fault_free(scenario, signals)[150:])
+    np.testing.assert_array_equal(
+        fault_free(scenario, late).dstar_mps2, fault_free(scenario, signals).dstar_mps2[150:]
+    )
     empty = Signals(*(getattr(signals, name)[:0] for name in Signals.__dataclass_fields__))
-    assert fault_free(scenario, empty).shape == (0,)
+    assert fault_free(scenario, empty).dstar_mps2.shape == (0,)
 
 
 @pytest.mark.parametrize(("name", "within"), [("thesis-step", 0.08), ("chapter-2", 0.01)])
 def test_deviation_is_that_of_the_continuous_loop(run: Run, name: str, within: float) -> None:
     scenario, signals = run(name, "duration_s=3.0", "fault.at_s=1.5")
-    lost, kept = solve(scenario), solve(without_fault(scenario))
+    lost, kept = solve(scenario), solve(scenario.healthy)
     expected = np.abs(lost.measurement - kept.measurement).max()
     values = metrics(scenario, signals)
     assert values["deviation_peak_after_fault_mps2"] == pytest.approx(expected, rel=within)
@@ -158,8 +165,8 @@ def test_a_fault_where_nothing_acts_changes_nothing(run: Run) -> None:
     values = metrics(scenario, signals)
     deviation = values["deviation_peak_after_fault_mps2"]
     assert deviation is not None and deviation < 1e-6
-    assert values["fault_seen_after_s"] is None
-    assert ("fault estimate over its threshold after", "never") in rows(values, {})
+    assert values["detection_delay_s"] is None
+    assert ("loss confirmed after", "never") in rows(values, {})
 
 
 def test_a_passing_fault_is_over_at_the_end(run: Run) -> None:
@@ -172,17 +179,89 @@ def test_a_passing_fault_is_over_at_the_end(run: Run) -> None:
     assert force is not None and force < 10.0
 
 
-def test_detection_is_the_first_tick_over_the_threshold_from_the_fault_on() -> None:
+CLEAR, SUSPECTED, CONFIRMED, CANNOT_TELL = 0.0, 1.0, 2.0, 3.0
+
+
+def states(scenario: Scenario, *changes: tuple[int, float]) -> np.ndarray:
+    """The fault state of every tick: CLEAR, and from each tick named what it changes to."""
+    state = np.full(scenario.ticks, CLEAR)
+    for tick, value in changes:
+        state[tick:] = value
+    return state
+
+
+def test_the_decision_is_what_the_status_frames_say() -> None:
+    scenario = load("thesis-step", ["duration_s=3.6", "fault.at_s=1.0", "fault.for_s=1.0"])
+    state = states(
+        scenario,
+        (100, CONFIRMED),  # a false alarm before the loss detects nothing
+        (200, CLEAR),
+        (300, SUSPECTED),  # is none
+        (301, CLEAR),
+        (1100, SUSPECTED),
+        (1234, CONFIRMED),  # stays so after the channel has come back: no other alarm
+        (2500, CLEAR),
+        (2600, CONFIRMED),  # another one
+    )
+    values = metrics(scenario, quiet(scenario, fault_state=state))
+    assert values["suspected_after_s"] == 0.1
+    assert values["detection_delay_s"] == 0.234
+    assert values["missed_detection"] is False
+    assert values["false_alarms"] == 2
+    assert values["false_alarms_per_hour"] == pytest.approx(2 * 3600.0 / 2.6)
+
+
+def test_a_loss_that_is_never_confirmed_is_missed_unless_it_could_not_show() -> None:
     scenario = load("thesis-step", ["duration_s=2.0", "fault.at_s=1.0"])
-    estimate = np.zeros(scenario.ticks)
-    estimate[500] = 5.0  # a false alarm before the fault detects nothing
-    estimate[1100] = -scenario.design.fault_threshold_mps2  # at it is not over it
-    estimate[1234:] = -0.31
-    values = metrics(scenario, quiet(scenario, fault_estimate_mps2=estimate))
-    assert values["fault_seen_after_s"] == 0.234
-    estimate[1000] = 0.4
-    values = metrics(scenario, quiet(scenario, fault_estimate_mps2=estimate))
-    assert values["fault_seen_after_s"] == 0.0
+    for state, missed in ((SUSPECTED, True), (CLEAR, True), (CANNOT_TELL, None)):
+        signals = quiet(scenario, fault_state=states(scenario, (0, state)))
+        values = metrics(scenario, signals)
+        assert values["missed_detection"] is missed
+        assert values["detection_delay_s"] is None
+    nothing_lost = metrics(scenario.healthy, quiet(scenario))
+    assert nothing_lost["missed_detection"] is None
+    assert nothing_lost["false_alarms_per_hour"] == 0.0
+
+
+@pytest.mark.parametrize("latency", [0, 1, 2, 5])
+@pytest.mark.parametrize("left", [0.0, 0.4])
+def test_unavoidable_is_what_a_loss_does_before_anything_can_answer(
+    latency: int, left: float
+) -> None:
+    """A step of the torque, missing in part for n + 1 ticks: scipy's step response of G1."""
+    settings = [f"latency_ticks={latency}", f"fault.left={left}", "duration_s=11.0"]
+    scenario = load("thesis-step", [*settings, "design.tau_s=0.02", "design.tau_q_s=0.02"])
+    torque = 40.0
+    signals = quiet(scenario, torque_nm=np.full(scenario.ticks, torque))
+    g1 = steer_by_wire().g1
+    times = np.linspace(0.0, (latency + 1) * scenario.tick_s, 2001)
+    _, step = signal.step(signal.ZerosPolesGain(g1.zeros, g1.poles, g1.gain), T=times)
+    found = metrics(scenario, signals)["unavoidable_deviation_mps2"]
+    assert found == pytest.approx((1.0 - left) * torque * step[-1], rel=1e-6)
+    # MATHS, trap 11
+    short = 0.5 * g1.gain * torque * ((latency + 1) * scenario.tick_s) ** 2
+    assert found == pytest.approx((1.0 - left) * short, rel=0.05)
+
+
+def test_there_is_nothing_unavoidable_where_no_actuator_dies_in_the_log() -> None:
+    for settings in (["fault.kind=none"], ["fault.kind=frames-missing"], ["duration_s=2.0"]):
+        scenario = load("thesis-step", ["tick_s=0.01", *settings])
+        assert metrics(scenario, quiet(scenario))["unavoidable_deviation_mps2"] is None
+
+
+def test_noise_in_the_commands_is_that_of_the_exact_covariance(run: Run) -> None:
+    scenario, signals = run("noisy", "duration_s=10.0", "fault.kind=none")
+    expected = check(scenario).healthy.noise_to_command_2 * scenario.noise.dstar_rms_mps2
+    found = metrics(scenario, signals)["force_difference_noise_rms_n"]
+    assert found == pytest.approx(expected, rel=0.15)  # 2 s of noise that lasts for some ms
+
+
+def test_integral_of_the_error_counts_from_the_loss_on() -> None:
+    scenario = load("thesis-step", ["duration_s=2.0", "fault.at_s=1.0"])
+    reference = np.zeros(scenario.ticks)
+    reference[900:1100] = -0.5
+    values = metrics(scenario, quiet(scenario, reference_mps2=reference))
+    assert values["error_integral_after_fault_mps"] == pytest.approx(0.5 * 0.1)
 
 
 def test_peaks_belong_to_their_windows() -> None:
@@ -235,4 +314,5 @@ def test_a_run_without_a_tick_has_no_numbers() -> None:
 def test_every_key_says_its_unit() -> None:
     scenario = load("thesis-step", ["tick_s=0.01"])
     for key in metrics(scenario, quiet(scenario)):
-        assert key.endswith(("_mps2", "_s", "_nm", "_n"))
+        plain = {"deviation_over_unavoidable", "missed_detection", "false_alarms"}
+        assert key.endswith(("_mps2", "_mps", "_s", "_nm", "_n", "_per_hour")) or key in plain

@@ -9,8 +9,10 @@ from scipy.signal import cont2discrete
 from can_rig.bus import open_bus
 from can_rig.controller_node import ControllerNode
 from can_rig.lockstep import Patience, StopRequest, Waiting
+from can_rig.messages import Transmitter
 from can_rig.nodes import network_of, run_in_process
 from can_rig.plant_node import PlantNode
+from can_rig.recorder import Recorder
 from can_rig.scenario import load
 from firmware_model.vehicle import VehicleParameters, vehicle_state_space
 
@@ -130,6 +132,36 @@ def test_frames_of_another_sender_change_nothing(number, tmp_path):
     assert run_with_intruder(tmp_path, frames, short) == run_with_intruder(tmp_path, [], short)
 
 
+@pytest.mark.parametrize("forged", ["reference", "feedback", "both"])
+def test_intact_frames_of_another_tick_before_the_run_are_not_its_beginning(forged, tmp_path):
+    """One made-up frame in 256 has the right CRC; the controller has to wait for two that agree."""
+    scenario, log = load("thesis-step", ["duration_s=0.05"]), tmp_path / "bus.log"
+    network = network_of(scenario)
+    frames = {
+        "reference": Transmitter(network.reference).frame(1.0, 999),
+        "feedback": Transmitter(network.feedback).frame(1.0, 555),
+    }
+    with open_bus("virtual:forged") as plant_bus, open_bus("virtual:forged") as controller_bus:
+        with open_bus("virtual:forged") as intruder:
+            for name, message in frames.items():
+                if forged in {name, "both"}:
+                    intruder.send(message)
+        plant = PlantNode(scenario, network, plant_bus, None)
+        controller = ControllerNode(scenario, network, controller_bus)
+        to_plant = Patience(plant_bus, "controller", Waiting(1, 1), StopRequest())
+        to_controller = Patience(controller_bus, "plant", Waiting(1, 1), StopRequest())
+        with Recorder(log, scenario.tick_ns) as plant._recorder:
+            for tick in range(scenario.ticks):
+                plant.offer(tick)
+                controller.serve(to_controller)
+                plant.collect(tick, to_plant)
+    quiet = record(tmp_path, "duration_s=0.05")[0]
+    forgeries = {f"{m.arbitration_id:03X}#{m.data.hex().upper()}" for m in frames.values()}
+    seen = [line.split()[2:] for line in log.read_text().splitlines()]
+    wanted = [line.split()[2:] for line in quiet.read_text().splitlines()]
+    assert [each for each in seen if each[0] not in forgeries] == wanted
+
+
 # --- faults, end to end ------------------------------------------------------------------------
 
 
@@ -243,3 +275,14 @@ def test_without_the_compensator_the_same_fault_is_not_overcome(tmp_path):
     settings = ["fault.at_s=1", "duration_s=4"]
     values = decoded(record(tmp_path, *settings, name="no-compensation")[0])
     assert np.abs(values[NAMES[0]] - values[NAMES[1]])[-500:].min() > 0.1
+
+
+@pytest.mark.parametrize("latency", [0, 1, 3])
+@pytest.mark.parametrize("name", ["default", "lane-change", "highway"])
+def test_the_fault_estimate_over_the_bus_is_at_most_one_step_of_dstar(tmp_path, name, latency):
+    """F1 sees the commands as their frames carry them, so only the rounding of D* is left."""
+    settings = ["fault.kind=none", "duration_s=2.5", f"latency_ticks={latency}"]
+    slow = ["design.tau_q_s=0.01", "reference.amplitude_mps2=0.7"]
+    values = decoded(record(tmp_path, *settings, *slow, name=name)[0])
+    assert np.abs(values["DSTAR_FEEDBACK"]).max() > 0.5
+    assert np.abs(values["CONTROLLER_STATUS"]).max() <= LSB * (1 + 1e-9)

@@ -15,7 +15,8 @@ from scipy.optimize import root
 
 from can_rig.nonlinear_car import NonlinearCar, _advance, _rates, brush, car_of
 from can_rig.plant import LinearPlant
-from can_rig.scenario import PlantSettings, load
+from can_rig.scenario import load
+from can_rig.settings import PlantSettings
 
 G = 9.81
 CAR = PlantSettings()

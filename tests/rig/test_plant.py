@@ -8,7 +8,8 @@ from scipy.integrate import solve_ivp
 
 from can_rig.build import continuous_plant
 from can_rig.plant import Actuator, LinearPlant, SimulatedPlant
-from can_rig.scenario import PlantSettings, load
+from can_rig.scenario import load
+from can_rig.settings import PlantSettings
 
 HEALTHY = ["fault.kind=none"]
 commands = st.one_of(st.none(), st.floats(-1e3, 1e3))

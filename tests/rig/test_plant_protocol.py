@@ -16,7 +16,8 @@ from can_rig import plant_protocol
 from can_rig.errors import RigError, ScenarioError
 from can_rig.plant import LinearPlant, SimulatedPlant, plant_of
 from can_rig.plant_protocol import PlantProtocol, load_plant
-from can_rig.scenario import PlantSettings, load
+from can_rig.scenario import load
+from can_rig.settings import PlantSettings
 
 SETTINGS = PlantSettings(mass_kg=1500.0)
 LAG = plant_protocol.__doc__.partition("``mycar.py`` beside a scenario is a plant:")[2]

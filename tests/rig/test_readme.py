@@ -6,6 +6,7 @@ import re
 import shlex
 import tomllib
 from pathlib import Path
+from typing import Any
 
 import pytest
 
@@ -13,6 +14,7 @@ from can_rig import scenario as scenarios
 from can_rig.cli import main
 from can_rig.run_folder import LOG, REPORT, SIGNALS, SUMMARY
 from firmware_model.layout import Mode
+from tests.rig.conftest import decoded, record
 
 ROOT = Path(__file__).parents[2]
 README = (ROOT / "README.md").read_text(encoding="utf-8")
@@ -51,10 +53,19 @@ def test_the_scenario_loads() -> None:
 
 
 def test_the_firmware_example_runs() -> None:
-    (code,) = blocks("python")
+    (code,) = (block for block in blocks("python") if "firmware_model" in block)
     names: dict[str, object] = {}
     exec(code, names)
     assert names["answer"].mode == Mode.RUN  # type: ignore[attr-defined]
+
+
+def test_the_log_example_runs(tmp_path: Path) -> None:
+    log, _, _ = record(tmp_path, "duration_s=0.02", bus="virtual:readme")
+    (code,) = (block for block in blocks("python") if "decode_log" in block)
+    code = code.replace("runs/demo/bus.log", str(log)).replace("dbc/", f"{ROOT}/dbc/")
+    names: dict[str, Any] = {}
+    exec(code, names)
+    assert names["table"]["DStar"].tolist() == decoded(log)["DSTAR_FEEDBACK"].tolist()
 
 
 def test_every_command_is_listed_and_every_listed_command_is_there() -> None:

@@ -13,8 +13,10 @@ from matplotlib.figure import Figure
 from can_rig import report
 from can_rig.lockstep import StopRequest
 from can_rig.nodes import network_of, run_in_process
+from can_rig.realtime import Timing
 from can_rig.run_folder import Outcome, finish
-from can_rig.scenario import Scenario, load
+from can_rig.scenario import load
+from can_rig.settings import Scenario
 from can_rig.signals import Signals, read_signals
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -115,3 +117,20 @@ def test_lost_frames_are_gaps_in_the_command(tmp_path: Path, kind: str, channel:
     )
     shown = np.asarray(page.axes[2 + (channel != "torque")].lines[0].get_ydata(), dtype=float)
     assert np.flatnonzero(np.isnan(shown)).tolist() == list(range(100, 120))
+
+
+def test_a_real_time_run_shows_how_late_it_was(tmp_path: Path) -> None:
+    """Three wake-ups of 15 µs, one of 3 ms: the bars of the two bins that they fall in."""
+    timing = Timing(1_000_000)
+    for tick, late_ns in enumerate([15_000, 15_000, 15_000, 3_000_000], start=1):
+        timing.woke(tick, late_ns)
+    scenario = load("default", SHORT)
+    signals = recorded(tmp_path, scenario)
+    page = report.page(scenario, network_of(scenario), signals, timing.as_dict())
+    assert len(page.axes) == len(report.page(scenario, network_of(scenario), signals).axes) + 1
+    (axis,) = (axis for axis in page.axes if "µs" in axis.get_xlabel())
+    wake_ups = next(c for c in axis.containers if c.get_label() == "wake-up lateness")
+    labels = [label.get_text() for label in axis.get_xticklabels()]
+    heights = {labels[at]: bar.get_height() for at, bar in enumerate(wake_ups) if bar.get_height()}
+    assert heights == {"10": 3, "2000": 1}
+    assert page.canvas.get_width_height()

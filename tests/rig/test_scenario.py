@@ -12,7 +12,8 @@ from hypothesis import strategies as st
 from can_rig.build import controller_table
 from can_rig.errors import ScenarioError
 from can_rig.nodes import network_of
-from can_rig.scenario import FaultSettings, Scenario, from_dict, load, shipped
+from can_rig.scenario import from_dict, load, shipped
+from can_rig.settings import FaultSettings, Scenario
 
 
 def flat(values, prefix=""):
@@ -39,10 +40,13 @@ OTHER = {
     "design.tau_s": 0.002, "design.alpha": 2, "design.tau_q_s": 0.002, "design.alpha_q": 3,
     "design.estimator": "zoh", "design.compensation": "off",
     "design.fault_threshold_mps2": 0.5, "design.confirm_s": 0.02, "design.clear_s": 0.3,
+    "design.probe_nm": 1.0, "design.probe_rad_per_s": 30.0,
+    "budget.box": 0.1, "budget.false_alarms_per_hour": 1.0,
     "reference.kind": "sine", "reference.amplitude_mps2": 2.0,
     "reference.frequency_rad_per_s": 3.0, "reference.file": "r.csv",
     "fault.kind": "frames-missing", "fault.channel": "force-difference", "fault.at_s": 1.5,
-    "fault.for_s": 0.5, "fault.left": 0.5, "noise.dstar_rms_mps2": 0.01, "limits.torque_nm": 100.0,
+    "fault.for_s": 0.5, "fault.left": 0.5, "fault.bias_mps2": 0.2,
+    "noise.dstar_rms_mps2": 0.01, "limits.torque_nm": 100.0,
     "limits.force_difference_n": 200.0, "limits.torque_rate_nm_per_s": 300.0,
     "limits.force_difference_rate_n_per_s": 4e3, "actuator.hold_s": 0.03,
     "bus.bitrate": 500000, "bus.compute_s": 0.0001,

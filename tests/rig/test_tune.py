@@ -15,7 +15,8 @@ import pytest
 
 from can_rig.build import continuous_design, continuous_plant, target
 from can_rig.errors import ScenarioError
-from can_rig.scenario import Scenario, load
+from can_rig.scenario import load
+from can_rig.settings import Scenario
 from can_rig.tune import ALIKE, Tunings, tune
 from can_rig.tuning_box import MOST_DELAY_TICKS, Car, cars, delay_margin, laws, ranges, survives
 from can_rig.tuning_candidate import Tuning, assess, grid, with_tuning
@@ -43,9 +44,12 @@ def scenario_of(*settings: str) -> Scenario:
     return load("thesis-step", [*SETTINGS, *settings])
 
 
-def found_for(*settings: str, share: float = 0.2, spare: int = 1, limit=None) -> Tunings:  # type: ignore[no-untyped-def]
+def found_for(  # type: ignore[no-untyped-def]
+    *settings: str, share: float = 0.2, spare: int = 1, limit=None, torque_limit=None
+) -> Tunings:
     scenario = scenario_of(*settings)
-    return tune(scenario, cars(scenario.model, ranges(scenario.model, share)), spare, limit, SMALL)
+    some = cars(scenario.model, ranges(scenario.model, share))
+    return tune(scenario, some, spare, limit, torque_limit, SMALL)
 
 
 @pytest.fixture(scope="module", params=["on-confirmation", "always"])
@@ -82,7 +86,7 @@ def test_every_offer_has_the_delay_margin_at_every_vertex(found: Tunings) -> Non
     for car in (some[0], some[6]):
         assert crossover_margin(table, car, scenario.tick_s) >= margin
     if table.on_confirmation:
-        law = linear_controller(table, confirmed=True)
+        law = linear_controller(table, confirmed=1.0)
         false_alarms = [sampled_loop(law, car.plant, scenario.tick_s) for car in some]
         assert max(loop.spectral_radius() for loop in false_alarms) < 1.0
 
@@ -182,6 +186,15 @@ def test_a_noise_limit_is_kept_or_said_to_be_impossible() -> None:
     assert why(never).startswith("none is within 0.001 N")
 
 
+def test_a_noise_limit_of_the_torque_is_kept() -> None:
+    noisy = ("noise.dstar_rms_mps2=0.005", "design.fault_threshold_mps2=0.02")
+    free, limited = found_for(*noisy), found_for(*noisy, torque_limit=20.0)
+    assert all(t.noise_to_torque * 0.005 <= 20.0 for t in limited.front)
+    assert free.chosen.noise_to_torque * 0.005 > 20.0
+    with pytest.raises(ScenarioError, match="quiet enough"):
+        found_for(*noisy, torque_limit=1e-6)
+
+
 def test_designs_that_reach_a_limit_are_the_last_resort() -> None:
     """42.5 N m hold 1 m/s²: a limit of 46 leaves room for slow designs alone."""
     tight = found_for("limits.torque_nm=46.0", share=0.0)
@@ -267,8 +280,8 @@ def test_what_is_wrong_is_one_line_with_exit_status_2(arguments: list[str], reas
 
 
 def test_nothing_survives() -> None:
-    with pytest.raises(ScenarioError, match="none over the box; a smaller --box"):
-        tune(scenario_of(ALWAYS), cars(load("thesis-step").model, {}), 1, None, SMALL[:2])
+    with pytest.raises(ScenarioError, match=r"none over the box; a *smaller --box"):
+        tune(scenario_of(ALWAYS), cars(load("thesis-step").model, {}), 1, None, None, SMALL[:2])
 
 
 def test_the_command_writes_the_picture_the_table_and_the_options(

@@ -1,0 +1,122 @@
+"""SocketCAN as a node of the rig wants it: what others send cannot crowd out the node's own frames.
+
+A raw CAN socket has one receive queue, and the kernel drops what does not fit without a word: a
+flood of anybody's identifiers would drop the frames that the loop lives on. So the node has two
+sockets with filters in the kernel. Its own identifiers have a queue to themselves; the other socket
+takes all the rest, for the log. Where both have frames they take turns, so that a flood costs a
+node twice its reading and no more. What the kernel drops from either is counted (``SO_MEMINFO``,
+sock_diag(7): ``SK_MEMINFO_DROPS``).
+"""
+
+from __future__ import annotations
+
+import contextlib
+import select
+import socket
+import struct
+from collections.abc import Callable, Collection
+from typing import Final
+
+import can
+from can.interfaces.socketcan import SocketcanBus
+
+QUEUE_BYTES: Final = 8 << 20  # some 20 000 frames; without CAP_NET_ADMIN net.core.rmem_max rules
+
+_SO_RCVBUFFORCE: Final = 33
+_SO_MEMINFO: Final = 55
+_MEMINFO: Final = struct.Struct("9I")
+_DROPS: Final = 8
+_SOL_CAN_RAW: Final = 101
+_CAN_RAW_JOIN_FILTERS: Final = 6
+_CAN_INV_FILTER: Final = 0x20000000
+_STALE_MAX: Final = 20_000
+
+
+class NodeSocketcanBus(can.BusABC):
+    """A node's end of a CAN interface.
+
+    Args:
+        opened: opens a python-can bus on the interface, with the arguments that it is given.
+        identifiers: 11-bit identifiers that have a queue of their own.
+        overhear: whether to receive everything else too.
+
+    Raises:
+        BusError: what ``opened`` raises.
+    """
+
+    def __init__(
+        self, opened: Callable[..., can.BusABC], identifiers: Collection[int], overhear: bool
+    ) -> None:
+        own: list[can.typechecking.CanFilter] = [
+            {"can_id": identifier, "can_mask": 0x7FF, "extended": False}
+            for identifier in identifiers
+        ]
+        self._own = _socketcan(opened(can_filters=own))
+        self._buses = [self._own]
+        self._last = self._own  # whose turn it was
+        self.channel = self._own.channel
+        self.channel_info = self._own.channel_info
+        if overhear:
+            others: list[can.typechecking.CanFilter] = [
+                {**each, "can_id": each["can_id"] | _CAN_INV_FILTER} for each in own
+            ]
+            self._buses.append(_socketcan(opened(can_filters=others, ignore_rx_error_frames=True)))
+            self._buses[1].socket.setsockopt(_SOL_CAN_RAW, _CAN_RAW_JOIN_FILTERS, 1)
+        for bus in self._buses:
+            _widen(bus.socket)
+            for _ in range(_STALE_MAX):  # what came before the filters were in place
+                if bus.recv(0) is None:
+                    break
+        self._dropped_before = self._dropped()
+        super().__init__(channel=self.channel)
+
+    @property
+    def lost_frames(self) -> int:
+        """How many frames the kernel has dropped because this node did not read in time."""
+        return self._dropped() - self._dropped_before
+
+    def _dropped(self) -> int:
+        return sum(
+            _MEMINFO.unpack(bus.socket.getsockopt(socket.SOL_SOCKET, _SO_MEMINFO, _MEMINFO.size))[
+                _DROPS
+            ]
+            for bus in self._buses
+        )
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """As python-can's."""
+        self._own.send(msg, timeout)
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        if len(self._buses) == 1:
+            return self._own.recv(timeout), True
+        try:
+            ready = select.select(self._buses, (), (), timeout)[0]
+        except (OSError, ValueError) as error:  # ValueError: a closed socket
+            raise can.CanOperationError(f"cannot receive: {error}") from error
+        if not ready:
+            return None, True
+        self._last = ready[len(ready) > 1 and self._last is ready[0]]
+        return self._last.recv(0), True
+
+    def fileno(self) -> int:
+        """The descriptor of the node's own identifiers."""
+        return self._own.fileno()
+
+    def shutdown(self) -> None:
+        """Close both sockets."""
+        super().shutdown()
+        for bus in self._buses:
+            bus.shutdown()
+
+
+def _socketcan(bus: can.BusABC) -> SocketcanBus:
+    assert isinstance(bus, SocketcanBus)
+    return bus
+
+
+def _widen(raw: socket.socket) -> None:
+    with contextlib.suppress(OSError):
+        raw.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, QUEUE_BYTES)
+    with contextlib.suppress(OSError):
+        raw.setsockopt(socket.SOL_SOCKET, _SO_RCVBUFFORCE, QUEUE_BYTES)

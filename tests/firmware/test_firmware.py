@@ -1,0 +1,75 @@
+"""F1 hears of what no command of its own controller did to the plant."""
+
+import numpy as np
+import pytest
+
+from firmware_model.biquad import advance
+from firmware_model.design import DesignSpecification, design
+from firmware_model.firmware import Firmware
+from firmware_model.layout import MAX_SECTIONS
+from firmware_model.plants import steer_by_wire
+from firmware_model.sampled_plant import sample
+from firmware_model.tables import Target, build
+
+TICK_S = 0.001
+PLANT = sample(steer_by_wire(), TICK_S)
+
+
+def table(latency_ticks, precision="float64"):
+    specification = DesignSpecification(tau_s=0.01, tau_q_s=0.02)
+    target = Target(
+        tick_s=TICK_S, latency_ticks=latency_ticks, estimator="zoh", precision=precision
+    )
+    return build(design(steer_by_wire(), specification), target)
+
+
+def run(firmware, latency, lost, tell):
+    """|d̂| by tick of a loop whose commands of the ticks ``lost`` never reach the actuators."""
+    state, acting = PLANT.rest, np.zeros(2)
+    on_the_way = [np.zeros(2)] * latency
+    estimates = []
+    for tick in range(200):
+        due = on_the_way.pop(0)
+        if due is None:
+            due = acting
+            if tell:
+                firmware.act(*acting)
+        acting = due
+        answer = firmware.step(1.0, float(PLANT.c @ state))
+        estimates.append(abs(answer.fault_estimate))
+        command = np.array([answer.command_1, answer.command_2])
+        on_the_way.append(None if tick in lost else command)
+        state = PLANT.phi @ state + PLANT.gamma @ acting
+    return np.array(estimates)
+
+
+@pytest.mark.parametrize("latency", [1, 2, 3])
+@pytest.mark.parametrize("lost", [{5}, {0, 7, 8, 9, 60}], ids=str)
+def test_commands_that_were_late_are_no_fault_to_who_knows(latency, lost):
+    told, untold = (run(Firmware(table(latency)), latency, lost, tell) for tell in (True, False))
+    assert told.max() < 1e-12
+    assert untold.max() > 1e-5
+
+
+@pytest.mark.parametrize(("precision", "rounding"), [("float64", 1e-12), ("float32", 1e-6)])
+def test_a_motion_that_is_known_is_no_fault(precision, rounding):
+    """A plant that someone else pushed for 30 ticks and that nothing drives now."""
+    constant = table(1, precision)
+    state, sections = PLANT.rest, np.zeros((MAX_SECTIONS, 2))
+    for _ in range(30):
+        advance(constant.estimator_1, sections, constant.estimator_1_n, 100.0)
+        state = PLANT.phi @ state + PLANT.gamma @ [100.0, 0.0]
+    y = float(PLANT.c @ state)
+    assert abs(y) > 0.01
+    told, untold = Firmware(constant), Firmware(constant)
+    told.move(sections)
+    assert abs(told.step(y, y).fault_estimate) < rounding
+    assert abs(untold.step(y, y).fault_estimate) > 1e-3 * abs(y)
+
+
+def test_the_commands_are_those_of_the_last_answer_and_of_a_reset():
+    firmware = Firmware(table(1))
+    answer = firmware.step(1.0, 0.0)
+    assert firmware.commands == (answer.command_1, answer.command_2) != (0.0, 0.0)
+    firmware.reset(0.0)
+    assert firmware.commands == (0.0, 0.0)

@@ -1,0 +1,121 @@
+"""``tools/vcan_guest``: a command in there is as one out here, but for vcan0."""
+
+import os
+import shutil
+import signal
+import subprocess
+import time
+from pathlib import Path
+
+import pytest
+
+GUEST = Path(__file__).parents[2] / "tools" / "vcan_guest"
+
+
+@pytest.fixture
+def guest(tmp_path):
+    """Starts it in a session and with a TMPDIR of its own; nothing of it is there afterwards."""
+    if shutil.which("linux.uml") is None and os.environ.get("CAN_RIG_VCAN") != "required":
+        pytest.skip("NOT TESTED: no user-mode-linux here: apt-get install user-mode-linux")
+    temporary, started = tmp_path / "tmp", []
+    temporary.mkdir()
+
+    def start(*arguments, **options):
+        environment = {**os.environ, "TMPDIR": str(temporary), **options.pop("env", {})}
+        process = subprocess.Popen(
+            [GUEST, *map(str, arguments)], env=environment, text=True, start_new_session=True,
+            stdin=subprocess.DEVNULL, stdout=subprocess.PIPE, stderr=subprocess.PIPE, **options,
+        )  # fmt: skip
+        started.append(process)
+        return process
+
+    yield start
+    for process in started:
+        assert process.poll() is not None
+    assert list(temporary.iterdir()) == []
+    for path in Path("/proc").glob("[0-9]*/cmdline"):
+        try:
+            assert f"VCAN_GUEST={temporary}" not in path.read_text()
+        except OSError:
+            continue  # it has just ended
+
+
+def test_environment_folder_output_and_exit_status_are_those_of_a_plain_call(guest, tmp_path):
+    folder = tmp_path / "a b'c"
+    folder.mkdir()
+    script = """
+        echo "$PWD|$MINE|$1|$(ls /sys/class/net | xargs)"; echo to stderr >&2; echo kept > file
+        candump -n 1 -T 5000 vcan1 & sleep 0.1; cansend vcan1 123#11; wait; cangw -L; exit 7
+    """
+    awkward = "x\n$HOME \"'\\é"
+    process = guest("bash", "-c", script, "name", awkward, cwd=folder, env={"MINE": awkward})
+    out, err = process.communicate(timeout=60)
+    assert process.returncode == 7
+    head, _, tail = out.partition("|lo ")
+    assert head == f"{folder}|{awkward}|{awkward}"
+    names, *lines = tail.splitlines()
+    assert {"vcan0", "vcan1"} <= set(names.split())
+    assert lines[0].split() == ["vcan1", "123", "[1]", "11"]
+    assert err.splitlines()[0] == "to stderr"
+    assert (folder / "file").read_text() == "kept\n"
+
+
+def test_all_output_arrives(guest):
+    out, _ = guest("seq", 200_000).communicate(timeout=60)
+    assert out == "".join(f"{number}\n" for number in range(1, 200_001))
+
+
+def test_a_time_limit(guest):
+    process = guest("--timeout", 4, "sleep", 100)
+    assert process.communicate(timeout=60) == ("", "error: stopped after 4 s\n")
+    assert process.returncode == 124
+
+
+@pytest.mark.parametrize("group", [False, True], ids=["alone", "as a terminal does"])
+def test_ctrl_c_reaches_the_command_and_its_status_counts(guest, group):
+    process = guest("bash", "-c", "trap 'echo stopped; exit 9' INT; echo go; sleep 50 & wait")
+    assert process.stdout.readline() == "go\n"
+    (os.killpg if group else os.kill)(process.pid, signal.SIGINT)
+    assert process.communicate(timeout=60)[0] == "stopped\n"
+    assert process.returncode == 9
+
+
+def test_the_second_ctrl_c_ends_a_command_that_does_not_listen(guest):
+    process = guest("bash", "-c", "trap '' INT; echo go; sleep 50")
+    assert process.stdout.readline() == "go\n"
+    for _ in range(2):
+        os.killpg(process.pid, signal.SIGINT)
+        time.sleep(0.5)
+    process.communicate(timeout=5)
+    assert process.returncode == 130
+
+
+@pytest.mark.parametrize(
+    ("arguments", "options", "expected"),
+    [
+        ((), {}, "usage: tools/vcan_guest"),
+        (("--foo", "true"), {}, "error: no option --foo; --timeout SECONDS is right"),
+        (("true",), {"cwd": "/proc"}, "error: the guest has a /dev, /proc, /run and /sys of its"),
+    ],
+    ids=["nothing", "option", "folder"],
+)
+def test_what_cannot_start_says_so_in_its_first_line(arguments, options, expected, guest):
+    process = guest(*arguments, **options)
+    _, err = process.communicate(timeout=10)
+    assert err.startswith(expected)
+    assert process.returncode == 125
+
+
+def test_a_missing_package_comes_with_its_recipe(tmp_path):
+    for name in ("bash", "env"):
+        (tmp_path / name).symlink_to(shutil.which(name))
+    script = tmp_path / "vcan_guest"  # as on a machine without /sbin
+    script.write_text(GUEST.read_text().replace("PATH=$PATH:/usr/sbin:/sbin\n", ""))
+    done = subprocess.run(
+        [shutil.which("bash"), script, "true"], env={"PATH": str(tmp_path)}, check=False,
+        capture_output=True, text=True, timeout=10,
+    )  # fmt: skip
+    assert done.returncode == 125
+    assert done.stderr == (
+        "error: no linux.uml here: apt-get install user-mode-linux kmod iproute2 can-utils\n"
+    )

@@ -1,0 +1,116 @@
+"""Rates of decoding a log, ours beside python-can with cantools, and beside asammdf.
+
+All in one process, interleaved so that a noisy machine disturbs all alike, medians. The log is a
+run of the rig, repeated; every frame passes the checks.
+"""
+
+from __future__ import annotations
+
+import statistics
+import tempfile
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+
+import asammdf
+import can
+import numpy as np
+from asammdf.blocks.utils import load_can_database
+from cantools.database.can import Database
+from rich.console import Console
+from rich.table import Table
+
+from can_rig import scenario as scenarios
+from can_rig.decode import decode_log, load_database
+from can_rig.frames import concatenate
+from can_rig.lockstep import StopRequest
+from can_rig.log_reading import read_log
+from can_rig.log_writing import candump_lines, write_log
+from can_rig.messages import shipped_dbc
+from can_rig.nodes import run_in_process
+
+RUN_S = 15.0  # whole cycles of the alive counter, so that a repetition loses no frame
+
+
+def repeated_run(folder: Path, frames: int) -> Path:
+    """A candump log of at least so many frames: a run, over and over."""
+    scenario = scenarios.load("thesis-step", [f"duration_s={RUN_S}"])
+    once = folder / "once.log"
+    run_in_process(scenario, "virtual:bench", once, StopRequest(), lambda _ticks: None)
+    run = concatenate(read_log(once))
+    path = folder / "bench.log"
+    with path.open("w", encoding="ascii") as file:
+        for repetition in range(-(-frames // len(run))):
+            later = replace(run, time_ns=run.time_ns + repetition * round(RUN_S * 1e9))
+            file.writelines(candump_lines(later))
+    return path
+
+
+def by_python_can_and_cantools(path: Path, database: Database) -> dict[str, np.ndarray]:
+    """Columns frame by frame, as most scripts do it; nothing is checked."""
+    columns: dict[str, list[float]] = {}
+    with can.LogReader(path) as reader:
+        for message in reader:
+            values = database.decode_message(
+                message.arbitration_id, message.data, decode_choices=False
+            )
+            for name, value in values.items():
+                columns.setdefault(f"{message.arbitration_id}.{name}", []).append(value)
+    return {name: np.array(column) for name, column in columns.items()}
+
+
+def ours(path: Path, database: Database) -> None:
+    """Columns, with every CRC and counter checked."""
+    log = decode_log(path, database)
+    bad = {name: c for name, c in log.counts.items() if c.decoded != c.frames or not c.frames}
+    if bad or log.unknown:
+        raise SystemExit(f"not every frame was decoded: {bad} {log.unknown}")
+
+
+def by_asammdf(path: Path, matrix: object) -> None:
+    """What asammdf makes of the same MDF file."""
+    with asammdf.MDF(path) as file, file.extract_bus_logging({"CAN": [(matrix, 0)]}) as extracted:
+        if not extracted.groups:
+            raise SystemExit("asammdf found no signals")
+
+
+def seconds(action: Callable[[], object]) -> float:
+    """How long it takes once."""
+    start = time.perf_counter()
+    action()
+    return time.perf_counter() - start
+
+
+def bench_decode(frames: int, rounds: int) -> None:
+    """Print the table."""
+    dbc = shipped_dbc("steer_by_wire.dbc")
+    database, matrix = load_database(dbc), load_can_database(dbc)
+    with tempfile.TemporaryDirectory() as name:
+        candump = repeated_run(Path(name), frames)
+        mf4 = candump.with_suffix(".mf4")
+        write_log(read_log(candump), mf4)
+        frames = sum(map(len, read_log(candump)))
+        ours(candump, database)  # compiles
+        ways: dict[tuple[str, str], Callable[[], object]] = {
+            (".log", "python-can, cantools"): lambda: by_python_can_and_cantools(candump, database),
+            (".log", "can-rig"): lambda: ours(candump, database),
+            (".mf4", "asammdf, extract_bus_logging"): lambda: by_asammdf(mf4, matrix),
+            (".mf4", "can-rig"): lambda: ours(mf4, database),
+        }
+        timings: dict[tuple[str, str], list[float]] = {way: [] for way in ways}
+        for _ in range(rounds):
+            for way, action in ways.items():
+                timings[way].append(seconds(action))
+    table = Table("log", "read and decoded by", "frames/s", "µs a frame", "times", box=None)
+    reference: list[float] = []
+    for (log, by), taken_s in timings.items():
+        if by != "can-rig":
+            reference = taken_s
+        ratio = statistics.median(a / b for a, b in zip(reference, taken_s, strict=True))
+        took_s = statistics.median(taken_s)
+        rate, each_us = f"{frames / took_s:,.0f}", f"{took_s / frames * 1e6:.2f}"
+        table.add_row(log, by, rate, each_us, f"{ratio:.1f}")
+    console = Console()
+    console.print(f"{frames:,} frames of 5 messages, {rounds} rounds", highlight=False)
+    console.print(table)

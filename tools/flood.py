@@ -1,0 +1,167 @@
+"""The loop beside a flood of random frames: no command changed, none lost unreported, memory flat.
+
+A third process sends frames of random identifiers and random content, the rig's own identifiers
+among them, as fast as it can. The log is compared, frame for frame, with that of an undisturbed run
+in this process. Exit status: 0 all as it should be, 1 not.
+"""
+
+from __future__ import annotations
+
+import argparse
+import multiprocessing
+import os
+import random
+import sys
+import tempfile
+import threading
+import time
+from pathlib import Path
+
+import can
+from rich.console import Console
+from rich.table import Table
+
+from can_rig import scenario as scenarios
+from can_rig.bus import open_bus
+from can_rig.lockstep import StopRequest
+from can_rig.nodes import NodeSummary, run_in_process
+from can_rig.run import run_processes
+
+TAKEN_WITHIN_S = 10.0  # makes the local bus wait for the slowest listener
+SETTLE_S = 2.0  # before the flood, and for what still waits after it
+MEMORY_EVERY_S = 0.25
+FLAT_KIB = 32_768  # growth of a node that still counts as flat
+
+
+def flood(bus: str, frames: int) -> None:
+    """Send ``frames`` random frames, as fast as the listeners take them, and read what comes."""
+    rng = random.Random(1)
+    with open_bus(bus) as sender:
+        # Read by a thread: what a node does not read is kept for it by those who send.
+        listening = can.Notifier(sender, [], timeout=0.1)
+        for _ in range(frames):
+            sender.send(
+                can.Message(
+                    arbitration_id=rng.getrandbits(11),
+                    is_extended_id=False,
+                    data=rng.randbytes(rng.choice((0, 2, 8, 8, 8))),
+                ),
+                timeout=TAKEN_WITHIN_S,
+            )
+        listening.stop()
+
+
+class Memory(threading.Thread):
+    """Resident memory of the nodes, now and then, in KiB."""
+
+    def __init__(self) -> None:
+        super().__init__(daemon=True)
+        self.samples: dict[str, list[int]] = {}
+        self.over = threading.Event()
+
+    def run(self) -> None:
+        """Sample until told that it is over."""
+        while not self.over.wait(MEMORY_EVERY_S):
+            for name, resident in _nodes():
+                self.samples.setdefault(name, []).append(resident)
+
+    def growth(self, name: str) -> int:
+        """From the beginning of the flood to the most that there ever was."""
+        return max(self.samples[name]) - self.samples[name][0]
+
+
+def _nodes() -> list[tuple[str, int]]:
+    found = []
+    children = Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
+    for child in children:
+        words = Path(f"/proc/{child}/cmdline").read_text().split("\0")
+        if "can_rig" in words:
+            status = Path(f"/proc/{child}/status").read_text()
+            resident = int(status.partition("VmRSS:")[2].split()[0])
+            found.append((words[words.index("can_rig") + 1], resident))
+    return found
+
+
+def run_beside_flood(bus: str, frames: int, log: Path, memory: Memory) -> tuple[NodeSummary, float]:
+    """The loop from before the flood until after it; its summary, and the flood's seconds."""
+    stop = StopRequest()
+    started, seconds = threading.Event(), [0.0]
+
+    def on_tick(ticks: int) -> None:
+        if ticks > 0:
+            started.set()
+
+    def around_the_flood() -> None:
+        started.wait()
+        time.sleep(SETTLE_S)
+        memory.start()
+        begin = time.monotonic()
+        spawn = multiprocessing.get_context("spawn")
+        sender = spawn.Process(target=flood, args=(bus, frames))
+        sender.start()
+        sender.join()
+        seconds[0] = time.monotonic() - begin
+        time.sleep(SETTLE_S)
+        stop.wanted = True
+
+    threading.Thread(target=around_the_flood, daemon=True).start()
+    summary = run_processes(
+        ["thesis-step", "--set", "duration_s=2000", "--bus", bus], log, stop, on_tick
+    )
+    memory.over.set()
+    return summary, seconds[0]
+
+
+def disturbed(log: Path, undisturbed: Path) -> tuple[str | None, int]:
+    """What differs in the rig's own frames, None for nothing; and how many are somebody else's."""
+    foreign = 0
+    with log.open() as seen, undisturbed.open() as reference:
+        expected = (line.split()[2:] for line in reference)
+        awaited = next(expected, None)
+        for line in seen:
+            frame = line.split()[2:]
+            if frame == awaited:
+                awaited = next(expected, None)
+            elif frame[1] == "T":
+                return f"the plant sent {frame[0]} where {awaited} was right", foreign
+            else:
+                foreign += 1
+    return (f"{awaited} is not in the log" if awaited else None), foreign
+
+
+def main() -> int:
+    """Flood, compare, print the table."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--frames", type=int, default=1_000_000, help="of the flood [1000000]")
+    parser.add_argument("--bus", default=f"local:flood-{os.getpid()}", help="[a local one]")
+    options = parser.parse_args()
+    memory = Memory()
+    with tempfile.TemporaryDirectory() as name:
+        log, undisturbed = Path(name) / "flood.log", Path(name) / "quiet.log"
+        summary, seconds = run_beside_flood(options.bus, options.frames, log, memory)
+        quiet = scenarios.load("thesis-step", [f"duration_s={summary.ticks / 1000}"])
+        run_in_process(quiet, "virtual:quiet", undisturbed, StopRequest(), lambda _: None)
+        difference, foreign = disturbed(log, undisturbed)
+    lost = options.frames - foreign
+    reported = summary.bus_events.get("plant", {}).get("frames dropped unread", 0)
+    table = Table(box=None, show_header=False)
+    table.add_row(
+        "flood", f"{options.frames} frames in {seconds:.1f} s, {options.frames / seconds:.0f}/s"
+    )
+    table.add_row("ticks beside it", str(summary.ticks))
+    table.add_row("commands and D*", difference or "as in the undisturbed run, frame for frame")
+    table.add_row("flood in the log", f"{foreign}; {lost} not, {reported} of them reported")
+    table.add_row("bus events", str(summary.bus_events or "none"))
+    table.add_row("rejected by E2E", str(summary.rejected_frames))
+    grown = {name: memory.growth(name) for name in memory.samples}
+    for node, growth in grown.items():
+        samples = memory.samples[node]
+        table.add_row(
+            f"memory of the {node}", f"{max(samples)} KiB at most, {growth} KiB more than at first"
+        )
+    Console(width=160).print(table)
+    return int(difference is not None or lost > reported or max(grown.values()) > FLAT_KIB)
+
+
+if __name__ == "__main__":
+    sys.exit(main())

@@ -1,0 +1,56 @@
+"""Record the drives of ``tests/drives`` with today's firmware; see ``drives.toml`` there."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+import tomllib
+from pathlib import Path
+
+sys.path.insert(0, str(Path(__file__).parents[1]))
+
+import click
+
+from can_rig.lockstep import StopRequest
+from can_rig.log_reading import read_log
+from can_rig.log_writing import write_log
+from can_rig.nodes import run_in_process
+from can_rig.scenario import load
+
+FOLDER = Path(__file__).parents[1] / "tests" / "drives"
+
+
+@click.command()
+@click.argument("names", nargs=-1)
+def record(names: tuple[str, ...]) -> None:
+    """Record the drives NAMES again, or all; one whose frames are the same is left as it is."""
+    drives = tomllib.loads((FOLDER / "drives.toml").read_text(encoding="utf-8"))
+    unknown = set(names) - set(drives)
+    if unknown:
+        raise click.UsageError(f"{', '.join(sorted(unknown))}: not in drives.toml")
+    for name in names or drives:
+        drive = drives[name]
+        scenario = load(drive["scenario"], drive["set"])
+        path = FOLDER / f"{name}.log.gz"
+        with tempfile.TemporaryDirectory() as folder:
+            log = Path(folder) / "bus.log"
+            bus = f"local:{folder}/bus"
+            run_in_process(scenario, bus, log, StopRequest(), lambda tick: None)
+            same = path.exists() and frames(path) == frames(log)
+            if not same:
+                write_log(read_log(log), path)
+        said = "as it was" if same else f"recorded, {path.stat().st_size / 1000:.0f} kB"
+        click.echo(f"{name:16} {scenario.ticks:6} ticks  {said}")
+
+
+def frames(path: Path) -> list[tuple[object, ...]]:
+    """Everything a log says."""
+    return [
+        (time_ns, message.arbitration_id, bytes(message.data))
+        for chunk in read_log(path)
+        for time_ns, message in zip(chunk.time_ns.tolist(), chunk.messages(), strict=True)
+    ]
+
+
+if __name__ == "__main__":
+    record()
