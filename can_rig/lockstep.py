@@ -21,6 +21,7 @@ from can_rig.bus import lost, one_line
 from can_rig.errors import SilentNodeError
 
 POLL_S = 0.05  # how soon a waiting node notices a stop request
+AWAKE_S = 2 * POLL_S  # longer between two looks: this node slept itself, and so did the other
 RETRY_S = 0.001  # how soon it turns to a bus again that has just refused
 
 
@@ -30,7 +31,7 @@ class Interrupted(Exception):  # noqa: N818 (not an error)
 
 @dataclass(frozen=True)
 class Waiting:
-    """Seconds of patience, in wall-clock time.
+    """Seconds of patience, in wall-clock time through which the waiting node itself was awake.
 
     ``first_s`` for the other node to appear, ``silence_s`` for its next frame after that.
     """
@@ -122,8 +123,8 @@ class Patience:
         self.silence_s = waiting.silence_s
         self.stop = stop
         self._while_alone = while_alone
-        self._waiting_since_s: float | None = None  # None: it has just been heard
-        self._repeated_s = 0.0
+        self._looked_s: float | None = None  # None: it has just been heard
+        self._silent_s = self._repeated_s = 0.0
         self._trouble: can.CanError | None = None  # of the bus, since the other was heard
         self.errors: Counter[str] = Counter()  # what the bus said, and how often
 
@@ -131,7 +132,7 @@ class Patience:
         """Note that the other node has spoken: from now on only a short silence is allowed."""
         self._allowed_s = self.silence_s
         self._while_alone = None
-        self._waiting_since_s = None
+        self._looked_s = None
         self._trouble = None
 
     def receive(self, tick: int) -> can.Message:
@@ -165,12 +166,15 @@ class Patience:
         if self.stop.wanted:
             raise Interrupted
         now_s = time.monotonic()
-        if self._waiting_since_s is None:
-            self._waiting_since_s = self._repeated_s = now_s
-        elif self._while_alone is not None and now_s - self._repeated_s >= POLL_S:
-            self._repeated_s = now_s
+        if self._looked_s is None:
+            self._silent_s = self._repeated_s = 0.0
+        else:
+            self._silent_s += min(now_s - self._looked_s, AWAKE_S)
+        self._looked_s = now_s
+        if self._while_alone is not None and self._silent_s - self._repeated_s >= POLL_S:
+            self._repeated_s = self._silent_s
             self._while_alone()
-        if now_s - self._waiting_since_s >= self._allowed_s:
+        if self._silent_s >= self._allowed_s:
             if self._trouble is not None:
                 raise lost(self._bus, self._trouble, self._allowed_s)
             raise SilentNodeError(

@@ -18,7 +18,7 @@ from can_rig.errors import BusError
 
 Open = Callable[..., can.BusABC]
 
-TIMEOUT_S = 5.0  # for what must come; a test fails, and never hangs, without it
+TIMEOUT_S = 30.0  # for what must come; a test fails, and never hangs, without it
 
 
 def frame(number: int, **kwargs: Any) -> can.Message:

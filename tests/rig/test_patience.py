@@ -1,17 +1,36 @@
 """A bus that refuses, fails, or is full of others: how long, how often, and what is said of it."""
 
 import errno
-import time
 
 import can
 import pytest
 
+from can_rig import lockstep
 from can_rig.errors import BusLostError, SilentNodeError
 from can_rig.lockstep import Patience, Sender, StopRequest, Waiting
 
 
 def refusal(code):
     return can.CanOperationError("Failed to transmit: no", code)
+
+
+class TurnedTime:
+    """A clock that only sleeping moves."""
+
+    now_s = 0.0
+
+    def monotonic(self):
+        return self.now_s
+
+    def sleep(self, seconds):
+        self.now_s += seconds
+
+
+@pytest.fixture(autouse=True)
+def clock(monkeypatch):
+    turned = TurnedTime()
+    monkeypatch.setattr(lockstep, "time", turned)
+    return turned
 
 
 class Refusing(can.BusABC):
@@ -33,10 +52,10 @@ class Refusing(can.BusABC):
         self._refuse()
         self.sent.append(msg)
 
-    def _recv_internal(self, timeout):
+    def recv(self, timeout=None):
         self._refuse()
-        time.sleep(0.001)
-        return (self.sent[0] if self.sent else None), True
+        lockstep.time.sleep(0.001 if self.sent else timeout)
+        return self.sent[0] if self.sent else None
 
 
 FRAME = can.Message(arbitration_id=0x300, is_extended_id=False)
@@ -108,3 +127,16 @@ def test_a_node_alone_repeats_its_offer_though_others_talk_all_the_time():
                 patience.receive(0)
                 patience.go_on_waiting(0)
     assert 2 <= len(offers) <= 6  # every 0.05 s of 0.3 s, not with every frame
+
+
+def test_while_this_node_sleeps_itself_the_other_is_not_silent(clock):
+    """A machine that is suspended, or stalls, wakes both; one second without a frame is left."""
+    with Refusing(0) as bus:
+        patience = Patience(bus, "plant", Waiting(1.0, 1.0), StopRequest())
+        patience.go_on_waiting(0)
+        clock.sleep(3600.0)
+        patience.go_on_waiting(0)
+        woken_s = clock.now_s
+        with pytest.raises(SilentNodeError):
+            patience.receive(0)
+    assert 0.85 < clock.now_s - woken_s <= 1.0
