@@ -26,7 +26,7 @@ from can_rig.build import continuous_design, target
 from can_rig.messages import Network
 from can_rig.reference import reference
 from can_rig.settings import Scenario
-from can_rig.tuning_box import cars, ranges
+from can_rig.tuning.box import cars, ranges
 from firmware_model.margins import HEALTHY, noise_gain
 from firmware_model.plants import Plant
 from firmware_model.sampled_loop import linear_controller, sampled_loop

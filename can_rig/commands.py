@@ -21,15 +21,14 @@ from rich.progress import (
 )
 from rich.table import Table
 
-from can_rig import realtime, realtime_nodes
 from can_rig import scenario as scenarios
 from can_rig.build import controller_table
 from can_rig.check import check, refuse_unstable, table_rows
 from can_rig.cli import INTERRUPTED
 from can_rig.errors import LogError, RigError
 from can_rig.lockstep import StopRequest, Waiting
-from can_rig.log_reading import read_log
-from can_rig.log_writing import refuse_log, write_log
+from can_rig.logs.reading import read_log
+from can_rig.logs.writing import refuse_log, write_log
 from can_rig.messages import Network
 from can_rig.metrics import Metrics, rows
 from can_rig.nodes import (
@@ -42,6 +41,8 @@ from can_rig.nodes import (
     run_plant,
 )
 from can_rig.plant import SimulatedPlant
+from can_rig.realtime import deadlines
+from can_rig.realtime import nodes as realtime_nodes
 from can_rig.reference import on_the_bus
 from can_rig.run import run_processes
 from can_rig.run_folder import LOG, Outcome, create, finish, give_up
@@ -64,7 +65,7 @@ def run_command(
     """``can-rig run``: the exit status. Without a ``bus`` the run has a local one of its own."""
     scenario = scenarios.load(name, settings)
     if real_time:
-        realtime.require_causal(scenario)
+        deadlines.require_causal(scenario)
     bus = bus or f"local:run-{os.getpid()}"
     network = network_of(scenario)
     controller_table(scenario, network)  # what cannot run is refused before it starts
@@ -186,8 +187,8 @@ def scenarios_command() -> None:
 
 def figures_command(settings: Sequence[str], out: Path, force: bool) -> None:
     """``can-rig figures``: draw them, and say how far the firmware is from the continuous loop."""
-    from can_rig import figures  # noqa: PLC0415 (matplotlib and python-control: slow to import)
-    from can_rig.comparisons import compare  # noqa: PLC0415
+    from can_rig.thesis import figures  # noqa: PLC0415 (matplotlib and python-control: slow to import)
+    from can_rig.thesis.comparisons import compare  # noqa: PLC0415
 
     figures.refuse_existing(out, force)
     comparisons = compare(settings)
@@ -249,9 +250,9 @@ def _node_end(scenario: Scenario, summary: NodeSummary, as_json: bool) -> int:
     console.print(
         f"{summary.ticks} of {scenario.ticks} ticks, {rate:.0f} a second", highlight=False
     )
-    for label, text in realtime.rows(summary.realtime or {}):
+    for label, text in deadlines.rows(summary.realtime or {}):
         console.print(f"{label}: {text}", highlight=False, soft_wrap=True)
-    for line in realtime.scheduling_lines(summary.realtime or {}):
+    for line in deadlines.scheduling_lines(summary.realtime or {}):
         console.print(line, highlight=False, soft_wrap=True)
     return 0 if summary.ticks == scenario.ticks else INTERRUPTED
 
@@ -273,7 +274,7 @@ def closing_table(
         table.add_row(label, text)
     factor = outcome.ticks_per_s * scenario.tick_s
     table.add_row("rate", f"{outcome.ticks_per_s:.0f} ticks/s, {factor:.1f} x real time")
-    for label, text in realtime.rows(outcome.realtime or {}):
+    for label, text in deadlines.rows(outcome.realtime or {}):
         table.add_row(label, text)
     rejected: Counter[str] = Counter()
     for counts in outcome.rejected_frames.values():
@@ -284,6 +285,6 @@ def closing_table(
         table.add_row(f"bus of the {node}", ", ".join(f"{n} {k}" for k, n in events.items()))
     console = Console()
     console.print(table)
-    for line in realtime.scheduling_lines(outcome.realtime or {}):
+    for line in deadlines.scheduling_lines(outcome.realtime or {}):
         console.print(line, soft_wrap=True, highlight=False)
     console.print(f"run folder  {folder}", soft_wrap=True, markup=False, highlight=False)

@@ -63,7 +63,7 @@ def bus_timing(
 
     Exit status: 0 if every frame is sure to be sent in time, 1 if not.
     """
-    from can_rig.bus_table import bus_command  # noqa: PLC0415
+    from can_rig.bus_timing.table import bus_command  # noqa: PLC0415
 
     sys.exit(bus_command(scenario, settings, dbc, (bitrate, data_bitrate), as_json))
 
@@ -131,7 +131,7 @@ def tune(
     Every choice is stable with ticks to spare, healthy and faulted, for a box of cars around the
     one that it is designed for.  Exit status: 0 found, 1 not within --noise-limit.
     """
-    from can_rig.tuning_report import tune_command  # noqa: PLC0415
+    from can_rig.tuning.report import tune_command  # noqa: PLC0415
 
     limits = (spare_ticks, noise_limit_n, torque_noise_limit_nm)
     sys.exit(tune_command(scenario, settings, (box, box_settings), limits, out, force, as_json))

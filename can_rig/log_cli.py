@@ -106,14 +106,14 @@ def replay(
     Exit status: 0 nothing that can be compared differs, 1 something does.
     """
     if bus is not None:
-        from can_rig.pace_command import pace_command  # noqa: PLC0415
+        from can_rig.replay.pace_command import pace_command  # noqa: PLC0415
 
         _refuse_together("--bus", scenario=scenario_name, set=settings, gaps=gaps, what_if=what_if)
         sys.exit(pace_command(log, bus, _speed(speed or "1"), channel, as_json))
     if speed is not None:
         raise click.UsageError("--speed is the pace of a replay onto a --bus; name one")
     if what_if:
-        from can_rig.what_if import what_if_command  # noqa: PLC0415
+        from can_rig.replay.what_if import what_if_command  # noqa: PLC0415
 
         _refuse_together("--what-if", gaps=gaps)
         sys.exit(
@@ -123,8 +123,8 @@ def replay(
         )
     if out is not None:
         raise click.UsageError("--out is the run folder of a --what-if")
-    from can_rig.replay_command import replay_command  # noqa: PLC0415 (imports the controller)
-    from can_rig.replay_source import source_of  # noqa: PLC0415
+    from can_rig.replay.command import replay_command  # noqa: PLC0415 (imports the controller)
+    from can_rig.replay.source import source_of  # noqa: PLC0415
 
     source = source_of(log, scenario_name, settings, channel)
     sys.exit(replay_command(source, gaps, force, as_json))
@@ -170,7 +170,7 @@ def diff(
 
     Exit status: 0 the same within tolerance, 1 different.
     """
-    from can_rig.diff_command import diff_command  # noqa: PLC0415
+    from can_rig.views.diff_command import diff_command  # noqa: PLC0415
 
     sys.exit(diff_command((run_a, run_b), tolerances, scenario_name, out, force, as_json))
 
@@ -202,7 +202,7 @@ def plot(
     force: bool,
 ) -> None:
     """Draw SIGNALs of LOG: MESSAGE.Signal, or Signal where only one message has it."""
-    from can_rig.plot_command import plot_command  # noqa: PLC0415
+    from can_rig.views.plot_command import plot_command  # noqa: PLC0415
 
     sys.exit(plot_command(log, signals, dbc, not no_strict, channel, out, force))
 
@@ -257,7 +257,7 @@ def decode(
     Prints of every message how many frames there were and what became of them: too short,
     repeated, damaged, unknown.
     """
-    from can_rig.decode_command import Form, Selection, decode_command  # noqa: PLC0415
+    from can_rig.decoding.command import Form, Selection, decode_command  # noqa: PLC0415
 
     selection = Selection(messages or None, signals or None, channel)
     form = Form(relative, names)

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
-from can_rig.frames import Frames
-from can_rig.log_reading import Log
+from can_rig.logs.frames import Frames
+from can_rig.logs.reading import Log
 
 
 def reading(log: Log, what: str) -> Iterator[Frames]:

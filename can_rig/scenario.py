@@ -115,7 +115,7 @@ def from_dict(name: str, values: Mapping[str, Any]) -> Scenario:
 
 
 def _with_latency_of_bus(scenario: Scenario) -> Scenario:
-    from can_rig.bus_timing import latency_ticks  # noqa: PLC0415 (cantools: slow to import)
+    from can_rig.bus_timing.timing import latency_ticks  # noqa: PLC0415 (cantools: slow to import)
     from can_rig.nodes import network_of  # noqa: PLC0415 (imports this module)
 
     network, bus = network_of(scenario), scenario.bus

@@ -12,8 +12,8 @@ import numpy as np
 from can import Message
 from numpy.typing import NDArray
 
-from can_rig.frames import SENT
-from can_rig.log_reading import read_log
+from can_rig.logs.frames import SENT
+from can_rig.logs.reading import read_log
 from can_rig.messages import Network, Receiver
 from firmware_model.sections import FloatArray
 
@@ -82,7 +82,7 @@ def read_signals(log: Path, network: Network, tick_s: float, in_time_ticks: int 
     run left unfinished is not read.
 
     Args:
-        log: of any format that ``log_reading`` knows.
+        log: of any format that ``logs.reading`` knows.
         network: its frames.
         tick_s: seconds a tick.
         in_time_ticks: from the start of its own tick on, how many ticks a command may take: one in

@@ -22,11 +22,11 @@ from rich.console import Console
 from rich.table import Table
 
 from can_rig import scenario as scenarios
-from can_rig.decode import decode_log, load_database
-from can_rig.frames import concatenate
+from can_rig.decoding.decode import decode_log, load_database
 from can_rig.lockstep import StopRequest
-from can_rig.log_reading import read_log
-from can_rig.log_writing import candump_lines, write_log
+from can_rig.logs.frames import concatenate
+from can_rig.logs.reading import read_log
+from can_rig.logs.writing import candump_lines, write_log
 from can_rig.messages import shipped_dbc
 from can_rig.nodes import run_in_process
 

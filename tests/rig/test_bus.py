@@ -10,7 +10,7 @@ import pytest
 from can_rig import bus as bus_module
 from can_rig.bus import open_bus
 from can_rig.errors import BusError, RigError
-from can_rig.local_bus import LocalBus
+from can_rig.local_bus.bus import LocalBus
 
 
 @pytest.fixture(autouse=True)

@@ -11,12 +11,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from can_rig.bus_timing import TimingError, dbc_timing, latency_ticks, network_timing
+from can_rig.bus_timing.frame_length import FrameError, frame_bits, worst_case_bits
+from can_rig.bus_timing.response_time import PeriodicFrame, response_times
+from can_rig.bus_timing.timing import TimingError, dbc_timing, latency_ticks, network_timing
 from can_rig.errors import DbcError, ScenarioError
-from can_rig.frame_length import FrameError, frame_bits, worst_case_bits
 from can_rig.messages import load_network
 from can_rig.nodes import network_of
-from can_rig.response_time import PeriodicFrame, response_times
 from can_rig.scenario import from_dict, load
 from tests.rig.conftest import DBC, record, rig
 from tests.rig.test_response_time import simulate

@@ -14,9 +14,9 @@ from can.io import CanutilsLogReader, CanutilsLogWriter
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from can_rig import candump_lines
 from can_rig.errors import LogError
-from can_rig.frames import (
+from can_rig.logs import candump_lines
+from can_rig.logs.frames import (
     BITRATE_SWITCH,
     ERROR,
     ERROR_STATE,
@@ -28,8 +28,8 @@ from can_rig.frames import (
     concatenate,
     from_messages,
 )
-from can_rig.log_reading import read_log
-from can_rig.log_writing import candump_lines as lines_of
+from can_rig.logs.reading import read_log
+from can_rig.logs.writing import candump_lines as lines_of
 
 # Of can-utils 2020.11: candump -L, candump -l of a socket with error frames and FD, and log2asc's
 # example; 2023: the R or T that -x adds, and a raw DLC above 8.
@@ -265,7 +265,7 @@ def test_compressed_and_cut_off(tmp_path: Path) -> None:
 def test_blocks_of_any_size(tmp_path: Path, monkeypatch, block: int) -> None:
     plain, packed = (written(tmp_path, DIRECTED * 2), gzip.compress((DIRECTED * 2).encode()))
     every = rows(whole(plain))
-    monkeypatch.setattr("can_rig.blocks.BLOCK_BYTES", block)
+    monkeypatch.setattr("can_rig.logs.blocks.BLOCK_BYTES", block)
     assert rows(whole(plain)) == every
     assert rows(whole(written(tmp_path, packed, "a.log.gz"))) == every
 
@@ -289,7 +289,7 @@ def test_the_compiled_lines_are_those_that_run_interpreted(tmp_path: Path, monke
     for name, value in vars(candump_lines).items():
         if hasattr(value, "py_func"):
             monkeypatch.setattr(candump_lines, name, value.py_func)
-    monkeypatch.setattr("can_rig.candump.parse", candump_lines.parse)
+    monkeypatch.setattr("can_rig.logs.candump.parse", candump_lines.parse)
     assert rows(whole(tmp_path / "a.log")) == compiled
 
 

@@ -17,10 +17,10 @@ from cantools.database.errors import DecodeError
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
-from can_rig.decode import Decoder, load_database
+from can_rig.decoding.decode import Decoder, load_database
+from can_rig.decoding.message_columns import joined
 from can_rig.errors import DbcError
-from can_rig.frames import from_messages
-from can_rig.message_columns import joined
+from can_rig.logs.frames import from_messages
 from can_rig.protection import Checker, CheckStatus, Protector
 from tests.rig.conftest import DBC
 

@@ -16,7 +16,7 @@ import pytest
 from click.testing import CliRunner
 
 from can_rig.cli import main
-from can_rig.decode import decode_log
+from can_rig.decoding.decode import decode_log
 from can_rig.messages import shipped_dbc
 from can_rig.run_folder import LOG
 from tests.rig.conftest import NAMES, decoded, record

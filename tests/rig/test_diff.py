@@ -12,11 +12,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from can_rig.diff_picture import difference_page
 from can_rig.errors import LogError
-from can_rig.run_diff import compare, tolerances_of
 from can_rig.scenario import load
-from can_rig.signal_table import SignalTable, read_table, unit
+from can_rig.views.diff_picture import difference_page
+from can_rig.views.run_diff import compare, tolerances_of
+from can_rig.views.signal_table import SignalTable, read_table, unit
 from tests.rig.conftest import asked, rig
 
 SHORT = ("--set", "duration_s=0.3", "--set", "fault.at_s=0.2", "--in-process")

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from can_rig.faults import CHANNELS
-from can_rig.log_reading import read_log
+from can_rig.logs.reading import read_log
 from can_rig.nodes import network_of
-from can_rig.replay import OpenLoop
+from can_rig.replay.replay import OpenLoop
 from can_rig.scenario import load
 
 FOLDER = Path(__file__).parents[1] / "drives"

@@ -7,12 +7,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from can_rig.build import continuous_plant
-from can_rig.continuous import solve
 from can_rig.faults import ActuatorFault, FrameFault
 from can_rig.messages import Receiver, Transmitter
 from can_rig.nodes import network_of
 from can_rig.plant import SimulatedPlant
 from can_rig.scenario import load
+from can_rig.thesis.continuous import solve
 
 CHANNELS = ["torque", "force-difference"]
 SHORT = ["duration_s=1", "fault.at_s=0.005", "fault.for_s=0.003"]  # ticks 5, 6, 7

@@ -14,12 +14,12 @@ from scipy import integrate, signal
 
 from can_rig.build import continuous_plant
 from can_rig.cli import main
-from can_rig.comparisons import Comparison, both, compare
-from can_rig.continuous import OUTPUTS, closed_loop, lag_over, solve
 from can_rig.errors import ScenarioError
-from can_rig.figures import draw_figures, refuse_existing
 from can_rig.scenario import load
 from can_rig.settings import Scenario
+from can_rig.thesis.comparisons import Comparison, both, compare
+from can_rig.thesis.continuous import OUTPUTS, closed_loop, lag_over, solve
+from can_rig.thesis.figures import draw_figures, refuse_existing
 
 VARIANTS = ("published", "physics")
 LOST_AT_S = 10.0

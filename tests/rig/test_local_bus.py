@@ -20,14 +20,15 @@ from typing import Any
 import can
 import pytest
 
-from can_rig import local_bus, local_bus_directory
-from can_rig.local_bus import LocalBus
+from can_rig.local_bus import bus as local_bus
+from can_rig.local_bus import directory as local_bus_directory
+from can_rig.local_bus.bus import LocalBus
 
 TIMEOUT_S = 30.0  # for what must come
 
 NODE = """
 import sys, can
-from can_rig.local_bus import LocalBus
+from can_rig.local_bus.bus import LocalBus
 bus = LocalBus("x")
 print("ready", flush=True)
 """
@@ -108,7 +109,7 @@ def test_two_processes_burst_at_each_other() -> None:
 for number in range(5000):
     bus.send(can.Message(arbitration_id=1, data=number.to_bytes(4, "little")))
 for number in range(5000):
-    assert int.from_bytes(bus.recv(TIMEOUT_S).data, "little") == number
+    assert int.from_bytes(bus.recv(30.0).data, "little") == number
 bus.shutdown()
 print("heard all", flush=True)
 """

@@ -15,9 +15,18 @@ from asammdf import Signal, Source
 from can import Message
 
 from can_rig.errors import LogError
-from can_rig.frames import ERROR, EXTENDED, FD, REMOTE, SENT, Frames, concatenate, from_messages
-from can_rig.log_reading import read_log
-from can_rig.log_writing import write_log
+from can_rig.logs.frames import (
+    ERROR,
+    EXTENDED,
+    FD,
+    REMOTE,
+    SENT,
+    Frames,
+    concatenate,
+    from_messages,
+)
+from can_rig.logs.reading import read_log
+from can_rig.logs.writing import write_log
 
 START_S = 1_700_000_000.25
 

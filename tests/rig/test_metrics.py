@@ -12,7 +12,6 @@ from scipy import signal
 
 from can_rig.beside import fault_free
 from can_rig.check import check
-from can_rig.continuous import solve
 from can_rig.errors import RigError
 from can_rig.lockstep import StopRequest
 from can_rig.metrics import Metrics, metrics, rows, windows
@@ -21,6 +20,7 @@ from can_rig.plant import LinearPlant
 from can_rig.scenario import load
 from can_rig.settings import Scenario
 from can_rig.signals import Signals, read_signals
+from can_rig.thesis.continuous import solve
 from firmware_model.plants import steer_by_wire
 
 LSB_MPS2 = 1e-8

@@ -15,9 +15,9 @@ from hypothesis import strategies as st
 
 from can_rig.bus import open_bus
 from can_rig.errors import BusError
-from can_rig.frames import Frames, from_messages
 from can_rig.lockstep import StopRequest
-from can_rig.pace import Pacer
+from can_rig.logs.frames import Frames, from_messages
+from can_rig.replay.pace import Pacer
 from tests.rig.conftest import asked, start
 
 HOUR_NS = 3600 * 10**9

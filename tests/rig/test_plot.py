@@ -10,11 +10,11 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from can_rig.decode import decode_log, load_database
+from can_rig.decoding.decode import decode_log, load_database
 from can_rig.errors import DbcError
-from can_rig.plot_command import resolve
-from can_rig.plot_picture import MOST_POINTS, plot_page, thinned
 from can_rig.settings import FaultSettings
+from can_rig.views.plot_command import resolve
+from can_rig.views.plot_picture import MOST_POINTS, plot_page, thinned
 from tests.rig.conftest import DBC, asked, record
 
 CAR = """VERSION ""

@@ -16,9 +16,9 @@ from scipy.signal import cont2discrete
 from can_rig.errors import BusError, RunFolderError, ScenarioError, SilentNodeError
 from can_rig.lockstep import Patience, StopRequest, Waiting
 from can_rig.nodes import network_of
-from can_rig.realtime import CATCH_UP_TICKS, Histogram, Schedule, Timing
-from can_rig.realtime_controller import RealTimeControllerNode
-from can_rig.realtime_plant import RealTimePlantNode
+from can_rig.realtime.controller_node import RealTimeControllerNode
+from can_rig.realtime.deadlines import CATCH_UP_TICKS, Histogram, Schedule, Timing
+from can_rig.realtime.plant_node import RealTimePlantNode
 from can_rig.recorder import RealTimeRecorder
 from can_rig.scenario import load
 from can_rig.signals import read_signals

@@ -138,7 +138,7 @@ def test_by_hand_a_killed_controller_is_started_again_and_takes_over(tmp_path):
     heard = first_after_the_outage(signals.fault_estimate_mps2)  # it says so while it listens
     assert command is not None
     assert heard is not None
-    assert heard < command  # how long after and how smoothly: test_realtime's turned clock
+    assert heard <= command  # how long after and how smoothly: test_realtime's turned clock
 
 
 def first_after_the_outage(values):

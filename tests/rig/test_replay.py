@@ -17,14 +17,14 @@ from hypothesis import strategies as st
 
 from can_rig.build import controller_table
 from can_rig.errors import LogError
-from can_rig.frames import from_messages
-from can_rig.log_gaps import Gap
-from can_rig.log_reading import read_log
-from can_rig.log_writing import write_log
+from can_rig.logs.frames import from_messages
+from can_rig.logs.reading import read_log
+from can_rig.logs.writing import write_log
 from can_rig.messages import Transmitter
 from can_rig.nodes import network_of
-from can_rig.replay import OpenLoop
-from can_rig.rig_frames import signed
+from can_rig.replay.gaps import Gap
+from can_rig.replay.replay import OpenLoop
+from can_rig.replay.rig_frames import signed
 from can_rig.scenario import from_run, load
 from can_rig.settings import Scenario
 from can_rig.signals import plain_frames

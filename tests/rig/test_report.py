@@ -13,7 +13,7 @@ from matplotlib.figure import Figure
 from can_rig import report
 from can_rig.lockstep import StopRequest
 from can_rig.nodes import network_of, run_in_process
-from can_rig.realtime import Timing
+from can_rig.realtime.deadlines import Timing
 from can_rig.run_folder import Outcome, finish
 from can_rig.scenario import load
 from can_rig.settings import Scenario

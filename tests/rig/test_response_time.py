@@ -10,8 +10,8 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from can_rig.frame_length import FrameBits, FrameError, worst_case_bits
-from can_rig.response_time import (
+from can_rig.bus_timing.frame_length import FrameBits, FrameError, worst_case_bits
+from can_rig.bus_timing.response_time import (
     AnalysisError,
     Errors,
     PeriodicFrame,

@@ -8,8 +8,8 @@ from scipy.linalg import expm
 
 from can_rig.build import controller_table
 from can_rig.nodes import network_of
+from can_rig.realtime.takeover import LISTEN_S, RETURN_S, FreeMotion, TakeOver
 from can_rig.scenario import load
-from can_rig.takeover import LISTEN_S, RETURN_S, FreeMotion, TakeOver
 from firmware_model.firmware import Firmware
 from firmware_model.vehicle import VehicleParameters, vehicle_state_space
 

@@ -17,10 +17,10 @@ from can_rig.build import continuous_design, continuous_plant, target
 from can_rig.errors import ScenarioError
 from can_rig.scenario import load
 from can_rig.settings import Scenario
-from can_rig.tune import ALIKE, Tunings, tune
-from can_rig.tuning_box import MOST_DELAY_TICKS, Car, cars, delay_margin, laws, ranges, survives
-from can_rig.tuning_candidate import Tuning, assess, grid, with_tuning
-from can_rig.tuning_report import as_dict, options, rows, why
+from can_rig.tuning.box import MOST_DELAY_TICKS, Car, cars, delay_margin, laws, ranges, survives
+from can_rig.tuning.candidate import Tuning, assess, grid, with_tuning
+from can_rig.tuning.report import as_dict, options, rows, why
+from can_rig.tuning.search import ALIKE, Tunings, tune
 from firmware_model.delay_margin import delay_margins
 from firmware_model.margins import HEALTHY, TORQUE_DEAD, law_in
 from firmware_model.sampled_loop import linear_controller, sampled_loop
@@ -287,8 +287,8 @@ def test_nothing_survives() -> None:
 def test_the_command_writes_the_picture_the_table_and_the_options(
     tmp_path, monkeypatch, capsys
 ) -> None:  # type: ignore[no-untyped-def]
-    from can_rig import tune as search
-    from can_rig.tuning_report import tune_command
+    from can_rig.tuning import search
+    from can_rig.tuning.report import tune_command
 
     monkeypatch.setattr(search, "grid", lambda tick_s: SMALL)
     monkeypatch.setenv("COLUMNS", "80")

@@ -1,0 +1,1 @@
+"""What five frames cost on a real bus, before there is one."""

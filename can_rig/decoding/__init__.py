@@ -1,0 +1,1 @@
+"""Frames into columns of physical values, through any DBC."""

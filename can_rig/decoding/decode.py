@@ -1,0 +1,233 @@
+"""Frames of a log → columns of physical values, by any DBC.
+
+    from can_rig.decoding.decode import decode_log
+
+    messages = decode_log("drive.log", "car.dbc")
+    messages["DSTAR_FEEDBACK"].signals["DStar"]     # numpy
+    messages["DSTAR_FEEDBACK"].to_pandas()
+
+Nothing is decoded silently: `Decoder.counts` says of every message how many frames there were and
+why some gave no row, `Decoder.unknown` how many frames have an identifier that is not in the DBC.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterable
+from pathlib import Path
+from typing import Final
+
+import cantools
+import numpy as np
+from cantools.database.can import Database
+from cantools.database.errors import Error
+
+from can_rig.decoding.message_columns import Counts, MessageColumns, MessageDecoder, joined
+from can_rig.errors import DbcError
+from can_rig.logs.frames import ERROR, EXTENDED, Frames
+from can_rig.logs.reading import read_log
+from can_rig.messages import load_dbc
+
+_EXTENDED_BIT: Final = 31  # above the identifier, as in a DBC
+
+
+class Decoder:
+    """Decodes chunk after chunk of a log.
+
+    Args:
+        database: any cantools CAN database.
+        messages: names of those to decode; None: all.
+        signals: those to decode, as ``Signal`` or ``Message.Signal``; None: all. Messages that
+            have none of them are not decoded.
+        channel: the only bus whose frames are looked at; None: all.
+
+    Raises:
+        DbcError: a name is not in the database, or a message of it cannot be decoded.
+    """
+
+    def __init__(
+        self,
+        database: Database,
+        messages: Collection[str] | None = None,
+        signals: Collection[str] | None = None,
+        channel: str | None = None,
+    ) -> None:
+        self._channel = channel
+        self._decoders = _decoders(database, messages, signals)
+        known = {
+            message.frame_id | message.is_extended_frame << _EXTENDED_BIT: message.name
+            for message in database.messages
+        }
+        keys = sorted(known)
+        self._keys: Final = np.array(keys, dtype=np.uint32)
+        self._names: Final = [known[key] for key in keys]
+        self.frames = 0
+        """All that were looked at."""
+        self.error_frames = 0
+        self.unknown: Counter[str] = Counter()
+        """Frames whose identifier is not in the database, by it: ``123`` or ``12345678``."""
+        self.not_wanted = 0
+        """Frames of messages and buses that were not asked for."""
+        self._channels: dict[str, None] = {}  # an ordered set
+
+    @property
+    def counts(self) -> dict[str, Counts]:
+        """What became of the frames, by message: those that were asked for."""
+        return {name: decoder.counts for name, decoder in self._decoders.items()}
+
+    @property
+    def messages(self) -> dict[str, MessageDecoder]:
+        """The messages that are decoded, in the order of the database."""
+        return self._decoders
+
+    @property
+    def nothing_on_channel(self) -> str | None:
+        """One line if the wanted bus is not in the log."""
+        if self._channel is None or self._channel in self._channels:
+            return None
+        return f"no frame is of bus {self._channel}; the log has {', '.join(self._channels)}"
+
+    def decode(self, frames: Frames) -> dict[str, MessageColumns]:
+        """The columns of a chunk, by message; only of those that have a frame in it."""
+        rows = np.arange(self.frames, self.frames + len(frames))
+        self.frames += len(frames)
+        self._channels.update(dict.fromkeys(frames.channels))
+        keep = np.ones(len(frames), dtype=bool)
+        if self._channel is not None and len(frames):
+            keep = np.array([name == self._channel for name in frames.channels])[frames.channel]
+            self.not_wanted += int((~keep).sum())
+        errors = keep & frames.has(ERROR)
+        self.error_frames += int(errors.sum())
+        keep = keep & ~errors
+        if not keep.all():
+            frames, rows = frames[keep], rows[keep]
+        places = self._places(frames)
+        order = np.argsort(places, kind="stable")
+        ends = np.cumsum(np.bincount(places, minlength=len(self._names) + 1))
+        self._count_unknown(frames[order[ends[len(self._names) - 1] if self._names else 0 :]])
+        found = {}
+        for place, name in enumerate(self._names):
+            chosen = order[ends[place - 1] if place else 0 : ends[place]]
+            decoder = self._decoders.get(name)
+            if decoder is None:
+                self.not_wanted += len(chosen)
+            elif len(chosen):
+                found[name] = decoder.decode(frames[chosen], rows[chosen])
+        return {name: found[name] for name in self._decoders if name in found}
+
+    def _places(self, frames: Frames) -> np.ndarray[tuple[int], np.dtype[np.int16]]:
+        """(n,) which of the sorted messages a frame is; their number: none of them."""
+        if not len(self._keys):
+            return np.zeros(len(frames), dtype=np.int16)
+        keys = frames.arbitration_id | frames.has(EXTENDED).astype(np.uint32) << _EXTENDED_BIT
+        places = np.searchsorted(self._keys, keys)
+        places[places == len(self._keys)] = 0
+        places[self._keys[places] != keys] = len(self._keys)
+        return places.astype(np.int16)  # sorted by radix, which is quick
+
+    def _count_unknown(self, frames: Frames) -> None:
+        for extended, digits in ((False, 3), (True, 8)):
+            chosen = frames.arbitration_id[frames.has(EXTENDED) == extended]
+            for identifier, count in zip(*np.unique(chosen, return_counts=True), strict=True):
+                self.unknown[f"{identifier:0{digits}X}"] += int(count)
+
+
+class DecodedLog(dict[str, MessageColumns]):
+    """The columns of a whole log by message, only of those that occur; and what was not decoded."""
+
+    def __init__(
+        self, columns: dict[str, MessageColumns], decoder: Decoder, notice: str | None
+    ) -> None:
+        super().__init__(columns)
+        self.counts: Final = decoder.counts
+        self.unknown: Final = decoder.unknown
+        self.error_frames: Final = decoder.error_frames
+        self.notice: Final = notice
+        """One line if the end of the log is missing."""
+
+
+def decode_log(
+    path: str | Path,
+    database: Database | str | Path,
+    messages: Collection[str] | None = None,
+    signals: Collection[str] | None = None,
+    channel: str | None = None,
+) -> DecodedLog:
+    """Decode a log as a whole, in memory.
+
+    Args:
+        path: a log of any format that `read_log` reads.
+        database: a cantools database, or the file of one.
+        messages: as those of `Decoder`.
+        signals: as those of `Decoder`.
+        channel: as that of `Decoder`.
+
+    Raises:
+        LogError: the log cannot be read.
+        DbcError: the database cannot, or has no such message or signal.
+    """
+    if not isinstance(database, Database):
+        database = load_database(database)
+    decoder = Decoder(database, messages, signals, channel)
+    log = read_log(path)
+    parts: dict[str, list[MessageColumns]] = {}
+    for frames in log:
+        for name, columns in decoder.decode(frames).items():
+            parts.setdefault(name, []).append(columns)
+    whole = {name: joined(parts[name]) for name in decoder.messages if name in parts}
+    return DecodedLog(whole, decoder, log.notice)
+
+
+def load_database(path: str | Path, strict: bool = True) -> Database:
+    """A DBC, or another CAN database that cantools reads (.arxml, .kcd, .sym).
+
+    Raises:
+        DbcError: it cannot be read; also if ``strict`` and signals overlap or do not fit.
+    """
+    if Path(path).suffix.lower() not in {".arxml", ".kcd", ".sym"}:
+        return load_dbc(path, strict)
+    try:
+        loaded = cantools.database.load_file(path, strict=strict)
+    except OSError as error:
+        raise DbcError(f"{path}: cannot be read: {error.strerror}") from error
+    except (Error, ValueError, KeyError) as error:
+        reason = " ".join(str(error).split())
+        raise DbcError(f"{path}: cannot be loaded: {reason}") from error
+    if not isinstance(loaded, Database):
+        raise DbcError(f"{path}: holds no CAN messages")
+    return loaded
+
+
+def _decoders(
+    database: Database, messages: Collection[str] | None, signals: Collection[str] | None
+) -> dict[str, MessageDecoder]:
+    names = [message.name for message in database.messages]
+    _require(messages or (), names, "message")
+    every = [f"{m.name}.{s.name}" for m in database.messages for s in m.signals]
+    _require(signals or (), [*every, *(name.split(".")[1] for name in every)], "signal")
+    found = {}
+    for message in database.messages:
+        if (messages is not None and message.name not in messages) or message.is_container:
+            continue
+        wanted = _of_message(message.name, [s.name for s in message.signals], signals)
+        if wanted is None or wanted:
+            found[message.name] = MessageDecoder(message, wanted)
+    return found
+
+
+def _of_message(
+    message: str, names: Iterable[str], signals: Collection[str] | None
+) -> list[str] | None:
+    if signals is None:
+        return None
+    return [name for name in names if name in signals or f"{message}.{name}" in signals]
+
+
+def _require(wanted: Collection[str], names: Collection[str], kind: str) -> None:
+    """Every wanted name is one of ``names``."""
+    from difflib import get_close_matches  # noqa: PLC0415
+
+    for name in wanted:
+        if name not in names:
+            near = get_close_matches(name, names, 3, 0.5) or sorted(set(names))[:5]
+            raise DbcError(f"no {kind} {name} in the database; it has {', '.join(near)}, …")

@@ -1,0 +1,68 @@
+"""AUTOSAR E2E profile 1 of many frames at once: the CRC and the counter of `protection`.
+
+A CRC is linear in the bits that it covers, so that of a frame is the exclusive or of one byte
+from a table for each of its bytes and of a constant for the data identifier. The tables are made
+by calling the library, which stays the one that knows the polynomial.
+"""
+
+from __future__ import annotations
+
+from functools import cache
+from typing import Any, Final
+
+import numpy as np
+from e2e.p01 import e2e_p01_protect
+from numpy.typing import NDArray
+
+from can_rig.logs.frames import UInt8s
+from can_rig.protection import FRAME_BYTES
+
+COUNTERS: Final = 15
+"""Counters are 0..14; 15 is never sent."""
+
+Rows = NDArray[np.bool_]
+
+
+def intact(data: UInt8s, length: UInt8s, data_id: int) -> Rows:
+    """(n,) what e2e_p01_check says of payloads (n, 8 or more) of these lengths."""
+    crc = np.full(len(data), _crc(bytearray(FRAME_BYTES), data_id), dtype=np.uint8)
+    for byte, table in enumerate(_tables(), start=1):
+        crc ^= table[data[:, byte]]
+    whole: Rows = (crc == data[:, 0]) & (counters(data) < COUNTERS) & (length == FRAME_BYTES)
+    return whole
+
+
+def counters(data: UInt8s) -> UInt8s:
+    """(n,) alive counters of payloads."""
+    return data[:, 1] & np.uint8(0x0F)
+
+
+def steps(counter: UInt8s, before: int | None) -> NDArray[np.int64]:
+    """(n,) by how much each counter is ahead of the one before it, 0..14: 1 is in sequence.
+
+    Args:
+        counter: (n,) of intact frames, in their order.
+        before: the last counter before them; None: the first of them begins, and is in sequence.
+    """
+    numbers = counter.astype(np.int64)
+    first = (numbers[:1] - 1) if before is None else np.array([before])
+    ahead: NDArray[np.int64] = np.diff(numbers, prepend=first[: len(numbers)]) % COUNTERS
+    return ahead
+
+
+@cache
+def _tables() -> Any:
+    """(7, 256) what each value of bytes 1 to 7 adds to the CRC."""
+    nothing = _crc(bytearray(FRAME_BYTES), 0)
+    tables = np.zeros((FRAME_BYTES - 1, 256), dtype=np.uint8)
+    for byte in range(1, FRAME_BYTES):
+        for value in range(256):
+            frame = bytearray(FRAME_BYTES)
+            frame[byte] = value
+            tables[byte - 1, value] = _crc(frame, 0) ^ nothing
+    return tables
+
+
+def _crc(frame: bytearray, data_id: int) -> int:
+    e2e_p01_protect(frame, data_id, increment_counter=False)
+    return frame[0]

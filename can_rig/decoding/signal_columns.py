@@ -1,0 +1,189 @@
+"""One signal of a DBC, of many frames at once: bits → raw values → physical values.
+
+Every value is the one that cantools gives for the same frame, to the bit: the same order of
+operations (raw · factor + offset), integers where cantools has integers, however long.
+
+| raw              | factor and offset        | column                                      |
+|------------------|--------------------------|---------------------------------------------|
+| integer          | both whole               | int64; uint64, then int in `object` if long |
+| integer or float | anything else            | float64                                     |
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from cantools.database.can import Signal
+from cantools.database.conversion import BaseConversion, LinearIntegerConversion
+from numpy.typing import NDArray
+
+from can_rig.errors import DbcError
+from can_rig.logs.frames import UInt8s
+
+Column = NDArray[Any]
+
+_WORD_BITS: Final = 64
+_WORD_BYTES: Final = 8
+_FLOATS: Final = {16: "2", 32: "4", 64: "8"}  # bits: bytes
+
+
+@dataclass(frozen=True)
+class SignalColumn:
+    """How one signal lies in its frame, and what its raw value means."""
+
+    name: str
+    unit: str
+    first_bit: int
+    """Where it begins, counted as its byte order counts: Intel from the least significant bit of
+    each byte, Motorola from the most significant."""
+    length: int
+    motorola: bool
+    is_signed: bool
+    is_float: bool
+    conversion: BaseConversion
+    """Of the number; without the value table."""
+    choices: dict[int, str]
+    """Value table: raw value → word."""
+
+    @property
+    def is_enumeration(self) -> bool:
+        """Whether its numbers are codes, not a physical value with a word for "not available"."""
+        unscaled = self.conversion.scale == 1 and self.conversion.offset == 0
+        return bool(self.choices) and unscaled and not self.is_float
+
+    def raw(self, data: UInt8s) -> Column:
+        """(n,) raw values of the payloads ``data`` (n, bytes), which must hold the signal."""
+        if self.length > _WORD_BITS:
+            return self._long(data)
+        word = self._motorola_bits(data) if self.motorola else self._intel_bits(data)
+        if self.length < _WORD_BITS:
+            word &= np.uint64((1 << self.length) - 1)
+        if self.is_float:
+            size = _FLOATS[self.length]
+            with np.errstate(invalid="ignore"):  # a signalling nan is a nan
+                return word.astype(f"u{size}").view(f"f{size}").astype(np.float64)
+        if self.is_signed:
+            signed = word.view(np.int64)
+            if self.length < _WORD_BITS:
+                sign = np.int64(1 << (self.length - 1))
+                signed ^= sign
+                signed -= sign
+            return signed
+        return word if self.length == _WORD_BITS else word.view(np.int64)
+
+    def physical(self, raw: Column) -> Column:
+        """(n,) physical values [``unit``] of raw ones."""
+        with np.errstate(over="ignore", invalid="ignore"):  # as Python's floats: inf and nan
+            return self._physical(raw)
+
+    def _physical(self, raw: Column) -> Column:
+        scale, offset = self.conversion.scale, self.conversion.offset
+        if self.is_float:
+            if scale == 1 and offset == 0:
+                return raw
+            scaled: Column = raw * float(scale) + float(offset)
+            return scaled
+        if isinstance(self.conversion, LinearIntegerConversion) or (scale == 1 and offset == 0):
+            return self._integer(raw, int(scale), int(offset))
+        if isinstance(scale, int):  # the product is an integer, and exact, before the sum is not
+            raw, scale = self._integer(raw, scale, 0), 1.0
+        if raw.dtype == object:
+            return np.array([value * scale + offset for value in raw.tolist()], dtype=np.float64)
+        numbers: Column = raw.astype(np.float64) * scale + float(offset)
+        return numbers
+
+    def words(self, raw: Column) -> NDArray[np.object_]:
+        """(n,) the words of the value table; None where it has none for the raw value."""
+        get = self.choices.get
+        return np.array([get(int(value)) for value in raw.tolist()], dtype=object)
+
+    def _integer(self, raw: Column, scale: int, offset: int) -> Column:
+        """raw · scale + offset in the shortest integers that hold all that can occur."""
+        if (scale, offset) == (1, 0):
+            return raw
+        low, high = (
+            (-(1 << self.length - 1), (1 << self.length - 1) - 1)
+            if self.is_signed
+            else (0, (1 << self.length) - 1)
+        )
+        reached = [low, high, *(v * scale + o for v in (low, high) for o in (0, offset)), offset]
+        for kind in (np.int64, np.uint64):
+            span = np.iinfo(kind)
+            if span.min <= min(reached) and max(reached) <= span.max and raw.dtype != object:
+                exact: Column = raw.astype(kind) * kind(scale) + kind(offset)
+                return exact
+        return np.array([value * scale + offset for value in raw.tolist()], dtype=object)
+
+    def _intel_bits(self, data: UInt8s) -> NDArray[np.uint64]:
+        """The signal in the low bits of words; what is above them is not cleared."""
+        byte, shift = divmod(self.first_bit, 8)
+        word, begin = _window(data, byte, "<u8")
+        shift += (byte - begin) * 8
+        word >>= np.uint64(shift)
+        if shift + self.length > _WORD_BITS:  # its top is in a ninth byte
+            word |= data[:, begin + _WORD_BYTES].astype(np.uint64) << np.uint64(_WORD_BITS - shift)
+        return word
+
+    def _motorola_bits(self, data: UInt8s) -> NDArray[np.uint64]:
+        """The same; the bytes of a frame are the digits of a number, the first the highest."""
+        word, begin = _window(data, self.first_bit // 8, ">u8")
+        behind = (begin + _WORD_BYTES) * 8 - (self.first_bit + self.length)  # bits of the window
+        if behind >= 0:
+            word >>= np.uint64(behind)
+            return word
+        word <<= np.uint64(-behind)  # its end is in a ninth byte
+        word |= data[:, begin + _WORD_BYTES].astype(np.uint64) >> np.uint64(8 + behind)
+        return word
+
+    def _long(self, data: UInt8s) -> NDArray[np.object_]:
+        """Integers of more than 64 bits, one by one."""
+        size = data.shape[1]
+        order = "big" if self.motorola else "little"
+        behind = size * 8 - self.first_bit - self.length if self.motorola else self.first_bit
+        mask, sign = (1 << self.length) - 1, 1 << self.length - 1
+        values = np.empty(len(data), dtype=object)
+        for row, payload in enumerate(data):
+            bits = int.from_bytes(payload.tobytes(), order) >> behind & mask  # type: ignore[arg-type]
+            values[row] = (bits ^ sign) - sign if self.is_signed else bits
+        return values
+
+
+def _window(data: UInt8s, byte: int, kind: str) -> tuple[NDArray[np.uint64], int]:
+    """Eight bytes of every payload as one word, and where they begin: at ``byte`` or before."""
+    begin = max(min(byte, data.shape[1] - _WORD_BYTES), 0)
+    eight = data[:, begin : begin + _WORD_BYTES]
+    if eight.shape[1] < _WORD_BYTES:
+        eight = np.pad(eight, ((0, 0), (0, _WORD_BYTES - eight.shape[1])))
+    return np.ascontiguousarray(eight).view(kind)[:, 0].astype(np.uint64), begin
+
+
+def signal_column(signal: Signal, where: str) -> SignalColumn:
+    """The column of a signal of the DBC.
+
+    Raises:
+        DbcError: it is a float that is not of 16, 32 or 64 bits; ``where`` begins the line.
+    """
+    motorola = signal.byte_order == "big_endian"
+    if signal.conversion.is_float and signal.length not in _FLOATS:
+        raise DbcError(
+            f"{where}: signal {signal.name} is a float of {signal.length} bits; "
+            "16, 32 or 64 are right"
+        )
+    start = signal.start
+    return SignalColumn(
+        name=signal.name,
+        unit=signal.unit or "",
+        first_bit=start // 8 * 8 + 7 - start % 8 if motorola else start,
+        length=signal.length,
+        motorola=motorola,
+        is_signed=signal.is_signed,
+        is_float=signal.conversion.is_float,
+        conversion=BaseConversion.factory(
+            scale=signal.conversion.scale,
+            offset=signal.conversion.offset,
+            is_float=signal.conversion.is_float,
+        ),
+        choices={int(raw): str(word) for raw, word in (signal.choices or {}).items()},
+    )

@@ -1,0 +1,172 @@
+"""Decoded messages as tables in files: CSV and Parquet, written chunk by chunk with pyarrow.
+
+One table holds every message: a row a frame in the order of the log, the name of its message,
+and a column ``Message.Signal`` for each signal, empty where the frame does not have it. In a
+folder each message has a file of its own, whose columns are its signals.
+
+Time is exact. In Parquet it is ``time_ns``, an integer; in CSV ``time_s``, a date as a decimal of
+nine places, a time since some start in as many as it needs.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+import pyarrow as pa
+import pyarrow.csv
+import pyarrow.parquet
+from numpy.typing import NDArray
+
+from can_rig.decoding.message_columns import MessageColumns
+from can_rig.logs.frames import NS_PER_S
+
+_TYPES: Final = {"i": pa.int64(), "u": pa.uint64(), "f": pa.float64(), "O": pa.string()}
+_DATE: Final = pa.decimal128(28, 9)  # [s]
+_EXACT_NS: Final = 1 << 53  # up to here (104 days) float64 seconds tell every nanosecond
+
+
+class WideTable:
+    """One table of all messages.
+
+    Args:
+        path: ``.csv``, or ``.parquet``.
+        layout: by message that can come, its columns without rows.
+        start_ns: about the time of the first frame.
+        names: words of value tables in place of codes.
+    """
+
+    def __init__(
+        self, path: Path, layout: Mapping[str, MessageColumns], start_ns: int, names: bool
+    ) -> None:
+        self._names = names
+        self._fields = {
+            f"{message}.{signal}": kind
+            for message, columns in layout.items()
+            for signal, kind in _fields(columns, names).items()
+        }
+        self._table = _Table(path, {"message": pa.string(), **self._fields}, start_ns)
+
+    def write(self, chunk: Mapping[str, MessageColumns]) -> None:
+        """Add the messages of a chunk, their frames in the order of the log."""
+        if not chunk:
+            return
+        order = np.argsort(np.concatenate([columns.row for columns in chunk.values()]))
+        place = np.empty(len(order), dtype=np.int64)
+        place[order] = np.arange(len(order))
+        time_ns = np.concatenate([columns.time_ns for columns in chunk.values()])[order]
+        sizes = [len(columns) for columns in chunk.values()]
+        which = pa.array(np.repeat(np.arange(len(chunk)), sizes)[order], pa.int32())
+        message = pa.DictionaryArray.from_arrays(which, pa.array(list(chunk), pa.string()))
+        cells = {"message": message.cast(pa.string())}
+        for (name, columns), rows in zip(
+            chunk.items(), np.split(place, np.cumsum(sizes)[:-1]), strict=True
+        ):
+            for signal in columns.signals:
+                values, missing = _values(columns, signal, self._names)
+                spread = np.zeros(len(order), dtype=values.dtype)
+                nothing = np.ones(len(order), dtype=bool)
+                spread[rows], nothing[rows] = values, missing
+                field = f"{name}.{signal}"
+                cells[field] = pa.array(spread, self._fields[field], mask=nothing)
+        for field, kind in self._fields.items():
+            cells.setdefault(field, pa.nulls(len(order), kind))
+        self._table.write(time_ns, cells)
+
+    def close(self) -> None:
+        """Finish the file."""
+        self._table.close()
+
+
+class FolderOfTables:
+    """A CSV file for each message that occurs; arguments as those of `WideTable`."""
+
+    def __init__(self, folder: Path, start_ns: int, names: bool) -> None:
+        self._folder = folder
+        self._start_ns = start_ns
+        self._names = names
+        self._tables: dict[str, _Table] = {}
+        folder.mkdir(parents=True, exist_ok=True)
+
+    def write(self, chunk: Mapping[str, MessageColumns]) -> None:
+        """Add the messages of a chunk."""
+        for name, columns in chunk.items():
+            fields = _fields(columns, self._names)
+            if name not in self._tables:
+                self._tables[name] = _Table(self._folder / f"{name}.csv", fields, self._start_ns)
+            cells = {}
+            for signal, kind in fields.items():
+                values, missing = _values(columns, signal, self._names)
+                cells[signal] = pa.array(values, kind, mask=missing)
+            self._tables[name].write(columns.time_ns, cells)
+
+    def close(self) -> None:
+        """Finish the files."""
+        for table in self._tables.values():
+            table.close()
+
+
+class _Table:
+    """One file, of a time and ``fields``: name → type."""
+
+    def __init__(self, path: Path, fields: Mapping[str, Any], start_ns: int) -> None:
+        is_csv = path.suffix == ".csv"
+        self._time: Callable[[NDArray[np.int64]], Any] = pa.array
+        time = ("time_ns", pa.int64())
+        if is_csv and start_ns < _EXACT_NS:
+            self._time, time = _seconds, ("time_s", pa.float64())
+        elif is_csv:
+            self._time, time = _decimals, ("time_s", _DATE)
+        self._schema = pa.schema([time, *fields.items()])
+        self._writer: Any = (
+            pyarrow.csv.CSVWriter(path, self._schema)
+            if is_csv
+            else pyarrow.parquet.ParquetWriter(path, self._schema, compression="zstd")
+        )
+
+    def write(self, time_ns: NDArray[np.int64], cells: Mapping[str, Any]) -> None:
+        """Add rows."""
+        columns = [self._time(time_ns), *(cells[name] for name in self._schema.names[1:])]
+        self._writer.write_table(pa.table(columns, schema=self._schema))
+
+    def close(self) -> None:
+        """Write what is held back."""
+        self._writer.close()
+
+
+def _seconds(time_ns: NDArray[np.int64]) -> Any:
+    return pa.array(time_ns / NS_PER_S)
+
+
+def _decimals(time_ns: NDArray[np.int64]) -> Any:
+    """Whole nanoseconds read as decimals of a second: 16 bytes each, two's complement."""
+    wide = np.stack([time_ns, time_ns >> 63], axis=1)
+    return pa.Array.from_buffers(_DATE, len(time_ns), [None, pa.py_buffer(wide.tobytes())])
+
+
+def _fields(columns: MessageColumns, names: bool) -> dict[str, Any]:
+    """Signal → type of its column."""
+    return {
+        signal: pa.string()
+        if names and columns.layout[signal].is_enumeration
+        else _TYPES[values.dtype.kind]
+        for signal, values in columns.signals.items()
+    }
+
+
+def _values(
+    columns: MessageColumns, signal: str, names: bool
+) -> tuple[NDArray[Any], NDArray[np.bool_]]:
+    """(n,) what to write, and where there is nothing."""
+    values = np.ma.getdata(columns.signals[signal])
+    missing = np.ma.getmaskarray(columns.signals[signal])
+    if names and columns.layout[signal].is_enumeration:
+        words = columns.words(signal)
+        bare = np.array([word is None for word in words])  # a number that has no word
+        words[bare] = values[bare].astype(str)
+        return words, missing
+    if values.dtype == object:
+        values = np.array([str(value) for value in values.tolist()], dtype=object)
+    return values, missing

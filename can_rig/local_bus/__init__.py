@@ -1,0 +1,1 @@
+"""The default bus: no root, no kernel module, any number of listeners."""

@@ -1,0 +1,1 @@
+"""Logs of every format as columns of frames."""

@@ -1,0 +1,150 @@
+"""Many CAN frames as columns: what the readers of logs give and the decoder takes."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from can import Message
+from numpy.typing import NDArray
+
+# Bits of Frames.flags.
+EXTENDED: Final = 1
+REMOTE: Final = 2
+ERROR: Final = 4
+FD: Final = 8
+BITRATE_SWITCH: Final = 16
+ERROR_STATE: Final = 32
+SENT: Final = 64
+
+CLASSIC_BYTES: Final = 8
+FD_BYTES: Final = 64
+NS_PER_S: Final = 1_000_000_000
+
+UInt8s = NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Frames:
+    """``n`` frames, one a row, in the order of their source."""
+
+    time_ns: NDArray[np.int64]
+    """(n,) time stamps as the source has them [ns]: see `can_rig.logs.reading.Log.start_ns`."""
+    arbitration_id: NDArray[np.uint32]
+    """(n,) identifiers, of 11 or 29 bits; those of error frames are Linux's error classes."""
+    flags: UInt8s
+    """(n,) EXTENDED, REMOTE, ERROR, FD, BITRATE_SWITCH, ERROR_STATE, SENT (else received)."""
+    channel: UInt8s
+    """(n,) indices into ``channels``."""
+    length: UInt8s
+    """(n,) payload lengths [byte]; of a remote frame, the length that it asks for."""
+    data: UInt8s
+    """(n, 8) or, where a frame is longer, (n, 64) payloads; zero behind their ends."""
+    channels: tuple[str, ...]
+    """Names of the buses."""
+
+    def __len__(self) -> int:
+        return len(self.time_ns)
+
+    def __getitem__(self, rows: slice | NDArray[Any]) -> Frames:
+        """Some of the frames: a slice, a mask, or row numbers."""
+        return Frames(
+            self.time_ns[rows],
+            self.arbitration_id[rows],
+            self.flags[rows],
+            self.channel[rows],
+            self.length[rows],
+            self.data[rows],
+            self.channels,
+        )
+
+    def has(self, flag: int) -> NDArray[np.bool_]:
+        """(n,) whether a frame has any of these flags."""
+        found: NDArray[np.bool_] = (self.flags & flag) != 0
+        return found
+
+    def messages(self) -> Iterator[Message]:
+        """The frames one by one, as python-can has them: time stamps become float seconds."""
+        columns = (self.time_ns, self.arbitration_id, self.flags, self.channel, self.length)
+        rows = zip(*(column.tolist() for column in columns), self.data, strict=True)
+        for time_ns, arbitration_id, flags, channel, length, data in rows:
+            bare = flags & REMOTE
+            yield Message(
+                timestamp=time_ns / NS_PER_S,
+                arbitration_id=arbitration_id,
+                is_extended_id=bool(flags & EXTENDED),
+                is_remote_frame=bool(bare),
+                is_error_frame=bool(flags & ERROR),
+                channel=self.channels[channel],
+                dlc=length,
+                data=None if bare else bytearray(data[:length]),
+                is_fd=bool(flags & FD),
+                is_rx=not flags & SENT,
+                bitrate_switch=bool(flags & BITRATE_SWITCH),
+                error_state_indicator=bool(flags & ERROR_STATE),
+            )
+
+
+def from_messages(messages: Sequence[Message], start_ns: int = 0) -> Frames:
+    """python-can's messages as columns.
+
+    Args:
+        messages: with time stamps in float seconds after ``start_ns``; rounded to whole
+            nanoseconds, which is exact for the first 50 days.
+        start_ns: added to every time stamp [ns].
+    """
+    names = {str(m.channel if m.channel is not None else ""): 0 for m in messages}
+    index = {name: at for at, name in enumerate(names)}
+    width = FD_BYTES if any(len(m.data) > CLASSIC_BYTES for m in messages) else CLASSIC_BYTES
+    payload = b"".join(bytes(m.data).ljust(width, b"\0") for m in messages)
+    return Frames(
+        np.array([round(m.timestamp * 1e9) + start_ns for m in messages], dtype=np.int64),
+        np.array([m.arbitration_id for m in messages], dtype=np.uint32),
+        np.array([_flags(m) for m in messages], dtype=np.uint8),
+        np.array(
+            [index[str(m.channel if m.channel is not None else "")] for m in messages],
+            dtype=np.uint8,
+        ),
+        np.array([m.dlc for m in messages], dtype=np.uint8),
+        np.frombuffer(payload, dtype=np.uint8).reshape(len(messages), width),
+        tuple(names),
+    )
+
+
+def _flags(message: Message) -> int:
+    return (
+        EXTENDED * message.is_extended_id
+        | REMOTE * (message.is_remote_frame and not message.is_fd)  # FD has none
+        | ERROR * message.is_error_frame
+        | FD * message.is_fd
+        | BITRATE_SWITCH * message.bitrate_switch
+        | ERROR_STATE * message.error_state_indicator
+        | SENT * (not message.is_rx)
+    )
+
+
+def concatenate(parts: Iterable[Frames]) -> Frames:
+    """Frames behind one another; payloads as wide as the widest, channels by their names."""
+    parts = list(parts)
+    names = list(dict.fromkeys(name for part in parts for name in part.channels))
+    width = max((part.data.shape[1] for part in parts), default=CLASSIC_BYTES)
+    channels, payloads = [], [np.zeros((0, width), np.uint8)]
+    for part in parts:
+        renumber = np.array([names.index(name) for name in part.channels] or [0], dtype=np.uint8)
+        channels.append(renumber[part.channel])
+        payloads.append(np.pad(part.data, ((0, 0), (0, width - part.data.shape[1]))))
+
+    def joined(name: str, kind: type[Any]) -> NDArray[Any]:
+        return np.concatenate([np.zeros(0, kind), *(getattr(part, name) for part in parts)])
+
+    return Frames(
+        joined("time_ns", np.int64),
+        joined("arbitration_id", np.uint32),
+        joined("flags", np.uint8),
+        np.concatenate([np.zeros(0, np.uint8), *channels]),
+        joined("length", np.uint8),
+        np.concatenate(payloads),
+        tuple(names),
+    )

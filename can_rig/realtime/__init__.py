@@ -1,0 +1,1 @@
+"""The two nodes by the wall clock."""

@@ -1,0 +1,1 @@
+"""A log through today's controller, onto a bus, or through another loop."""

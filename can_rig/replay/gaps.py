@@ -1,0 +1,192 @@
+"""What is wrong with the frames of a log: one account of everything that did not come as sent.
+
+| gap             | what it means                                                                  |
+|-----------------|--------------------------------------------------------------------------------|
+| `missing`       | no frame of this message for the tick                                          |
+| `late`          | it came after a later tick had begun                                           |
+| `out of order`  | it came in its tick, but after a frame that follows it                         |
+| `repeated`      | the same frame once more                                                       |
+| `contradicting` | another frame of the same message and tick                                     |
+| `counter jump`  | the alive counter did not go on with the tick                                  |
+| `wrong CRC`     | damaged, or another sender's                                                   |
+| `wrong length`  | not 8 bytes                                                                    |
+| `stray tick`    | intact, but of a tick far from the one under way                               |
+| `clock step`    | the time stamps went back, or on by 0.1 s more than the ticks                  |
+"""
+
+from __future__ import annotations
+
+import csv
+from collections import Counter
+from collections.abc import Callable
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple, TextIO
+
+from can_rig.decoding.e2e_columns import COUNTERS
+from can_rig.frame_layout import ROLES
+from can_rig.logs.frames import NS_PER_S
+from can_rig.messages import Network
+from can_rig.protection import FRAME_BYTES
+from can_rig.replay.rig_frames import INPUTS, RigFrame
+
+NEAR: Final = 32
+"""How many ticks a frame may be away from the one under way and still count as its tick's."""
+
+CLOCK_STEP_NS: Final = NS_PER_S // 10
+COLUMNS: Final = ("tick", "time_s", "message", "what", "ticks", "detail")
+
+
+class Gap(NamedTuple):
+    """One thing that is wrong, or the same in so many ticks in a row."""
+
+    tick: int
+    """The first."""
+    time_ns: int
+    """Time stamp in the log where it showed first."""
+    message: str
+    what: str
+    """A word of the table above."""
+    ticks: int = 1
+    detail: str = ""
+
+
+@dataclass
+class Row:
+    """What a log has of one tick."""
+
+    time_ns: int
+    seen: list[bytes | None] = field(default_factory=lambda: [None] * len(ROLES))
+    """By role, the first intact frame."""
+    damaged: set[int] = field(default_factory=set)
+    """Roles of which a damaged frame was there."""
+
+
+class Account:
+    """Notes frame by frame what is wrong.
+
+    Args:
+        network: names of the messages.
+        tick_ns: how far time stamps should go on in a tick.
+        on_gap: gets every gap, those of several ticks in a row once; nearly in their order.
+    """
+
+    def __init__(self, network: Network, tick_ns: int, on_gap: Callable[[Gap], None]) -> None:
+        self._names = [codec.name for codec in network]
+        self._tick_ns = tick_ns
+        self._on_gap = on_gap
+        self.counts: Counter[tuple[str, str]] = Counter()
+        """How many by message and word."""
+        self.first_input_gap: int | None = None
+        """The first tick from which on the controller of the replay may not have got what the
+        recorded one had got."""
+        self.first_answer_gap: int | None = None
+        """The first tick whose answer is missing or late: in real time, the recorded controller may
+        have gone on without it."""
+        self._runs: dict[tuple[str, str], Gap] = {}  # that may go on
+        self._reached = (-1, -1)  # the furthest tick and role so far
+        self._last: dict[int, tuple[int, int]] = {}  # role: tick and counter of the newest frame
+        self._clock: tuple[int, int] | None = None  # tick and time stamp of the last frame
+
+    def take(self, frame: RigFrame, row: Row | None, tick: int) -> None:
+        """Judge a frame.
+
+        Args:
+            frame: the next of the log.
+            row: what is there of its tick so far, where the frame is put; None: a stray tick.
+            tick: its own, or that under way if it is damaged or a stray.
+        """
+        role = frame.role
+        if not frame.intact:
+            word = "wrong CRC" if len(frame.data) == FRAME_BYTES else "wrong length"
+            self.note(tick, frame.time_ns, role, word)
+            if row is not None:
+                row.damaged.add(role)
+            return
+        if row is None:
+            self.note(tick, frame.time_ns, role, "stray tick", f"the frame says {frame.tick}")
+            return
+        self._watch_clock(frame, tick)
+        before = row.seen[role]
+        if before is not None:
+            word = "repeated" if before == frame.data else "contradicting"
+            self.note(tick, frame.time_ns, role, word)
+            return
+        row.seen[role] = frame.data
+        if (tick, role) < self._reached:
+            word = "late" if tick < self._reached[0] else "out of order"
+            self.note(tick, frame.time_ns, role, word)
+            return
+        self._reached = (tick, role)
+        self._watch_counter(frame, tick)
+
+    def close(self, tick: int, row: Row) -> None:
+        """Nothing more comes for ``tick``: note what is missing."""
+        for role, data in enumerate(row.seen):
+            if data is None and role not in row.damaged:
+                self.note(tick, row.time_ns, role, "missing")
+
+    def finish(self) -> None:
+        """The log has ended."""
+        for gap in sorted(self._runs.values()):
+            self._on_gap(gap)
+        self._runs.clear()
+
+    def note(self, tick: int, time_ns: int, role: int, what: str, detail: str = "") -> None:
+        """Count one gap; one without a role is of the log itself."""
+        name = self._names[role] if role >= 0 else "(time stamps)"
+        key = (name, what)
+        self.counts[key] += 1
+        harmless = what == "repeated" or (what == "out of order" and role > 0)
+        if 0 <= role < INPUTS and not harmless:
+            self.first_input_gap = _first(self.first_input_gap, tick)
+        if role >= INPUTS and what in {"missing", "late"}:
+            self.first_answer_gap = _first(self.first_answer_gap, tick)
+        run = self._runs.get(key)
+        if run is not None and not detail and run.tick + run.ticks == tick:
+            self._runs[key] = run._replace(ticks=run.ticks + 1)
+            return
+        if run is not None:
+            self._on_gap(run)
+        self._runs[key] = Gap(tick, time_ns, name, what, 1, detail)
+
+    def _watch_counter(self, frame: RigFrame, tick: int) -> None:
+        last = self._last.get(frame.role)
+        self._last[frame.role] = (tick, frame.counter)
+        if last is None:
+            return
+        wanted = (last[1] + tick - last[0]) % COUNTERS
+        if frame.counter != wanted:
+            detail = f"{frame.counter} in place of {wanted}"
+            self.note(tick, frame.time_ns, frame.role, "counter jump", detail)
+
+    def _watch_clock(self, frame: RigFrame, tick: int) -> None:
+        before, self._clock = self._clock, (tick, frame.time_ns)
+        if before is None:
+            return
+        step_ns = frame.time_ns - before[1]
+        beyond_ns = step_ns - max(tick - before[0], 0) * self._tick_ns
+        # Two frames that changed places took their time stamps along: up to a few ticks are not it.
+        if step_ns < -(max(before[0] - tick, 0) + 1) * self._tick_ns or beyond_ns > CLOCK_STEP_NS:
+            self.note(tick, frame.time_ns, -1, "clock step", f"{step_ns / NS_PER_S:+.6f} s")
+
+
+def _first(known: int | None, tick: int) -> int:
+    return tick if known is None else min(known, tick)
+
+
+def write_header(file: TextIO) -> None:
+    """The head of a list of gaps as CSV."""
+    csv.writer(file, lineterminator="\n").writerow(COLUMNS)
+
+
+def write_gap(file: TextIO, gap: Gap) -> None:
+    """One line of it."""
+    cells = (gap.tick, seconds(gap.time_ns), gap.message, gap.what, gap.ticks, gap.detail)
+    csv.writer(file, lineterminator="\n").writerow(cells)
+
+
+def seconds(time_ns: int) -> str:
+    """A time stamp as a candump log has it, with all its digits."""
+    sign, whole = "-" * (time_ns < 0), abs(time_ns)
+    text = f"{sign}{whole // NS_PER_S}.{whole % NS_PER_S:09d}"
+    return text[:-3] if text.endswith("000") else text

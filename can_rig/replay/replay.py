@@ -1,0 +1,236 @@
+"""Open loop: the logged reference and feedback drive today's controller node, frame by frame.
+
+It is the node of a live run, with its receive rules and its firmware; only the bus is a tape and
+the patience without end. What it answers is compared with what the log has.
+
+The one thing that a log has and a lockstep bus has not is time that goes on without the feedback.
+A frame of a later tick says so, if a second one agrees; then the node is told that the ticks in
+between have passed, and the firmware holds. A frame that says so alone is handed to the node like
+any other, which rejects it: that is what it would do with a frame that somebody made up.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import suppress
+from itertools import islice
+from typing import Final
+
+import can
+
+from can_rig.controller_node import ControllerNode
+from can_rig.errors import LogError
+from can_rig.lockstep import Interrupted, Patience, StopRequest, Waiting
+from can_rig.logs.frames import NS_PER_S, Frames
+from can_rig.messages import Network
+from can_rig.replay.comparison import ANSWERS, Comparison
+from can_rig.replay.gaps import NEAR, Account, Gap, Row
+from can_rig.replay.rig_frames import INPUTS, WIRE_TICKS, RigFrame, rig_frames, signed
+from can_rig.settings import Scenario
+from can_rig.signals import absolute_tick
+
+AHEAD: Final = 32
+"""Frames that are looked at in advance for a second one that agrees."""
+
+
+class Tape(can.BusABC):
+    """A bus that keeps what is sent and has nothing to receive."""
+
+    def __init__(self) -> None:
+        super().__init__(channel="tape")
+        self.shutdown()  # there is nothing to close, and python-can warns of what is not closed
+        self.sent: list[bytes] = []
+
+    def send(self, msg: can.Message, timeout: float | None = None) -> None:
+        """Keep the payload."""
+        self.sent.append(bytes(msg.data))
+
+    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
+        return None, True
+
+
+class Feed(Patience):
+    """Gives the node one frame, then has it stop waiting."""
+
+    def __init__(self, tape: Tape) -> None:
+        super().__init__(tape, "plant", Waiting(), StopRequest())
+        self.message: can.Message | None = None
+
+    def hear(self) -> None:
+        """Nobody is waited for."""
+
+    def receive(self, tick: int) -> can.Message:
+        """The frame, once."""
+        message, self.message = self.message, None
+        if message is None:
+            raise Interrupted
+        return message
+
+    def go_on_waiting(self, tick: int) -> None:
+        """The next call of ``receive`` says whether there is more."""
+
+
+class OpenLoop:
+    """One log through one controller.
+
+    Args:
+        scenario: the controller's. Faults of frames are not scheduled: the log has had its own.
+        network: the frames.
+        on_gap: gets what is wrong with the log; see `gaps`.
+
+    Raises:
+        ScenarioError: a design that cannot be made.
+    """
+
+    def __init__(self, scenario: Scenario, network: Network, on_gap: Callable[[Gap], None]) -> None:
+        self._tick_s = scenario.tick_s
+        self._network = network
+        self._identifiers = [codec.frame_id for codec in network]
+        self._tape = Tape()
+        self._node = ControllerNode(scenario.healthy, network, self._tape)
+        self._feed = Feed(self._tape)
+        self.account: Final = Account(network, scenario.tick_ns, on_gap)
+        self.comparison: Final = Comparison(network)
+        self.first_tick: int | None = None
+        """The first that was answered."""
+        self.before_start = 0
+        """Frames before the first reference and feedback that belong together."""
+        self._contact: list[RigFrame] = []  # what the node has got before it answers
+        self._past = 0  # ticks that the 16 bits on the wire do not tell
+        self._open = 0  # the first tick that is not compared yet
+        self._rows: dict[int, Row] = {}
+        self._answers: dict[int, tuple[bytes, ...]] = {}
+
+    def run(self, chunks: Iterable[Frames]) -> None:
+        """Replay the whole log.
+
+        Raises:
+            LogError: it has no reference and feedback of the rig that belong together.
+        """
+        time_ns = 0
+        for frame, following in _with_following(rig_frames(chunks, self._network)):
+            time_ns = frame.time_ns
+            if self.first_tick is None:
+                self._make_contact(frame)
+                continue
+            if frame.role < INPUTS:
+                self._pass_over(frame, following)
+            self._note(frame)
+            if frame.role < INPUTS:
+                self._serve(frame)
+                self._close(self._due - NEAR, time_ns)
+        if self.first_tick is None:
+            names = f"{self._network.reference.name} and {self._network.feedback.name}"
+            raise LogError(
+                f"the log has no {names} of the same tick; a log of the rig, and the scenario "
+                "that it is of, are right"
+            )
+        self._close(self._due, time_ns)
+        for tick in sorted(self._rows):  # that the log ends with, or that no feedback came for
+            self.account.close(tick, self._rows[tick])
+        self.account.finish()
+
+    def rejected(self) -> dict[str, dict[str, int]]:
+        """What the node did not use, as `ControllerNode.rejected`."""
+        return self._node.rejected()
+
+    @property
+    def _due(self) -> int:
+        """The tick that the node expects next, as it is counted here."""
+        assert self._node.expected is not None
+        return self._node.expected + self._past
+
+    def _make_contact(self, frame: RigFrame) -> None:
+        """Hand the node frames until it answers; those of that tick are the first of the account.
+
+        A log that begins late begins at the tick that its time stamps say, if they are the rig's.
+        """
+        self._contact.append(frame)
+        if frame.role < INPUTS:
+            self._serve(frame)
+        if self.first_tick is None:
+            if len(self._contact) > NEAR:
+                del self._contact[0]
+                self.before_start += 1
+            return
+        for one in self._contact:
+            if one.intact and one.tick == frame.tick:
+                self._note(one)
+            else:
+                self.before_start += 1
+
+    def _serve(self, frame: RigFrame) -> None:
+        """Let the node have a frame, and take what it answers."""
+        time_s = frame.time_ns / NS_PER_S
+        identifier = self._identifiers[frame.role]
+        self._feed.message = can.Message(time_s, identifier, False, data=frame.data)
+        with suppress(Interrupted):
+            self._node.serve(self._feed)
+        if self.first_tick is None and self._tape.sent and self._node.expected is not None:
+            tick = self._node.expected - 1
+            self.first_tick = self._open = absolute_tick(tick, time_s, self._tick_s)
+            self._past = self.first_tick - tick
+        self._collect()
+
+    def _collect(self) -> None:
+        if self._tape.sent:
+            assert len(self._tape.sent) == ANSWERS
+            self._answers[self._due - 1] = tuple(self._tape.sent)
+            self._tape.sent.clear()
+
+    def _pass_over(self, frame: RigFrame, following: Iterable[RigFrame]) -> None:
+        """Tell the node of ticks that went by without their feedback."""
+        ahead = signed(frame.tick - self._due)
+        if frame.intact and ahead > 0 and _confirmed(frame, following):
+            for _ in range(ahead):
+                self._node.miss()
+                self._collect()
+                self._close(self._due - NEAR, frame.time_ns)
+
+    def _note(self, frame: RigFrame) -> None:
+        """Put a frame where it belongs, and have it judged."""
+        due = self._due
+        under_way = due if frame.role < INPUTS else due - 1
+        distance = signed(frame.tick - due)
+        if not frame.intact:
+            self.account.take(frame, self._row(under_way, frame), under_way)
+        elif -NEAR <= distance <= (0 if frame.role < INPUTS else NEAR):
+            self.account.take(frame, self._row(due + distance, frame), due + distance)
+        else:
+            self.account.take(frame, None, under_way)
+
+    def _row(self, tick: int, frame: RigFrame) -> Row | None:
+        """The row of a tick that is still open."""
+        return self._rows.setdefault(tick, Row(frame.time_ns)) if tick >= self._open else None
+
+    def _close(self, end: int, time_ns: int) -> None:
+        """Compare the ticks before ``end``; nothing more comes for them."""
+        while self._open < end:
+            tick = self._open
+            row = self._rows.pop(tick, None) or Row(time_ns)
+            self.account.close(tick, row)
+            self.comparison.tick(tick, row, self._answers.pop(tick))
+            self._open += 1
+
+
+def _with_following(
+    frames: Iterator[RigFrame],
+) -> Iterator[tuple[RigFrame, Iterable[RigFrame]]]:
+    """Every frame, and the ones that follow it."""
+    window: deque[RigFrame] = deque(islice(frames, AHEAD))
+    while window:
+        frame = window.popleft()
+        yield frame, window
+        window.extend(islice(frames, 1))
+
+
+def _confirmed(frame: RigFrame, following: Iterable[RigFrame]) -> bool:
+    """Whether a second frame of the same sender says that its tick, or the next, has come."""
+    return any(
+        other.role < INPUTS
+        and other.intact
+        and (other.role != frame.role or other.tick != frame.tick)
+        and (other.tick - frame.tick) % WIRE_TICKS <= 1
+        for other in following
+    )

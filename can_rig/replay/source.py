@@ -1,0 +1,116 @@
+"""What a replay begins with: a log, and the scenario that it is of."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from can_rig import scenario as scenarios
+from can_rig.errors import LogError, ScenarioError
+from can_rig.logs.frames import Frames
+from can_rig.logs.reading import Log, read_log
+from can_rig.progress import reading
+from can_rig.run_folder import LOG, SUMMARY
+from can_rig.settings import Scenario
+
+
+@dataclass(frozen=True)
+class Source:
+    """A log, and the scenario that it is replayed with."""
+
+    log: Log
+    scenario: Scenario
+    channel: str | None = None
+    """The only bus that is looked at; None: all."""
+    in_time_ticks: int = 1
+    """How many ticks a command may take, as that of `signals.read_signals`."""
+
+    def frames(self, what: str) -> Iterator[Frames]:
+        """The chunks of the log, behind a progress bar.
+
+        Raises:
+            LogError: the log cannot be read, or has no such bus.
+        """
+        return only_channel(reading(self.log, what), self.channel, self.log.path)
+
+
+def only_channel(chunks: Iterable[Frames], channel: str | None, path: Path) -> Iterator[Frames]:
+    """The frames of one bus; None: all.
+
+    Raises:
+        LogError: at the end, if there was none of that bus.
+    """
+    named: set[str] = set()
+    for frames in chunks:
+        named.update(frames.channels)
+        if channel is None:
+            yield frames
+        elif len(frames):
+            ours = np.array([name == channel for name in frames.channels])
+            yield frames[ours[frames.channel]]
+    if channel is not None and channel not in named:
+        raise LogError(
+            f"{path}: no frame is of bus {channel}; "
+            f"the log has {', '.join(sorted(named)) or 'none'}"
+        )
+
+
+def source_of(
+    path: Path, name: str | None, settings: Sequence[str], channel: str | None = None
+) -> Source:
+    """A log file, or the log and the scenario of a run folder.
+
+    Args:
+        path: the file or the folder.
+        name: a scenario in place of the folder's own; a file needs one.
+        settings: ``KEY=VALUE`` changes of it.
+        channel: as that of `Source`.
+
+    Raises:
+        LogError: the log cannot be told, or the folder is none of a run.
+        ScenarioError: no scenario, or not one.
+    """
+    log = read_log(log_path(path))
+    if name is not None:
+        return Source(log, scenarios.load(name, settings), channel)
+    if not path.is_dir():
+        raise ScenarioError(
+            f"{path}: a log file does not say which scenario it is of; --scenario NAME is right "
+            "(a run folder brings its own)"
+        )
+    values, realtime = _recorded(path)
+    scenario = scenarios.from_run(values, settings)
+    return Source(log, scenario, channel, scenario.latency_ticks if realtime else 1)
+
+
+def log_path(path: Path) -> Path:
+    """The log of a run folder; a file is its own.
+
+    Raises:
+        LogError: there is none.
+    """
+    if path.is_dir():
+        if not (path / LOG).is_file():
+            raise LogError(f"{path}: not a run folder, it has no {LOG}")
+        return path / LOG
+    if not path.exists():
+        raise LogError(f"{path}: there is no such file")
+    return path
+
+
+def _recorded(folder: Path) -> tuple[dict[str, Any], bool]:
+    """The scenario of a run folder, and whether it ran in real time."""
+    file = folder / SUMMARY
+    try:
+        summary = json.loads(file.read_text("utf-8"))
+        values = summary["scenario"]
+        if isinstance(values, dict):
+            return values, summary.get("realtime") is not None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        pass
+    raise ScenarioError(f"{file}: has no scenario that can be read; --scenario NAME is right")

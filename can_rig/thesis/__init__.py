@@ -1,0 +1,1 @@
+"""The thesis's figures, and its continuous loop by another way."""

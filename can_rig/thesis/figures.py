@@ -1,0 +1,159 @@
+"""Figs. 2.2-2.4, 3.5 and 3.6 of the thesis: the sampled firmware over the continuous solution.
+
+Each figure shows in its upper panel what the thesis prints, the continuous solution wide and pale,
+the firmware thin and dark on it, and below it how far the two are apart.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+from matplotlib.ticker import ScalarFormatter
+from numpy.typing import NDArray
+
+from can_rig.errors import RunFolderError
+from can_rig.thesis.comparisons import MAKERS, START_S, Comparison, Curve
+
+INK, PALE, SHADE = "#101010", "#a9bccd", "#efe9e2"
+STYLES: tuple[Any, ...] = ("-", (0, (5, 2.5)))
+FEW = 50  # samples that are shown one by one
+LEGEND: dict[str, Any] = {"frameon": False, "fontsize": 9, "handlelength": 3.2}
+
+
+def draw_figures(folder: Path, comparisons: Sequence[Comparison], force: bool) -> list[Path]:
+    """``fig-2.2.png`` and so on in ``folder``, for print.
+
+    Raises:
+        RunFolderError: one is there already and ``force`` is not given, or cannot be written.
+    """
+    refuse_existing(folder, force)
+    paths = [folder / f"fig-{comparison.figure}.png" for comparison in comparisons]
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        for path, comparison in zip(paths, comparisons, strict=True):
+            _draw(path, comparison)
+    except OSError as error:
+        raise RunFolderError(f"{folder}: cannot be written: {error.strerror}") from None
+    return paths
+
+
+def refuse_existing(folder: Path, force: bool) -> None:
+    """Raise ``RunFolderError`` for the first figure that is in ``folder``, unless ``force``."""
+    for path in (folder / f"fig-{figure}.png" for figure in MAKERS):
+        if path.exists() and not force:
+            raise RunFolderError(
+                f"{path}: there already; another --out, or --force to replace it, is right"
+            )
+
+
+def _draw(path: Path, comparison: Comparison) -> None:
+    zoomed = comparison.figure.startswith("3.")
+    figure = Figure(figsize=(6.9, 7.4 if zoomed else 5.0), layout="constrained")
+    FigureCanvasAgg(figure)
+    fault, scenario = comparison.scenario.fault, comparison.scenario
+    everything = (0.0, float(scenario.ticks * scenario.tick_s))
+    if zoomed:
+        # The whole run as the thesis shows it, of its own car; what happens does so in two places.
+        grid = figure.add_gridspec(3, 2, height_ratios=(1.0, 1.1, 0.9))
+        places = [(0.0, START_S), (fault.at_s - 0.1, fault.at_s + 0.9)]
+        whole = figure.add_subplot(grid[0, :])
+        _signals(whole, comparison, everything, comparison.curves[:1])
+        for column, place in enumerate(places):
+            upper = figure.add_subplot(grid[1, column])
+            _signals(upper, comparison, place, comparison.curves)
+            upper.set_title(("the start", "the loss")[column], fontsize=9)
+            _differences(figure.add_subplot(grid[2, column], sharex=upper), comparison, place)
+            if column == 0:
+                handles, labels = upper.get_legend_handles_labels()
+        whole.set_xlabel("time in s", fontsize=9)
+        figure.legend(handles, labels, loc="outside lower center", ncols=3, **LEGEND)
+    else:
+        upper, lower = figure.subplots(2, 1, sharex=True, height_ratios=(1.7, 1.0))
+        _signals(upper, comparison, everything, comparison.curves)
+        _differences(lower, comparison, everything)
+        figure.legend(
+            *upper.get_legend_handles_labels(), loc="outside lower center", ncols=4, **LEGEND
+        )
+    figure.suptitle(
+        f"Fig. {comparison.figure}: {comparison.caption}\n"
+        f"tick {scenario.tick_s * 1e3:g} ms, latency {scenario.latency_ticks} ticks, "
+        f"estimator {scenario.design.estimator}",
+        fontsize=10,
+    )
+    figure.savefig(path, dpi=300)
+
+
+def _signals(
+    axis: Axes, comparison: Comparison, place: tuple[float, float], curves: Sequence[Curve]
+) -> None:
+    """The curves within ``place``, sampled on continuous."""
+    inside = _inside(comparison, place)
+    time_s = comparison.time_s[inside]
+    label: str | None = "continuous"
+    for curve in curves:
+        if place == (0.0, START_S) and comparison.start is not None:
+            axis.plot(*comparison.start, color=PALE, lw=4.0, label=label)
+        else:
+            axis.plot(time_s, curve.continuous[inside], color=PALE, lw=4.0, label=label)
+        label = None
+    marker = "o" if len(time_s) <= FEW else None
+    for curve, style in zip(curves, STYLES, strict=False):
+        axis.plot(
+            time_s,
+            curve.sampled[inside],
+            color=INK,
+            lw=1.2,
+            ls=style,
+            marker=marker,
+            ms=3,
+            label=f"{_math(curve.name)}, sampled",
+        )
+    axis.set_ylabel(
+        f"$e$ in {comparison.unit}"
+        if comparison.unit
+        else ", ".join(_math(curve.name) for curve in curves),
+        fontsize=9,
+    )
+    _finish(axis, comparison, place)
+
+
+def _differences(axis: Axes, comparison: Comparison, place: tuple[float, float]) -> None:
+    inside = _inside(comparison, place)
+    for curve, style in zip(comparison.curves, STYLES, strict=False):
+        difference = curve.difference[inside]
+        axis.plot(comparison.time_s[inside], difference, color=INK, lw=1.0, ls=style)
+    unit = f"\nin {comparison.unit}" if comparison.unit else ""
+    axis.set_ylabel(f"sampled − continuous{unit}", fontsize=9)
+    axis.set_xlabel("time in s", fontsize=9)
+    _finish(axis, comparison, place)
+
+
+def _finish(axis: Axes, comparison: Comparison, place: tuple[float, float]) -> None:
+    formatter = ScalarFormatter(useMathText=True)
+    formatter.set_powerlimits((-2, 3))
+    axis.yaxis.set_major_formatter(formatter)
+    axis.tick_params(labelsize=8)
+    axis.yaxis.get_offset_text().set_fontsize(8)
+    axis.grid(alpha=0.35, lw=0.5)
+    axis.set_xlim(place)
+    fault = comparison.scenario.fault
+    if fault.kind != "none" and place[0] <= fault.at_s < place[1]:
+        axis.axvspan(fault.at_s, place[1], color=SHADE, lw=0, zorder=0)
+        axis.axvline(fault.at_s, color=INK, lw=0.8, zorder=1)
+
+
+def _inside(comparison: Comparison, place: tuple[float, float]) -> NDArray[np.bool_]:
+    return (comparison.time_s >= place[0]) & (comparison.time_s <= place[1])
+
+
+def _math(name: str) -> str:
+    """A curve's name as mathematics."""
+    symbol, comma, rest = name.partition(",")
+    shown = {"d̂": r"\hat d", "G1 u1": "G_1 u_1", "G2 u2": "G_2 u_2"}.get(symbol, symbol)
+    return f"${shown}${comma}{rest}"

@@ -1,0 +1,1 @@
+"""A tuning for a bus, actuators, noise and a box of cars."""

@@ -1,0 +1,143 @@
+"""Two runs beside each other, signal by signal: how far apart, where, and from when on."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Iterable, Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+
+from can_rig.errors import LogError
+from can_rig.views.signal_table import SignalTable
+from firmware_model.sections import FloatArray
+
+
+@dataclass(frozen=True)
+class SignalDifference:
+    """One signal of two runs at the times that both have."""
+
+    signal: str
+    tolerance: float
+    """Largest difference that counts as none, in the signal's unit."""
+    largest: float
+    """Largest difference where both have a value."""
+    largest_at_s: float | None
+    beyond: int
+    """Rows in which they differ by more than the tolerance, or only one has a value."""
+    only_one: int
+    """Of these, rows in which only one has a value."""
+    first_at_s: float | None
+    """Time of the first of these rows."""
+    first_a: float | None
+    """The values there; None: it has none."""
+    first_b: float | None
+
+
+@dataclass(frozen=True)
+class Difference:
+    """What two runs differ in."""
+
+    signals: list[SignalDifference]
+    rows: int
+    """That both have."""
+    only_a: int
+    """Rows at times that only this run has."""
+    only_b: int
+    columns_a: list[str]
+    """Columns that only this run has."""
+    columns_b: list[str]
+
+    @property
+    def same(self) -> bool:
+        """Whether both have the same rows, and every signal is within its tolerance."""
+        apart = any(signal.beyond for signal in self.signals)
+        return not (apart or self.only_a or self.only_b or self.columns_a or self.columns_b)
+
+    @property
+    def first_at_s(self) -> float | None:
+        """When the first signal goes beyond its tolerance."""
+        return min((s.first_at_s for s in self.signals if s.first_at_s is not None), default=None)
+
+    def as_dict(self) -> dict[str, Any]:
+        """Every figure by its name."""
+        return {"same": self.same, "first_at_s": self.first_at_s, **asdict(self)}
+
+
+def compare(a: SignalTable, b: SignalTable, tolerances: Mapping[str, float]) -> Difference:
+    """Compare the rows that both have, by their time.
+
+    Raises:
+        LogError: a tolerance is of no signal, or no row is of the same time in both.
+    """
+    names = [name for name in a.columns if name in b.columns]
+    for name in tolerances:
+        if name not in names:
+            near = difflib.get_close_matches(name, names, 1, 0.5)
+            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(names)}"
+            raise LogError(f"--tolerance {name}: no signal of both runs; {hint}")
+    time_ns, rows_a, rows_b = np.intersect1d(a.time_ns, b.time_ns, return_indices=True)
+    if not len(time_ns):
+        raise LogError(f"{a.label} and {b.label}: no row of the one is of a time of the other")
+    time_s = np.multiply(time_ns, 1e-9, dtype=np.float64)
+    signals = [
+        _signal(n, time_s, a.columns[n][rows_a], b.columns[n][rows_b], tolerances.get(n, 0.0))
+        for n in names
+    ]
+    return Difference(
+        signals,
+        len(time_ns),
+        len(a.time_ns) - len(time_ns),
+        len(b.time_ns) - len(time_ns),
+        [name for name in a.columns if name not in b.columns],
+        [name for name in b.columns if name not in a.columns],
+    )
+
+
+def tolerances_of(texts: Iterable[str]) -> dict[str, float]:
+    """``SIGNAL=VALUE`` each.
+
+    Raises:
+        LogError: one is not of that form, or the value is below zero or no number.
+    """
+    tolerances = {}
+    for text in texts:
+        name, _, number = text.partition("=")
+        try:
+            value = float(number)
+        except ValueError:
+            value = -1.0
+        if not (name and value >= 0.0):
+            raise LogError(
+                f"--tolerance {text}: SIGNAL=VALUE with a value of 0 or above is right, as in "
+                "torque_nm=0.01"
+            )
+        tolerances[name.strip()] = value
+    return tolerances
+
+
+def _signal(
+    name: str, time_s: FloatArray, a: FloatArray, b: FloatArray, tolerance: float
+) -> SignalDifference:
+    apart = np.abs(a - b)
+    only_one = np.isnan(a) != np.isnan(b)
+    beyond = np.flatnonzero(only_one | (apart > tolerance))
+    with_values = np.flatnonzero(~np.isnan(apart))
+    largest_at = with_values[int(np.argmax(apart[with_values]))] if len(with_values) else None
+    first = beyond[0] if len(beyond) else None
+    return SignalDifference(
+        signal=name,
+        tolerance=tolerance,
+        largest=0.0 if largest_at is None else float(apart[largest_at]),
+        largest_at_s=None if largest_at is None else float(time_s[largest_at]),
+        beyond=len(beyond),
+        only_one=int(only_one.sum()),
+        first_at_s=None if first is None else float(time_s[first]),
+        first_a=_value(a, first),
+        first_b=_value(b, first),
+    )
+
+
+def _value(values: FloatArray, row: Any) -> float | None:
+    return None if row is None or np.isnan(values[row]) else float(values[row])
