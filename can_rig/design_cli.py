@@ -13,7 +13,7 @@ from can_rig.cli_options import scenario_options
 @click.command()
 def scenarios() -> None:
     """List the scenarios that come with the package."""
-    from can_rig.commands import scenarios_command  # noqa: PLC0415
+    from can_rig.design_commands import scenarios_command  # noqa: PLC0415
 
     scenarios_command()
 
@@ -26,7 +26,7 @@ def check(scenario: str, settings: tuple[str, ...], as_json: bool) -> None:
 
     Exit status: 0 stable, 1 not.
     """
-    from can_rig.commands import check_command  # noqa: PLC0415
+    from can_rig.design_commands import check_command  # noqa: PLC0415
 
     sys.exit(check_command(scenario, settings, as_json))
 
@@ -155,6 +155,6 @@ def tune(
 @click.option("--force", is_flag=True, help="Replace figures that are there.")
 def figures(out: Path, settings: tuple[str, ...], force: bool) -> None:
     """Draw Figs. 2.2-2.4, 3.5, 3.6 of the thesis: the firmware over the continuous loop."""
-    from can_rig.commands import figures_command  # noqa: PLC0415
+    from can_rig.thesis.command import figures_command  # noqa: PLC0415
 
     figures_command(settings, out, force)

@@ -68,7 +68,7 @@ def run(
     """
     if in_process and real_time:
         raise click.UsageError("--in-process --realtime: real time takes two processes; either")
-    from can_rig.commands import run_command  # noqa: PLC0415 (imports what only a run needs)
+    from can_rig.run_command import run_command  # noqa: PLC0415 (imports what only a run needs)
 
     sys.exit(
         run_command(
@@ -134,8 +134,8 @@ def plant(
 
     In real time it goes on without the controller node: actuators hold, then drop to zero.
     """
-    from can_rig.commands import plant_command  # noqa: PLC0415
     from can_rig.lockstep import Waiting  # noqa: PLC0415
+    from can_rig.node_commands import plant_command  # noqa: PLC0415
 
     alone = math.inf if real_time else Waiting.silence_s
     waiting = Waiting(first_s, alone if silence_s is None else silence_s)
@@ -159,8 +159,8 @@ def controller(
     In real time it may be started, or started again, while the car drives: it listens for 50 ms,
     then takes over without a bump.
     """
-    from can_rig.commands import controller_command  # noqa: PLC0415
     from can_rig.lockstep import Waiting  # noqa: PLC0415
+    from can_rig.node_commands import controller_command  # noqa: PLC0415
 
     waiting = Waiting(first_s, Waiting.silence_s if silence_s is None else silence_s)
     sys.exit(controller_command(scenario, settings, bus, waiting, as_json, real_time))

@@ -15,13 +15,14 @@ from rich.console import Console
 from can_rig.build import controller_table
 from can_rig.check import refuse_unstable
 from can_rig.cli import INTERRUPTED
-from can_rig.commands import closing_table, tick_progress
 from can_rig.errors import LogError, ScenarioError
 from can_rig.lockstep import StopRequest
+from can_rig.node_commands import tick_progress
 from can_rig.nodes import EveryNowAndThen, network_of, run_in_process
 from can_rig.plant import SimulatedPlant
 from can_rig.reference import on_the_bus
 from can_rig.replay.source import Source, source_of
+from can_rig.run_command import closing_table
 from can_rig.run_folder import LOG, Outcome, create, finish
 from can_rig.settings import ReferenceSettings, Scenario
 from can_rig.signals import Signals, read_signals, signals_of
