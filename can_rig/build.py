@@ -84,6 +84,7 @@ def target(scenario: Scenario, network: Network | None) -> Target:
         lsb_1=lsb_1,
         lsb_2=lsb_2,
         threshold=chosen.fault_threshold_mps2,
+        model_share=chosen.fault_threshold_share,
         confirm_ticks=max(1, round(chosen.confirm_s / scenario.tick_s)),
         clear_ticks=max(1, round(chosen.clear_s / scenario.tick_s)),
         probe=chosen.probe_nm,

@@ -87,7 +87,7 @@ class Check:
         scenario = self.scenario
         if self.healthy.stable:
             gain = continuous_plant(scenario.model).g1.dc_gain
-            yield self.budget.describe(scenario.design.fault_threshold_mps2, gain)
+            yield from self.budget.describe(scenario.design, scenario.budget.box, gain)
             yield _isolation(scenario.design.probe_nm)
         if self.authority is not None:
             yield str(self.authority)
@@ -115,6 +115,7 @@ class Check:
             "false_alarm": None if self.false_alarm is None else _finite(self.false_alarm),
             "decision": {
                 "threshold_mps2": self.scenario.design.fault_threshold_mps2,
+                "threshold_share": self.scenario.design.fault_threshold_share,
                 **asdict(self.budget),
                 "budget": self.budget.total,
             },

@@ -8,6 +8,7 @@ from __future__ import annotations
 import dataclasses
 import difflib
 import json
+import sys
 import tomllib
 from collections.abc import Iterable, Mapping
 from importlib.resources import files
@@ -131,8 +132,13 @@ def _with_threshold_of_budget(scenario: Scenario) -> Scenario:
     from can_rig.budget import budget  # noqa: PLC0415 (imports this module)
     from can_rig.nodes import network_of  # noqa: PLC0415 (imports this module)
 
-    threshold = budget(scenario, network_of(scenario)).threshold
-    chosen = dataclasses.replace(scenario.design, fault_threshold_mps2=threshold)
+    least = dataclasses.replace(scenario.design, fault_threshold_mps2=sys.float_info.min)
+    found = budget(dataclasses.replace(scenario, design=least), network_of(scenario))
+    chosen = dataclasses.replace(
+        scenario.design,
+        fault_threshold_mps2=found.threshold,
+        fault_threshold_share=max(scenario.design.fault_threshold_share, found.share),
+    )
     return dataclasses.replace(scenario, design=chosen)
 
 

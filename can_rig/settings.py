@@ -75,6 +75,7 @@ class DesignSettings(Strict):
     estimator: EstimatorRule = "tustin"
     compensation: Literal["always", "on-confirmation", "off"] = "always"
     fault_threshold_mps2: float = 0.3
+    fault_threshold_share: float = 0.0
     confirm_s: float = 0.01
     clear_s: float = 0.5
     probe_nm: float = 0.0
@@ -87,7 +88,7 @@ class DesignSettings(Strict):
         for name in ("alpha", "alpha_q"):
             value = getattr(self, name)
             _require(1 <= value <= 8, f"{name} = {value}: 1 to 8 is right")
-        for name in ("confirm_s", "clear_s", "probe_nm"):
+        for name in ("fault_threshold_share", "confirm_s", "clear_s", "probe_nm"):
             value = getattr(self, name)
             _require(value >= 0.0, f"{name} = {value:g}: 0 or above is right")
 

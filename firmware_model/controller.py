@@ -29,6 +29,7 @@ from firmware_model.biquad import advance, output, settle, settle_integrator
 from firmware_model.compiled import firmware
 from firmware_model.decision import CLEAR, decide, lost_now, remember
 from firmware_model.governor import govern, start
+from firmware_model.handover import hand_over
 from firmware_model.layout import (
     MAX_LATENCY_TICKS,
     Mode,
@@ -37,6 +38,7 @@ from firmware_model.layout import (
     state_type,
 )
 from firmware_model.probe import probe_response, probe_torque
+from firmware_model.suspicion import begin_watching
 
 MODE_INIT, MODE_RUN, MODE_HOLD = int(Mode.INIT), int(Mode.RUN), int(Mode.HOLD)
 
@@ -105,12 +107,13 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
 
     # Without feedthrough of u2 this is already d̂; with it, all but what u2 changes in this tick.
     before = known + table.estimator_feedthrough_2 * held_2
-    decide(table, state, q_rest + table.q_feedthrough * before, at_stake)
+    decide(table, state, q_rest + table.q_feedthrough * before, at_stake, kept)
 
     if table.on_confirmation:  # u2 = r2 + F̂w, with the w that is known before it reaches the plant
-        drive = state.share_lost * lost_now(table, state)
-        force = rest + table.compensator_feedthrough * drive
-        force = from_reference + (force if state.engaged else zero)
+        drive, force = zero, from_reference
+        if state.engaged:
+            drive = hand_over(state, state.share_lost * lost_now(table, state))
+            force = from_reference + rest + table.compensator_feedthrough * drive
     else:  # the thesis: u2 = r2 + rest + f(q_rest + q(known + g u2)), solved for u2
         estimate = q_rest + table.q_feedthrough * known
         force = from_reference + rest + table.compensator_feedthrough * estimate
@@ -157,6 +160,7 @@ def forget(state: Record) -> None:
     state.one_plus_q[:] = 0
     state.compensator[:] = 0
     state.lost[:] = 0
+    begin_watching(state, 0.0)
 
 
 @firmware
@@ -218,6 +222,7 @@ def reset(table: Record, state: Record, reference: float) -> None:
     state.command_1, state.command_2 = torque, force
     state.acting_1 = torque
     state.fault_estimate = zero
+    begin_watching(state, model_output(table, state)[0])
     state.decide_ticks = 0
     state.probe_at = 0
     state.engaged = 0

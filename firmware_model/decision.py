@@ -2,18 +2,18 @@
 
 Two hypotheses are compared, each with what it makes of d̂:
 
-    works   d̂ = 0, but for what the threshold's budget allows
+    works   d̂ = 0, but for what the budget of ``suspicion`` allows
     lost    d̂ = w, the answer of G1 to the commands since the loss: what channel 1 would have added
 
-|d̂| above the threshold is SUSPECTED at once and CONFIRMED after ``confirm_ticks`` in a row. It is
+A d̂ that is too much is SUSPECTED at once and CONFIRMED after ``confirm_ticks`` in a row. It is
 cleared when for ``clear_ticks`` |d̂| stays below the threshold while ``clear_ratio`` of |w| is
 above: a reference that passes through zero takes d̂ and w along and clears nothing. Ticks to clear
 should outlast the ringing of G1, which d̂ follows when the channel comes back.
 
 None of this isolates the torque channel: a bias b of the D* sensor gives d̂ = -b, a change of the
 car gives some d̂. A table with a ``probe`` asks the motor before it confirms: d̂ that does not answer
-to a small torque stays SUSPECTED. Where channel 1 asks for so little that its loss would stay below
-the threshold, silence means nothing, and the state is CANNOT_TELL instead of CLEAR.
+to a small torque stays SUSPECTED. Where channel 1 asks for so little that its loss would not show,
+silence means nothing, and the state is CANNOT_TELL instead of CLEAR.
 """
 
 from __future__ import annotations
@@ -22,8 +22,10 @@ import math
 
 from firmware_model.biquad import advance, output
 from firmware_model.compiled import firmware
+from firmware_model.handover import begin_handover
 from firmware_model.layout import MAX_LATENCY_TICKS, FaultState, Record
 from firmware_model.probe import begin, listen, share_heard
+from firmware_model.suspicion import too_much, watch, would_show
 
 CLEAR, SUSPECTED, CONFIRMED, CANNOT_TELL = (
     int(FaultState.CLEAR),
@@ -36,7 +38,7 @@ NEAR = 0.9  # of |d̂|: w grows with the square of time, so this is between one 
 
 
 @firmware
-def decide(table: Record, state: Record, estimate: float, at_stake: float) -> None:
+def decide(table: Record, state: Record, estimate: float, at_stake: float, kept: float) -> None:
     """The fault state of this tick.
 
     Args:
@@ -44,13 +46,16 @@ def decide(table: Record, state: Record, estimate: float, at_stake: float) -> No
         state: changed in place.
         estimate: d̂.
         at_stake: what channel 1, if it works, adds to y at this tick by the model.
+        kept: what channel 2 adds.
     """
-    over = abs(estimate) > table.threshold
+    watch(table, state, estimate, at_stake + kept if state.engaged else at_stake)
+    over = too_much(table, state, estimate)
     if over and state.fault_state not in (SUSPECTED, CONFIRMED):
         explain(table, state, estimate)
-    weigh(table, state, estimate, lost_as_seen(table, state))
+    if over or state.fault_state in (SUSPECTED, CONFIRMED):
+        weigh(table, state, estimate, lost_as_seen(table, state))
     if state.fault_state == CONFIRMED:
-        look_for_recovery(table, state, over)
+        look_for_recovery(table, state, estimate, at_stake)
     elif state.probe_at > 0:
         if listen(table, state, estimate, lost_as_seen(table, state)):
             if share_heard(state) >= table.probe_share:
@@ -67,14 +72,22 @@ def decide(table: Record, state: Record, estimate: float, at_stake: float) -> No
                 confirm(table, state)
     else:
         state.decide_ticks = 0
-        state.fault_state = CLEAR if abs(at_stake) > table.threshold else CANNOT_TELL
+        state.fault_state = CLEAR if would_show(table, state, at_stake) else CANNOT_TELL
 
 
 @firmware
-def look_for_recovery(table: Record, state: Record, over: bool) -> None:
-    """Clear a confirmed loss once a channel that is lost would have shown for long enough."""
-    would_show = table.clear_ratio * abs(lost_as_seen(table, state)) > table.threshold
-    if over or not would_show:
+def look_for_recovery(table: Record, state: Record, estimate: float, at_stake: float) -> None:
+    """Clear a confirmed loss once a channel that is lost would have shown for long enough.
+
+    Another car may show its share, but no more than half of the loss that was found: where half of
+    the channel is lost, that is less than some cars show, and still a loss.
+    """
+    lost = abs(lost_as_seen(table, state))
+    if lost >= 0.5 * abs(at_stake):  # before that the share is a guess
+        state.share_found = max(state.share_found, state.share_lost)
+    others = min(table.model_share, 0.5 * state.share_found) * lost
+    shows = table.clear_ratio * (lost - others) > table.threshold
+    if abs(estimate) > table.threshold + others or not shows:
         state.decide_ticks = 0
         return
     state.decide_ticks += 1
@@ -88,7 +101,10 @@ def confirm(table: Record, state: Record) -> None:
     """Take channel 1 for lost."""
     state.fault_state = CONFIRMED
     state.decide_ticks = 0
+    state.share_found = 0.0
     state.engaged = table.on_confirmation
+    missed, share = state.lost_before, state.share_lost
+    begin_handover(table, state, share * missed, share * (lost_now(table, state) - missed))
 
 
 @firmware
@@ -98,20 +114,26 @@ def explain(table: Record, state: Record, estimate: float) -> None:
     d̂ shows what channel 1 did not do until now. It is given the command of then for one tick, and
     more until the model's answer comes near to d̂; after that, the commands still on their way.
     How much of the channel is lost, ``weigh`` finds out from the ticks that follow.
+
+    Where the car is not trusted to be the model, only what has changed of late is the loss's.
     """
+    caused = state.change if table.model_share > 0.0 else estimate
+    state.offset = estimate - caused
     state.share_sums[:] = 0.0
     state.share_lost = 1.0
+    shown = before = estimate - estimate
     for _ in range(MAX_LATENCY_TICKS):
         advance(table.estimator_1, state.lost, table.estimator_1_n, state.acting_1)
+        before = shown
         shown = output(table.estimator_1, state.lost, table.estimator_1_n, state.acting_1)
-        if abs(shown) >= NEAR * abs(estimate):
+        if abs(shown) >= NEAR * abs(caused):
             break
     for i in range(table.latency_ticks):
         at = (state.delay_at + i) % table.latency_ticks
-        state.delay_lost[at] = output(
-            table.estimator_1, state.lost, table.estimator_1_n, state.delay_1[at]
-        )
+        before = output(table.estimator_1, state.lost, table.estimator_1_n, state.delay_1[at])
+        state.delay_lost[at] = before
         advance(table.estimator_1, state.lost, table.estimator_1_n, state.delay_1[at])
+    state.lost_before = before
 
 
 @firmware
@@ -119,11 +141,13 @@ def weigh(table: Record, state: Record, estimate: float, expected: float) -> Non
     """The share s of channel 1 that is lost, 0..1: least squares of d̂ = s w with a fading memory.
 
     Where w is below the threshold, or a square is out of range, nothing is learnt. It grows from
-    zero, so what was seen first, and says least, soon weighs nothing.
+    zero, so what was seen first, and says least, soon weighs nothing. The d̂ that was there before
+    the loss does not count; it fades as the motion does that the channel had caused.
     """
+    state.offset = table.share_memory * state.offset
     if not abs(expected) > table.threshold:
         return
-    seen = table.share_memory * state.share_sums[0] + estimate * expected
+    seen = table.share_memory * state.share_sums[0] + (estimate - state.offset) * expected
     of = table.share_memory * state.share_sums[1] + expected * expected
     if of > 0.0 and math.isfinite(seen) and math.isfinite(of):
         state.share_sums[0], state.share_sums[1] = seen, of
@@ -162,6 +186,7 @@ def lost_as_seen(table: Record, state: Record) -> float:
 def remember(table: Record, state: Record) -> None:
     """Advance w by this tick; release the compensation once nothing of it is left."""
     w = lost_now(table, state)
+    state.lost_before = w
     advance(table.estimator_1, state.lost, table.estimator_1_n, believed_lost(state))
     if table.latency_ticks > 0:
         state.delay_lost[state.delay_at] = w

@@ -71,6 +71,9 @@ def table_type(precision: Precision = "float64") -> np.dtype[np.void]:
         "lsb_1",  # command grid, 0: none
         "lsb_2",
         "threshold",  # of |d̂|
+        "model_share",  # of channel 1's doing that another car than the model may show as d̂
+        "change_memory",  # what a tick leaves of the changes of d̂
+        "most_memory",  # and of the most that channel 1 has done
         "probe_amplitude",  # of command 1, half of it
         "probe_share",  # of the torque that a probe has to find lost
         "share_memory",  # what a tick leaves of the sums behind the share that is lost
@@ -106,6 +109,10 @@ def state_type(precision: Precision = "float64") -> np.dtype[np.void]:
     fields = [
         *states,
         ("lost", real, (MAX_SECTIONS, 2)),  # G1 driven by command 1 while it is believed lost
+        ("lost_before", real),  # what that was in the last tick
+        ("missed", real),  # of what is lost: not carried yet, and how it changes
+        ("missed_rise", real),
+        ("missed_memory", real),
         ("delay_1", real, (MAX_LATENCY_TICKS,)),  # commands on their way to the plant
         ("delay_2", real, (MAX_LATENCY_TICKS,)),
         ("delay_lost", real, (MAX_LATENCY_TICKS,)),  # what was lost, on its way into d̂
@@ -115,7 +122,15 @@ def state_type(precision: Precision = "float64") -> np.dtype[np.void]:
         ("probe_cos", real),  # half its phase
         ("probe_sin", real),
         ("probe_at", np.int64),  # the tick of a probe, from 1 on; 0: none
+        ("change", real),  # of d̂ of late
+        ("change_expected", real),  # of G1 u1 likewise
+        ("estimate_before", real),
+        ("expected_before", real),
+        ("most", real),  # largest |G1 u1| of late
+        ("most_change", real),  # and largest change of it
+        ("offset", real),  # of d̂, that was there before the loss
         ("share_lost", real),  # of channel 1, as far as d̂ shows it
+        ("share_found", real),  # the most of that since it was confirmed
         ("share_sums", real, (2,)),  # of d̂ w and of w², fading
         ("decide_ticks", np.int64),  # ticks in a row that ask for another fault state
         ("engaged", np.int64),  # 1: compensation on confirmation acts

@@ -16,6 +16,7 @@ from firmware_model.compiled import firmware
 from firmware_model.layout import Record
 from firmware_model.sampled_plant import SampledPlant, follow_plant, measure_plant
 from firmware_model.sections import FloatArray
+from firmware_model.suspicion import share_shown
 
 
 @dataclass(frozen=True)
@@ -29,6 +30,8 @@ class Trace:
     command_2: FloatArray
     fault_estimate: FloatArray
     fault_state: NDArray[np.int64]
+    share_shown: FloatArray
+    """The least ``model_share`` for which d̂ would not be too much; see ``suspicion``."""
 
     @property
     def error(self) -> FloatArray:
@@ -59,7 +62,7 @@ def simulate(
         effectiveness = np.ones((ticks, 2))
     if noise is None:
         noise = np.zeros(ticks)
-    signals = np.zeros((4, ticks))
+    signals = np.zeros((5, ticks))
     fault_state = np.zeros(ticks, dtype=np.int64)
     _run(
         table,
@@ -77,6 +80,7 @@ def simulate(
         command_2=signals[2],
         fault_estimate=signals[3],
         fault_state=fault_state,
+        share_shown=signals[4],
     )
 
 
@@ -94,6 +98,7 @@ def _run(
         signals[1, k] = state.command_1
         signals[2, k] = state.command_2
         signals[3, k] = state.fault_estimate
+        signals[4, k] = share_shown(table, state)
         fault_state[k] = state.fault_state
         if k >= latency:  # until then the plant rests
             u1 = effectiveness[k, 0] * signals[1, k - latency]

@@ -32,6 +32,8 @@ ESTIMATOR_RULES: dict[EstimatorRule, Callable[[ZeroPoleGain, float], Sections]] 
 
 
 SHARE_MEMORY_S = 0.05  # of how much is lost: some time constants of w, 1/17.7 s for this car
+CHANGE_MEMORY_S = 0.02  # shorter: less of a motion is left; longer: more of a loss
+MOST_MEMORY_S = 0.6  # other cars ring on for as long after the command
 PROBE_PERIODS = 2  # the half phase of ``probe`` goes once around
 PROBE_SHARE = 0.4  # lost that confirms; a car that is 20 % off looks like 0.3 at 10 rad/s
 
@@ -51,6 +53,8 @@ class Target:
             reference is followed later (``governor``).
         lsb_1, lsb_2: grid of a command as its frame carries it; 0 for none.
         threshold: |d̂| above it is a suspected fault.
+        model_share: of what channel 1 does, this share may show as d̂ without a fault, because the
+            car is not the model; 0 trusts the model (``suspicion``).
         confirm_ticks: ticks in a row above the threshold that confirm it.
         clear_ticks: ticks in a row in which the channel has to look well to be cleared.
         clear_ratio: share of the d̂ of a loss that has to be above the threshold, with |d̂| below
@@ -75,6 +79,7 @@ class Target:
     lsb_1: float = 0.0
     lsb_2: float = 0.0
     threshold: float = math.inf
+    model_share: float = 0.0
     confirm_ticks: int = 1
     clear_ticks: int = 1
     clear_ratio: float = 0.25
@@ -102,7 +107,7 @@ class Target:
         ):
             if not getattr(self, name) > 0.0:
                 raise ParameterError(f"{name} = {getattr(self, name):g}: above 0 is right")
-        for name in ("lsb_1", "lsb_2"):
+        for name in ("lsb_1", "lsb_2", "model_share"):
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise ParameterError(f"{name} = {getattr(self, name):g}: 0 or above is right")
         if not 0.0 <= self.clear_ratio < 1.0:
@@ -202,11 +207,16 @@ def build(design: ContinuousDesign, target: Target) -> Record:
     table["slew_reference"] = target.reference_acceleration * target.tick_s**2
     table["governs"] = feedback and math.isfinite(target.reference_acceleration)
     table["loop_inverse"] = 1.0 / (1.0 - loop_gain)
-    for name in ("limit_1", "limit_2", "lsb_1", "lsb_2", "threshold", "clear_ratio"):
+    for name in (
+        *("limit_1", "limit_2", "lsb_1", "lsb_2"),
+        *("threshold", "model_share", "clear_ratio"),
+    ):
         table[name] = getattr(target, name)
     if target.probe > 0.0:
         add_probe(table, target, filters)
     table["share_memory"] = math.exp(-target.tick_s / SHARE_MEMORY_S)
+    table["change_memory"] = math.exp(-target.tick_s / CHANGE_MEMORY_S)
+    table["most_memory"] = math.exp(-target.tick_s / MOST_MEMORY_S)
     table["latency_ticks"] = target.latency_ticks
     table["confirm_ticks"] = target.confirm_ticks
     table["clear_ticks"] = target.clear_ticks

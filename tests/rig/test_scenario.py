@@ -40,7 +40,7 @@ OTHER = {
     "design.tau_s": 0.002, "design.alpha": 2, "design.tau_q_s": 0.002, "design.alpha_q": 3,
     "design.estimator": "zoh", "design.compensation": "off",
     "design.fault_threshold_mps2": 0.5, "design.confirm_s": 0.02, "design.clear_s": 0.3,
-    "design.probe_nm": 1.0, "design.probe_rad_per_s": 30.0,
+    "design.fault_threshold_share": 0.4, "design.probe_nm": 1.0, "design.probe_rad_per_s": 30.0,
     "budget.box": 0.1, "budget.false_alarms_per_hour": 1.0,
     "reference.kind": "sine", "reference.amplitude_mps2": 2.0,
     "reference.frequency_rad_per_s": 3.0, "reference.file": "r.csv",
