@@ -95,8 +95,8 @@ class Budget:
             )
         elif share == 0.0:
             yield (
-                "other cars: none: a car that is not the modelled one is taken for a loss; "
-                "design.fault_threshold_share, or budget.box, would allow for it"
+                "other cars: none: one whose d̂ passes the threshold is taken for a loss; "
+                "design.fault_threshold_share would allow for it, and budget.box says how much"
             )
 
 
