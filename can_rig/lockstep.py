@@ -21,6 +21,7 @@ from can_rig.bus import lost, one_line
 from can_rig.errors import SilentNodeError
 
 POLL_S = 0.05  # how soon a waiting node notices a stop request
+REPEAT_S = 0.25  # of an offer that nobody takes up; a partner that is there is quicker
 AWAKE_S = 2 * POLL_S  # longer between two looks: this node slept itself, and so did the other
 RETRY_S = 0.001  # how soon it turns to a bus again that has just refused
 
@@ -171,7 +172,7 @@ class Patience:
         else:
             self._silent_s += min(now_s - self._looked_s, AWAKE_S)
         self._looked_s = now_s
-        if self._while_alone is not None and self._silent_s - self._repeated_s >= POLL_S:
+        if self._while_alone is not None and self._silent_s - self._repeated_s >= REPEAT_S:
             self._repeated_s = self._silent_s
             self._while_alone()
         if self._silent_s >= self._allowed_s:

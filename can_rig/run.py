@@ -10,8 +10,8 @@ import signal
 import subprocess
 import sys
 import time
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -90,28 +90,27 @@ def run_processes(
     if real_time:
         arguments = [*arguments, "--realtime"]
         to_plant += ["--silence", f"{Waiting().silence_s:g}"]  # by hand it would drive on alone
-
-    together = real_time  # by the wall clock each node takes a core for itself
-
-    def progress() -> None:
-        nonlocal together
-        if not together and "ready" in children[0].said:
-            together = True
-            _share_a_core(children)
-        on_tick(_ticks(children))
-
     try:
-        children.append(Child.start("controller", arguments))
-        children.append(Child.start("plant", [*arguments, *to_plant]))
-        _watch(children, stop, progress)
+        with nullcontext() if real_time else _one_core():
+            controller = Child.start("controller", arguments)
+            children.append(controller)  # first: a plant that waits repeats its offer on the bus
+            _watch(children, stop, until=lambda: "ready" in controller.said)
+            if "ready" in controller.said and not stop.wanted:
+                children.append(Child.start("plant", [*arguments, *to_plant]))
+        _watch(children, stop, progress=lambda: on_tick(_ticks(children)))
         return _conclude(children, stop)
     finally:
         for child in children:
             child.kill()
 
 
-def _watch(children: list[Child], stop: StopRequest, progress: Callable[[], None]) -> None:
-    """Read what the nodes say until all have ended.
+def _watch(
+    children: list[Child],
+    stop: StopRequest,
+    until: Callable[[], bool] = lambda: False,
+    progress: Callable[[], None] = lambda: None,
+) -> None:
+    """Read what the nodes say until ``until()`` or all have ended.
 
     A stop request ends the plant after its tick, then the controller. When one node has ended, the
     other gets as long as its own watchdog needs.
@@ -122,7 +121,7 @@ def _watch(children: list[Child], stop: StopRequest, progress: Callable[[], None
         for child in children:
             assert child.process.stdout is not None
             selector.register(child.process.stdout, selectors.EVENT_READ, child)
-        while selector.get_map() and time.monotonic() < deadline:
+        while selector.get_map() and not until() and time.monotonic() < deadline:
             if stop.wanted and not asked:
                 asked = True
                 deadline = time.monotonic() + ENDS_WITHIN_S
@@ -173,17 +172,26 @@ def _ticks(children: list[Child]) -> int:
     return int(children[-1].said.get("ticks", 0))
 
 
-def _share_a_core(children: list[Child]) -> None:
-    """Let the nodes share one core and leave it only when they wait.
+@contextmanager
+def _one_core() -> Iterator[None]:
+    """Let children started inside share one core and leave it only when they wait.
 
     Nodes in lockstep alternate, and waking another core costs more than the tick. Under SCHED_BATCH
     a frame does not preempt its sender, so a tick is two switches and not up to five. Runs side by
     side get different cores, as far as there are.
     """
     if not hasattr(os, "sched_setaffinity"):  # Linux alone has it
+        yield
         return
-    cores = sorted(os.sched_getaffinity(0))
-    for child in children:
-        with suppress(ProcessLookupError):
-            os.sched_setaffinity(child.process.pid, {cores[os.getpid() % len(cores)]})
-            os.sched_setscheduler(child.process.pid, os.SCHED_BATCH, os.sched_param(0))
+    cores, policy, priority = (
+        os.sched_getaffinity(0),
+        os.sched_getscheduler(0),
+        os.sched_getparam(0),
+    )
+    os.sched_setaffinity(0, {sorted(cores)[os.getpid() % len(cores)]})
+    os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
+    try:
+        yield
+    finally:
+        os.sched_setscheduler(0, policy, priority)
+        os.sched_setaffinity(0, cores)

@@ -29,7 +29,7 @@ from firmware_model.biquad import advance, output, settle, settle_integrator
 from firmware_model.compiled import firmware
 from firmware_model.decision import CLEAR, decide, lost_now, remember
 from firmware_model.governor import govern, start
-from firmware_model.handover import hand_over
+from firmware_model.handover import hand_over, let_go
 from firmware_model.layout import (
     MAX_LATENCY_TICKS,
     Mode,
@@ -161,6 +161,7 @@ def forget(state: Record) -> None:
     state.compensator[:] = 0
     state.lost[:] = 0
     begin_watching(state, 0.0)
+    let_go(state)
 
 
 @firmware
@@ -226,6 +227,7 @@ def reset(table: Record, state: Record, reference: float) -> None:
     state.decide_ticks = 0
     state.probe_at = 0
     state.engaged = 0
+    let_go(state)
     state.mode = MODE_INIT
     state.fault_state = CLEAR
 

@@ -22,7 +22,7 @@ import math
 
 from firmware_model.biquad import advance, output
 from firmware_model.compiled import firmware
-from firmware_model.handover import begin_handover
+from firmware_model.handover import begin_handover, let_go
 from firmware_model.layout import MAX_LATENCY_TICKS, FaultState, Record
 from firmware_model.probe import begin, listen, share_heard
 from firmware_model.suspicion import too_much, watch, would_show
@@ -103,8 +103,14 @@ def confirm(table: Record, state: Record) -> None:
     state.decide_ticks = 0
     state.share_found = 0.0
     state.engaged = table.on_confirmation
-    missed, share = state.lost_before, state.share_lost
-    begin_handover(table, state, share * missed, share * (lost_now(table, state) - missed))
+    carry(table, state)
+
+
+@firmware
+def carry(table: Record, state: Record) -> None:
+    """Let F̂ go over to the w and the share of now."""
+    before, share = state.lost_before, state.share_lost
+    begin_handover(table, state, share * before, share * (lost_now(table, state) - before))
 
 
 @firmware
@@ -121,6 +127,7 @@ def explain(table: Record, state: Record, estimate: float) -> None:
     state.offset = estimate - caused
     state.share_sums[:] = 0.0
     state.share_lost = 1.0
+    state.lost[:] = 0.0
     shown = before = estimate - estimate
     for _ in range(MAX_LATENCY_TICKS):
         advance(table.estimator_1, state.lost, table.estimator_1_n, state.acting_1)
@@ -134,6 +141,8 @@ def explain(table: Record, state: Record, estimate: float) -> None:
         state.delay_lost[at] = before
         advance(table.estimator_1, state.lost, table.estimator_1_n, state.delay_1[at])
     state.lost_before = before
+    if state.engaged:  # the loss before this one is still being handed back
+        carry(table, state)
 
 
 @firmware
@@ -192,3 +201,4 @@ def remember(table: Record, state: Record) -> None:
         state.delay_lost[state.delay_at] = w
     if state.fault_state == CLEAR and abs(w) < table.threshold * table.clear_ratio:
         state.engaged = 0
+        let_go(state)

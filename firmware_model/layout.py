@@ -113,6 +113,8 @@ def state_type(precision: Precision = "float64") -> np.dtype[np.void]:
         ("missed", real),  # of what is lost: not carried yet, and how it changes
         ("missed_rise", real),
         ("missed_memory", real),
+        ("carried", real),  # what F̂ got of it in the last tick, and its change
+        ("carried_rise", real),
         ("delay_1", real, (MAX_LATENCY_TICKS,)),  # commands on their way to the plant
         ("delay_2", real, (MAX_LATENCY_TICKS,)),
         ("delay_lost", real, (MAX_LATENCY_TICKS,)),  # what was lost, on its way into d̂

@@ -21,7 +21,9 @@ from __future__ import annotations
 import math
 
 from firmware_model.compiled import firmware
-from firmware_model.layout import Record
+from firmware_model.layout import FaultState, Record
+
+CONFIRMED = int(FaultState.CONFIRMED)
 
 
 @firmware
@@ -40,6 +42,8 @@ def watch(table: Record, state: Record, estimate: float, expected: float) -> Non
     fading = table.most_memory
     state.most = max(fading * state.most, abs(state.expected_before))
     state.most_change = max(fading * state.most_change, abs(state.change_expected))
+    if state.fault_state == CONFIRMED:  # what a loss does, or its end, is no reason for another
+        state.most_change = max(state.most_change, abs(state.change))
 
 
 @firmware

@@ -120,13 +120,13 @@ def test_a_node_alone_repeats_its_offer_though_others_talk_all_the_time():
     with Refusing(0) as bus:
         bus.sent.append(FRAME)
         patience = Patience(
-            bus, "plant", Waiting(0.3, 0.3), StopRequest(), while_alone=lambda: offers.append(1)
+            bus, "plant", Waiting(1.6, 1.6), StopRequest(), while_alone=lambda: offers.append(1)
         )
         with pytest.raises(SilentNodeError):
             while True:
                 patience.receive(0)
                 patience.go_on_waiting(0)
-    assert 2 <= len(offers) <= 6  # every 0.05 s of 0.3 s, not with every frame
+    assert len(offers) == 6  # every 0.25 s of 1.6 s, not with every frame
 
 
 def test_while_this_node_sleeps_itself_the_other_is_not_silent(clock):
