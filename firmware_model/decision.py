@@ -51,7 +51,7 @@ def decide(table: Record, state: Record, estimate: float, at_stake: float, kept:
     watch(table, state, estimate, at_stake + kept if state.engaged else at_stake)
     over = too_much(table, state, estimate)
     if over and state.fault_state not in (SUSPECTED, CONFIRMED):
-        explain(table, state, estimate)
+        explain(table, state, estimate, at_stake)
     if over or state.fault_state in (SUSPECTED, CONFIRMED):
         weigh(table, state, estimate, lost_as_seen(table, state))
     if state.fault_state == CONFIRMED:
@@ -79,15 +79,20 @@ def decide(table: Record, state: Record, estimate: float, at_stake: float, kept:
 def look_for_recovery(table: Record, state: Record, estimate: float, at_stake: float) -> None:
     """Clear a confirmed loss once a channel that is lost would have shown for long enough.
 
-    Another car may show its share, but no more than half of the loss that was found: where half of
-    the channel is lost, that is less than some cars show, and still a loss.
+    Another car shows its share of w without a loss: the one that it had before. It is taken to be
+    whole again where d̂ is nearer to that than to the loss that was found, which is learnt slowly:
+    at first, while w is small, the share that is lost comes out too large.
     """
-    lost = abs(lost_as_seen(table, state))
-    if lost >= 0.5 * abs(at_stake):  # before that the share is a guess
-        state.share_found = max(state.share_found, state.share_lost)
-    others = min(table.model_share, 0.5 * state.share_found) * lost
+    seen = lost_as_seen(table, state)
+    lost = abs(seen)
+    if lost >= 0.5 * abs(at_stake):
+        slow = table.found_memory
+        state.share_found = slow * state.share_found + (1.0 - slow) * state.share_lost
+    nearer = 0.5 * abs(state.share_found - state.share_before)
+    others = min(table.model_share, nearer) * lost
     shows = table.clear_ratio * (lost - others) > table.threshold
-    if abs(estimate) > table.threshold + others or not shows:
+    off = abs(estimate - state.share_before * seen)
+    if off > table.threshold + others or not shows:
         state.decide_ticks = 0
         return
     state.decide_ticks += 1
@@ -114,7 +119,7 @@ def carry(table: Record, state: Record) -> None:
 
 
 @firmware
-def explain(table: Record, state: Record, estimate: float) -> None:
+def explain(table: Record, state: Record, estimate: float, at_stake: float) -> None:
     """Start w where it makes the first d̂ over the threshold: at the loss, some ticks ago.
 
     d̂ shows what channel 1 did not do until now. It is given the command of then for one tick, and
@@ -125,6 +130,8 @@ def explain(table: Record, state: Record, estimate: float) -> None:
     """
     caused = state.change if table.model_share > 0.0 else estimate
     state.offset = estimate - caused
+    before = state.offset / at_stake if abs(at_stake) > table.threshold else 0.0
+    state.share_before = min(max(before, -table.model_share), table.model_share)
     state.share_sums[:] = 0.0
     state.share_lost = 1.0
     state.lost[:] = 0.0

@@ -72,6 +72,7 @@ def table_type(precision: Precision = "float64") -> np.dtype[np.void]:
         "lsb_2",
         "threshold",  # of |d̂|
         "model_share",  # of channel 1's doing that another car than the model may show as d̂
+        "found_memory",  # what a tick leaves of the share that was found
         "change_memory",  # what a tick leaves of the changes of d̂
         "most_memory",  # and of the most that channel 1 has done
         "probe_amplitude",  # of command 1, half of it
@@ -132,7 +133,8 @@ def state_type(precision: Precision = "float64") -> np.dtype[np.void]:
         ("most_change", real),  # and largest change of it
         ("offset", real),  # of d̂, that was there before the loss
         ("share_lost", real),  # of channel 1, as far as d̂ shows it
-        ("share_found", real),  # the most of that since it was confirmed
+        ("share_found", real),  # that, slower than a recovery takes
+        ("share_before", real),  # of G1 u1, that d̂ was before the loss
         ("share_sums", real, (2,)),  # of d̂ w and of w², fading
         ("decide_ticks", np.int64),  # ticks in a row that ask for another fault state
         ("engaged", np.int64),  # 1: compensation on confirmation acts

@@ -34,6 +34,7 @@ ESTIMATOR_RULES: dict[EstimatorRule, Callable[[ZeroPoleGain, float], Sections]] 
 SHARE_MEMORY_S = 0.05  # of how much is lost: some time constants of w, 1/17.7 s for this car
 CHANGE_MEMORY_S = 0.02  # shorter: less of a motion is left; longer: more of a loss
 MOST_MEMORY_S = 0.6  # other cars ring on for as long after the command
+FOUND_MEMORY_S = 1.0  # of the loss that was found; a recovery is told in half of that
 PROBE_PERIODS = 2  # the half phase of ``probe`` goes once around
 PROBE_SHARE = 0.4  # lost that confirms; a car that is 20 % off looks like 0.3 at 10 rad/s
 
@@ -215,6 +216,7 @@ def build(design: ContinuousDesign, target: Target) -> Record:
     if target.probe > 0.0:
         add_probe(table, target, filters)
     table["share_memory"] = math.exp(-target.tick_s / SHARE_MEMORY_S)
+    table["found_memory"] = math.exp(-target.tick_s / FOUND_MEMORY_S)
     table["change_memory"] = math.exp(-target.tick_s / CHANGE_MEMORY_S)
     table["most_memory"] = math.exp(-target.tick_s / MOST_MEMORY_S)
     table["latency_ticks"] = target.latency_ticks

