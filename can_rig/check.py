@@ -110,13 +110,13 @@ class Check:
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON, which knows neither infinity nor NaN: null."""
-        return {
+        values = {
             "scenario": self.scenario.name,
             "stable": self.stable,
-            "healthy": _finite(self.healthy),
-            "faulted": _finite(self.faulted),
-            "partly_lost": {f"{left:g}": _finite(m) for left, m in self.partly_lost.items()},
-            "false_alarm": None if self.false_alarm is None else _finite(self.false_alarm),
+            "healthy": asdict(self.healthy),
+            "faulted": asdict(self.faulted),
+            "partly_lost": {f"{left:g}": asdict(m) for left, m in self.partly_lost.items()},
+            "false_alarm": None if self.false_alarm is None else asdict(self.false_alarm),
             "decision": {
                 "threshold_mps2": self.scenario.design.fault_threshold_mps2,
                 "threshold_share": self.scenario.design.fault_threshold_share,
@@ -125,6 +125,7 @@ class Check:
             },
             "authority": None if self.authority is None else self.authority.as_dict(),
         }
+        return {key: _finite(value) for key, value in values.items()}
 
 
 def check(scenario: Scenario) -> Check:
@@ -236,6 +237,8 @@ def _both_ends(scenario: Scenario) -> dict[str, Effectiveness]:
     return {"healthy": HEALTHY, f"{channel} dead": DEAD[channel]}
 
 
-def _finite(figures: Margins) -> dict[str, Any]:
-    values = asdict(figures)
-    return {k: v if v is None or math.isfinite(v) else None for k, v in values.items()}
+def _finite(value: Any) -> Any:
+    """``value`` with None for every number in it that is not finite."""
+    if isinstance(value, dict):
+        return {key: _finite(inner) for key, inner in value.items()}
+    return None if isinstance(value, float) and not math.isfinite(value) else value

@@ -52,13 +52,21 @@ def test_json_has_the_figures_of_both_ends() -> None:
         assert values[name]["delay_margin_ticks"] == expected.delay_margin_ticks == 0
 
 
+def refuse(text: str) -> None:
+    raise AssertionError(f"{text} is no JSON")
+
+
+def test_noise_beyond_all_numbers_is_null_in_json() -> None:
+    done = rig("check", "default", "--set", "noise.dstar_rms_mps2=1e308", "--json")
+    assert done.stderr == ""
+    values = json.loads(done.stdout, parse_constant=refuse)
+    assert values["decision"]["noise"] is values["decision"]["budget"] is None
+    assert values["decision"]["quantisation"] == pytest.approx(1e-8)
+
+
 def test_an_unstable_loop_is_exit_status_1_and_still_json() -> None:
     done = rig("check", "thesis-step", "--set", LATE, "--json")
     assert done.returncode == 1
-
-    def refuse(text: str) -> None:
-        raise AssertionError(f"{text} is no JSON")
-
     values = json.loads(done.stdout, parse_constant=refuse)
     assert values["stable"] is False
     assert values["healthy"]["spectral_radius"] < 1.0 < values["faulted"]["spectral_radius"]
