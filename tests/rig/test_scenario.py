@@ -254,7 +254,13 @@ def test_no_such_scenario():
     with pytest.raises(ScenarioError, match="shipped ones: chapter-2"):
         load("zzzzzz")
     with pytest.raises(ScenarioError, match="no such scenario and no such file"):
-        load(".")
+        load("none.toml")
+
+
+@pytest.mark.parametrize("name", [".", "/dev/null"])
+def test_what_is_there_but_no_file_is_said_to_be_none(name):
+    with pytest.raises(ScenarioError, match=f"^scenario {name}: not a file; a TOML file or a ship"):
+        load(name)
 
 
 @pytest.mark.skipif(not Path("/proc/self/mem").exists(), reason="needs a file that cannot be read")
