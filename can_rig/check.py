@@ -3,7 +3,8 @@
 The loop is linear here: limits, frames and the fault's time do not count. Both ends of the fault
 count, the healthy loop and the one that the dead channel leaves, whether or not the scenario has a
 fault: the loss is what the controller is for. Missing and corrupted frames come to the same: the
-actuator applies nothing.
+actuator applies nothing. A plant that is a class is loaded, and the loop is that of the linear car
+with its parameters.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from can_rig.budget import Budget, budget
 from can_rig.build import continuous_design, continuous_plant, controller_table, target
 from can_rig.errors import ScenarioError
 from can_rig.nodes import network_of
+from can_rig.plant import SimulatedPlant
 from can_rig.settings import Scenario
 from firmware_model.margins import (
     HEALTHY,
@@ -83,8 +85,10 @@ class Check:
 
     @property
     def notes(self) -> Iterator[str]:
-        """What does not decide, a line each: the threshold's budget, and who carries the load."""
+        """What does not decide, a line each: whose margins, the threshold's budget, who carries."""
         scenario = self.scenario
+        if scenario.plant.is_class:
+            yield f"margins: of the linear car with its parameters, not of {scenario.plant.kind}"
         if self.healthy.stable:
             gain = continuous_plant(scenario.model).g1.dc_gain
             yield from self.budget.describe(scenario.design, scenario.budget.box, gain)
@@ -106,13 +110,13 @@ class Check:
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON, which knows neither infinity nor NaN: null."""
-        return {
+        values = {
             "scenario": self.scenario.name,
             "stable": self.stable,
-            "healthy": _finite(self.healthy),
-            "faulted": _finite(self.faulted),
-            "partly_lost": {f"{left:g}": _finite(m) for left, m in self.partly_lost.items()},
-            "false_alarm": None if self.false_alarm is None else _finite(self.false_alarm),
+            "healthy": asdict(self.healthy),
+            "faulted": asdict(self.faulted),
+            "partly_lost": {f"{left:g}": asdict(m) for left, m in self.partly_lost.items()},
+            "false_alarm": None if self.false_alarm is None else asdict(self.false_alarm),
             "decision": {
                 "threshold_mps2": self.scenario.design.fault_threshold_mps2,
                 "threshold_share": self.scenario.design.fault_threshold_share,
@@ -121,14 +125,17 @@ class Check:
             },
             "authority": None if self.authority is None else self.authority.as_dict(),
         }
+        return {key: _finite(value) for key, value in values.items()}
 
 
 def check(scenario: Scenario) -> Check:
     """The margins of the scenario's loop.
 
     Raises:
-        ScenarioError: a design that cannot be made or discretised.
+        ScenarioError: a design that cannot be made or discretised, a class that is no plant.
     """
+    if scenario.plant.is_class:
+        SimulatedPlant(scenario)  # refused as before a run
     table, plant = controller_table(scenario, None), continuous_plant(scenario.plant)
     network = network_of(scenario)
 
@@ -230,6 +237,8 @@ def _both_ends(scenario: Scenario) -> dict[str, Effectiveness]:
     return {"healthy": HEALTHY, f"{channel} dead": DEAD[channel]}
 
 
-def _finite(figures: Margins) -> dict[str, Any]:
-    values = asdict(figures)
-    return {k: v if v is None or math.isfinite(v) else None for k, v in values.items()}
+def _finite(value: Any) -> Any:
+    """``value`` with None for every number in it that is not finite."""
+    if isinstance(value, dict):
+        return {key: _finite(inner) for key, inner in value.items()}
+    return None if isinstance(value, float) and not math.isfinite(value) else value

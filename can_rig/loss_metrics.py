@@ -51,9 +51,10 @@ def decision_metrics(
 ) -> dict[str, float | bool | None]:
     """Delay, false alarms and a missed loss, from the fault state of the status frames.
 
-    A loss is missed if it is never confirmed; None where the torque did so little all the time
-    that the firmware itself says CANNOT_TELL, or where there was no loss. A false alarm is a
-    confirmation while nothing is lost.
+    A loss is missed if it is never confirmed; None where it could not show: the torque did so
+    little all the time that the firmware itself says CANNOT_TELL, or X_diff is what was lost and
+    was zero all that time. None as well where there was no loss. A false alarm is a confirmation
+    while nothing is lost.
     """
     state = signals.fault_state
     confirmed = state == FaultState.CONFIRMED
@@ -62,7 +63,7 @@ def decision_metrics(
     alarms = int((begun & ~lost).sum())
     healthy_h = float((~lost).sum()) * scenario.tick_s / HOUR_S
     known = lost & np.isfinite(state)
-    told = bool((state[known] != FaultState.CANNOT_TELL).any())
+    told = bool((state[known] != FaultState.CANNOT_TELL).any()) and _acted(scenario, signals, lost)
     return {
         "suspected_after_s": _delay(scenario, signals.time_s[suspected & lost]),
         "detection_delay_s": _delay(scenario, signals.time_s[confirmed & lost]),
@@ -70,6 +71,19 @@ def decision_metrics(
         "false_alarms": alarms if len(signals) else None,
         "false_alarms_per_hour": alarms / healthy_h if healthy_h > 0.0 else None,
     }
+
+
+def _acted(scenario: Scenario, signals: Signals, lost: Mask) -> bool:
+    """Whether the lost channel had something to do; the torque always may have.
+
+    Of an actuator the log has it, late by the latency; of lost frames it has the last one before.
+    """
+    if scenario.fault.channel == "torque":
+        return True
+    before = scenario.latency_ticks if scenario.fault.kind == "actuator-dead" else 1
+    ticks = np.flatnonzero(lost)
+    acting = signals.force_difference_n[max(ticks[0] - before, 0) : ticks[-1] + 1]
+    return bool(np.nan_to_num(acting).any())
 
 
 def _delay(scenario: Scenario, times_s: FloatArray) -> float | None:

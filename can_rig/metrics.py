@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from can_rig.authority import authority
 from can_rig.beside import fault_free, noise_free
+from can_rig.faults import SensorFault
 from can_rig.loss_metrics import decision_metrics, unavoidable_deviation
 from can_rig.nodes import network_of
 from can_rig.settings import Scenario
@@ -62,19 +63,24 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
     """Errors in m/s², times in s, commands in N m and N; None where the run has no such moment.
 
     The error means nothing in an open loop and is None there; what says the same there, and in
-    every loop, is the deviation: how far D* is from D* of the same run without the fault.
+    every loop, is the deviation: how far D* is from D* of the same run without the fault. Both are
+    of the car: what a biased sensor adds to D* is taken off first, while ``signals.csv`` and the
+    picture have D* as measured. What X_diff needs and can carry is there where the torque is lost.
     """
     window = windows(scenario, signals)
     closed = scenario.model.kind != "chapter-2"
-    error = np.abs(signals.error_mps2) if closed else np.full(len(signals), np.nan)
+    bias = _bias(scenario, signals)
+    error = np.abs(signals.error_mps2 + bias) if closed else np.full(len(signals), np.nan)
     estimate = np.abs(signals.fault_estimate_mps2)
     torque, force = np.abs(signals.torque_nm), np.abs(signals.force_difference_n)
     deviation = np.full(len(signals), np.nan)
     if window.after.any():
         with np.errstate(invalid="ignore", over="ignore"):  # a loop that diverges
-            deviation = np.abs(signals.dstar_mps2 - fault_free(scenario, signals).dstar_mps2)
+            healthy = fault_free(scenario, signals).dstar_mps2
+            deviation = np.abs(signals.dstar_mps2 - bias - healthy)
     settled = window.settled_after if window.after.any() else window.settled_before
-    carried = authority(scenario, network_of(scenario)) if window.lost.any() else None
+    torque_lost = scenario.fault.channel == "torque" and window.lost.any()
+    carried = authority(scenario, network_of(scenario)) if torque_lost else None
     unavoidable = unavoidable_deviation(scenario, signals)
     peak = _peak(deviation[window.after])
     return {
@@ -100,6 +106,13 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
         "force_difference_available_n": None if carried is None else carried.available_n,
         "dstar_carried_mps2": None if carried is None else carried.carries_mps2,
     }
+
+
+def _bias(scenario: Scenario, signals: Signals) -> FloatArray:
+    """What a biased sensor added to D* at every tick, m/s²."""
+    sensor = SensorFault(scenario)
+    ticks = np.rint(signals.time_s / scenario.tick_s).astype(np.int64)
+    return np.array([sensor.bias(tick) for tick in ticks.tolist()], dtype=np.float64)
 
 
 def _noise_rms(scenario: Scenario, signals: Signals, settled: Mask) -> float | None:

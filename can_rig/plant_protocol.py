@@ -70,7 +70,7 @@ def load_plant(kind: str, settings: PlantSettings) -> PlantProtocol:
     return _construct(kind, plant_class, settings)
 
 
-def failure(kind: str, what: str, error: Exception) -> str:
+def failure(kind: str, what: str, error: BaseException) -> str:
     """One line for an exception in the class or module of ``kind``."""
     reason = " ".join(str(error).split())
     return f"plant.kind = {kind!r}: {what}: {type(error).__name__}" + (reason and f": {reason}")
@@ -90,23 +90,32 @@ class GuardedPlant:
         self._time_s = 0.0
 
     def reset(self) -> None:
-        """Back to rest; see ``PlantProtocol``."""
+        """Back to rest; see ``PlantProtocol``.
+
+        Raises:
+            RigError: an exception in the class.
+        """
         self._time_s = 0.0
-        self._plant.reset()
+        _guard(self._kind, "reset() failed", self._plant.reset, RigError)
 
     def advance(self, dt_s: float, torque_nm: float, force_difference_n: float) -> float:
         """D* ``dt_s`` seconds later; see ``PlantProtocol``.
 
         Raises:
-            RigError: an exception in the class, or an answer that is not a number.
+            RigError: an exception in the class, or an answer that is not a finite number.
         """
         try:
-            dstar_mps2 = float(self._plant.advance(dt_s, torque_nm, force_difference_n))
-        except Exception as error:
+            answer = self._plant.advance(dt_s, torque_nm, force_difference_n)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
             what = f"advance failed at {self._time_s:.9g} s"
             raise RigError(failure(self._kind, what, error)) from None
+        if not _is_finite(answer):
+            when = f"advance at {self._time_s:.9g} s"
+            raise RigError(f"plant.kind = {self._kind!r}: {when} {_not_finite(answer)}")
         self._time_s += dt_s
-        return dstar_mps2
+        return float(answer)
 
 
 def _find(kind: str) -> type[object]:
@@ -118,7 +127,9 @@ def _find(kind: str) -> type[object]:
     importlib.invalidate_caches()
     try:
         module = importlib.import_module(module_name)
-    except Exception as error:
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
         missing = error.name if isinstance(error, ModuleNotFoundError) else None
         if missing and f"{module_name}.".startswith(f"{missing}."):  # not one that it imports
             raise ScenarioError(
@@ -152,11 +163,20 @@ def _try(kind: str, plant: PlantProtocol) -> None:
     _guard(kind, "reset() failed", plant.reset)
     trial = f"advance({TRIAL_S:g}, 0, 0) at rest"
     answer = _guard(kind, f"{trial} failed", lambda: plant.advance(TRIAL_S, 0.0, 0.0))
-    # A NumPy scalar is a Real; an array, or text that reads like a number, is none.
-    if not (isinstance(answer, Real) and math.isfinite(answer)):
-        raise ScenarioError(
-            f"plant.kind = {kind!r}: {trial} gives {answer!r}: D* as a finite float is right"
-        )
+    if not _is_finite(answer):
+        raise ScenarioError(f"plant.kind = {kind!r}: {trial} {_not_finite(answer)}")
+
+
+def _is_finite(answer: object) -> bool:
+    """A NumPy scalar is a number; an array, or text that reads like a number, is none."""
+    try:
+        return isinstance(answer, Real) and math.isfinite(answer)
+    except OverflowError:  # a whole number that no float can hold
+        return False
+
+
+def _not_finite(answer: object) -> str:
+    return f"gives {' '.join(repr(answer).split())}: D* as a finite float is right"
 
 
 def _accepts(kind: str, function: Callable[..., object], name: str, *arguments: object) -> None:
@@ -172,9 +192,13 @@ def _accepts(kind: str, function: Callable[..., object], name: str, *arguments: 
         raise ScenarioError(f"plant.kind = {kind!r}: {name}{signature}: {right} is right") from None
 
 
-def _guard(kind: str, what: str, call: Callable[[], Answer]) -> Answer:
-    """What ``call`` returns; an exception of the class as one line."""
+def _guard(
+    kind: str, what: str, call: Callable[[], Answer], refusal: type[RigError] = ScenarioError
+) -> Answer:
+    """What ``call`` returns; an exception of the class, ``sys.exit`` too, as one line."""
     try:
         return call()
-    except Exception as error:
-        raise ScenarioError(failure(kind, what, error)) from None
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        raise refusal(failure(kind, what, error)) from None

@@ -9,7 +9,7 @@ import numpy as np
 
 from can_rig.errors import ScenarioError
 from can_rig.messages import Network
-from can_rig.settings import Scenario
+from can_rig.settings import MAX_REFERENCE_MPS2, Scenario
 from firmware_model.sections import FloatArray
 
 LANE_CHANGE_S = 1.0  # when a lane change begins
@@ -81,5 +81,8 @@ def _from_csv(scenario: Scenario, time_s: FloatArray) -> FloatArray:
         )
     if not (np.diff(rows[:, 0]) > 0).all():
         raise ScenarioError(f"{where}: times that increase from row to row are right")
+    largest, most = float(np.abs(rows[:, 1]).max()), MAX_REFERENCE_MPS2
+    if largest > most:
+        raise ScenarioError(f"{where}: |reference_mps2| = {largest:g}: up to {most:g} is right")
     values: FloatArray = np.interp(time_s, rows[:, 0], rows[:, 1]).astype(np.float64)
     return values

@@ -42,6 +42,8 @@ def load(name: str, settings: Iterable[str] = ()) -> Scenario:
     path = Path(name)
     if name in known:
         path = known[name]
+    elif path.exists() and not path.is_file():
+        raise ScenarioError(f"scenario {name}: not a file; a TOML file or a shipped one is right")
     elif not path.is_file():
         near = difflib.get_close_matches(name, known, n=1)
         hint = f"did you mean {near[0]}?" if near else f"shipped ones: {', '.join(known)}"

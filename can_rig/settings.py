@@ -23,6 +23,8 @@ ReferenceKind = Literal["step", "sine", "lane-change", "csv"]
 
 BUILT_IN = ("steer-by-wire", "chapter-2")  # the plants of the thesis, both linear
 MAX_TICKS = 10_000_000  # of a run: a log of 2 GB
+MAX_DURATION_S = 1e6
+MAX_REFERENCE_MPS2 = 1e6  # far beyond any frame, and its square is still a number
 
 
 class Strict:
@@ -55,7 +57,9 @@ class PlantSettings(VehicleParameters, Strict):
             self.kind in BUILT_IN or self.is_class,
             f"kind = {self.kind!r}: {', '.join(BUILT_IN)} or package.module:Class is right",
         )
-        _require(self.friction > 0.0, f"friction = {self.friction:g}: above 0 is right")
+        _require(
+            0.0 < self.friction <= 10.0, f"friction = {self.friction:g}: above 0 to 10 is right"
+        )
 
     @property
     def is_class(self) -> bool:
@@ -82,15 +86,20 @@ class DesignSettings(Strict):
     probe_rad_per_s: float = 10.0
 
     def __post_init__(self) -> None:
-        for name in ("tau_s", "tau_q_s", "fault_threshold_mps2", "probe_rad_per_s"):
+        for name in ("tau_s", "tau_q_s", "fault_threshold_mps2"):
             value = getattr(self, name)
             _require(value > 0.0, f"{name} = {value:g}: above 0 is right")
         for name in ("alpha", "alpha_q"):
             value = getattr(self, name)
             _require(1 <= value <= 8, f"{name} = {value}: 1 to 8 is right")
-        for name in ("fault_threshold_share", "confirm_s", "clear_s", "probe_nm"):
+        for name in ("fault_threshold_share", "probe_nm"):
             value = getattr(self, name)
             _require(value >= 0.0, f"{name} = {value:g}: 0 or above is right")
+        for name in ("confirm_s", "clear_s"):
+            value = getattr(self, name)
+            _require(0.0 <= value <= 3600.0, f"{name} = {value:g}: 0 to 3600 is right")
+        probe = self.probe_rad_per_s
+        _require(probe >= 0.01, f"probe_rad_per_s = {probe:g}: 0.01 or above is right")
 
 
 @dataclass(frozen=True)
@@ -125,8 +134,13 @@ class ReferenceSettings(Strict):
     file: str = ""
 
     def __post_init__(self) -> None:
-        frequency = self.frequency_rad_per_s
+        frequency, amplitude = self.frequency_rad_per_s, self.amplitude_mps2
+        most = MAX_REFERENCE_MPS2
         _require(frequency > 0.0, f"frequency_rad_per_s = {frequency:g}: above 0 is right")
+        _require(
+            abs(amplitude) <= most,
+            f"amplitude_mps2 = {amplitude:g}: {-most:g} to {most:g} is right",
+        )
         if self.kind == "csv":
             _require(bool(self.file), 'file: the CSV of a reference of kind "csv" is right')
 
@@ -148,9 +162,12 @@ class FaultSettings(Strict):
 
     def __post_init__(self) -> None:
         _require(0.0 <= self.left < 1.0, f"left = {self.left:g}: 0 (dead) to below 1 is right")
-        _require(self.at_s >= 0.0, f"at_s = {self.at_s:g}: 0 or above is right")
+        most = MAX_DURATION_S
+        _require(0.0 <= self.at_s <= most, f"at_s = {self.at_s:g}: 0 to {most:g} is right")
         if self.for_s is not None:
-            _require(self.for_s > 0.0, f"for_s = {self.for_s:g}: above 0 is right")
+            _require(
+                0.0 < self.for_s <= most, f"for_s = {self.for_s:g}: above 0 to {most:g} is right"
+            )
 
     @property
     def loses_a_channel(self) -> bool:
@@ -200,7 +217,8 @@ class ActuatorSettings(Strict):
     hold_s: float = 0.01
 
     def __post_init__(self) -> None:
-        _require(self.hold_s >= 0.0, f"hold_s = {self.hold_s:g}: 0 or above is right")
+        most = MAX_DURATION_S
+        _require(0.0 <= self.hold_s <= most, f"hold_s = {self.hold_s:g}: 0 to {most:g} is right")
 
 
 @dataclass(frozen=True)
@@ -250,7 +268,7 @@ class Scenario(Strict):
             f"tick_s = {self.tick_s!r}: a whole number of nanoseconds is right",
         )
         _require(
-            self.tick_s <= self.duration_s <= 1e6,
+            self.tick_s <= self.duration_s <= MAX_DURATION_S,
             f"duration_s = {self.duration_s:g}: one tick ({self.tick_s:g} s) to 1e6 s is right",
         )
         _require(

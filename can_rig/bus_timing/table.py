@@ -13,6 +13,7 @@ from rich.table import Table
 from can_rig import scenario as scenarios
 from can_rig.bus_timing.timing import BusTiming, FrameTiming, dbc_timing, network_timing
 from can_rig.nodes import json_line, network_of
+from can_rig.plant_protocol import load_plant
 
 COLUMNS = ("frame", "identifier", "bits", "time", "released", "response", "arrives", "slack")
 NO_BOUND = "∞"
@@ -40,6 +41,8 @@ def bus_command(
     if dbc is not None:
         timing = dbc_timing(dbc, bitrate, data_bitrate)
     else:
+        if scenario.plant.is_class:
+            load_plant(scenario.plant.kind, scenario.plant)  # no timing for what cannot run
         compute_s = scenario.bus.compute_s
         timing = network_timing(network_of(scenario), bitrate, scenario.tick_s, compute_s)
     if as_json:

@@ -52,13 +52,21 @@ def test_json_has_the_figures_of_both_ends() -> None:
         assert values[name]["delay_margin_ticks"] == expected.delay_margin_ticks == 0
 
 
+def refuse(text: str) -> None:
+    raise AssertionError(f"{text} is no JSON")
+
+
+def test_noise_beyond_all_numbers_is_null_in_json() -> None:
+    done = rig("check", "default", "--set", "noise.dstar_rms_mps2=1e308", "--json")
+    assert done.stderr == ""
+    values = json.loads(done.stdout, parse_constant=refuse)
+    assert values["decision"]["noise"] is values["decision"]["budget"] is None
+    assert values["decision"]["quantisation"] == pytest.approx(1e-8)
+
+
 def test_an_unstable_loop_is_exit_status_1_and_still_json() -> None:
     done = rig("check", "thesis-step", "--set", LATE, "--json")
     assert done.returncode == 1
-
-    def refuse(text: str) -> None:
-        raise AssertionError(f"{text} is no JSON")
-
     values = json.loads(done.stdout, parse_constant=refuse)
     assert values["stable"] is False
     assert values["healthy"]["spectral_radius"] < 1.0 < values["faulted"]["spectral_radius"]
@@ -123,6 +131,27 @@ def test_the_cars_own_parameters_are_checked_not_the_models() -> None:
     for speed in (10, 30):
         matched = check(load("thesis-step", [*own, f"plant.speed_mps={speed}"]))
         assert ours.healthy.spectral_radius != pytest.approx(matched.healthy.spectral_radius)
+
+
+def test_a_class_is_loaded_and_the_margins_are_said_not_to_be_its_own() -> None:
+    kind = "can_rig.nonlinear_car:NonlinearCar"
+    own = check(load("default", [f"plant.kind={kind}"]))
+    said = f"margins: of the linear car with its parameters, not of {kind}"
+    assert list(own.notes).count(said) == 1
+    linear = check(load("default"))
+    assert own.healthy == linear.healthy
+    assert not any(note.startswith("margins") for note in linear.notes)
+
+
+@pytest.mark.parametrize("command", ["check", "bus"])
+def test_a_class_that_is_no_plant_is_refused_as_a_run_refuses_it(command: str) -> None:
+    done = rig(command, "default", "--set", "plant.kind=nope:Nope")
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert "plant.kind = 'nope:Nope': no module nope, neither installed" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    with pytest.raises(ScenarioError, match=r"^plant\.kind = 'nope:Nope': no module nope"):
+        check(load("default", ["plant.kind=nope:Nope"]))
 
 
 def test_a_partial_loss_that_is_unstable_is_said_and_does_not_decide() -> None:

@@ -169,6 +169,69 @@ def test_a_fault_where_nothing_acts_changes_nothing(run: Run) -> None:
     assert ("loss confirmed after", "never") in rows(values, {})
 
 
+@pytest.mark.parametrize(
+    ("settings", "first", "last", "missed"),
+    [
+        ([], 0, 0, None),
+        ([], 0, 1000, None),  # not any more when it was lost
+        ([], 1500, 2000, None),  # only when it had come back
+        ([], 1200, 1201, True),
+        (["latency_ticks=2"], 0, 998, None),
+        (["latency_ticks=2"], 0, 999, True),  # on its way when the actuator died
+        (["fault.kind=frames-missing"], 0, 999, None),
+        (["fault.kind=frames-missing"], 0, 1000, True),  # the last that was heard
+        (["fault.channel=torque"], 0, 0, True),
+    ],
+)
+def test_a_lost_force_difference_is_missed_only_where_it_acted(
+    settings: list[str], first: int, last: int, missed: bool | None
+) -> None:
+    lost = ["fault.channel=force-difference", "fault.at_s=1.0", "fault.for_s=0.5"]
+    scenario = load("thesis-step", ["duration_s=2.0", *lost, *settings])
+    force = np.zeros(scenario.ticks)
+    force[first:last] = -5.0
+    if scenario.fault.kind == "frames-missing":
+        force[1000:1500] = np.nan
+    values = metrics(scenario, quiet(scenario, force_difference_n=force))
+    assert values["missed_detection"] is missed
+
+
+def test_what_the_force_difference_can_carry_is_said_where_the_torque_is_lost() -> None:
+    keys = ("dstar_carried_mps2", "force_difference_needed_n", "force_difference_available_n")
+    for settings, there in ((["fault.channel=torque"], True), (["fault.kind=none"], False),
+                            (["fault.channel=force-difference"], False),
+                            (["fault.kind=sensor-biased"], False)):  # fmt: skip
+        scenario = load("default", ["tick_s=0.01", *settings])
+        values = metrics(scenario, quiet(scenario))
+        assert [values[key] is not None for key in keys] == [there] * 3
+
+
+@pytest.mark.parametrize("bias", [0.1, -0.04])
+def test_a_biased_sensor_leaves_the_error_of_the_car(run: Run, bias: float) -> None:
+    """The loop holds the measured D*, so the car settles off by the bias, and comes back."""
+    biased = ["fault.kind=sensor-biased", f"fault.bias_mps2={bias}", "fault.at_s=1.5"]
+    for name in ("default", "thesis-step"):
+        scenario, signals = run(name, *biased, "duration_s=5.0")
+        assert np.abs(signals.error_mps2[-1000:]).max() < 1e-3 * abs(bias)  # as measured
+        values = metrics(scenario, signals)
+        for key in ("error_settled_after_fault_mps2", "deviation_settled_after_fault_mps2"):
+            assert values[key] == pytest.approx(abs(bias), rel=1e-2)
+        assert values["error_before_fault_mps2"] == pytest.approx(0.0, abs=1e-3)
+    scenario, signals = run("default", *biased, "fault.for_s=1.0", "duration_s=5.0")
+    values = metrics(scenario, signals)
+    for key in ("error_settled_after_fault_mps2", "deviation_settled_after_fault_mps2"):
+        assert values[key] == pytest.approx(0.0, abs=0.1 * abs(bias))
+
+
+def test_the_tick_at_which_a_bias_comes_is_no_jump_of_the_car(run: Run) -> None:
+    scenario, signals = run(
+        "default", "fault.kind=sensor-biased", "fault.at_s=0.05", "duration_s=0.051"
+    )
+    peak = metrics(scenario, signals)["deviation_peak_after_fault_mps2"]
+    assert signals.dstar_mps2[-1] - signals.dstar_mps2[-2] > 0.09
+    assert peak is not None and peak < 20 * LSB_MPS2
+
+
 def test_a_passing_fault_is_over_at_the_end(run: Run) -> None:
     scenario, signals = run("thesis-step", "fault.at_s=1.0", "fault.for_s=0.5", "duration_s=6.0")
     values = metrics(scenario, signals)

@@ -120,6 +120,12 @@ REFUSED = {
     "fails to reset": (("append(\"reset\")", "nothing()"), r"reset\(\) failed: AttributeError: "),
     "fails to start": (("settings, []", "settings.sped"), r"Car\(settings\) failed: AttributeErr"),
     "many lines": (("return 0.5", "raise ValueError('a\\n b')"), "failed: ValueError: a b$"),
+    "array": (("return 0.5", "return __import__('numpy').eye(2)"), r"array\(\[\[1., 0.\], \[0., 1"),
+    "huge": (("return 0.5", "return 10**400"), r"gives 10+: D\* as a finite float is right"),
+    "exits": (("return 0.5", "raise SystemExit(3)"), "at rest failed: SystemExit: 3$"),
+    "exits at once": (("settings, []", "exit(), []"), r"Car\(settings\) failed: SystemExit"),
+    "exits to reset": (("self.calls.append(\"reset\")", "exit()"), r"reset\(\) failed: SystemE"),
+    "exits as a module": (("class Car", "exit()\nclass Car"), "cannot be imported: SystemExit"),
     "no words": (("return 0.5", "raise ValueError"), "failed: ValueError$"),
     "other class": (("class Car", "class Cat"), "no class Car in .*mycar.py$"),
     "no class": (("class Car:", "Car = 5\nclass Cat:"), "no class Car in .*mycar.py$"),
@@ -197,16 +203,34 @@ def test_a_run_starts_from_rest_and_asks_tick_by_tick():
     ]
 
 
-FAILS = {"an exception": "1 / 0", "no number": "None"}
+FAILS = {
+    "an exception": ("1 / 0", "ZeroDivisionError: division by zero$"),
+    "no number": ("None", r"gives None: D\* as a finite float is right$"),
+    "text": ("'0.5'", "gives '0.5': "),
+    "nan": ("float('nan')", "gives nan: "),
+    "infinity": ("-1e999", "gives -inf: "),
+    "the end": ("exit(3)", "SystemExit: 3$"),
+}
 
 
-@pytest.mark.parametrize("answer", FAILS.values(), ids=FAILS.keys())
-def test_a_plant_that_fails_in_mid_run_is_one_line_that_says_when(answer, tmp_path):
+@pytest.mark.parametrize(("answer", "reason"), FAILS.values(), ids=FAILS.keys())
+def test_a_plant_that_fails_in_mid_run_is_one_line_that_says_when(answer, reason, tmp_path):
     write(GOOD.replace("return 0.5", f"return 0.0 if len(self.calls) < 42 else {answer}"))
-    with pytest.raises(
-        RigError, match=r"^plant\.kind = 'mycar:Car': advance failed at 0\.0\d+ s: "
-    ):
+    where = r"^plant\.kind = 'mycar:Car': advance (failed )?at 0\.0\d+ s:? "
+    with pytest.raises(RigError, match=f"{where}.*{reason}"):
         record(tmp_path, "plant.kind=mycar:Car", "duration_s=0.1")
+
+
+def test_a_plant_that_fails_to_reset_later_is_one_line():
+    write(GOOD.replace('self.calls.append("reset")', "self.calls and exit(3)"))
+    with pytest.raises(RigError, match=r"^plant\.kind = 'mycar:Car': reset\(\) failed: SystemEx"):
+        SimulatedPlant(load("thesis-step", ["plant.kind=mycar:Car"]))
+
+
+def test_ctrl_c_in_a_plant_stays_one():
+    write(GOOD.replace("return 0.5", "raise KeyboardInterrupt"))
+    with pytest.raises(KeyboardInterrupt):
+        load_plant("mycar:Car", SETTINGS)
 
 
 def test_from_the_command_line_a_file_beside_the_scenario_is_a_plant(tmp_path):

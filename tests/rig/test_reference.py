@@ -113,6 +113,10 @@ BAD = {
     "a gap": (b"1,2\n2,\n", "rows of two finite numbers"),
     "semicolons": (b"1;2\n2;3\n", "rows of two finite numbers"),
     "time stands still": (b"1,2\n1,3\n", "times that increase"),
+    "beyond any frame": (
+        b"1,2\n2,-1e300\n",
+        r"\|reference_mps2\| = 1e\+300: up to 1e\+06 is right",
+    ),
     "time runs back": (b"2,2\n1,3\n", "times that increase"),
     "not text": (b"\xff\xfe1,2", "codec can't decode"),
 }

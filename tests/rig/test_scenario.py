@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 from can_rig.build import controller_table
 from can_rig.errors import ScenarioError
 from can_rig.nodes import network_of
+from can_rig.plant import SimulatedPlant
 from can_rig.scenario import from_dict, load, shipped
 from can_rig.settings import FaultSettings, Scenario
 
@@ -184,6 +185,15 @@ BAD = [
     ("fault.left=1", "fault.left"), ("fault.left=-0.1", "fault.left"), ("fault.left=nan", "left"),
     ("noise.dstar_rms_mps2=-0.1", "noise.dstar_rms_mps2"), ("limits.torque_nm=0", "torque_nm"),
     ("limits.force_difference_n=-5", "force_difference_n"), ("actuator.hold_s=-1", "hold_s"),
+    ("design.confirm_s=1e300", "design.confirm_s = 1e+300: 0 to 3600 is right"),
+    ("design.clear_s=3601", "design.clear_s = 3601: 0 to 3600 is right"),
+    ("design.probe_rad_per_s=1e-300", "design.probe_rad_per_s = 1e-300: 0.01 or above is right"),
+    ("reference.amplitude_mps2=1e300", "reference.amplitude_mps2 = 1e+300: -1e+06 to 1e+06 is"),
+    ("reference.amplitude_mps2=-1000001", "reference.amplitude_mps2"),
+    ("plant.friction=1e300", "plant.friction = 1e+300: above 0 to 10 is right"),
+    ("fault.at_s=1e300", "fault.at_s = 1e+300: 0 to 1e+06 is right"),
+    ("fault.for_s=1e300", "fault.for_s = 1e+300: above 0 to 1e+06 is right"),
+    ("actuator.hold_s=1e307", "actuator.hold_s = 1e+307: 0 to 1e+06 is right"),
     ("seed", "KEY=VALUE"), ("=5", "KEY=VALUE"), ("plant.=5", "KEY=VALUE"), ("", "KEY=VALUE"),
     ("tick_s.x=5", "tick_s"), ("plant.mass_kg.x=5", "mass_kg"), ("name=other", "name: unknown key"),
     ("seed=2024-01-01", "seed"), ("fault.for_s=none", "fault.for_s"),
@@ -198,6 +208,21 @@ def test_a_bad_value_is_one_line_that_names_the_key(setting, named):
     assert named in message
     assert "\n" not in message
     assert len(message) < 400
+
+
+LIMITS = [
+    "design.confirm_s=3600", "design.clear_s=3600", "reference.amplitude_mps2=-1e6",
+    "plant.friction=10", "fault.at_s=1e6", "fault.for_s=1e6", "actuator.hold_s=1e6",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("tick_s", ["1e-5", "0.001"])
+def test_the_largest_values_that_are_right_make_a_controller_and_a_plant(tick_s):
+    extremes = [*LIMITS, f"tick_s={tick_s}", "duration_s=0.1"]
+    for probe in ([], ["design.probe_nm=1", "design.probe_rad_per_s=0.01"]):
+        scenario = load("default", [*extremes, *probe])
+        controller_table(scenario, network_of(scenario))
+        SimulatedPlant(scenario).advance(0, 1.0, 1.0)
 
 
 FILES = {
@@ -229,7 +254,13 @@ def test_no_such_scenario():
     with pytest.raises(ScenarioError, match="shipped ones: chapter-2"):
         load("zzzzzz")
     with pytest.raises(ScenarioError, match="no such scenario and no such file"):
-        load(".")
+        load("none.toml")
+
+
+@pytest.mark.parametrize("name", [".", "/dev/null"])
+def test_what_is_there_but_no_file_is_said_to_be_none(name):
+    with pytest.raises(ScenarioError, match=f"^scenario {name}: not a file; a TOML file or a ship"):
+        load(name)
 
 
 @pytest.mark.skipif(not Path("/proc/self/mem").exists(), reason="needs a file that cannot be read")
