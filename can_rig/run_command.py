@@ -82,7 +82,12 @@ def run_command(
         if failure is not None:
             raise failure
         return INTERRUPTED
-    values = finish(folder, scenario, network, outcome)
+    try:
+        values = finish(folder, scenario, network, outcome)
+    except RigError:
+        if failure is not None:  # came first, and may be why: a disk that was full already
+            raise failure from None
+        raise
     closing_table(scenario, network, values, outcome, folder)
     for path in logs:
         write_log(read_log(folder / LOG), path)
