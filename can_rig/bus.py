@@ -90,6 +90,14 @@ def open_for_node(name: str, identifiers: Collection[int], overhear: bool) -> ca
     return NodeSocketcanBus(opened, identifiers, overhear)
 
 
+def in_one_process(name: str) -> bool:
+    """Whether the bus called ``name`` joins only what opens it within one process.
+
+    :raises BusError: the name is malformed.
+    """
+    return _parse(name)[0] == "virtual"
+
+
 def _parse(name: str) -> tuple[str, str | int | None, dict[str, Any]]:
     address, _, query = name.partition("?")
     interface, _, channel = address.partition(":")
