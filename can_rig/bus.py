@@ -6,7 +6,9 @@ knows and any argument of its bus class; values are cast as in python-can's conf
 
 import difflib
 import errno
-from collections.abc import Collection
+import logging
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -48,11 +50,26 @@ def open_bus(name: str, **kwargs: Any) -> can.BusABC:
     if interface == "socketcan" and channel:
         _check_is_up(str(channel))
     try:
-        return can.Bus(
-            channel=channel, interface=interface, ignore_config=True, **{**arguments, **kwargs}
-        )
+        with _quiet():
+            return can.Bus(
+                channel=channel, interface=interface, ignore_config=True, **{**arguments, **kwargs}
+            )
     except Exception as error:  # a backend raises what its driver's library raises
         raise BusError(_explain(name, interface, channel, error)) from error
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without python-can's own log records: what went wrong, the error says."""
+    logger = logging.getLogger("can")  # the loggers of its buses hand on to this one
+    propagate, logger.propagate = logger.propagate, False
+    nowhere = logging.NullHandler()
+    logger.addHandler(nowhere)  # without one, logging prints to standard error as a last resort
+    try:
+        yield
+    finally:
+        logger.removeHandler(nowhere)
+        logger.propagate = propagate
 
 
 def open_for_node(name: str, identifiers: Collection[int], overhear: bool) -> can.BusABC:
@@ -71,6 +88,14 @@ def open_for_node(name: str, identifiers: Collection[int], overhear: bool) -> ca
         return open_bus(name, **kwargs)
 
     return NodeSocketcanBus(opened, identifiers, overhear)
+
+
+def in_one_process(name: str) -> bool:
+    """Whether the bus called ``name`` joins only what opens it within one process.
+
+    :raises BusError: the name is malformed.
+    """
+    return _parse(name)[0] == "virtual"
 
 
 def _parse(name: str) -> tuple[str, str | int | None, dict[str, Any]]:

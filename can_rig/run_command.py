@@ -13,9 +13,10 @@ from rich.table import Table
 
 from can_rig import scenario as scenarios
 from can_rig.build import controller_table
+from can_rig.bus import in_one_process
 from can_rig.check import refuse_unstable
 from can_rig.cli import INTERRUPTED
-from can_rig.errors import RigError
+from can_rig.errors import BusError, RigError
 from can_rig.lockstep import StopRequest
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import refuse_log, write_log
@@ -46,7 +47,7 @@ def run_command(
     scenario = scenarios.load(name, settings)
     if real_time:
         deadlines.require_causal(scenario)
-    bus = bus or f"local:run-{os.getpid()}"
+    bus = _bus_name(bus, in_process)
     network = network_of(scenario)
     controller_table(scenario, network)  # what cannot run is refused before it starts
     on_the_bus(scenario, network)
@@ -82,7 +83,7 @@ def run_command(
         if failure is not None:
             raise failure
         return INTERRUPTED
-    values = finish(folder, scenario, network, outcome)
+    values = _finish(folder, scenario, network, outcome, failure)
     closing_table(scenario, network, values, outcome, folder)
     for path in logs:
         write_log(read_log(folder / LOG), path)
@@ -91,10 +92,39 @@ def run_command(
     return INTERRUPTED if outcome.outcome == "interrupted" else 0
 
 
+def _bus_name(bus: str | None, in_process: bool) -> str:
+    """The bus of the run, refused before both nodes wait on it for each other in vain."""
+    bus = bus or f"local:run-{os.getpid()}"
+    if not in_process and in_one_process(bus):
+        raise BusError(
+            f"bus {bus!r}: stays within one process, and the nodes are two; --in-process, or the "
+            "bus 'local', is right"
+        )
+    return bus
+
+
+def _finish(
+    folder: Path,
+    scenario: Scenario,
+    network: Network,
+    outcome: Outcome,
+    failure: RigError | None,
+) -> Metrics:
+    try:
+        return finish(folder, scenario, network, outcome)
+    except RigError:
+        if failure is not None:  # came first, and may be why: a disk that was full already
+            raise failure from None
+        raise
+
+
 def closing_table(
     scenario: Scenario, network: Network, values: Metrics, outcome: Outcome, folder: Path
 ) -> None:
-    """Metrics, rate, frames not used and the folder of a run that has ended."""
+    """Metrics, rate, frames not used and the folder of a run that has ended.
+
+    No metrics and no rate where no command was recorded, and so no whole tick.
+    """
     units = {
         "y": network.feedback.unit,
         "y.s": f"{network.feedback.unit}.s".lstrip("."),
@@ -104,10 +134,11 @@ def closing_table(
     table = Table(box=None, pad_edge=False, show_header=False)
     table.add_column()
     table.add_column(justify="right")
-    for label, text in rows(values, units):
-        table.add_row(label, text)
-    factor = outcome.ticks_per_s * scenario.tick_s
-    table.add_row("rate", f"{outcome.ticks_per_s:.0f} ticks/s, {factor:.1f} x real time")
+    if values.get("torque_peak_nm") is not None:
+        for label, text in rows(values, units):
+            table.add_row(label, text)
+        factor = outcome.ticks_per_s * scenario.tick_s
+        table.add_row("rate", f"{outcome.ticks_per_s:.0f} ticks/s, {factor:.1f} x real time")
     for label, text in deadlines.rows(outcome.realtime or {}):
         table.add_row(label, text)
     rejected: Counter[str] = Counter()
@@ -118,7 +149,8 @@ def closing_table(
     for node, events in outcome.bus_events.items():
         table.add_row(f"bus of the {node}", ", ".join(f"{n} {k}" for k, n in events.items()))
     console = Console()
-    console.print(table)
+    if table.row_count:
+        console.print(table)
     for line in deadlines.scheduling_lines(outcome.realtime or {}):
         console.print(line, soft_wrap=True, highlight=False)
     console.print(f"run folder  {folder}", soft_wrap=True, markup=False, highlight=False)

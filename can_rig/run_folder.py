@@ -11,11 +11,12 @@ from importlib.metadata import version
 from pathlib import Path
 from typing import Any
 
-from can_rig.errors import RunFolderError
+from can_rig.errors import LogError, RunFolderError
 from can_rig.messages import Network
 from can_rig.metrics import Metrics, metrics
 from can_rig.settings import Scenario
 from can_rig.signals import read_signals
+from can_rig.whole_files import whole
 
 LOG, SIGNALS, SUMMARY, REPORT = "bus.log", "signals.csv", "run.json", "report.png"
 PACKAGES = (
@@ -88,12 +89,16 @@ def _replaced(folder: Path) -> Path:
 
 
 def finish(folder: Path, scenario: Scenario, network: Network, outcome: Outcome) -> Metrics:
-    """Write ``signals.csv``, ``run.json`` and ``report.png`` from the log, however it ended."""
+    """Write ``signals.csv``, ``run.json`` and ``report.png`` from the log, however it ended.
+
+    Raises:
+        LogError: the log cannot be read.
+        RunFolderError: one of them cannot be written; what was recorded stays.
+    """
     from can_rig.report import draw_report  # noqa: PLC0415 (matplotlib, when nodes are done)
 
     in_time_ticks = 1 if outcome.realtime is None else scenario.latency_ticks
     signals = read_signals(folder / LOG, network, scenario.tick_s, in_time_ticks)
-    signals.write_csv(folder / SIGNALS)
     values = metrics(scenario, signals)
     summary: dict[str, Any] = {
         "scenario": scenario.as_dict(),
@@ -110,7 +115,14 @@ def finish(folder: Path, scenario: Scenario, network: Network, outcome: Outcome)
     if outcome.realtime is None:
         del summary["realtime"]
     text = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False)
-    (folder / SUMMARY).write_text(text + "\n", encoding="utf-8")
-    draw_report(folder / REPORT, scenario, network, signals, outcome.realtime)
+    try:
+        with whole(folder / SUMMARY) as part:  # first: what it says, the log alone does not
+            part.write_text(text + "\n", encoding="utf-8")
+        with whole(folder / SIGNALS) as part:
+            signals.write_csv(part)
+        with whole(folder / REPORT) as part:
+            draw_report(part, scenario, network, signals, outcome.realtime)
+    except LogError as error:
+        raise RunFolderError(f"{error}; what was recorded is in {folder / LOG}") from None
     shutil.rmtree(_replaced(folder), ignore_errors=True)
     return values

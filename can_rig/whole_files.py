@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import shutil
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from can_rig.errors import LogError
@@ -39,7 +39,8 @@ def whole(path: Path) -> Iterator[Path]:
         reason = error.strerror or " ".join(str(error).split())
         raise LogError(f"{path}: cannot be written: {reason}") from None
     finally:
-        _remove(part)
+        with suppress(OSError):  # a read-only file system refuses this too; the reason is known
+            _remove(part)
 
 
 def _remove(path: Path) -> None:

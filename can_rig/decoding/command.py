@@ -17,8 +17,9 @@ from rich.table import Table
 from can_rig.decoding.decode import Decoder, load_database
 from can_rig.decoding.message_columns import MessageColumns
 from can_rig.decoding.output import TABLES, Output, output, refuse_output
+from can_rig.errors import LogError
 from can_rig.logs.frames import concatenate
-from can_rig.logs.reading import Log, read_log
+from can_rig.logs.reading import Log, format_of, read_log
 from can_rig.messages import shipped_dbc
 from can_rig.progress import reading
 from can_rig.run_folder import LOG, SUMMARY
@@ -92,6 +93,10 @@ def decode_command(
             for writer in writers:
                 writer.write(chunk)
         if writers is None:
+            if format_of(log.path) == ".log":  # without a header, nothing says that it is a log
+                raise LogError(
+                    f"{log.path}: no frame in it; a log as candump -L writes it is right"
+                )
             opened()
     if as_json:
         print(json.dumps(_summary(log, decoder, outputs), ensure_ascii=False))
@@ -155,10 +160,10 @@ def _print(decoder: Decoder, outputs: Sequence[Path]) -> None:
     console.print(table)
     unknown = decoder.unknown.most_common(_SHOWN)
     if unknown:
-        some = ", ".join(f"{count} {identifier}" for identifier, count in unknown)
+        some = ", ".join(f"identifier 0x{digits}: {count}" for digits, count in unknown)
         more = ", …" if len(decoder.unknown) > len(unknown) else ""
         total = decoder.unknown.total()
-        console.print(f"not in the database: {total} ({some}{more})", highlight=False)
+        console.print(f"frames not in the database: {total} ({some}{more})", highlight=False)
     if decoder.error_frames:
         console.print(f"error frames: {decoder.error_frames}", highlight=False)
     if decoder.not_wanted:

@@ -40,6 +40,9 @@ if TYPE_CHECKING:
 KINDS: Final = {"CAN_DataFrame": 0, "CAN_ErrorFrame": ERROR, "CAN_RemoteFrame": REMOTE}
 """Names of the groups, and the flag of their frames."""
 
+_MDF_4: Final = b"MDF     4."
+"""How a file starts: what it is, and the version."""
+
 _ID_MASK: Final = (1 << 29) - 1
 _EXTENDED_BIT: Final = 1 << 31
 _MEMBER_FLAGS: Final = {
@@ -62,7 +65,7 @@ def read_mf4(log: Log) -> Iterator[Frames]:
 
     logging.getLogger("asammdf").setLevel(logging.CRITICAL)  # what it says, the error says
     # asammdf's own survey of the identifiers would read and unpack the file once more.
-    with _refusing(f"{log.path}: not an MDF file that asammdf can read"):
+    with _refusing(_unreadable(log)):
         file = asammdf.MDF(log.path, process_bus_logging=False)  # type: ignore[call-arg]
     with file:
         groups = [_Group(file, log, index) for index in _can_groups(file)]
@@ -75,6 +78,21 @@ def read_mf4(log: Log) -> Iterator[Frames]:
             done += len(frames)
             log.fraction = done / total
             yield frames
+
+
+def _unreadable(log: Log) -> str:
+    """What to say of a file that asammdf does not open."""
+    try:
+        with log.path.open("rb") as file:
+            start = file.read(len(_MDF_4))
+    except OSError:
+        start = b""  # asammdf says why
+    if start == _MDF_4:
+        return (
+            f"{log.path}: an MDF 4 file that is cut off or damaged, and no frame can be read from "
+            "such a file"
+        )
+    return f"{log.path}: not an MDF file that asammdf can read"
 
 
 def _can_groups(file: Any) -> list[int]:

@@ -111,12 +111,14 @@ def _write_asc(log: Log, path: Path) -> None:
 
 
 def _write_trc(log: Log, path: Path) -> None:
+    final = path.with_name(path.name.removeprefix(".part-"))
     with TRCWriter(path) as writer:
+        writer.filepath = str(final.absolute())  # its header says what the file is called
         for frames in log:
             other = frames.has(FD | REMOTE | ERROR)
             if other.any():
                 raise LogError(
-                    f"{path.name.removeprefix('.part-')}: python-can writes only classic data "
+                    f"{final.name}: python-can writes only classic data "
                     f"frames as PEAK logs, and {int(other.sum())} of {log.path} are others; "
                     ".log, .blf or .mf4 is right"
                 )

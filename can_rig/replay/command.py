@@ -15,7 +15,7 @@ from rich.table import Table
 from can_rig.errors import LogError
 from can_rig.nodes import network_of
 from can_rig.replay.comparison import Place, SignalComparison
-from can_rig.replay.gaps import Gap, seconds, write_gap, write_header
+from can_rig.replay.gaps import Gap, in_order, seconds, write_gaps
 from can_rig.replay.replay import OpenLoop
 from can_rig.replay.source import Source
 from can_rig.whole_files import refuse_existing, whole
@@ -39,22 +39,17 @@ def replay_command(source: Source, gaps: Path | None, force: bool, as_json: bool
     """
     if gaps is not None:
         refuse_existing(gaps, force, "--gaps")
-    listed: list[Gap] = []
+    found: list[Gap] = []
     with _all_gaps(gaps) as write:
-
-        def on_gap(gap: Gap) -> None:
-            if len(listed) < KEPT:
-                listed.append(gap)
-            write(gap)
-
-        loop = OpenLoop(source.scenario, network_of(source.scenario), on_gap)
+        loop = OpenLoop(source.scenario, network_of(source.scenario), found.append)
         loop.run(source.frames("replaying"))
+        listed = in_order(found)
+        write(listed)
     if not any(signal.compared for signal in loop.comparison.signals):
         raise LogError(
             f"{source.log.path}: no frame of a controller in it that could be compared "
             f"({loop.comparison.ticks} ticks were replayed); a log of both nodes is right"
         )
-    listed.sort()
     if as_json:
         print(json.dumps(_summary(source, loop, listed), ensure_ascii=False))
     else:
@@ -63,13 +58,13 @@ def replay_command(source: Source, gaps: Path | None, force: bool, as_json: bool
 
 
 @contextmanager
-def _all_gaps(path: Path | None) -> Iterator[Callable[[Gap], None]]:
+def _all_gaps(path: Path | None) -> Iterator[Callable[[list[Gap]], None]]:
+    """Writes the list, or does not; what cannot be written is refused before the replay."""
     if path is None:
-        yield lambda gap: None
+        yield lambda gaps: None
         return
     with whole(path) as part, part.open("w", encoding="utf-8", newline="") as file:
-        write_header(file)
-        yield lambda gap: write_gap(file, gap)
+        yield lambda gaps: write_gaps(file, gaps)
 
 
 def _summary(source: Source, loop: OpenLoop, listed: list[Gap]) -> dict[str, Any]:
@@ -95,7 +90,7 @@ def _summary(source: Source, loop: OpenLoop, listed: list[Gap]) -> dict[str, Any
         "gaps": _counts(loop),
         "first_gaps": [
             {**gap._asdict(), "time_ns": gap.time_ns, "time_s": float(seconds(gap.time_ns))}
-            for gap in listed
+            for gap in listed[:KEPT]
         ],
         "rejected_frames": loop.rejected(),
         "notice": source.log.notice,

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import csv
 from collections import Counter
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple, TextIO
 
@@ -67,7 +67,8 @@ class Account:
     Args:
         network: names of the messages.
         tick_ns: how far time stamps should go on in a tick.
-        on_gap: gets every gap, those of several ticks in a row once; nearly in their order.
+        on_gap: gets every gap, those of several ticks in a row once. Each comes when the next of
+            its kind does, or at the end of the log, and so in no order: `in_order` puts them so.
     """
 
     def __init__(self, network: Network, tick_ns: int, on_gap: Callable[[Gap], None]) -> None:
@@ -174,15 +175,19 @@ def _first(known: int | None, tick: int) -> int:
     return tick if known is None else min(known, tick)
 
 
-def write_header(file: TextIO) -> None:
-    """The head of a list of gaps as CSV."""
-    csv.writer(file, lineterminator="\n").writerow(COLUMNS)
+def in_order(gaps: Iterable[Gap]) -> list[Gap]:
+    """By tick, then by time stamp; otherwise as they came."""
+    return sorted(gaps, key=lambda gap: (gap.tick, gap.time_ns))
 
 
-def write_gap(file: TextIO, gap: Gap) -> None:
-    """One line of it."""
-    cells = (gap.tick, seconds(gap.time_ns), gap.message, gap.what, gap.ticks, gap.detail)
-    csv.writer(file, lineterminator="\n").writerow(cells)
+def write_gaps(file: TextIO, gaps: Iterable[Gap]) -> None:
+    """A list of gaps as CSV."""
+    rows = csv.writer(file, lineterminator="\n")
+    rows.writerow(COLUMNS)
+    for gap in gaps:
+        rows.writerow(
+            (gap.tick, seconds(gap.time_ns), gap.message, gap.what, gap.ticks, gap.detail)
+        )
 
 
 def seconds(time_ns: int) -> str:

@@ -1,6 +1,7 @@
 """Names of buses, and one line for each thing that can be wrong with one."""
 
 import errno
+import logging
 from pathlib import Path
 from typing import Any
 
@@ -135,6 +136,23 @@ def test_socketcan_tells_what_is_missing(
 ) -> None:
     monkeypatch.setattr(can, "Bus", raising(error))
     assert failure("socketcan:vcan0") == expected
+
+
+def test_python_can_says_nothing_beside_our_line(
+    monkeypatch: pytest.MonkeyPatch, capfd: pytest.CaptureFixture[str]
+) -> None:
+    root, library = logging.getLogger(), logging.getLogger("can")
+    monkeypatch.setattr(root, "handlers", [])  # as in a program: pytest's would take the record
+
+    def bus(**kwargs: Any) -> can.BusABC:
+        logging.getLogger("can.interfaces.socketcan.socketcan").error("Could not access ...")
+        raise OSError(errno.ENODEV, "No such device")
+
+    monkeypatch.setattr(can, "Bus", bus)
+    before = library.propagate, list(library.handlers)
+    assert failure("socketcan:vcan9").startswith("no such CAN interface vcan9: ")
+    assert capfd.readouterr().err == ""
+    assert (library.propagate, library.handlers) == before
 
 
 def test_interface_that_is_down(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import gzip
 import json
 import subprocess
 from pathlib import Path
@@ -256,8 +257,25 @@ def test_a_node_records_candump_lines_only(tmp_path: Path) -> None:
 
 
 def test_an_empty_log_gives_an_empty_table(tmp_path: Path) -> None:
-    (tmp_path / "a.log").write_bytes(b"")
+    (tmp_path / "a.asc").write_text("date Mon Jan 1 00:00:00 2024\nbase hex timestamps absolute\n")
     outputs = [option for name in ("a.csv", "a.mf4", "b") for option in ("--out", tmp_path / name)]
-    assert rig("decode", tmp_path / "a.log", *outputs).returncode == 0
+    assert rig("decode", tmp_path / "a.asc", *outputs).returncode == 0
     assert len(pd.read_csv(tmp_path / "a.csv")) == 0
     assert (tmp_path / "b").is_dir()
+
+
+@pytest.mark.parametrize("name", ["a.log", "a.log.gz"])
+def test_an_empty_file_is_no_log(name: str, tmp_path: Path) -> None:
+    """As of any other format: without a frame nothing says that it is candump's."""
+    (tmp_path / name).write_bytes(gzip.compress(b"") if name.endswith(".gz") else b"")
+    done = rig("decode", tmp_path / name, "--out", tmp_path / "a.csv")
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"error: {tmp_path / name}: no frame in it")
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "a.csv").exists()
+
+
+def test_unknown_identifiers_are_told_from_their_counts(tmp_path: Path) -> None:
+    (tmp_path / "a.log").write_text("(1.000000) can0 123#00\n(2.000000) can0 123#01\n")
+    done = rig("decode", tmp_path / "a.log")
+    assert "frames not in the database: 2 (identifier 0x123: 2)" in done.stdout

@@ -163,6 +163,12 @@ def test_every_kind_of_frame_written(tmp_path: Path, suffix: str) -> None:
         assert (tmp_path / "b.log").read_text("ascii") == text
 
 
+def test_a_peak_log_tells_its_own_name(tmp_path: Path) -> None:
+    by_python_can(tmp_path / "a.log", plain(2))
+    write_log(read_log(tmp_path / "a.log"), tmp_path / "b.trc")
+    assert f";   {tmp_path / 'b.trc'}" in (tmp_path / "b.trc").read_text("ascii").splitlines()
+
+
 def test_a_peak_log_holds_only_data_frames(tmp_path: Path) -> None:
     by_python_can(tmp_path / "a.blf", kinds())
     with pytest.raises(LogError, match=r"b.trc: .* 4 of .*a.blf are others; .log, .blf or .mf4"):
@@ -352,6 +358,10 @@ def test_a_cut_off_mdf_file_is_read_or_refused(tmp_path: Path) -> None:
         except LogError as error:
             assert str(error).startswith(str(path))
             assert "\n" not in str(error)
+            assert cut == 0 or "MDF 4 file that is cut off or damaged" in str(error)
+    path.write_bytes(b"MDF     3.30" + data[12:100])
+    with pytest.raises(LogError, match=r"a\.mf4: not an MDF file that asammdf can read"):
+        concatenate(read_log(path))
 
 
 @pytest.mark.parametrize("suffix", [".log", ".asc", ".blf", ".trc", ".mf4"])

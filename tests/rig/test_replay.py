@@ -422,6 +422,8 @@ def test_the_command_line_says_what_differs(drive: Path, frames: list[Message]) 
         for later in range(int(ticks)):
             found[int(tick) + later, name, what] += 1
     assert found == wrong
+    ticks = [int(line.split(",")[0]) for line in lines]
+    assert ticks == sorted(ticks)
     different = asked("replay", drive, "--scenario", "thesis-step", "--set", "design.tau_s=0.0011")
     assert different.returncode == 1
     assert "different from tick 0 on" in different.stdout
