@@ -36,9 +36,9 @@ class FaultState(IntEnum):
     """What ``decision`` says of d̂. It isolates nothing: a biased D* looks the same."""
 
     CLEAR = 0
-    """|d̂| is below the threshold, and the loss of channel 1 would lift it above."""
+    """d̂ is not too much, and the loss of all of channel 1 would make it so."""
     SUSPECTED = 1
-    """|d̂| is above the threshold, not yet for long enough."""
+    """d̂ is too much, not yet for long enough."""
     CONFIRMED = 2
     """It has been, and has not since fallen to what a channel that works would leave."""
     CANNOT_TELL = 3
