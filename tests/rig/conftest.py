@@ -46,7 +46,7 @@ def rig(*arguments: object, **options: object) -> subprocess.CompletedProcess[st
     """``can-rig`` with ``arguments``, to its end."""
     process = start(*arguments, **options)
     try:
-        out, err = process.communicate(timeout=60)
+        out, err = process.communicate(timeout=300)
     except subprocess.TimeoutExpired:
         process.kill()
         raise

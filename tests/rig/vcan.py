@@ -14,7 +14,7 @@ from can_rig.lockstep import StopRequest, Waiting
 from can_rig.nodes import NodeSummary, run_controller, run_plant
 from can_rig.scenario import load
 
-TIMEOUT_S = 30.0  # for what must come; the guest is slow
+TIMEOUT_S = 120.0  # for what must come; the guest is slow, an import takes up to 20 s
 PATIENT = Waiting(first_s=TIMEOUT_S, silence_s=TIMEOUT_S)
 
 
