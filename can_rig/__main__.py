@@ -1,5 +1,5 @@
 """``python -m can_rig`` is ``can-rig``."""
 
-from can_rig.cli import main
+from can_rig.cli.main import main
 
 main()

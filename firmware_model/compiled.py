@@ -26,7 +26,9 @@ def _cache_folder() -> str:
     copy of what that function calls in another file.
     """
     package = Path(__file__).parent
-    states = ((file.name, file.stat()) for file in sorted(package.glob("*.py")))
+    states = (
+        (str(file.relative_to(package)), file.stat()) for file in sorted(package.rglob("*.py"))
+    )
     text = repr([(name, state.st_mtime_ns, state.st_size) for name, state in states])
     home = os.environ.get("XDG_CACHE_HOME") or str(Path("~/.cache").expanduser())
     digest = hashlib.sha256(f"{package}{text}".encode()).hexdigest()[:16]

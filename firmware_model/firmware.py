@@ -6,10 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from firmware_model import controller
-from firmware_model.governor import start
-from firmware_model.layout import Record
-from firmware_model.sections import FloatArray
+from firmware_model.discretisation.sections import FloatArray
+from firmware_model.target import controller
+from firmware_model.target.layout import Record
+from firmware_model.target.reference_shaper import start
 
 
 class Answer(NamedTuple):

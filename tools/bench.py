@@ -18,16 +18,16 @@ import can
 from rich.console import Console
 from rich.table import Table
 
-from can_rig import scenario as scenarios
-from can_rig.build import controller_table
-from can_rig.bus import open_bus
-from can_rig.lockstep import StopRequest
-from can_rig.messages import Network, Receiver, Transmitter
-from can_rig.nodes import network_of, run_in_process
-from can_rig.plant import SimulatedPlant
-from can_rig.recorder import Recorder
-from can_rig.run import run_processes
-from can_rig.settings import Scenario
+from can_rig.buses.bus import open_bus
+from can_rig.frames.messages import Network, Receiver, Transmitter
+from can_rig.nodes.lockstep import StopRequest
+from can_rig.nodes.nodes import network_of, run_in_process
+from can_rig.nodes.processes import run_processes
+from can_rig.nodes.recorder import Recorder
+from can_rig.plant.simulated import SimulatedPlant
+from can_rig.scenario import loading as scenarios
+from can_rig.scenario.build import controller_table
+from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
 
 MULTICAST = "udp_multicast:239.74.163.2"

@@ -11,18 +11,18 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from can_rig import scenario as scenarios
-from can_rig.build import continuous_plant, controller_table
-from can_rig.check import check
+from can_rig.assessment.check import check
 from can_rig.errors import RigError
-from can_rig.nodes import network_of
-from can_rig.plant import SimulatedPlant
-from can_rig.reference import reference
-from can_rig.settings import Scenario
+from can_rig.nodes.nodes import network_of
+from can_rig.plant.simulated import SimulatedPlant
+from can_rig.scenario import loading as scenarios
+from can_rig.scenario.build import continuous_plant, controller_table
+from can_rig.scenario.reference import reference
+from can_rig.scenario.settings import Scenario
+from firmware_model.analysis.sampled_plant import sample
+from firmware_model.analysis.simulation import Trace, simulate
 from firmware_model.firmware import Firmware
-from firmware_model.layout import FaultState
-from firmware_model.sampled_plant import sample
-from firmware_model.simulation import Trace, simulate
+from firmware_model.target.layout import FaultState
 
 LANE_CHANGES = (
     "reference.kind=lane-change",
@@ -42,7 +42,7 @@ CARS: dict[str, tuple[str, ...]] = {
         "model.rear_cornering_stiffness_n_per_rad=56200",
     ),
     "mass +20 %": ("plant.mass_kg=1680", "model.mass_kg=1400"),
-    "nonlinear tires": ("plant.kind=can_rig.nonlinear_car:NonlinearCar",),
+    "nonlinear tires": ("plant.kind=can_rig.plant.nonlinear_car:NonlinearCar",),
 }
 
 

@@ -21,11 +21,11 @@ import can
 from rich.console import Console
 from rich.table import Table
 
-from can_rig import scenario as scenarios
-from can_rig.bus import open_bus
-from can_rig.lockstep import StopRequest
-from can_rig.nodes import NodeSummary, run_in_process
-from can_rig.run import run_processes
+from can_rig.buses.bus import open_bus
+from can_rig.nodes.lockstep import StopRequest
+from can_rig.nodes.nodes import NodeSummary, run_in_process
+from can_rig.nodes.processes import run_processes
+from can_rig.scenario import loading as scenarios
 
 TAKEN_WITHIN_S = 10.0  # makes the local bus wait for the slowest listener
 SETTLE_S = 2.0  # before the flood, and for what still waits after it

@@ -24,9 +24,9 @@ from cantools.database.errors import Error
 
 from can_rig.decoding.message_columns import Counts, MessageColumns, MessageDecoder, joined
 from can_rig.errors import DbcError
+from can_rig.frames.messages import load_dbc
 from can_rig.logs.frames import ERROR, EXTENDED, Frames
 from can_rig.logs.reading import read_log
-from can_rig.messages import load_dbc
 
 _EXTENDED_BIT: Final = 31  # above the identifier, as in a DBC
 

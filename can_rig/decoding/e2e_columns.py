@@ -14,8 +14,8 @@ import numpy as np
 from e2e.p01 import e2e_p01_protect
 from numpy.typing import NDArray
 
+from can_rig.frames.protection import FRAME_BYTES
 from can_rig.logs.frames import UInt8s
-from can_rig.protection import FRAME_BYTES
 
 COUNTERS: Final = 15
 """Counters are 0..14; 15 is never sent."""

@@ -10,11 +10,11 @@ import numpy as np
 from cantools.database.can import Message as DbcMessage
 from numpy.typing import NDArray
 
-from can_rig import frame_layout
 from can_rig.decoding import e2e_columns
 from can_rig.decoding.signal_columns import Column, SignalColumn, signal_column
 from can_rig.errors import DbcError
-from can_rig.frame_layout import ROLES
+from can_rig.frames import layout as frame_layout
+from can_rig.frames.layout import ROLES
 from can_rig.logs.frames import CLASSIC_BYTES, NS_PER_S, REMOTE, Frames, UInt8s
 
 if TYPE_CHECKING:

@@ -9,7 +9,7 @@ from typing import Final, Protocol
 
 from can_rig.decoding.message_columns import MessageColumns
 from can_rig.errors import LogError
-from can_rig.whole_files import refuse_existing, whole
+from can_rig.files import atomic, refuse_existing
 
 TABLES: Final = (".csv", ".parquet")
 """What becomes one table of all messages."""
@@ -62,7 +62,7 @@ def output(
     Raises:
         LogError: it cannot be written.
     """
-    with whole(path) as part:
+    with atomic(path) as part:
         writer = _writer(part, layout, start_ns, names)
         yield writer
         writer.close()

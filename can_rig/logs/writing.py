@@ -25,9 +25,9 @@ from can import Message
 from can.io import ASCWriter, BLFWriter, TRCWriter
 
 from can_rig.errors import LogError
+from can_rig.files import atomic, refuse_existing
 from can_rig.logs.frames import ERROR, EXTENDED, FD, NS_PER_S, REMOTE, SENT, Frames
 from can_rig.logs.reading import Log, format_of
-from can_rig.whole_files import refuse_existing, whole
 
 _ERROR_BIT: Final = 1 << 29
 _FD_FLAGS: Final = (
@@ -59,7 +59,7 @@ def write_log(log: Log, path: Path) -> None:
     """
     refuse_log(path, force=True)
     kind = format_of(path)
-    with whole(path) as part:
+    with atomic(path) as part:
         if kind == ".mf4":
             from can_rig.logs.mf4_writing import write_mf4  # noqa: PLC0415 (asammdf is slow to import)
 

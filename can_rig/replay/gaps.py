@@ -23,10 +23,10 @@ from dataclasses import dataclass, field
 from typing import Final, NamedTuple, TextIO
 
 from can_rig.decoding.e2e_columns import COUNTERS
-from can_rig.frame_layout import ROLES
+from can_rig.frames.layout import ROLES
+from can_rig.frames.messages import Network
+from can_rig.frames.protection import FRAME_BYTES
 from can_rig.logs.frames import NS_PER_S
-from can_rig.messages import Network
-from can_rig.protection import FRAME_BYTES
 from can_rig.replay.rig_frames import INPUTS, RigFrame
 
 NEAR: Final = 32

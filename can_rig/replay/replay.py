@@ -1,7 +1,7 @@
 """Open loop: the logged reference and feedback drive today's controller node, frame by frame.
 
 It is the node of a live run, with its receive rules and its firmware; only the bus is a tape and
-the patience without end. What it answers is compared with what the log has.
+the watchdog without end. What it answers is compared with what the log has.
 
 The one thing that a log has and a lockstep bus has not is time that goes on without the feedback.
 A frame of a later tick says so, if a second one agrees; then the node is told that the ticks in
@@ -19,16 +19,16 @@ from typing import Final
 
 import can
 
-from can_rig.controller_node import ControllerNode
 from can_rig.errors import LogError
-from can_rig.lockstep import Interrupted, Patience, StopRequest, Waiting
+from can_rig.frames.messages import Network
 from can_rig.logs.frames import NS_PER_S, Frames
-from can_rig.messages import Network
+from can_rig.nodes.controller_node import ControllerNode
+from can_rig.nodes.lockstep import Interrupted, StopRequest, Waiting, Watchdog
 from can_rig.replay.comparison import ANSWERS, Comparison
 from can_rig.replay.gaps import NEAR, Account, Gap, Row
 from can_rig.replay.rig_frames import INPUTS, WIRE_TICKS, RigFrame, rig_frames, signed
-from can_rig.settings import Scenario
-from can_rig.signals import absolute_tick
+from can_rig.results.signals import absolute_tick
+from can_rig.scenario.settings import Scenario
 
 AHEAD: Final = 32
 """Frames that are looked at in advance for a second one that agrees."""
@@ -50,7 +50,7 @@ class Tape(can.BusABC):
         return None, True
 
 
-class Feed(Patience):
+class Feed(Watchdog):
     """Gives the node one frame, then has it stop waiting."""
 
     def __init__(self, tape: Tape) -> None:

@@ -8,9 +8,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from can_rig.decoding import e2e_columns
+from can_rig.frames.messages import Network
+from can_rig.frames.protection import FRAME_BYTES
 from can_rig.logs.frames import ERROR, EXTENDED, REMOTE, Frames
-from can_rig.messages import Network
-from can_rig.protection import FRAME_BYTES
 
 INPUTS: Final = 2
 """The first roles, reference and feedback, are what the controller gets; the others its answer."""

@@ -10,13 +10,13 @@ from typing import Any
 
 import numpy as np
 
-from can_rig import scenario as scenarios
+from can_rig.cli.progress import reading
 from can_rig.errors import LogError, ScenarioError
 from can_rig.logs.frames import Frames
 from can_rig.logs.reading import Log, read_log
-from can_rig.progress import reading
-from can_rig.run_folder import LOG, SUMMARY
-from can_rig.settings import Scenario
+from can_rig.results.run_folder import LOG, SUMMARY
+from can_rig.scenario import loading as scenarios
+from can_rig.scenario.settings import Scenario
 
 
 @dataclass(frozen=True)

@@ -7,17 +7,17 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from can_rig import scenario as scenarios
-from can_rig.build import continuous_plant, controller_table
 from can_rig.errors import ScenarioError
-from can_rig.faults import ActuatorFault
-from can_rig.nodes import network_of
-from can_rig.reference import reference
-from can_rig.settings import Scenario
+from can_rig.nodes.nodes import network_of
+from can_rig.plant.faults import ActuatorFault
+from can_rig.scenario import loading as scenarios
+from can_rig.scenario.build import continuous_plant, controller_table
+from can_rig.scenario.reference import reference
+from can_rig.scenario.settings import Scenario
 from can_rig.thesis.continuous import Solution, solve
-from firmware_model.sampled_plant import SampledPlant, advance_plant, measure_plant, sample
-from firmware_model.sections import FloatArray
-from firmware_model.simulation import simulate
+from firmware_model.analysis.sampled_plant import SampledPlant, advance_plant, measure_plant, sample
+from firmware_model.analysis.simulation import simulate
+from firmware_model.discretisation.sections import FloatArray
 
 START_S = 0.02  # how much of the start of a closed loop is shown closely
 #: what may change without making another figure of it

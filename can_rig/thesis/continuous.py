@@ -22,12 +22,12 @@ import control
 import numpy as np
 from scipy import linalg
 
-from can_rig.build import continuous_plant
 from can_rig.errors import ScenarioError
-from can_rig.faults import CHANNELS
-from can_rig.settings import Scenario
-from firmware_model.plants import Plant
-from firmware_model.sections import FloatArray
+from can_rig.plant.faults import CHANNELS
+from can_rig.scenario.build import continuous_plant
+from can_rig.scenario.settings import Scenario
+from firmware_model.design.plants import Plant
+from firmware_model.discretisation.sections import FloatArray
 
 OUTPUTS = ("r", "y", "u1", "u2", "d", "g1u1", "g2u2")
 StateSpace = tuple[FloatArray, FloatArray, FloatArray, FloatArray]

@@ -11,8 +11,8 @@ from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from can_rig.report import BLUE, INK, LOST, ORANGE
-from can_rig.settings import FaultSettings
+from can_rig.results.report import BLUE, INK, LOST, ORANGE
+from can_rig.scenario.settings import FaultSettings
 from can_rig.views.run_diff import Difference, SignalDifference
 from can_rig.views.signal_table import SignalTable, unit
 

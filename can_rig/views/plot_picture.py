@@ -14,10 +14,10 @@ from numpy.typing import NDArray
 
 from can_rig.decoding.message_columns import MessageColumns
 from can_rig.logs.frames import NS_PER_S
-from can_rig.report import BLUE, GREEN, INK, ORANGE
-from can_rig.settings import FaultSettings
+from can_rig.results.report import BLUE, GREEN, INK, ORANGE
+from can_rig.scenario.settings import FaultSettings
 from can_rig.views.diff_picture import shade_loss
-from firmware_model.sections import FloatArray
+from firmware_model.discretisation.sections import FloatArray
 
 STYLES: Final[tuple[dict[str, Any], ...]] = (
     {"color": BLUE, "lw": 1.6},

@@ -13,14 +13,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig.errors import LogError
+from can_rig.frames.messages import Network
 from can_rig.logs.reading import read_log
-from can_rig.messages import Network
-from can_rig.nodes import network_of
+from can_rig.nodes.nodes import network_of
 from can_rig.replay.source import log_path
-from can_rig.run_folder import SIGNALS, SUMMARY
-from can_rig.settings import FaultSettings, Scenario
-from can_rig.signals import COLUMNS, Signals, cell, signals_of
-from firmware_model.sections import FloatArray
+from can_rig.results.run_folder import SIGNALS, SUMMARY
+from can_rig.results.signals import COLUMNS, Signals, cell, signals_of
+from can_rig.scenario.settings import FaultSettings, Scenario
+from firmware_model.discretisation.sections import FloatArray
 
 TIME: Final = "time_s"
 

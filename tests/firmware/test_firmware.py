@@ -3,13 +3,13 @@
 import numpy as np
 import pytest
 
-from firmware_model.biquad import advance
-from firmware_model.design import DesignSpecification, design
+from firmware_model.analysis.sampled_plant import sample
+from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.design.plants import steer_by_wire
+from firmware_model.discretisation.tables import Target, build
 from firmware_model.firmware import Firmware
-from firmware_model.layout import MAX_SECTIONS
-from firmware_model.plants import steer_by_wire
-from firmware_model.sampled_plant import sample
-from firmware_model.tables import Target, build
+from firmware_model.target.biquad import advance
+from firmware_model.target.layout import MAX_SECTIONS
 
 TICK_S = 0.001
 PLANT = sample(steer_by_wire(), TICK_S)

@@ -1,0 +1,247 @@
+"""The worst-case response time of every frame on a bus, by the revised analysis.
+
+Davis, Burns, Bril, Lukkien: "Controller Area Network (CAN) schedulability analysis: Refuted,
+revisited and revised", Real-Time Systems 35 (2007). It is refuted there that the first instance
+after the critical instant responds last: a frame cannot be pre-empted once it is on the bus, so
+what waits behind it is pushed into the next instance. All instances of the busy period count.
+
+For frame m with transmission time C, period T, queuing jitter J, the more important ones hp(m),
+the less important ones lp(m), and one nominal bit τ:
+
+    B      = max C_k over lp(m)                                   one of them has just begun
+    t      = E(t) + B + Σ_{hp(m), m} ⌈(t + J_k) / T_k⌉ C_k        busy period at this priority
+    Q      = ⌈(t + J) / T⌉                                        instances of m in it
+    w(q)   = E(w + C) + B + q C + Σ_{hp(m)} ⌈(w + J_k + τ) / T_k⌉ C_k
+    R      = max_{q < Q} (J + w(q) - q T + C)
+    E(t)   = (31 τ + max C_k over hp(m), m) (burst - 1 + ⌈t / every⌉)   errors; 0 without any
+
+C includes the intermission, so R does too. Every node must offer the most important frame that it
+has queued, and m must not wait for a node that is late to offer it (J says how late).
+
+All times become whole multiples of one unit: the ceilings are exact, no rounding adds an instance.
+"""
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from fractions import Fraction
+from functools import partial
+from itertools import chain, pairwise
+from typing import Final, NamedTuple
+
+from can_rig.assessment.bus_timing.frame_length import FrameBits
+from can_rig.errors import RigError
+
+ERROR_BITS: Final = 31
+"""Most bits that signalling an error and recovering from it take, beside the frame sent again."""
+
+Seconds = float | Fraction
+"""A time [s]; a float stands for the decimal that it prints as, so 0.1 is a tenth."""
+
+
+class AnalysisError(RigError):
+    """Frames that the analysis cannot take: a bad period, two frames of one priority."""
+
+
+@dataclass(frozen=True)
+class PeriodicFrame:
+    """One frame as its node queues it."""
+
+    name: str
+    frame_id: int
+    bits: FrameBits
+    """Worst-case length."""
+    period_s: Seconds
+    """Least time between two that are due [s]."""
+    jitter_s: Seconds = 0.0
+    """Most time from being due to being queued [s]."""
+    deadline_s: Seconds | None = None
+    """Latest end of the transmission, after it was due [s]; None: the period."""
+    extended: bool = False
+    """Whether the identifier has 29 bits."""
+
+    @property
+    def priority(self) -> tuple[int, bool, int]:
+        """The less, the more important: what arbitration compares, bit by bit.
+
+        Of equal first 11 bits an 11-bit identifier wins, by its dominant RTR and IDE.
+        """
+        if self.extended:
+            return (self.frame_id >> 18, True, self.frame_id & 0x3FFFF)
+        return (self.frame_id, False, 0)
+
+
+@dataclass(frozen=True)
+class Errors:
+    """`burst` errors at once, and then one `every_s` seconds at most."""
+
+    every_s: Seconds
+    burst: int = 1
+
+
+@dataclass(frozen=True)
+class Response:
+    """What the analysis finds about one frame; all times in seconds, exact."""
+
+    frame: PeriodicFrame
+    transmission_s: Fraction
+    blocking_s: Fraction
+    instances: int
+    """Instances of the frame in the busy period; 0 if that has no end."""
+    busy_period_s: Fraction | None
+    """None: the bus is never free at this priority, so the frame may wait for ever."""
+    response_s: Fraction | None
+    """From being due to the end of the intermission after it; None: no bound."""
+
+    @property
+    def slack_s(self) -> Fraction | None:
+        """Deadline minus response [s], below 0 where it is missed; None: no bound."""
+        if self.response_s is None:
+            return None
+        deadline = self.frame.deadline_s
+        return exact(self.frame.period_s if deadline is None else deadline) - self.response_s
+
+    @property
+    def schedulable(self) -> bool:
+        """Whether the frame always meets its deadline."""
+        return self.slack_s is not None and self.slack_s >= 0
+
+
+def exact(seconds: Seconds) -> Fraction:
+    """A float as the decimal that it prints as; a Fraction as it is."""
+    return Fraction(repr(seconds)) if isinstance(seconds, float) else Fraction(seconds)
+
+
+def utilisation(
+    frames: Sequence[PeriodicFrame], bitrate: int, data_bitrate: int | None = None
+) -> Fraction:
+    """Share of the time that the bus is taken, Σ C / T; above 1 nothing helps."""
+    shares = (f.bits.duration_s(bitrate, data_bitrate) / exact(f.period_s) for f in frames)
+    return sum(shares, Fraction(0))
+
+
+def response_times(
+    frames: Sequence[PeriodicFrame],
+    bitrate: int,
+    data_bitrate: int | None = None,
+    errors: Errors | None = None,
+) -> list[Response]:
+    """The worst-case response of each frame, in order of importance.
+
+    Args:
+        frames: all that is on the bus, in any order.
+        bitrate: nominal bit rate [bit/s].
+        data_bitrate: of the data phase [bit/s], where frames switch.
+        errors: how often frames are destroyed; None: never.
+
+    Raises:
+        AnalysisError: a period that is not above 0, a jitter below 0, two frames of one identifier.
+        FrameError: a bit rate that is not one.
+    """
+    ordered = sorted(frames, key=lambda frame: frame.priority)
+    _require_sound(ordered, errors)
+    times = [
+        (f.bits.duration_s(bitrate, data_bitrate), exact(f.period_s), exact(f.jitter_s))
+        for f in ordered
+    ]
+    bit = Fraction(1, bitrate)
+    every = exact(errors.every_s) if errors else Fraction(1)
+    exact_times = (bit, every, *chain.from_iterable(times))
+    per_s = math.lcm(*(time.denominator for time in exact_times))  # units in a second
+    loads = [_Load(*(int(time * per_s) for time in three)) for three in times]
+    found = []
+    for m, frame in enumerate(ordered):
+        blocking = max((other.transmission for other in loads[m + 1 :]), default=0)
+        analysis = _Analysis(loads[:m], loads[m], blocking, int(bit * per_s))
+        if errors:
+            analysis = analysis.disturbed(int(every * per_s), errors.burst)
+        busy, instances, response = analysis.worst()
+        seconds = (None if t is None else Fraction(t, per_s) for t in (busy, response))
+        found.append(Response(frame, times[m][0], Fraction(blocking, per_s), instances, *seconds))
+    return found
+
+
+def _require_sound(ordered: Sequence[PeriodicFrame], errors: Errors | None) -> None:
+    for frame in ordered:
+        period, jitter = float(frame.period_s), float(frame.jitter_s)
+        if not (0.0 < period < math.inf and 0.0 <= jitter < math.inf):
+            raise AnalysisError(
+                f"{frame.name}: period {period:g} s, jitter {jitter:g} s: "
+                "a period above 0 and a jitter of 0 or above are right"
+            )
+    for one, other in pairwise(ordered):
+        if one.priority == other.priority:
+            raise AnalysisError(
+                f"{one.name} and {other.name} both have identifier 0x{one.frame_id:X}; "
+                "one sender each is right"
+            )
+    if errors and not (0 < errors.every_s < math.inf and errors.burst >= 1):
+        raise AnalysisError(
+            f"errors: {errors.burst} at once, one every {float(errors.every_s):g} s: "
+            "1 or more, and an interval above 0, are right"
+        )
+
+
+class _Load(NamedTuple):
+    """What comes again and again, in units of time."""
+
+    transmission: int
+    period: int
+    jitter: int
+
+
+@dataclass(frozen=True)
+class _Analysis:
+    """The equations above for one frame `own`, in units of time."""
+
+    higher: Sequence[_Load]
+    own: _Load
+    blocking: int
+    bit: int
+    errors: Sequence[_Load] = ()
+
+    def disturbed(self, every: int, burst: int) -> "_Analysis":
+        """The same with errors: E(t) is the demand of a load whose jitter makes the burst."""
+        again = max(load.transmission for load in (*self.higher, self.own))
+        errors = _Load(ERROR_BITS * self.bit + again, every, (burst - 1) * every)
+        return replace(self, errors=[errors])
+
+    def worst(self) -> tuple[int | None, int, int | None]:
+        """t, Q and R; None, 0 and None where the busy period never ends."""
+        own = self.own
+        everything = [*self.errors, *self.higher, own]
+        share = sum(Fraction(load.transmission, load.period) for load in everything)
+        once = self.blocking > 0 or any(load.jitter for load in everything)
+        if share > 1 or (share == 1 and once):  # what came once too often is never made up for
+            return None, 0, None
+        busy = _least(own.transmission, lambda t: self.blocking + _demand(everything, t))
+        instances = _times(busy + own.jitter, own.period)
+        response, w = 0, self.blocking
+        for q in range(instances):
+            w = _least(w, partial(self._sent_before, earlier=q))  # never below the last one's
+            response = max(response, own.jitter + w - q * own.period + own.transmission)
+        return busy, instances, response
+
+    def _sent_before(self, w: int, earlier: int) -> int:
+        """The right-hand side of w(q), `earlier` being q."""
+        disturbed = _demand(self.errors, w + self.own.transmission)
+        own = self.blocking + earlier * self.own.transmission
+        return disturbed + own + _demand(self.higher, w + self.bit)
+
+
+def _times(t: int, period: int) -> int:
+    """⌈t / period⌉."""
+    return -(-t // period)
+
+
+def _demand(loads: Sequence[_Load], t: int) -> int:
+    """What `loads` can queue in a window of length t, each with its jitter."""
+    return sum(_times(t + load.jitter, load.period) * load.transmission for load in loads)
+
+
+def _least(start: int, step: Callable[[int], int]) -> int:
+    """The least fixed point of a rising `step`, from a `start` that is not above it."""
+    t = start
+    while (longer := step(t)) > t:
+        t = longer
+    return t

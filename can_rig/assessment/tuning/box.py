@@ -1,0 +1,150 @@
+"""The cars that a tuning has to work with: the nominal one and the corners of a box around it.
+
+The design stays that of the nominal car; the plant goes to every vertex. A vertex need not be a car
+that one could design for (its G1 or G2 may have zeros in the right half plane), only a stable one.
+Vertices are no proof for the inside of the box; they are where this car's loop is worst, which a
+test confirms with cars drawn from the inside.
+"""
+
+from __future__ import annotations
+
+import dataclasses
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass
+from itertools import product
+from typing import Any
+
+from can_rig.errors import ScenarioError
+from can_rig.scenario.build import continuous_plant
+from can_rig.scenario.settings import PlantSettings
+from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD
+from firmware_model.analysis.sampled_loop import (
+    LinearController,
+    SampledLoop,
+    linear_controller,
+    sampled_loop,
+)
+from firmware_model.design.plants import Plant
+from firmware_model.design.vehicle import VehicleParameters
+from firmware_model.errors import DesignError
+from firmware_model.target.layout import Record
+
+Range = tuple[float, float]
+Law = tuple[LinearController, tuple[float, float]]  # and what is left of the actuators
+#: what differs from car to car and from day to day; the rest of Table 3.1 is known
+UNCERTAIN = (
+    "mass_kg",
+    "front_cornering_stiffness_n_per_rad",
+    "rear_cornering_stiffness_n_per_rad",
+    "speed_mps",
+)
+KEYS = tuple(field.name for field in dataclasses.fields(VehicleParameters))
+MOST_KEYS = 8  # 256 vertices
+MOST_DELAY_TICKS = 8  # extra delay up to which a margin is counted
+
+
+@dataclass(frozen=True)
+class Car:
+    """A stable plant, and in words how it differs from the nominal car."""
+
+    label: str
+    plant: Plant
+
+
+def ranges(nominal: PlantSettings, share: float, settings: Iterable[str] = ()) -> dict[str, Range]:
+    """The box: lowest and highest value of each parameter that is not known exactly.
+
+    Args:
+        nominal: the car in its middle.
+        share: by how much each of ``UNCERTAIN`` may be off, 0.2 for ±20 %; 0 for none.
+        settings: ``plant.KEY=LOW..HIGH``, of these or of other parameters.
+
+    Raises:
+        ScenarioError: a share outside 0..1, a setting that cannot be read, too many parameters.
+    """
+    if not 0.0 <= share < 1.0:
+        raise ScenarioError(f"--box {share:g}: 0 to below 1 is right, 0.2 for ±20 %")
+    box: dict[str, Range] = {}
+    if share > 0.0:
+        for key in UNCERTAIN:
+            value = getattr(nominal, key)
+            box[key] = (value * (1.0 - share), value * (1.0 + share))
+    for setting in settings:
+        key, _, text = setting.removeprefix("plant.").partition("=")
+        low, _, high = text.partition("..")
+        try:
+            box[key] = (float(low), float(high))
+        except ValueError:
+            box[key] = (1.0, 0.0)
+        if key not in KEYS or not box[key][0] <= box[key][1]:
+            raise ScenarioError(
+                f"--box-set {setting}: plant.KEY=LOW..HIGH is right, as in plant.speed_mps=8..12"
+            )
+    if len(box) > MOST_KEYS:
+        raise ScenarioError(f"box: {len(box)} parameters; at most {MOST_KEYS} are right")
+    return box
+
+
+def cars(nominal: PlantSettings, box: Mapping[str, Range]) -> list[Car]:
+    """The nominal car, then the 2^k vertices of ``box``.
+
+    Raises:
+        ScenarioError: one of them is not stable by itself, or is no car.
+    """
+    found = [Car("the nominal car", continuous_plant(nominal))]
+    for corner in product(*box.values()) if box else ():
+        values: dict[str, Any] = dict(zip(box, corner, strict=True))
+        label = ", ".join(f"{key} = {value:g}" for key, value in values.items())
+        try:
+            found.append(Car(label, continuous_plant(dataclasses.replace(nominal, **values))))
+        except (ScenarioError, DesignError, ValueError) as error:
+            raise ScenarioError(
+                f"box: {label}: {error}; a smaller --box, or --box-set, is right"
+            ) from None
+    return found
+
+
+def laws(table: Record) -> tuple[Law, Law]:
+    """What acts, and what is left of the actuators: healthy, and with the torque channel dead."""
+    return (
+        (linear_controller(table), HEALTHY),
+        (linear_controller(table, confirmed=1.0), TORQUE_DEAD),
+    )
+
+
+def loops(table: Record, car: Car, tick_s: float) -> list[SampledLoop]:
+    """The loop with ``car``, healthy and with the torque channel dead."""
+    return [sampled_loop(law, car.plant, tick_s, left) for law, left in laws(table)]
+
+
+def survives(table: Record, some: Iterable[Car], tick_s: float, spare_ticks: int) -> bool:
+    """Whether every one of ``some`` is stable, healthy and lost, with 0 to ``spare_ticks`` more.
+
+    A false alarm has to be stable too, without more ticks: a car that is not the nominal one gives
+    some d̂, and a table that compensates on confirmation then compensates a channel that works.
+    """
+    healthy, lost = laws(table)
+    needed = [(law, extra) for extra in range(spare_ticks, -1, -1) for law in (healthy, lost)]
+    if table.on_confirmation:
+        needed.append(((lost[0], HEALTHY), 0))
+    return all(_is_stable(law, car, tick_s, extra) for car in some for law, extra in needed)
+
+
+def delay_margin(table: Record, some: Iterable[Car], tick_s: float, known: int = -1) -> int:
+    """Extra ticks, up to ``MOST_DELAY_TICKS``, with each of which every car is stable.
+
+    Healthy and lost; -1 when one is unstable as it is. ``known``: so many are known to be survived.
+    """
+    margin, states = max(MOST_DELAY_TICKS, known), laws(table)
+    for car, law in product(some, states):
+        for extra in range(known + 1, margin + 1):
+            if not _is_stable(law, car, tick_s, extra):
+                margin = extra - 1
+                break
+    return margin
+
+
+def _is_stable(law: Law, car: Car, tick_s: float, extra_ticks: int) -> bool:
+    controller, left = law
+    loop = sampled_loop(controller, car.plant, tick_s, left, extra_ticks)
+    return loop.spectral_radius() < 1.0

@@ -1,0 +1,174 @@
+"""One candidate of ``can-rig tune``: its noise, and its answer to the loss of the torque."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from itertools import product
+
+import numpy as np
+
+from can_rig.assessment.tuning.box import Car, loops, survives
+from can_rig.errors import ScenarioError
+from can_rig.scenario.build import continuous_design, continuous_plant, target
+from can_rig.scenario.settings import DesignSettings, Scenario
+from firmware_model.analysis.margins import noise_gain
+from firmware_model.analysis.sampled_plant import sample
+from firmware_model.analysis.simulation import simulate
+from firmware_model.discretisation.sections import FloatArray
+from firmware_model.discretisation.tables import build
+from firmware_model.errors import DesignError
+from firmware_model.target.layout import Record
+
+Values = tuple[float, int, float, int]  # τ, α, τ_q, α_q
+
+E6 = (1.0, 1.5, 2.2, 3.3, 4.7, 6.8)  # preferred numbers, a factor of about 1.5 apart
+E12 = (1.0, 1.2, 1.5, 1.8, 2.2, 2.7, 3.3, 3.9, 4.7, 5.6, 6.8, 8.2)
+TAU_TICKS, TAU_Q_TICKS = (0.1, 20.0), (1.0, 100.0)  # smallest and largest tried, in ticks
+ORDERS, TRACKING_ORDERS = (1, 2), (2, 3, 4)
+
+BEFORE_S, AFTER_S = 3.0, 2.0  # of the loss; the slowest mode of F̂ decays with 3.5 rad/s
+NOISE_SIGMAS = 3.0  # of a command that have to fit below its limit
+AT_REST = 0.05  # of the step: largest error that counts as rest
+SETTLED = 0.5  # largest part of the peak in the last quarter of a transient that decays
+
+
+@dataclass(frozen=True)
+class Tuning:
+    """One candidate and what it achieves.
+
+    Attributes:
+        design: its keys, the rest of them the scenario's.
+        peak_mps2: largest deviation from the fault-free run after the loss.
+        unavoidable_mps2: the deviation before the first corrected sample, ½ g1 |u1| ((n+1) T)².
+        noise_to_torque: rms of the torque command for D* noise of rms 1 m/s², N m per m/s².
+        noise_to_force: the same of X_diff, N per m/s²; each in its worst state.
+        torque_peak_nm: of the whole run, the first step of the reference included.
+        torque_after_nm, force_after_n: largest commands from the loss on.
+        within_limits: those, with ``NOISE_SIGMAS`` of the noise, are below the limits.
+        delay_margin_ticks: over the whole box; None where it was not looked at.
+    """
+
+    design: DesignSettings
+    peak_mps2: float
+    unavoidable_mps2: float
+    noise_to_torque: float
+    noise_to_force: float
+    torque_peak_nm: float
+    torque_after_nm: float
+    force_after_n: float
+    within_limits: bool
+    delay_margin_ticks: int | None = None
+
+    @property
+    def peak_ratio(self) -> float:
+        """The peak in units of what no controller can avoid."""
+        return self.peak_mps2 / self.unavoidable_mps2
+
+
+def grid(tick_s: float) -> list[Values]:
+    """τ, α, τ_q, α_q of every candidate; round numbers between multiples of the tick."""
+    return [
+        (tau_s, alpha, tau_q_s, alpha_q)
+        for tau_s, tau_q_s, alpha, alpha_q in product(
+            _round_numbers(E6, *(n * tick_s for n in TAU_TICKS)),
+            _round_numbers(E12, *(n * tick_s for n in TAU_Q_TICKS)),
+            ORDERS,
+            TRACKING_ORDERS,
+        )
+    ]
+
+
+def with_tuning(scenario: Scenario, values: Values) -> Scenario:
+    """``scenario`` with these τ, α, τ_q, α_q."""
+    tau_s, alpha, tau_q_s, alpha_q = values
+    chosen = replace(scenario.design, tau_s=tau_s, alpha=alpha, tau_q_s=tau_q_s, alpha_q=alpha_q)
+    return replace(scenario, design=chosen)
+
+
+def assess(
+    scenario: Scenario,
+    values: Values,
+    cars: Iterable[Car],
+    spare_ticks: int,
+) -> Tuning | None:
+    """Steps 1 and 2 for one candidate; None if there is no such design or it is not stable."""
+    scenario, tick_s = with_tuning(scenario, values), scenario.tick_s
+    table = table_of(scenario)
+    cars = list(cars)
+    if table is None or not survives(table, cars, tick_s, spare_ticks):
+        return None
+    states = loops(table, cars[0], tick_s)
+    noise_1, noise_2 = (max(noise_gain(loop, answer) for loop in states) for answer in (0, 1))
+    if not math.isfinite(noise_1 + noise_2):
+        return None
+    return _lose_torque(scenario, table, (noise_1, noise_2))
+
+
+def _lose_torque(scenario: Scenario, table: Record, noise: tuple[float, float]) -> Tuning | None:
+    """The loss in a settled step; None for a transient that does not decay."""
+    tick_s, car = scenario.tick_s, continuous_plant(scenario.plant)
+    loss, step, left = held_step(scenario)
+    plant = sample(car, tick_s)
+    healthy = simulate(table, plant, step)
+    lost = simulate(table, plant, step, effectiveness=left)
+    deviation = np.abs(lost.measurement - healthy.measurement)[loss:]
+    peak = float(deviation.max())
+    if not (math.isfinite(peak) and deviation[-len(deviation) // 4 :].max() <= SETTLED * peak):
+        return None
+    delay_s = (scenario.latency_ticks + 1) * tick_s
+    torque, force = np.abs(lost.command_1), np.abs(lost.command_2)
+    torque_after, force_after = float(torque[loss:].max()), float(force[loss:].max())
+    tail = NOISE_SIGMAS * scenario.noise.dstar_rms_mps2
+    room_1 = table.limit_1 - tail * noise[0] - torque_after
+    room_2 = table.limit_2 - tail * noise[1] - force_after
+    return Tuning(
+        design=scenario.design,
+        peak_mps2=peak,
+        unavoidable_mps2=0.5 * abs(car.g1.gain * healthy.command_1[loss - 1]) * delay_s**2,
+        noise_to_torque=noise[0],
+        noise_to_force=noise[1],
+        torque_peak_nm=float(torque.max()),
+        torque_after_nm=torque_after,
+        force_after_n=force_after,
+        within_limits=bool(room_1 > 0.0 and room_2 > 0.0),
+    )
+
+
+def held_step(scenario: Scenario) -> tuple[int, FloatArray, FloatArray]:
+    """The tick of the loss, the reference (ticks,), what is left of the actuators (ticks, 2)."""
+    loss = round(BEFORE_S / scenario.tick_s)
+    ticks = loss + round(AFTER_S / scenario.tick_s)
+    left = np.ones((ticks, 2))
+    left[loss:, 0] = 0.0
+    return loss, np.full(ticks, scenario.reference.amplitude_mps2), left
+
+
+def settles(scenario: Scenario, table: Record, car: Car) -> bool:
+    """Whether D* of ``car`` comes to rest at the step, within its limits, before and after."""
+    loss, step, left = held_step(scenario)
+    run = simulate(table, sample(car.plant, scenario.tick_s), step, effectiveness=left)
+    error, last = np.abs(run.error), round(0.25 * AFTER_S / scenario.tick_s)
+    rest = max(error[loss - last : loss].max(), error[-last:].max())
+    return bool(rest <= AT_REST * abs(step[0]))
+
+
+def table_of(scenario: Scenario) -> Record | None:
+    """The controller's table without frames; None for a design that cannot be made.
+
+    It trusts the model: when a loss is told is a matter of the drive before it, how it is met of
+    the tuning. Cars that are not the model are then taken for lost, and have to bear that.
+    """
+    try:
+        place = replace(target(scenario, None), model_share=0.0)
+        return build(continuous_design(scenario), place)
+    except (DesignError, ScenarioError):
+        return None
+
+
+def _round_numbers(series: Iterable[float], low: float, high: float) -> list[float]:
+    """``series`` in every decade, within ``low``..``high``."""
+    decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
+    numbers = [float(f"{number}e{decade}") for decade in decades for number in series]
+    return [number for number in numbers if low * (1 - 1e-9) <= number <= high * (1 + 1e-9)]

@@ -1,0 +1,167 @@
+"""Open a CAN bus from a name such as ``local``, ``socketcan:vcan0`` or ``kvaser:0?bitrate=500000``.
+
+A name is ``interface[:channel][?key=value[&key=value ...]]`` with any interface that python-can
+knows and any argument of its bus class; values are cast as in python-can's configuration files.
+"""
+
+import difflib
+import errno
+import logging
+from collections.abc import Collection, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import can
+from can.interfaces import VALID_INTERFACES
+from can.util import cast_from_string
+
+from can_rig.errors import BusError, BusLostError
+
+_NETWORK = Path("/sys/class/net")
+_IFF_UP = 1
+_NO_CAN = {errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT}
+
+# Interfaces of python-can that need a package, with the extra that installs it.
+_EXTRAS = {
+    "canalystii": "canalystii",
+    "cantact": "cantact",
+    "gs_usb": "gs-usb",
+    "nixnet": "nixnet",
+    "robotell": "serial",
+    "seeedstudio": "seeedstudio",
+    "serial": "serial",
+    "slcan": "serial",
+    "udp_multicast": "multicast",
+}
+
+
+def open_bus(name: str, **kwargs: Any) -> can.BusABC:
+    """The open bus called ``name``; configuration files of python-can have no say.
+
+    :param name: ``local``, ``local:NAME``, ``local:/path``, ``socketcan:vcan0``, ``virtual:x``,
+        ``udp_multicast:239.74.163.2``, ``interface:channel?key=value&key=value``.
+    :param kwargs: arguments of the bus class, stronger than those in the name.
+    :raises BusError: the name is malformed, or there is no such interface, channel or package.
+    """
+    interface, channel, arguments = _parse(name)
+    if interface not in VALID_INTERFACES:
+        raise BusError(f"unknown bus interface {interface!r}; {_suggestion(interface)}")
+    if interface == "socketcan" and channel:
+        _check_is_up(str(channel))
+    try:
+        with _quiet():
+            return can.Bus(
+                channel=channel, interface=interface, ignore_config=True, **{**arguments, **kwargs}
+            )
+    except Exception as error:  # a backend raises what its driver's library raises
+        raise BusError(_explain(name, interface, channel, error)) from error
+
+
+@contextmanager
+def _quiet() -> Iterator[None]:
+    """Without python-can's own log records: what went wrong, the error says."""
+    logger = logging.getLogger("can")  # the loggers of its buses hand on to this one
+    propagate, logger.propagate = logger.propagate, False
+    nowhere = logging.NullHandler()
+    logger.addHandler(nowhere)  # without one, logging prints to standard error as a last resort
+    try:
+        yield
+    finally:
+        logger.removeHandler(nowhere)
+        logger.propagate = propagate
+
+
+def open_for_node(name: str, identifiers: Collection[int], overhear: bool) -> can.BusABC:
+    """The bus called ``name`` as a node of the rig wants it; ``open_bus`` where that is the same.
+
+    On SocketCAN what others send cannot crowd out the 11-bit ``identifiers`` that the node lives
+    on, and is heard only if the node is to ``overhear`` it; see ``NodeSocketcanBus``.
+
+    :raises BusError: as ``open_bus``.
+    """
+    if _parse(name)[0] != "socketcan":
+        return open_bus(name)
+    from can_rig.buses.socketcan import NodeSocketcanBus  # noqa: PLC0415 (Linux alone has it)
+
+    def opened(**kwargs: Any) -> can.BusABC:
+        return open_bus(name, **kwargs)
+
+    return NodeSocketcanBus(opened, identifiers, overhear)
+
+
+def in_one_process(name: str) -> bool:
+    """Whether the bus called ``name`` joins only what opens it within one process.
+
+    :raises BusError: the name is malformed.
+    """
+    return _parse(name)[0] == "virtual"
+
+
+def _parse(name: str) -> tuple[str, str | int | None, dict[str, Any]]:
+    address, _, query = name.partition("?")
+    interface, _, channel = address.partition(":")
+    arguments = {}
+    for item in filter(None, query.split("&")):
+        key, equals, value = item.partition("=")
+        if not (key.isidentifier() and equals):
+            raise BusError(f"bus {name!r}: {item!r} is not of the form key=value")
+        arguments[key] = cast_from_string(value)
+    return interface, int(channel) if channel.isdecimal() else channel or None, arguments
+
+
+def _suggestion(interface: str) -> str:
+    near = difflib.get_close_matches(interface, VALID_INTERFACES, cutoff=0.5)
+    if near:
+        return f"did you mean {' or '.join(near)}?"
+    return f"there are {', '.join(sorted(VALID_INTERFACES))}"
+
+
+def _check_is_up(channel: str) -> None:
+    # The kernel binds to an interface that is down; the first recv() would be the one to fail.
+    flags = _NETWORK / channel / "flags"
+    if flags.exists() and not int(flags.read_text(), 16) & _IFF_UP:
+        raise BusError(f"CAN interface {channel} is down: sudo ip link set up {channel}")
+
+
+def lost(bus: can.BusABC, error: can.CanError, for_s: float) -> BusLostError:
+    """What to raise when ``bus`` has refused with ``error`` for ``for_s``: one line, and a way."""
+    code = error.error_code or 0
+    channel = getattr(bus, "channel", "")
+    reasons = {
+        errno.ENETDOWN: f"the interface has been down for {for_s:g} s: "
+        f"sudo ip link set up {channel}",
+        errno.ENODEV: f"the interface is gone: {_recipe(channel)}",
+        errno.ENXIO: f"the interface is gone: {_recipe(channel)}",
+        errno.ENOBUFS: f"the transmit queue has been full for {for_s:g} s; is there a node that "
+        f"acknowledges? a longer queue: sudo ip link set {channel} txqueuelen 1000",
+    }
+    return BusLostError(f"{bus.channel_info}: {reasons.get(code) or one_line(error)}")
+
+
+def one_line(error: Exception) -> str:
+    """What ``error`` says, on one line."""
+    return " ".join(str(error).split()) or type(error).__name__
+
+
+def _recipe(channel: object) -> str:
+    return (
+        f"sudo modprobe vcan; sudo ip link add dev {channel} type vcan; "
+        f"sudo ip link set up {channel}"
+    )
+
+
+def _explain(name: str, interface: str, channel: object, error: Exception) -> str:
+    """What the user can do about it, in one line."""
+    if interface == "socketcan" and isinstance(error, OSError):
+        if error.errno in _NO_CAN:
+            return (
+                f"bus {name!r}: this kernel has no CAN support; the bus 'local' needs none, "
+                "and tools/vcan_guest runs a command in a kernel that has it"
+            )
+        if error.errno == errno.ENODEV:
+            return f"no such CAN interface {channel}: {_recipe(channel)}"
+    reason = one_line(error)
+    if isinstance(error, can.CanInterfaceNotImplementedError) and interface in _EXTRAS:
+        reason += f": pip install 'python-can[{_EXTRAS[interface]}]'"
+    return f"cannot open bus {name!r}: {reason}"

@@ -1,0 +1,50 @@
+"""Files that are there whole or not at all, and replace nothing unasked."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from can_rig.errors import LogError
+
+
+def refuse_existing(path: Path, force: bool, option: str) -> None:
+    """Refuse an output that is there, unless it may be replaced.
+
+    Raises:
+        LogError: the reason; ``option`` is the one that named it.
+    """
+    if path.exists() and not force:
+        raise LogError(
+            f"{path}: there already; another {option}, or --force to replace it, is right"
+        )
+
+
+@contextmanager
+def atomic(path: Path) -> Iterator[Path]:
+    """Where to write what becomes ``path`` when the context is left without an error.
+
+    Raises:
+        LogError: the operating system does not let it be written.
+    """
+    part = path.with_name(f".part-{path.name}")
+    try:
+        path.parent.mkdir(parents=True, exist_ok=True)
+        yield part
+        _remove(path)
+        part.rename(path)
+    except OSError as error:
+        reason = error.strerror or " ".join(str(error).split())
+        raise LogError(f"{path}: cannot be written: {reason}") from None
+    finally:
+        with suppress(OSError):  # a read-only file system refuses this too; the reason is known
+            _remove(part)
+
+
+def _remove(path: Path) -> None:
+    if path.is_dir():
+        shutil.rmtree(path)
+    else:
+        path.unlink(missing_ok=True)

@@ -1,0 +1,142 @@
+"""The layout that every frame of the rig has, and the check of a DBC against it.
+
+| bytes | content                                                                              |
+|-------|--------------------------------------------------------------------------------------|
+| 0     | `Checksum`, CRC-8 of AUTOSAR E2E profile 1                                           |
+| 1     | low nibble `AliveCounter`; high nibble `Mode` and `FaultState` in the status frame   |
+| 2, 3  | `Tick`, unsigned                                                                     |
+| 4..7  | the value, signed, scaled                                                            |
+
+Intel byte order, classic frames with 11-bit identifiers. The check runs once, where the DBC is
+loaded, so that the loop can pack and unpack a whole frame with one `Struct`.
+"""
+
+from struct import Struct
+from typing import Final
+
+from cantools.database.can import Message, Signal
+
+from can_rig.errors import DbcError
+from can_rig.frames.protection import FRAME_BYTES
+
+FRAME: Final = Struct("<BBHi")
+"""Checksum; counter and status bits; tick; raw value."""
+
+NOT_AVAILABLE: Final = -(2**31)
+"""Raw value of a signal that has no value: the one that has no positive counterpart."""
+
+ROLES: Final = ("reference", "feedback", "command_1", "command_2", "status")
+"""The frames of a tick, in their order on the bus."""
+
+_HEADER: Final = {"Checksum": (0, 8), "AliveCounter": (8, 4), "Tick": (16, 16)}  # start, length
+_STATUS: Final = ("Mode", "FaultState")
+_STATUS_STARTS: Final = (12, 14)  # two bits each, in either order
+_VALUE: Final = (32, 32)
+_GRID_TOLERANCE: Final = 1e-3  # of an LSB; float64 resolves 5e-7 of one at the end of 32 bits
+
+
+def attribute(message: Message, name: str) -> int | str | None:
+    """A message's own attribute, an ENUM as its word; None where the DBC sets none."""
+    found = message.dbc.attributes.get(name) if message.dbc else None
+    if found is None or isinstance(found.value, float):
+        return None
+    choices = found.definition.choices
+    if choices and isinstance(found.value, int):
+        return str(choices[found.value]) if found.value in range(len(choices)) else None
+    return found.value
+
+
+def value_signal(message: Message) -> Signal:
+    """The scaled signal of a message that `require_layout` has passed."""
+    return next(signal for signal in message.signals if signal.start == _VALUE[0])
+
+
+def require_layout(message: Message, role: str, where: str) -> None:
+    """Check that `message` is laid out as the frame of `role`.
+
+    Raises:
+        DbcError: it is not; `where` (file and message) begins the reason.
+    """
+    if message.is_extended_frame or message.is_fd or message.length != FRAME_BYTES:
+        kind = (
+            "n extended" if message.is_extended_frame else "n FD" if message.is_fd else " classic"
+        )
+        raise DbcError(
+            f"{where}: a{kind} frame of {message.length} bytes; "
+            f"it must be a classic one of {FRAME_BYTES}, with an 11-bit identifier"
+        )
+    if len(message.senders) != 1:
+        raise DbcError(f"{where}: {len(message.senders)} senders; it must have one")
+    signals = {signal.name: signal for signal in message.signals}
+    for name, place in _HEADER.items():
+        _require_plain(signals.pop(name, None), name, place, where)
+    if role == "status":
+        _require_status(signals, where)
+    if len(signals) != 1:
+        raise DbcError(
+            f"{where}: signals {sorted(signals)} beside those of the header; "
+            f"there must be one, the value, at bit {_VALUE[0]}"
+        )
+    _require_value(signals.popitem()[1], where)
+
+
+def _require_plain(signal: Signal | None, name: str, place: tuple[int, int], where: str) -> None:
+    """An unsigned, unscaled signal at its place."""
+    wanted = f"it must be unsigned Intel, {place[1]} bits at bit {place[0]}, factor 1, offset 0"
+    if signal is None:
+        raise DbcError(f"{where}: no signal {name}; {wanted}")
+    if (
+        (signal.start, signal.length) != place
+        or signal.is_signed
+        or signal.byte_order != "little_endian"
+        or (signal.scale, signal.offset) != (1, 0)
+    ):
+        raise DbcError(f"{where}: signal {name} is {_describe(signal)}; {wanted}")
+
+
+def _require_status(signals: dict[str, Signal], where: str) -> None:
+    """Mode and FaultState share the high nibble of byte 1; removes them from `signals`."""
+    starts = []
+    for name in _STATUS:
+        signal = signals.pop(name, None)
+        start = signal.start if signal and signal.start in _STATUS_STARTS else _STATUS_STARTS[0]
+        _require_plain(signal, name, (start, 2), where)
+        if signal is None or set(signal.choices or ()) != set(range(4)):
+            raise DbcError(f"{where}: signal {name} must have a value table of 0, 1, 2 and 3")
+        starts.append(start)
+    if len(set(starts)) != len(starts):
+        raise DbcError(f"{where}: Mode and FaultState overlap; they must be at bits 12 and 14")
+
+
+def _require_value(signal: Signal, where: str) -> None:
+    """The scaled signal: places, no offset, and a range whose ends are on the raw grid."""
+    if (
+        (signal.start, signal.length) != _VALUE
+        or not signal.is_signed
+        or signal.is_float
+        or signal.byte_order != "little_endian"
+        or signal.offset != 0
+        or not signal.scale > 0
+    ):
+        raise DbcError(
+            f"{where}: signal {signal.name} is {_describe(signal)}; it must be signed Intel, "
+            f"{_VALUE[1]} bits at bit {_VALUE[0]}, factor above 0, offset 0"
+        )
+    low, high = signal.minimum, signal.maximum
+    if low is None or high is None or not low < 0 < high:
+        raise DbcError(f"{where}: signal {signal.name} has range {low}..{high}; it must include 0")
+    for end in (low / signal.scale, high / signal.scale):
+        if abs(end - round(end)) > _GRID_TOLERANCE or abs(round(end)) >= -NOT_AVAILABLE:
+            raise DbcError(
+                f"{where}: signal {signal.name} has range {low}..{high}; its ends must be "
+                f"multiples of {signal.scale}, at most {-NOT_AVAILABLE - 1} of them from 0"
+            )
+
+
+def _describe(signal: Signal) -> str:
+    sign = "a float" if signal.is_float else "signed" if signal.is_signed else "unsigned"
+    order = "Intel" if signal.byte_order == "little_endian" else "Motorola"
+    return (
+        f"{sign} {order}, {signal.length} bits at bit {signal.start}, "
+        f"factor {signal.scale}, offset {signal.offset}"
+    )

@@ -1,0 +1,202 @@
+"""The plant node in real time: it owns the wall clock, and what comes too late was not sent.
+
+At deadline k the node latches what has arrived, sends the reference and D* of tick k, and then, in
+the slack, computes D* of tick k + 1 and packs its frames, receives, and records.
+
+**Latency.** The way over the real bus and the time that the controller takes are the latency: a
+command computed from the sample of tick k acts from deadline k + ``latency_ticks`` on, however
+early it comes, and counts as lost when it is not there by then (logical execution time: Henzinger,
+Horowitz, Kirsch, "Giotto", Proc. IEEE 91 (2003) 84). The actuator then does what it does without
+a command. So a run in which nothing is late is the lockstep run, command for command, and
+what a late frame does is what a lost one does there. A latency of zero is refused: it would have
+commands act before they are computed.
+
+**Missed deadlines.** A node that wakes up to ``CATCH_UP_TICKS`` late runs the missed ticks at once,
+one after the other; deadlines stay where they were. After a longer sleep (SIGSTOP, a debugger)
+those ticks are skipped: the car drives through them without commands, nothing of them is
+sent, and they are counted. Time on the bus is wall-clock time, always.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import can
+
+from can_rig.errors import SilentNodeError
+from can_rig.frames.messages import Network
+from can_rig.nodes.lockstep import Interrupted, Watchdog
+from can_rig.nodes.plant_node import NOT_OURS, PlantNode
+from can_rig.nodes.realtime.deadlines import CATCH_UP_TICKS, Clock, Schedule, Timing, require_causal
+from can_rig.nodes.recorder import RealTimeRecorder
+from can_rig.scenario.settings import Scenario
+
+GUARD_NS = 100_000  # before a deadline the node sleeps: waking from a bus is less exact
+MOST_AT_ONCE = 100  # frames taken in at a deadline, however many a third node floods the bus with
+
+
+class RealTimePlantNode(PlantNode):
+    """Sends reference and feedback at each deadline, applies the commands that are in time.
+
+    Args:
+        scenario: the run.
+        network: its frames.
+        bus: where to send and receive.
+        recorder: gets every frame sent or seen; None records nothing.
+        clock: the time.
+
+    Raises:
+        ScenarioError: a latency of zero, a reference that does not fit its frame.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        network: Network,
+        bus: can.BusABC,
+        recorder: RealTimeRecorder | None,
+        clock: Clock,
+    ) -> None:
+        require_causal(scenario)
+        # Commands wait in _inbox until their tick, so the simulated bus has nothing to delay.
+        super().__init__(replace(scenario, latency_ticks=0), network, bus, recorder)
+        self.timing = Timing(scenario.tick_ns)
+        self._log = recorder
+        self._clock = clock
+        self._latency_ticks = scenario.latency_ticks
+        self._inbox: list[list[float | None]] = [[None, None] for _ in range(self._latency_ticks)]
+        self._acting: list[float | None] = [None, None]
+        self._sent_ns = [0] * self._latency_ticks
+        self._schedule = Schedule(clock.now_ns(), scenario.tick_ns)
+        self._guard_ns = min(GUARD_NS, scenario.tick_ns // 4)
+        self._answered = False  # the status of tick 0 has come
+        self._heard_ns = 0
+
+    def run(self, watchdog: Watchdog, on_tick: Callable[[int], None]) -> int:
+        """Run to the end or to a stop request; the number of ticks completed.
+
+        The clock starts when the controller node has answered tick 0, which is offered until then.
+
+        Raises:
+            SilentNodeError: no controller node came, or it is silent for longer than allowed.
+        """
+        try:
+            self._meet(watchdog)
+        except Interrupted:
+            return 0
+        tick = 0
+        self._schedule = Schedule(self._clock.now_ns(), self._schedule.tick_ns)
+        self._heard_ns = self._schedule.start_ns
+        self._follow(tick)
+        while True:
+            deadline_ns = self._schedule.deadline_ns(tick + 1)
+            self._receive_until(deadline_ns - self._guard_ns, tick)
+            self._clock.sleep_until(deadline_ns)
+            now_ns = self._clock.now_ns()
+            self._take_in(tick)
+            if watchdog.stop.wanted or tick + 1 == self.ticks:
+                return tick + 1
+            due, tick = tick + 1, self._skip(tick + 1, now_ns)
+            if self._log is not None:
+                self._log.at(now_ns - self._schedule.start_ns)
+            self._send_sample()  # right after the last look at the bus: its time tells who was late
+            self.timing.woke(due, now_ns - deadline_ns)
+            self.timing.skipped(tick - due)
+            self._latch(tick)
+            self._sent_ns[tick % self._latency_ticks] = now_ns
+            self._follow(tick)
+            self._watch(tick, now_ns, watchdog)
+            on_tick(tick)
+
+    def realtime(self) -> dict[str, Any]:
+        """How the deadlines were met, and how many commands came too late."""
+        commands = [receiver.rejected for receiver in self._commands]
+        late = sum(counts.get("wrong_tick", 0) for counts in commands)
+        return {**self.timing.as_dict(), "late_frames": late}
+
+    def _meet(self, watchdog: Watchdog) -> None:
+        self.offer(0)
+        while not self._answered:
+            self._hear(watchdog.receive(0), 0)
+            watchdog.go_on_waiting(0)
+        watchdog.hear()
+
+    def _receive_until(self, end_ns: int, tick: int) -> None:
+        while (left_ns := end_ns - self._clock.now_ns()) > 0:
+            message = self._bus.recv(left_ns * 1e-9)
+            if message is not None:
+                self._hear(message, tick)
+
+    def _take_in(self, tick: int) -> None:
+        """What came while the node slept."""
+        for _ in range(MOST_AT_ONCE):
+            message = self._bus.recv(0)
+            if message is None:
+                return
+            self._hear(message, tick)
+
+    def _hear(self, message: can.Message, tick: int) -> None:
+        """Take in a frame while ``tick`` is under way."""
+        now_ns = self._clock.now_ns()
+        if self._log is not None:
+            if self._answered:
+                self._log.at(now_ns - self._schedule.start_ns)
+            self._log.record(message, sent=False)
+        index, receiver = self._by_id.get(message.arbitration_id, NOT_OURS)
+        if receiver is None:
+            return
+        age = (tick - int.from_bytes(message.data[2:4], "little")) & 0xFFFF
+        in_time = age < self._latency_ticks
+        record = receiver.accept(message, tick - age if in_time else tick)
+        if record is None:
+            return
+        slot = (tick - age) % self._latency_ticks
+        if index < len(self._commands):
+            if math.isfinite(record.value):
+                self._inbox[slot][index] = record.value
+            return
+        self._heard_ns = now_ns
+        if self._answered:
+            self.timing.answer.add(now_ns - self._sent_ns[slot])
+        self._answered = True
+
+    def _skip(self, tick: int, now_ns: int) -> int:
+        """The tick to go on with: ``tick``, or after a long sleep the newest one that is due."""
+        newest = min(self._schedule.newest(now_ns), self.ticks - 1)  # the last one ends the run
+        if newest - tick <= CATCH_UP_TICKS:
+            return tick
+        for skipped in range(tick, newest):
+            if skipped > tick:
+                self._plant.measure()  # noise belongs to its tick
+            self._latch(skipped)
+            self._plant.advance(skipped, *self._acting)
+        self._sample(newest)
+        return newest
+
+    def _latch(self, tick: int) -> None:
+        """Close the inbox: commands of ``latency_ticks`` ago act from here on."""
+        slot = tick % self._latency_ticks
+        self._acting = self._inbox[slot]
+        self._inbox[slot] = [None, None]
+        if None in self._acting and tick >= self._latency_ticks:
+            self.timing.unanswered_ticks += 1
+        for _, receiver in self._by_id.values():
+            if receiver is not None:
+                receiver.end_tick()
+
+    def _follow(self, tick: int) -> None:
+        """In the slack: D* of the next tick, its frames, and the log."""
+        self._plant.advance(tick, *self._acting)
+        if tick + 1 < self.ticks:
+            self._sample(tick + 1)
+        if self._log is not None:
+            self._log.hand_over()
+
+    def _watch(self, tick: int, now_ns: int, watchdog: Watchdog) -> None:
+        if now_ns - self._heard_ns > watchdog.silence_s * 1e9:
+            raise SilentNodeError(
+                f"no frame from the controller node for {watchdog.silence_s:g} s at tick {tick}"
+            )

@@ -1,0 +1,167 @@
+"""How a controller that starts while the car drives takes over without a bump.
+
+A controller that was started again, or slept for long, finds a car whose actuators have dropped to
+zero, a reference that may be far from D*, and memories that fit neither. Started from rest, C would
+answer that error with a raw step, and what is left of the car's motion would look to F1 like a lost
+channel. So it
+
+1. listens for ``LISTEN_S`` and sends no command. Nothing drives the car meanwhile, so D* is the
+   free response of F1's own model of the car. Of all states that explain what was heard the one of
+   least energy is taken (least squares, regularised in the norm of the observability Gramian by
+   the noise that is to be expected), and F1 starts from it: d̂ starts at zero.
+2. starts C at rest, which is what acts, and follows in place of the reference r
+
+       r' = w r + (1 - w) y_free,    w = s³(10 - 15 s + 6 s²),  s = t / RETURN_S
+
+   The error starts at zero, with zero slope and curvature, so the torque starts smoothly at zero;
+   w is the polynomial of least jerk (Flash and Hogan, J. Neurosci. 5 (1985) 1688). Then r' = r.
+
+A motor that died before the outage still is dead afterwards: d̂ then shows it within a few ticks, at
+the first small torques, and X_diff takes over as after any loss.
+
+Actuators that hold a command for longer than half of the listening may still act by its end. What
+they do is not known then, so the loop is put where D* would have settled.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+import numpy as np
+from scipy.linalg import solve_discrete_lyapunov
+
+from can_rig.scenario.settings import Scenario
+from firmware_model.discretisation.sections import FloatArray
+from firmware_model.firmware import Firmware
+from firmware_model.target.biquad import advance
+from firmware_model.target.layout import Record
+
+LISTEN_S: Final = 0.05
+RETURN_S: Final = 0.4  # X_diff then keeps below 4000 N for 1 m/s², should the motor be dead
+FEWEST_SAMPLES: Final = 10  # of the free response, however long a tick is
+
+
+class TakeOver:
+    """One take-over, from the first sample that is heard to the last with r' in place of r.
+
+    Args:
+        scenario: what the actuators hold, what noise D* has.
+        table: the controller's.
+        lsb: of D* on the wire, m/s².
+    """
+
+    def __init__(self, scenario: Scenario, table: Record, lsb: float) -> None:
+        held = round(scenario.actuator.hold_s / scenario.tick_s) + scenario.latency_ticks
+        self._listen_ticks = max(round(LISTEN_S / scenario.tick_s), FEWEST_SAMPLES)
+        self._held_ticks = held if held <= self._listen_ticks // 2 else None
+        self._return_ticks = max(round(RETURN_S / scenario.tick_s), 1)
+        self._variance = scenario.noise.dstar_rms_mps2**2 + lsb**2 / 12.0
+        self._motion = FreeMotion(table)
+        self._heard: list[float] = []
+        self._level = 0.0
+        self._since = 0
+
+    @property
+    def listens(self) -> bool:
+        """Whether no command may be sent yet."""
+        return len(self._heard) < self._listen_ticks
+
+    @property
+    def done(self) -> bool:
+        """Whether r' is r from the next tick on."""
+        return self._since > self._return_ticks
+
+    @property
+    def heard_enough(self) -> bool:
+        """Whether at most half of what was listened to is missing."""
+        return sum(map(math.isfinite, self._heard)) * 2 >= self._listen_ticks
+
+    def hear(self, measurement: float) -> None:
+        """Take in D* of a tick without commands."""
+        self._heard.append(measurement)
+
+    def start(self, firmware: Firmware) -> None:
+        """Put ``firmware`` where the ticks that were heard have left the car."""
+        if self._held_ticks is None:
+            finite = [y for y in self._heard if math.isfinite(y)]
+            self._level = finite[-1] if finite else 0.0
+        else:
+            free = np.array(self._heard[self._held_ticks :])
+            self._motion.explain(free, self._variance)
+        firmware.reset(self._level)
+        firmware.move(self._motion.sections)
+        now, next_ = self._motion.ahead()
+        firmware.follow(self._level + now - (next_ - now), next_ - now)
+
+    def miss(self) -> None:
+        """Let a tick pass without a command: the car moves on, r' comes no nearer to r."""
+        self._motion.advance()
+
+    def reference(self, reference: float) -> float:
+        """r' of the next tick: from where D* goes by itself to the ``reference``."""
+        s = min(self._since / self._return_ticks, 1.0)
+        w = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
+        self._since += 1
+        return w * reference + (1.0 - w) * (self._level + self._motion.advance())
+
+
+class FreeMotion:
+    """What D* does by itself, in the states of F1's first model.
+
+    x⁺ = Φx, y = cx over those states of the sections that their input reaches: the second one of a
+    first-order section is none.
+    """
+
+    def __init__(self, table: Record) -> None:
+        coefficients, n = table.estimator_1, int(table.estimator_1_n)
+        self.sections: FloatArray = np.zeros((len(coefficients), 2))
+        self._index = [
+            (i, j) for i in range(n) for j in (0, 1) if j == 0 or coefficients[i, 2:5:2].any()
+        ]
+        order = len(self._index)
+        self._phi, self._c = np.zeros((order, order)), np.zeros(order)
+        for column, at in enumerate(self._index):
+            unit = np.zeros_like(self.sections)
+            unit[at] = 1.0
+            self._c[column] = advance(coefficients, unit, n, 0.0)
+            self._phi[:, column] = [unit[i] for i in self._index]
+        gramian = solve_discrete_lyapunov(self._phi.T, np.outer(self._c, self._c))
+        values, vectors = np.linalg.eigh(gramian)
+        self._root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T  # W = rootᵀ root
+        self._x = np.zeros(order)
+
+    def explain(self, heard: FloatArray, variance: float) -> None:
+        """Go to the state after ``heard``, shape (ticks,): D* of successive ticks, nan for none.
+
+        Of the states x that it may have started from, the one that minimises
+        Σ(y - cΦᵏx)² + λ xᵀWx, with xᵀWx the energy of all that follows and λ from the ``variance``
+        of a sample and the energy that was heard.
+        """
+        rows = [self._c]
+        while len(rows) < len(heard):
+            rows.append(rows[-1] @ self._phi)
+        there = np.isfinite(heard)
+        energy = float(heard[there] @ heard[there])
+        if energy == 0.0:
+            return
+        weight = math.sqrt(variance * len(self._x) / energy)
+        x, *_ = np.linalg.lstsq(
+            np.vstack([np.array(rows)[there], weight * self._root]),
+            np.concatenate([heard[there], np.zeros(len(self._x))]),
+        )
+        for _ in heard:
+            x = self._phi @ x
+        self._x = x
+        for at, value in zip(self._index, x, strict=True):
+            self.sections[at] = value
+
+    def ahead(self) -> tuple[float, float]:
+        """D* of this tick and of the next."""
+        return float(self._c @ self._x), float(self._c @ self._phi @ self._x)
+
+    def advance(self) -> float:
+        """D* of this tick, without anything that drives it."""
+        y = float(self._c @ self._x)
+        self._x = self._phi @ self._x
+        return y

@@ -1,0 +1,166 @@
+"""A car that the design has not seen: nonlinear tires, nonlinear angles, the thesis's parameters.
+
+A single-track car at constant speed V, steered by a motor torque on a free steering column. With
+the slip angle β, the yaw rate γ, the steer angle δ, Yf and Yr the lateral forces of a whole axle:
+
+    V (β̇ + γ) = (Yf cos(δ - β) + Yr cos β)/m          what turns the course; (3.2)
+    J γ̇       = l_f Yf cos δ - l_r Yr + d_r/2 X_diff            (3.3)
+    J_s δ̈     = T - C_s δ̇ - ξ Yf                                (3.4)
+    D*        = d V (β̇ + γ) + (1 - d) V γ                       (3.8)
+
+(3.1) drops out: a force along the course holds the speed. Small angles and stiff tires turn these
+into (3.9)-(3.15), the ``physics`` car. What it leaves out: load transfer, relaxation lengths, the
+pneumatic trail's own change, steering stops and drive force beyond X_diff.
+
+Tires are Fiala's brush (Pacejka, "Tire and Vehicle Dynamics", 3.2): bristles of a parabolic
+contact stick until friction μ F_z is reached, from the trailing edge on.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+from numba import njit
+
+from can_rig.scenario.settings import PlantSettings
+from firmware_model.design.vehicle import vehicle_state_space
+
+GRAVITY_MPS2 = 9.81
+LONGEST_STEP_S = 1e-3
+STEP_OF_FASTEST_MODE = 0.1
+
+
+class Car(NamedTuple):
+    """What the equations need, in their symbols; both tires of an axle taken together."""
+
+    m: float  # kg
+    j: float  # kg m²
+    lf: float  # m
+    lr: float  # m
+    half_track: float  # m
+    js: float  # kg m²
+    cs: float  # N m s/rad
+    trail: float  # m
+    v: float  # m/s
+    d: float
+    stiffness_f: float  # N/rad, the slope at zero slip
+    stiffness_r: float  # N/rad
+    grip_f: float  # N, μ times the static load of the axle
+    grip_r: float  # N
+
+
+def car_of(settings: PlantSettings) -> Car:
+    """Table 3.1's parameters; K_f and K_r of (3.5), (3.6) are those of one tire."""
+    lf, lr = settings.front_axle_distance_m, settings.rear_axle_distance_m
+    grip = settings.friction * settings.mass_kg * GRAVITY_MPS2
+    return Car(
+        m=settings.mass_kg,
+        j=settings.yaw_inertia_kgm2,
+        lf=lf,
+        lr=lr,
+        half_track=settings.rear_track_m / 2,
+        js=settings.steering_inertia_kgm2,
+        cs=settings.steering_damping_nms_per_rad,
+        trail=settings.trail_m,
+        v=settings.speed_mps,
+        d=settings.lateral_weight,
+        stiffness_f=2 * settings.front_cornering_stiffness_n_per_rad,
+        stiffness_r=2 * settings.rear_cornering_stiffness_n_per_rad,
+        grip_f=grip * lr / (lf + lr),
+        grip_r=grip * lf / (lf + lr),
+    )
+
+
+class NonlinearCar:
+    """``plant.kind = "can_rig.plant.nonlinear_car:NonlinearCar"``; see ``plant_protocol``.
+
+    Runge and Kutta's fourth order in equal steps of at most 1 ms, and of at most a tenth of the
+    linear car's fastest time constant: an error of 0.1⁵/120 ≈ 1e-7 of a mode a step at worst. At
+    10 m/s the fastest mode is 16 rad/s and it is 1e-11.
+    """
+
+    def __init__(self, settings: PlantSettings) -> None:
+        self._car = car_of(settings)
+        fastest = float(np.abs(np.linalg.eigvals(vehicle_state_space(settings)[0])).max())
+        self._step_s = min(LONGEST_STEP_S, STEP_OF_FASTEST_MODE / fastest)
+        self._state = np.zeros(4)
+
+    @property
+    def state(self) -> tuple[float, float, float, float]:
+        """β [rad], γ [rad/s], δ̇ [rad/s], δ [rad], in the order of (3.10)."""
+        beta, yaw_rate, steer_rate, steer = self._state.tolist()
+        return beta, yaw_rate, steer_rate, steer
+
+    def reset(self) -> None:
+        """Straight ahead."""
+        self._state[:] = 0.0
+
+    def advance(self, dt_s: float, torque_nm: float, force_difference_n: float) -> float:
+        """D* [m/s²] ``dt_s`` seconds later, both commands [N m], [N] held until then."""
+        steps = max(1, math.ceil(dt_s / self._step_s - 1e-9))
+        return float(
+            _advance(self._car, self._state, dt_s / steps, steps, torque_nm, force_difference_n)
+        )
+
+
+@njit(cache=True)
+def brush(stiffness: float, grip: float, along: float, across: float) -> float:
+    """Lateral force [N] of an axle whose wheels roll at ``along`` and slide at ``across`` [m/s].
+
+    With t = -across/|along| = tan α, C the stiffness and G the grip:
+
+        Y = Ct - C²|t|t/(3G) + C³t³/(27G²)  while |t| < 3G/C,  then G, against the sliding.
+    """
+    if stiffness * abs(across) >= 3.0 * grip * abs(along):
+        return -math.copysign(grip, across)
+    part = -stiffness * across / (3.0 * grip * abs(along))  # of the slip at which all slides
+    return 3.0 * grip * part * (1.0 - abs(part) + part * part / 3.0)
+
+
+@njit(cache=True)
+def _rates(car: Any, state: Any, torque: float, force_difference: float) -> Any:
+    """β̇, γ̇, δ̈, δ̇, and D* as the fifth.
+
+    The rear wheels push with ±X_diff/2. What they push they cannot hold sideways: on the friction
+    circle of a wheel √((μ F_z)² - (X_diff/2)²) is left, and no wheel pushes more than μ F_z.
+    """
+    beta, yaw_rate, steer_rate, steer = state[0], state[1], state[2], state[3]
+    push = min(max(force_difference, -car.grip_r), car.grip_r)
+    grip_r = math.sqrt(car.grip_r**2 - push**2)
+
+    along = car.v * math.cos(beta)  # of the body, at either axle
+    across_f = car.v * math.sin(beta) + car.lf * yaw_rate
+    across_r = car.v * math.sin(beta) - car.lr * yaw_rate
+    wheel_along = along * math.cos(steer) + across_f * math.sin(steer)
+    wheel_across = across_f * math.cos(steer) - along * math.sin(steer)
+    force_f = brush(car.stiffness_f, car.grip_f, wheel_along, wheel_across)
+    force_r = brush(car.stiffness_r, grip_r, along, across_r)
+
+    acceleration = (force_f * math.cos(steer - beta) + force_r * math.cos(beta)) / car.m
+    yaw_moment = car.lf * force_f * math.cos(steer) - car.lr * force_r + car.half_track * push
+    column_moment = torque - car.cs * steer_rate - car.trail * force_f
+    return np.array(
+        [
+            acceleration / car.v - yaw_rate,
+            yaw_moment / car.j,
+            column_moment / car.js,
+            steer_rate,
+            car.d * acceleration + (1.0 - car.d) * car.v * yaw_rate,
+        ]
+    )
+
+
+@njit(cache=True)
+def _advance(
+    car: Any, state: Any, step_s: float, steps: int, torque: float, force_difference: float
+) -> float:
+    """``steps`` classical Runge-Kutta steps, the state in place; D* at their end."""
+    for _ in range(steps):
+        k1 = _rates(car, state, torque, force_difference)[:4]
+        k2 = _rates(car, state + step_s / 2.0 * k1, torque, force_difference)[:4]
+        k3 = _rates(car, state + step_s / 2.0 * k2, torque, force_difference)[:4]
+        k4 = _rates(car, state + step_s * k3, torque, force_difference)[:4]
+        state += step_s / 6.0 * (k1 + 2.0 * k2 + 2.0 * k3 + k4)
+    return float(_rates(car, state, torque, force_difference)[4])

@@ -1,0 +1,204 @@
+"""Anybody's plant: what a class must have to be simulated, and how one is found and checked.
+
+``plant.kind = "package.module:Class"`` names it. A module in the current directory is found too, so
+``mycar.py`` beside a scenario is a plant:
+
+    class Lag:                                     # plant.kind = "mycar:Lag"
+        def __init__(self, settings):              # can_rig.scenario.settings.PlantSettings
+            self.reset()
+
+        def reset(self):
+            self.dstar_mps2 = 0.0
+
+        def advance(self, dt_s, torque_nm, force_difference_n):
+            target_mps2 = 0.02 * torque_nm + 3e-4 * force_difference_n
+            self.dstar_mps2 += (target_mps2 - self.dstar_mps2) * min(1.0, dt_s / 0.1)
+            return self.dstar_mps2
+"""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import math
+import sys
+from collections.abc import Callable
+from numbers import Real
+from pathlib import Path
+from typing import Protocol, TypeVar, runtime_checkable
+
+from can_rig.errors import RigError, ScenarioError
+from can_rig.scenario.settings import PlantSettings
+
+METHODS = {
+    "reset": "reset()",
+    "advance": "advance(dt_s, torque_nm, force_difference_n) -> dstar_mps2",
+}
+TRIAL_S = 0.001
+Answer = TypeVar("Answer")
+
+
+@runtime_checkable
+class PlantProtocol(Protocol):
+    """A car between two ticks, constructed as ``Class(settings)`` and then at rest.
+
+    It knows neither bus nor clock nor fault: commands arrive late, limited, rounded and reduced by
+    what is left of the actuators. The controller starts from rest, so at rest D* is 0.
+    """
+
+    def reset(self) -> None:
+        """Back to rest: straight ahead, D* = 0."""
+
+    def advance(self, dt_s: float, torque_nm: float, force_difference_n: float) -> float:
+        """D* [m/s²] ``dt_s`` seconds later, both commands held until then.
+
+        ``torque_nm`` is the steering motor's torque T, ``force_difference_n`` the rear wheels'
+        X_diff, both of (3.11). Every call of a run has the same ``dt_s``, the tick.
+        """
+
+
+def load_plant(kind: str, settings: PlantSettings) -> PlantProtocol:
+    """A new plant of the class ``kind``, ``package.module:Class``, at rest.
+
+    A trial on an instance of its own, at rest, shows first that ``reset`` and ``advance`` work.
+
+    Raises:
+        ScenarioError: no such module or class, or one that does not do as ``PlantProtocol`` says.
+    """
+    plant_class = _find(kind)
+    _try(kind, _construct(kind, plant_class, settings))
+    return _construct(kind, plant_class, settings)
+
+
+def failure(kind: str, what: str, error: BaseException) -> str:
+    """One line for an exception in the class or module of ``kind``."""
+    reason = " ".join(str(error).split())
+    return f"plant.kind = {kind!r}: {what}: {type(error).__name__}" + (reason and f": {reason}")
+
+
+class GuardedPlant:
+    """A plant whose exceptions in mid-run are one line that says when.
+
+    Args:
+        kind: names it.
+        plant: from ``load_plant``.
+    """
+
+    def __init__(self, kind: str, plant: PlantProtocol) -> None:
+        self._kind = kind
+        self._plant = plant
+        self._time_s = 0.0
+
+    def reset(self) -> None:
+        """Back to rest; see ``PlantProtocol``.
+
+        Raises:
+            RigError: an exception in the class.
+        """
+        self._time_s = 0.0
+        _guard(self._kind, "reset() failed", self._plant.reset, RigError)
+
+    def advance(self, dt_s: float, torque_nm: float, force_difference_n: float) -> float:
+        """D* ``dt_s`` seconds later; see ``PlantProtocol``.
+
+        Raises:
+            RigError: an exception in the class, or an answer that is not a finite number.
+        """
+        try:
+            answer = self._plant.advance(dt_s, torque_nm, force_difference_n)
+        except KeyboardInterrupt:
+            raise
+        except BaseException as error:
+            what = f"advance failed at {self._time_s:.9g} s"
+            raise RigError(failure(self._kind, what, error)) from None
+        if not _is_finite(answer):
+            when = f"advance at {self._time_s:.9g} s"
+            raise RigError(f"plant.kind = {self._kind!r}: {when} {_not_finite(answer)}")
+        self._time_s += dt_s
+        return float(answer)
+
+
+def _find(kind: str) -> type[object]:
+    """The class that ``kind`` names."""
+    module_name, _, class_name = kind.partition(":")
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)  # last: no file that lies around hides an installed package
+    importlib.invalidate_caches()
+    try:
+        module = importlib.import_module(module_name)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        missing = error.name if isinstance(error, ModuleNotFoundError) else None
+        if missing and f"{module_name}.".startswith(f"{missing}."):  # not one that it imports
+            raise ScenarioError(
+                f"plant.kind = {kind!r}: no module {missing}, neither installed nor in {here}"
+            ) from None
+        raise ScenarioError(failure(kind, f"{module_name} cannot be imported", error)) from None
+    found = getattr(module, class_name, None)
+    if not inspect.isclass(found):
+        raise ScenarioError(f"plant.kind = {kind!r}: no class {class_name} in {module.__file__}")
+    return found
+
+
+def _construct(kind: str, plant_class: type[object], settings: PlantSettings) -> PlantProtocol:
+    """An instance that has the methods; whether they do as they should is not known yet."""
+    _accepts(kind, plant_class, plant_class.__name__, settings)
+    construct: Callable[..., object] = plant_class
+    plant = _guard(kind, f"{plant_class.__name__}(settings) failed", lambda: construct(settings))
+    missing = [name for name in METHODS if not callable(getattr(plant, name, None))]
+    if missing or not isinstance(plant, PlantProtocol):
+        raise ScenarioError(
+            f"plant.kind = {kind!r}: no method {' and no method '.join(missing)}; "
+            f"{' and '.join(METHODS.values())} are right"
+        )
+    return plant
+
+
+def _try(kind: str, plant: PlantProtocol) -> None:
+    """Reset and advance at rest, with no command; ``plant`` is of no use afterwards."""
+    _accepts(kind, plant.reset, "reset")
+    _accepts(kind, plant.advance, "advance", TRIAL_S, 0.0, 0.0)
+    _guard(kind, "reset() failed", plant.reset)
+    trial = f"advance({TRIAL_S:g}, 0, 0) at rest"
+    answer = _guard(kind, f"{trial} failed", lambda: plant.advance(TRIAL_S, 0.0, 0.0))
+    if not _is_finite(answer):
+        raise ScenarioError(f"plant.kind = {kind!r}: {trial} {_not_finite(answer)}")
+
+
+def _is_finite(answer: object) -> bool:
+    """A NumPy scalar is a number; an array, or text that reads like a number, is none."""
+    try:
+        return isinstance(answer, Real) and math.isfinite(answer)
+    except OverflowError:  # a whole number that no float can hold
+        return False
+
+
+def _not_finite(answer: object) -> str:
+    return f"gives {' '.join(repr(answer).split())}: D* as a finite float is right"
+
+
+def _accepts(kind: str, function: Callable[..., object], name: str, *arguments: object) -> None:
+    """Refuse a signature that does not take ``arguments`` by position."""
+    try:
+        signature = inspect.signature(function)
+    except ValueError:  # of compiled code, which says no signature: the trial will tell
+        return
+    try:
+        signature.bind(*arguments)
+    except TypeError:
+        right = METHODS.get(name, f"{name}(settings)")
+        raise ScenarioError(f"plant.kind = {kind!r}: {name}{signature}: {right} is right") from None
+
+
+def _guard(
+    kind: str, what: str, call: Callable[[], Answer], refusal: type[RigError] = ScenarioError
+) -> Answer:
+    """What ``call`` returns; an exception of the class, ``sys.exit`` too, as one line."""
+    try:
+        return call()
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        raise refusal(failure(kind, what, error)) from None

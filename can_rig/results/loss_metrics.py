@@ -1,0 +1,90 @@
+"""What a loss could do to D* at least, and what the decision on d̂ made of it."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from can_rig.assessment.threshold_budget import HOUR_S
+from can_rig.plant.faults import CHANNELS
+from can_rig.results.signals import Signals
+from can_rig.scenario.build import continuous_plant
+from can_rig.scenario.settings import Scenario
+from firmware_model.analysis.sampled_plant import sample
+from firmware_model.discretisation.sections import FloatArray
+from firmware_model.target.layout import FaultState
+
+Mask = NDArray[np.bool_]
+
+
+def unavoidable_deviation(scenario: Scenario, signals: Signals) -> float | None:
+    """The deviation of D* before the first corrected sample, m/s²; no controller comes below it.
+
+    An actuator that dies at tick k shows at k + 1, what is done about it acts from k + 1 + n on and
+    shows at k + 2 + n. Until then the plant has missed the commands that were on their way, which
+    the log has, so it is not assumed but computed:
+
+        δ(k+1) = Φ δ(k) + Γ (left - 1) u(k - n),  max |C δ| over k+1 .. k+1+n
+
+    about ½ g1 |u1| ((n+1) T)² for the torque. None where no actuator dies in the log, or for a
+    plant of one's own, whose Φ nobody knows: there, of the linear car with its parameters.
+    """
+    fault, n = scenario.fault, scenario.latency_ticks
+    lost = round(fault.at_s / scenario.tick_s)
+    first = round(float(signals.time_s[0]) / scenario.tick_s) if len(signals) else 0
+    at = lost - first
+    if fault.kind != "actuator-dead" or not n <= at < len(signals):
+        return None
+    plant = sample(continuous_plant(scenario.plant), scenario.tick_s)
+    channel = CHANNELS.index(fault.channel)
+    command = (signals.torque_nm, signals.force_difference_n)[channel]
+    acting = command[at - n : at + 1]
+    missing, largest = np.zeros(len(plant.phi)), 0.0
+    for u in np.nan_to_num(acting):
+        missing = plant.phi @ missing + plant.gamma[:, channel] * (fault.left - 1.0) * u
+        largest = max(largest, abs(float(plant.c @ missing)))
+    return largest
+
+
+def decision_metrics(
+    scenario: Scenario, signals: Signals, lost: Mask
+) -> dict[str, float | bool | None]:
+    """Delay, false alarms and a missed loss, from the fault state of the status frames.
+
+    A loss is missed if it is never confirmed; None where it could not show: the torque did so
+    little all the time that the firmware itself says CANNOT_TELL, or X_diff is what was lost and
+    was zero all that time. None as well where there was no loss. A false alarm is a confirmation
+    while nothing is lost.
+    """
+    state = signals.fault_state
+    confirmed = state == FaultState.CONFIRMED
+    suspected = confirmed | (state == FaultState.SUSPECTED)
+    begun = confirmed & ~np.concatenate([[False], confirmed[:-1]])
+    alarms = int((begun & ~lost).sum())
+    healthy_h = float((~lost).sum()) * scenario.tick_s / HOUR_S
+    known = lost & np.isfinite(state)
+    told = bool((state[known] != FaultState.CANNOT_TELL).any()) and _acted(scenario, signals, lost)
+    return {
+        "suspected_after_s": _delay(scenario, signals.time_s[suspected & lost]),
+        "detection_delay_s": _delay(scenario, signals.time_s[confirmed & lost]),
+        "missed_detection": not bool(confirmed[lost].any()) if told else None,
+        "false_alarms": alarms if len(signals) else None,
+        "false_alarms_per_hour": alarms / healthy_h if healthy_h > 0.0 else None,
+    }
+
+
+def _acted(scenario: Scenario, signals: Signals, lost: Mask) -> bool:
+    """Whether the lost channel had something to do; the torque always may have.
+
+    Of an actuator the log has it, late by the latency; of lost frames it has the last one before.
+    """
+    if scenario.fault.channel == "torque":
+        return True
+    before = scenario.latency_ticks if scenario.fault.kind == "actuator-dead" else 1
+    ticks = np.flatnonzero(lost)
+    acting = signals.force_difference_n[max(ticks[0] - before, 0) : ticks[-1] + 1]
+    return bool(np.nan_to_num(acting).any())
+
+
+def _delay(scenario: Scenario, times_s: FloatArray) -> float | None:
+    return round(float(times_s[0]) - scenario.fault.at_s, 9) if len(times_s) else None

@@ -1,0 +1,186 @@
+"""What a run achieved, as the numbers of ``run.json`` and of the closing table."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from can_rig.assessment.control_authority import authority
+from can_rig.nodes.nodes import network_of
+from can_rig.plant.faults import SensorFault
+from can_rig.results.counterfactual import fault_free, noise_free
+from can_rig.results.loss_metrics import decision_metrics, unavoidable_deviation
+from can_rig.results.signals import Signals
+from can_rig.scenario.settings import Scenario
+from firmware_model.discretisation.sections import FloatArray
+
+Metrics = dict[str, float | bool | None]
+Mask = NDArray[np.bool_]
+
+SETTLED_S = 2.0
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Which ticks of a run count as what, each of shape (ticks,).
+
+    ``before`` the fault and ``after`` its start, ``lost`` while a channel is; ``settled_before``
+    and ``settled_after`` are the ends of the healthy time and of the run: 2 s, or two periods of a
+    slower reference, but at most the second half of the time since the last change.
+    """
+
+    before: Mask
+    after: Mask
+    lost: Mask
+    settled_before: Mask
+    settled_after: Mask
+
+
+def windows(scenario: Scenario, signals: Signals) -> Windows:
+    """The windows of a run, which may have ended early; its fault as the nodes saw it."""
+    fault = scenario.fault
+    wanted_s = SETTLED_S
+    if scenario.reference.kind == "sine":
+        wanted_s = max(wanted_s, 4.0 * math.pi / scenario.reference.frequency_rad_per_s)
+    ticks = np.rint(signals.time_s / scenario.tick_s).astype(np.int64)
+    time_ns = ticks * scenario.tick_ns
+    active = np.array([fault.active(now_ns) for now_ns in time_ns.tolist()], dtype=np.bool_)
+    after = (fault.kind != "none") & (time_ns >= round(fault.at_s * 1e9))
+    recovered = after & ~active
+    return Windows(
+        before=~after,
+        after=after,
+        lost=active & fault.loses_a_channel,
+        settled_before=_end(time_ns, ~after, wanted_s),
+        settled_after=_end(time_ns, recovered if recovered.any() else after, wanted_s),
+    )
+
+
+def metrics(scenario: Scenario, signals: Signals) -> Metrics:
+    """Errors in m/s², times in s, commands in N m and N; None where the run has no such moment.
+
+    The error means nothing in an open loop and is None there; what says the same there, and in
+    every loop, is the deviation: how far D* is from D* of the same run without the fault. Both are
+    of the car: what a biased sensor adds to D* is taken off first, while ``signals.csv`` and the
+    picture have D* as measured. What X_diff needs and can carry is there where the torque is lost.
+    """
+    window = windows(scenario, signals)
+    closed = scenario.model.kind != "chapter-2"
+    bias = _bias(scenario, signals)
+    error = np.abs(signals.error_mps2 + bias) if closed else np.full(len(signals), np.nan)
+    estimate = np.abs(signals.fault_estimate_mps2)
+    torque, force = np.abs(signals.torque_nm), np.abs(signals.force_difference_n)
+    deviation = np.full(len(signals), np.nan)
+    if window.after.any():
+        with np.errstate(invalid="ignore", over="ignore"):  # a loop that diverges
+            healthy = fault_free(scenario, signals).dstar_mps2
+            deviation = np.abs(signals.dstar_mps2 - bias - healthy)
+    settled = window.settled_after if window.after.any() else window.settled_before
+    torque_lost = scenario.fault.channel == "torque" and window.lost.any()
+    carried = authority(scenario, network_of(scenario)) if torque_lost else None
+    unavoidable = unavoidable_deviation(scenario, signals)
+    peak = _peak(deviation[window.after])
+    return {
+        "error_before_fault_mps2": _peak(error[window.settled_before]),
+        "error_peak_after_fault_mps2": _peak(error[window.after]),
+        "error_peak_while_lost_mps2": _peak(error[window.lost]),
+        "error_settled_after_fault_mps2": _peak(error[window.settled_after]),
+        "error_integral_after_fault_mps": _integral(error[window.after], scenario.tick_s),
+        "deviation_peak_after_fault_mps2": peak,
+        "unavoidable_deviation_mps2": unavoidable,
+        "deviation_over_unavoidable": peak / unavoidable if peak and unavoidable else None,
+        "deviation_settled_after_fault_mps2": _peak(deviation[window.settled_after]),
+        "fault_estimate_peak_before_fault_mps2": _peak(estimate[window.before]),
+        "fault_estimate_peak_while_lost_mps2": _peak(estimate[window.lost]),
+        "fault_estimate_settled_mps2": _peak(estimate[window.settled_after]),
+        **decision_metrics(scenario, signals, window.lost),
+        "torque_peak_nm": _peak(torque),
+        "torque_peak_after_fault_nm": _peak(torque[window.after]),
+        "force_difference_peak_n": _peak(force),
+        "force_difference_settled_n": _peak(force[settled]),
+        "force_difference_noise_rms_n": _noise_rms(scenario, signals, window.settled_before),
+        "force_difference_needed_n": None if carried is None else carried.needed_n,
+        "force_difference_available_n": None if carried is None else carried.available_n,
+        "dstar_carried_mps2": None if carried is None else carried.carries_mps2,
+    }
+
+
+def _bias(scenario: Scenario, signals: Signals) -> FloatArray:
+    """What a biased sensor added to D* at every tick, m/s²."""
+    sensor = SensorFault(scenario)
+    ticks = np.rint(signals.time_s / scenario.tick_s).astype(np.int64)
+    return np.array([sensor.bias(tick) for tick in ticks.tolist()], dtype=np.float64)
+
+
+def _noise_rms(scenario: Scenario, signals: Signals, settled: Mask) -> float | None:
+    """Rms of what the sensor's noise alone adds to X_diff, N: the run less the run without it."""
+    if scenario.noise.dstar_rms_mps2 == 0.0 or not settled.any():
+        return None
+    added = signals.force_difference_n - noise_free(scenario, signals).force_difference_n
+    added = added[settled & np.isfinite(added)]
+    return float(np.sqrt(np.mean(added**2))) if len(added) else None
+
+
+def _integral(values: FloatArray, tick_s: float) -> float | None:
+    return float(np.nansum(values)) * tick_s if np.isfinite(values).any() else None
+
+
+def rows(values: Metrics, units: dict[str, str]) -> list[tuple[str, str]]:
+    """The closing table, label and text: the metrics that mean something in this run."""
+    faulted = values.get("deviation_peak_after_fault_mps2") is not None
+    out: list[tuple[str, str]] = []
+    for key, label, healthy_label, unit in _TABLE:
+        value = values.get(key)
+        text = label if faulted else healthy_label
+        if value is not None and text:
+            out.append((text, f"{value:.4g} {units.get(unit, unit)}".rstrip()))
+        elif key == "detection_delay_s" and values.get("missed_detection"):
+            out.append((text, "never"))
+    return out
+
+
+def _peak(values: FloatArray) -> float | None:
+    finite = values[np.isfinite(values)]
+    return float(finite.max()) if len(finite) else None
+
+
+def _end(time_ns: NDArray[np.int64], part: Mask, wanted_s: float) -> Mask:
+    """The last ``wanted_s`` of a part of the run, or its second half if that is shorter."""
+    inside = time_ns[part]
+    if not len(inside):
+        return part
+    length_ns = min(round(wanted_s * 1e9), int(inside[-1] - inside[0]) // 2)
+    end: Mask = part & (time_ns >= inside[-1] - length_ns)
+    return end
+
+
+#: key, its label where a fault came, its label where none did (empty: no such row), unit
+_TABLE = (
+    ("error_before_fault_mps2", "|error| before the fault, settled", "|error|, settled", "y"),
+    ("error_peak_after_fault_mps2", "|error| after the fault, peak", "", "y"),
+    ("error_settled_after_fault_mps2", "|error| after the fault, settled", "", "y"),
+    ("deviation_peak_after_fault_mps2", "deviation from the fault-free run, peak", "", "y"),
+    ("deviation_over_unavoidable", "    times the least possible", "", "x"),
+    ("error_integral_after_fault_mps", "|error| after the fault, integral", "", "y.s"),
+    ("detection_delay_s", "loss confirmed after", "", "s"),
+    ("false_alarms_per_hour", "false alarms", "false alarms", "1/h"),
+    (
+        "fault_estimate_peak_before_fault_mps2",
+        "|fault estimate| while healthy, peak",
+        "|fault estimate|, peak",
+        "y",
+    ),
+    ("torque_peak_nm", "|command 1|, peak", "|command 1|, peak", "u1"),
+    ("force_difference_peak_n", "|command 2|, peak", "|command 2|, peak", "u2"),
+    (
+        "force_difference_noise_rms_n",
+        "|command 2|, rms from noise",
+        "|command 2|, rms from noise",
+        "u2",
+    ),
+    ("force_difference_settled_n", "|command 2|, settled", "|command 2|, settled", "u2"),
+    ("dstar_carried_mps2", "|D*| that command 2 could hold by itself", "", "y"),
+)

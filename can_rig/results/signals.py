@@ -1,0 +1,196 @@
+"""``bus.log`` → ``signals.csv``: what was on the bus, one row a tick."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from can import Message
+from numpy.typing import NDArray
+
+from can_rig.frames.messages import Network, Receiver
+from can_rig.logs.frames import SENT
+from can_rig.logs.reading import read_log
+from firmware_model.discretisation.sections import FloatArray
+
+COLUMNS = (
+    "time_s",
+    "reference_mps2",
+    "dstar_mps2",
+    "error_mps2",
+    "torque_nm",
+    "force_difference_n",
+    "fault_estimate_mps2",
+    "mode",
+)
+ROLE_COLUMNS: Final = 5  # one of each frame; mode and fault state follow
+OWN: Final = 2  # the first frames of a tick: the plant node's, which say what tick it is
+STATUS: Final = 4
+WIRE_TICKS: Final = 1 << 16
+MOST_GAPS: Final = 14  # lost frames after which every alive counter is tolerated
+
+
+@dataclass(frozen=True)
+class Signals:
+    """One value a tick, each of shape (ticks,); nan where no valid frame said anything.
+
+    ``mode`` and ``fault_state`` are the codes of the status frame's value tables.
+    """
+
+    time_s: FloatArray
+    reference_mps2: FloatArray
+    dstar_mps2: FloatArray
+    torque_nm: FloatArray
+    force_difference_n: FloatArray
+    fault_estimate_mps2: FloatArray
+    mode: FloatArray
+    fault_state: FloatArray
+
+    @property
+    def error_mps2(self) -> FloatArray:
+        """e = r - D* (3.41)."""
+        return self.reference_mps2 - self.dstar_mps2
+
+    def __len__(self) -> int:
+        return len(self.time_s)
+
+    def write_csv(self, path: Path) -> None:
+        """The contract's columns; an empty cell where no valid frame said anything."""
+        columns = [getattr(self, name).tolist() for name in COLUMNS]
+        with path.open("w", encoding="ascii", newline="\n") as file:
+            file.write(",".join(COLUMNS) + "\n")
+            for row in zip(*columns, strict=True):
+                file.write(",".join(map(cell, row)) + "\n")
+
+
+def cell(value: float) -> str:
+    """A value as ``signals.csv`` has it; nan is an empty cell."""
+    return "" if math.isnan(value) else f"{value:.10g}"
+
+
+def read_signals(log: Path, network: Network, tick_s: float, in_time_ticks: int = 1) -> Signals:
+    """Decode a rig's log through the checks that the plant node makes.
+
+    The plant node's frames, the reference and the feedback, say what tick is under way; a frame of
+    another tick is not used, as it was not used in the run. A log that starts late starts at the
+    tick that its time stamps say, or, where they are not those of the rig, at the 16 bits of the
+    tick on the wire. Ticks that are missing within it are rows of nan; a last line that a killed
+    run left unfinished is not read.
+
+    Args:
+        log: of any format that ``logs.reading`` knows.
+        network: its frames.
+        tick_s: seconds a tick.
+        in_time_ticks: from the start of its own tick on, how many ticks a command may take: one in
+            lockstep, the latency in a real-time run.
+
+    Raises:
+        LogError: the log cannot be read, or something in it is no frame.
+    """
+    return signals_of(plain_frames(log), network, tick_s, in_time_ticks)
+
+
+def signals_of(
+    messages: Iterable[Message], network: Network, tick_s: float, in_time_ticks: int = 1
+) -> Signals:
+    """The same from frames of any source, in their order, time stamps in s."""
+    table = _Table(network, tick_s, in_time_ticks)
+    for message in messages:
+        table.take(message)
+    values: NDArray[np.float64] = np.array(table.rows, dtype=np.float64)
+    columns = values.reshape(len(table.rows), ROLE_COLUMNS + 2).T
+    ticks = table.first_tick + np.arange(len(table.rows), dtype=np.float64)
+    return Signals(ticks * tick_s, *columns)
+
+
+def plain_frames(log: Path) -> Iterator[Message]:
+    """Classic data frames with 11-bit identifiers of a log, in order; the rig's are such.
+
+    Raises:
+        LogError: as ``read_signals``.
+    """
+    for frames in read_log(log):
+        yield from frames[~frames.has(~SENT & 0xFF)].messages()
+
+
+class _Table:
+    """Frames into rows, one a tick."""
+
+    def __init__(self, network: Network, tick_s: float, in_time_ticks: int) -> None:
+        self.rows: list[list[float]] = []
+        self.first_tick = 0
+        self._tick_s = tick_s
+        self._in_time_ticks = in_time_ticks
+        self._receivers = [Receiver(codec) for codec in network]
+        self._by_id = {r.codec.frame_id: at for at, r in enumerate(self._receivers)}
+        self._tick = -1  # the one under way
+        self._marked = False
+
+    def take(self, message: Message) -> None:
+        """Use a frame, or not."""
+        at = self._by_id.get(message.arbitration_id)
+        if at is None:
+            return
+        if at < OWN:  # the plant node marks its own as sent; where it does, others are not its
+            self._marked |= not message.is_rx
+            if self._marked and message.is_rx:
+                return
+        receiver = self._receivers[at]
+        row = -1
+        if at >= OWN:
+            age = self._age(message)
+            record = receiver.accept(message, self._tick - age) if self.rows else None
+            row -= age
+        else:
+            ahead = self._ticks_ahead(message)
+            if ahead and self.rows:
+                self._end_ticks(at, ahead)
+            record = receiver.accept(message, None if ahead else self._tick)
+            if record is not None and ahead:
+                self._begin(at, record.tick, message.timestamp, ahead)
+        if record is None or not math.isfinite(record.value):
+            return
+        self.rows[row][at] = record.value
+        if at == STATUS:
+            self.rows[row][-2:] = [record.mode, record.fault_state]
+
+    def _age(self, message: Message) -> int:
+        """How many ticks ago a command's tick was, if it is in time; 0 otherwise."""
+        age = (self._tick - int.from_bytes(message.data[2:4], "little")) % WIRE_TICKS
+        return age if age < min(self._in_time_ticks, len(self.rows)) else 0
+
+    def _ticks_ahead(self, message: Message) -> int:
+        """How far the frame says that time has gone on; 0: it is of this tick, or of an old one."""
+        if not self.rows:
+            return 1
+        tick = int.from_bytes(message.data[2:4], "little")
+        ahead = (tick - self._tick) % WIRE_TICKS
+        return ahead if ahead < WIRE_TICKS // 2 else 0
+
+    def _begin(self, announced_by: int, wire_tick: int, timestamp_s: float, ahead: int) -> None:
+        """Start the row of another tick, after rows of nan for those in between."""
+        if self.rows:
+            for at in range(len(self._receivers)):
+                if at != announced_by:
+                    self._end_ticks(at, ahead)
+            self._tick += ahead
+        else:
+            self._tick = self.first_tick = absolute_tick(wire_tick, timestamp_s, self._tick_s)
+            ahead = 1
+        for _ in range(ahead):
+            self.rows.append([math.nan] * (ROLE_COLUMNS + 2))
+
+    def _end_ticks(self, at: int, ticks: int) -> None:
+        """Tell a receiver that this tick is over, and so many more without its frame."""
+        for _ in range(min(ticks, MOST_GAPS)):
+            self._receivers[at].end_tick()
+
+
+def absolute_tick(wire_tick: int, timestamp_s: float, tick_s: float) -> int:
+    """The tick of a frame from its 16 bits and its time stamp, if that is in virtual time."""
+    tick = round((timestamp_s / tick_s - wire_tick) / WIRE_TICKS) * WIRE_TICKS + wire_tick
+    return tick if abs(tick * tick_s - timestamp_s) < tick_s else wire_tick

@@ -1,0 +1,4 @@
+"""A scenario: TOML to settings, settings to design, target, table and reference.
+
+`shipped/` holds the scenarios that come with the package. It imports `frames` and `firmware_model`.
+"""

@@ -1,0 +1,121 @@
+"""From a scenario to what the firmware and the figures need: plant, design, target, table."""
+
+from __future__ import annotations
+
+import math
+
+from can_rig.errors import ScenarioError
+from can_rig.frames.messages import Network
+from can_rig.scenario.settings import PlantSettings, Scenario
+from firmware_model.design import plants
+from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
+from firmware_model.discretisation.tables import Target, build
+from firmware_model.errors import DesignError
+from firmware_model.target.layout import Record
+
+GOVERNED = 0.5  # share of the motor's limit that may go into the second derivative of D*
+
+
+def continuous_plant(settings: PlantSettings) -> plants.Plant:
+    """The linear plant that ``settings`` describe, in continuous time.
+
+    Of a plant that is a class, all that is known before it runs: the thesis's car with its
+    parameters. Designs and margins are of that car, runs are of the class (``plant.plant_of``).
+
+    Raises:
+        ScenarioError: parameters with which the car is not stable.
+    """
+    try:
+        if settings.kind == "chapter-2":
+            return plants.chapter_2()
+        return plants.steer_by_wire(settings, settings.variant)
+    except DesignError as error:
+        raise ScenarioError(f"plant: {error}") from None
+
+
+def continuous_design(scenario: Scenario) -> ContinuousDesign:
+    """The controller's design, for the car that it believes in.
+
+    Raises:
+        ScenarioError: an assumption of the thesis that this car or this tuning breaks.
+    """
+    chosen = scenario.design
+    specification = DesignSpecification(
+        tau_s=chosen.tau_s,
+        alpha=chosen.alpha,
+        tau_q_s=chosen.tau_q_s,
+        alpha_q=chosen.alpha_q,
+        compensation=chosen.compensation != "off",
+        feedback=scenario.model.kind != "chapter-2",
+    )
+    plant = continuous_plant(scenario.model)
+    try:
+        return design(plant, specification)
+    except DesignError as error:
+        raise ScenarioError(f"scenario {scenario.name}: design: {error}") from None
+
+
+def target(scenario: Scenario, network: Network | None) -> Target:
+    """Where the design runs; without a network, commands are neither limited nor rounded by it."""
+    chosen, limits = scenario.design, scenario.limits
+    limit_1, limit_2, rate_1, rate_2 = (
+        math.inf if limit is None else limit
+        for limit in (
+            limits.torque_nm,
+            limits.force_difference_n,
+            limits.torque_rate_nm_per_s,
+            limits.force_difference_rate_n_per_s,
+        )
+    )
+    lsb_1 = lsb_2 = 0.0
+    if network is not None:
+        command_1, command_2 = network.command_1, network.command_2
+        limit_1, limit_2 = min(limit_1, command_1.maximum), min(limit_2, command_2.maximum)
+        lsb_1, lsb_2 = command_1.lsb, command_2.lsb
+    return Target(
+        tick_s=scenario.tick_s,
+        latency_ticks=scenario.latency_ticks,
+        estimator=chosen.estimator,
+        limit_1=limit_1,
+        limit_2=limit_2,
+        rate_1=rate_1,
+        rate_2=rate_2,
+        reference_acceleration=reference_acceleration(scenario),
+        lsb_1=lsb_1,
+        lsb_2=lsb_2,
+        threshold=chosen.fault_threshold_mps2,
+        model_share=chosen.fault_threshold_share,
+        confirm_ticks=max(1, round(chosen.confirm_s / scenario.tick_s)),
+        clear_ticks=max(1, round(chosen.clear_s / scenario.tick_s)),
+        probe=chosen.probe_nm,
+        probe_rad_per_s=chosen.probe_rad_per_s,
+        on_confirmation=chosen.compensation == "on-confirmation",
+    )
+
+
+def reference_acceleration(scenario: Scenario) -> float:
+    """How fast a reference C may follow, m/s⁴: what ``GOVERNED`` of the motor's limits can do.
+
+    u1 = r̈/g1 and the rest of D/N1, so half of the limit goes to r̈. A turn from full ahead to full
+    back is 2R/g1, smoothed by q̂: at most 0.37·2R/(g1 τ_q) a second for α_q = 2, less for more, and
+    as much again is left for the rest.
+    """
+    limits = scenario.limits
+    if scenario.model.kind == "chapter-2":  # open loop: no C that would follow
+        return math.inf
+    torque = math.inf if limits.torque_nm is None else limits.torque_nm
+    if limits.torque_rate_nm_per_s is not None:
+        torque = min(torque, limits.torque_rate_nm_per_s * scenario.design.tau_q_s)
+    return GOVERNED * torque * abs(continuous_plant(scenario.model).g1.gain)
+
+
+def controller_table(scenario: Scenario, network: Network | None) -> Record:
+    """The constant table of the scenario's controller on ``network`` (None: without frames).
+
+    Raises:
+        ScenarioError: a design that cannot be made or discretised.
+    """
+    try:
+        return build(continuous_design(scenario), target(scenario, network))
+    except DesignError as error:
+        raise ScenarioError(f"scenario {scenario.name}: {error}") from None

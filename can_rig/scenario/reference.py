@@ -1,0 +1,88 @@
+"""The reference that D* shall follow, one value a tick."""
+
+from __future__ import annotations
+
+import warnings
+from pathlib import Path
+
+import numpy as np
+
+from can_rig.errors import ScenarioError
+from can_rig.frames.messages import Network
+from can_rig.scenario.settings import MAX_REFERENCE_MPS2, Scenario
+from firmware_model.discretisation.sections import FloatArray
+
+LANE_CHANGE_S = 1.0  # when a lane change begins
+
+
+def on_the_bus(scenario: Scenario, network: Network) -> list[float]:
+    """The reference of every tick, refused where its frame would saturate.
+
+    Raises:
+        ScenarioError: it does not fit; what ``reference`` refuses.
+    """
+    values, frame = reference(scenario), network.reference
+    largest = float(np.abs(values).max())
+    if largest > frame.maximum:
+        raise ScenarioError(
+            f"scenario {scenario.name}: reference: reaches {largest:g} {frame.unit}, more than "
+            f"{frame.name} carries: up to {frame.maximum:g} is right"
+        )
+    return [float(value) for value in values]
+
+
+def reference(scenario: Scenario) -> FloatArray:
+    """r at every tick of the run, shape (ticks,), m/s².
+
+    Raises:
+        ScenarioError: a CSV that cannot be read, or whose times do not increase.
+    """
+    settings = scenario.reference
+    time_s = np.arange(scenario.ticks, dtype=np.float64) * (scenario.tick_ns * 1e-9)
+    if settings.kind == "step":
+        return np.full(scenario.ticks, settings.amplitude_mps2)
+    if settings.kind == "sine":
+        return settings.amplitude_mps2 * np.sin(settings.frequency_rad_per_s * time_s)
+    if settings.kind == "lane-change":
+        return lane_change(settings.amplitude_mps2, settings.frequency_rad_per_s, time_s)
+    return _from_csv(scenario, time_s)
+
+
+def lane_change(
+    amplitude_mps2: float, frequency_rad_per_s: float, time_s: FloatArray
+) -> FloatArray:
+    """A double lane change from ``LANE_CHANGE_S`` on, m/s² at ``time_s``: there and back once.
+
+    One period of a sine out, half a period of nothing, one period of the opposite sine back. A
+    sine's integral over its period is zero: as a lateral acceleration either one ends with no
+    lateral speed, 2πA/ω² to the side, and both together on the lane where they began. r is
+    continuous throughout, and zero where it starts and ends; its slope, at most Aω, jumps there.
+    """
+    phase = frequency_rad_per_s * (time_s - LANE_CHANGE_S) / (2.0 * np.pi)  # in periods
+    out, back = (phase >= 0.0) & (phase < 1.0), (phase >= 1.5) & (phase < 2.5)
+    # Half a period later the same sine runs the other way: back is already the opposite.
+    return np.where(out | back, amplitude_mps2 * np.sin(2.0 * np.pi * phase), 0.0)
+
+
+def _from_csv(scenario: Scenario, time_s: FloatArray) -> FloatArray:
+    """Linear between the CSV's rows (time_s, reference_mps2), its ends held; a header may lead."""
+    where = f"scenario {scenario.name}: reference.file = {scenario.reference.file!r}"
+    try:
+        lines = Path(scenario.reference.file).read_text(encoding="utf-8-sig").splitlines()
+        with warnings.catch_warnings(action="ignore"):  # no rows: refused below
+            rows = np.genfromtxt(lines, delimiter=",", ndmin=2)
+    except (OSError, ValueError) as error:
+        raise ScenarioError(f"{where}: {' '.join(str(error).split())}") from None
+    if len(rows) > 1 and np.isnan(rows[0]).all():
+        rows = rows[1:]  # the header
+    if rows.size == 0 or rows.shape[1] != 2 or not np.isfinite(rows).all():
+        raise ScenarioError(
+            f"{where}: rows of two finite numbers, time_s,reference_mps2, are right"
+        )
+    if not (np.diff(rows[:, 0]) > 0).all():
+        raise ScenarioError(f"{where}: times that increase from row to row are right")
+    largest, most = float(np.abs(rows[:, 1]).max()), MAX_REFERENCE_MPS2
+    if largest > most:
+        raise ScenarioError(f"{where}: |reference_mps2| = {largest:g}: up to {most:g} is right")
+    values: FloatArray = np.interp(time_s, rows[:, 0], rows[:, 1]).astype(np.float64)
+    return values

@@ -1,0 +1,76 @@
+"""The delay beyond its own that a sampled loop survives, in whole ticks and to the very edge.
+
+An extra delay of d ticks turns L into z⁻ᵈL, and nothing else. Poles can reach the unit circle only
+where |L| = 1 and arg(-L) = dωT, so the least such d over all crossovers is a lower bound: below it
+the Nyquist curve never meets -1, and with |L(-1)| < 1 it gains no encirclement either where the
+curve of a d that is no whole number is left open, at z = -1. From there on eigenvalues decide:
+whole ticks one by one, parts of a tick by a command that changes within it.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Callable
+
+import numpy as np
+from scipy import optimize
+
+from firmware_model.analysis.sampled_loop import SampledLoop
+
+EXACT_DELAY_TICKS = 32  # up to here eigenvalues decide, above the crossovers of L do
+PARTS_OF_A_TICK = 8
+
+
+def delay_margins(
+    loop: SampledLoop, delayed_is_stable: Callable[[float], bool]
+) -> tuple[int | None, float | None]:
+    """Extra delay that a stable ``loop`` survives: in whole ticks, and to the edge, in ticks.
+
+    Args:
+        loop: the loop without extra delay.
+        delayed_is_stable: whether it is stable with so many ticks more.
+    """
+    bound = _least_critical_delay(loop)
+    if math.isinf(bound):
+        return None, None
+    if bound > EXACT_DELAY_TICKS:  # crossovers so slow that the hold's interpolation is z⁻ᵈ
+        return math.ceil(bound) - 1, bound
+    start = max(math.ceil(bound) - 2, 0)
+    whole = start
+    while delayed_is_stable(whole + 1):
+        whole += 1
+    step = 1.0 / PARTS_OF_A_TICK
+    survived = float(start)
+    while delayed_is_stable(survived + step):
+        survived += step
+    return whole, edge(delayed_is_stable, survived, survived + step)
+
+
+def edge(is_stable: Callable[[float], bool], stable: float, unstable: float) -> float:
+    """Where between the two stability ends, to 1e-6 of the distance; on the stable side."""
+    for _ in range(20):
+        middle = 0.5 * (stable + unstable)
+        if is_stable(middle):
+            stable = middle
+        else:
+            unstable = middle
+    return stable
+
+
+def _least_critical_delay(loop: SampledLoop) -> float:
+    """The least d > 0 for which 1 + e^{-jωdT} L(e^{jωT}) vanishes somewhere, in ticks."""
+    angle = loop.angles()
+    size = np.abs(loop.loop_gain(np.exp(1j * angle)))
+    if size[-1] >= 1.0:
+        return 0.0  # every whole tick adds an encirclement at z = -1
+
+    def log_size(theta: float) -> float:
+        return float(np.log(np.abs(loop.loop_gain(np.exp(1j * np.array([theta])))[0])))
+
+    critical = math.inf
+    for i in np.flatnonzero((size[:-1] > 1.0) != (size[1:] > 1.0)):
+        theta = optimize.brentq(log_size, angle[i], angle[i + 1], xtol=1e-15)
+        gain = loop.loop_gain(np.exp(1j * np.array([theta])))[0]
+        critical = min(critical, (cmath.phase(-gain) % (2.0 * math.pi)) / theta)
+    return critical

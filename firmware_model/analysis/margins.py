@@ -1,0 +1,221 @@
+"""How far the sampled loop is from instability, and what it makes of measurement noise.
+
+Everything is read off ``SampledLoop``, the loop that the target closes, at the measurement.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+from collections.abc import Iterable
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from scipy import linalg
+
+from firmware_model.analysis.delay_margin import delay_margins, edge
+from firmware_model.analysis.sampled_loop import (
+    OPEN_INTEGRATOR,
+    LinearController,
+    SampledLoop,
+    linear_controller,
+    reaching,
+    sampled_loop,
+)
+from firmware_model.design.continuous_design import ContinuousDesign
+from firmware_model.design.plants import Plant
+from firmware_model.discretisation.sections import FloatArray
+from firmware_model.discretisation.tables import Target, build
+from firmware_model.errors import DesignError
+from firmware_model.target.layout import MAX_LATENCY_TICKS, Record
+
+HEALTHY = (1.0, 1.0)
+TORQUE_DEAD = (0.0, 1.0)  # the thesis's fault
+
+GAINS = np.geomspace(1.0, 1e3, 61)  # 20 a decade
+NOISE_DOUBLINGS = 32  # 2^32 ticks, far beyond 1/OPEN_INTEGRATOR
+
+
+@dataclass(frozen=True)
+class Margins:
+    """Figures of merit of one loop. What an unstable loop has none of is ``None`` or NaN.
+
+    Attributes:
+        spectral_radius: largest magnitude of a pole, per tick; below 1 is stable.
+        slowest_rad_per_s: |s| of the pole z = e^{sT} of that magnitude.
+        slowest_damping: its -Re(s)/|s|; 1 does not oscillate, below 0 is unstable.
+        delay_margin_ticks: whole extra ticks of delay, known to nobody, with each of which the
+            loop is stable; None if it has no such limit.
+        delay_margin_s: the extra delay that takes it to the edge, seconds.
+        gain_margin: smallest factor above 1 on the measurement with which it is unstable.
+        gain_reduction_margin: largest factor below 1; 0 if there is none.
+        peak_sensitivity: max |S(e^{jωT})|, S = 1/(1 + L).
+        peak_sensitivity_rad_per_s: where.
+        noise_to_command_1, noise_to_command_2: rms of a command for white measurement noise of
+            rms 1; infinite when an integrator is left open.
+    """
+
+    spectral_radius: float
+    slowest_rad_per_s: float
+    slowest_damping: float
+    delay_margin_ticks: int | None
+    delay_margin_s: float | None
+    gain_margin: float
+    gain_reduction_margin: float
+    peak_sensitivity: float
+    peak_sensitivity_rad_per_s: float
+    noise_to_command_1: float
+    noise_to_command_2: float
+
+    @property
+    def stable(self) -> bool:
+        """Every pole inside the unit circle."""
+        return self.spectral_radius < 1.0
+
+
+def margins(
+    table: Record,
+    plant: Plant,
+    tick_s: float,
+    effectiveness: tuple[float, float] = HEALTHY,
+    confirmed: float | None = None,
+) -> Margins:
+    """The margins of ``table`` around ``plant``, with ``effectiveness`` left of its actuators.
+
+    Arguments and errors are those of ``sampled_loop``; ``confirmed`` is that of
+    ``linear_controller``, by default whenever an actuator is not whole.
+    """
+    law = law_in(table, effectiveness) if confirmed is None else linear_controller(table, confirmed)
+    loop = sampled_loop(law, plant, tick_s, effectiveness)
+    poles = loop.poles()
+    slowest = complex(poles[np.argmax(np.abs(poles))])
+    exponent = cmath.log(slowest) / tick_s
+    figures = Margins(
+        spectral_radius=abs(slowest),
+        slowest_rad_per_s=abs(exponent),
+        slowest_damping=-math.cos(cmath.phase(exponent)),
+        delay_margin_ticks=None,
+        delay_margin_s=None,
+        gain_margin=math.nan,
+        gain_reduction_margin=math.nan,
+        peak_sensitivity=math.nan,
+        peak_sensitivity_rad_per_s=math.nan,
+        noise_to_command_1=math.inf,
+        noise_to_command_2=math.inf,
+    )
+    if not figures.stable:
+        return figures
+
+    def delayed_is_stable(delay_ticks: float) -> bool:
+        late = sampled_loop(law, plant, tick_s, effectiveness, delay_ticks)
+        return late.spectral_radius() < 1.0
+
+    whole, ticks = delay_margins(loop, delayed_is_stable)
+    peak, at_rad_per_s = peak_sensitivity(loop)
+    return replace(
+        figures,
+        delay_margin_ticks=whole,
+        delay_margin_s=None if ticks is None else ticks * tick_s,
+        gain_margin=gain_margin(loop, GAINS),
+        gain_reduction_margin=gain_margin(loop, 1.0 / GAINS),
+        peak_sensitivity=peak,
+        peak_sensitivity_rad_per_s=at_rad_per_s,
+        noise_to_command_1=noise_gain(loop, 0),
+        noise_to_command_2=noise_gain(loop, 1),
+    )
+
+
+def law_in(table: Record, effectiveness: tuple[float, float]) -> LinearController:
+    """The law that acts in this state: a loss has been confirmed wherever there is one.
+
+    Of channel 1 as much as is lost; of all of it where channel 2 is, which d̂ cannot tell from it.
+    """
+    lost = 1.0 - effectiveness[0]
+    return linear_controller(table, lost if lost > 0.0 or effectiveness == HEALTHY else 1.0)
+
+
+def gain_margin(loop: SampledLoop, gains: FloatArray) -> float:
+    """The factor on the measurement, going through ``gains`` from 1, at the edge of stability.
+
+    Infinite when ``gains`` rise to their end without one, 0 when they fall to it.
+    """
+
+    def is_stable(gain: float) -> bool:
+        return loop.spectral_radius(gain) < 1.0
+
+    for stable, beyond in pairwise(gains):
+        if not is_stable(beyond):
+            return edge(is_stable, float(stable), float(beyond))
+    return math.inf if gains[-1] > 1.0 else 0.0
+
+
+def peak_sensitivity(loop: SampledLoop) -> tuple[float, float]:
+    """Largest |S(e^{jωT})| of S = 1/(1 + L), and ω in rad/s where that is."""
+    angle = loop.angles()
+    for _ in range(4):  # each round looks 30 times as closely around the largest
+        size = 1.0 / np.abs(1.0 + loop.loop_gain(np.exp(1j * angle)))
+        best = int(np.argmax(size))
+        low, high = angle[max(best - 1, 0)], angle[min(best + 1, len(angle) - 1)]
+        peak, at_angle = float(size[best]), float(angle[best])
+        angle = np.linspace(low, high, 61)
+    return peak, at_angle / loop.tick_s
+
+
+def noise_gain(loop: SampledLoop, answer: int) -> float:
+    """Rms of u1, u2 or d̂ (``answer`` 0, 1, 2) for white measurement noise of rms 1; exact.
+
+    The covariance P = APAᵀ + bbᵀ is summed by doubling: with P_k the first 2ᵏ terms of ΣAⁱbbᵀAᵀⁱ,
+    P_{k+1} = P_k + A^{2ᵏ} P_k A^{2ᵏ}ᵀ (Smith, "Matrix equation XA + BX = C", 1968). Infinite if an
+    integrator that is left open is heard in that answer.
+    """
+    closed, h = loop.closed(), loop.h[answer] + loop.d[answer, 0] * loop.c
+    heard = reaching(closed, h)
+    power, scaling = linalg.matrix_balance(closed[np.ix_(heard, heard)], permute=False)
+    if (np.abs(np.linalg.eigvals(power)) > 1.0 - OPEN_INTEGRATOR).any():
+        return math.inf
+    scale = np.diag(scaling)
+    noise, h = loop.b[heard, 0] / scale, h[heard] * scale
+    covariance = np.outer(noise, noise)
+    for _ in range(NOISE_DOUBLINGS):
+        covariance = covariance + power @ covariance @ power.T
+        power = power @ power
+    return math.sqrt(float(h @ covariance @ h) + float(loop.d[answer, 0]) ** 2)
+
+
+def largest_latency_survived(
+    design: ContinuousDesign,
+    target: Target,
+    plant: Plant,
+    states: Iterable[tuple[float, float]] = (HEALTHY, TORQUE_DEAD),
+    most: int = MAX_LATENCY_TICKS,
+) -> int | None:
+    """Largest latency with which, and with all below which, the loop is stable in every state.
+
+    The controller knows the latency: its table is built for each. None if there is no such one.
+    """
+    states = tuple(states)
+    for latency in range(most + 1):
+        late = replace(target, latency_ticks=latency)
+        if not is_stable_in(design, late, plant, states):
+            return latency - 1 if latency else None
+    return most
+
+
+def is_stable_in(
+    design: ContinuousDesign,
+    target: Target,
+    plant: Plant,
+    states: Iterable[tuple[float, float]],
+    extra_delay_ticks: float = 0.0,
+) -> bool:
+    """Whether ``design`` on ``target`` can be built and is stable in every one of ``states``."""
+    try:
+        table = build(design, target)
+    except DesignError:
+        return False
+    loops = (
+        sampled_loop(law_in(table, state), plant, target.tick_s, state, extra_delay_ticks)
+        for state in states
+    )
+    return all(loop.spectral_radius() < 1.0 for loop in loops)

@@ -1,0 +1,255 @@
+"""The sampled closed loop as one matrix, read off the code that the target runs.
+
+Without limits, grid and threshold a tick of ``controller.step`` is a linear map of its memories
+and its inputs. So column j of its matrix is one tick from unit memory j: no finite difference, no
+second copy of the control law, exact to rounding. Plant, hold and bus are linear algebra:
+
+    x⁺ = Φx + Γ_new Λ u(k - m) + Γ_old Λ u(k - m - 1),   y = cx
+
+with m whole ticks of latency, Λ what the actuators have left, and a delay that is no whole number
+of ticks as a command that changes within the tick (Åström and Wittenmark, "Computer-Controlled
+Systems", section on systems with time delays).
+
+The loop is kept open at the measurement, y_m, and closed with y_m = gain · y when asked.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import linalg
+
+from firmware_model.analysis.sampled_plant import sample
+from firmware_model.design.plants import Plant
+from firmware_model.discretisation.sections import ComplexArray, FloatArray
+from firmware_model.errors import ParameterError
+from firmware_model.target import controller
+from firmware_model.target.layout import FILTERS, FaultState, Record, RecordArray, table_type
+
+ANSWERS = ("command_1", "command_2", "fault_estimate")
+OPEN_INTEGRATOR = 1e-7  # |z - 1| below which a pole is an integrator
+Memory = tuple[str, tuple[int, ...]]  # a field of the controller's state and an index into it
+
+
+@dataclass(frozen=True)
+class LinearController:
+    """ξ⁺ = Aξ + B(y_m, r), (u1, u2, d̂) = Cξ + D(y_m, r), k memories ξ.
+
+    Attributes:
+        a: (k, k). b: (k, 2). c: (3, k). d: (3, 2).
+        latency_ticks: of the commands, as the controller believes.
+    """
+
+    a: FloatArray
+    b: FloatArray
+    c: FloatArray
+    d: FloatArray
+    latency_ticks: int
+
+
+@dataclass(frozen=True)
+class SampledLoop:
+    """The loop, open at the measurement: ξ⁺ = Aξ + B(y_m, r), y = cξ, (u1, u2, d̂) = Hξ + D(y_m, r).
+
+    The state is the plant's, then the commands that wait for it (newest first), then the
+    controller's.
+
+    Attributes:
+        a: (n, n). b: (n, 2). c: (n,). h: (3, n). d: (3, 2).
+        tick_s: the tick, seconds.
+    """
+
+    a: FloatArray
+    b: FloatArray
+    c: FloatArray
+    h: FloatArray
+    d: FloatArray
+    tick_s: float
+
+    def closed(self, gain: float = 1.0) -> FloatArray:
+        """The tick's matrix (n, n) with y_m = gain · y."""
+        return self.a + gain * np.outer(self.b[:, 0], self.c)
+
+    def poles(self, gain: float = 1.0) -> ComplexArray:
+        """Eigenvalues of the closed loop that decide its stability.
+
+        A channel that is dead can leave an integrator of the controller open: C's after the loss
+        of an uncompensated torque channel, d̂'s own (1 - q = 0 at s = 0) after that of the force
+        difference. It drifts with what it is fed, but neither grows by itself nor reaches the
+        plant, and is left out. "Does not reach" is a question about exact zeros of the matrix.
+        """
+        a = self.closed(gain)
+        reaches = reaching(a, self.c)
+        acting = np.linalg.eigvals(a[np.ix_(reaches, reaches)])
+        idle = np.linalg.eigvals(a[np.ix_(~reaches, ~reaches)])
+        idle = idle[np.abs(idle - 1.0) > OPEN_INTEGRATOR]
+        return np.concatenate([acting, idle]).astype(np.complex128)
+
+    def spectral_radius(self, gain: float = 1.0) -> float:
+        """Largest magnitude of a pole: what is left, or grown, of a disturbance a tick later."""
+        return float(np.abs(self.poles(gain)).max())
+
+    def loop_gain(self, z: ComplexArray) -> ComplexArray:
+        """L(z) = -c(zI - A)⁻¹b from measurement to measurement, for ``z`` of shape (m,).
+
+        Back-substitution in the Schur form, for all ``z`` at once; balanced first, because
+        commands are 1e5 times as large as D*.
+        """
+        balanced, scaling = linalg.matrix_balance(self.a, permute=False)
+        scale = np.diag(scaling)
+        triangle, unitary = linalg.schur(balanced, output="complex")
+        b = unitary.conj().T @ (self.b[:, 0] / scale)
+        c = (self.c * scale) @ unitary
+        x = np.zeros((len(b), len(z)), dtype=np.complex128)
+        for i in reversed(range(len(b))):
+            x[i] = (b[i] + triangle[i, i + 1 :] @ x[i + 1 :]) / (z - triangle[i, i])
+        return np.asarray(-(c @ x), dtype=np.complex128)
+
+    def angles(self) -> FloatArray:
+        """ωT, ascending to π: a logarithmic grid, closer where a pole is near the unit circle."""
+        poles = np.concatenate([np.linalg.eigvals(self.a), self.poles()])
+        distance = np.abs(poles - 1.0)
+        lowest = 1e-2 * distance[distance > OPEN_INTEGRATOR].min(initial=math.pi)
+        resonant = poles[(poles.imag > 0.0) & (np.abs(poles) > 0.5)]
+        around = np.linspace(-4.0, 4.0, 33)
+        close = np.angle(resonant)[:, None] + (1.0 - np.abs(resonant))[:, None] * around
+        angles = np.concatenate([np.geomspace(lowest, math.pi, 1500), close.ravel()])
+        return np.unique(angles[(angles >= lowest) & (angles <= math.pi)])
+
+
+def linear_controller(table: Record, confirmed: float = 0.0) -> LinearController:
+    """The matrices of ``controller.step`` for ``table``, in float64 whatever its precision.
+
+    ``confirmed``: as the law is after a confirmed loss of that share of channel 1; 0: none is. That
+    is another law only for a table that compensates on confirmation.
+    """
+    memories = _memories(table)
+    k = len(memories)
+    tables = _without_limits(table, k + 2)
+    states = controller.init(tables[0], k + 2)
+    if confirmed > 0.0:
+        states["fault_state"] = FaultState.CONFIRMED
+        states["share_lost"] = confirmed
+        states["engaged"] = table.on_confirmation
+    for j, (name, index) in enumerate(memories):
+        states[name][(j, *index)] = 1.0
+    inputs = np.zeros((2, k + 2))
+    inputs[:, k:] = np.eye(2)
+    controller.step_many(tables, states, inputs[1], inputs[0])
+    for line in ("delay_1", "delay_2"):  # the ring has turned by one: oldest first again
+        ring = states[line][:, : table.latency_ticks]
+        ring[:] = np.roll(ring, -states["delay_at"][0], axis=1)
+    after = np.array([states[name][(slice(None), *index)] for name, index in memories])
+    after = after.reshape(k, k + 2)  # also when there is no memory at all
+    answers = np.array([states[name] for name in ANSWERS])
+    latency = int(table.latency_ticks)
+    return LinearController(after[:, :k], after[:, k:], answers[:, :k], answers[:, k:], latency)
+
+
+def sampled_loop(
+    law: LinearController,
+    plant: Plant,
+    tick_s: float,
+    effectiveness: tuple[float, float] = (1.0, 1.0),
+    extra_delay_ticks: float = 0.0,
+) -> SampledLoop:
+    """The loop of ``law`` around ``plant``.
+
+    Args:
+        law: ``linear_controller`` of a table that was built for ``tick_s``.
+        plant: the car, which need not be the one the table was designed for.
+        tick_s: the tick, seconds.
+        effectiveness: what is left of each actuator, 1 healthy, 0 dead.
+        extra_delay_ticks: by how much commands come later than the ``latency_ticks`` that the
+            controller knows of; need not be whole.
+
+    Raises:
+        ParameterError: a delay that is not finite and >= 0, an effectiveness outside 0..1.
+    """
+    if not (math.isfinite(extra_delay_ticks) and extra_delay_ticks >= 0.0):
+        raise ParameterError(f"extra_delay_ticks = {extra_delay_ticks:g}: 0 or above is right")
+    for left in effectiveness:
+        if not 0.0 <= left <= 1.0:
+            raise ParameterError(f"effectiveness = {left:g}: 0 (dead) to 1 (healthy) is right")
+    m = law.latency_ticks + math.floor(extra_delay_ticks)
+    phi, gamma_new, gamma_old = _split_hold(plant, tick_s, extra_delay_ticks % 1.0)
+    gamma_new, gamma_old = gamma_new * effectiveness, gamma_old * effectiveness
+    waiting = m + bool(gamma_old.any())
+
+    n, k = len(phi), len(law.a)
+    size = n + 2 * waiting + k
+    x, queue, memory = slice(0, n), slice(n, size - k), slice(size - k, size)
+    command = np.zeros((waiting + 1, 2, size))  # [j]: u(k - j) out of the loop's state ...
+    command[0, :, memory] = law.c[:2]
+    command[1:, :, queue] = np.eye(2 * waiting).reshape(waiting, 2, 2 * waiting)
+    direct = np.zeros((waiting + 1, 2, 2))  # ... and out of this tick's inputs
+    direct[0] = law.d[:2]
+
+    a, b = np.zeros((size, size)), np.zeros((size, 2))
+    a[x, x] = phi
+    a[x] += gamma_new @ command[m] + gamma_old @ command[waiting]
+    b[x] = gamma_new @ direct[m] + gamma_old @ direct[waiting]
+    a[queue], b[queue] = command[:-1].reshape(-1, size), direct[:-1].reshape(-1, 2)
+    a[memory, memory], b[memory] = law.a, law.b
+    h = np.zeros((3, size))
+    h[:, memory] = law.c
+    c = np.zeros(size)
+    c[x] = plant.c[0]
+    return SampledLoop(a, b, c, h, law.d, tick_s)
+
+
+def reaching(a: FloatArray, row: FloatArray) -> NDArray[np.bool_]:
+    """Which states (n,) can ever be seen in ``row`` ξ: by a path of non-zeros of ``a`` to it."""
+    reaches = row != 0.0
+    while True:
+        wider = reaches | (a[reaches] != 0.0).any(axis=0)
+        if (wider == reaches).all():
+            return np.asarray(reaches, dtype=np.bool_)
+        reaches = wider
+
+
+def _memories(table: Record) -> list[Memory]:
+    """Everything that one tick leaves to the next, but for accumulators that stay zero for ever.
+
+    The second accumulator of a first-order section is never excited, nor is either of a gain; to
+    count them would add eigenvalues at 1 that no signal ever sees.
+    """
+    memories: list[Memory] = []
+    filters = {name: name for name in FILTERS}
+    if table.on_confirmation:
+        filters["lost"] = "estimator_1"  # a second memory of the same filter
+    for memory, name in filters.items():
+        for i in range(table[f"{name}_n"]):
+            _, b1, b2, a1, a2 = table[name][i]
+            if b1 or a1 or b2 or a2:
+                memories.append((memory, (i, 0)))
+            if b2 or a2:
+                memories.append((memory, (i, 1)))
+    for line in ("delay_1", "delay_2"):
+        memories += [(line, (j,)) for j in range(table.latency_ticks)]
+    return memories
+
+
+def _without_limits(table: Record, n: int) -> RecordArray:
+    """``n`` copies of ``table`` that are linear, in float64."""
+    tables = np.zeros(n, table_type())
+    for name in table.dtype.names:
+        if name.startswith(("limit_", "slew_", "threshold")):
+            tables[name] = math.inf
+        elif not name.startswith(("lsb_", "governs")):
+            tables[name] = table[name]
+    return tables
+
+
+def _split_hold(
+    plant: Plant, tick_s: float, fraction: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Φ (n, n), Γ_new, Γ_old (n, 2) of a command that changes ``fraction`` of a tick late."""
+    if fraction == 0.0:
+        whole = sample(plant, tick_s)
+        return whole.phi, whole.gamma, np.zeros_like(whole.gamma)
+    before, after = sample(plant, fraction * tick_s), sample(plant, (1.0 - fraction) * tick_s)
+    return after.phi @ before.phi, after.gamma, after.phi @ before.gamma

@@ -1,0 +1,91 @@
+"""A design specification and the whole continuous design that follows from it and a plant.
+
+Chapter 3 closes the loop: u1 = C (r - y), u2 = F̂2 d̂. Chapter 2 leaves it open: u = r + F̂ d̂.
+"""
+
+from dataclasses import dataclass
+
+from firmware_model.design.compensator import compensator
+from firmware_model.design.estimator import FaultEstimator, fault_estimator
+from firmware_model.design.factorisation import inner_outer
+from firmware_model.design.plants import Plant
+from firmware_model.design.tracking import tracking
+from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.errors import ZeroChannelError, require_order, require_positive
+
+
+@dataclass(frozen=True)
+class DesignSpecification:
+    """What the designer chooses; the defaults are the published tuning (3.37), (3.39).
+
+    ``tau_s`` [s] and ``alpha`` shape q of (3.30); ``tau_q_s`` [s] and ``alpha_q`` shape q̂ of
+    (3.34); ``q`` is the free parameter of Theorem 2.3.1, ``None`` for Theorem 2.3.2. Without
+    ``compensation`` there is no F̂; without ``feedback`` no C: chapter 2's open loop.
+
+    Raises ``ParameterError`` unless both time constants are finite and > 0 and both orders
+    integers >= 1.
+    """
+
+    tau_s: float = 0.001
+    alpha: int = 1
+    tau_q_s: float = 0.001
+    alpha_q: int = 2
+    q: ZeroPoleGain | None = None
+    compensation: bool = True
+    feedback: bool = True
+
+    def __post_init__(self) -> None:
+        require_positive("tau_s", self.tau_s)
+        require_order("alpha", self.alpha)
+        require_positive("tau_q_s", self.tau_q_s)
+        require_order("alpha_q", self.alpha_q)
+
+
+@dataclass(frozen=True)
+class ContinuousDesign:
+    """The controllers of Figs. 2.1 and 3.4 and the factors of G2; ``None`` where not asked for.
+
+    ``compensator`` is F̂2 from d̂ to u2, ``tracking`` is C from r - y to u1, ``inner`` and ``outer``
+    are G2i and G2o of (3.31).
+    """
+
+    plant: Plant
+    specification: DesignSpecification
+    estimator: FaultEstimator
+    compensator: ZeroPoleGain | None
+    tracking: ZeroPoleGain | None
+    inner: ZeroPoleGain
+    outer: ZeroPoleGain
+
+
+def design(plant: Plant, specification: DesignSpecification) -> ContinuousDesign:
+    """Everything that runs, still continuous; every assumption of the thesis is checked on the way.
+
+    | assumption | where | refused with |
+    |---|---|---|
+    | G in RH∞, G1 ≠ 0, G2 ≠ 0 | (3.17), (2.3) | ``Plant`` cannot be made otherwise |
+    | Q in RH∞ | Theorem 2.3.1 | ``UnstableFilterError``, ``ImproperError`` |
+    | 1 + Q ≠ 0, or F̂ has nothing to act on | (2.35) | ``ZeroChannelError`` |
+    | G2 has no zero on the imaginary axis | (3.31) | ``AxisZeroError`` |
+    | q/G2o is proper | (3.29) | ``ImproperError`` |
+    | Q = q̂/G1 is stable | (3.32) | ``AxisZeroError``, ``NonMinimumPhaseError`` |
+    | Q = q̂/G1 is proper | (3.33) | ``ImproperError`` |
+    """
+    wanted = specification
+    estimator = fault_estimator(plant, wanted.q)
+    if wanted.compensation and estimator.one_plus_q.gain == 0:
+        raise ZeroChannelError(
+            "q = -1: the fault estimate is identically zero; compensation must have Q other than -1"
+        )
+    inner, outer = inner_outer(plant.g2)
+    return ContinuousDesign(
+        plant=plant,
+        specification=specification,
+        estimator=estimator,
+        compensator=(
+            compensator(plant.g2, wanted.tau_s, wanted.alpha) if wanted.compensation else None
+        ),
+        tracking=tracking(plant.g1, wanted.tau_q_s, wanted.alpha_q) if wanted.feedback else None,
+        inner=inner,
+        outer=outer,
+    )

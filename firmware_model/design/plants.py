@@ -1,0 +1,146 @@
+"""The plants of the thesis: stable 1×2 systems, as a state space and as two factored channels.
+
+The state space simulates; the channels G1, G2 design. Numerators come from Faddeev and LeVerrier's
+
+    adj(sI - A) = Σ M_k s^(n-k),   M_1 = I,   M_(k+1) = A M_k + c_k I,   c_k = -tr(A M_k)/k,
+
+where a structural zero of A, B, C stays exactly zero, so a relative degree is never a rounding.
+"""
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from firmware_model.design.vehicle import TABLE_3_2, Variant, VehicleParameters, vehicle_state_space
+from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.errors import ParameterError, UnstablePlantError, ZeroChannelError
+
+Matrix = NDArray[np.float64]
+
+_EPS = float(np.finfo(np.float64).eps)
+_AGREEMENT = 1e-6  # of the channels with C(sI - A)⁻¹B; far above rounding, far below a wrong root
+
+
+@dataclass(frozen=True, eq=False)
+class Plant:
+    """``y = [G1 G2] u`` of (2.2), (3.16): input 1 is the channel that can be lost.
+
+    ``a`` (n, n), ``b`` (n, 2), ``c`` (1, n) are read-only float64 copies; ``g1`` and ``g2`` are the
+    transfer functions (3.18), (3.19) of its columns. Units are those of the inputs and the output:
+    for the car [N m], [N] and [m/s²]. Two plants are equal only if they are the same object.
+
+    Raises ``ParameterError`` for shapes that do not fit, values that are not finite and channels
+    that are not those of the state space; ``UnstablePlantError``; ``ZeroChannelError``.
+    """
+
+    name: str
+    a: Matrix
+    b: Matrix
+    c: Matrix
+    g1: ZeroPoleGain
+    g2: ZeroPoleGain
+
+    def __post_init__(self) -> None:
+        matrices = _validated(self.name, self.a, self.b, self.c)
+        for label, matrix in zip("abc", matrices, strict=True):
+            object.__setattr__(self, label, matrix)
+        _refuse_unstable(self.name, self.a)
+        for label, channel in (("G1", self.g1), ("G2", self.g2)):
+            if channel.gain == 0:
+                raise ZeroChannelError(f"{self.name}: {label}(s) is identically zero")
+        _refuse_disagreement(self)
+
+    @classmethod
+    def from_state_space(cls, name: str, a: ArrayLike, b: ArrayLike, c: ArrayLike) -> Self:
+        """The plant of any stable ``a`` (n, n), ``b`` (n, 2), ``c`` (1, n); channels of order n.
+
+        Modes that a channel does not reach or show stay in it as pole-zero pairs.
+        Raises what ``Plant`` raises.
+        """
+        a, b, c = _validated(name, a, b, c)
+        poles = tuple(complex(pole) for pole in np.linalg.eigvals(a))
+        rows = (ZeroPoleGain.from_coefficients(row, [1.0]) for row in numerators(a, b, c))
+        g1, g2 = (ZeroPoleGain(row.zeros, poles, row.gain) for row in rows)
+        return cls(name, a, b, c, g1, g2)
+
+
+def steer_by_wire(parameters: VehicleParameters = TABLE_3_2, variant: Variant = "physics") -> Plant:
+    """The car of §3.2: steering torque [N m] and rear force difference [N] to D* [m/s²].
+
+    Raises ``ParameterError`` for an unknown variant and ``UnstablePlantError`` for a car that
+    weaves: the front wheels are free to align, so what destabilises them is a short trail with
+    little damping at speed, not oversteer.
+    """
+    a, b, c = vehicle_state_space(parameters, variant)
+    return Plant.from_state_space(f"steer-by-wire ({variant})", a, b, c)
+
+
+def chapter_2() -> Plant:
+    """The example (2.38), ``[(s+3)/((s+1)(s+2))  (s+6)/((s+4)(s+5))]``; states block-diagonal."""
+    return Plant(
+        name="chapter-2",
+        a=np.array([[0.0, 1, 0, 0], [-2, -3, 0, 0], [0, 0, 0, 1], [0, 0, -20, -9]]),
+        b=np.array([[0.0, 0], [1, 0], [0, 0], [0, 1]]),
+        c=np.array([[3.0, 1, 6, 1]]),
+        g1=ZeroPoleGain((-3,), (-1, -2), 1.0),
+        g2=ZeroPoleGain((-6,), (-4, -5), 1.0),
+    )
+
+
+def numerators(a: Matrix, b: Matrix, c: Matrix) -> Matrix:
+    """Coefficients of ``C adj(sI - A) B``, highest power first: shape (2, n), a row an input.
+
+    A coefficient within its own rounding error of zero is returned as zero.
+    """
+    n = len(a)
+    m, size = np.eye(n), np.eye(n)  # size bounds |M_k|, hence the rounding error of C M_k B
+    coefficients, errors = np.empty((2, n)), np.empty((2, n))
+    for k in range(n):
+        coefficients[:, k] = c[0] @ m @ b
+        errors[:, k] = n * n * _EPS * (np.abs(c[0]) @ size @ np.abs(b))
+        a_m = a @ m
+        shift = -float(np.trace(a_m)) / (k + 1)
+        m = a_m + shift * np.eye(n)
+        size = np.abs(a) @ size + abs(shift) * np.eye(n)
+    return np.where(np.abs(coefficients) <= errors, 0.0, coefficients)
+
+
+def _validated(name: str, a: ArrayLike, b: ArrayLike, c: ArrayLike) -> tuple[Matrix, ...]:
+    """Read-only float64 copies of A, B, C whose shapes fit and whose values are finite."""
+    n = np.shape(a)[0] if np.ndim(a) else 0
+    matrices = []
+    for label, value, shape in (("A", a, (n, n)), ("B", b, (n, 2)), ("C", c, (1, n))):
+        matrix = np.array(value, dtype=np.float64)
+        if n == 0 or matrix.shape != shape:
+            raise ParameterError(
+                f"{name}: {label} has shape {matrix.shape}, must be {shape}, n >= 1"
+            )
+        if not np.isfinite(matrix).all():
+            raise ParameterError(f"{name}: {label} has an entry that is not finite")
+        matrix.flags.writeable = False
+        matrices.append(matrix)
+    return tuple(matrices)
+
+
+def _refuse_unstable(name: str, a: Matrix) -> None:
+    """G must be in RH∞ (3.17): a pole within rounding of the axis counts as on it."""
+    poles = np.linalg.eigvals(a)
+    worst = poles[np.argmax(poles.real)]
+    if worst.real >= -len(a) * _EPS * np.linalg.norm(a):
+        raise UnstablePlantError(f"{name}: pole at {worst:.6g} rad/s, must have real part < 0")
+
+
+def _refuse_disagreement(plant: Plant) -> None:
+    """The channels must be C(sI - A)⁻¹B; looked at where they change, at the poles' magnitudes."""
+    for omega in np.unique(np.abs(np.linalg.eigvals(plant.a))):
+        resolvent = np.linalg.inv(1j * omega * np.eye(len(plant.a)) - plant.a)
+        response = (plant.c @ resolvent @ plant.b)[0]
+        scale = (np.abs(plant.c) @ np.abs(resolvent) @ np.abs(plant.b))[0]
+        given = np.array([plant.g1(1j * omega), plant.g2(1j * omega)])
+        if not (np.abs(given - response) <= _AGREEMENT * scale).all():
+            raise ParameterError(
+                f"{plant.name}: [G1 G2] = {given} at {omega:.6g} rad/s,"
+                f" but C(sI - A)^-1 B = {response}"
+            )

@@ -1,0 +1,171 @@
+"""From a continuous design to difference equations at a tick T.
+
+Three rules, each computed on poles and zeros in δ = z - 1, never on polynomials in z:
+
+``tustin``       s = (2/T)(z-1)/(z+1): a root r moves to δ = rT/(1 - rT/2) and every zero at
+                 infinity to δ = -2. Exact identity: H_d(e^{jωT}) = H_c(j(2/T)tan(ωT/2)).
+``tustin_held``  Crank-Nicolson when the input is one value over the whole interval, as a command
+                 on a bus is: x⁺ = (I - AT/2)⁻¹[(I + AT/2)x + BTu]. Worked out, that is Tustin
+                 times 2/(z+1): one of the zeros at δ = -2 goes, and with it the feedthrough.
+``zoh``          exact for a held input: x⁺ = e^{AT}x + ∫e^{At}dt Bu.
+"""
+
+from __future__ import annotations
+
+import cmath
+import math
+
+import numpy as np
+from scipy import linalg
+
+from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.discretisation.sections import FloatArray, Sections, from_delta_zpk
+from firmware_model.errors import ImproperError, ParameterError
+
+
+def tustin(g: ZeroPoleGain, tick_s: float, prewarp_rad_per_s: float | None = None) -> Sections:
+    """The bilinear transform of ``g``.
+
+    Args:
+        g: proper transfer function.
+        tick_s: sampling period T > 0, seconds.
+        prewarp_rad_per_s: frequency at which the response is kept exactly, below π/T; without
+            it that is zero frequency.
+
+    Raises:
+        ParameterError: a tick or a prewarp frequency out of range, a pole at 2/T.
+        ImproperError: ``g`` has more zeros than poles.
+    """
+    zeros, poles, gain = _bilinear(g, tick_s, prewarp_rad_per_s)
+    return from_delta_zpk(zeros, poles, gain, tick_s)
+
+
+def tustin_held(g: ZeroPoleGain, tick_s: float) -> Sections:
+    """Crank-Nicolson integration of ``g`` with one input value an interval.
+
+    Raises:
+        ImproperError: ``g`` has feedthrough; a held input has nothing to say of that path.
+        ParameterError: as ``tustin``.
+    """
+    _refuse_feedthrough(g, "tustin_held")
+    zeros, poles, gain = _bilinear(g, tick_s, None)
+    zeros.remove(-2.0)
+    return from_delta_zpk(zeros, poles, 2.0 * gain, tick_s)
+
+
+def zoh(g: ZeroPoleGain, tick_s: float) -> Sections:
+    """The exact discretisation of ``g`` for an input held over each tick.
+
+    Poles are e^{pT}. Zeros are the finite transmission zeros of the sampled state space, found in
+    δ, where they are well conditioned at any tick.
+
+    Raises:
+        ImproperError: ``g`` has feedthrough.
+        ParameterError: a tick out of range.
+    """
+    _check_tick(tick_s)
+    _refuse_feedthrough(g, "zoh")
+    if g.gain == 0.0:
+        return from_delta_zpk((), (), 0.0, tick_s)
+    a, b, c = _cascade(g)
+    n = len(b)
+    # e^{MT} - I without losing the small numbers: MT φ1(MT), read off a larger exponential.
+    augmented = np.zeros((2 * n + 1, 2 * n + 1))
+    augmented[:n, :n] = a
+    augmented[:n, n:-1] = np.eye(n)
+    augmented[:n, -1:] = 0.0
+    integral = linalg.expm(augmented * tick_s)[:n, n : 2 * n]  # ∫e^{At}dt over a tick
+    a_delta, b_delta = a @ integral, integral @ b
+    zeros = _transmission_zeros(a_delta, b_delta, c)
+    poles = [_expm1(p * tick_s) for p in g.poles]
+    probe = 1.0  # any point away from the roots gives the gain
+    response = (c @ np.linalg.solve(probe * np.eye(n) - a_delta, b_delta)).item()
+    scale = np.prod([probe - p for p in poles]) / np.prod([probe - q for q in zeros])
+    return from_delta_zpk(zeros, poles, float((response * scale).real), tick_s)
+
+
+def _bilinear(
+    g: ZeroPoleGain, tick_s: float, prewarp_rad_per_s: float | None
+) -> tuple[list[complex], list[complex], float]:
+    """Zeros, poles and gain in δ: s = κ(z-1)/(z+1) gives δ = 2r/(κ - r) for a root r."""
+    _check_tick(tick_s)
+    if g.relative_degree < 0:
+        raise ImproperError(
+            f"a transfer function with {len(g.zeros)} zeros and {len(g.poles)} poles is improper; "
+            "at least as many poles as zeros are right"
+        )
+    kappa = _kappa(tick_s, prewarp_rad_per_s)
+    for pole in g.poles:
+        if pole == kappa:
+            raise ParameterError(f"a pole at {pole.real:g} rad/s is mapped to infinity; change T")
+    zeros = [2.0 * r / (kappa - r) for r in g.zeros] + [-2.0 + 0j] * g.relative_degree
+    poles = [2.0 * r / (kappa - r) for r in g.poles]
+    # By pairs, so that no product of many large factors overflows or loses digits.
+    factors = [kappa - r for r in g.zeros] + [1.0 + 0j] * g.relative_degree
+    gain = g.gain + 0j
+    for above, below in zip(factors, [kappa - r for r in g.poles], strict=True):
+        gain *= above / below
+    return zeros, poles, gain.real
+
+
+def _kappa(tick_s: float, prewarp_rad_per_s: float | None) -> float:
+    """2/T, or with prewarp ω/tan(ωT/2)."""
+    if prewarp_rad_per_s is None:
+        return 2.0 / tick_s
+    if not 0.0 < prewarp_rad_per_s < math.pi / tick_s:
+        raise ParameterError(
+            f"prewarp_rad_per_s = {prewarp_rad_per_s:g}: between 0 and the Nyquist frequency "
+            f"{math.pi / tick_s:g} rad/s is right"
+        )
+    return prewarp_rad_per_s / math.tan(prewarp_rad_per_s * tick_s / 2.0)
+
+
+def _check_tick(tick_s: float) -> None:
+    if not (math.isfinite(tick_s) and tick_s > 0.0):
+        raise ParameterError(f"tick_s = {tick_s:g}: a finite time above 0 s is right")
+
+
+def _refuse_feedthrough(g: ZeroPoleGain, rule: str) -> None:
+    if g.relative_degree < 1 and g.gain != 0.0:
+        raise ImproperError(
+            f"{rule} needs more poles than zeros (got {len(g.poles)} and {len(g.zeros)}): "
+            "a held input passes a feedthrough path unfiltered; use tustin"
+        )
+
+
+def _expm1(x: complex) -> complex:
+    """e^x - 1 to full relative precision for small complex x (Python's expm1 takes reals)."""
+    half = cmath.exp(x / 2.0)
+    return 2.0 * half * cmath.sinh(x / 2.0)
+
+
+def _cascade(g: ZeroPoleGain) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """A state space (A, b, c) of strictly proper ``g`` as a cascade of sections in s."""
+    sections = from_delta_zpk(g.zeros, g.poles, g.gain, 1.0).coefficients  # pairing knows no z
+    a = np.zeros((0, 0))
+    b = np.zeros((0, 1))
+    c = np.zeros((1, 0))
+    d = 1.0
+    for b0, b1, b2, a1, a2 in sections:
+        # controllable form; the δ/δ of a first-order section is a state that is never excited
+        if a2 == 0.0 and b2 == 0.0:
+            ai, bi, ci = np.array([[-a1]]), np.array([[1.0]]), np.array([[b1 - a1 * b0]])
+        else:
+            ai = np.array([[-a1, -a2], [1.0, 0.0]])
+            bi, ci = np.array([[1.0], [0.0]]), np.array([[b1 - a1 * b0, b2 - a2 * b0]])
+        a = np.block([[a, np.zeros((len(a), len(ai)))], [bi @ c, ai]])
+        b = np.vstack([b, bi * d])
+        c = np.hstack([b0 * c, ci])
+        d *= float(b0)
+    return a, b, c
+
+
+def _transmission_zeros(a: FloatArray, b: FloatArray, c: FloatArray) -> list[complex]:
+    """Finite zeros of c(δI - A)⁻¹b: n - 1 of them, since a sampled first sample answers."""
+    n = len(a)
+    pencil = np.block([[a, b], [c, np.zeros((1, 1))]])
+    mass = np.zeros((n + 1, n + 1))
+    mass[:n, :n] = np.eye(n)
+    roots = linalg.eigvals(pencil, mass)
+    finite = sorted(roots[np.isfinite(roots)], key=abs)[: n - 1]
+    return [complex(root) for root in finite]

@@ -1,0 +1,315 @@
+"""Figures of merit: against simulation at and beyond the edge, and against closed formulas."""
+
+from __future__ import annotations
+
+import cmath
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_model.analysis.delay_margin import EXACT_DELAY_TICKS, delay_margins
+from firmware_model.analysis.margins import (
+    HEALTHY,
+    TORQUE_DEAD,
+    gain_margin,
+    is_stable_in,
+    largest_latency_survived,
+    law_in,
+    margins,
+    noise_gain,
+    peak_sensitivity,
+)
+from firmware_model.analysis.sampled_loop import SampledLoop, linear_controller, sampled_loop
+from firmware_model.analysis.sampled_plant import sample
+from firmware_model.analysis.simulation import simulate
+from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
+from firmware_model.design.plants import chapter_2, steer_by_wire
+from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.discretisation.tables import Target, build
+from firmware_model.target.layout import MAX_LATENCY_TICKS
+
+CAR = steer_by_wire()
+PUBLISHED = design(CAR, DesignSpecification())
+SLOW = design(CAR, DesignSpecification(tau_s=0.01, tau_q_s=0.02))
+BARE = design(CAR, DesignSpecification(compensation=False))
+OPEN_LOOP = design(chapter_2(), DesignSpecification(tau_s=0.01, feedback=False))
+
+
+def loop_of(
+    wanted: ContinuousDesign, target: Target, left: tuple[float, float] = HEALTHY, late: float = 0.0
+) -> SampledLoop:
+    law = linear_controller(build(wanted, target))
+    return sampled_loop(law, wanted.plant, target.tick_s, left, late)
+
+
+@pytest.mark.parametrize("n", [0, 1, 2, 3])
+def test_high_frequency_limit_of_an_estimator_that_ignores_the_delay(n: int) -> None:
+    """MATHS trap 1: z^(n+1) - z^n + T/τ = 0, stable for T/τ < 2 sin(π/(2(2n+1))).
+
+    T far below the plant's times, no tracking loop, a Tustin F1 and a bus n ticks late.
+    """
+    tick_s = 1e-6
+    limit = 2.0 * math.sin(math.pi / (2.0 * (2 * n + 1)))
+    for factor in (0.97, 1.03):
+        ratio = factor * limit
+        wanted = design(CAR, DesignSpecification(tau_s=tick_s / ratio, feedback=False))
+        loop = loop_of(wanted, Target(tick_s), late=n)
+        polynomial = np.zeros(n + 2)
+        polynomial[0], polynomial[1], polynomial[-1] = 1.0, -1.0, ratio - (n == 0)
+        if n == 0:
+            polynomial = np.array([1.0, ratio - 1.0])
+        fastest = np.abs(np.roots(polynomial)).max()
+        assert (fastest < 1.0) == (factor < 1.0)
+        assert (loop.spectral_radius() < 1.0) == (factor < 1.0)
+        if factor > 1.0:
+            assert loop.spectral_radius() == pytest.approx(fastest, abs=1e-4)
+
+
+def test_published_tuning_as_maths_trap_2_has_it() -> None:
+    """1 kHz: right at n = 0, from n = 1 diverging after the fault; 2 kHz: from 2; 10 kHz: never."""
+    ends = (HEALTHY, TORQUE_DEAD)
+    for tick_s, first_bad in ((1e-3, 1), (5e-4, 2), (1e-4, 3)):
+        for n in range(3):
+            target = Target(tick_s, n, "zoh")
+            assert is_stable_in(PUBLISHED, target, CAR, [HEALTHY])
+            assert is_stable_in(PUBLISHED, target, CAR, ends) == (n < first_bad)
+    assert largest_latency_survived(PUBLISHED, Target(1e-3, 5, "zoh"), CAR) == 0
+    assert largest_latency_survived(PUBLISHED, Target(5e-4, 5, "zoh"), CAR) == 1
+
+
+def test_largest_latency_is_where_the_scan_ends() -> None:
+    assert largest_latency_survived(SLOW, Target(1e-3), CAR, most=3) == 3
+    assert largest_latency_survived(PUBLISHED, Target(1e-2), CAR) is None
+    most = largest_latency_survived(SLOW, Target(4e-3, estimator="zoh"), CAR, [HEALTHY])
+    assert most is not None
+    assert 0 < most < MAX_LATENCY_TICKS
+    for latency, stable in ((most, True), (most + 1, False)):
+        assert is_stable_in(SLOW, Target(4e-3, latency, "zoh"), CAR, [HEALTHY]) == stable
+
+
+def test_what_cannot_be_built_is_not_stable() -> None:
+    steep = design(CAR, DesignSpecification(q=ZeroPoleGain((-10.0,), (-100.0,), 10.0)))
+    assert not is_stable_in(steep, Target(1e-3), CAR, [HEALTHY])
+
+
+def grows(trace: Any) -> bool:
+    """Whether the last quarter is larger than the one before it."""
+    size = np.abs(trace.measurement)
+    quarter = len(size) // 4
+    return bool(size[-quarter:].max() > size[-2 * quarter : -quarter].max())
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD])
+@pytest.mark.parametrize("rule", ["tustin", "zoh"])
+def test_stable_at_the_delay_margin_and_unstable_beyond_in_simulation(
+    rule: Any, left: tuple[float, float]
+) -> None:
+    """The bus is k ticks later than the controller knows: y at the car k ticks late, by noise."""
+    tick_s, ticks = 1e-3, 1500
+    table = build(SLOW, Target(tick_s, 1, rule))
+    figures = margins(table, CAR, tick_s, left)
+    assert figures.delay_margin_ticks is not None
+    assert figures.delay_margin_s is not None
+    whole = figures.delay_margin_ticks
+    assert whole * tick_s <= figures.delay_margin_s <= (whole + 1) * tick_s
+    for late, stable in ((whole, True), (whole + 1, False)):
+        assert grows(simulate_late(table, tick_s, late, left, ticks)) != stable
+
+
+def simulate_late(
+    table: Any, tick_s: float, late: int, left: tuple[float, float], ticks: int
+) -> Any:
+    """The firmware against the sampled plant whose commands come ``late`` ticks later still."""
+    from firmware_model.firmware import Firmware
+
+    firmware, plant = Firmware(table), sample(CAR, tick_s)
+    line = [(0.0, 0.0)] * (int(table.latency_ticks) + late)
+    x, y = plant.rest, []
+    for k in range(ticks):
+        y.append(float(plant.c @ x))
+        answer = firmware.step(1.0 if k < 5 else 0.0, y[-1])
+        line.append((answer.command_1, answer.command_2))
+        x = plant.phi @ x + plant.gamma @ (np.array(left) * line.pop(0))
+    return type("Trace", (), {"measurement": np.array(y)})
+
+
+def test_the_edge_in_seconds_has_its_poles_on_the_circle() -> None:
+    tick_s = 1e-3
+    for wanted, target in ((PUBLISHED, Target(tick_s)), (SLOW, Target(tick_s, 1, "zoh"))):
+        figures = margins(build(wanted, target), CAR, tick_s)
+        assert figures.delay_margin_s is not None
+        edge = figures.delay_margin_s / tick_s
+        assert loop_of(wanted, target, late=edge).spectral_radius() < 1.0
+        assert loop_of(wanted, target, late=edge + 1e-3).spectral_radius() > 1.0
+        assert loop_of(wanted, target, late=edge).spectral_radius() == pytest.approx(1.0, abs=1e-6)
+
+
+def test_delay_margin_of_a_fast_bus_is_that_of_its_crossovers() -> None:
+    """Above 32 ticks no eigenvalue is asked; they would have said the same."""
+    target = Target(2e-4, 1, "zoh")
+    figures = margins(build(SLOW, target), CAR, 2e-4)
+    assert figures.delay_margin_ticks is not None
+    assert figures.delay_margin_ticks > EXACT_DELAY_TICKS
+    for late, stable in ((0, True), (1, False)):
+        radius = loop_of(SLOW, target, late=figures.delay_margin_ticks + late).spectral_radius()
+        assert (radius < 1.0) == stable
+
+
+def scalar_loop(pole: float, feedback: float) -> SampledLoop:
+    """x⁺ = pole x + feedback y_m, y = x."""
+    b, h, d = np.array([[feedback, 0.0]]), np.zeros((3, 1)), np.zeros((3, 2))
+    return SampledLoop(np.array([[pole]]), b, np.ones(1), h, d, 1.0)
+
+
+def test_a_loop_that_amplifies_at_nyquist_survives_no_whole_tick() -> None:
+    """x⁺ = -1.5 x + 1.2 y: L(-1) = -2.4, and a tick later z² + 1.5 z - 1.2 = 0 has -2.08."""
+    loop = scalar_loop(-1.5, 1.2)
+    assert loop.loop_gain(np.array([-1.0 + 0j]))[0] == pytest.approx(-2.4)
+    assert np.abs(np.roots([1.0, 1.5, -1.2])).max() > 2.0
+    whole, ticks = delay_margins(loop, lambda delay: delay < 0.3)
+    assert whole == 0
+    assert ticks == pytest.approx(0.3, abs=1e-6)
+
+
+@pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD])
+def test_gain_margins_are_on_the_edge_and_where_l_is_real(left: tuple[float, float]) -> None:
+    loop = loop_of(SLOW, Target(1e-3, 2, "zoh"), left)
+    gain = gain_margin(loop, np.geomspace(1.0, 1e3, 61))
+    assert loop.spectral_radius(gain) < 1.0 < loop.spectral_radius(gain * 1.001)
+    poles = loop.poles(gain)
+    edge = poles[np.argmax(np.abs(poles))]
+    assert loop.loop_gain(np.array([edge]))[0] * gain == pytest.approx(-1.0, abs=1e-3)
+    assert gain_margin(loop, 1.0 / np.geomspace(1.0, 1e3, 61)) == 0.0
+
+
+def test_a_loop_that_needs_its_gain_has_a_lower_margin_too() -> None:
+    """x⁺ = 1.2 x - 0.5 g y is stable for 0.4 < g < 4.4."""
+    loop = scalar_loop(1.2, -0.5)
+    grid = np.geomspace(1.0, 1e3, 61)
+    assert gain_margin(loop, grid) == pytest.approx(4.4, rel=1e-6)
+    assert gain_margin(loop, 1.0 / grid) == pytest.approx(0.4, rel=1e-6)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(("wanted", "latency"), [(PUBLISHED, 0), (SLOW, 2)])
+def test_peak_sensitivity_is_what_a_sine_of_noise_becomes(
+    wanted: ContinuousDesign, latency: int
+) -> None:
+    """A measured sine at that frequency settles at |S| times its size, by simulation."""
+    tick_s, ticks = 1e-3, 3000
+    target = Target(tick_s, latency, "zoh")
+    peak, at = peak_sensitivity(loop_of(wanted, target))
+    noise = np.cos(at * tick_s * np.arange(ticks))
+    trace = simulate(build(wanted, target), sample(CAR, tick_s), np.zeros(ticks), noise=noise)
+    assert np.abs((trace.measurement + noise)[-600:]).max() == pytest.approx(peak, rel=5e-3)
+    grid = np.exp(1j * np.linspace(1e-4, math.pi, 20001))
+    size = np.abs(1.0 / (1.0 + loop_of(wanted, target).loop_gain(grid)))
+    assert peak == pytest.approx(size.max(), rel=1e-4)
+    assert peak >= size.max() * (1.0 - 1e-9)
+
+
+def test_noise_gain_is_the_impulse_response_summed() -> None:
+    """Parseval: rms² = Σ h_k², h the answer to one tick of measurement noise."""
+    target = Target(1e-3, 1, "zoh")
+    table, impulse = build(SLOW, target), np.zeros(3000)
+    impulse[0] = 1.0
+    trace = simulate(table, sample(CAR, 1e-3), np.zeros(3000), noise=impulse)
+    loop = loop_of(SLOW, target)
+    answers = (trace.command_1, trace.command_2, trace.fault_estimate)
+    for answer, response in enumerate(answers):
+        assert noise_gain(loop, answer) == pytest.approx(math.sqrt(response @ response), rel=1e-6)
+
+
+def test_noise_reaches_an_open_integrator_and_only_that_is_infinite() -> None:
+    loop = loop_of(BARE, Target(1e-3), TORQUE_DEAD)
+    assert noise_gain(loop, 0) == math.inf
+    assert noise_gain(loop, 1) == 0.0
+    lost_2 = loop_of(SLOW, Target(1e-3), (1.0, 0.0))
+    assert noise_gain(lost_2, 0) == pytest.approx(
+        noise_gain(
+            loop_of(
+                design(CAR, DesignSpecification(tau_q_s=0.02, compensation=False)), Target(1e-3)
+            ),
+            0,
+        ),
+        rel=1e-9,
+    )
+    assert noise_gain(lost_2, 1) == math.inf
+
+
+def test_slowest_pole_is_the_decay_of_the_simulation() -> None:
+    """|s| and damping by two lines: the logarithmic decrement and the zero crossings' period."""
+    tick_s = 1e-3
+    figures = margins(build(PUBLISHED, Target(tick_s, 1, "zoh")), CAR, tick_s)
+    s = figures.slowest_rad_per_s * cmath.exp(1j * math.acos(-figures.slowest_damping))
+    assert abs(cmath.exp(s * tick_s)) == pytest.approx(figures.spectral_radius, rel=1e-12)
+    # trap 8: F̂'s ring at 17.7 rad/s, ζ = .20: N2 of the errata
+    zero = max(CAR.g2.zeros, key=lambda z: z.imag)
+    assert figures.slowest_rad_per_s == pytest.approx(abs(zero), rel=1e-3)
+    assert figures.slowest_damping == pytest.approx(-zero.real / abs(zero), rel=1e-3)
+
+
+def test_an_unstable_loop_has_no_margins() -> None:
+    figures = margins(build(PUBLISHED, Target(1e-3, 1, "zoh")), CAR, 1e-3, TORQUE_DEAD)
+    assert not figures.stable
+    assert figures.slowest_damping < 0.0
+    assert figures.delay_margin_ticks is None
+    assert figures.delay_margin_s is None
+    assert math.isnan(figures.gain_margin)
+    assert math.isnan(figures.peak_sensitivity)
+    assert figures.noise_to_command_1 == math.inf
+
+
+def test_a_loop_that_is_open_survives_any_delay_and_gain() -> None:
+    """Without compensation nothing acts on the car after the loss: stable, following nothing."""
+    figures = margins(build(BARE, Target(1e-3, 0, "zoh")), CAR, 1e-3, TORQUE_DEAD)
+    assert figures.stable
+    assert figures.spectral_radius == pytest.approx(
+        max(abs(cmath.exp(1e-3 * pole)) for pole in CAR.g1.poles), rel=1e-9
+    )
+    assert (figures.delay_margin_ticks, figures.delay_margin_s) == (None, None)
+    assert figures.gain_margin == math.inf
+    assert figures.peak_sensitivity == 1.0
+
+
+def test_chapter_2_is_a_loop_of_the_compensator_alone() -> None:
+    figures = margins(build(OPEN_LOOP, Target(1e-3)), OPEN_LOOP.plant, 1e-3, TORQUE_DEAD)
+    assert figures.stable
+    assert figures.spectral_radius == pytest.approx(math.exp(-1e-3), rel=1e-9)  # the pole -1
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("latency", [0, 1, 2])
+@pytest.mark.parametrize("tau_q_s", [0.0005, 0.001, 0.002, 0.005])
+@pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD, (0.5, 1.0)])
+def test_compensation_on_confirmation_is_predicted_as_it_simulates(
+    latency: int, tau_q_s: float, left: tuple[float, float]
+) -> None:
+    """After the decision the loop is another one; its growth is that of its spectral radius."""
+    wanted = design(CAR, DesignSpecification(tau_s=0.0005, tau_q_s=tau_q_s))
+    threshold = math.inf if left == HEALTHY else 1e-9
+    target = Target(
+        1e-3, latency, "zoh", threshold=threshold, clear_ticks=10**9, on_confirmation=True
+    )
+    table = build(wanted, target)
+    radius = sampled_loop(law_in(table, left), CAR, 1e-3, left).spectral_radius()
+    whole = np.tile(left, (500, 1))  # lost from the start, so decided at once
+    error = simulate(table, sample(CAR, 1e-3), np.ones(500), effectiveness=whole).error
+    tail, later = np.abs(error[300:400]).max(), np.abs(error[400:]).max()
+    if radius < 1.0:
+        assert later < 1.05 * tail + 1e-9
+    else:
+        assert math.log(later / tail) / 100 == pytest.approx(math.log(radius), rel=0.1)
+
+
+def test_only_a_confirmed_loss_lets_compensation_on_confirmation_act() -> None:
+    """Row 1 of C and D is u2: nothing reaches it before, the model of the lost channel after."""
+    table = build(PUBLISHED, Target(1e-3, 1, "zoh", on_confirmation=True))
+    whole, lost = law_in(table, HEALTHY), law_in(table, TORQUE_DEAD)
+    assert not whole.c[1].any()
+    assert not whole.d[1].any()
+    assert lost.c[1].any()
+    assert len(lost.a) == len(linear_controller(build(PUBLISHED, Target(1e-3, 1, "zoh"))).a) + 4

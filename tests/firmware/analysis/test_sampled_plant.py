@@ -1,0 +1,47 @@
+"""The plant between ticks, against scipy's integration of the same equations."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import integrate, signal
+
+from firmware_model.analysis.sampled_plant import advance_plant, measure_plant, sample
+from firmware_model.design.plants import chapter_2, steer_by_wire
+from firmware_model.errors import ParameterError
+
+
+@pytest.mark.parametrize("plant", [steer_by_wire(), chapter_2()], ids=lambda p: p.name)
+def test_is_exact_for_held_commands(plant) -> None:  # type: ignore[no-untyped-def]
+    tick_s = 5e-3
+    sampled = sample(plant, tick_s)
+    commands = np.random.default_rng(7).standard_normal((40, 2)) * [30.0, 2000.0]
+    x, expected = sampled.rest, np.zeros(len(plant.a))
+    for u in commands:
+        advance_plant(sampled.phi, sampled.gamma, x, u[0], u[1])
+        expected = integrate.solve_ivp(
+            lambda _, state, u=u: plant.a @ state + plant.b @ u,
+            (0.0, tick_s),
+            expected,
+            rtol=1e-11,
+            atol=1e-13,
+            method="DOP853",
+        ).y[:, -1]
+        np.testing.assert_allclose(x, expected, rtol=1e-8, atol=1e-10)
+        assert measure_plant(sampled.c, x) == pytest.approx((plant.c @ expected).item(), rel=1e-7)
+
+
+def test_equals_scipys_zoh() -> None:
+    plant = steer_by_wire()
+    phi, gamma, *_ = signal.cont2discrete((plant.a, plant.b, plant.c, np.zeros((1, 2))), 1e-3)
+    sampled = sample(plant, 1e-3)
+    np.testing.assert_allclose(sampled.phi, phi, rtol=1e-12, atol=1e-16)
+    np.testing.assert_allclose(sampled.gamma, gamma, rtol=1e-12, atol=1e-16)
+
+
+@pytest.mark.parametrize("tick_s", [0.0, -1.0, math.inf, math.nan])
+def test_a_tick_that_is_no_tick_is_refused(tick_s: float) -> None:
+    with pytest.raises(ParameterError, match="tick_s"):
+        sample(steer_by_wire(), tick_s)

@@ -1,0 +1,107 @@
+"""Inner-outer factorisation: all-pass, minimum phase, and their product the original."""
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_model.design.factorisation import inner_outer
+from firmware_model.design.plants import chapter_2, steer_by_wire
+from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.errors import (
+    AxisZeroError,
+    ParameterError,
+    UnstablePlantError,
+    ZeroChannelError,
+)
+
+AXIS = 1j * np.concatenate([-np.logspace(3, -3, 20), [0], np.logspace(-3, 3, 20)])
+DENOMINATOR = [1, 27.8684, 494.8547, 5616.1, 20333]
+PRINTED_3_36 = ZeroPoleGain.from_coefficients([0.0023, 0.00352, 0.8719, 5.8851], DENOMINATOR)
+
+away = st.floats(0.1, 30) | st.floats(-30, -0.1)
+zero_lists = st.builds(
+    lambda real, pairs: tuple(real) + tuple(complex(a, s * b) for a, b in pairs for s in (1, -1)),
+    st.lists(away, max_size=3),
+    st.lists(st.tuples(away, st.floats(0.1, 30)), max_size=2),
+)
+channels = st.builds(
+    ZeroPoleGain, zero_lists, st.just((-1.0,) * 7), st.floats(0.1, 9) | st.just(-2)
+)
+
+
+@given(channels)
+def test_factors(g: ZeroPoleGain) -> None:
+    inner, outer = inner_outer(g)
+    assert np.abs(inner(AXIS)) == pytest.approx(1.0, rel=1e-12)
+    assert inner.dc_gain == 1.0
+    assert inner(0j) == pytest.approx(1.0, abs=1e-14)
+    assert inner.is_stable()
+    assert outer.is_stable()
+    assert all(zero.real < 0 for zero in outer.zeros)
+    assert outer.relative_degree == g.relative_degree
+    assert (inner * outer).cancelled() == g.cancelled()
+    assert (inner * outer)(AXIS) == pytest.approx(g(AXIS), rel=1e-12)
+
+
+@pytest.mark.parametrize(
+    "g", [chapter_2().g2, steer_by_wire().g2, steer_by_wire(variant="published").g2]
+)
+def test_a_minimum_phase_channel_is_its_own_outer_factor(g: ZeroPoleGain) -> None:
+    assert inner_outer(g) == (ZeroPoleGain.constant(1.0), g)
+
+
+def test_3_36_as_printed_is_non_minimum_phase() -> None:
+    inner, outer = inner_outer(PRINTED_3_36)
+    assert inner.zeros[0] == pytest.approx(2.37 + 20.1j, abs=0.05)
+    assert len(inner.zeros) == 2
+    # (z - s)(z̄ - s)/((z̄ + s)(z + s)) written out
+    z = inner.zeros[0]
+    expected = (z - AXIS) * (z.conjugate() - AXIS) / ((z.conjugate() + AXIS) * (z + AXIS))
+    assert inner(AXIS) == pytest.approx(expected, rel=1e-12)
+    assert inner.dc_gain == 1.0
+    assert outer.dc_gain == PRINTED_3_36.dc_gain
+
+
+def test_one_real_zero_in_closed_form() -> None:
+    inner, outer = inner_outer(ZeroPoleGain((4,), (-1, -2), 3.0))
+    assert inner == ZeroPoleGain((4,), (-4,), -1.0)  # (4 - s)/(4 + s)
+    assert outer == ZeroPoleGain((-4,), (-1, -2), -3.0)
+
+
+@pytest.mark.parametrize(
+    "zeros", [(0,), (2j, -2j), (1e-7 + 1j, 1e-7 - 1j), (-1e-7 + 1j, -1e-7 - 1j), (0, -3)]
+)
+def test_axis_zeros_are_refused(zeros: tuple[complex, ...]) -> None:
+    with pytest.raises(AxisZeroError, match=r"G has a zero at .* rad/s, on the imaginary axis"):
+        inner_outer(ZeroPoleGain(zeros, (-1, -2, -3), 1.0))
+
+
+def test_a_double_axis_zero_split_by_rounding_is_refused() -> None:
+    split = ZeroPoleGain.from_coefficients(np.polymul([1, 0, 7.3], [1, 0, 7.3]), DENOMINATOR)
+    with pytest.raises(AxisZeroError):
+        inner_outer(split)
+
+
+def test_the_tolerance_is_the_caller_s() -> None:
+    lightly_damped = ZeroPoleGain((0.01 + 1j, 0.01 - 1j), (-1, -2), 1.0)
+    assert inner_outer(lightly_damped)[0].order == 2
+    with pytest.raises(AxisZeroError, match=r"within a damping ratio of 0\.05"):
+        inner_outer(lightly_damped, axis_tolerance=0.05)
+    assert inner_outer(ZeroPoleGain((1e-9 + 1j, 1e-9 - 1j), (-1, -2), 1.0), 0.0)[0].order == 2
+    with pytest.raises(AxisZeroError):
+        inner_outer(ZeroPoleGain((1j, -1j), (-1, -2), 1.0), 0.0)
+
+
+@pytest.mark.parametrize("tolerance", [-1e-9, 1.0, float("nan")])
+def test_tolerance_refused(tolerance: float) -> None:
+    with pytest.raises(ParameterError, match="axis_tolerance = "):
+        inner_outer(ZeroPoleGain.lag(1.0, 1), tolerance)
+
+
+def test_zero_and_unstable_channels_are_refused() -> None:
+    with pytest.raises(ZeroChannelError, match=r"G\(s\) is identically zero"):
+        inner_outer(ZeroPoleGain.constant(0.0))
+    for pole in (0.0, 3.0):
+        with pytest.raises(UnstablePlantError, match=f"G has a pole at {pole:.6g}"):
+            inner_outer(ZeroPoleGain((), (pole, -1), 1.0))

@@ -1,0 +1,217 @@
+"""Channels against their state space, and the properties the thesis's plants must have."""
+
+from dataclasses import fields, replace
+
+import control
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import example, given, settings
+from hypothesis import strategies as st
+
+from firmware_model.design.plants import Plant, chapter_2, numerators, steer_by_wire
+from firmware_model.design.vehicle import TABLE_3_2, VehicleParameters, vehicle_state_space
+from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.errors import ParameterError, UnstablePlantError, ZeroChannelError
+
+OMEGAS = np.logspace(-2, 5, 8)
+weights = st.sampled_from([0.0, 1.0]) | st.floats(1e-6, 1)
+
+
+def _car(scale: list[float], speed: float, d: float) -> VehicleParameters:
+    scaled = (
+        getattr(TABLE_3_2, f.name) * k for f, k in zip(fields(TABLE_3_2), scale, strict=False)
+    )
+    return VehicleParameters(*scaled, speed_mps=speed, lateral_weight=d)
+
+
+cars = st.builds(
+    _car, st.lists(st.floats(0.7, 1.3), min_size=10, max_size=10), st.floats(2, 50), weights
+)
+
+
+def _exact(plant: Plant, omega: float) -> list[complex]:
+    """C(jωI - A)⁻¹B solved in 40 digits."""
+    with mpmath.workdps(40):
+        matrix = mpmath.mpc(0, omega) * mpmath.eye(len(plant.a)) - mpmath.matrix(plant.a.tolist())
+        states = mpmath.inverse(matrix) * mpmath.matrix(plant.b.tolist())
+        output = mpmath.matrix(plant.c.tolist()) * states
+        return [complex(output[0]), complex(output[1])]
+
+
+def _assert_channels_are_the_state_space(plant: Plant, rel: float) -> None:
+    for omega in OMEGAS:
+        given_values = [plant.g1(1j * omega), plant.g2(1j * omega)]
+        assert given_values == pytest.approx(_exact(plant, omega), rel=rel)
+
+
+@settings(max_examples=60, deadline=None)
+@given(cars, st.sampled_from(["physics", "published"]))
+@example(replace(TABLE_3_2, lateral_weight=0.0), "physics")
+@example(replace(TABLE_3_2, lateral_weight=1.0, speed_mps=50.0), "physics")
+@example(replace(TABLE_3_2, lateral_weight=1e-6, speed_mps=2.0), "physics")
+def test_channels_of_any_stable_car(car: VehicleParameters, variant: str) -> None:
+    try:
+        plant = steer_by_wire(car, variant)
+    except UnstablePlantError:
+        a, _, _ = vehicle_state_space(car, variant)
+        with mpmath.workdps(40):
+            poles = mpmath.eig(mpmath.matrix(a.tolist()), left=False, right=False)
+        assert max(pole.real for pole in poles) > -1e-9
+        return
+    _assert_channels_are_the_state_space(plant, rel=1e-12)
+    assert plant.g1.poles == plant.g2.poles
+    assert plant.g1.relative_degree == (3 if car.lateral_weight == 0 else 2)
+
+
+def test_chapter_2_is_2_38_and_its_state_space() -> None:
+    plant = chapter_2()
+    _assert_channels_are_the_state_space(plant, rel=1e-14)
+    for s in (0.3, 1.5j, -0.2 + 7j):
+        assert plant.g1(s) == pytest.approx((s + 3) / ((s + 1) * (s + 2)), rel=1e-14)
+        assert plant.g2(s) == pytest.approx((s + 6) / ((s + 4) * (s + 5)), rel=1e-14)
+    assert (plant.g1.order, plant.g2.order) == (2, 2)
+
+
+def test_the_car_is_stable_and_minimum_phase_over_speed_and_weight() -> None:
+    for speed in np.linspace(2, 50, 17):
+        for d in np.linspace(0, 1, 11):
+            car = replace(TABLE_3_2, speed_mps=float(speed), lateral_weight=float(d))
+            plant = steer_by_wire(car)
+            for g in (plant.g1, plant.g2):
+                assert g.is_stable()
+                assert all(zero.real < 0 for zero in g.zeros)
+            assert plant.g1.relative_degree == (3 if d == 0 else 2)
+            assert plant.g2.relative_degree == 1
+
+
+def test_the_slip_of_the_published_variant_is_not_minimum_phase_at_a_crawl() -> None:
+    for speed, weight, minimum_phase in [(10.0, 0.5, True), (2.0, 0.0, True), (2.0, 0.5, False)]:
+        car = replace(TABLE_3_2, speed_mps=speed, lateral_weight=weight)
+        plant = steer_by_wire(car, "published")
+        assert all(z.real < 0 for g in (plant.g1, plant.g2) for z in g.zeros) is minimum_phase
+
+
+@pytest.mark.parametrize(
+    ("variant", "torque_nm", "force_difference_n"),
+    [("physics", 42.5, 2989), ("published", 49.2, 3455)],
+)
+def test_steady_commands_for_one_mps2(
+    variant: str, torque_nm: float, force_difference_n: float
+) -> None:
+    plant = steer_by_wire(variant=variant)
+    assert 1 / plant.g1.dc_gain == pytest.approx(torque_nm, abs=0.05)
+    assert 1 / plant.g2.dc_gain == pytest.approx(force_difference_n, abs=0.5)
+
+
+def test_published_factors_expand_to_the_printed_fractions() -> None:
+    plant = steer_by_wire(variant="published")
+    assert plant.g1.numerator() == pytest.approx([2.0093, 46.2900, 413.5481], abs=5.01e-5)
+    assert plant.g2.numerator() == pytest.approx([0.0023, 0.0352, 0.8719, 5.8851], abs=5.01e-5)
+    den = plant.g1.denominator()
+    assert den[:3] == pytest.approx([1, 27.8684, 494.8547], abs=5e-5)
+    assert den[3:] == pytest.approx([5616.1, 20333], abs=0.5)
+
+
+def test_zeros_agree_with_the_pencil_of_python_control() -> None:
+    plant = steer_by_wire()
+    for column, g in enumerate((plant.g1, plant.g2)):
+        system = control.ss(plant.a, plant.b[:, [column]], plant.c, 0)
+        expected = np.sort_complex(control.zeros(system))
+        assert np.sort_complex(g.zeros) == pytest.approx(expected, rel=1e-9)
+
+
+@given(
+    st.lists(st.floats(-3, 3), min_size=15, max_size=15),
+    st.floats(0.5, 30),
+)
+@settings(deadline=None)
+def test_numerators_are_the_determinant_difference(entries: list[float], s: float) -> None:
+    """``c adj(sI - A) b = det(sI - A + b c) - det(sI - A)``, the matrix determinant lemma."""
+    a = np.array(entries[:9]).reshape(3, 3)
+    b = np.array([entries[9:12], entries[12:15]]).T
+    c = np.array([[1.0, -2.0, 0.5]])
+    for row, column in zip(numerators(a, b, c), b.T, strict=True):
+        shifted = s * np.eye(3) - a
+        expected = np.linalg.det(shifted + np.outer(column, c)) - np.linalg.det(shifted)
+        assert np.polyval(row, s) == pytest.approx(expected, rel=1e-9, abs=1e-8 * (1 + s) ** 3)
+
+
+def test_a_zero_hidden_by_a_change_of_state_is_still_no_coefficient() -> None:
+    a = np.diag([-1.0, -2.0, -3.0])
+    b = np.array([[1.0, 1], [-2, 1], [1, 1]])  # c b = 0 and c A b = 0 for input 1
+    c = np.array([[1.0, 1, 1]])
+    t = np.array([[0.3, 0.7, 0.1], [0.2, -0.9, 0.4], [0.11, 0.13, 0.8]])
+    inverse = np.linalg.inv(t)
+    moved = Plant.from_state_space("moved", inverse @ a @ t, inverse @ b, c @ t)
+    assert moved.g1.zeros == ()
+    assert moved.g1.gain == pytest.approx(2.0, rel=1e-12)  # c A² b
+    _assert_channels_are_the_state_space(moved, rel=1e-11)
+
+
+def test_a_mode_that_one_input_does_not_reach_stays_as_a_pair() -> None:
+    plant = chapter_2()
+    full = Plant.from_state_space("full", plant.a, plant.b, plant.c)
+    assert (full.g1.order, full.g2.order) == (4, 4)
+    assert np.sort_complex(full.g1.zeros) == pytest.approx([-5, -4, -3], rel=1e-12)
+    _assert_channels_are_the_state_space(full, rel=1e-12)
+
+
+def test_matrices_are_read_only_copies() -> None:
+    a, b, c = np.array([[-1]]), np.array([[1, 2]]), np.array([[1]])
+    plant = Plant.from_state_space("small", a, b, c)
+    a[0, 0] = 5
+    assert plant.a.tolist() == [[-1.0]]
+    for matrix in (plant.a, plant.b, plant.c):
+        assert matrix.dtype == np.float64
+        with pytest.raises(ValueError, match="read-only"):
+            matrix[0, 0] = 1.0
+
+
+def test_a_weaving_car_is_refused_and_an_oversteering_one_is_not() -> None:
+    oversteering = replace(TABLE_3_2, front_axle_distance_m=1.9, rear_axle_distance_m=0.7)
+    assert steer_by_wire(replace(oversteering, speed_mps=50.0)).g1.is_stable()
+    undamped = replace(TABLE_3_2, steering_damping_nms_per_rad=0.0, trail_m=0.005)
+    assert steer_by_wire(undamped).g1.is_stable()
+    with pytest.raises(
+        UnstablePlantError, match=r"steer-by-wire \(physics\): pole at 0\.64.*5\.15.* rad/s"
+    ):
+        steer_by_wire(replace(undamped, speed_mps=30.0))
+
+
+@pytest.mark.parametrize("pole", [1.0, 0.0, -1e-17])
+def test_a_pole_on_the_axis_or_right_of_it_is_named(pole: float) -> None:
+    with pytest.raises(UnstablePlantError, match=f"bad: pole at {pole:.6g}"):
+        Plant.from_state_space("bad", np.diag([-2.0, pole]), np.eye(2), [[1, 1]])
+
+
+@pytest.mark.parametrize(("b", "named"), [([[0, 1]], "G1"), ([[1, 0]], "G2")])
+def test_a_zero_channel_is_named(b: list[list[float]], named: str) -> None:
+    with pytest.raises(ZeroChannelError, match=rf"mute: {named}\(s\) is identically zero"):
+        Plant.from_state_space("mute", [[-1.0]], b, [[1.0]])
+
+
+@pytest.mark.parametrize(
+    ("a", "b", "c", "named"),
+    [
+        ([[-1.0, 0]], [[1, 1]], [[1]], r"A has shape \(1, 2\), must be \(1, 1\)"),
+        ([[-1.0]], [[1]], [[1]], r"B has shape \(1, 1\), must be \(1, 2\)"),
+        ([[-1.0]], [[1, 1]], [1], r"C has shape \(1,\), must be \(1, 1\)"),
+        (-1.0, [[1, 1]], [[1]], r"A has shape \(\)"),
+        (np.empty((0, 0)), np.empty((0, 2)), np.empty((1, 0)), r"A has shape \(0, 0\)"),
+        ([[np.nan]], [[1, 1]], [[1]], "A has an entry that is not finite"),
+        ([[-1.0]], [[1, np.inf]], [[1]], "B has an entry that is not finite"),
+        ([[-1.0]], [[1, 1]], [[np.nan]], "C has an entry that is not finite"),
+    ],
+)
+def test_matrices_refused(a: object, b: object, c: object, named: str) -> None:
+    with pytest.raises(ParameterError, match=f"odd: {named}"):
+        Plant.from_state_space("odd", a, b, c)
+
+
+def test_channels_of_another_state_space_are_refused() -> None:
+    right = chapter_2()
+    with pytest.raises(ParameterError, match=r"chapter-2: \[G1 G2\] = .* at 1 rad/s"):
+        replace(right, g2=ZeroPoleGain(right.g2.zeros, right.g2.poles, 1.0001))
+    with pytest.raises(ParameterError, match=r"\[G1 G2\]"):
+        replace(right, g1=right.g2)

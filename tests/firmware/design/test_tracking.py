@@ -1,0 +1,141 @@
+"""The tracking controller at minimal order against (3.32)-(3.34) in 50 digits."""
+
+import mpmath
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_model.design.plants import Plant, chapter_2, steer_by_wire
+from firmware_model.design.tracking import roots_of_one_less_one, tracking
+from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.errors import (
+    AxisZeroError,
+    ImproperError,
+    NonMinimumPhaseError,
+    ParameterError,
+    UnstablePlantError,
+    ZeroChannelError,
+)
+
+PLANTS = [chapter_2(), steer_by_wire(), steer_by_wire(variant="published")]
+OMEGAS = [1e-3, 0.1, 1.0, 17.0, 300.0, 1e4]
+
+
+def _thesis_c(plant: Plant, tau_q_s: float, alpha_q: int, omega: float) -> complex:
+    """(3.32): Q/(1 - Q G1) with Q = q̂/G1, from A, B, C, nothing multiplied out."""
+    with mpmath.workdps(50):
+        s = mpmath.mpc(0, omega)
+        matrix = s * mpmath.eye(len(plant.a)) - mpmath.matrix(plant.a.tolist())
+        g1 = (
+            mpmath.matrix(plant.c.tolist())
+            * mpmath.lu_solve(matrix, mpmath.matrix(plant.b[:, 0].tolist()))
+        )[0]
+        q = 1 / ((1 + mpmath.mpf(tau_q_s) * s) ** alpha_q * g1)
+        return complex(q / (1 - q * g1))
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+@pytest.mark.parametrize("alpha_q", [2, 3, 4, 7])
+@pytest.mark.parametrize("tau_q_s", [1e-3, 0.02, 1.0])
+def test_it_is_3_32(plant: Plant, alpha_q: int, tau_q_s: float) -> None:
+    c = tracking(plant.g1, tau_q_s, alpha_q)
+    assert c.order == len(plant.g1.zeros) + alpha_q
+    for omega in OMEGAS:
+        expected = _thesis_c(plant, tau_q_s, alpha_q, omega)
+        assert c(1j * omega) == pytest.approx(expected, rel=1e-11)
+
+
+@pytest.mark.parametrize("plant", PLANTS)
+@given(
+    tau_q_s=st.floats(1e-4, 10),
+    alpha_q=st.integers(2, 6),
+    omega=st.floats(1e-2, 1e3),
+)
+def test_sensitivity_is_one_less_q_hat(
+    plant: Plant, tau_q_s: float, alpha_q: int, omega: float
+) -> None:
+    s = 1j * omega
+    sensitivity = 1 / (1 + tracking(plant.g1, tau_q_s, alpha_q)(s) * plant.g1(s))
+    assert sensitivity == pytest.approx(1 - 1 / (1 + tau_q_s * s) ** alpha_q, rel=1e-8, abs=1e-13)
+
+
+def test_3_40_with_its_errata() -> None:
+    c = tracking(steer_by_wire(variant="published").g1, 0.001, 2)
+    assert c.order == 4
+    assert c.numerator() / c.gain == pytest.approx([1, 27.8684, 494.8547, 5616.1, 20333], rel=3e-5)
+    denominator = c.inverse().numerator()
+    printed = [0.00000201, 0.00406489, 0.09299355, 0.8270962]
+    for value, digits, decimals in zip(denominator, printed, [8, 8, 7, 7], strict=False):
+        assert value == pytest.approx(digits, abs=1.01 * 10**-decimals)
+    assert denominator[-1] == 0.0
+
+
+def test_the_first_sample_of_a_step_asks_half_a_million_newton_metres() -> None:
+    c = tracking(steer_by_wire().g1, 0.001, 2)
+    assert c.relative_degree == 0
+    assert c.gain == pytest.approx(1 / (2.0093 * 1e-6), rel=1e-5)
+
+
+def test_the_integrator_is_exact() -> None:
+    for order in (2, 3, 9):
+        assert tracking(chapter_2().g1, 0.0137, order).poles.count(0j) == 1
+
+
+@pytest.mark.parametrize("order", [1, 2, 3, 4, 5, 8, 13, 100])
+def test_roots_of_one(order: int) -> None:
+    roots = roots_of_one_less_one(order)
+    assert len(set(roots)) == order
+    for root in roots:
+        assert (1 + root) ** order == pytest.approx(1, abs=1e-12)
+    with mpmath.workdps(40):
+        expected = [complex(mpmath.expjpi(mpmath.mpf(2 * k) / order) - 1) for k in range(order)]
+    for value in expected:
+        assert min(abs(root - value) for root in roots) <= 1e-15 * abs(value)
+    assert roots[0] == 0
+    ZeroPoleGain((), roots, 1.0)  # refuses unless the pairs are exact
+
+
+def test_relative_degree_is_the_least_alpha_q() -> None:
+    g1 = steer_by_wire().g1
+    with pytest.raises(ImproperError, match=r"alpha_q = 1: .* alpha_q must be at least 2"):
+        tracking(g1, 0.001, 1)
+    assert tracking(g1, 0.001, 2).relative_degree == 0
+    assert tracking(chapter_2().g1, 0.001, 1).relative_degree == 0
+
+
+@pytest.mark.parametrize(
+    ("g1", "error", "named"),
+    [
+        (ZeroPoleGain((2,), (-1, -2), 1.0), NonMinimumPhaseError, "G1 has a zero at 2"),
+        (ZeroPoleGain((0,), (-1, -2), 1.0), AxisZeroError, "G1 has a zero at 0"),
+        (ZeroPoleGain((3j, -3j), (-1, -2), 1.0), AxisZeroError, "G1 has a zero at 0\\+3j"),
+        (ZeroPoleGain((), (1,), 1.0), UnstablePlantError, "G1 has a pole at 1"),
+        (ZeroPoleGain.constant(0.0), ZeroChannelError, "G1"),
+    ],
+)
+def test_plants_refused(g1: ZeroPoleGain, error: type[Exception], named: str) -> None:
+    with pytest.raises(error, match=named):
+        tracking(g1, 0.001, 2)
+
+
+@pytest.mark.parametrize("tau_q_s", [0.0, -1.0, float("nan"), float("inf")])
+def test_tau_refused(tau_q_s: float) -> None:
+    with pytest.raises(ParameterError, match=rf"^tau_q_s = {tau_q_s}"):
+        tracking(chapter_2().g1, tau_q_s, 2)
+
+
+@pytest.mark.parametrize("alpha_q", [0, 2.0, True])
+def test_alpha_refused(alpha_q: int) -> None:
+    with pytest.raises(ParameterError, match=rf"^alpha_q = {alpha_q}: must be an integer >= 1"):
+        tracking(chapter_2().g1, 0.001, alpha_q)
+
+
+def test_closed_loop_poles_are_those_of_q_hat_and_the_cancelled_modes() -> None:
+    g1, alpha_q, tau_q_s = steer_by_wire().g1, 2, 0.05
+    c = tracking(g1, tau_q_s, alpha_q)
+    characteristic = np.polyadd(
+        np.polymul(c.numerator(), g1.numerator()), np.polymul(c.denominator(), g1.denominator())
+    )
+    expected = [*g1.poles, *g1.zeros, -1 / tau_q_s, -1 / tau_q_s]
+    assert characteristic == pytest.approx(np.poly(expected).real, rel=1e-9)

@@ -1,0 +1,102 @@
+"""From a design to the table, and everything a target refuses."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.design.plants import chapter_2, steer_by_wire
+from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.discretisation.tables import Target, algebraic_loop_gain, build, discretise
+from firmware_model.errors import DesignError, ParameterError
+from firmware_model.target.layout import MAX_LATENCY_TICKS
+
+DESIGN = design(steer_by_wire(), DesignSpecification())
+
+
+@given(tau_s=st.floats(1e-4, 1.0), tick_s=st.floats(1e-4, 1e-2))
+def test_algebraic_loop_gain_is_that_of_the_text(tau_s: float, tick_s: float) -> None:
+    """MATHS trap 5: F̂ and Tustin's G2 together are q, so the gain is T/(2τ+T); 1/3 at T = τ."""
+    filters = discretise(design(steer_by_wire(), DesignSpecification(tau_s=tau_s)), Target(tick_s))
+    assert algebraic_loop_gain(filters, 0) == pytest.approx(tick_s / (2 * tau_s + tick_s), rel=1e-9)
+
+
+@pytest.mark.parametrize(("latency", "rule"), [(1, "tustin"), (0, "zoh"), (0, "tustin-held")])
+def test_no_loop_within_the_tick_when_the_command_acts_later(latency: int, rule: Any) -> None:
+    target = Target(1e-3, latency, rule)
+    assert algebraic_loop_gain(discretise(DESIGN, target), latency) == 0.0
+    assert build(DESIGN, target).loop_inverse == 1.0
+
+
+def test_a_loop_gain_of_one_or_more_is_refused() -> None:
+    """1 + Q with a high-frequency gain of 10 amplifies 1/3 to more than 1."""
+    q = ZeroPoleGain((-10.0,), (-100.0,), 10.0).scaled(1.0)
+    steep = design(steer_by_wire(), DesignSpecification(q=q))
+    with pytest.raises(DesignError, match="algebraic loop"):
+        build(steep, Target(1e-3))
+    build(steep, Target(1e-3, estimator="zoh"))
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_the_table_is_the_filters(precision: Any) -> None:
+    target = Target(1e-3, 2, precision=precision, limit_1=10.0, lsb_2=0.5)
+    table, filters = build(DESIGN, target), discretise(DESIGN, target)
+    for name, sections in vars(filters).items():
+        n = len(sections.coefficients)
+        assert table[f"{name}_n"] == n
+        np.testing.assert_array_equal(table[name][:n], sections.coefficients.astype(precision))
+        np.testing.assert_array_equal(table[name][n:], 0.0)
+    assert table.dtype["tracking"].base == np.dtype(precision)
+    assert (table.limit_1, table.lsb_2, table.latency_ticks) == (10.0, 0.5, 2)
+    assert math.isinf(table.limit_2)
+
+
+def test_the_table_is_constant() -> None:
+    with pytest.raises(ValueError, match="read-only"):
+        build(DESIGN, Target(1e-3)).limit_1 = 1.0
+
+
+def test_open_loop_takes_the_reference_on_both_channels() -> None:
+    """(2.40): u = r + F̂ d̂."""
+    table = build(design(chapter_2(), DesignSpecification(feedback=False)), Target(1e-3))
+    assert (table.feedback, table.reference_to_2, table.integrates) == (0.0, 1.0, 0)
+
+
+@pytest.mark.parametrize(
+    ("change", "named"),
+    [
+        ({"estimator": "euler"}, "estimator"),
+        ({"latency_ticks": -1}, "latency_ticks"),
+        ({"latency_ticks": MAX_LATENCY_TICKS + 1}, "latency_ticks"),
+        ({"limit_1": 0.0}, "limit_1"),
+        ({"limit_2": math.nan}, "limit_2"),
+        ({"threshold": -1.0}, "threshold"),
+        ({"lsb_1": -1.0}, "lsb_1"),
+        ({"lsb_2": math.inf}, "lsb_2"),
+        ({"confirm_ticks": 0}, "confirm_ticks"),
+        ({"clear_ticks": 0}, "clear_ticks"),
+        ({"clear_ratio": 1.0}, "clear_ratio"),
+        ({"rate_1": 0.0}, "rate_1"),
+    ],
+)
+def test_a_target_that_means_nothing_is_refused(change: dict[str, Any], named: str) -> None:
+    with pytest.raises(ParameterError, match=named):
+        Target(1e-3, **change)
+
+
+@pytest.mark.parametrize("tick_s", [0.0, math.nan])
+def test_a_tick_that_is_no_tick_is_refused(tick_s: float) -> None:
+    with pytest.raises(ParameterError, match="tick_s"):
+        build(DESIGN, Target(tick_s))
+
+
+def test_a_filter_beyond_the_layout_is_refused() -> None:
+    big = design(steer_by_wire(), DesignSpecification(alpha=14))
+    with pytest.raises(ParameterError, match="compensator: order 18"):
+        build(big, Target(1e-3))

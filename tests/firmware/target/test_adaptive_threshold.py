@@ -1,0 +1,174 @@
+"""A car that is not the model is no fault, and a fault in such a car is found all the same."""
+
+from __future__ import annotations
+
+import dataclasses
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import dlsim, lfilter
+
+from firmware_model.analysis.sampled_plant import SampledPlant, sample
+from firmware_model.analysis.simulation import Trace, simulate
+from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.design.plants import Plant, steer_by_wire
+from firmware_model.design.vehicle import VehicleParameters
+from firmware_model.discretisation.sections import FloatArray
+from firmware_model.discretisation.tables import CHANGE_MEMORY_S, MOST_MEMORY_S, Target, build
+from firmware_model.target import controller
+from firmware_model.target.layout import FaultState, Mode
+
+TICK_S, LATENCY, LOST, TICKS = 1e-3, 1, 10_000, 12_000  # a step is forgotten by then
+CAR = steer_by_wire()
+DESIGN = design(CAR, DesignSpecification(tau_s=0.0001, tau_q_s=0.01))
+STEP, SINE = np.ones(TICKS), np.sin(0.003 * np.arange(TICKS))
+UNHURT = (FaultState.CLEAR, FaultState.CANNOT_TELL)
+
+
+def target(share: float, **changes: object) -> Target:
+    """Compensation on confirmation at once, with a threshold that no rounding reaches."""
+    chosen: dict[str, object] = {"threshold": 1e-6, "on_confirmation": True, **changes}
+    return Target(TICK_S, LATENCY, "zoh", model_share=share, **chosen)  # type: ignore[arg-type]
+
+
+def with_gain(gain: float) -> SampledPlant:
+    """The car, but for a torque that does ``gain`` times as much."""
+    plant = sample(CAR, TICK_S)
+    return dataclasses.replace(plant, gamma=plant.gamma * np.array([[gain, 1.0]]))
+
+
+def heavy() -> Plant:
+    return steer_by_wire(VehicleParameters(mass_kg=1.2 * VehicleParameters().mass_kg))
+
+
+def drive(
+    table_target: Target,
+    plant: SampledPlant,
+    reference: FloatArray = STEP,
+    left: float = 1.0,
+    until: int = TICKS,
+) -> Trace:
+    effectiveness = np.ones((len(reference), 2))
+    effectiveness[LOST:until, 0] = left
+    return simulate(build(DESIGN, table_target), plant, reference, effectiveness=effectiveness)
+
+
+def by_scipy(trace: Trace, threshold: float) -> float:
+    """The share that explains every d̂ of ``trace``: model, change and fading maximum, again."""
+    late = np.concatenate([np.zeros(LATENCY), trace.command_1[:-LATENCY]])
+    plant = sample(CAR, TICK_S)
+    _, answer, _ = dlsim((plant.phi, plant.gamma[:, :1], plant.c[None, :], [[0.0]], TICK_S), late)
+
+    def change(signal: FloatArray) -> FloatArray:
+        return lfilter([1.0, -1.0], [1.0, -np.exp(-TICK_S / CHANGE_MEMORY_S)], signal)
+
+    def most(signal: FloatArray) -> FloatArray:
+        age = np.arange(len(signal)) * TICK_S / MOST_MEMORY_S
+        return np.exp(np.maximum.accumulate(np.log(np.abs(signal) + 1e-300) + age) - age)
+
+    expected, estimate = answer[:, 0], trace.fault_estimate
+    shares = [
+        np.maximum(np.abs(part(estimate)) - threshold, 0.0)
+        / np.maximum(most(part(expected)), 1e-12)
+        for part in (lambda signal: signal, change)
+    ]
+    return float(np.max(shares))
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("reference", [STEP, SINE], ids=["step", "sine"])
+def test_the_share_that_is_shown_is_that_of_another_computation(reference: FloatArray) -> None:
+    trace = drive(target(1e9), sample(heavy(), TICK_S), reference)
+    assert trace.share_shown.max() == pytest.approx(by_scipy(trace, 1e-6), rel=1e-6)
+    assert trace.share_shown.max() > 0.1
+
+
+@pytest.mark.long
+@settings(max_examples=20, deadline=None)
+@given(gain=st.floats(0.6, 1.5), pace=st.floats(0.001, 0.02))
+def test_a_torque_of_another_gain_shows_its_share_and_no_more(gain: float, pace: float) -> None:
+    """G1' = k G1: d̂ = (1 + Q)(1 - k) G1 u1 exactly, and 1 + Q passes on no more."""
+    wrong = abs(1.0 - gain)
+    reference = np.sin(pace * np.arange(1500))
+    for share, alarms in ((1.01 * wrong + 1e-9, False), (0.9 * wrong - 1e-3, True)):
+        table = build(DESIGN, target(max(share, 0.0)))
+        states = simulate(table, with_gain(gain), reference).fault_state
+        if wrong > 0.01:
+            assert np.isin(states, UNHURT).all() != alarms
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("share", [0.0, 0.6, 1.25])
+@pytest.mark.parametrize("left", [0.0, 0.5, 0.75])
+def test_a_loss_in_a_steady_bend_is_found_at_its_first_sample(share: float, left: float) -> None:
+    trace = drive(target(share), sample(CAR, TICK_S), left=left)
+    assert np.isin(trace.fault_state[: LOST + 1], UNHURT).all()
+    assert trace.fault_state[LOST + 1] == FaultState.CONFIRMED
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("plant", [sample(heavy(), TICK_S), with_gain(0.75)], ids=["heavy", "weak"])
+def test_so_it_is_in_another_car_and_there_is_no_alarm_before(plant: SampledPlant) -> None:
+    trusting = drive(target(0.0), plant)
+    assert FaultState.CONFIRMED in trusting.fault_state[:LOST]
+    trace = drive(target(0.6), plant, left=0.0)
+    assert np.isin(trace.fault_state[: LOST + 1], UNHURT).all()
+    assert (trace.fault_state[LOST + 1 :] == FaultState.CONFIRMED).all()
+    assert np.abs(trace.error[-100:]).max() < 1e-4
+
+
+@pytest.mark.long
+def test_in_a_turn_it_takes_until_the_loss_is_more_than_other_cars_show() -> None:
+    """d̂ grows as ½ g u1 t²: no sooner than its change is the share of that of G1 u1."""
+    states = drive(target(0.6), sample(CAR, TICK_S), SINE, left=0.0).fault_state
+    found = int(np.argmax(states == FaultState.CONFIRMED))
+    assert LOST + 1 < found < LOST + 60
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("share", [0.6, 1.25])
+@pytest.mark.parametrize("gain", [1.0, 0.8, 1.2])
+def test_half_a_loss_stays_confirmed_and_a_recovery_does_not(share: float, gain: float) -> None:
+    """Less is lost than a share of 0.6 allows other cars: confirmed by its change, it stays."""
+    chosen = target(share, clear_ticks=300)
+    stays = drive(chosen, with_gain(gain), left=0.5)
+    assert (stays.fault_state[LOST + 1 :] == FaultState.CONFIRMED).all()
+    assert np.abs(stays.error[-100:]).max() < 1e-4
+    back = drive(chosen, with_gain(gain), left=0.5, until=LOST + 500)
+    assert back.fault_state[-1] == FaultState.CLEAR
+    assert np.abs(back.command_2[-1]) < 0.02 * np.abs(back.command_2).max()  # fading
+    cleared = int(np.argmax(back.fault_state[LOST + 500 :] == FaultState.CLEAR)) + LOST + 500
+    assert (back.fault_state[cleared:] == FaultState.CLEAR).all()
+
+
+def test_after_a_reset_a_loss_is_found_at_its_first_sample() -> None:
+    """A bend that has been driven for long is no change."""
+    table = build(DESIGN, target(0.6))
+    state = controller.init(table)[0]
+    controller.reset(table, state, 1.0)
+    states = []
+    for y in (1.0, 1.0, 1.0 - 1e-4):
+        controller.step(table, state, 1.0, y)
+        states.append(state.fault_state)
+    assert states == [FaultState.CLEAR, FaultState.CLEAR, FaultState.CONFIRMED]
+
+
+@pytest.mark.long
+def test_where_little_is_at_stake_it_cannot_tell() -> None:
+    trace = drive(target(0.6), sample(CAR, TICK_S), np.where(np.arange(TICKS) < 6000, 1.0, 0.0))
+    assert trace.fault_state[5999] == FaultState.CLEAR
+    assert trace.fault_state[-1] == FaultState.CANNOT_TELL
+
+
+@pytest.mark.parametrize("precision", ["float32", "float64"])
+def test_changes_that_leave_the_numbers_are_forgotten(precision: str) -> None:
+    huge = 3e38 if precision == "float32" else 1.5e308
+    table = build(DESIGN, target(0.6, precision=precision, threshold=1e-3))
+    state = controller.init(table)[0]
+    with np.errstate(all="ignore"):
+        for y in (0.0, huge, -huge, huge, *[0.0] * 3000):
+            controller.step(table, state, 0.0, y)
+            assert np.isfinite([state.change, state.change_expected, state.most]).all()
+    assert state.mode == Mode.RUN

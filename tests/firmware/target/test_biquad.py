@@ -1,0 +1,105 @@
+"""The filters that run, against scipy's, and their settled states."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import signal
+
+from firmware_model.design.plants import steer_by_wire
+from firmware_model.design.tracking import tracking
+from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.discretisation.sections import Sections
+from firmware_model.discretisation.tustin import tustin, zoh
+from firmware_model.target.biquad import advance, output, settle, settle_integrator
+
+CAR = steer_by_wire()
+FILTERS = {
+    "G1": zoh(CAR.g1, 1e-3),
+    "G2": tustin(CAR.g2, 1e-3),
+    "compensator": tustin(CAR.g2.inverse() * ZeroPoleGain.lag(0.001, 1), 1e-3),
+    "odd order": tustin(ZeroPoleGain((-3.0,), (-1.0, -2.0, -5.0), 4.0), 1e-2),
+    "static": tustin(ZeroPoleGain.constant(-2.5), 1e-3),
+}
+
+
+def run(sections: Sections, inputs: np.ndarray) -> np.ndarray:
+    state = np.zeros((len(sections.coefficients), 2))
+    n = len(state)
+    return np.array([advance(sections.coefficients, state, n, u) for u in inputs])
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_equals_scipys_second_order_sections(name: str) -> None:
+    inputs = np.random.default_rng(1).standard_normal(4000)
+    expected = signal.sosfilt(FILTERS[name].sos, inputs)
+    np.testing.assert_allclose(
+        run(FILTERS[name], inputs), expected, atol=1e-9 * np.abs(expected).max()
+    )
+
+
+@given(
+    inputs=st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=30),
+    factor=st.floats(-8.0, 8.0),
+)
+def test_is_linear(inputs: list[float], factor: float) -> None:
+    sections, u = FILTERS["G2"], np.array(inputs)
+    scale = 1e-12 * (1.0 + np.abs(u).max())
+    np.testing.assert_allclose(
+        run(sections, factor * u), factor * run(sections, u), atol=10 * scale
+    )
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_output_is_what_advance_answers_and_moves_nothing(name: str) -> None:
+    sections = FILTERS[name]
+    state = np.random.default_rng(2).standard_normal((len(sections.coefficients), 2))
+    before = state.copy()
+    looked = output(sections.coefficients, state, len(state), 0.7)
+    np.testing.assert_array_equal(state, before)
+    assert looked == advance(sections.coefficients, state, len(state), 0.7)
+
+
+@pytest.mark.parametrize("name", FILTERS)
+def test_settle_is_where_a_constant_input_leads(name: str) -> None:
+    sections = FILTERS[name]
+    state = np.zeros((len(sections.coefficients), 2))
+    settled = settle(sections.coefficients, state, len(state), 3.0)
+    dc_gain = sections(np.array([1.0 + 0j]))[0].real
+    assert settled == pytest.approx(3.0 * dc_gain, rel=1e-12)
+    for _ in range(2000):
+        settled = advance(sections.coefficients, state, len(state), 3.0)
+    assert settled == pytest.approx(3.0 * dc_gain, rel=1e-9)
+
+
+@pytest.mark.parametrize("alpha_q", [2, 3, 4])
+def test_settle_integrator_holds_its_output_at_zero_input(alpha_q: int) -> None:
+    sections = tustin(tracking(CAR.g1, 0.001, alpha_q), 1e-3)
+    state = np.zeros((len(sections.coefficients), 2))
+    settle_integrator(sections.coefficients, state, len(state), 42.5)
+    answers = [advance(sections.coefficients, state, len(state), 0.0) for _ in range(3000)]
+    np.testing.assert_allclose(answers, 42.5, rtol=1e-9)
+
+
+def test_settle_integrator_goes_backwards_through_every_kind_of_section() -> None:
+    """Integrator first, then sections of order 2, 1 (with δ/δ), after it."""
+    sections = np.array(
+        [
+            [0.2, 0.1, 0.0, 0.0, 0.0],  # 1/δ and a feedthrough
+            [1.0, 0.3, 0.02, 0.3, 0.04],
+            [0.5, 0.2, 0.0, 0.4, 0.0],
+        ]
+    )
+    state = np.zeros((3, 2))
+    settle_integrator(sections, state, 3, 7.0)
+    answers = [advance(sections, state, 3, 0.0) for _ in range(50)]
+    np.testing.assert_allclose(answers, 7.0, rtol=1e-12)
+
+
+def test_settle_leaves_an_integrator_at_rest() -> None:
+    sections = np.array([[0.2, 0.1, 0.0, 0.0, 0.0]])
+    state = np.zeros((1, 2))
+    assert settle(sections, state, 1, 0.0) == 0.0
+    np.testing.assert_array_equal(state, 0.0)

@@ -1,0 +1,134 @@
+"""What was missed is made up smoothly, whole and in about the time that it took to be noticed."""
+
+from __future__ import annotations
+
+import dataclasses
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from firmware_model.analysis.sampled_plant import sample
+from firmware_model.analysis.simulation import Trace, simulate
+from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.design.plants import steer_by_wire
+from firmware_model.discretisation.tables import SHARE_MEMORY_S, Target, build
+from firmware_model.target import controller
+from firmware_model.target.bumpless_transfer import begin_handover, hand_over
+from firmware_model.target.layout import FaultState, Record
+
+TICK_S, LOST = 1e-3, 600
+CAR = steer_by_wire()
+DESIGN = design(CAR, DesignSpecification(tau_s=0.0001, tau_q_s=0.0027))
+SLOWEST = TICK_S / SHARE_MEMORY_S  # pace a tick
+
+
+def late(confirm_ticks: int) -> Target:
+    return Target(
+        TICK_S, 1, "zoh", limit_2=1e5, threshold=1e-6, confirm_ticks=confirm_ticks,
+        on_confirmation=True,
+    )  # fmt: skip
+
+
+def begun(missed: float, speed: float) -> tuple[Record, Record]:
+    table = build(DESIGN, late(1))
+    state = controller.init(table)[0]
+    begin_handover(table, state, missed, speed)
+    return table, state
+
+
+sizes = st.floats(-1.0, 1.0).filter(lambda value: abs(value) > 1e-9)
+
+
+@settings(deadline=None)  # the first call compiles
+@given(missed=sizes, speed=sizes)
+def test_it_fades_as_a_critically_damped_motion_of_that_value_and_speed(
+    missed: float, speed: float
+) -> None:
+    """m'' + 2λm' + λ²m = 0 in k: (m0 + (m0' + λ m0) k) exp(-λk)."""
+    pace = max(abs(speed / missed), SLOWEST)
+    _, state = begun(missed, speed)
+    left = [-hand_over(state, 0.0) for _ in range(50)]
+    k = np.arange(1, 51)
+    expected = (missed + (speed + pace * missed) * k) * np.exp(-pace * k)
+    np.testing.assert_allclose(left, expected, rtol=1e-9, atol=1e-12)
+
+
+@settings(deadline=None)  # the first call compiles
+@given(missed=st.floats(1e-6, 1.0), ticks=st.integers(2, 40))
+def test_of_a_square_of_time_no_more_is_missed_than_a_fifth_more(missed: float, ticks: int) -> None:
+    """max of (1 + 2x) exp(-x) at x = 1/2: 2 exp(-1/2) = 1.213."""
+    _, state = begun(missed, 2.0 * missed / ticks)
+    left = [-hand_over(state, 0.0) for _ in range(10 * ticks)]
+    assert max(left) <= 2.0 * math.exp(-0.5) * missed * (1.0 + 1e-9)
+    assert left[-1] < 0.01 * missed
+
+
+def test_where_nothing_was_missed_all_is_carried_at_once() -> None:
+    for missed, speed in ((0.0, 0.3), (5e-324, 1e300)):
+        _, state = begun(missed, speed)
+        assert [hand_over(state, value) for value in (0.3, 0.4, -1.0)] == [0.3, 0.4, -1.0]
+
+
+def test_what_has_settled_is_made_up_with_the_pace_of_the_car() -> None:
+    _, state = begun(0.5, 0.0)
+    left = [-hand_over(state, 0.0) for _ in range(500)]
+    assert left[0] == pytest.approx(0.5, rel=1e-3)
+    assert left[-1] < 1e-2 * 0.5
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("ticks", [1, 5])
+@pytest.mark.parametrize("period", [1300, 1900, 2600])
+def test_a_loose_connection_asks_for_no_more_than_the_load_in_a_tick(
+    ticks: int, period: int
+) -> None:
+    """Lost again while the last loss is handed back: 18 times the load, were F̂ to jump to it."""
+    target = dataclasses.replace(late(ticks), model_share=0.6, clear_ticks=300)
+    left = np.ones((12_000, 2))
+    left[6000:, 0] = (np.arange(6000) // (period // 2)) % 2
+    plant, table = sample(CAR, TICK_S), build(DESIGN, target)
+    trace = simulate(table, plant, np.ones(12_000), effectiveness=left)
+    again = np.diff((trace.fault_state == FaultState.CONFIRMED).astype(int)) == 1
+    assert again.sum() > 2
+    assert np.abs(np.diff(trace.command_2)).max() < 1.0 / CAR.g2.dc_gain
+    assert np.abs(trace.error[6000:]).max() < 0.1
+
+
+def test_a_loss_that_comes_back_while_the_last_is_handed_back_makes_no_bump() -> None:
+    table = build(DESIGN, dataclasses.replace(late(1), threshold=0.05, clear_ticks=30))
+    plant, left = sample(CAR, TICK_S), np.ones((2500, 2))
+    left[LOST : LOST + 200, 0] = 0.0
+    once = simulate(table, plant, np.ones(2500), effectiveness=left).fault_state
+    cleared = LOST + 200 + int(np.argmax(once[LOST + 200 :] == FaultState.CLEAR))
+    left[cleared + 50 :, 0] = 0.0
+    again = simulate(table, plant, np.ones(2500), effectiveness=left)
+    assert again.fault_state[cleared + 40] == FaultState.CLEAR
+    assert again.fault_state[-1] == FaultState.CONFIRMED
+    assert np.abs(np.diff(again.command_2[cleared:])).max() < 1.0 / CAR.g2.dc_gain
+    assert np.abs(again.error[-100:]).max() < 1e-3
+
+
+def confirmed_after(ticks: int) -> Trace:
+    left = np.ones((1500, 2))
+    left[LOST:, 0] = 0.0
+    return simulate(
+        build(DESIGN, late(ticks)), sample(CAR, TICK_S), np.ones(1500), effectiveness=left
+    )
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("ticks", [2, 5, 15, 30])
+def test_compensation_that_engages_late_needs_no_more_than_the_load_and_makes_up_all(
+    ticks: int,
+) -> None:
+    """Given w as it is, F̂ would ask for w/(g T²): 2e4 N after 15 ticks, and as much back."""
+    trace = confirmed_after(ticks)
+    load = 1.0 / CAR.g2.dc_gain
+    assert np.abs(trace.command_2).max() < 2.0 * load
+    assert np.abs(np.diff(trace.command_2)).max() < 0.4 * load
+    at_confirmation = np.abs(trace.error[LOST : LOST + ticks + 2]).max()
+    assert np.abs(trace.error[LOST:]).max() < 1.5 * at_confirmation
+    assert np.abs(trace.error[-100:]).max() < 1e-4

@@ -1,0 +1,180 @@
+"""The torque probe: what it measures, that C lets it pass, and what the decision makes of it."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from firmware_model.analysis.sampled_plant import sample
+from firmware_model.analysis.simulation import Trace, simulate
+from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.design.plants import steer_by_wire
+from firmware_model.design.vehicle import VehicleParameters
+from firmware_model.discretisation.tables import Target, build
+from firmware_model.errors import ParameterError
+from firmware_model.target import controller
+from firmware_model.target.layout import FaultState
+from firmware_model.target.probe import begin, listen, probe_torque, share_heard
+
+TICK_S, TICKS, LOST, PROBE_NM = 1e-3, 8000, 3000, 2.0
+CAR = steer_by_wire()
+TUNED = design(CAR, DesignSpecification(tau_s=0.003, tau_q_s=0.005))
+
+
+def target(**changes: object) -> Target:
+    chosen = {"threshold": 0.02, "confirm_ticks": 3, "probe": PROBE_NM, "clear_ticks": 500}
+    return Target(TICK_S, 1, "zoh", **{**chosen, **changes})  # type: ignore[arg-type]
+
+
+def drive(of: Target, left: float = 1.0, bias: float = 0.0, car=CAR, rms: float = 0.0) -> Trace:  # type: ignore[no-untyped-def]
+    """A step of 1 m/s²; from LOST on the torque has ``left`` of its effect, D* a bias."""
+    effectiveness = np.ones((TICKS, 2))
+    effectiveness[LOST:, 0] = left
+    noise = rms * np.random.default_rng(5).standard_normal(TICKS)
+    noise[LOST:] += bias
+    step = 1.0 - np.exp(-4.0 * TICK_S * np.arange(TICKS))  # gentle: no other car stands out
+    return simulate(
+        build(TUNED, of), sample(car, TICK_S), step, effectiveness=effectiveness, noise=noise
+    )
+
+
+@settings(deadline=None, max_examples=30)
+@given(st.floats(-1.0, 2.0), st.floats(-10.0, 10.0), st.floats(0.1, 100.0), st.floats(0.0, 6.2))
+def test_share_is_that_of_w_in_the_estimate_whatever_is_constant(
+    share: float, constant: float, size: float, angle: float
+) -> None:
+    table = build(TUNED, target(probe_rad_per_s=200.0))
+    state = controller.init(table)[0]
+    begin(state)
+    ticks, over = int(table.probe_ticks), False
+    for k in range(ticks):
+        assert not over
+        w = size * math.sin(4.0 * math.pi * k / ticks + angle) + 3.0 * constant
+        over = listen(table, state, share * w + constant, w)
+    assert over
+    assert share_heard(state) == pytest.approx(share, abs=1e-9 * (1.0 + abs(constant) / size))
+    assert state.probe_at == 0
+
+
+@pytest.mark.parametrize("rad_per_s", [5.0, 10.0, 31.0])
+def test_probe_is_two_periods_that_swell_and_fade(rad_per_s: float) -> None:
+    table = build(TUNED, target(probe_rad_per_s=rad_per_s))
+    state = controller.init(table)[0]
+    begin(state)
+    torque, over = [], False
+    while not over:
+        torque.append(probe_torque(table, state))
+        over = listen(table, state, 0.0, 0.0)
+    k = np.arange(len(torque)) / len(torque)
+    expected = PROBE_NM * np.sin(4 * np.pi * k) * (1.0 - np.cos(2 * np.pi * k)) / 2.0
+    np.testing.assert_allclose(torque, expected, atol=1e-11 * PROBE_NM)
+    assert len(torque) * TICK_S == pytest.approx(4 * np.pi / rad_per_s, rel=0.01)
+
+
+@pytest.mark.long
+def test_c_lets_the_probe_pass() -> None:
+    """Of the torque in a settled loop only the probe is seen, and D* does what G1 makes of it."""
+    trace = drive(target(), bias=0.05)
+    settled = simulate(
+        build(TUNED, target(probe=0.0)), sample(CAR, TICK_S), trace.reference,
+        noise=np.r_[np.zeros(LOST), np.full(TICKS - LOST, 0.05)],
+    )  # fmt: skip
+    later = slice(LOST + 1500, None)
+    added = trace.command_1[later] - settled.command_1[later]
+    moved = trace.measurement[later] - settled.measurement[later]
+    assert 0.9 * PROBE_NM < np.abs(added).max() < 1.3 * PROBE_NM
+    gain = abs(np.polyval(CAR.g1.numerator(), 10j) / np.polyval(CAR.g1.denominator(), 10j))
+    assert np.abs(moved).max() == pytest.approx(PROBE_NM * gain, rel=0.3)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("rms", [0.0, 0.005])
+@pytest.mark.parametrize("on_confirmation", [False, True])
+@pytest.mark.parametrize(
+    ("left", "bias", "lost"),
+    [(0.0, 0.0, True), (0.5, 0.0, True), (1.0, 0.1, False), (1.0, -0.3, False)],
+)
+def test_a_lost_torque_is_confirmed_and_a_bias_is_not(
+    left: float, bias: float, lost: bool, on_confirmation: bool, rms: float
+) -> None:
+    probing = drive(target(on_confirmation=on_confirmation), left, bias, rms=rms)
+    states = set(probing.fault_state[LOST:])
+    assert (FaultState.CONFIRMED in states) == lost
+    assert FaultState.SUSPECTED in states
+    # Without the probe both are taken for a loss.
+    blind = drive(target(on_confirmation=on_confirmation, probe=0.0), left, bias, rms=rms)
+    assert FaultState.CONFIRMED in blind.fault_state[LOST:]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize(
+    "changed",
+    [
+        {"mass_kg": 1680.0},
+        {"mass_kg": 1120.0},
+        {"speed_mps": 12.0},
+        {"speed_mps": 8.0},
+        {"front_cornering_stiffness_n_per_rad": 26960.0},
+        {"rear_cornering_stiffness_n_per_rad": 44960.0},
+    ],
+)
+def test_a_car_that_is_twenty_percent_off_is_not_taken_for_a_loss(
+    changed: dict[str, float],
+) -> None:
+    car = steer_by_wire(VehicleParameters(**changed))
+    trace = drive(target(threshold=0.002), car=car)
+    assert FaultState.SUSPECTED in trace.fault_state
+    assert FaultState.CONFIRMED not in trace.fault_state
+    lost = drive(target(threshold=0.002), left=0.0, car=car)
+    assert FaultState.CONFIRMED in lost.fault_state[LOST:]
+
+
+@pytest.mark.long
+def test_without_a_suspicion_there_is_no_probe() -> None:
+    with_probe, without = drive(target()), drive(target(probe=0.0))
+    np.testing.assert_array_equal(with_probe.command_1, without.command_1)
+
+
+def test_a_probe_without_an_answer_finds_nothing_lost() -> None:
+    state = controller.init(build(TUNED, target()))[0]
+    begin(state)
+    assert share_heard(state) == 0.0
+
+
+@pytest.mark.parametrize("left", [0.0, 1.0])
+def test_a_quick_probe_confirms_a_loss_and_no_bias(left: float) -> None:
+    table = build(TUNED, target(probe_rad_per_s=60.0, clear_ticks=5))
+    effectiveness, bias = np.ones((1000, 2)), np.zeros(1000)
+    effectiveness[400:, 0] = left
+    bias[400:] = 0.1 * left
+    trace = simulate(
+        table, sample(CAR, TICK_S), np.full(1000, 0.5), effectiveness=effectiveness, noise=bias
+    )
+    assert (FaultState.CONFIRMED in trace.fault_state[400:]) == (left == 0.0)
+
+
+def test_reset_ends_a_probe() -> None:
+    table = build(TUNED, target())
+    state = controller.init(table)[0]
+    begin(state)
+    controller.reset(table, state, 1.0)
+    assert state.probe_at == 0
+
+
+@pytest.mark.parametrize(
+    ("changes", "named"),
+    [
+        ({"probe": -1.0}, "probe = -1"),
+        ({"probe": math.inf}, "probe = inf"),
+        ({"probe_rad_per_s": 0.0}, "probe_rad_per_s = 0"),
+        ({"probe_rad_per_s": 800.0}, "up to an eighth"),
+        ({"probe_rad_per_s": math.nan}, "probe_rad_per_s = nan"),
+    ],
+)
+def test_no_such_probe(changes: dict[str, float], named: str) -> None:
+    with pytest.raises(ParameterError, match=named):
+        target(**changes)

@@ -1,0 +1,153 @@
+"""The governed reference: minimum time, within its limit, and the reference itself if that fits."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from firmware_model.analysis.sampled_plant import sample
+from firmware_model.analysis.simulation import simulate
+from firmware_model.compiled import firmware
+from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.design.plants import steer_by_wire
+from firmware_model.discretisation.tables import Target, build
+from firmware_model.firmware import Firmware
+from firmware_model.target import controller
+from firmware_model.target.reference_shaper import govern, start
+
+TICK_S, MOST = 1e-3, 0.25  # a power of two: sums of it are exact
+CAR = steer_by_wire()
+TABLE = build(
+    design(CAR, DesignSpecification()), Target(TICK_S, reference_acceleration=MOST / TICK_S**2)
+)
+
+
+@firmware
+def _follow(table, state, reference, governed):  # type: ignore[no-untyped-def]
+    for k in range(len(reference)):
+        state.reference = reference[k]
+        govern(table, state)
+        governed[k] = state.governed
+
+
+def follow(reference: np.ndarray, at: float = 0.0, table=TABLE) -> np.ndarray:  # type: ignore[no-untyped-def]
+    """r_g of every tick, from rest at ``at``."""
+    state = controller.init(table)[0]
+    start(state, at, 0.0)
+    governed = np.zeros(len(reference))
+    _follow(table, state, np.asarray(reference, dtype=np.float64), governed)
+    return governed
+
+
+def changes_of_speed(governed: np.ndarray, at: float = 0.0) -> np.ndarray:
+    return np.diff(np.concatenate([[at, at], governed]), n=2)
+
+
+def fewest_ticks(distance: float) -> int:
+    """To rest, when speed changes by at most 1: (n+1)²/4, rounded down, is the farthest in n."""
+    n = 0
+    while (n + 1) ** 2 // 4 < distance:
+        n += 1
+    return n
+
+
+@settings(deadline=None)
+@given(st.floats(1e-6, 1e4), st.booleans(), st.floats(-100.0, 100.0))
+def test_a_step_is_followed_in_minimum_time_and_not_beyond(
+    distance: float, down: bool, at: float
+) -> None:
+    to = at + math.copysign(distance * MOST, -1.0 if down else 1.0)
+    ticks = fewest_ticks(abs(to - at) / MOST * (1.0 - 1e-9))
+    governed = follow(np.full(ticks + 50, to), at)
+    # One tick more than a double integrator: its first move of a tick is what the step itself
+    # would have moved.
+    assert (governed[ticks + 1 :] == to).all()
+    rounding = 1e-12 * (1.0 + abs(at) + abs(to))
+    low, high = min(at, to) - rounding, max(at, to) + rounding
+    assert low <= governed.min() <= governed.max() <= high
+
+
+@settings(deadline=None)
+@given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=60))
+def test_no_reference_makes_it_faster_than_its_limit(values: list[float]) -> None:
+    reference = np.repeat(values, 7)
+    assert np.abs(changes_of_speed(follow(reference))).max() <= MOST + 1e-11
+
+
+@settings(deadline=None)
+@given(st.lists(st.floats(-MOST, MOST), min_size=1, max_size=300))
+def test_a_reference_within_the_limit_comes_through_exactly(accelerations: list[float]) -> None:
+    reference = np.cumsum(np.cumsum(np.array(accelerations) * (1.0 - 1e-9)))
+    np.testing.assert_array_equal(follow(reference), reference)
+
+
+@settings(deadline=None)
+@given(st.lists(st.floats(-50.0, 50.0), min_size=1, max_size=20), st.floats(-50.0, 50.0))
+def test_comes_to_rest_wherever_it_is_sent(before: list[float], last: float) -> None:
+    governed = follow(np.concatenate([before, np.full(2000, last)]))
+    assert (governed[-1000:] == last).all()
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=20))
+def test_single_precision_runs_the_same_course(values: list[float]) -> None:
+    single = build(
+        design(CAR, DesignSpecification()),
+        Target(TICK_S, reference_acceleration=MOST / TICK_S**2, precision="float32"),
+    )
+    reference = np.repeat(np.float32(values), 50)
+    far = np.abs(reference).max() + 1.0
+    np.testing.assert_allclose(
+        follow(reference, table=single), follow(reference), atol=2e-4 * far + 2 * MOST
+    )
+
+
+def limited_table(torque_nm: float, share: float):  # type: ignore[no-untyped-def]
+    specification = DesignSpecification(tau_s=1e-4, tau_q_s=2.7e-3)
+    acceleration = share * torque_nm * CAR.g1.gain
+    return build(
+        design(CAR, specification),
+        Target(TICK_S, 1, "zoh", limit_1=torque_nm, reference_acceleration=acceleration),
+    )
+
+
+@pytest.mark.parametrize("torque_nm", [200.0, 400.0, 1000.0])
+def test_a_raw_step_keeps_off_the_limit_of_the_torque(torque_nm: float) -> None:
+    """With half of the limit for r̈, where without a governor the loop hits both limits."""
+    plant, step = sample(CAR, TICK_S), np.ones(3000)
+    governed = simulate(limited_table(torque_nm, 0.5), plant, step)
+    raw = simulate(limited_table(torque_nm, math.inf), plant, step)
+    assert np.abs(raw.command_1).max() == pytest.approx(torque_nm)
+    assert np.abs(governed.command_1).max() < 0.85 * torque_nm
+    assert governed.measurement.max() < 1.01
+    assert raw.measurement.max() > 1.1
+    assert abs(governed.error[-1]) < 1e-9
+
+
+def test_a_gentle_reference_gets_the_commands_of_the_loop_without_a_governor() -> None:
+    plant, t = sample(CAR, TICK_S), TICK_S * np.arange(3000)
+    gentle = 1.0 - np.cos(5.0 * t)
+    with_it, without = (simulate(limited_table(400.0, s), plant, gentle) for s in (0.5, math.inf))
+    np.testing.assert_array_equal(with_it.command_1, without.command_1)
+
+
+def test_an_overflow_leaves_the_governor_working() -> None:
+    table = limited_table(400.0, 0.5)
+    states = controller.init(table)
+    for reference in (1.7e308, -1.7e308, 0.0, 0.0):
+        controller.step(table, states[0], reference, 0.0)
+    assert math.isfinite(states[0].governed)
+    assert math.isfinite(states[0].command_1)
+
+
+def test_a_reference_that_is_on_its_way_is_followed_from_there() -> None:
+    """No error, no torque: neither jump nor lag where C takes up a moving reference."""
+    table, path = limited_table(400.0, 0.5), 1.0 + 0.001 * np.arange(1, 6)
+    moving, resting = Firmware(table), Firmware(table)
+    moving.follow(1.0, 0.001)
+    assert [moving.step(r, r).command_1 for r in path.tolist()] == [0.0] * len(path)
+    assert resting.step(float(path[0]), float(path[0])).command_1 != 0.0

@@ -1,0 +1,82 @@
+"""What the tests of the rig share: the command line as a process, and both nodes in this one."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import can
+import cantools
+import numpy as np
+from click.testing import CliRunner
+
+from can_rig.cli.main import main
+from can_rig.nodes.lockstep import StopRequest
+from can_rig.nodes.nodes import NodeSummary, run_in_process
+from can_rig.scenario.loading import load
+from can_rig.scenario.settings import Scenario
+
+DBC = Path(__file__).parents[1] / "dbc"
+NAMES = (
+    "DSTAR_REFERENCE",
+    "DSTAR_FEEDBACK",
+    "STEER_TORQUE_CMD",
+    "FORCE_DIFF_CMD",
+    "CONTROLLER_STATUS",
+)
+
+
+def start(*arguments: object, **options: object) -> subprocess.Popen[str]:
+    """``can-rig`` with ``arguments``, in a session of its own, its output to be collected."""
+    return subprocess.Popen(
+        [sys.executable, "-m", "can_rig", *map(str, arguments)],
+        **{
+            "stdout": subprocess.PIPE,
+            "stderr": subprocess.PIPE,
+            "stdin": subprocess.DEVNULL,
+            "text": True,
+            "start_new_session": True,
+            **options,
+        },
+    )
+
+
+def rig(*arguments: object, **options: object) -> subprocess.CompletedProcess[str]:
+    """``can-rig`` with ``arguments``, to its end."""
+    process = start(*arguments, **options)
+    try:
+        out, err = process.communicate(timeout=300)
+    except subprocess.TimeoutExpired:
+        process.kill()
+        raise
+    return subprocess.CompletedProcess(process.args, process.returncode, out, err)
+
+
+def asked(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """``can-rig`` with ``arguments`` in this process: for what ends soon and starts no node."""
+    words = list(map(str, arguments))
+    result = CliRunner().invoke(main, words)
+    if result.exception is not None and not isinstance(result.exception, SystemExit):
+        raise result.exception
+    return subprocess.CompletedProcess(words, result.exit_code, result.stdout, result.stderr)
+
+
+def record(
+    folder: Path, *settings: str, bus: str = "virtual:test", name: str = "thesis-step"
+) -> tuple[Path, NodeSummary, Scenario]:
+    """Both nodes in this process; where the log is, and how it went."""
+    scenario = load(name, settings)
+    log = folder / f"{len(os.listdir(folder))}.log"  # noqa: PTH208
+    summary = run_in_process(scenario, bus, log, StopRequest(), lambda tick: None)
+    return log, summary, scenario
+
+
+def decoded(log: Path, dbc: str = "steer_by_wire.dbc") -> dict[str, np.ndarray]:
+    """The one value of every frame of ``log`` by message, by cantools alone; checks nothing."""
+    database = cantools.database.load_file(DBC / dbc)
+    values: dict[str, list[float]] = {message.name: [] for message in database.messages}
+    for frame in can.LogReader(log):
+        message = database.get_message_by_frame_id(frame.arbitration_id)
+        signals = message.decode(frame.data, decode_choices=False)
+        values[message.name].append(signals[message.signals[-1].name])
+    return {name: np.array(column) for name, column in values.items()}

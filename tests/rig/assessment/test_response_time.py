@@ -1,0 +1,298 @@
+"""The response-time analysis, against the paper's example and a bus simulated bit by bit."""
+
+import heapq
+import random
+from dataclasses import replace
+from fractions import Fraction
+from math import ceil, inf, nan
+
+import pytest
+from hypothesis import example, given
+from hypothesis import strategies as st
+
+from can_rig.assessment.bus_timing.frame_length import FrameBits, FrameError, worst_case_bits
+from can_rig.assessment.bus_timing.response_time import (
+    AnalysisError,
+    Errors,
+    PeriodicFrame,
+    exact,
+    response_times,
+    utilisation,
+)
+
+BITS = worst_case_bits(7)  # 125 with the intermission: 1 ms at 125 kbit/s
+PAPER = [
+    PeriodicFrame("A", 1, BITS, period_s=0.0025, deadline_s=0.0025),
+    PeriodicFrame("B", 2, BITS, period_s=0.0035, deadline_s=0.00325),
+    PeriodicFrame("C", 3, BITS, period_s=0.0035, deadline_s=0.00325),
+]
+
+
+def simulate(queued, lengths, errors=()):
+    """Non-pre-emptive fixed priority: when each frame that was queued is through.
+
+    Args:
+        queued: (time, priority, instance) of each, in whole units of time.
+        lengths: by priority, what a frame takes of the bus.
+        errors: times at which the frame on the bus is destroyed; the bus is taken for 31 more.
+
+    Returns:
+        {(priority, instance): end}.
+    """
+    waiting, ends, now = [], {}, -inf
+    queued, errors = sorted(queued), sorted(errors)
+    while queued or waiting:
+        if not waiting:
+            now = max(now, queued[0][0])
+        while queued and queued[0][0] <= now:
+            _, priority, instance = queued.pop(0)
+            heapq.heappush(waiting, (priority, instance))
+        priority, instance = waiting[0]
+        end = now + lengths[priority]
+        errors = [time for time in errors if time >= now]
+        if errors and errors[0] < end:
+            now = errors.pop(0) + 31
+            continue
+        heapq.heappop(waiting)
+        ends[priority, instance] = now = end
+    return ends
+
+
+def small(name, length, period, jitter=0):
+    """A frame on a bus of 1 bit/s, so that seconds are bits; `length` has the intermission."""
+    return PeriodicFrame(str(name), name, FrameBits(length - 3), Fraction(period), Fraction(jitter))
+
+
+def bounds(frames, errors=None):
+    return [found.response_s for found in response_times(frames, 1, errors=errors)]
+
+
+@st.composite
+def frame_sets(draw):
+    return [
+        small(
+            name,
+            draw(st.integers(4, 12)),
+            draw(st.integers(10, 70)),
+            draw(st.sampled_from([0, 0, 0, 1, 5, 13, 40])),
+        )
+        for name in range(draw(st.integers(1, 4)))
+    ]
+
+
+def observed(frames, offsets, chance, count, errors=()):
+    """Longest response of each frame in one simulation; instances are queued late by chance."""
+    dues, queued = {}, []
+    for m, (frame, offset) in enumerate(zip(frames, offsets, strict=True)):
+        queued_at = 0
+        for k in range(count):
+            dues[m, k] = offset + k * int(frame.period_s)
+            # a node queues one after the other, also where the jitter is longer than the period
+            queued_at = max(queued_at, dues[m, k] + chance.randint(0, int(frame.jitter_s)))
+            queued.append((queued_at, m, k))
+    ends = simulate(queued, [frame.bits.on_the_bus for frame in frames], errors)
+    last = min(dues[m, count - 1] for m in range(len(frames)))  # from there some are missing
+    return [
+        max((ends[key] - due for key, due in dues.items() if key[0] == m and due < last), default=0)
+        for m in range(len(frames))
+    ]
+
+
+def test_the_example_that_refutes_the_original_analysis():
+    """Davis et al. 2007: the second instance of C misses its deadline, the first does not."""
+    a, b, c = response_times(PAPER, 125_000)
+    ms = Fraction(1, 1000)
+    assert [r.transmission_s for r in (a, b, c)] == [ms] * 3
+    assert [r.response_s for r in (a, b, c)] == [2 * ms, 3 * ms, Fraction(7, 2) * ms]
+    assert (c.busy_period_s, c.instances, c.blocking_s) == (7 * ms, 2, 0)
+    assert (a.blocking_s, b.blocking_s) == (ms, ms)
+    assert [r.schedulable for r in (a, b, c)] == [True, True, False]
+    assert c.slack_s == Fraction(-1, 4000)
+    assert utilisation(PAPER, 125_000) == Fraction(4, 10) + Fraction(4, 7)
+
+
+def test_the_original_analysis_looks_at_the_first_instance_and_lets_it_pass():
+    w, before = 0.0, -1.0
+    while w > before:
+        w, before = sum(ceil((w + 0.008) / t) * 1.0 for t in (2.5, 3.5)), w  # ms, 8 µs a bit
+    assert w + 1.0 == 3.0  # in time for 3.25
+
+
+def test_the_example_on_a_simulated_bus_reaches_every_bound():
+    """In half bits; a blocking frame starts one unit early, so A and B are one unit short."""
+    periods, length = (625, 875, 875), 250
+    together = [(k * t, m, k) for m, t in enumerate(periods) for k in range(3)]
+    ends = simulate(together, [length] * 3)
+    assert max(ends[2, k] - k * 875 for k in range(2)) == 875  # 3.5 ms
+    assert ends[2, 0] == 750  # 3 ms, the first
+    blocked = [(0, 2, 0), *((1 + k * t, m, k) for m, t in enumerate(periods[:2]) for k in range(3))]
+    ends = simulate(blocked, [length] * 3)
+    assert (ends[0, 0] - 1, ends[1, 0] - 1) == (500 - 1, 750 - 1)  # 2 ms, 3 ms
+
+
+@given(frame_sets(), st.randoms(use_true_random=False))
+def test_no_simulated_response_exceeds_its_bound(frames, chance):
+    found = bounds(frames)
+    for _ in range(5):
+        offsets = [chance.randint(0, int(frame.period_s)) for frame in frames]
+        seen = observed(frames, offsets, chance, 20)
+        assert all(bound is None or s <= bound for s, bound in zip(seen, found, strict=True))
+
+
+def critical_instant(frames, start=0):
+    """All queued at once as late as they may be, and from then on without delay."""
+    queued, dues = [], {}
+    for m, frame in enumerate(frames):
+        for k in range(60):
+            dues[m, k] = start + k * int(frame.period_s) - int(frame.jitter_s)
+            queued.append((max(dues[m, k], start), m, k))
+    return queued, dues
+
+
+@given(frame_sets())
+@example([small(0, 4, 10), small(1, 4, 14), small(2, 4, 14)])  # the paper's, in quarter ms
+def test_the_least_important_frame_reaches_its_bound_at_the_critical_instant(frames):
+    last = len(frames) - 1
+    found = response_times(frames, 1)[last]
+    if found.response_s is None or found.instances > 20:
+        return
+    queued, dues = critical_instant(frames)
+    ends = simulate(queued, [frame.bits.on_the_bus for frame in frames])
+    assert max(ends[last, k] - dues[last, k] for k in range(60)) == found.response_s
+
+
+@given(frame_sets(), st.integers(4, 30))
+def test_a_frame_just_begun_blocks_and_all_but_the_last_bit_of_it_counts(frames, length):
+    """The bound with it is met up to the arrivals in one bit, which the analysis lets all win."""
+    blocker = small(99, length, 10**6)
+    m = len(frames) - 1
+    blocked = response_times([*frames, blocker], 1)[m]
+    shorter = response_times([*frames, small(99, max(length - 1, 4), 10**6)], 1)[m]
+    assert blocked.blocking_s == length
+    if blocked.response_s is None or blocked.instances > 20:
+        return
+    queued, dues = critical_instant(frames, start=1)
+    lengths = [*(frame.bits.on_the_bus for frame in frames), length]
+    ends = simulate([*queued, (0, len(frames), 0)], lengths)
+    seen = max(ends[m, k] - dues[m, k] for k in range(60))
+    assert seen <= blocked.response_s
+    if length > 4:
+        assert seen >= shorter.response_s - 1
+
+
+def test_the_bounds_are_reached_somewhere_among_all_offsets():
+    """Exhaustively; three frames, the first two bounds less the one bit of the blocking frame."""
+    frames = [small(0, 4, 11), small(1, 5, 17), small(2, 6, 19)]
+    found = bounds(frames)
+    longest = [0, 0, 0]
+    for second in range(17):
+        for third in range(19):
+            seen = observed(frames, (0, second, third), random.Random(0), 12)
+            longest = [max(pair) for pair in zip(longest, seen, strict=True)]
+    assert longest == [found[0] - 1, found[1] - 1, found[2]]
+
+
+@given(frame_sets(), st.integers(60, 400), st.integers(1, 3), st.randoms(use_true_random=False))
+def test_no_response_exceeds_its_bound_where_frames_are_destroyed(frames, every, burst, chance):
+    found = bounds(frames, Errors(Fraction(every), burst))
+    start = chance.randint(0, 50)
+    at_once = [start + 40 * k for k in range(burst - 1)]  # one after the other, early
+    first = start + chance.randint(0, 30)
+    errors = [*at_once, *(first + every * k for k in range(8))]
+    offsets = [chance.randint(0, 30) for _ in frames]
+    seen = observed(frames, offsets, chance, 20, errors)
+    assert all(bound is None or s <= bound for s, bound in zip(seen, found, strict=True))
+
+
+def test_errors_by_hand():
+    """One frame of 10 in 100: w = E(w + 10), E(t) = 41 (burst - 1 + ⌈t / 50⌉)."""
+    frame = small(0, 10, 100)
+    assert bounds([frame]) == [10]
+    assert bounds([frame], Errors(50)) == [2 * 41 + 10]
+    assert bounds([frame], Errors(50, burst=2)) == [7 * 41 + 10]
+    assert bounds([frame], Errors(45)) == [None]  # 41/45 + 10/100 > 1
+
+
+def test_a_bus_with_too_much_on_it_has_no_bound_for_those_who_lose():
+    a, b = response_times([small(0, 6, 10), small(1, 6, 10)], 1)
+    assert (a.response_s, a.schedulable) == (12, False)
+    assert (b.response_s, b.busy_period_s, b.instances, b.slack_s) == (None, None, 0, None)
+    assert not b.schedulable
+
+
+def test_a_bus_that_is_just_full_has_a_bound_as_long_as_nothing_comes_on_top():
+    full = [small(0, 4, 8), small(1, 4, 8)]
+    assert utilisation(full, 1) == 1
+    assert bounds(full) == [8, 8]
+    assert bounds([*full, small(2, 4, 10**6)])[1:] == [None, None]  # the second is blocked once
+    assert bounds([replace(full[0], jitter_s=Fraction(1)), full[1]])[1] is None
+
+
+def test_jitter_adds_to_its_own_response_and_brings_more_of_it_before_others():
+    quiet = bounds([small(0, 5, 20), small(1, 5, 100)])
+    late = bounds([small(0, 5, 20, jitter=12), small(1, 5, 100)])
+    assert quiet == [10, 10]
+    assert late == [22, 10]
+    assert bounds([small(0, 5, 20, jitter=15), small(1, 5, 100)])[1] == 15  # two of the first
+    assert response_times([small(0, 5, 20, jitter=16)], 1)[0].instances == 2  # both at once
+
+
+def test_priority_is_what_arbitration_sees():
+    frames = [
+        PeriodicFrame("long 0", 0x0, BITS, 1.0, extended=True),
+        PeriodicFrame("short 0", 0x0, BITS, 1.0),
+        PeriodicFrame("long after 0x123", 0x123 << 18, BITS, 1.0, extended=True),
+        PeriodicFrame("short 0x123", 0x123, BITS, 1.0),
+        PeriodicFrame("long before 0x123", (0x122 << 18) + 0x3FFFF, BITS, 1.0, extended=True),
+    ]
+    order = [response.frame.name for response in response_times(frames, 500_000)]
+    assert order == [
+        "short 0", "long 0", "long before 0x123", "short 0x123", "long after 0x123"
+    ]  # fmt: skip
+
+
+@given(frame_sets(), st.randoms(use_true_random=False))
+def test_the_order_of_the_frames_and_the_unit_of_time_change_nothing(frames, chance):
+    mixed = list(frames)
+    chance.shuffle(mixed)
+    assert response_times(mixed, 1) == response_times(frames, 1)
+    factor = 500_000
+    fast = [replace(f, period_s=f.period_s / factor, jitter_s=f.jitter_s / factor) for f in frames]
+    slow = bounds(frames)
+    found = [response.response_s for response in response_times(fast, factor)]
+    assert found == [None if bound is None else bound / factor for bound in slow]
+
+
+def test_a_switched_frame_counts_at_both_rates():
+    frame = PeriodicFrame("FD", 1, worst_case_bits(64, fd=True, brs=True), 0.01)
+    (found,) = response_times([frame], 500_000, 2_000_000)
+    assert found.response_s == frame.bits.duration_s(500_000, 2_000_000)
+    with pytest.raises(FrameError):
+        response_times([frame], 500_000)
+
+
+def test_floats_are_the_decimals_that_they_print_as():
+    assert exact(0.1) == Fraction(1, 10)
+    assert exact(1e-9) == Fraction(1, 10**9)
+    assert exact(Fraction(1, 3)) == Fraction(1, 3)
+    assert exact(2) == 2
+
+
+@pytest.mark.parametrize(
+    ("frames", "errors"),
+    [
+        ([replace(PAPER[0], period_s=0.0)], None), ([replace(PAPER[0], period_s=nan)], None),
+        ([replace(PAPER[0], period_s=inf)], None), ([replace(PAPER[0], jitter_s=-1e-6)], None),
+        ([PAPER[0], replace(PAPER[1], frame_id=1)], None),
+        (PAPER, Errors(0.0)), (PAPER, Errors(0.1, burst=0)),
+    ],
+)  # fmt: skip
+def test_what_cannot_be_analysed_is_refused_in_one_line(frames, errors):
+    with pytest.raises(AnalysisError, match="right") as caught:
+        response_times(frames, 125_000, errors=errors)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_frames_need_no_time():
+    assert response_times([], 500_000) == []
+    assert utilisation([], 500_000) == 0

@@ -1,0 +1,177 @@
+"""The command line: help, exit statuses, and one line for whatever was wrong."""
+
+import os
+import signal
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from can_rig.scenario.loading import shipped
+from tests.helpers import rig, start
+
+RUN = ["run", "thesis-step", "--in-process", "--set", "duration_s=0.05"]
+
+
+@pytest.mark.parametrize("command", ["run", "plant", "controller", "scenarios"])
+def test_help_of_every_command(command):
+    done = rig(command, "--help")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert f" {command} " in done.stdout.splitlines()[0]
+
+
+def test_help_and_version_of_the_whole():
+    text = rig("-h").stdout
+    for word in ("run", "plant", "controller", "scenarios", "Exit status", "130"):
+        assert word in text
+    from importlib.metadata import version
+
+    assert rig("--version").stdout.strip().endswith(version("fault-tolerant-steering"))
+
+
+def test_the_options_that_the_readme_and_the_issue_name():
+    for word in ("--set", "--bus", "--out", "--force", "--in-process"):
+        assert word in rig("run", "--help").stdout
+
+
+def test_scenarios_are_listed_with_what_they_show():
+    done = rig("scenarios", env=os.environ | {"COLUMNS": "200"})
+    assert done.returncode == 0
+    for name in shipped():
+        assert any(line.startswith(name) for line in done.stdout.splitlines())
+
+
+WRONG = {
+    "a typo in a key": (["--set", "plant.speed_mp=20"], "did you mean speed_mps?"),
+    "a typo in a table": (["--set", "fualt.at_s=1"], "did you mean fault?"),
+    "no such scenario": (["thesis-stp"], "did you mean thesis-step?"),
+    "a negative value": (["--set", "plant.mass_kg=-1"], "plant.mass_kg"),
+    "not a number": (["--set", "reference.amplitude_mps2=nan"], "reference.amplitude_mps2"),
+    "text for a number": (["--set", "tick_s=fast"], "tick_s"),
+    "no value": (["--set", "tick_s"], "KEY=VALUE"),
+    "no table": (["--set", "reference=step"], "reference"),
+    "no CSV": (["--set", "reference.kind=csv", "--set", "reference.file=no.csv"], "No such file"),
+    "unknown bus": (["--bus", "socketcn:vcan0"], "did you mean socketcan"),
+    "no bus name": (["--bus", ":"], "unknown bus interface"),
+    "bus without a value": (["--bus", "local:x?fd"], "key=value"),
+    "no such interface": (["--bus", "socketcan:nosuch0"], "nosuch0|no CAN support"),
+    "a bus nowhere": (["--bus", "local:/no/such/folder"], "local"),
+    "out below a file": (["--out", "file/run"], "cannot be made"),
+    "out is a file": (["--out", "file"], "there already"),
+    "a forced file": (["--out", "file", "--force"], "not a run folder"),
+    "out in /proc": (["--out", "/proc/run"], "cannot be made"),
+    "unstable car": (
+        ["--set", "plant.speed_mps=60", "--set", "plant.rear_cornering_stiffness_n_per_rad=1e3"],
+        "plant: .*pole",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("arguments", "reason"), WRONG.values(), ids=WRONG.keys())
+def test_what_is_wrong_is_one_line_with_exit_status_2(arguments, reason, tmp_path):
+    (tmp_path / "file").write_text("")
+    before = sorted(os.listdir(tmp_path))  # noqa: PTH208
+    words = arguments if arguments[0].startswith("thesis") else ["thesis-step", *arguments]
+    done = rig("run", "--in-process", *words)
+    assert done.returncode == 2, done.stdout
+    assert "Traceback" not in done.stderr
+    (line,) = [line for line in done.stderr.splitlines() if "error:" in line]
+    import re
+
+    assert re.search(reason, line)
+    left = sorted(set(os.listdir(tmp_path)) - {"runs"})  # noqa: PTH208
+    assert left == before
+    assert not list(tmp_path.glob("runs/*"))  # no folder of a run that was none
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["--bus", "nosuch"], "unknown bus interface"),
+        (["--set", "tick_s=-1"], "tick_s"),
+        (["--silence", "0"], "above 0"),
+        (["--silence", "nan"], "above 0"),
+        (["--wait", "-1"], "above 0"),
+        (["--wait", "soon"], "not a valid float"),
+    ],
+)
+@pytest.mark.parametrize("node", ["plant", "controller"])
+def test_a_node_refuses_as_clearly(node, arguments, reason):
+    done = rig(node, "thesis-step", *arguments)
+    assert done.returncode == 2
+    assert reason in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_a_log_that_cannot_be_written_is_one_line(tmp_path):
+    done = rig("plant", "--log", tmp_path / "no" / "bus.log", "--bus", f"local:{tmp_path / 'b'}")
+    assert done.returncode == 2
+    assert "Traceback" not in done.stderr
+    assert "bus.log" in done.stderr
+
+
+def test_a_mistake_in_two_processes_is_one_line_and_leaves_no_folder(tmp_path):
+    done = rig("run", "thesis-step", "--bus", "local:/no/such/folder", "--out", tmp_path / "run")
+    assert done.returncode == 2
+    (line,) = [line for line in done.stderr.splitlines() if "error:" in line]
+    assert line.startswith("error: controller node: cannot open bus")
+    assert not (tmp_path / "run").exists()
+
+
+ODD = {
+    "no terminal to speak of": {"TERM": "dumb"},
+    "a narrow one": {"COLUMNS": "40"},
+    "the C locale": {"LC_ALL": "C", "LANG": "C"},
+    "no home": {"HOME": None},
+    "no cache": {"NUMBA_DISABLE_JIT": "1"},
+}
+
+
+@pytest.mark.parametrize("change", ODD.values(), ids=ODD.keys())
+def test_it_runs_in_odd_surroundings(change, tmp_path):
+    environment = {k: v for k, v in (os.environ | change).items() if v is not None}
+    done = rig(*RUN, "--out", tmp_path / "run", env=environment)
+    assert done.returncode == 0, done.stderr
+    assert f"run folder  {tmp_path / 'run'}" in done.stdout  # never cut short
+    assert rig("scenarios", env=environment).returncode == 0
+
+
+def test_a_reader_that_goes_away_costs_nothing_but_the_table(tmp_path):
+    read, write = os.pipe()
+    os.close(read)
+    process = start(*RUN, "--out", tmp_path / "run", stdout=write)
+    os.close(write)
+    _, errors = process.communicate(timeout=60)
+    assert "Traceback" not in errors
+    assert "Exception ignored" not in errors
+    assert sorted(path.name for path in (tmp_path / "run").iterdir()) == [
+        "bus.log", "report.png", "run.json", "signals.csv",
+    ]  # fmt: skip
+
+
+def test_a_path_too_long_for_a_socket_is_one_line(tmp_path):
+    long = tmp_path / ("x" * 120)
+    long.mkdir()
+    environment = os.environ | {"TMPDIR": str(long), "XDG_RUNTIME_DIR": ""}
+    done = rig("run", "--out", tmp_path / "run", env=environment)
+    assert done.returncode == 2
+    assert "too long" in done.stderr
+    assert "Traceback" not in done.stderr
+
+
+def test_can_rig_and_python_m_can_rig_are_the_same():
+    script = Path(sys.executable).with_name("can-rig")
+    if not script.exists():
+        pytest.skip("can-rig is not installed beside this interpreter")
+    done = subprocess.run([script, "--help"], capture_output=True, text=True, check=True)
+    assert done.stdout.split("\n", 1)[1] == rig("--help").stdout.split("\n", 1)[1]
+
+
+def test_ctrl_c_says_130_even_before_anything_runs():
+    """A node that waits for its partner."""
+    process = start("controller", "thesis-step", "--json", "--bus", f"local:ctrl-c-{os.getpid()}")
+    assert process.stdout.readline() == '{"ready": true}\n'
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert "Traceback" not in errors

@@ -1,0 +1,281 @@
+"""``can-rig decode``: files that other programs read as cantools decodes, and every count."""
+
+from __future__ import annotations
+
+import csv
+import gzip
+import json
+import subprocess
+from pathlib import Path
+
+import asammdf
+import can
+import cantools
+import numpy as np
+import pandas as pd
+import pytest
+from click.testing import CliRunner
+
+from can_rig.cli.main import main
+from can_rig.decoding.decode import decode_log
+from can_rig.frames.messages import shipped_dbc
+from can_rig.results.run_folder import LOG
+from tests.helpers import NAMES, decoded, record
+from tests.helpers import rig as rig_process
+
+FEATURES = """VERSION ""
+BU_: ECU
+BO_ 2147484160 MIXED: 8 ECU
+ SG_ Page M : 0|4@1+ (1,0) [0|0] "" ECU
+ SG_ Door m0 : 8|2@1+ (1,0) [0|0] "" ECU
+ SG_ Level m1 : 8|16@1- (0.1,-5) [0|0] "mm" ECU
+ SG_ Odometer : 47|24@0+ (0.001,0) [0|0] "km" ECU
+BO_ 768 PLAIN: 2 ECU
+ SG_ Speed : 0|16@1+ (0.01,0) [0|0] "km/h" ECU
+VAL_ 2147484160 Door 0 "shut, locked" 1 "open" ;
+"""
+
+
+def rig(*arguments: object) -> subprocess.CompletedProcess[str]:
+    """``can-rig`` with ``arguments``, in this process."""
+    result = CliRunner().invoke(main, [str(argument) for argument in arguments])
+    assert result.exception is None or isinstance(result.exception, SystemExit)
+    return subprocess.CompletedProcess(arguments, result.exit_code, result.stdout, result.stderr)
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory) -> Path:
+    log, _, _ = record(tmp_path_factory.mktemp("drive"), "duration_s=0.3", bus="virtual:decode")
+    return log
+
+
+@pytest.fixture
+def foreign(tmp_path: Path) -> tuple[Path, Path]:
+    """A DBC and a log that have nothing to do with the rig."""
+    (tmp_path / "car.dbc").write_text(FEATURES, "ascii")
+    random = np.random.default_rng(5)
+    lines = []
+    for at in range(60):
+        mixed = bytes([at % 2, at % 3, *random.bytes(6)]).hex().upper()
+        lines.append(f"({1.7e9 + at * 0.01:.6f}) can{at % 2} 00000200#{mixed}\n")
+        lines.append(f"({1.7e9 + at * 0.01:.6f}) can0 300#{random.bytes(2).hex()}\n")
+    lines += ["(1700000001.000000) can0 00000200#0500000000000000\n"]  # no such page
+    lines += ["(1700000001.000001) can0 300#11\n", "(1700000001.000002) can0 300#112233\n"]
+    lines += ["(1700000001.000003) can0 300#R2\n", "(1700000001.000004) can0 20000080#\n"]
+    lines += ["(1700000001.000005) can0 7FF#\n", "(1700000001.000006) can0 00000300#0000\n"]
+    (tmp_path / "car.log").write_text("".join(lines), "ascii")
+    return tmp_path / "car.dbc", tmp_path / "car.log"
+
+
+def test_a_run_as_a_table(drive: Path, tmp_path: Path) -> None:
+    done = rig("decode", drive, "--out", tmp_path / "a.csv", "--out", tmp_path / "a.parquet")
+    assert done.returncode == 0, done.stderr
+    expected = decoded(drive)
+    for table in (pd.read_csv(tmp_path / "a.csv"), pd.read_parquet(tmp_path / "a.parquet")):
+        assert table["message"].tolist() == list(NAMES) * 300
+        for name, signal in zip(NAMES, ("DStarReference", "DStar", "SteerTorque"), strict=False):
+            column = table.loc[table["message"] == name, f"{name}.{signal}"]
+            assert (column.to_numpy() == expected[name]).all()
+            assert table.loc[table["message"] != name, f"{name}.{signal}"].isna().all()
+    stamps = [round(message.timestamp * 1e9) for message in can.LogReader(drive)]
+    assert pd.read_parquet(tmp_path / "a.parquet")["time_ns"].tolist() == stamps
+    assert (pd.read_csv(tmp_path / "a.csv")["time_s"] * 1e9).round().tolist() == stamps
+
+
+def test_anybodys_log_through_anybodys_dbc(foreign: tuple[Path, Path], tmp_path: Path) -> None:
+    dbc, log = foreign
+    done = rig("decode", log, "--dbc", dbc, "--out", tmp_path / "a.csv", "--names", "--json")
+    assert done.returncode == 0, done.stderr
+    summary = json.loads(done.stdout)
+    assert summary["messages"]["MIXED"] == {
+        **dict.fromkeys(summary["messages"]["MIXED"], 0),
+        "frames": 61,
+        "decoded": 60,
+        "unknown_multiplexer": 1,
+    }
+    assert summary["messages"]["PLAIN"] == {
+        **dict.fromkeys(summary["messages"]["PLAIN"], 0),
+        "frames": 63,
+        "decoded": 61,
+        "too_short": 1,
+        "remote": 1,
+        "longer": 1,
+    }
+    assert summary["unknown"] == {"7FF": 1, "00000300": 1}
+    assert (summary["frames"], summary["error_frames"]) == (127, 1)
+    database = cantools.database.load_file(dbc)
+    with (tmp_path / "a.csv").open(encoding="utf-8", newline="") as file:
+        rows = list(csv.DictReader(file))
+    good = [m for m in can.LogReader(log) if m.timestamp < 1.7e9 + 1]
+    assert len(rows) == len(good) + 1
+    for row, message in zip(rows, good, strict=False):
+        assert row["time_s"] == f"{message.timestamp:.6f}000"
+        name = "MIXED" if message.is_extended_id else "PLAIN"
+        values = database.get_message_by_name(name).decode(message.data)
+        given = {key: text for key, text in row.items() if "." in key and text}
+        assert row["message"] == name
+        assert given.keys() == {f"{name}.{signal}" for signal in values}
+        for signal, value in values.items():
+            text = given[f"{name}.{signal}"]
+            assert text == str(value) or float(text) == value
+
+
+def test_a_folder_has_a_file_for_each_message(foreign: tuple[Path, Path], tmp_path: Path) -> None:
+    dbc, log = foreign
+    out = tmp_path / "decoded"
+    assert rig("decode", log, "--dbc", dbc, "--out", out, "--relative").returncode == 0
+    assert sorted(path.name for path in out.iterdir()) == ["MIXED.csv", "PLAIN.csv"]
+    table = pd.read_csv(out / "MIXED.csv")
+    assert list(table.columns) == ["time_s", "Page", "Door", "Level", "Odometer"]
+    assert table["time_s"].tolist() == pytest.approx([at * 0.01 for at in range(60)], abs=1e-9)
+    assert table["Level"].isna().tolist() == [True, False] * 30
+
+
+def test_mdf_opens_in_asammdf(foreign: tuple[Path, Path], tmp_path: Path) -> None:
+    dbc, log = foreign
+    assert rig("decode", log, "--dbc", dbc, "--out", tmp_path / "a.mf4").returncode == 0
+    columns = decode_log(log, dbc)
+    with asammdf.MDF(tmp_path / "a.mf4") as file:
+        assert [group.channel_group.acq_name for group in file.groups] == ["MIXED", "PLAIN"]
+        assert file.header.abs_time == 1_700_000_000 * 10**9
+        speed, level = file.get("Speed"), file.get("Level")
+        assert (speed.unit, level.unit) == ("km/h", "mm")
+        assert speed.samples.tolist() == columns["PLAIN"].signals["Speed"].tolist()
+        assert level.samples.tolist() == columns["MIXED"].signals["Level"].compressed().tolist()
+        assert speed.timestamps[:60] == pytest.approx(np.arange(60) * 0.01, abs=1e-9)
+        assert "1 open" in file.get("Door").comment
+
+
+def test_the_same_as_asammdf_extracts(drive: Path, tmp_path: Path) -> None:
+    """From bus logging written by the rig: log → MF4 → asammdf's own decoder, and ours."""
+    run = tmp_path / "run"
+    arguments = ("--set", "duration_s=0.2", "--out", run, "--log", tmp_path / "bus.mf4")
+    assert rig("run", "thesis-step", *arguments, "--in-process").returncode == 0
+    ours = decode_log(tmp_path / "bus.mf4", shipped_dbc("steer_by_wire.dbc"))
+    files = {"CAN": [(shipped_dbc("steer_by_wire.dbc"), 0)]}
+    with asammdf.MDF(tmp_path / "bus.mf4") as file, file.extract_bus_logging(files) as extracted:
+        for message, signal in [("DSTAR_FEEDBACK", "DStar"), ("FORCE_DIFF_CMD", "ForceDifference")]:
+            theirs = extracted.get(signal)
+            assert len(theirs.samples) == 200
+            assert np.allclose(ours[message].signals[signal], theirs.samples, rtol=1e-15, atol=0)
+            assert np.allclose(ours[message].time_s, theirs.timestamps, rtol=0, atol=1e-9)
+
+
+def test_a_run_writes_its_log_in_other_formats(tmp_path: Path) -> None:
+    names = ["a.blf", "a.asc", "a.mf4", "a.trc", "a.log.gz"]
+    logs = [option for name in names for option in ("--log", tmp_path / name)]
+    arguments = ("run", "thesis-step", "--set", "duration_s=0.05", "--in-process", *logs)
+    assert rig(*arguments, "--out", tmp_path / "run").returncode == 0
+    expected = decoded(tmp_path / "run" / LOG)
+    for name in names:
+        log = decode_log(tmp_path / name, shipped_dbc("steer_by_wire.dbc"))
+        assert all(c.decoded == c.frames == 50 for c in log.counts.values())
+        assert log["DSTAR_FEEDBACK"].signals["DStar"].tolist() == list(expected["DSTAR_FEEDBACK"])
+    again = rig(*arguments, "--out", tmp_path / "other")
+    assert again.returncode == 2
+    assert "a.blf: there already" in again.stderr
+    assert not (tmp_path / "other").exists()
+
+
+def test_counts_of_a_damaged_run(drive: Path, tmp_path: Path) -> None:
+    lines = drive.read_text("ascii").splitlines(keepends=True)
+    feedback = [at for at, line in enumerate(lines) if " 101#" in line]
+    lines[feedback[3]] = (
+        lines[feedback[3]][:-4] + ("0" if lines[feedback[3]][-4] != "0" else "1") + " T\n"
+    )
+    lines[feedback[10]] = ""
+    lines[feedback[20]] *= 2
+    (tmp_path / "a.log").write_text("".join(lines), "ascii")
+    summary = json.loads(rig("decode", tmp_path / "a.log", "--json").stdout)
+    assert summary["messages"]["DSTAR_FEEDBACK"] == {
+        **dict.fromkeys(summary["messages"]["DSTAR_FEEDBACK"], 0),
+        "frames": 300,
+        "decoded": 298,
+        "wrong_crc": 1,
+        "repeated": 1,
+        "gaps": 2,
+        "lost": 2,
+    }
+    shown = rig("decode", tmp_path / "a.log").stdout
+    assert "wrong crc" in shown
+    assert "too short" not in shown
+
+
+def test_outputs_are_whole_and_never_replaced_unasked(drive: Path, tmp_path: Path) -> None:
+    out = tmp_path / "a.csv"
+    out.write_text("mine")
+    refused = rig("decode", drive, "--out", out)
+    assert (refused.returncode, out.read_text()) == (2, "mine")
+    assert refused.stderr.count("\n") == 1
+    assert "there already" in refused.stderr
+    bad = tmp_path / "bad.log"
+    bad.write_text(drive.read_text("ascii") + "no frame\n", "ascii")
+    failed = rig("decode", bad, "--out", out, "--force")
+    assert (failed.returncode, out.read_text()) == (2, "mine")
+    assert "line 1501: not a frame" in failed.stderr
+    assert rig("decode", drive, "--out", out, "--force").returncode == 0
+    assert len(pd.read_csv(out)) == 1500
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["a.csv", "bad.log"]
+    mine = tmp_path / "folder"
+    mine.mkdir()
+    (mine / "thesis.txt").write_text("mine")
+    kept = rig("decode", drive, "--out", mine, "--force")
+    assert (kept.returncode, (mine / "thesis.txt").read_text()) == (2, "mine")
+
+
+def test_a_missing_end_is_said_and_the_rest_decoded(drive: Path, tmp_path: Path) -> None:
+    (tmp_path / "a.log").write_bytes(drive.read_bytes()[:-9])
+    done = rig_process("decode", tmp_path / "a.log")
+    assert done.returncode == 0
+    assert "note:" in done.stderr
+    assert "line 1500: the file ends within this line" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("arguments", "reason"),
+    [
+        (["nothing.log"], "nothing.log: there is no such file"),
+        (["{log}", "--dbc", "no.dbc"], "no.dbc: cannot be read"),
+        (["{log}", "--message", "DSTAR"], "no message DSTAR in the database; it has DSTAR_"),
+        (["{log}", "--signal", "dstar"], "no signal dstar in the database; it has DStar"),
+        (["{log}", "--out", "a.xlsx"], "a.xlsx: nothing is written as .xlsx; .csv, .parquet"),
+        (["{log}", "--out", "/proc/no/a.csv"], "/proc/no/a.csv: cannot be written"),
+    ],
+)
+def test_bad_input_is_one_line(drive: Path, arguments: list[str], reason: str) -> None:
+    done = rig("decode", *(argument.format(log=drive) for argument in arguments))
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"error: {reason}")
+    assert done.stderr.count("\n") == 1
+
+
+def test_a_node_records_candump_lines_only(tmp_path: Path) -> None:
+    done = rig("plant", "thesis-step", "--log", tmp_path / "a.blf", "--wait", "0.01")
+    assert done.returncode == 2
+    assert "a.blf: a node records candump lines" in done.stderr
+    assert not (tmp_path / "a.blf").exists()
+
+
+def test_an_empty_log_gives_an_empty_table(tmp_path: Path) -> None:
+    (tmp_path / "a.asc").write_text("date Mon Jan 1 00:00:00 2024\nbase hex timestamps absolute\n")
+    outputs = [option for name in ("a.csv", "a.mf4", "b") for option in ("--out", tmp_path / name)]
+    assert rig("decode", tmp_path / "a.asc", *outputs).returncode == 0
+    assert len(pd.read_csv(tmp_path / "a.csv")) == 0
+    assert (tmp_path / "b").is_dir()
+
+
+@pytest.mark.parametrize("name", ["a.log", "a.log.gz"])
+def test_an_empty_file_is_no_log(name: str, tmp_path: Path) -> None:
+    """As of any other format: without a frame nothing says that it is candump's."""
+    (tmp_path / name).write_bytes(gzip.compress(b"") if name.endswith(".gz") else b"")
+    done = rig("decode", tmp_path / name, "--out", tmp_path / "a.csv")
+    assert done.returncode == 2
+    assert done.stderr.startswith(f"error: {tmp_path / name}: no frame in it")
+    assert done.stderr.count("\n") == 1
+    assert not (tmp_path / "a.csv").exists()
+
+
+def test_unknown_identifiers_are_told_from_their_counts(tmp_path: Path) -> None:
+    (tmp_path / "a.log").write_text("(1.000000) can0 123#00\n(2.000000) can0 123#01\n")
+    done = rig("decode", tmp_path / "a.log")
+    assert "frames not in the database: 2 (identifier 0x123: 2)" in done.stdout

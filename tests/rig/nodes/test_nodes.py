@@ -1,0 +1,288 @@
+"""Both nodes in one process: the same log always, and faults that end where arithmetic says."""
+
+import can
+import numpy as np
+import pytest
+from scipy.signal import cont2discrete
+
+from can_rig.buses.bus import open_bus
+from can_rig.frames.messages import Transmitter
+from can_rig.nodes.controller_node import ControllerNode
+from can_rig.nodes.lockstep import StopRequest, Waiting, Watchdog
+from can_rig.nodes.nodes import network_of, run_in_process
+from can_rig.nodes.plant_node import PlantNode
+from can_rig.nodes.recorder import Recorder
+from can_rig.scenario.loading import load
+from firmware_model.design.vehicle import VehicleParameters, vehicle_state_space
+from tests.helpers import NAMES, decoded, record
+
+SHORT = ["duration_s=0.3"]
+LSB = 1e-8  # of D* on the wire
+FAULT_TICK = 100
+
+
+# --- the same log ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        [],
+        ["noise.dstar_rms_mps2=0.01", "seed=5"],
+        ["fault.kind=frames-corrupted", "fault.at_s=0.1"],
+        ["latency_ticks=1", "tick_s=0.005"],
+    ],
+    ids=str,
+)
+def test_the_log_is_the_same_on_every_run_and_every_bus(settings, tmp_path):
+    logs = [
+        record(tmp_path, *SHORT, *settings, bus=bus)[0].read_bytes()
+        for bus in ("virtual:a", "virtual:b", f"local:{tmp_path / 'bus'}")
+    ]
+    assert logs[0]
+    assert set(logs) == {logs[0]}
+
+
+def test_another_seed_is_another_log(tmp_path):
+    noise = "noise.dstar_rms_mps2=0.01"
+    logs = {record(tmp_path, *SHORT, noise, f"seed={s}")[0].read_bytes() for s in (1, 2)}
+    assert len(logs) == 2
+
+
+def test_the_seed_means_nothing_where_nothing_is_random(tmp_path):
+    logs = {record(tmp_path, *SHORT, f"seed={seed}")[0].read_bytes() for seed in (1, 2)}
+    assert len(logs) == 1
+
+
+def test_a_tick_is_five_frames_in_one_order_and_its_number_is_on_each(tmp_path):
+    log, summary, scenario = record(tmp_path, *SHORT)
+    frames = list(can.LogReader(log))
+    assert summary.ticks == scenario.ticks == 300
+    assert [f.arbitration_id for f in frames] == [0x100, 0x101, 0x110, 0x111, 0x120] * 300
+    assert [int.from_bytes(f.data[2:4], "little") for f in frames] == [
+        tick for tick in range(300) for _ in range(5)
+    ]
+    assert [f.is_rx for f in frames] == [False, False, True, True, True] * 300
+    assert all(not counts for counts in summary.rejected_frames.values())
+
+
+def test_a_stop_request_ends_the_run_between_two_ticks(tmp_path):
+    scenario, stop, log = load("thesis-step"), StopRequest(), tmp_path / "bus.log"
+
+    def on_tick(tick):
+        stop.wanted = tick == 17
+
+    summary = run_in_process(scenario, "virtual:stop", log, stop, on_tick)
+    assert summary.ticks == 17
+    assert len(log.read_text().splitlines()) == 5 * 17
+
+
+def test_the_tick_counts_on_where_its_sixteen_bits_wrap():
+    """The nodes take up a run just before 65536 and go on past it."""
+    scenario = load("thesis-step", ["duration_s=65.6"])
+    network = network_of(scenario)
+    with open_bus("virtual:wrap") as plant_bus, open_bus("virtual:wrap") as controller_bus:
+        plant = PlantNode(scenario, network, plant_bus, None)
+        controller = ControllerNode(scenario, network, controller_bus)
+        to_plant = Watchdog(plant_bus, "controller", Waiting(1, 1), StopRequest())
+        to_controller = Watchdog(controller_bus, "plant", Waiting(1, 1), StopRequest())
+        for tick in range(65_530, 65_545):
+            plant.offer(tick)
+            controller.serve(to_controller)
+            plant.collect(tick, to_plant)
+    for counts in (plant.rejected() | controller.rejected()).values():
+        assert not counts
+
+
+# --- what a frame of someone else does ---------------------------------------------------------
+
+
+def run_with_intruder(tmp_path, frames, settings=SHORT):
+    """A run on whose bus a third node sends ``frames`` before every tick."""
+    scenario, log = load("thesis-step", settings), tmp_path / "bus.log"
+    with open_bus("virtual:intruder") as intruder:
+        for frame in frames:
+            intruder.send(frame)
+
+        def on_tick(_tick):
+            for frame in frames:
+                intruder.send(frame)
+
+        run_in_process(scenario, "virtual:intruder", log, StopRequest(), on_tick)
+    return sent_by_the_plant(log)
+
+
+def sent_by_the_plant(log):
+    """D* as the plant node itself sent it."""
+    sent = [f for f in can.LogReader(log) if f.arbitration_id == 0x101 and not f.is_rx]
+    return [int.from_bytes(f.data[4:], "little", signed=True) for f in sent]
+
+
+@pytest.mark.parametrize("number", [0x101, 0x110, 0x111, 0x120, 0x123])
+def test_frames_of_another_sender_change_nothing(number, tmp_path):
+    """Wrong checksum, wrong length, remote, extended: none disturbs the loop."""
+    standard = {"arbitration_id": number, "is_extended_id": False}
+    frames = [
+        can.Message(**standard, data=bytes(8)),
+        can.Message(**standard, data=b"123"),
+        can.Message(**standard, is_remote_frame=True, dlc=8),
+        can.Message(arbitration_id=number, is_extended_id=True, data=bytes(8)),
+    ]
+    short = ["duration_s=0.05"]
+    assert run_with_intruder(tmp_path, frames, short) == run_with_intruder(tmp_path, [], short)
+
+
+@pytest.mark.parametrize("forged", ["reference", "feedback", "both"])
+def test_intact_frames_of_another_tick_before_the_run_are_not_its_beginning(forged, tmp_path):
+    """One made-up frame in 256 has the right CRC; the controller has to wait for two that agree."""
+    scenario, log = load("thesis-step", ["duration_s=0.05"]), tmp_path / "bus.log"
+    network = network_of(scenario)
+    frames = {
+        "reference": Transmitter(network.reference).frame(1.0, 999),
+        "feedback": Transmitter(network.feedback).frame(1.0, 555),
+    }
+    with open_bus("virtual:forged") as plant_bus, open_bus("virtual:forged") as controller_bus:
+        with open_bus("virtual:forged") as intruder:
+            for name, message in frames.items():
+                if forged in {name, "both"}:
+                    intruder.send(message)
+        plant = PlantNode(scenario, network, plant_bus, None)
+        controller = ControllerNode(scenario, network, controller_bus)
+        to_plant = Watchdog(plant_bus, "controller", Waiting(1, 1), StopRequest())
+        to_controller = Watchdog(controller_bus, "plant", Waiting(1, 1), StopRequest())
+        with Recorder(log, scenario.tick_ns) as plant._recorder:
+            for tick in range(scenario.ticks):
+                plant.offer(tick)
+                controller.serve(to_controller)
+                plant.collect(tick, to_plant)
+    quiet = record(tmp_path, "duration_s=0.05")[0]
+    forgeries = {f"{m.arbitration_id:03X}#{m.data.hex().upper()}" for m in frames.values()}
+    seen = [line.split()[2:] for line in log.read_text().splitlines()]
+    wanted = [line.split()[2:] for line in quiet.read_text().splitlines()]
+    assert [each for each in seen if each[0] not in forgeries] == wanted
+
+
+# --- faults, end to end ------------------------------------------------------------------------
+
+
+def dstar_under(commands):
+    """D* of the car of Table 3.2 under held commands, by scipy's zero-order hold."""
+    a, b, c = vehicle_state_space(VehicleParameters())
+    phi, gamma, *_ = cont2discrete((a, b, c, np.zeros((1, 2))), 0.001, "zoh")
+    state, out = np.zeros(len(a)), []
+    for pair in commands:
+        out.append((c @ state).item())
+        state = phi @ state + gamma @ pair
+    return np.array(out)
+
+
+def missing_as_nan(log, channel, lost):
+    """Put the lost ticks back into a log without them, so that rows are ticks."""
+    values = decoded(log)
+    name = NAMES[2 + channel]
+    for tick in lost:
+        values[name] = np.insert(values[name], tick, np.nan)
+    return values
+
+
+@pytest.mark.parametrize("channel", [0, 1])
+@pytest.mark.parametrize("kind", ["frames-missing", "frames-corrupted"])
+def test_the_plant_holds_a_lost_channel_and_drops_it_to_zero_at_the_right_tick(
+    kind, channel, tmp_path
+):
+    lost, hold = range(FAULT_TICK, 300), 7
+    log, summary, _ = record(
+        tmp_path, *SHORT, f"fault.kind={kind}", "fault.at_s=0.1", f"actuator.hold_s={hold / 1000}",
+        f"fault.channel={('torque', 'force-difference')[channel]}",
+        "reference.kind=sine", "reference.frequency_rad_per_s=20",  # so that what is held matters
+    )  # fmt: skip
+    values = missing_as_nan(log, channel, lost if kind == "frames-missing" else [])
+    measured = values[NAMES[1]]
+
+    def misfit(hold_ticks):
+        u = np.stack([values[NAMES[2]], values[NAMES[3]]], axis=1)
+        u[FAULT_TICK:, channel] = 0.0
+        u[FAULT_TICK : FAULT_TICK + hold_ticks, channel] = u[FAULT_TICK - 1, channel]
+        return np.abs(dstar_under(u) - measured).max()
+
+    assert misfit(hold) < LSB
+    assert misfit(hold - 1) > 100 * LSB  # one tick more or less would show
+    assert misfit(hold + 1) > 100 * LSB
+    reason = "no_new_data" if kind == "frames-missing" else "wrong_crc"
+    assert summary.rejected_frames[NAMES[2 + channel]][reason] == len(lost)
+    assert not summary.rejected_frames[NAMES[3 - channel]]
+
+
+@pytest.mark.parametrize("channel", [0, 1])
+def test_a_dead_actuator_is_zero_from_its_tick_on_while_its_frames_go_on(channel, tmp_path):
+    name = ("torque", "force-difference")[channel]
+    log, *_ = record(tmp_path, *SHORT, "fault.at_s=0.1", f"fault.channel={name}")
+    values = decoded(log)
+    u = np.stack([values[NAMES[2]], values[NAMES[3]]], axis=1)
+    assert len(u) == 300
+    assert np.abs(dstar_under(u)[: FAULT_TICK + 1] - values[NAMES[1]][: FAULT_TICK + 1]).max() < LSB
+    u[FAULT_TICK:, channel] = 0.0
+    assert np.abs(dstar_under(u) - values[NAMES[1]]).max() < LSB
+
+
+@pytest.mark.parametrize("kind", ["frames-missing", "frames-corrupted"])
+@pytest.mark.parametrize("count", [1, 3, 13, 14, 30])
+def test_a_channel_that_comes_back_acts_again(kind, count, tmp_path):
+    """At once, but for an outage of 14 frames: the counter of 15 steps stands where it stood."""
+    log, summary, _ = record(
+        tmp_path, *SHORT, f"fault.kind={kind}", "fault.at_s=0.1", f"fault.for_s={count / 1000}",
+        "actuator.hold_s=0.005",
+    )  # fmt: skip
+    repeated = count % 15 == 14
+    lost = range(FAULT_TICK, FAULT_TICK + count + repeated)
+    values = missing_as_nan(log, 0, range(FAULT_TICK, FAULT_TICK + count))
+    if kind == "frames-corrupted":
+        values = decoded(log)
+    u = np.stack([values[NAMES[2]], values[NAMES[3]]], axis=1)
+    for since, tick in enumerate(lost):
+        u[tick, 0] = u[FAULT_TICK - 1, 0] if since < 5 else 0.0
+    assert np.abs(dstar_under(u) - values[NAMES[1]]).max() < LSB
+    counts = summary.rejected_frames[NAMES[2]]
+    assert counts.get("repeated", 0) == repeated
+    assert counts.get("wrong_crc", 0) == (count if kind == "frames-corrupted" else 0)
+
+
+def test_missing_and_corrupted_frames_are_the_same_loss_to_the_car(tmp_path):
+    missing, corrupted = (
+        decoded(record(tmp_path, *SHORT, f"fault.kind=frames-{kind}", "fault.at_s=0.1")[0])
+        for kind in ("missing", "corrupted")
+    )
+    for name in (NAMES[0], NAMES[1], NAMES[3], NAMES[4]):
+        assert (missing[name] == corrupted[name]).all()
+    assert len(missing[NAMES[2]]) == FAULT_TICK
+    assert len(corrupted[NAMES[2]]) == 300
+
+
+@pytest.mark.parametrize("kind", ["actuator-dead", "frames-missing", "frames-corrupted"])
+@pytest.mark.parametrize("channel", ["torque", "force-difference"])
+def test_the_error_is_below_a_millionth_before_and_long_after_every_loss(kind, channel, tmp_path):
+    settings = ["fault.at_s=1", "duration_s=4", f"fault.kind={kind}", f"fault.channel={channel}"]
+    values = decoded(record(tmp_path, *settings)[0])
+    error = np.abs(values[NAMES[0]] - values[NAMES[1]])
+    assert error[500:1000].max() < 1e-6
+    assert error[-500:].max() < 1e-6
+    if channel == "torque":  # it was there to be compensated
+        assert error[1000:].max() > 1e-5
+        assert np.abs(values[NAMES[4]][1000:]).max() > 0.3
+
+
+def test_without_the_compensator_the_same_fault_is_not_overcome(tmp_path):
+    settings = ["fault.at_s=1", "duration_s=4"]
+    values = decoded(record(tmp_path, *settings, name="no-compensation")[0])
+    assert np.abs(values[NAMES[0]] - values[NAMES[1]])[-500:].min() > 0.1
+
+
+@pytest.mark.parametrize("latency", [0, 1, 3])
+@pytest.mark.parametrize("name", ["default", "lane-change", "highway"])
+def test_the_fault_estimate_over_the_bus_is_at_most_one_step_of_dstar(tmp_path, name, latency):
+    """F1 sees the commands as their frames carry them, so only the rounding of D* is left."""
+    settings = ["fault.kind=none", "duration_s=2.5", f"latency_ticks={latency}"]
+    slow = ["design.tau_q_s=0.01", "reference.amplitude_mps2=0.7"]
+    values = decoded(record(tmp_path, *settings, *slow, name=name)[0])
+    assert np.abs(values["DSTAR_FEEDBACK"]).max() > 0.5
+    assert np.abs(values["CONTROLLER_STATUS"]).max() <= LSB * (1 + 1e-9)

@@ -1,0 +1,557 @@
+"""Real time on a clock that the tests turn: deadlines, late commands, and what late means."""
+
+import heapq
+import itertools
+import math
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from scipy.signal import cont2discrete
+
+from can_rig.errors import BusError, RunFolderError, ScenarioError, SilentNodeError
+from can_rig.nodes.lockstep import StopRequest, Waiting, Watchdog
+from can_rig.nodes.nodes import network_of
+from can_rig.nodes.realtime.controller_node import RealTimeControllerNode
+from can_rig.nodes.realtime.deadlines import CATCH_UP_TICKS, Histogram, Schedule, Timing
+from can_rig.nodes.realtime.plant_node import RealTimePlantNode
+from can_rig.nodes.recorder import RealTimeRecorder
+from can_rig.results.signals import read_signals
+from can_rig.scenario.loading import load
+from firmware_model.design.vehicle import VehicleParameters, vehicle_state_space
+from firmware_model.target.layout import FaultState, Mode
+from tests.helpers import NAMES, decoded, record
+
+LSB = 1e-8  # of D* on the wire
+TICK_NS = 1_000_000
+PATIENT = Waiting(math.inf, math.inf)
+REFERENCE, FEEDBACK, TORQUE, FORCE, STATUS = (0x100, 0x101, 0x110, 0x111, 0x120)
+
+
+class World:
+    """A clock, a bus and a controller, all by hand: who does what at which nanosecond.
+
+    ``answers(tick)`` is how many ns after the feedback of ``tick`` the controller gets to run, None
+    for never; ``wakes(tick)`` how late the plant node wakes at a deadline.
+    """
+
+    def __init__(self, scenario, answers=lambda tick: 200_000, wakes=lambda tick: 0):
+        self.scenario, self.network = scenario, network_of(scenario)
+        self.ns = 5_000_000_000
+        self.answers, self.wakes = answers, wakes
+        self.controller_ns = 0
+        self.to_plant, self.to_controller, self.runs = [], [], []
+        self.order = itertools.count()
+        self.sent = []  # (ns, message) of the plant node
+        self.wake_ups = itertools.count(1)
+        self.watchdog = None
+        self.start_controller()
+
+    def start_controller(self):
+        self.to_controller.clear()
+        self.controller = RealTimeControllerNode(
+            self.scenario, self.network, self.Controller(self), lambda: self.controller_ns * 1e-9
+        )
+        self.watchdog = Watchdog(self.Controller(self), "plant", PATIENT, StopRequest())
+
+    # the clock of the plant node
+
+    def now_ns(self):
+        return self.ns
+
+    def sleep_until(self, at_ns):
+        self.ns = max(self.ns, at_ns + self.wakes(next(self.wake_ups)))
+
+    # the bus of the plant node
+
+    def send(self, message):
+        message = can.Message(
+            timestamp=self.ns * 1e-9, arbitration_id=message.arbitration_id,
+            is_extended_id=False, data=bytes(message.data),
+        )  # fmt: skip
+        self.sent.append((self.ns, message))
+        self.to_controller.append((self.ns, message))
+        if message.arbitration_id == FEEDBACK:
+            delay_ns = self.answers(tick_of(message))
+            if delay_ns is not None:
+                heapq.heappush(self.runs, (self.ns + delay_ns, next(self.order)))
+
+    def recv(self, timeout):
+        end_ns = self.ns + round(timeout * 1e9)
+        while self.runs and self.runs[0][0] <= end_ns:
+            at_ns, number = heapq.heappop(self.runs)
+            if at_ns < self.controller_ns:  # still at work
+                heapq.heappush(self.runs, (self.controller_ns, number))
+                continue
+            self.controller_ns = at_ns
+            if self.to_controller and self.to_controller[0][0] <= self.controller_ns:
+                self.controller.serve(self.watchdog)
+        if self.to_plant and self.to_plant[0][0] <= end_ns:
+            at_ns, message = self.to_plant.pop(0)
+            self.ns = max(self.ns, at_ns)
+            return message
+        self.ns = end_ns
+        return None
+
+    class Controller:
+        """The bus as the controller has it."""
+
+        def __init__(self, world):
+            self.world = world
+
+        def send(self, message):
+            self.world.to_plant.append((self.world.controller_ns, message))
+
+        def recv(self, _timeout):
+            queue = self.world.to_controller
+            if queue and queue[0][0] <= self.world.controller_ns:
+                return queue.pop(0)[1]
+            return None
+
+    def run(self, log=None, on_tick=lambda tick: None, waiting=PATIENT, stop=None):
+        recorder = RealTimeRecorder(log, self.scenario.tick_ns) if log else None
+        plant = RealTimePlantNode(self.scenario, self.network, self, recorder, self)
+        watchdog = Watchdog(self, "controller", waiting, stop or StopRequest())
+        try:
+            ticks = plant.run(watchdog, on_tick)
+        finally:
+            if recorder is not None:
+                recorder.__exit__(None, None, None)
+        return ticks, plant
+
+
+def tick_of(message):
+    return int.from_bytes(message.data[2:4], "little")
+
+
+def value_of(message):
+    return int.from_bytes(message.data[4:], "little", signed=True)
+
+
+def scenario_of(*changes, name="default"):
+    return load(name, ["fault.kind=none", "duration_s=0.3", *changes])
+
+
+def dstar_under(commands):
+    """D* of the car of Table 3.2 under held commands, by scipy's zero-order hold."""
+    a, b, c = vehicle_state_space(VehicleParameters())
+    phi, gamma, *_ = cont2discrete((a, b, c, np.zeros((1, 2))), 0.001, "zoh")
+    state, out = np.zeros(len(a)), []
+    for pair in commands:
+        out.append((c @ state).item())
+        state = phi @ state + gamma @ pair
+    return np.array(out)
+
+
+# --- deadlines -----------------------------------------------------------------------------------
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.lists(st.integers(0, TICK_NS - 1), min_size=60, max_size=60))
+def test_lateness_never_adds_up(lateness):
+    """Tick k is sent at start + kT + what the k-th wake-up was late, whatever came before."""
+    world = World(scenario_of("duration_s=0.05"), wakes=lambda k: lateness[k - 1])
+    _, plant = world.run()
+    sent = [ns for ns, message in world.sent if message.arbitration_id == FEEDBACK]
+    start_ns = sent[0] + 200_000  # the clock starts with the first answer
+    expected = [k * TICK_NS + lateness[k - 1] for k in range(1, 50)]
+    assert [ns - start_ns for ns in sent[1:]] == expected
+    assert plant.timing.missed_deadlines == plant.timing.skipped_ticks == 0
+    assert plant.timing.as_dict()["wake_up_lateness_us"]["max"] == max(lateness[:49]) / 1000
+
+
+@given(st.integers(0, 2**62), st.integers(10_000, 10**9), st.integers(0, 10**7), st.data())
+def test_a_moment_belongs_to_the_last_deadline_before_it(start_ns, tick_ns, tick, data):
+    schedule = Schedule(start_ns, tick_ns)
+    after = data.draw(st.integers(0, tick_ns - 1))
+    assert schedule.newest(schedule.deadline_ns(tick) + after) == tick
+    assert schedule.deadline_ns(tick) == start_ns + tick * tick_ns
+
+
+def late_once(tick, ticks):
+    """A plant node that wakes late at one deadline, by so many ticks and a half."""
+    return lambda k: round((ticks + 0.5) * TICK_NS) if k == tick else 0
+
+
+@pytest.mark.parametrize("ticks", [1, 2, CATCH_UP_TICKS])
+def test_a_few_missed_ticks_are_made_up_for_at_once(ticks):
+    world = World(scenario_of(), wakes=late_once(100, ticks))
+    _, plant = world.run()
+    sent = [(tick_of(m), ns) for ns, m in world.sent if m.arbitration_id == FEEDBACK]
+    assert [tick for tick, _ in sent] == list(range(300))
+    burst = [ns for tick, ns in sent if 100 <= tick <= 100 + ticks]
+    assert len(set(burst)) == 1
+    assert sent[200][1] - sent[99][1] == 101 * TICK_NS  # deadlines stay where they were
+    assert plant.timing.missed_deadlines == ticks
+    assert plant.timing.skipped_ticks == 0
+
+
+@pytest.mark.parametrize("ticks", [CATCH_UP_TICKS + 1, 50])
+def test_many_missed_ticks_are_skipped_and_the_car_drives_through_them(ticks, tmp_path):
+    log = tmp_path / "bus.log"
+    changes = ["reference.kind=sine", "reference.frequency_rad_per_s=20", "limits.torque_nm=9000"]
+    changes += ["noise.dstar_rms_mps2=0.001", "seed=7"]
+    world = World(scenario_of(*changes), wakes=late_once(100, ticks))
+    done, plant = world.run(log)
+    sent = [(tick_of(m), ns) for ns, m in world.sent if m.arbitration_id == FEEDBACK]
+    there = [*range(100), *range(100 + ticks, 300)]
+    assert done == 300
+    assert [tick for tick, _ in sent] == there
+    assert sent[-1][1] - sent[99][1] == 200 * TICK_NS
+    assert plant.timing.missed_deadlines == plant.timing.skipped_ticks == ticks
+    signals = read_signals(log, world.network, 0.001)
+    assert len(signals) == 300
+    missing = np.isnan(signals.dstar_mps2)
+    assert list(np.flatnonzero(~missing)) == there
+
+    # The car, by scipy: commands act a tick later; one that is missing is held for 10 ticks.
+    acting, silent, last = [], 0, np.zeros(2)
+    for tick in range(-1, 299):
+        pair = np.array([signals.torque_nm[tick], signals.force_difference_n[tick]])
+        silent = 0 if tick >= 0 and np.isfinite(pair).all() else silent + 1
+        last = pair if not silent else last if silent <= 10 else np.zeros(2)
+        acting.append(last)
+    noise = 0.001 * np.random.Generator(np.random.PCG64(7)).standard_normal(300)  # one a tick
+    assert np.abs(dstar_under(acting) + noise - signals.dstar_mps2)[~missing].max() < LSB
+
+
+def test_a_sleep_past_the_end_sends_the_last_tick_and_ends():
+    world = World(scenario_of(), wakes=late_once(100, 5000))
+    done, plant = world.run()
+    assert done == 300
+    assert tick_of(world.sent[-1][1]) == 299
+    assert plant.timing.skipped_ticks == 199
+
+
+# --- nothing late: the lockstep run --------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["default", "noisy"])
+@pytest.mark.parametrize(("latency", "answer_ns"), [(1, 990_000), (2, 1_700_000), (3, 2_900_000)])
+def test_where_nothing_is_late_commands_and_dstar_are_those_of_lockstep(
+    name, latency, answer_ns, tmp_path
+):
+    """Bit for bit, with answers up to the last of the ticks that the latency gives them."""
+    changes = [
+        f"latency_ticks={latency}",
+        "duration_s=0.4",
+        "fault.at_s=0.3",
+        "noise.dstar_rms_mps2=0.001",
+    ]
+    changes += ["design.tau_q_s=0.02"]
+    log = tmp_path / "bus.log"
+    scenario = load(name, changes)
+    world = World(scenario, answers=lambda tick: 50_000 + (tick * 377_777) % (answer_ns - 50_000))
+    _, plant = world.run(log)
+    lockstep, *_ = record(tmp_path, *changes, name=name)
+    assert plant.timing.unanswered_ticks == 0
+
+    def frames(path):
+        by_id = {}
+        for frame in can.LogReader(path):
+            by_id.setdefault(frame.arbitration_id, []).append(bytes(frame.data))
+        return by_id
+
+    mine, theirs = frames(log), frames(lockstep)
+    assert len(mine[TORQUE]) >= 400 - latency  # the last ones may come after the end
+    for number, data in mine.items():
+        assert data == theirs[number][: len(data)]
+    signals = read_signals(log, world.network, scenario.tick_s, latency)
+    assert np.isfinite(signals.torque_nm[: 400 - latency]).all()
+    expected = decoded(lockstep)[NAMES[2]][: 400 - latency]
+    assert (signals.torque_nm[: 400 - latency] == expected).all()
+
+
+# --- a late command is a lost command ------------------------------------------------------------
+
+
+def hold_up(world, by_ns):
+    """Let the controller begin in time and take so much longer over the ticks of ``by_ns``."""
+    node = world.controller
+    step = node._firmware.step
+
+    def slowly(reference, measurement):
+        if math.isfinite(measurement):
+            world.controller_ns += by_ns.get(node._tick, 0)
+        return step(reference, measurement)
+
+    node._firmware.step = slowly
+
+
+@pytest.mark.parametrize("latency", [1, 2])
+@pytest.mark.parametrize("excess_ns", [20_000, 900_000])
+def test_a_late_answer_is_a_lost_one_and_the_estimate_knows(latency, excess_ns, tmp_path):
+    """Sent too late, or not sent because a newer sample is there: the car holds, d̂ stays zero."""
+    late = [20, 50, 51, 52, 90]
+    log = tmp_path / "bus.log"
+    scenario = scenario_of(f"latency_ticks={latency}", "design.tau_q_s=0.02", "duration_s=0.2")
+
+    world = World(scenario)
+    hold_up(world, dict.fromkeys(late, latency * TICK_NS - 200_000 + excess_ns))
+    _, plant = world.run(log)
+    assert plant.timing.unanswered_ticks >= len(late)
+    signals = read_signals(log, world.network, 0.001, latency)
+    lost = np.isnan(signals.torque_nm)
+    assert set(late) <= set(np.flatnonzero(lost))
+    u = np.stack([signals.torque_nm, signals.force_difference_n], axis=1)
+    for tick in range(1, len(u)):
+        if lost[tick]:
+            u[tick] = u[tick - 1]
+    acting = np.vstack([np.zeros((latency, 2)), u[:-latency]])
+    assert np.abs(dstar_under(acting) - signals.dstar_mps2).max() < LSB
+    assert np.abs(np.diff(u[15:25, 0])).max() > 0.01  # what is held matters
+    estimate = signals.fault_estimate_mps2[np.isfinite(signals.fault_estimate_mps2)]
+    assert np.abs(estimate).max() <= LSB
+    assert int(np.nanmax(signals.fault_state)) != FaultState.CONFIRMED
+
+
+def test_late_frames_are_counted_and_not_used(tmp_path):
+    log = tmp_path / "bus.log"
+    world = World(scenario_of("duration_s=0.1"))
+    hold_up(world, {40: 900_000})
+    _, plant = world.run(log)
+    assert plant.realtime()["late_frames"] == 2
+    assert plant.rejected()[NAMES[2]]["wrong_tick"] == 1
+    signals = read_signals(log, world.network, 0.001)
+    assert np.isnan(signals.torque_nm[40])
+
+
+# --- a controller that is started again ----------------------------------------------------------
+
+
+class Restart:
+    """Kills the controller before one tick and starts it again before another."""
+
+    def __init__(self, scenario, killed, back, log, **world):
+        self.world = World(scenario, answers=self.answers, **world)
+        self.killed, self.back = killed, back
+        self.alive = True
+        done, self.plant = self.world.run(log, self.on_tick)
+        assert done == scenario.ticks
+        self.signals = read_signals(log, self.world.network, scenario.tick_s)
+        # The actuator without a command is at zero: what it does when it hears one again counts.
+        self.torque = np.nan_to_num(self.signals.torque_nm)
+        self.first = back + int(np.argmax(np.isfinite(self.signals.torque_nm[back:])))
+
+    def answers(self, _tick):
+        return 200_000 if self.alive else None
+
+    def on_tick(self, tick):
+        if tick == self.killed:
+            self.alive = False
+            self.world.runs.clear()
+        if tick == self.back:
+            self.world.start_controller()
+            self.alive = True
+
+
+@pytest.mark.parametrize("outage", [*range(1000, 1015), 60, 300])
+def test_a_restarted_controller_takes_over_without_a_bump(outage, tmp_path):
+    """Whatever the alive counter was, and whether the car rests or still moves."""
+    killed = 500
+    back = killed + outage
+    scenario = scenario_of(f"duration_s={(back + 900) / 1000}", "latency_ticks=1")
+    run = Restart(scenario, killed, back, tmp_path / "bus.log")
+    signals, first = run.signals, run.first
+    assert first - back <= 100  # ms
+    assert np.isnan(signals.torque_nm[killed + 1 : first]).all()
+    assert np.isfinite(signals.torque_nm[first:-1]).all()
+    assert abs(run.torque[first]) < 0.1  # N m, of 42.5 that the reference takes
+    assert np.abs(np.diff(run.torque[first - 1 :])).max() < 4.0  # a raw step: 400
+    assert np.abs(run.torque[first:]).max() < 100.0
+    assert np.nanmax(np.abs(signals.fault_estimate_mps2[back:])) < 2e-6
+    assert not (signals.fault_state[back:] == FaultState.CONFIRMED).any()
+    assert signals.error_mps2[first:].min() > -0.01  # no overshoot
+    assert np.abs(signals.error_mps2[first + 450 :]).max() < 0.005
+    listening = signals.mode[back + 2 : first - 2]
+    assert (listening[np.isfinite(listening)] == Mode.INIT).all()
+
+
+def test_a_restart_after_the_motor_died_gives_the_load_to_the_other_channel(tmp_path):
+    settings = ["fault.at_s=0.3", "duration_s=3.0"]
+    scenario = load("default", settings)
+    run = Restart(scenario, 900, 1900, tmp_path / "bus.log")
+    signals, first = run.signals, run.first
+    assert np.abs(np.diff(run.torque[first - 1 :])).max() < 10.0
+    force = np.nan_to_num(signals.force_difference_n)
+    assert np.abs(np.diff(force[first - 1 :])).max() < 100.0  # N a tick, of 2989 in the end
+    assert force[-2] == pytest.approx(2989, abs=30)
+    assert np.abs(signals.error_mps2)[first + 450 :].max() < 0.005
+
+
+def test_actuators_that_still_hold_are_met_at_what_they_hold(tmp_path):
+    """Settled, and held for the whole outage: the restart is not to be seen."""
+    scenario = scenario_of("actuator.hold_s=100", "duration_s=4.6")
+    run = Restart(scenario, 3000, 4000, tmp_path / "bus.log")
+    signals = run.signals
+    torque = signals.torque_nm[np.isfinite(signals.torque_nm)]
+    assert np.abs(np.diff(torque[2900:])).max() < 0.01
+    assert np.abs(signals.error_mps2[2900:]).max() < 1e-4
+
+
+@pytest.mark.parametrize(
+    ("stall", "bump_nm", "error_mps2"),
+    [(3, 0.1, 1e-5), (9, 0.1, 1e-5), (30, 400.0, 0.05), (400, 4.0, 2.0)],
+)
+def test_a_controller_that_stood_still_goes_on(stall, bump_nm, error_mps2, tmp_path):
+    """Held while the actuators hold, then against what they let go, then taken over anew."""
+    log = tmp_path / "bus.log"
+
+    def answers(tick):
+        return 200_000 + max(0, 2000 + stall - tick) * TICK_NS if tick >= 2000 else 200_000
+
+    world = World(scenario_of("duration_s=3.2"), answers)
+    _, plant = world.run(log)
+    assert plant.realtime()["late_frames"] == 0  # it sends nothing that nobody can use
+    signals = read_signals(log, world.network, 0.001)
+    torque = signals.torque_nm[np.isfinite(signals.torque_nm)]
+    torque = np.nan_to_num(signals.torque_nm)[2000 + stall :] if stall > 10 else torque[1900:]
+    assert np.abs(np.diff(torque)).max() < bump_nm
+    assert np.abs(signals.error_mps2[1900:]).max() < error_mps2
+    assert not (signals.fault_state[1900:] == FaultState.CONFIRMED).any()
+    assert np.abs(signals.error_mps2[-300:]).max() < 0.02
+
+
+@pytest.mark.parametrize("busy_ms", [20, 45, 130])
+def test_a_restart_with_frames_piled_up_is_as_smooth(busy_ms, tmp_path):
+    """It comes to run only so long after it has joined."""
+    log = tmp_path / "bus.log"
+    scenario = scenario_of("duration_s=2.6")
+    back = 1500
+
+    def busy(tick):
+        if back <= tick < back + busy_ms:
+            return 200_000 + (back + busy_ms - tick) * TICK_NS
+        return 200_000 if tick < 500 or tick >= back else None
+
+    world = World(scenario, busy)
+
+    def on_tick(tick):
+        if tick == back:
+            world.start_controller()
+
+    world.run(log, on_tick)
+    signals = read_signals(log, world.network, 0.001)
+    torque = signals.torque_nm[back:]
+    first = int(np.argmax(np.isfinite(torque)))
+    assert first <= 50 + busy_ms
+    assert abs(torque[first]) < 0.1
+    assert np.abs(np.diff(torque[np.isfinite(torque)])).max() < 4.0
+    assert np.abs(signals.error_mps2[-300:]).max() < 0.01
+
+
+def test_a_second_controller_is_refused():
+    scenario = scenario_of("duration_s=1")
+    world = World(scenario)
+
+    def on_tick(tick):
+        if tick == 100:
+            world.start_controller()
+            world.to_controller.append((world.ns, stranger))
+
+    stranger = can.Message(arbitration_id=TORQUE, is_extended_id=False, data=bytes(8))
+    with pytest.raises(BusError, match="another controller node"):
+        world.run(on_tick=on_tick)
+
+
+# --- endings -------------------------------------------------------------------------------------
+
+
+def test_alone_the_plant_drives_on_or_as_long_as_it_is_told(tmp_path):
+    scenario = scenario_of("duration_s=1")
+
+    def answers(tick):
+        return 200_000 if tick < 100 else None
+
+    done, plant = World(scenario, answers).run()
+    assert done == 1000
+    assert plant.timing.unanswered_ticks == 899
+    with pytest.raises(SilentNodeError, match=r"controller node for 0\.2 s at tick 300"):
+        World(scenario, answers).run(waiting=Waiting(1.0, 0.2))
+
+
+def test_a_stop_request_ends_between_two_ticks(tmp_path):
+    stop, log = StopRequest(), tmp_path / "bus.log"
+
+    def on_tick(tick):
+        stop.wanted = tick == 17
+
+    done, _ = World(scenario_of()).run(log, on_tick, stop=stop)
+    assert done == 18
+    assert len(log.read_text().splitlines()) == 5 * 18
+
+
+def test_a_latency_of_zero_is_refused_with_the_remedy():
+    scenario = load("thesis-step")
+    with pytest.raises(ScenarioError, match=r"latency_ticks = 0.*--set latency_ticks=1"):
+        RealTimePlantNode(scenario, network_of(scenario), None, None, None)
+    with pytest.raises(ScenarioError, match="latency_ticks = 0"):
+        RealTimeControllerNode(scenario, network_of(scenario), None)
+
+
+# --- figures -------------------------------------------------------------------------------------
+
+
+@given(
+    st.lists(st.integers(0, 300_000_000), min_size=1, max_size=300),
+    st.sampled_from([50.0, 99.0, 99.9]),
+)
+def test_percentiles_are_numpy_s_to_a_microsecond(durations_ns, percent):
+    histogram = Histogram()
+    for duration_ns in durations_ns:
+        histogram.add(duration_ns)
+    exact_us = np.percentile(durations_ns, percent, method="inverted_cdf") / 1000
+    found = histogram.percentile_us(percent)
+    assert histogram.max_us == max(durations_ns) / 1000
+    if exact_us < 100_000:
+        assert exact_us <= found <= exact_us + 1.0
+    else:
+        assert found == histogram.max_us
+    assert sum(histogram.as_dict()["counts"]) == len(durations_ns)
+
+
+@given(st.lists(st.integers(0, 5_000_000), min_size=3, max_size=200))
+def test_drift_is_the_slope_of_numpy_s_line(lateness_ns):
+    timing = Timing(TICK_NS)
+    for tick, late_ns in enumerate(lateness_ns, start=7):
+        timing.woke(tick, late_ns)
+    ticks = np.arange(7, 7 + len(lateness_ns))
+    slope = np.polyfit(ticks, np.array(lateness_ns, dtype=float), 1)[0]
+    assert timing.drift_ppm == pytest.approx(slope / TICK_NS * 1e6, abs=1e-3)
+    wakes = ticks * TICK_NS + np.array(lateness_ns)
+    mean_ns = (wakes[-1] - wakes[0]) / (len(wakes) - 1)
+    assert timing.period_error_ppm == pytest.approx((mean_ns / TICK_NS - 1) * 1e6, abs=1e-3)
+    assert timing.missed_deadlines == sum(late >= TICK_NS for late in lateness_ns)
+
+
+def test_no_wake_up_has_no_period():
+    timing = Timing(TICK_NS)
+    assert timing.period_error_ppm is timing.drift_ppm is None
+    timing.woke(1, 0)
+    assert timing.period_error_ppm is timing.drift_ppm is None
+
+
+# --- the log -------------------------------------------------------------------------------------
+
+
+def test_the_thread_writes_every_line_in_order_with_time_that_never_goes_back(tmp_path):
+    log = tmp_path / "bus.log"
+    with RealTimeRecorder(log, TICK_NS) as recorder:
+        for tick in range(2000):
+            recorder.at(tick * 900 - 5000 * (tick % 2))
+            recorder.record(can.Message(arbitration_id=tick, is_extended_id=False), sent=True)
+            if tick % 7 == 0:
+                recorder.hand_over()
+    frames = list(can.LogReader(log))
+    assert [frame.arbitration_id for frame in frames] == list(range(2000))
+    assert all(b.timestamp > a.timestamp for a, b in itertools.pairwise(frames))
+
+
+def test_a_disk_that_is_full_is_one_line(tmp_path):
+    failure = pytest.raises(RunFolderError, match="cannot be written")
+    with failure, RealTimeRecorder(Path("/dev/full"), 1) as full:
+        full.record(can.Message(arbitration_id=1, is_extended_id=False), sent=True)
+        full.hand_over()

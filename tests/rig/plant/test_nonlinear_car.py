@@ -1,0 +1,314 @@
+"""The nonlinear car against bristles, an ODE solver, a root finder and the linear car."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy.integrate import solve_ivp
+from scipy.optimize import root
+
+from can_rig.plant.nonlinear_car import NonlinearCar, _advance, _rates, brush, car_of
+from can_rig.plant.simulated import LinearPlant
+from can_rig.scenario.loading import load
+from can_rig.scenario.settings import PlantSettings
+from tests.helpers import decoded, record
+
+G = 9.81
+CAR = PlantSettings()
+stiffnesses, grips = st.floats(1e3, 2e5), st.floats(1e2, 2e4)
+speeds = st.floats(-30.0, 30.0).map(lambda v: round(v, 9))  # no subnormal quotients
+
+
+def perpendicular(vector):
+    return np.array([-vector[1], vector[0]])
+
+
+def direction(angle):
+    return np.array([math.cos(angle), math.sin(angle)])
+
+
+def tire(slip, stiffness, grip):
+    """Fiala's force at a slip angle, as the textbook prints it; a wheel may roll backward."""
+    t = math.tan(math.asin(math.sin(slip)))
+    if abs(t) >= 3 * grip / stiffness:
+        return math.copysign(grip, t)
+    cubic = stiffness**3 * t**3 / (27 * grip**2)
+    return stiffness * t - stiffness**2 * t * abs(t) / (3 * grip) + cubic
+
+
+def world_rates(_, x, p, torque, force_difference):
+    """The car anew, in the plane of the road: vectors, headings and courses, slips by atan2.
+
+    States: heading, course (direction of the velocity), yaw rate, steer rate, steer angle.
+    """
+    heading, course, yaw_rate, steer_rate, steer = x
+    lf, lr = p.front_axle_distance_m, p.rear_axle_distance_m
+    weight = p.friction * p.mass_kg * G / (lf + lr)  # times the other axle's distance: its grip
+    push = np.clip(force_difference, -weight * lf, weight * lf)
+    velocity = p.speed_mps * direction(course)
+    axles = (
+        (lf, heading + steer, 2 * p.front_cornering_stiffness_n_per_rad, weight * lr),
+        (-lr, heading, 2 * p.rear_cornering_stiffness_n_per_rad, weight * lf),
+    )
+    total, moment, front = np.zeros(2), p.rear_track_m * push / 2, 0.0
+    for at, wheel_heading, stiffness, grip in axles:
+        if at < 0:
+            grip = math.sqrt(grip**2 - push**2)  # noqa: PLW2901
+        lever = at * direction(heading)
+        moving = velocity + yaw_rate * perpendicular(lever)
+        wheel = direction(wheel_heading)
+        slip = -math.atan2(moving @ perpendicular(wheel), moving @ wheel)
+        size = tire(slip, stiffness, grip)
+        force = size * perpendicular(wheel)
+        total += force
+        moment += lever[0] * force[1] - lever[1] * force[0]
+        front = size if at > 0 else front
+    acceleration = total @ perpendicular(direction(course)) / p.mass_kg
+    column = torque - p.steering_damping_nms_per_rad * steer_rate - p.trail_m * front
+    return np.array(
+        [
+            yaw_rate,
+            acceleration / p.speed_mps,
+            moment / p.yaw_inertia_kgm2,
+            column / p.steering_inertia_kgm2,
+            steer_rate,
+        ]
+    )
+
+
+def output(x, p, *commands):
+    """D* of (3.8) in those states."""
+    course_rate = world_rates(0.0, x, p, *commands)[1]
+    d, v = p.lateral_weight, p.speed_mps
+    return d * v * course_rate + (1 - d) * v * x[2]
+
+
+# --- the tire ------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("slip", [1e-4, 0.01, 0.05, 0.1, 0.2, 0.3, 1.2])
+def test_the_tire_is_bristles_that_stick_until_friction_is_reached(slip):
+    """Each bristle, 2/n of the contact, bends with its way from the front or slides."""
+    stiffness, grip, count = 67400.0, 7506.0, 200_000
+    way = (np.arange(count) + 0.5) * 2.0 / count  # contact from 0 to 2
+    sticking = stiffness / 2.0 * math.tan(slip) * way
+    sliding = 0.75 * grip * (1.0 - (way - 1.0) ** 2)  # a parabola that sums to the grip
+    expected = np.minimum(sticking, sliding).mean() * 2.0
+    assert brush(stiffness, grip, math.cos(slip), -math.sin(slip)) == pytest.approx(expected, 1e-8)
+
+
+@given(stiffnesses, grips, speeds.filter(lambda v: abs(v) > 0.1), speeds)
+def test_a_tire_is_odd_bounded_and_never_pushes(stiffness, grip, along, across):
+    force = brush(stiffness, grip, along, across)
+    assert brush(stiffness, grip, along, -across) == -force
+    assert brush(stiffness, grip, -along, across) == force  # a wheel that rolls backward
+    assert abs(force) <= grip * (1 + 1e-12)
+    assert abs(force) <= stiffness * abs(across / along) * (1 + 1e-12)
+    assert force * across <= 0.0
+
+
+@given(stiffnesses, grips, st.floats(0.0, 1.0), st.floats(0.0, 1.0))
+def test_more_slip_is_never_less_force(stiffness, grip, one, other):
+    less, more = sorted((one, other))
+    assert brush(stiffness, grip, 1.0, -less) <= brush(stiffness, grip, 1.0, -more) + 1e-9 * grip
+
+
+def test_the_cornering_stiffness_is_the_slope_at_zero_slip():
+    assert brush(67400.0, 7506.0, 1.0, -1e-9) == pytest.approx(67400e-9, rel=1e-7)
+
+
+# --- the car -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "settings", [CAR, PlantSettings(speed_mps=25.0, friction=0.4, trail_m=0.1)]
+)
+@pytest.mark.parametrize("size", [0.1, 1.0, 3.0])
+def test_between_ticks_it_is_the_car_of_an_ode_solver(settings, size):
+    generator = np.random.default_rng(7)
+    car, x, differences, reached = NonlinearCar(settings), np.zeros(5), [], []
+    for torque, push in size * generator.normal(0.0, [150.0, 1500.0], (8, 2)):
+        solution = solve_ivp(
+            world_rates, (0.0, 0.05), x, args=(settings, torque, push),
+            method="DOP853", rtol=1e-11, atol=1e-12, max_step=1e-3,
+        )  # fmt: skip
+        x = solution.y[:, -1]
+        expected = output(x, settings, torque, push)
+        differences.append(car.advance(0.05, torque, push) - expected)
+        reached.append(expected)
+        beta, yaw_rate, steer_rate, steer = car.state
+        assert [beta, yaw_rate, steer_rate, steer] == pytest.approx(
+            [x[1] - x[0], x[2], x[3], x[4]], rel=1e-6, abs=1e-8
+        )
+    assert np.abs(differences).max() < 1e-6 * np.abs(reached).max()
+
+
+@pytest.mark.parametrize(
+    ("torque", "push", "friction"),
+    [(40.0, 0, 0.9), (200.0, 500, 0.9), (0, 2989, 0.9), (60, 0, 0.3)],
+)
+def test_steady_cornering_is_where_a_root_finder_finds_it(torque, push, friction):
+    settings = PlantSettings(friction=friction)
+    car = NonlinearCar(settings)
+    settled = [car.advance(0.01, torque, push) for _ in range(4000)][-1]
+
+    def residual(unknown):
+        course, yaw_rate, steer = unknown
+        rates = world_rates(0, [0.0, course, yaw_rate, 0.0, steer], settings, torque, push)
+        return [rates[1] - yaw_rate, rates[2], rates[3]]
+
+    found = root(residual, [0.0, 0.05, 0.0], tol=1e-13)
+    course, yaw_rate, steer = found.x
+    assert found.success
+    assert settled == pytest.approx(yaw_rate * settings.speed_mps, rel=1e-8)
+    assert car.state == pytest.approx([course, yaw_rate, 0.0, steer], rel=1e-7, abs=1e-9)
+
+
+def test_steady_cornering_without_a_motor_needs_no_front_force():
+    """The wheels align until ξ Yf = 0, so X_diff d_r/2 = l_r Yr: 2989 N for 1 m/s², as linear."""
+    car = NonlinearCar(CAR)
+    push = 2 * CAR.rear_axle_distance_m * CAR.mass_kg / CAR.rear_track_m
+    settled = [car.advance(0.01, 0.0, push) for _ in range(4000)][-1]
+    assert push == pytest.approx(2989.2, abs=0.1)
+    assert settled == pytest.approx(1.0, rel=2e-3)  # cos β is what differs
+
+
+def test_small_commands_make_it_the_linear_car_with_the_square_of_their_size():
+    """The brush's second term is quadratic in the slip; halving the commands leaves a quarter."""
+    commands = np.random.default_rng(3).normal(0.0, [40.0, 400.0], (100, 2))
+
+    def difference(size):
+        nonlinear, linear = NonlinearCar(CAR), LinearPlant(CAR)
+        return max(
+            abs(nonlinear.advance(0.02, *pair) - linear.advance(0.02, *pair))
+            for pair in size * commands
+        )
+
+    differences = [difference(size) for size in (0.1, 0.05, 0.025)]
+    assert differences[0] < 1e-2
+    for coarse, fine in pairwise(differences):
+        assert coarse / fine == pytest.approx(4.0, rel=0.1)
+
+
+def test_the_integration_is_of_order_4():
+    """From a state in which no tire passes zero or full slip within the time: smooth throughout."""
+    car, start = car_of(CAR), np.array([-0.02, 0.3, 0.1, 0.06])
+
+    def end(steps):
+        state = start.copy()
+        _advance(car, state, 0.1 / steps, steps, 60.0, 500.0)
+        return state
+
+    exact = end(4000)
+    errors = [np.abs(end(steps) - exact).max() for steps in (10, 20, 40)]
+    for coarse, fine in pairwise(errors):
+        assert math.log2(coarse / fine) == pytest.approx(4.0, abs=0.2)
+
+
+def test_a_tick_is_steps_of_at_most_1_ms():
+    one, many = NonlinearCar(CAR), NonlinearCar(CAR)
+    for torque in (50.0, -80.0):
+        for _ in range(10):
+            step_by_step = many.advance(0.001, torque, 300.0)
+        assert one.advance(0.01, torque, 300.0) == step_by_step
+        assert one.state == many.state
+
+
+def test_a_car_that_creeps_is_stiff_and_still_right():
+    """At 0.02 m/s the fastest mode is 9700 rad/s, which steps of 1 ms would not survive."""
+    settings = PlantSettings(speed_mps=0.02)
+    nonlinear, linear = NonlinearCar(settings), LinearPlant(settings)
+    outputs = [(nonlinear.advance(0.01, 1e-3, 0.0), linear.advance(0.01, 1e-3, 0.0))
+               for _ in range(100)]  # fmt: skip
+    measured, expected = np.array(outputs).T
+    assert np.abs(measured - expected).max() < 1e-3 * np.abs(expected).max()
+
+
+big = st.floats(-5e5, 5e5)
+
+
+@given(st.lists(st.tuples(big, big), min_size=1, max_size=15), st.floats(0.05, 1.5))
+def test_no_command_takes_more_than_friction_from_the_road(commands, friction):
+    """With d = 1 the output is the lateral acceleration; mirrored commands mirror the car."""
+    settings = PlantSettings(friction=friction, lateral_weight=1.0)
+    car, mirrored = NonlinearCar(settings), NonlinearCar(settings)
+    for torque, push in commands:
+        acceleration = car.advance(0.01, torque, push)
+        assert abs(acceleration) <= friction * G * (1 + 1e-12)
+        assert mirrored.advance(0.01, -torque, -push) == -acceleration
+
+
+@pytest.mark.parametrize("friction", [0.3, 0.9])
+def test_cornering_saturates_with_friction(friction):
+    """Twice the torque is twice the cornering of the linear car, and less and less of this one."""
+    settings = PlantSettings(friction=friction)
+    torques = friction / 0.9 * np.array([40.0, 80.0, 160.0, 320.0])
+    settled = []
+    for torque in torques:
+        car = NonlinearCar(settings)
+        settled.append([car.advance(0.01, torque, 0.0) for _ in range(3000)][-1])
+    assert (np.diff(settled / torques) < 0).all()
+    assert (np.diff(settled) > 0).all()
+    assert 0.5 * friction * G < settled[-1] < friction * G
+
+
+def test_what_the_rear_wheels_push_they_cannot_hold_sideways():
+    """The car slides sideways at the rear: the circle is all that the force follows."""
+    settings = PlantSettings(lateral_weight=1.0)
+    car = car_of(settings)
+    # Front wheels along their own way, so without a force; the rear at full slip.
+    beta, yaw_rate = 0.0, 5.0
+    steer = math.atan(car.lf * yaw_rate / car.v)
+    state = np.array([beta, yaw_rate, 0.0, steer])
+    for part, left in ((0.0, 1.0), (0.6, 0.8), (-0.8, 0.6), (1.0, 0.0), (7.0, 0.0)):
+        rates = _rates(car, state, 0.0, part * car.grip_r)
+        assert rates[4] * car.m == pytest.approx(left * car.grip_r, abs=1e-6)
+        push = np.clip(part, -1, 1) * car.grip_r
+        moment = car.half_track * push - car.lr * left * car.grip_r
+        assert rates[1] * car.j == pytest.approx(moment, abs=1e-6)
+    assert car.grip_r == pytest.approx(4849.2, abs=0.1)
+
+
+@pytest.mark.parametrize("speed", [5.0, 10.0, 30.0])
+def test_left_alone_it_comes_to_rest_and_reset_is_at_rest(speed):
+    car = NonlinearCar(PlantSettings(speed_mps=speed))
+    thrown = [car.advance(0.01, 200.0, 1500.0) for _ in range(30)]
+    left_alone = [car.advance(0.01, 0.0, 0.0) for _ in range(3000)]
+    assert abs(left_alone[-1]) < 1e-6 * max(map(abs, thrown))
+    car.advance(0.01, 1e4, 0.0)
+    car.reset()
+    assert car.state == (0.0, 0.0, 0.0, 0.0)
+    assert car.advance(0.01, 0.0, 0.0) == 0.0
+
+
+# --- through the rig -----------------------------------------------------------------------------
+
+SHORT = ["duration_s=7.0", "fault.at_s=3.0"]
+
+
+def test_the_design_that_has_not_seen_it_survives_the_loss_of_its_motor(tmp_path):
+    log, _, scenario = record(tmp_path, *SHORT, name="nonlinear-car")
+    signals = decoded(log)
+    error = np.abs(1.0 - signals["DSTAR_FEEDBACK"])
+    assert error[2800:3000].max() < 1e-4
+    assert 0.05 < error[3000:].max() < 0.08
+    assert error[-500:].max() < 1e-3
+    estimate = signals["CONTROLLER_STATUS"]
+    assert 1e-3 < np.abs(estimate[:3000]).max() < scenario.design.fault_threshold_mps2
+    assert signals["FORCE_DIFF_CMD"][-1] == pytest.approx(2989.0, rel=0.01)
+
+
+def test_without_a_limit_below_friction_the_same_loss_spins_it(tmp_path):
+    scenario = load("nonlinear-car")
+    assert scenario.limits.force_difference_n < car_of(scenario.plant).grip_r
+    free = [*SHORT, "limits.force_difference_n=1e6"]
+    error = 1.0 - decoded(record(tmp_path, *free, name="nonlinear-car")[0])["DSTAR_FEEDBACK"]
+    assert np.abs(error[3000:]).max() > 2.0
+    other = record(tmp_path, *free, "plant.kind=steer-by-wire", name="nonlinear-car")[0]
+    linear = 1.0 - decoded(other)["DSTAR_FEEDBACK"]
+    assert np.abs(linear[3000:]).max() < 0.06  # the linear car knows of no friction

@@ -1,0 +1,136 @@
+"""``report.png``: what it says, and that every run, however short, gets one without a warning."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+import pytest
+from matplotlib.colors import to_rgb
+from matplotlib.figure import Figure
+
+from can_rig.nodes.lockstep import StopRequest
+from can_rig.nodes.nodes import network_of, run_in_process
+from can_rig.nodes.realtime.deadlines import Timing
+from can_rig.results import report
+from can_rig.results.run_folder import Outcome, finish
+from can_rig.results.signals import Signals, read_signals
+from can_rig.scenario.loading import load
+from can_rig.scenario.settings import Scenario
+
+pytestmark = pytest.mark.filterwarnings("error")
+SHORT = ["duration_s=0.2", "fault.at_s=0.1"]
+
+
+def recorded(folder: Path, scenario: Scenario) -> Signals:
+    log = folder / "bus.log"
+    run_in_process(scenario, f"local:report-{folder.name}", log, StopRequest(), lambda tick: None)
+    return read_signals(log, network_of(scenario), scenario.tick_s)
+
+
+def drawn(folder: Path, name: str, *settings: str) -> Figure:
+    scenario = load(name, [*SHORT, *settings])
+    return report.page(scenario, network_of(scenario), recorded(folder, scenario))
+
+
+def test_title_and_units_say_what_was_run(tmp_path: Path) -> None:
+    page = drawn(tmp_path, "thesis-step", "plant.variant=published", "fault.for_s=0.05")
+    title = page.get_suptitle()
+    for words in ("thesis-step", "actuator dead, torque, at 0.1 s for 0.05 s", "published"):
+        assert words in title
+    assert "tick 1 ms, latency 0 ticks" in title
+    labels = [axis.get_ylabel() for axis in page.axes]
+    assert labels[0] == "D*\nin m/s²"
+    assert labels[1] == "|error|\nin m/s²"
+    assert labels[2:4] == ["steer torque\nin N m", "force difference\nin N"]
+
+
+def test_the_loss_is_shaded_where_it_was(tmp_path: Path) -> None:
+    page = drawn(tmp_path, "thesis-step", "fault.for_s=0.05")
+    for axis in page.axes:
+        (span,) = (p for p in axis.patches if p.get_facecolor()[:3] == to_rgb(report.LOST))
+        assert span.get_extents().transformed(axis.transData.inverted()).intervalx == pytest.approx(
+            [0.1, 0.15]
+        )
+
+
+@pytest.mark.parametrize("setting", ["fault.kind=none", "fault.at_s=0.5"])
+def test_nothing_is_shaded_where_nothing_was_lost(tmp_path: Path, setting: str) -> None:
+    page = drawn(tmp_path, "thesis-step", setting)
+    assert not any(axis.patches for axis in page.axes)
+
+
+def test_a_spike_is_off_the_scale_and_said_to_be(tmp_path: Path) -> None:
+    torque = drawn(tmp_path, "thesis-step", "duration_s=3.0", "fault.at_s=1.5").axes[2]
+    assert torque.get_ylim()[1] < 1000.0
+    assert torque.texts[0].get_text() == "off the scale: 2.49e+05 N m at 0 s"
+
+
+def test_an_open_loop_shows_its_deviation_and_not_an_error(tmp_path: Path) -> None:
+    output, deviation, *_ = drawn(tmp_path, "chapter-2").axes
+    assert deviation.get_ylabel() == "|deviation|"
+    assert [line.get_label() for line in output.lines[:2]] == ["without the fault", "output y"]
+    time_s, size = deviation.lines[0].get_data()
+    assert np.max(np.asarray(size)[np.asarray(time_s) < 0.1]) < 5e-8
+    assert np.max(size) > 1e-4
+
+
+def test_the_curves_differ_in_grey(tmp_path: Path) -> None:
+    output = drawn(tmp_path, "thesis-sine").axes[0]
+    styles = [line.get_linestyle() for line in output.lines[:2]]
+    assert styles[0] != styles[1]
+
+
+@pytest.fixture(scope="module", params=["thesis-step", "chapter-2", "no-compensation"])
+def noisy(
+    request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
+) -> tuple[Scenario, list[str]]:
+    scenario = load(request.param, [*SHORT, "noise.dstar_rms_mps2=0.005"])
+    log = tmp_path_factory.mktemp("noisy") / "bus.log"
+    run_in_process(scenario, "local:noisy", log, StopRequest(), lambda tick: None)
+    return scenario, log.read_text().splitlines(keepends=True)
+
+
+@pytest.mark.parametrize("frames", [0, 1, 2, 4, 5, 7, 499, 503, 507])
+def test_every_run_that_ends_early_is_reported(
+    tmp_path: Path, noisy: tuple[Scenario, list[str]], frames: int
+) -> None:
+    scenario, lines = noisy
+    (tmp_path / "bus.log").write_text("".join(lines[:frames]) + lines[frames][:25])
+    finish(tmp_path, scenario, network_of(scenario), Outcome("local"))
+    assert (tmp_path / "report.png").read_bytes().startswith(b"\x89PNG")
+    assert len((tmp_path / "signals.csv").read_text().splitlines()) == 1 + -(-frames // 5)
+    metrics = json.loads((tmp_path / "run.json").read_text())["metrics"]
+    assert (metrics["deviation_peak_after_fault_mps2"] is not None) == (frames > 501)
+
+
+@pytest.mark.parametrize("kind", ["frames-missing", "frames-corrupted"])
+@pytest.mark.parametrize("channel", ["torque", "force-difference"])
+def test_lost_frames_are_gaps_in_the_command(tmp_path: Path, kind: str, channel: str) -> None:
+    page = drawn(
+        tmp_path,
+        "thesis-sine",
+        f"fault.kind={kind}",
+        f"fault.channel={channel}",
+        "fault.for_s=0.02",
+    )
+    shown = np.asarray(page.axes[2 + (channel != "torque")].lines[0].get_ydata(), dtype=float)
+    assert np.flatnonzero(np.isnan(shown)).tolist() == list(range(100, 120))
+
+
+def test_a_real_time_run_shows_how_late_it_was(tmp_path: Path) -> None:
+    """Three wake-ups of 15 µs, one of 3 ms: the bars of the two bins that they fall in."""
+    timing = Timing(1_000_000)
+    for tick, late_ns in enumerate([15_000, 15_000, 15_000, 3_000_000], start=1):
+        timing.woke(tick, late_ns)
+    scenario = load("default", SHORT)
+    signals = recorded(tmp_path, scenario)
+    page = report.page(scenario, network_of(scenario), signals, timing.as_dict())
+    assert len(page.axes) == len(report.page(scenario, network_of(scenario), signals).axes) + 1
+    (axis,) = (axis for axis in page.axes if "µs" in axis.get_xlabel())
+    wake_ups = next(c for c in axis.containers if c.get_label() == "wake-up lateness")
+    labels = [label.get_text() for label in axis.get_xticklabels()]
+    heights = {labels[at]: bar.get_height() for at, bar in enumerate(wake_ups) if bar.get_height()}
+    assert heights == {"10": 3, "2000": 1}
+    assert page.canvas.get_width_height()

@@ -1,0 +1,221 @@
+"""A log's rows: cantools' own decode, and what is left of a log that is damaged or cut."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterable
+from pathlib import Path
+
+import cantools
+import numpy as np
+import pytest
+from can import LogReader
+
+from can_rig.errors import LogError
+from can_rig.frames.messages import Network, Transmitter
+from can_rig.nodes.lockstep import StopRequest
+from can_rig.nodes.nodes import network_of, run_in_process
+from can_rig.results.signals import COLUMNS, Signals, plain_frames, read_signals
+from can_rig.scenario.loading import load
+
+SCENARIO = load(
+    "thesis-sine",
+    ["duration_s=0.06", "fault.kind=frames-corrupted", "fault.at_s=0.03", "fault.for_s=0.01"],
+)
+NETWORK = network_of(SCENARIO)
+TICK_S = SCENARIO.tick_s
+VALUES = (
+    "reference_mps2",
+    "dstar_mps2",
+    "torque_nm",
+    "force_difference_n",
+    "fault_estimate_mps2",
+    "mode",
+    "fault_state",
+)
+LOST = range(30, 40)
+HEADER = {"Checksum", "AliveCounter", "Tick", "Mode", "FaultState"}
+
+
+@pytest.fixture(scope="module")
+def lines(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
+    log = tmp_path_factory.mktemp("run") / "bus.log"
+    run_in_process(SCENARIO, "local:signals-test", log, StopRequest(), lambda tick: None)
+    return log.read_text().splitlines(keepends=True)
+
+
+def read(tmp_path: Path, lines: Iterable[str], network: Network = NETWORK) -> Signals:
+    log = tmp_path / "bus.log"
+    log.write_text("".join(lines))
+    return read_signals(log, network, TICK_S)
+
+
+def table(signals: Signals) -> np.ndarray:
+    return np.array([getattr(signals, name) for name in VALUES]).T
+
+
+def test_rows_are_cantools_own_decode(tmp_path: Path, lines: list[str]) -> None:
+    signals = read(tmp_path, lines)
+    database = cantools.database.load_file(
+        Path(__file__).parents[3] / "dbc" / "steer_by_wire.dbc", strict=True
+    )
+    at = {codec.frame_id: column for column, codec in enumerate(NETWORK)}
+    expected = np.full((60, len(VALUES)), np.nan)
+    for message in LogReader(tmp_path / "bus.log"):
+        tick, column = math.floor(message.timestamp / TICK_S + 0.1), at[message.arbitration_id]
+        if column == 2 and tick in LOST:
+            continue  # corrupted on the way, and not to be used
+        decoded = database.decode_message(message.arbitration_id, message.data, False)
+        assert decoded["Tick"] == tick
+        (value,) = (v for k, v in decoded.items() if k not in HEADER)
+        expected[tick, column] = value
+        if column == 4:
+            expected[tick, 5:] = decoded["Mode"], decoded["FaultState"]
+    np.testing.assert_allclose(table(signals), expected, rtol=1e-15, atol=1e-15)
+    assert np.isnan(signals.torque_nm).sum() == len(LOST)
+    np.testing.assert_array_equal(signals.time_s, np.arange(60) * TICK_S)
+
+
+def test_frames_are_those_of_python_can(tmp_path: Path, lines: list[str]) -> None:
+    log = tmp_path / "bus.log"
+    log.write_text("".join(lines))
+    ours = [(m.timestamp, m.arbitration_id, bytes(m.data)) for m in plain_frames(log)]
+    assert ours == [(m.timestamp, m.arbitration_id, bytes(m.data)) for m in LogReader(log)]
+    assert len(ours) == len(lines) == 300
+
+
+@pytest.mark.parametrize("first", range(100, 106))
+def test_a_log_that_starts_late_knows_where_it_is(
+    tmp_path: Path, lines: list[str], first: int
+) -> None:
+    whole, late = read(tmp_path, lines), read(tmp_path, lines[first:])
+    begin = first // 5 + (first % 5 > 1)  # commands and a status alone say nothing of the tick
+    assert late.time_s[0] == whole.time_s[begin]
+    expected = table(whole)[begin:]
+    if first % 5 == 1:
+        expected[0, 0] = np.nan  # its reference came before the log
+    np.testing.assert_array_equal(table(late), expected)
+
+
+@pytest.mark.parametrize("last", [*range(6), *range(155, 161)])
+@pytest.mark.parametrize("cut", [0, 1, 9, 20, 30])
+def test_a_log_that_stops_in_mid_tick(
+    tmp_path: Path, lines: list[str], last: int, cut: int
+) -> None:
+    """``cut`` characters of one more line, as a killed run leaves them."""
+    whole = table(read(tmp_path, lines))
+    signals = read(tmp_path, [*lines[:last], lines[last][:cut]])
+    expected = whole[: math.ceil(last / 5)].copy()
+    if last % 5:
+        expected[-1, last % 5 : 5] = np.nan
+        expected[-1, 5:] = np.nan
+    np.testing.assert_array_equal(table(signals), expected)
+
+
+@pytest.mark.parametrize("column", range(5))
+def test_one_damaged_frame_costs_one_cell(tmp_path: Path, lines: list[str], column: int) -> None:
+    whole = table(read(tmp_path, lines))
+    at = 5 * 20 + column
+    flipped = f"{int(lines[at][-4], 16) ^ 1:X}"
+    damaged = lines[at][:-4] + flipped + lines[at][-3:]
+    expected = whole.copy()
+    expected[20, column] = np.nan
+    if column == 4:
+        expected[20, 5:] = np.nan
+    signals = read(tmp_path, [*lines[:at], damaged, *lines[at + 1 :]])
+    np.testing.assert_array_equal(table(signals), expected)
+    without = read(tmp_path, [*lines[:at], *lines[at + 1 :]])
+    np.testing.assert_array_equal(table(without), expected)
+
+
+@pytest.mark.parametrize("ticks", [1, 2, 13, 14, 15, 16, 17])
+def test_ticks_that_are_missing_are_rows_of_nan(
+    tmp_path: Path, lines: list[str], ticks: int
+) -> None:
+    """A gap longer than the alive counter can measure is still a gap, and costs nothing more."""
+    whole = table(read(tmp_path, lines))
+    signals = read(tmp_path, [*lines[:50], *lines[5 * (10 + ticks) :]])
+    # After 14 the counter is the last one's again, which E2E takes for a repetition.
+    lost = ticks + (ticks == 14)
+    whole[10 : 10 + lost] = np.nan
+    np.testing.assert_array_equal(table(signals), whole)
+
+
+def test_frames_of_another_tick_and_repeated_ones_change_nothing(
+    tmp_path: Path, lines: list[str]
+) -> None:
+    whole = table(read(tmp_path, lines))
+    old, torque = lines[5 * 8 + 2], lines[5 * 20 + 2]
+    replayed = [*lines[:102], old, *lines[102:103], torque, lines[5 * 19], *lines[103:]]
+    np.testing.assert_array_equal(table(read(tmp_path, replayed)), whole)
+
+
+def test_other_frames_are_not_ours(tmp_path: Path, lines: list[str]) -> None:
+    whole = table(read(tmp_path, lines))
+    others = [
+        "(0.001000) vcan0 00000100#1401010000E1F505 T\n",  # extended, the same number
+        "(0.001000) vcan0 100#R8\n",  # remote
+        "(0.001000) vcan0 100##11401010000E1F505\n",  # FD
+        "(0.001000) vcan0 7FF#01\n",
+        "\n",
+    ]
+    mixed = [text for line in lines for text in (*others, line)]
+    np.testing.assert_array_equal(table(read(tmp_path, mixed)), whole)
+
+
+@pytest.mark.parametrize(
+    ("first", "offset_s", "shown"),
+    [
+        (2 * 65536 + 65530, 0.0, 2 * 65536 + 65530),
+        (3, 0.0, 3),
+        (65540, 1.7e9 + 0.3, 4),  # wall-clock stamps: 16 bits are all there is
+    ],
+)
+def test_the_tick_counts_on_over_the_16_bits_of_the_wire(
+    tmp_path: Path, first: int, offset_s: float, shown: int
+) -> None:
+    senders = [Transmitter(codec) for codec in NETWORK]
+    lines = []
+    for tick in range(first, first + 12):
+        for place, sender in enumerate(senders):
+            data = sender.frame(0.5, tick, 1).data.hex().upper()
+            time_s = offset_s + tick * TICK_S + place * 1e-6
+            lines.append(f"({time_s:.6f}) can0 {sender.codec.frame_id:03X}#{data}\n")
+    signals = read(tmp_path, lines)
+    np.testing.assert_allclose(signals.time_s, (shown + np.arange(12)) * TICK_S, rtol=1e-15)
+    assert not np.isnan(table(signals)).any()
+
+
+def test_commands_before_any_tick_is_known_are_not_used(tmp_path: Path) -> None:
+    """Of all ticks, 65535 is the one that looks like the tick before 0."""
+    lines = []
+    for codec in (NETWORK.command_1, NETWORK.status):
+        data = Transmitter(codec).frame(0.5, 65535, 1).data.hex().upper()
+        lines.append(f"(0.000002) vcan0 {codec.frame_id:03X}#{data} R\n")
+    assert len(read(tmp_path, lines)) == 0
+
+
+@pytest.mark.parametrize("text", ["not a frame\n", "(x) vcan0 100#00\n", "(0) vcan0 100#0G\n"])
+def test_what_is_no_log_is_refused_with_its_line(
+    tmp_path: Path, lines: list[str], text: str
+) -> None:
+    with pytest.raises(LogError, match="line 3: not a frame"):
+        read(tmp_path, [*lines[:2], text, *lines[2:]])
+
+
+def test_a_log_that_is_not_there(tmp_path: Path) -> None:
+    with pytest.raises(LogError, match="no such file"):
+        read_signals(tmp_path / "bus.log", NETWORK, TICK_S)
+    (tmp_path / "bus.log").write_bytes(b"\xff\xfe\n")
+    with pytest.raises(LogError, match="line 1: not a frame"):
+        read_signals(tmp_path / "bus.log", NETWORK, TICK_S)
+
+
+def test_csv_has_the_contract_s_columns_and_empty_cells(tmp_path: Path, lines: list[str]) -> None:
+    signals = read(tmp_path, lines)
+    signals.write_csv(tmp_path / "signals.csv")
+    back = np.genfromtxt(tmp_path / "signals.csv", delimiter=",", names=True)
+    assert back.dtype.names == COLUMNS
+    for name in COLUMNS:
+        np.testing.assert_allclose(back[name], getattr(signals, name), rtol=1e-9, atol=1e-12)
+    assert (tmp_path / "signals.csv").read_text().splitlines()[31].split(",")[4] == ""

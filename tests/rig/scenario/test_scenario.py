@@ -1,0 +1,299 @@
+"""Scenarios: every key can be set, nothing else can, and each mistake is one line with its key."""
+
+import dataclasses
+import json
+from decimal import Decimal
+from pathlib import Path
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from can_rig.errors import ScenarioError
+from can_rig.nodes.nodes import network_of
+from can_rig.plant.simulated import SimulatedPlant
+from can_rig.scenario.build import controller_table
+from can_rig.scenario.loading import from_dict, load, shipped
+from can_rig.scenario.settings import FaultSettings, Scenario
+
+
+def flat(values, prefix=""):
+    """``{"plant": {"mass_kg": 1}}`` as ``{"plant.mass_kg": 1}``."""
+    out = {}
+    for key, value in values.items():
+        if isinstance(value, dict):
+            out |= flat(value, f"{prefix}{key}.")
+        else:
+            out[prefix + key] = value
+    return out
+
+
+DEFAULTS = flat(Scenario("x").as_dict())
+OTHER = {
+    "tick_s": 0.002, "duration_s": 3.0, "latency_ticks": 2, "seed": 7,
+    "plant.mass_kg": 1500.0, "plant.yaw_inertia_kgm2": 2500.0, "plant.speed_mps": 20.0,
+    "plant.front_axle_distance_m": 1.1, "plant.rear_axle_distance_m": 1.6,
+    "plant.rear_track_m": 1.5, "plant.steering_inertia_kgm2": 12.0,
+    "plant.steering_damping_nms_per_rad": 8.0, "plant.front_cornering_stiffness_n_per_rad": 34e3,
+    "plant.rear_cornering_stiffness_n_per_rad": 57e3, "plant.trail_m": 0.06,
+    "plant.lateral_weight": 0.4, "plant.kind": "chapter-2", "plant.variant": "published",
+    "plant.friction": 0.5,
+    "design.tau_s": 0.002, "design.alpha": 2, "design.tau_q_s": 0.002, "design.alpha_q": 3,
+    "design.estimator": "zoh", "design.compensation": "off",
+    "design.fault_threshold_mps2": 0.5, "design.confirm_s": 0.02, "design.clear_s": 0.3,
+    "design.fault_threshold_share": 0.4, "design.probe_nm": 1.0, "design.probe_rad_per_s": 30.0,
+    "budget.box": 0.1, "budget.false_alarms_per_hour": 1.0,
+    "reference.kind": "sine", "reference.amplitude_mps2": 2.0,
+    "reference.frequency_rad_per_s": 3.0, "reference.file": "r.csv",
+    "fault.kind": "frames-missing", "fault.channel": "force-difference", "fault.at_s": 1.5,
+    "fault.for_s": 0.5, "fault.left": 0.5, "fault.bias_mps2": 0.2,
+    "noise.dstar_rms_mps2": 0.01, "limits.torque_nm": 100.0,
+    "limits.force_difference_n": 200.0, "limits.torque_rate_nm_per_s": 300.0,
+    "limits.force_difference_rate_n_per_s": 4e3, "actuator.hold_s": 0.03,
+    "bus.bitrate": 500000, "bus.compute_s": 0.0001,
+    "description": "words",
+}  # fmt: skip
+
+
+def test_every_shipped_scenario_loads_and_its_controller_can_be_built():
+    assert list(shipped()) == sorted(shipped())
+    assert {"thesis-step", "thesis-sine", "no-compensation", "chapter-2", "nonlinear-car"} <= set(
+        shipped()
+    )
+    assert {"default", "noisy", "slow-bus", "lane-change", "highway", "partial-loss"} <= set(
+        shipped()
+    )
+    for name in shipped():
+        scenario = load(name)
+        assert scenario.name == name
+        assert scenario.description
+        controller_table(scenario, network_of(scenario))
+
+
+def test_the_defaults_are_the_thesis_s():
+    car = Scenario("x").plant
+    assert (car.mass_kg, car.yaw_inertia_kgm2, car.speed_mps) == (1400, 2457, 10)  # Table 3.2
+    assert (car.front_cornering_stiffness_n_per_rad, car.trail_m) == (33700, 0.05)
+    step = load("thesis-step")
+    assert (step.duration_s, step.tick_s, step.ticks, step.tick_ns) == (20, 0.001, 20000, 10**6)
+    assert (step.fault.kind, step.fault.channel, step.fault.at_s) == ("actuator-dead", "torque", 10)
+    assert load("thesis-sine").reference.frequency_rad_per_s == 5
+    assert load("no-compensation").design.compensation == "off"
+
+
+def test_the_scenarios_of_use_are_what_their_names_say():
+    default = load("default")
+    assert (default.tick_s, default.latency_ticks, default.bus.bitrate) == (0.001, 1, 1_000_000)
+    assert (default.plant.variant, default.noise.dstar_rms_mps2) == ("physics", 0.0)
+    assert default.limits.torque_nm is not None
+    assert default.limits.force_difference_n is not None
+    slow = load("slow-bus")
+    assert (slow.tick_s, slow.latency_ticks, slow.bus.bitrate) == (0.002, 2, 500_000)
+    assert load("slow-bus", ["latency_ticks=from-bus"]).latency_ticks <= slow.latency_ticks
+    assert load("noisy").noise.dstar_rms_mps2 > 0.0
+    assert load("highway").plant.speed_mps == load("highway").model.speed_mps == 30.0
+    assert load("lane-change").reference.kind == "lane-change"
+    assert load("partial-loss").fault.left == 0.5
+
+
+def test_the_list_of_changes_below_names_every_key():
+    own = {key for key in DEFAULTS if not key.startswith("model.") and key != "name"}
+    assert set(OTHER) == own
+    assert all(DEFAULTS[key] != value for key, value in OTHER.items())
+
+
+@pytest.mark.parametrize("key", OTHER)
+def test_set_changes_that_key_and_no_other(key, tmp_path):
+    (tmp_path / "x.toml").write_text("")
+    value = OTHER[key]
+    after = flat(load(str(tmp_path / "x.toml"), [f"{key}={json.dumps(value)}"]).as_dict())
+    expected = DEFAULTS | {key: value}
+    if key.startswith("plant."):
+        expected[key.replace("plant", "model")] = value  # the controller knows its car
+    assert after == expected
+
+
+@pytest.mark.parametrize("key", [key for key in OTHER if key.startswith("plant.")])
+def test_the_model_can_differ_from_the_plant(key, tmp_path):
+    (tmp_path / "x.toml").write_text("")
+    key = key.replace("plant", "model")
+    value = OTHER[key.replace("model", "plant")]
+    after = flat(load(str(tmp_path / "x.toml"), [f"{key}={json.dumps(value)}"]).as_dict())
+    assert after == DEFAULTS | {key: value}
+
+
+def test_later_settings_win_whole_numbers_are_numbers_and_quotes_are_optional():
+    scenario = load("thesis-step", ["plant.speed_mps=20", "plant.speed_mps = 30"])
+    assert (scenario.plant.speed_mps, type(scenario.plant.speed_mps)) == (30.0, float)
+    for text in ("fault.kind=none", "fault.kind='none'", 'fault.kind = "none"'):
+        assert load("thesis-step", [text]).fault.kind == "none"
+
+
+def test_a_scenario_survives_json_and_is_frozen():
+    scenario = load("thesis-sine", [f"{k}={json.dumps(v)}" for k, v in OTHER.items()])
+    assert from_dict("thesis-sine", json.loads(json.dumps(scenario.as_dict()))) == scenario
+    with pytest.raises(dataclasses.FrozenInstanceError):
+        scenario.tick_s = 1.0
+
+
+def sections():
+    tables = {key.rpartition(".")[0] for key in DEFAULTS}
+    return sorted(f"{table}." if table else "" for table in tables)
+
+
+@pytest.mark.parametrize("section", sections())
+def test_an_unknown_key_is_one_line_that_names_it(section):
+    with pytest.raises(ScenarioError) as caught:
+        load("thesis-step", [f"{section}zzz=1"])
+    message = str(caught.value)
+    assert f"{section}zzz: unknown key" in message
+    assert "\n" not in message
+
+
+@pytest.mark.parametrize("key", [key for key in OTHER if len(key.rpartition(".")[2]) > 4])
+def test_a_typo_in_any_key_gets_the_right_suggestion(key):
+    wrong = key[:-3] + key[-2:]
+    with pytest.raises(ScenarioError, match="unknown key") as caught:
+        load("thesis-step", [f"{wrong}=1"])
+    assert str(caught.value).endswith(f"did you mean {key.rpartition('.')[2]}?")
+
+
+BAD = [
+    ("tick_s=0", "tick_s"), ("tick_s=-0.001", "tick_s"), ("tick_s=nan", "tick_s"),
+    ("tick_s=inf", "tick_s"), ("tick_s=fast", "tick_s"), ("tick_s=2", "tick_s"),
+    ("tick_s=0.0000123456789", "nanoseconds"), ("tick_s=true", "tick_s"),
+    ("duration_s=0", "duration_s"), ("duration_s=-1", "duration_s"), ("duration_s=", "duration_s"),
+    ("duration_s=0.0005", "duration_s"), ("duration_s=1e7", "duration_s"),
+    ("duration_s=1e6", "10000000 ticks"), ("duration_s=[1]", "duration_s"),
+    ("latency_ticks=-1", "latency_ticks"), ("latency_ticks=65", "latency_ticks"),
+    ("latency_ticks=1.5", "latency_ticks"), ("seed=-1", "seed"), ("seed=x", "seed"),
+    ("plant.mass_kg=0", "plant.mass_kg"), ("plant.mass_kg=-1400", "plant.mass_kg"),
+    ("plant.mass_kg='heavy'", "plant.mass_kg"), ("plant.kind=boat", "plant.kind"),
+    ("plant.friction=0", "plant.friction"), ("model.kind=a:B", "model.kind"),
+    ("model.speed_mps=nan", "model.speed_mps"), ("plant.lateral_weight=1.5", "lateral_weight"),
+    ("plant={a=1}", "plant.a: unknown key"), ("plant=5", "plant"), ("plant=fast", "plant"),
+    ("model=5", "model"), ("design.tau_s=0", "design.tau_s"), ("design.alpha=0", "design.alpha"),
+    ("design.alpha=9", "design.alpha"), ("design.alpha_q=0", "design.alpha_q"),
+    ("design.confirm_s=-1", "confirm_s"), ("design.fault_threshold_mps2=0", "threshold"),
+    ("design.compensation=maybe", "design.compensation"), ("design.estimator=euler", "estimator"),
+    ("reference=5", "reference"), ("reference=step", "reference"),
+    ("reference.file=5", "reference.file"), ("reference.kind=csv", "reference.file"),
+    ("reference.kind=square", "reference.kind"), ("reference.amplitude_mps2=nan", "amplitude_mps2"),
+    ("reference.frequency_rad_per_s=0", "frequency_rad_per_s"),
+    ("fault.kind=dead", "fault.kind"), ("fault.channel=rear", "fault.channel"),
+    ("fault.at_s=-1", "fault.at_s"), ("fault.for_s=0", "fault.for_s"),
+    ("fault.left=1", "fault.left"), ("fault.left=-0.1", "fault.left"), ("fault.left=nan", "left"),
+    ("noise.dstar_rms_mps2=-0.1", "noise.dstar_rms_mps2"), ("limits.torque_nm=0", "torque_nm"),
+    ("limits.force_difference_n=-5", "force_difference_n"), ("actuator.hold_s=-1", "hold_s"),
+    ("design.confirm_s=1e300", "design.confirm_s = 1e+300: 0 to 3600 is right"),
+    ("design.clear_s=3601", "design.clear_s = 3601: 0 to 3600 is right"),
+    ("design.probe_rad_per_s=1e-300", "design.probe_rad_per_s = 1e-300: 0.01 or above is right"),
+    ("reference.amplitude_mps2=1e300", "reference.amplitude_mps2 = 1e+300: -1e+06 to 1e+06 is"),
+    ("reference.amplitude_mps2=-1000001", "reference.amplitude_mps2"),
+    ("plant.friction=1e300", "plant.friction = 1e+300: above 0 to 10 is right"),
+    ("fault.at_s=1e300", "fault.at_s = 1e+300: 0 to 1e+06 is right"),
+    ("fault.for_s=1e300", "fault.for_s = 1e+300: above 0 to 1e+06 is right"),
+    ("actuator.hold_s=1e307", "actuator.hold_s = 1e+307: 0 to 1e+06 is right"),
+    ("seed", "KEY=VALUE"), ("=5", "KEY=VALUE"), ("plant.=5", "KEY=VALUE"), ("", "KEY=VALUE"),
+    ("tick_s.x=5", "tick_s"), ("plant.mass_kg.x=5", "mass_kg"), ("name=other", "name: unknown key"),
+    ("seed=2024-01-01", "seed"), ("fault.for_s=none", "fault.for_s"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("setting", "named"), BAD, ids=[setting for setting, _ in BAD])
+def test_a_bad_value_is_one_line_that_names_the_key(setting, named):
+    with pytest.raises(ScenarioError) as caught:
+        load("thesis-step", [setting])
+    message = str(caught.value)
+    assert named in message
+    assert "\n" not in message
+    assert len(message) < 400
+
+
+LIMITS = [
+    "design.confirm_s=3600", "design.clear_s=3600", "reference.amplitude_mps2=-1e6",
+    "plant.friction=10", "fault.at_s=1e6", "fault.for_s=1e6", "actuator.hold_s=1e6",
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("tick_s", ["1e-5", "0.001"])
+def test_the_largest_values_that_are_right_make_a_controller_and_a_plant(tick_s):
+    extremes = [*LIMITS, f"tick_s={tick_s}", "duration_s=0.1"]
+    for probe in ([], ["design.probe_nm=1", "design.probe_rad_per_s=0.01"]):
+        scenario = load("default", [*extremes, *probe])
+        controller_table(scenario, network_of(scenario))
+        SimulatedPlant(scenario).advance(0, 1.0, 1.0)
+
+
+FILES = {
+    "not TOML": (b"tick_s = = 1\n", "not readable as TOML"),
+    "not text": (b"\xff\xfe\x00", "not readable as TOML"),
+    "unknown table": (b"[fualt]\nat_s = 1.0\n", "fualt: unknown key; did you mean fault?"),
+    "unknown key": (b"[fault]\nat = 1.0\n", "fault.at: unknown key; did you mean at_s?"),
+    "text for a number": (b'tick_s = "0.001"\n', "tick_s"),
+    "not a number": (b"tick_s = nan\n", "tick_s"),
+    "a name": (b'name = "other"\n', "name: unknown key"),
+    "an array for a table": (b"[[plant]]\nmass_kg = 1.0\n", "plant"),
+}
+
+
+@pytest.mark.parametrize(("text", "reason"), FILES.values(), ids=FILES.keys())
+def test_a_bad_file_is_one_line(text, reason, tmp_path):
+    path = tmp_path / "bad.toml"
+    path.write_bytes(text)
+    with pytest.raises(ScenarioError) as caught:
+        load(str(path))
+    assert reason in str(caught.value)
+    assert str(caught.value).startswith(f"scenario {path}") or "scenario bad" in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_such_scenario():
+    with pytest.raises(ScenarioError, match="did you mean thesis-step"):
+        load("thesis-stp")
+    with pytest.raises(ScenarioError, match="shipped ones: chapter-2"):
+        load("zzzzzz")
+    with pytest.raises(ScenarioError, match="no such scenario and no such file"):
+        load("none.toml")
+
+
+@pytest.mark.parametrize("name", [".", "/dev/null"])
+def test_what_is_there_but_no_file_is_said_to_be_none(name):
+    with pytest.raises(ScenarioError, match=f"^scenario {name}: not a file; a TOML file or a ship"):
+        load(name)
+
+
+@pytest.mark.skipif(not Path("/proc/self/mem").exists(), reason="needs a file that cannot be read")
+def test_a_file_that_cannot_be_read():
+    with pytest.raises(ScenarioError, match=r"not readable as TOML: .*Input/output error"):
+        load("/proc/self/mem")
+
+
+def test_a_csv_is_found_beside_its_scenario_or_from_where_one_is(tmp_path):
+    (tmp_path / "x.toml").write_text('[reference]\nkind = "csv"\nfile = "r.csv"\n')
+    assert load(str(tmp_path / "x.toml")).reference.file == str(tmp_path / "r.csv")
+    scenario = load(str(tmp_path / "x.toml"), ["reference.file=here.csv"])
+    assert scenario.reference.file == "here.csv"
+
+
+@given(st.integers(1, 10**6), st.integers(10_000, 10**9))
+def test_ticks_are_the_whole_ones_that_fit(count, tick_ns):
+    """In decimal, where 0.3 holds exactly three ticks of 0.1."""
+    tick_s, exact_s = Decimal(tick_ns).scaleb(-9), Decimal(count * tick_ns).scaleb(-9)
+    if exact_s > 10**6:
+        return
+    scenario = Scenario("x", tick_s=float(tick_s), duration_s=float(exact_s))
+    assert (scenario.tick_ns, scenario.ticks) == (tick_ns, count)
+    if count > 1:
+        shorter = float(exact_s - tick_s / 2)
+        assert Scenario("x", tick_s=float(tick_s), duration_s=shorter).ticks == count - 1
+
+
+@given(st.integers(0, 30_000), st.integers(1, 5_000), st.sampled_from([10_000, 500_000, 10**6]))
+def test_a_fault_lasts_its_whole_ticks_and_not_one_by_rounding(first, count, tick_ns):
+    at_s, for_s = (float(Decimal(n * tick_ns).scaleb(-9)) for n in (first, count))
+    fault = FaultSettings("frames-missing", "torque", at_s, for_s)
+    around = [first - 1, first, first + count - 1, first + count]
+    assert [fault.active(tick * tick_ns) for tick in around] == [False, True, True, False]
+    assert FaultSettings("frames-missing", "torque", at_s).active(10**18)
+    assert not FaultSettings("none", "torque", at_s).active(first * tick_ns)

@@ -1,0 +1,193 @@
+"""The thesis's figures: the continuous loop against closed forms, the firmware against both."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Sequence
+from itertools import pairwise
+from pathlib import Path
+
+import numpy as np
+import pytest
+from click.testing import CliRunner
+from scipy import integrate, signal
+
+from can_rig.cli.main import main
+from can_rig.errors import ScenarioError
+from can_rig.scenario.build import continuous_plant
+from can_rig.scenario.loading import load
+from can_rig.scenario.settings import Scenario
+from can_rig.thesis.comparisons import Comparison, both, compare
+from can_rig.thesis.continuous import OUTPUTS, closed_loop, lag_over, solve
+from can_rig.thesis.figures import draw_figures, refuse_existing
+
+VARIANTS = ("published", "physics")
+LOST_AT_S = 10.0
+
+
+def loaded(name: str, *settings: str) -> Scenario:
+    return load(name, settings)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+@pytest.mark.parametrize("channel", [0, 1])
+@pytest.mark.parametrize("alpha", [2, 4])
+def test_a_lag_over_a_channel_is_one(variant: str, channel: int, alpha: int) -> None:
+    plant = continuous_plant(loaded("thesis-step", f"plant.variant={variant}").plant)
+    a, b, c, d = lag_over(plant, channel, 0.003, alpha)
+    for omega in (0.1, 3.0, 17.0, 400.0, 1e4):
+        s = 1j * omega
+        value = (c @ np.linalg.solve(s * np.eye(len(a)) - a, b) + d).item()
+        g = (plant.g1, plant.g2)[channel](s)
+        assert value * g * (1 + 0.003 * s) ** alpha == pytest.approx(1.0, rel=1e-9)
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_healthy_error_is_one_less_q_hat(variant: str) -> None:
+    """(3.33): y = q̂ r, so a step leaves e = (1 + t/τ) exp(-t/τ)."""
+    scenario = loaded("thesis-step", f"plant.variant={variant}", "duration_s=0.5")
+    solution, t = solve(scenario), np.arange(500) * 1e-3
+    np.testing.assert_allclose(solution.error, (1 + t / 1e-3) * np.exp(-t / 1e-3), atol=1e-9)
+    assert np.abs(solution.fault_estimate).max() < 1e-9
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_error_when_broken_is_that_of_the_broken_loop(variant: str) -> None:
+    """Lost from the start: y = q G1 C e, so e = (1 - q̂)/(1 - q̂ + q̂ q) r, whatever the car."""
+    scenario = loaded("thesis-step", f"plant.variant={variant}", "fault.at_s=0.0", "duration_s=0.1")
+    lag, q_hat = np.array([1e-3, 1.0]), np.array([1e-6, 2e-3, 1.0])
+    rest = np.polysub(q_hat, [1.0])  # (1+τs)² - 1
+    numerator = np.polymul(rest, lag)
+    _, expected = signal.step((numerator, np.polyadd(numerator, [1.0])), T=np.arange(100) * 1e-3)
+    np.testing.assert_allclose(solve(scenario).error, expected, atol=1e-8)
+
+
+def test_chapter_2_s_theorems() -> None:
+    """(2.8), (2.9): d̂ = 0 while healthy and G1 u1 when broken; y = G2 u2 then."""
+    scenario = loaded("chapter-2")
+    healthy = solve(scenario.healthy)
+    assert np.abs(healthy.fault_estimate).max() < 1e-12
+    frequency = 0.4 * np.pi
+    g1 = continuous_plant(scenario.plant).g1(1j * frequency)
+    settled = healthy.time_s > 15.0
+    expected = np.imag(g1 * np.exp(1j * frequency * healthy.time_s[settled]))
+    np.testing.assert_allclose(healthy.model_1[settled], expected, atol=1e-6)
+    broken = solve(loaded("chapter-2", "fault.at_s=0.0"))
+    np.testing.assert_allclose(broken.fault_estimate, broken.model_1, atol=1e-12)
+    np.testing.assert_allclose(broken.measurement, broken.model_2, atol=1e-12)
+
+
+@pytest.mark.parametrize("channel", ["torque", "force-difference"])
+def test_the_fault_takes_the_input_and_leaves_the_state(channel: str) -> None:
+    """Against a stiff solver that is stopped and started at both switches."""
+    scenario = loaded(
+        "thesis-sine",
+        f"fault.channel={channel}",
+        "fault.at_s=0.0205",
+        "fault.for_s=0.01",
+        "duration_s=0.05",
+    )
+    solution = solve(scenario)
+    dead = (0.0, 1.0) if channel == "torque" else (1.0, 0.0)
+    ends = (0.0, 0.0205, 0.0305, 0.05)
+    state = np.zeros(len(closed_loop(scenario, dead)[0]))
+    for (start, end), left in zip(pairwise(ends), ((1.0, 1.0), dead, (1.0, 1.0)), strict=True):
+        a, b, c, d = closed_loop(scenario, left)
+        run = integrate.solve_ivp(
+            lambda t, x, a=a, b=b: a @ x + b[:, 0] * np.sin(5.0 * t),
+            (start, end),
+            state,
+            "Radau",
+            t_eval=[*(t for t in solution.time_s if start <= t < end), end],
+            rtol=1e-10,
+            atol=1e-12,
+        )
+        y = (c @ run.y[:, :-1])[OUTPUTS.index("y")]
+        inside = (solution.time_s >= start) & (solution.time_s < end)
+        np.testing.assert_allclose(solution.measurement[inside], y, atol=1e-7)
+        assert d[OUTPUTS.index("y")] == 0.0
+        state = run.y[:, -1]
+
+
+@pytest.mark.parametrize("variant", VARIANTS)
+def test_peak_after_the_loss_is_the_continuous_one(variant: str) -> None:
+    loop = both(
+        loaded("thesis-step", f"plant.variant={variant}", "tick_s=0.0001", "duration_s=11.0")
+    )
+    lost = loop.continuous.time_s >= LOST_AT_S
+    sampled = np.abs(loop.sampled.error[lost]).max()
+    assert sampled == pytest.approx(np.abs(loop.continuous.error[lost]).max(), rel=0.15)
+    assert 1e-4 < sampled < 3e-4  # and not the 1 of an output that vanishes
+
+
+def test_the_distances_go_with_the_tick() -> None:
+    """Commands are held for a tick, so the sampled loop is half a tick late: order one."""
+    coarse, fine = (compare([f"tick_s={t}", "duration_s=12.0"])[:3] for t in (0.002, 0.001))
+    for far, near in zip(coarse, fine, strict=True):
+        for a, b in zip(far.curves, near.curves, strict=True):
+            assert far.distance(a) / near.distance(b) == pytest.approx(2.0, rel=0.05)
+            assert near.distance(b) < 1e-3 * near.size
+
+
+def test_what_has_no_continuous_counterpart_is_refused() -> None:
+    with pytest.raises(ScenarioError, match=r"fault.kind = 'frames-missing'"):
+        solve(loaded("thesis-step", "fault.kind=frames-missing"))
+    with pytest.raises(ScenarioError, match=r"reference.kind = 'csv'"):
+        solve(loaded("thesis-step", "reference.kind=csv", "reference.file=x.csv"))
+    with pytest.raises(ScenarioError, match="order of at least 2"):
+        lag_over(continuous_plant(loaded("thesis-step").plant), 0, 0.001, 1)
+
+
+@pytest.mark.parametrize(
+    "setting", ["fault.kind=none", "reference.kind=sine", "plant.kind=chapter-2", "plant.variant=x"]
+)
+def test_another_figure_is_refused(setting: str) -> None:
+    with pytest.raises(ScenarioError, match=f"--set {setting}"):
+        compare([setting])
+
+
+@pytest.fixture(scope="module")
+def short() -> Sequence[Comparison]:
+    return compare(["duration_s=0.2", "fault.at_s=0.1"])
+
+
+@pytest.mark.filterwarnings("error")
+def test_every_figure_is_a_png_of_print_size(tmp_path: Path, short: Sequence[Comparison]) -> None:
+    paths = draw_figures(tmp_path / "new" / "folder", short, force=False)
+    assert [path.name for path in paths] == [
+        f"fig-{figure}.png" for figure in ("2.2", "2.3", "2.4", "3.5", "3.6")
+    ]
+    for path in paths:
+        data = path.read_bytes()
+        width, height = struct.unpack(">II", data[16:24])
+        assert data.startswith(b"\x89PNG") and width >= 1800 and height >= 1200
+
+
+def test_distance_after_the_loss(short: Sequence[Comparison]) -> None:
+    healthy, *_, error, _ = short
+    assert healthy.distance_after_loss(healthy.curves[0]) is None
+    curve = error.curves[0]
+    since = np.abs(curve.sampled - curve.continuous)[100:]
+    assert error.distance_after_loss(curve) == since.max()
+    assert error.distance(curve) > since.max()
+
+
+def test_the_command(tmp_path: Path) -> None:
+    out = tmp_path / "figures"
+    arguments = [
+        "figures",
+        "--out",
+        str(out),
+        "--set",
+        "duration_s=0.05",
+        "--set",
+        "fault.at_s=0.02",
+    ]
+    first = CliRunner().invoke(main, arguments)
+    assert first.exit_code == 0, first.output
+    for figure in ("2.2", "2.3", "2.4", "3.5", "3.6"):
+        assert (out / f"fig-{figure}.png").is_file()
+        assert f"\n{figure} " in first.output
+    again = CliRunner().invoke(main, arguments)
+    assert again.exit_code == 2
+    refuse_existing(out, force=True)

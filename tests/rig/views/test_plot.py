@@ -1,0 +1,125 @@
+"""Signals of any log through any DBC: which are drawn, where, and with what beside the axes."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from hypothesis.extra.numpy import arrays
+
+from can_rig.cli.plot_command import resolve
+from can_rig.decoding.decode import decode_log, load_database
+from can_rig.errors import DbcError
+from can_rig.scenario.settings import FaultSettings
+from can_rig.views.plot_picture import MOST_POINTS, plot_page, thinned
+from tests.helpers import DBC, asked, record
+
+CAR = """VERSION ""
+NS_ :
+BS_:
+BU_: ECU
+BO_ 256 ENGINE: 4 ECU
+ SG_ Speed : 0|16@1+ (0.25,0) [0|16000] "rpm" ECU
+ SG_ Temperature : 16|8@1+ (1,-40) [-40|215] "degC" ECU
+ SG_ State : 24|2@1+ (1,0) [0|3] "" ECU
+BO_ 257 WHEEL: 2 ECU
+ SG_ Speed : 0|16@1+ (0.25,0) [0|16000] "rpm" ECU
+VAL_ 256 State 0 "OFF" 1 "IDLE" 2 "RUN" ;
+"""
+PEAKS, LOW = st.floats(-1e6, 1e6), st.floats(-1, 1)
+START_S = 1_700_000_000
+
+
+@pytest.fixture
+def car() -> Path:
+    Path("car.dbc").write_text(CAR)
+    lines = [
+        f"({START_S + at / 100:.6f}) can0 100#{4 * at:02X}0050{min(at // 20, 2):02X}\n"
+        f"({START_S + at / 100:.6f}) can0 101#{2 * at:02X}00\n"
+        for at in range(60)
+    ]
+    Path("car.log").write_text("".join(lines))
+    return Path("car.log")
+
+
+def test_any_dbc_any_log(car: Path) -> None:
+    wanted = ["ENGINE.Speed", "WHEEL.Speed", "Temperature", "State"]
+    done = asked("plot", car, *wanted, "--dbc", "car.dbc")
+    assert (done.returncode, done.stderr) == (0, "")
+    assert Path("car.png").read_bytes().startswith(b"\x89PNG")
+    for arguments, words in (
+        (("State", "--dbc", "car.dbc"), "there already"),
+        (("Temprature", "--dbc", "car.dbc", "--force"), "did you mean Temperature or"),
+        (("Speed", "--dbc", "car.dbc", "--force"), "ENGINE.Speed or WHEEL.Speed is right"),
+        (("State", "--dbc", "car.dbc", "--force", "--channel", "can9"), "the log has can0"),
+        (("SteerTorque", "--force"), "no frame of STEER_TORQUE_CMD"),
+        (("State", "--dbc", "away.dbc", "--force"), "cannot be read"),
+        (("State", "--dbc", "car.dbc", "--out", "x.svg"), "FILE.png"),
+    ):
+        refused = asked("plot", car, *arguments)
+        assert refused.returncode == 2, arguments
+        assert words in refused.stderr
+        assert refused.stderr.count("\n") == 1
+
+
+@pytest.mark.filterwarnings("error")
+def test_one_panel_a_unit_words_on_the_axis_and_a_date(car: Path) -> None:
+    messages = decode_log(car, "car.dbc")
+    pairs = [
+        ("ENGINE", "Speed"),
+        ("ENGINE", "State"),
+        ("WHEEL", "Speed"),
+        ("ENGINE", "Temperature"),
+    ]
+    page = plot_page(messages, pairs, START_S * 10**9)
+    speeds, state, temperature = page.axes
+    assert speeds.get_ylabel() == "in rpm"
+    assert [line.get_drawstyle() for line in speeds.get_lines()] == ["steps-post"] * 2
+    np.testing.assert_allclose(speeds.get_lines()[0].get_ydata(), np.arange(60))
+    np.testing.assert_allclose(speeds.get_lines()[0].get_xdata(), np.arange(60) / 100, atol=1e-9)
+    assert [text.get_text() for text in state.get_yticklabels()] == [
+        "OFF (0)",
+        "IDLE (1)",
+        "RUN (2)",
+    ]
+    assert temperature.get_ylabel() == "Temperature\nin degC"
+    assert temperature.get_xlabel() == "time in s since 2023-11-14 22:13:20 UTC"
+
+
+def test_a_run_folder_has_its_own_dbc_and_fault(tmp_path: Path) -> None:
+    log, _, scenario = record(tmp_path, "duration_s=0.05", "fault.at_s=0.02")
+    messages = decode_log(log, DBC / "steer_by_wire.dbc")
+    page = plot_page(messages, [("DSTAR_FEEDBACK", "DStar")], 0, scenario.fault)
+    (axis,) = page.axes
+    (span,) = axis.patches
+    low, high = span.get_extents().transformed(axis.transData.inverted()).intervalx
+    assert (low, high) == pytest.approx((0.02, 0.049001))
+    bare = plot_page(messages, [("DSTAR_FEEDBACK", "DStar")], 0, FaultSettings())
+    assert not bare.axes[0].patches
+
+
+@given(
+    arrays(np.float64, st.integers(1, 90_001), elements=st.floats(-1e6, 1e6), fill=st.floats(-1, 1))
+)
+def test_a_long_signal_keeps_every_peak(values: np.ndarray) -> None:
+    time_s = np.arange(len(values)) * 1e-3
+    thin_s, thin = thinned(time_s, values)
+    assert len(thin) <= MOST_POINTS + MOST_POINTS // 2
+    assert (thin.min(), thin.max()) == (values.min(), values.max())
+    assert np.isin(thin_s, time_s).all()
+    assert (np.diff(thin_s) > 0).all()
+
+
+def test_names() -> None:
+    database = load_database(DBC / "steer_by_wire.dbc")
+    assert resolve(database, "DStar") == ("DSTAR_FEEDBACK", "DStar")
+    assert resolve(database, "CONTROLLER_STATUS.Tick") == ("CONTROLLER_STATUS", "Tick")
+    with pytest.raises(DbcError, match="more than one message"):
+        resolve(database, "Tick")
+    with pytest.raises(DbcError, match="did you mean DStar"):
+        resolve(database, "dstar")
+    with pytest.raises(DbcError, match="it has Checksum"):
+        resolve(database, "qqqq")
