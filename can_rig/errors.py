@@ -1,4 +1,14 @@
-"""What can go wrong where the user can put it right."""
+"""What can go wrong where the user can put it right, and the exit status that says so."""
+
+from typing import Final
+
+INTERRUPTED: Final = 130
+"""Exit status of what was stopped by Ctrl-C, as a shell reports it."""
+
+
+def one_line(error: BaseException) -> str:
+    """What ``error`` says, on one line."""
+    return " ".join(str(error).split()) or type(error).__name__
 
 
 class RigError(Exception):

@@ -21,12 +21,12 @@ from rich.table import Table
 from can_rig.buses.bus import open_bus
 from can_rig.frames.messages import Network, Receiver, Transmitter
 from can_rig.nodes.lockstep import StopRequest
-from can_rig.nodes.nodes import network_of, run_in_process
+from can_rig.nodes.nodes import run_in_process
 from can_rig.nodes.processes import run_processes
 from can_rig.nodes.recorder import Recorder
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario import loading as scenarios
-from can_rig.scenario.build import controller_table
+from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
 

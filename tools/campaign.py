@@ -13,10 +13,9 @@ from rich.table import Table
 
 from can_rig.assessment.check import check
 from can_rig.errors import RigError
-from can_rig.nodes.nodes import network_of
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario import loading as scenarios
-from can_rig.scenario.build import continuous_plant, controller_table
+from can_rig.scenario.build import continuous_plant, controller_table, network_of
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import sample

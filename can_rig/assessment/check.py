@@ -18,9 +18,14 @@ from typing import Any, get_args
 from can_rig.assessment.control_authority import Authority, authority
 from can_rig.assessment.threshold_budget import Budget, budget
 from can_rig.errors import ScenarioError
-from can_rig.nodes.nodes import network_of
 from can_rig.plant.simulated import SimulatedPlant
-from can_rig.scenario.build import continuous_design, continuous_plant, controller_table, target
+from can_rig.scenario.build import (
+    continuous_design,
+    continuous_plant,
+    controller_table,
+    network_of,
+    target,
+)
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.margins import (
     HEALTHY,

@@ -16,7 +16,7 @@ import can
 from can.interfaces import VALID_INTERFACES
 from can.util import cast_from_string
 
-from can_rig.errors import BusError, BusLostError
+from can_rig.errors import BusError, BusLostError, one_line
 
 _NETWORK = Path("/sys/class/net")
 _IFF_UP = 1
@@ -137,11 +137,6 @@ def lost(bus: can.BusABC, error: can.CanError, for_s: float) -> BusLostError:
         f"acknowledges? a longer queue: sudo ip link set {channel} txqueuelen 1000",
     }
     return BusLostError(f"{bus.channel_info}: {reasons.get(code) or one_line(error)}")
-
-
-def one_line(error: Exception) -> str:
-    """What ``error`` says, on one line."""
-    return " ".join(str(error).split()) or type(error).__name__
 
 
 def _recipe(channel: object) -> str:

@@ -11,9 +11,7 @@ from rich.console import Console
 from can_rig.cli.design_cli import bus_timing, check, figures, scenarios, tune
 from can_rig.cli.log_cli import decode, diff, plot, replay
 from can_rig.cli.node_cli import controller, plant, run
-from can_rig.errors import RigError
-
-INTERRUPTED = 130  # what a shell reports for Ctrl-C
+from can_rig.errors import INTERRUPTED, RigError
 
 
 class RigGroup(click.Group):

@@ -16,8 +16,7 @@ from rich.progress import (
     TimeRemainingColumn,
 )
 
-from can_rig.cli.main import INTERRUPTED
-from can_rig.errors import LogError, RigError
+from can_rig.errors import INTERRUPTED, LogError, RigError
 from can_rig.nodes.lockstep import StopRequest, Waiting
 from can_rig.nodes.nodes import EveryNowAndThen, NodeSummary, json_line, run_controller, run_plant
 from can_rig.nodes.realtime import deadlines

@@ -11,8 +11,8 @@ from pathlib import Path
 from rich.console import Console
 
 from can_rig.buses.bus import open_bus
-from can_rig.cli.main import INTERRUPTED
 from can_rig.cli.progress import reading
+from can_rig.errors import INTERRUPTED
 from can_rig.logs.frames import NS_PER_S
 from can_rig.logs.reading import read_log
 from can_rig.nodes.lockstep import StopRequest

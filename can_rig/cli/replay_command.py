@@ -14,11 +14,11 @@ from rich.table import Table
 
 from can_rig.errors import LogError
 from can_rig.files import atomic, refuse_existing
-from can_rig.nodes.nodes import network_of
 from can_rig.replay.comparison import Place, SignalComparison
 from can_rig.replay.gaps import Gap, in_order, seconds, write_gaps
 from can_rig.replay.replay import OpenLoop
 from can_rig.replay.source import Source
+from can_rig.scenario.build import network_of
 
 SHOWN: Final = 12
 """Gaps in the table; --gaps has all."""

@@ -13,21 +13,20 @@ from rich.table import Table
 
 from can_rig.assessment.check import refuse_unstable
 from can_rig.buses.bus import in_one_process
-from can_rig.cli.main import INTERRUPTED
 from can_rig.cli.node_commands import tick_progress
-from can_rig.errors import BusError, RigError
+from can_rig.errors import INTERRUPTED, BusError, RigError
 from can_rig.frames.messages import Network
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import refuse_log, write_log
 from can_rig.nodes.lockstep import StopRequest
-from can_rig.nodes.nodes import EveryNowAndThen, network_of, run_in_process
+from can_rig.nodes.nodes import EveryNowAndThen, run_in_process
 from can_rig.nodes.processes import run_processes
 from can_rig.nodes.realtime import deadlines
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.results.metrics import Metrics, rows
 from can_rig.results.run_folder import LOG, Outcome, create, finish, give_up
 from can_rig.scenario import loading as scenarios
-from can_rig.scenario.build import controller_table
+from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.reference import on_the_bus
 from can_rig.scenario.settings import Scenario
 

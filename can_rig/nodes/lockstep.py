@@ -17,8 +17,8 @@ from typing import Self
 
 import can
 
-from can_rig.buses.bus import lost, one_line
-from can_rig.errors import SilentNodeError
+from can_rig.buses.bus import lost
+from can_rig.errors import SilentNodeError, one_line
 
 POLL_S = 0.05  # how soon a waiting node notices a stop request
 REPEAT_S = 0.25  # of an offer that nobody takes up; a partner that is there is quicker

@@ -15,11 +15,11 @@ from typing import Any, Literal
 import can
 
 from can_rig.buses.bus import open_for_node
-from can_rig.frames.messages import Network, load_network, shipped_dbc
 from can_rig.nodes.controller_node import ControllerNode
 from can_rig.nodes.lockstep import Interrupted, Sender, StopRequest, Waiting, Watchdog
 from can_rig.nodes.plant_node import PlantNode
 from can_rig.nodes.recorder import Recorder
+from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 
 NodeName = Literal["plant", "controller"]
@@ -38,11 +38,6 @@ class NodeSummary:
     """Of each node, what its bus refused, failed or dropped, and how often; only what occurred."""
     realtime: dict[str, Any] | None = None
     """How deadlines were met and what the system permitted; None in lockstep."""
-
-
-def network_of(scenario: Scenario) -> Network:
-    """The scenario's frames, from its DBC."""
-    return load_network(shipped_dbc(scenario.dbc))
 
 
 @contextmanager

@@ -14,17 +14,16 @@ from rich.console import Console
 
 from can_rig.assessment.check import refuse_unstable
 from can_rig.cli.diff_command import print_difference
-from can_rig.cli.main import INTERRUPTED
 from can_rig.cli.node_commands import tick_progress
 from can_rig.cli.run_command import closing_table
-from can_rig.errors import LogError, ScenarioError
+from can_rig.errors import INTERRUPTED, LogError, ScenarioError
 from can_rig.nodes.lockstep import StopRequest
-from can_rig.nodes.nodes import EveryNowAndThen, network_of, run_in_process
+from can_rig.nodes.nodes import EveryNowAndThen, run_in_process
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.replay.source import Source, source_of
 from can_rig.results.run_folder import LOG, Outcome, create, finish
 from can_rig.results.signals import Signals, read_signals, signals_of
-from can_rig.scenario.build import controller_table
+from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.reference import on_the_bus
 from can_rig.scenario.settings import ReferenceSettings, Scenario
 from can_rig.views.diff_picture import draw_difference

@@ -9,10 +9,9 @@ from typing import NamedTuple
 import numpy as np
 
 from can_rig.errors import RigError
-from can_rig.nodes.nodes import network_of
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.results.signals import Signals
-from can_rig.scenario.build import controller_table
+from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import NoiseSettings, Scenario
 from firmware_model.discretisation.sections import FloatArray

@@ -9,11 +9,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig.assessment.control_authority import authority
-from can_rig.nodes.nodes import network_of
 from can_rig.plant.faults import SensorFault
 from can_rig.results.counterfactual import fault_free, noise_free
 from can_rig.results.loss_metrics import decision_metrics, unavoidable_deviation
 from can_rig.results.signals import Signals
+from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from firmware_model.discretisation.sections import FloatArray
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 
 from can_rig.errors import ScenarioError
-from can_rig.frames.messages import Network
+from can_rig.frames.messages import Network, load_network, shipped_dbc
 from can_rig.scenario.settings import PlantSettings, Scenario
 from firmware_model.design import plants
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
@@ -14,6 +14,11 @@ from firmware_model.errors import DesignError
 from firmware_model.target.layout import Record
 
 GOVERNED = 0.5  # share of the motor's limit that may go into the second derivative of D*
+
+
+def network_of(scenario: Scenario) -> Network:
+    """The scenario's frames, from its DBC."""
+    return load_network(shipped_dbc(scenario.dbc))
 
 
 def continuous_plant(settings: PlantSettings) -> plants.Plant:

@@ -119,7 +119,7 @@ def from_dict(name: str, values: Mapping[str, Any]) -> Scenario:
 
 def _with_latency_of_bus(scenario: Scenario) -> Scenario:
     from can_rig.assessment.bus_timing.timing import latency_ticks  # noqa: PLC0415 (cantools: slow to import)
-    from can_rig.nodes.nodes import network_of  # noqa: PLC0415 (imports this module)
+    from can_rig.scenario.build import network_of  # noqa: PLC0415 (imports this module)
 
     network, bus = network_of(scenario), scenario.bus
     try:
@@ -132,7 +132,7 @@ def _with_latency_of_bus(scenario: Scenario) -> Scenario:
 
 def _with_threshold_of_budget(scenario: Scenario) -> Scenario:
     from can_rig.assessment.threshold_budget import budget  # noqa: PLC0415 (imports this module)
-    from can_rig.nodes.nodes import network_of  # noqa: PLC0415 (imports this module)
+    from can_rig.scenario.build import network_of  # noqa: PLC0415 (imports this module)
 
     least = dataclasses.replace(scenario.design, fault_threshold_mps2=sys.float_info.min)
     found = budget(dataclasses.replace(scenario, design=least), network_of(scenario))

@@ -8,10 +8,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from can_rig.errors import ScenarioError
-from can_rig.nodes.nodes import network_of
 from can_rig.plant.faults import ActuatorFault
 from can_rig.scenario import loading as scenarios
-from can_rig.scenario.build import continuous_plant, controller_table
+from can_rig.scenario.build import continuous_plant, controller_table, network_of
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
 from can_rig.thesis.continuous import Solution, solve

@@ -11,14 +11,16 @@ from typing import cast
 
 import can
 
-from can_rig.buses.bus import one_line, open_for_node
+from can_rig.buses.bus import open_for_node
+from can_rig.errors import one_line
 from can_rig.nodes.lockstep import RETRY_S, StopRequest, Waiting, Watchdog
-from can_rig.nodes.nodes import NodeSummary, bus_events, network_of
+from can_rig.nodes.nodes import NodeSummary, bus_events
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode, warm_up
 from can_rig.nodes.realtime.deadlines import MonotonicClock
 from can_rig.nodes.realtime.plant_node import RealTimePlantNode
 from can_rig.nodes.realtime.scheduling import prefer, undisturbed
 from can_rig.nodes.recorder import RealTimeRecorder
+from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 
 PLANT_CORE, CONTROLLER_CORE = 0, 1  # counted from the last: the first ones serve interrupts

@@ -10,7 +10,6 @@ import can
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
-from tests.rig.test_response_time import simulate
 
 from can_rig.assessment.bus_timing.frame_length import FrameError, frame_bits, worst_case_bits
 from can_rig.assessment.bus_timing.response_time import PeriodicFrame, response_times
@@ -22,9 +21,10 @@ from can_rig.assessment.bus_timing.timing import (
 )
 from can_rig.errors import DbcError, ScenarioError
 from can_rig.frames.messages import load_network
-from can_rig.nodes.nodes import network_of
+from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import from_dict, load
 from tests.helpers import DBC, record, rig
+from tests.rig.assessment.test_response_time import simulate
 
 STEER_BY_WIRE = load_network(DBC / "steer_by_wire.dbc")
 US = Fraction(1, 10**6)

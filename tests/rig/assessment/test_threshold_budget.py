@@ -11,9 +11,8 @@ from scipy import stats
 
 from can_rig.assessment.threshold_budget import budget, sigmas_for
 from can_rig.errors import ScenarioError
-from can_rig.nodes.nodes import network_of
 from can_rig.plant.simulated import LinearPlant
-from can_rig.scenario.build import continuous_design, controller_table
+from can_rig.scenario.build import continuous_design, controller_table, network_of
 from can_rig.scenario.loading import load
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario

@@ -7,13 +7,13 @@ import signal
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from test_run import FILES, alive, lines_of, nodes_of, one_line, wait_for
 
 from can_rig.cli.main import main
-from can_rig.nodes.nodes import network_of
 from can_rig.results.signals import Signals, read_signals
+from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import load
 from tests.helpers import rig, start
+from tests.rig.nodes.test_run import FILES, alive, lines_of, nodes_of, one_line, wait_for
 
 LONG = ["--set", "duration_s=2000"]
 

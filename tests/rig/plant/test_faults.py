@@ -7,10 +7,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from can_rig.frames.messages import Receiver, Transmitter
-from can_rig.nodes.nodes import network_of
 from can_rig.plant.faults import ActuatorFault, FrameFault
 from can_rig.plant.simulated import SimulatedPlant
-from can_rig.scenario.build import continuous_plant
+from can_rig.scenario.build import continuous_plant, network_of
 from can_rig.scenario.loading import load
 from can_rig.thesis.continuous import solve
 

@@ -9,9 +9,9 @@ from typing import Any
 import pytest
 
 from can_rig.logs.reading import read_log
-from can_rig.nodes.nodes import network_of
 from can_rig.plant.faults import CHANNELS
 from can_rig.replay.replay import OpenLoop
+from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import load
 
 FOLDER = Path(__file__).parents[2] / "drives"

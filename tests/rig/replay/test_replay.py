@@ -20,12 +20,11 @@ from can_rig.frames.messages import Transmitter
 from can_rig.logs.frames import from_messages
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import write_log
-from can_rig.nodes.nodes import network_of
 from can_rig.replay.gaps import Gap
 from can_rig.replay.replay import OpenLoop
 from can_rig.replay.rig_frames import signed
 from can_rig.results.signals import plain_frames
-from can_rig.scenario.build import controller_table
+from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.loading import from_run, load
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware

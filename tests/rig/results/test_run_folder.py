@@ -13,9 +13,9 @@ from matplotlib.figure import Figure
 
 from can_rig.cli.run_command import closing_table
 from can_rig.errors import RunFolderError
-from can_rig.nodes.nodes import network_of
 from can_rig.results.run_folder import LOG, REPORT, SIGNALS, SUMMARY, Outcome, finish
 from can_rig.results.signals import Signals
+from can_rig.scenario.build import network_of
 from tests.helpers import asked, record
 
 

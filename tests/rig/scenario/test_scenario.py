@@ -10,9 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from can_rig.errors import ScenarioError
-from can_rig.nodes.nodes import network_of
 from can_rig.plant.simulated import SimulatedPlant
-from can_rig.scenario.build import controller_table
+from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.loading import from_dict, load, shipped
 from can_rig.scenario.settings import FaultSettings, Scenario
 
