@@ -20,8 +20,10 @@ from can_rig.decoding.message_columns import MessageColumns
 from can_rig.decoding.output import TABLES, Output, output, refuse_output
 from can_rig.errors import LogError
 from can_rig.frames.messages import shipped_dbc
+from can_rig.logs.formats import format_of
 from can_rig.logs.frames import concatenate
-from can_rig.logs.reading import Log, format_of, read_log
+from can_rig.logs.log import Log
+from can_rig.logs.reading import read_log
 from can_rig.results.run_folder import LOG, SUMMARY
 
 _CELLS: Final = 1 << 22  # of a chunk of a wide table: bounds its memory

@@ -15,7 +15,6 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from can_rig.errors import LogError
-from can_rig.logs import candump_lines
 from can_rig.logs.frames import (
     BITRATE_SWITCH,
     ERROR,
@@ -28,8 +27,9 @@ from can_rig.logs.frames import (
     concatenate,
     from_messages,
 )
+from can_rig.logs.readers import candump_lines
 from can_rig.logs.reading import read_log
-from can_rig.logs.writing import candump_lines as lines_of
+from can_rig.logs.writers.candump import candump_lines as lines_of
 
 # Of can-utils 2020.11: candump -L, candump -l of a socket with error frames and FD, and log2asc's
 # example; 2023: the R or T that -x adds, and a raw DLC above 8.
@@ -257,7 +257,7 @@ def test_compressed_and_cut_off(tmp_path: Path) -> None:
         found = rows(concatenate(log))
         assert found == every[: len(found)]
         assert (log.notice is None) == (cut == 0)
-    with pytest.raises(LogError, match=r"a.log.gz: damaged .* or not gzip"):
+    with pytest.raises(LogError, match=r"a.log.gz: not a gzip file, or damaged"):
         whole(written(tmp_path, text, "a.log.gz"))
 
 
@@ -265,7 +265,7 @@ def test_compressed_and_cut_off(tmp_path: Path) -> None:
 def test_blocks_of_any_size(tmp_path: Path, monkeypatch, block: int) -> None:
     plain, packed = (written(tmp_path, DIRECTED * 2), gzip.compress((DIRECTED * 2).encode()))
     every = rows(whole(plain))
-    monkeypatch.setattr("can_rig.logs.blocks.BLOCK_BYTES", block)
+    monkeypatch.setattr("can_rig.logs.readers.blocks.BLOCK_BYTES", block)
     assert rows(whole(plain)) == every
     assert rows(whole(written(tmp_path, packed, "a.log.gz"))) == every
 
@@ -289,16 +289,16 @@ def test_the_compiled_lines_are_those_that_run_interpreted(tmp_path: Path, monke
     for name, value in vars(candump_lines).items():
         if hasattr(value, "py_func"):
             monkeypatch.setattr(candump_lines, name, value.py_func)
-    monkeypatch.setattr("can_rig.logs.candump.parse", candump_lines.parse)
+    monkeypatch.setattr("can_rig.logs.readers.candump.parse", candump_lines.parse)
     assert rows(whole(tmp_path / "a.log")) == compiled
 
 
 @pytest.mark.parametrize(
     ("name", "reason"),
     [
-        ("a.txt", "not a log that can be told by its name; .log, .asc"),
-        ("a.blf.gz", "not a log that can be told by its name"),
-        ("log", "not a log that can be told by its name"),
+        ("a.txt", "unknown log format; the suffix must be one of .log, .asc"),
+        ("a.blf.gz", "unknown log format"),
+        ("log", "unknown log format"),
     ],
 )
 def test_names_that_say_nothing(tmp_path: Path, name: str, reason: str) -> None:
