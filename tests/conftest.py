@@ -5,6 +5,9 @@ from pathlib import Path
 
 import pytest
 
+# Assertions in helpers tell their values too.
+pytest.register_assert_rewrite("tests.helpers", "tests.vcan", "tests.firmware", "tests.rig")
+
 
 def pytest_collection_modifyitems(items):
     """Where there is no vcan0 its tests say how to have them run; where it must be, they fail."""
