@@ -15,7 +15,8 @@ from rich.console import Console
 from rich.table import Table
 
 from can_rig.cli.progress import reading
-from can_rig.decoding.decode import Decoder, load_database
+from can_rig.decoding.database import load_database
+from can_rig.decoding.decode import Decoder
 from can_rig.decoding.message_columns import MessageColumns
 from can_rig.decoding.output import TABLES, Output, output, refuse_output
 from can_rig.errors import LogError
