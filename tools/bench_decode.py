@@ -21,11 +21,13 @@ from cantools.database.can import Database
 from rich.console import Console
 from rich.table import Table
 
-from can_rig.decoding.decode import decode_log, load_database
+from can_rig.decoding.database import load_database
+from can_rig.decoding.decode import decode_log
 from can_rig.frames.messages import shipped_dbc
 from can_rig.logs.frames import concatenate
 from can_rig.logs.reading import read_log
-from can_rig.logs.writing import candump_lines, write_log
+from can_rig.logs.writers.candump import candump_lines
+from can_rig.logs.writing import write_log
 from can_rig.nodes.lockstep import StopRequest
 from can_rig.nodes.nodes import run_in_process
 from can_rig.scenario import loading as scenarios

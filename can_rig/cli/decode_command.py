@@ -15,13 +15,16 @@ from rich.console import Console
 from rich.table import Table
 
 from can_rig.cli.progress import reading
-from can_rig.decoding.decode import Decoder, load_database
+from can_rig.decoding.database import load_database
+from can_rig.decoding.decode import Decoder
 from can_rig.decoding.message_columns import MessageColumns
 from can_rig.decoding.output import TABLES, Output, output, refuse_output
 from can_rig.errors import LogError
 from can_rig.frames.messages import shipped_dbc
+from can_rig.logs.formats import format_of
 from can_rig.logs.frames import concatenate
-from can_rig.logs.reading import Log, format_of, read_log
+from can_rig.logs.log import Log
+from can_rig.logs.reading import read_log
 from can_rig.results.run_folder import LOG, SUMMARY
 
 _CELLS: Final = 1 << 22  # of a chunk of a wide table: bounds its memory

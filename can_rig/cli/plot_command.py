@@ -12,7 +12,8 @@ from rich.console import Console
 
 from can_rig.cli.diff_command import refuse_picture
 from can_rig.cli.progress import reading
-from can_rig.decoding.decode import Decoder, load_database
+from can_rig.decoding.database import load_database
+from can_rig.decoding.decode import Decoder
 from can_rig.decoding.message_columns import MessageColumns, joined
 from can_rig.errors import DbcError, LogError, ScenarioError
 from can_rig.files import atomic

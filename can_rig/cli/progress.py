@@ -8,7 +8,7 @@ from rich.console import Console
 from rich.progress import BarColumn, Progress, TaskProgressColumn, TextColumn, TimeRemainingColumn
 
 from can_rig.logs.frames import Frames
-from can_rig.logs.reading import Log
+from can_rig.logs.log import Log
 
 
 def reading(log: Log, what: str) -> Iterator[Frames]:

@@ -13,7 +13,8 @@ import numpy as np
 from can_rig.cli.progress import reading
 from can_rig.errors import LogError, ScenarioError
 from can_rig.logs.frames import Frames
-from can_rig.logs.reading import Log, read_log
+from can_rig.logs.log import Log
+from can_rig.logs.reading import read_log
 from can_rig.results.run_folder import LOG, SUMMARY
 from can_rig.scenario import loading as scenarios
 from can_rig.scenario.settings import Scenario

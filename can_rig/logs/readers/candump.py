@@ -1,32 +1,30 @@
-"""candump logs, plain or gzipped, read in blocks of bytes."""
+"""candump logs, plain or gzipped, read in blocks of bytes; a cut-off end is noted."""
 
 from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, Final
+from typing import Final
 
 import numpy as np
 
 from can_rig.errors import LogError
-from can_rig.logs.blocks import blocks
-from can_rig.logs.candump_lines import BAD_LINE, NEW_CHANNEL, WIDER, parse
 from can_rig.logs.frames import CLASSIC_BYTES, FD_BYTES, Frames
+from can_rig.logs.log import Log
+from can_rig.logs.readers.blocks import blocks
+from can_rig.logs.readers.candump_lines import BAD_LINE, NEW_CHANNEL, WIDER, parse
 
-if TYPE_CHECKING:
-    from can_rig.logs.reading import Log
-
-MOST_CHANNELS: Final = 255
-_LONGEST_LINE: Final = 4096  # bytes; one of an FD frame has some 170
-_WHOLE: Final = re.compile(rb"[ \t][RrTt][ \t\r]*$")  # a line cannot go on after its direction
+MAX_CHANNELS: Final = 255
+_MAX_LINE_BYTES: Final = 4096  # a line of an FD frame has some 170
+_COMPLETE: Final = re.compile(rb"[ \t][RrTt][ \t\r]*$")  # nothing follows the direction
 _SHOWN: Final = 60  # characters of a bad line
 
 
 def read_candump(log: Log) -> Iterator[Frames]:
-    """Chunks of a candump log. A last line that was still being written is not read but noted.
+    """Chunks of a candump log. An unfinished last line is ignored, and noted.
 
     Raises:
-        LogError: a line is not candump's; file and line number.
+        LogError: a line is not one of candump's; file and line number.
     """
     reader = _Reader(log)
     tail = b""
@@ -35,24 +33,24 @@ def read_candump(log: Log) -> Iterator[Frames]:
         end = text.rfind(b"\n") + 1
         tail = text[end:]
         yield from reader.read(text[:end])
-        if len(tail) > _LONGEST_LINE:
+        if len(tail) > _MAX_LINE_BYTES:
             reader.refuse(tail)
     if tail.strip():
         yield from reader.read_unfinished(tail)
 
 
 class _Reader:
-    """Channels and line numbers from block to block."""
+    """Keeps the channels and the number of the line from block to block."""
 
     def __init__(self, log: Log) -> None:
         self._log = log
-        self._lines = 0  # before the line at hand
+        self._lines = 0  # before the one being read
         self._frames = 0
         self._channels: list[bytes] = []
         self._width = CLASSIC_BYTES
 
     def read(self, text: bytes) -> Iterator[Frames]:
-        """The frames of whole lines."""
+        """The frames of complete lines."""
         at = 0
         while at < len(text):
             room = self._room(len(text) - at)
@@ -85,29 +83,29 @@ class _Reader:
                 self._width = FD_BYTES
 
     def read_unfinished(self, tail: bytes) -> Iterator[Frames]:
-        """What a recorder that was stopped in the middle left behind the last newline."""
+        """The text after the last newline, where a recorder was stopped in the middle of a line."""
         try:
-            if _WHOLE.search(tail):
+            if _COMPLETE.search(tail):
                 yield from self.read(tail + b"\n")
                 return
         except LogError:
             pass
         if not self._frames and b"#" not in tail and len(tail) > _SHOWN:
-            self.refuse(tail)  # it never was a log
+            self.refuse(tail)  # it has never been a log
         self._log.notice = (
             f"{self._log.path}: line {self._lines + 1}: the file ends within this line, "
-            f"which is not read: {_shown(tail)}"
+            f"which is ignored: {_shown(tail)}"
         )
 
     def refuse(self, line: bytes) -> None:
-        """Say that the line behind those counted is not candump's."""
+        """Raise the error for the line after those counted."""
         raise LogError(
             f"{self._log.path}: line {self._lines + 1}: not a frame as candump -L writes it: "
             f"{_shown(line)}"
         )
 
     def _room(self, text_bytes: int) -> Frames:
-        """Columns to be filled, as long as so much text can need."""
+        """Columns to be filled, with a row for every frame that so much text can hold."""
         rows = min(self._log.chunk_frames, text_bytes // len(b"(0) c 1#\n") + 1)
         return Frames(
             np.empty(rows, np.int64),
@@ -120,10 +118,10 @@ class _Reader:
         )
 
     def _add_channel(self, text: bytes, at: int) -> None:
-        if len(self._channels) == MOST_CHANNELS:
+        if len(self._channels) == MAX_CHANNELS:
             raise LogError(
-                f"{self._log.path}: line {self._lines + 1}: the {MOST_CHANNELS + 1}th bus; "
-                f"a log of at most {MOST_CHANNELS} can be read"
+                f"{self._log.path}: line {self._lines + 1}: bus number {MAX_CHANNELS + 1}; "
+                f"there must be at most {MAX_CHANNELS} buses in a log"
             )
         self._channels.append(text[at : text.index(b"\n", at)].split()[1])
 

@@ -1,7 +1,7 @@
-"""Frames as bus logging of an ASAM MDF 4 file, as ASAM's "MDF Bus Logging" names its channels.
+"""Frames as ASAM MDF 4 bus logging, with the channel names of ASAM's "MDF Bus Logging".
 
-python-can's writer dates every file from the moment of writing and rounds time to 0.2 µs; here
-the file starts when the log does, and its time stamps are nanoseconds.
+python-can's writer dates every file at the moment of writing and rounds time to 0.2 µs; here the
+file starts when the log does, and its time stamps are exact to the nanosecond.
 """
 
 from __future__ import annotations
@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
-from asammdf import MDF, Signal, Source
 from can.util import channel2int
 from numpy.typing import NDArray
 
@@ -28,15 +27,17 @@ from can_rig.logs.frames import (
     SENT,
     Frames,
 )
-from can_rig.logs.reading import Log
+from can_rig.logs.log import Log
 
-_SOURCE: Final = Source("CAN", "", "", Source.SOURCE_BUS, Source.BUS_TYPE_CAN)
 _DLC: Final = np.array([*range(9), *np.repeat(range(9, 16), [4, 4, 4, 4, 8, 16, 16])], np.uint8)
-"""DLC by length: 9 to 12 bytes are 9, … 49 to 64 are 15."""
+"""DLC by payload length: 9 for 9 to 12 bytes, …, 15 for 49 to 64."""
 
 
 def write_mf4(log: Log, path: Path) -> None:
-    """Write a log; one group of records for each kind of frame and width of payload that occurs."""
+    """Write a log; a channel group for each kind of frame and width of payload that occurs."""
+    from asammdf import MDF, Signal, Source  # noqa: PLC0415 (slow to import)
+
+    source = Source("CAN", "", "", Source.SOURCE_BUS, Source.BUS_TYPE_CAN)
     with MDF(version="4.10") as file:
         start_ns: int | None = None
         groups: dict[tuple[str, int], int] = {}
@@ -51,13 +52,13 @@ def write_mf4(log: Log, path: Path) -> None:
                 if (kind, width) in groups:
                     file.extend(groups[kind, width], [(time_s, None), (records, None)])
                 else:
-                    signal = Signal(records, time_s, name=kind, source=_SOURCE)
-                    groups[kind, width] = file.append(signal, acq_source=_SOURCE)
+                    signal = Signal(records, time_s, name=kind, source=source)
+                    groups[kind, width] = file.append(signal, acq_source=source)
         file.save(path, overwrite=True, compression=1)
 
 
 def _kinds(frames: Frames) -> dict[tuple[str, int], Frames]:
-    """The frames of each kind, those of long payloads apart."""
+    """The frames of each kind; those with more than 8 bytes by themselves."""
     error, remote = frames.has(ERROR), frames.has(REMOTE)
     long = frames.length > CLASSIC_BYTES
     rows = {

@@ -31,7 +31,7 @@ from can_rig.logs.frames import (
 from firmware_model.compiled import compiled
 
 DONE, BAD_LINE, NEW_CHANNEL, WIDER = 0, 1, 2, 3
-"""Why `parse` came back: no line or no room is left; or what the line at hand has."""
+"""Why `parse` returned: no text or no room is left, or what the next line contains."""
 
 _ERROR_BIT, _REMOTE_BIT, _ID_MASK = 1 << 29, 1 << 30, (1 << 29) - 1
 _NOT_HEX = 255
@@ -62,9 +62,8 @@ def parse(
 ) -> tuple[int, int, int, int]:
     """Fill the columns from the lines that begin at ``at``; a line ends with a newline.
 
-    ``names`` holds the known channels behind one another, ``name_ends`` where each ends. Returns
-    how many frames there are, of how many lines, where the next line begins, and why there are not
-    more.
+    ``names`` holds the known channels in a row, ``name_ends`` where each of them ends. Returns the
+    number of frames, the number of lines, where the next line begins, and why it stopped there.
     """
     frames = lines = 0
     room, width = data.shape
@@ -116,7 +115,7 @@ def _is_blank(byte: int) -> bool:
 
 @compiled
 def _blanks(text: UInt8s, at: int) -> int:
-    """Where blanks that begin at ``at`` end."""
+    """The position after the blanks at ``at``."""
     while _is_blank(text[at]):
         at += 1
     return at
@@ -124,7 +123,7 @@ def _blanks(text: UInt8s, at: int) -> int:
 
 @compiled
 def _stamp(text: UInt8s, at: int) -> tuple[int, int]:
-    """``(seconds.fraction)`` in ns, and where it ends, -1 if it is none; finer digits are cut."""
+    """``(seconds.fraction)`` in ns, finer digits cut off, and the position after it; -1: none."""
     if text[at] != _OPEN:
         return 0, -1
     at += 1
@@ -150,7 +149,7 @@ def _stamp(text: UInt8s, at: int) -> tuple[int, int]:
 
 @compiled
 def _word(text: UInt8s, at: int) -> tuple[int, int]:
-    """Where the word behind blanks begins and ends, -1 if there are no blanks or no word."""
+    """Begin and end of the word after some blanks; an end of -1: no blanks or no word."""
     if at < 0 or not _is_blank(text[at]):
         return 0, -1
     start = at = _blanks(text, at)
@@ -161,7 +160,7 @@ def _word(text: UInt8s, at: int) -> tuple[int, int]:
 
 @compiled
 def _find(text: UInt8s, start: int, stop: int, names: UInt8s, name_ends: Any) -> int:
-    """Which of the names ``text[start:stop]`` is; -1: none."""
+    """Index of ``text[start:stop]`` among the names; -1: none of them."""
     begin = 0
     for index in range(len(name_ends)):
         end = name_ends[index]
@@ -177,7 +176,7 @@ def _find(text: UInt8s, start: int, stop: int, names: UInt8s, name_ends: Any) ->
 
 @compiled
 def _identifier(text: UInt8s, at: int) -> tuple[int, int, int]:
-    """``123#`` or ``12345678#``: flags, identifier, and what follows, -1 if it is none."""
+    """``123#`` or ``12345678#``: flags, identifier, and the position after it; -1: not one."""
     first = at
     value = 0
     while _HEX[text[at]] != _NOT_HEX and at - first < 9:
@@ -198,16 +197,16 @@ def _identifier(text: UInt8s, at: int) -> tuple[int, int, int]:
 
 @compiled
 def _payload(text: UInt8s, at: int, bits: int, row: UInt8s) -> tuple[int, int, int]:
-    """What stands behind the first ``#``, into ``row``: flags, length, and what follows.
+    """What follows the first ``#``, into ``row``: flags, length, and the position after it.
 
-    That is -1 where it is no payload; the length tells whether the row is too short for one.
+    The position is -1 where it is not a payload, or where ``row`` is shorter than the length.
     """
-    most = CLASSIC_BYTES
+    max_bytes = CLASSIC_BYTES
     if text[at] == _HASH:
         kind = _HEX[text[at + 1]]
         if kind == _NOT_HEX:
             return 0, 0, -1
-        most = FD_BYTES
+        max_bytes = FD_BYTES
         bits |= FD | BITRATE_SWITCH * (int(kind) & 1) | ERROR_STATE * (int(kind) >> 1 & 1)
         at += 2
     elif text[at] | _LOWER == _R:
@@ -224,7 +223,7 @@ def _payload(text: UInt8s, at: int, bits: int, row: UInt8s) -> tuple[int, int, i
     size = 0
     while _HEX[text[at]] != _NOT_HEX:
         low = _HEX[text[at + 1]]
-        if low == _NOT_HEX or size == most:
+        if low == _NOT_HEX or size == max_bytes:
             return 0, 0, -1
         if size < len(row):
             row[size] = _HEX[text[at]] << 4 | low
@@ -233,12 +232,12 @@ def _payload(text: UInt8s, at: int, bits: int, row: UInt8s) -> tuple[int, int, i
     if size > len(row):
         return 0, size, -1
     row[size:] = 0
-    return bits, size, _raw_dlc(text, at, size) if most == CLASSIC_BYTES else at
+    return bits, size, _raw_dlc(text, at, size) if max_bytes == CLASSIC_BYTES else at
 
 
 @compiled
 def _raw_dlc(text: UInt8s, at: int, size: int) -> int:
-    """Behind ``_9`` to ``_F``, which only a frame of 8 bytes may have."""
+    """The position after ``_9`` to ``_F``, which only a frame of 8 bytes may have; -1: refused."""
     if text[at] != _UNDERSCORE:
         return at
     dlc = _HEX[text[at + 1]]

@@ -1,8 +1,8 @@
 """Bus logging in ASAM MDF 4 files → columns, through asammdf.
 
-A file has one group of records for the data frames of a bus, one for its error frames, one for
-its remote frames; their members are channels by the names that ASAM's "MDF Bus Logging" gives.
-Groups are read in pieces and merged by time.
+A file has one channel group for the data frames of a bus, one for its error frames, one for its
+remote frames; their channels have the names of ASAM's "MDF Bus Logging". Groups are read in pieces
+and merged by time.
 """
 
 from __future__ import annotations
@@ -13,12 +13,12 @@ import sys
 import traceback
 from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from typing import TYPE_CHECKING, Any, Final
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig.errors import LogError
+from can_rig.errors import LogError, one_line
 from can_rig.logs.frames import (
     BITRATE_SWITCH,
     CLASSIC_BYTES,
@@ -33,15 +33,13 @@ from can_rig.logs.frames import (
     UInt8s,
     concatenate,
 )
-
-if TYPE_CHECKING:
-    from can_rig.logs.reading import Log
+from can_rig.logs.log import Log
 
 KINDS: Final = {"CAN_DataFrame": 0, "CAN_ErrorFrame": ERROR, "CAN_RemoteFrame": REMOTE}
-"""Names of the groups, and the flag of their frames."""
+"""Channel groups by name, and the flag of their frames."""
 
 _MDF_4: Final = b"MDF     4."
-"""How a file starts: what it is, and the version."""
+"""The first bytes of a file: what it is, and its version."""
 
 _ID_MASK: Final = (1 << 29) - 1
 _EXTENDED_BIT: Final = 1 << 31
@@ -63,14 +61,14 @@ def read_mf4(log: Log) -> Iterator[Frames]:
     """
     import asammdf  # noqa: PLC0415 (slow to import)
 
-    logging.getLogger("asammdf").setLevel(logging.CRITICAL)  # what it says, the error says
+    logging.getLogger("asammdf").setLevel(logging.CRITICAL)  # its reason is in our error
     # asammdf's own survey of the identifiers would read and unpack the file once more.
-    with _refusing(_unreadable(log)):
+    with _one_line_errors(_reason_unreadable(log)):
         file = asammdf.MDF(log.path, process_bus_logging=False)  # type: ignore[call-arg]
     with file:
         groups = [_Group(file, log, index) for index in _can_groups(file)]
         if not groups:
-            raise LogError(f"{log.path}: has no CAN frames (no bus logging group CAN_DataFrame)")
+            raise LogError(f"{log.path}: holds no CAN frames (no channel group CAN_DataFrame)")
         log.start_ns = _start_ns(file)
         total = sum(group.frames for group in groups) or 1
         done = 0
@@ -80,17 +78,17 @@ def read_mf4(log: Log) -> Iterator[Frames]:
             yield frames
 
 
-def _unreadable(log: Log) -> str:
-    """What to say of a file that asammdf does not open."""
+def _reason_unreadable(log: Log) -> str:
+    """What is wrong with a file that asammdf does not open."""
     try:
         with log.path.open("rb") as file:
             start = file.read(len(_MDF_4))
     except OSError:
-        start = b""  # asammdf says why
+        start = b""  # the reason is in the error of asammdf
     if start == _MDF_4:
         return (
-            f"{log.path}: an MDF 4 file that is cut off or damaged, and no frame can be read from "
-            "such a file"
+            f"{log.path}: an MDF 4 file that is cut off or damaged, so that no frame of it can be "
+            "read"
         )
     return f"{log.path}: not an MDF file that asammdf can read"
 
@@ -106,7 +104,7 @@ def _can_groups(file: Any) -> list[int]:
 
 
 def _start_ns(file: Any) -> int:
-    """When time zero was [ns]; a local time is taken in the time zone of this machine."""
+    """Start of the recording [ns]; a local time is one of this machine's time zone."""
     header = file.header
     if header.start_time.tzinfo is not None:
         return int(header.abs_time)
@@ -115,7 +113,7 @@ def _start_ns(file: Any) -> int:
 
 
 class _Group:
-    """The frames of one group of records, piece by piece."""
+    """The frames of one channel group, piece by piece."""
 
     def __init__(self, file: Any, log: Log, index: int) -> None:
         self._file, self._log, self._index = file, log, index
@@ -128,7 +126,7 @@ class _Group:
     def __iter__(self) -> Iterator[Frames]:
         for first in range(0, self.frames, self._log.chunk_frames):
             where = f"{self._log.path}: {self._kind} from record {first}"
-            with _refusing(f"{where}: cannot be read by asammdf"):
+            with _one_line_errors(f"{where}: cannot be read by asammdf"):
                 piece = self._read(first, min(self._log.chunk_frames, self.frames - first))
             yield piece
 
@@ -195,7 +193,7 @@ def _merged(groups: Sequence[_Group]) -> Iterator[Frames]:
         return
     held = [next(source) for source in sources]
     while held:
-        # What is older than the newest frame that every source has shown cannot be overtaken.
+        # Up to the earliest last time stamp of all the pieces no older frame can follow.
         safe = min(int(frames.time_ns[-1]) for frames in held)
         ready = [frames[frames.time_ns <= safe] for frames in held]
         whole = concatenate(ready)
@@ -211,10 +209,10 @@ def _merged(groups: Sequence[_Group]) -> Iterator[Frames]:
 
 
 @contextmanager
-def _refusing(what: str) -> Iterator[None]:
-    """Whatever asammdf stumbles over in a damaged file, as one line.
+def _one_line_errors(what: str) -> Iterator[None]:
+    """Whatever asammdf raises about a damaged file, as one line.
 
-    Its half made objects raise once more when they are collected; that would go to the terminal.
+    Its half-built objects raise again when they are collected, which would be printed.
     """
     hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
     try:
@@ -222,7 +220,6 @@ def _refusing(what: str) -> Iterator[None]:
     except Exception as error:
         traceback.clear_frames(error.__traceback__)
         gc.collect()
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise LogError(f"{what}: {reason}") from None
+        raise LogError(f"{what}: {one_line(error)}") from None
     finally:
         sys.unraisablehook = hook
