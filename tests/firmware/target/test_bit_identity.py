@@ -1,4 +1,4 @@
-"""The same bits compiled and interpreted, in both precisions, with every part of the law at work."""
+"""The same bits compiled and interpreted, in both precisions, through every part of the law."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ import math
 import os
 import subprocess
 import sys
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,6 +21,7 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.target import controller
 from firmware_model.target.status import FaultState, Mode
 
+ROOT = str(Path(__file__).parents[3])
 TICK_S, TICKS, LOST, BACK = 1e-3, 420, 120, 250
 CAR = steer_by_wire()
 PLANT = sample(CAR, TICK_S)
@@ -74,7 +76,7 @@ def test_compiled_and_interpreted_states_are_bit_identical() -> None:
             check=True,
             capture_output=True,
             text=True,
-            env={**os.environ, "NUMBA_DISABLE_JIT": flag},
+            env={**os.environ, "NUMBA_DISABLE_JIT": flag, "PYTHONPATH": ROOT},
         ).stdout.splitlines()
         for flag in ("0", "1")
     ]
