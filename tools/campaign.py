@@ -21,7 +21,7 @@ from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import Trace, simulate
 from firmware_model.firmware import Firmware
-from firmware_model.target.layout import FaultState
+from firmware_model.target.status import FaultState
 
 LANE_CHANGES = (
     "reference.kind=lane-change",

@@ -36,7 +36,7 @@ from firmware_model.analysis.margins import (
     margins,
 )
 from firmware_model.analysis.sampled_loop import sampled_loop
-from firmware_model.discretisation.tables import EstimatorRule
+from firmware_model.discretisation.targets import EstimatorRule
 
 Effectiveness = tuple[float, float]
 DEAD: dict[str, Effectiveness] = {"torque": (0.0, 1.0), "force-difference": (1.0, 0.0)}
@@ -153,7 +153,9 @@ def check(scenario: Scenario) -> Check:
         faulted=with_left(DEAD[scenario.fault.channel]),
         partly_lost={left: with_left((left, 1.0)) for left in PARTLY_LOST},
         false_alarm=(
-            margins(table, plant, scenario.tick_s, confirmed=1.0) if table.on_confirmation else None
+            margins(table, plant, scenario.tick_s, confirmed=1.0)
+            if table.compensator.on_confirmation
+            else None
         ),
         budget=budget(scenario, network),
         authority=authority(scenario, network),

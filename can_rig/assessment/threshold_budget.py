@@ -36,7 +36,7 @@ from firmware_model.analysis.sampled_loop import linear_controller, sampled_loop
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import Trace, simulate
 from firmware_model.discretisation.tables import build
-from firmware_model.target.layout import Record
+from firmware_model.target.structs import Record
 
 IGNORED = 1e9  # a share at which no d̂ is too much
 MARGIN = 1.2  # between the budget and the threshold
@@ -121,11 +121,13 @@ def budget(scenario: Scenario, network: Network) -> Budget:
     if scenario.noise.dstar_rms_mps2 > 0.0:
         loop = sampled_loop(linear_controller(table), nominal.plant, scenario.tick_s, HEALTHY)
         sigmas = sigmas_for(
-            scenario.budget.false_alarms_per_hour, scenario.tick_s, int(table.confirm_ticks)
+            scenario.budget.false_alarms_per_hour,
+            scenario.tick_s,
+            int(table.decision.confirm_ticks),
         )
         noise = sigmas * noise_gain(loop, 2) * scenario.noise.dstar_rms_mps2
         if others:  # what counts then is Hd̂ too, and H passes on a little more of white noise
-            noise *= math.sqrt(2.0 / (1.0 + float(table.change_memory)))
+            noise *= math.sqrt(2.0 / (1.0 + float(table.adaptive_threshold.change_memory)))
     found = Budget(
         model=float(np.abs(healthy(table, nominal).fault_estimate).max()),  # finite: limited
         noise=noise,

@@ -18,7 +18,7 @@ from can_rig.results.counterfactual import fault_free
 from can_rig.results.metrics import windows
 from can_rig.results.signals import Signals
 from can_rig.scenario.settings import Scenario
-from firmware_model.discretisation.sections import FloatArray
+from firmware_model.target.structs import FloatArray
 
 INK = "#1b1b1b"
 BLUE, ORANGE, GREEN = "#0b4f8a", "#b8461a", "#2f7d4f"  # of different greys in print

@@ -9,9 +9,10 @@ from can_rig.frames.messages import Network, load_network, shipped_dbc
 from can_rig.scenario.settings import PlantSettings, Scenario
 from firmware_model.design import plants
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
-from firmware_model.discretisation.tables import Target, build
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Target
 from firmware_model.errors import DesignError
-from firmware_model.target.layout import Record
+from firmware_model.target.structs import Record
 
 GOVERNED = 0.5  # share of the motor's limit that may go into the second derivative of D*
 

@@ -14,8 +14,8 @@ from typing import Any, ClassVar, Literal
 from pydantic import ConfigDict
 
 from firmware_model.design.vehicle import VehicleParameters
-from firmware_model.discretisation.tables import EstimatorRule
-from firmware_model.target.layout import MAX_LATENCY_TICKS
+from firmware_model.discretisation.targets import EstimatorRule
+from firmware_model.target.structs import MAX_LATENCY_TICKS
 
 FaultKind = Literal["none", "actuator-dead", "frames-missing", "frames-corrupted", "sensor-biased"]
 Channel = Literal["torque", "force-difference"]

@@ -16,7 +16,7 @@ from can_rig.scenario.settings import Scenario
 from can_rig.thesis.continuous import Solution, solve
 from firmware_model.analysis.sampled_plant import SampledPlant, advance_plant, measure_plant, sample
 from firmware_model.analysis.simulation import simulate
-from firmware_model.discretisation.sections import FloatArray
+from firmware_model.target.structs import FloatArray
 
 START_S = 0.02  # how much of the start of a closed loop is shown closely
 #: what may change without making another figure of it

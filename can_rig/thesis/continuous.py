@@ -27,7 +27,7 @@ from can_rig.plant.faults import CHANNELS
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.settings import Scenario
 from firmware_model.design.plants import Plant
-from firmware_model.discretisation.sections import FloatArray
+from firmware_model.target.structs import FloatArray
 
 OUTPUTS = ("r", "y", "u1", "u2", "d", "g1u1", "g2u2")
 StateSpace = tuple[FloatArray, FloatArray, FloatArray, FloatArray]

@@ -17,7 +17,7 @@ from can_rig.logs.frames import NS_PER_S
 from can_rig.results.report import BLUE, GREEN, INK, ORANGE
 from can_rig.scenario.settings import FaultSettings
 from can_rig.views.diff_picture import shade_loss
-from firmware_model.discretisation.sections import FloatArray
+from firmware_model.target.structs import FloatArray
 
 STYLES: Final[tuple[dict[str, Any], ...]] = (
     {"color": BLUE, "lw": 1.6},

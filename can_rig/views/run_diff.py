@@ -11,7 +11,7 @@ import numpy as np
 
 from can_rig.errors import LogError
 from can_rig.views.signal_table import SignalTable
-from firmware_model.discretisation.sections import FloatArray
+from firmware_model.target.structs import FloatArray
 
 
 @dataclass(frozen=True)

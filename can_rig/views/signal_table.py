@@ -20,7 +20,7 @@ from can_rig.results.run_folder import SIGNALS, SUMMARY
 from can_rig.results.signals import COLUMNS, Signals, cell, signals_of
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import FaultSettings, Scenario
-from firmware_model.discretisation.sections import FloatArray
+from firmware_model.target.structs import FloatArray
 
 TIME: Final = "time_s"
 

@@ -13,7 +13,7 @@ import pytest
 from can_rig.cli.main import main
 from can_rig.results.run_folder import LOG, REPORT, SIGNALS, SUMMARY
 from can_rig.scenario import loading as scenarios
-from firmware_model.target.layout import Mode
+from firmware_model.target.status import Mode
 from tests.helpers import decoded, record
 
 ROOT = Path(__file__).parents[2]

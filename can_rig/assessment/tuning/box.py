@@ -27,7 +27,7 @@ from firmware_model.analysis.sampled_loop import (
 from firmware_model.design.plants import Plant
 from firmware_model.design.vehicle import VehicleParameters
 from firmware_model.errors import DesignError
-from firmware_model.target.layout import Record
+from firmware_model.target.structs import Record
 
 Range = tuple[float, float]
 Law = tuple[LinearController, tuple[float, float]]  # and what is left of the actuators
@@ -125,7 +125,7 @@ def survives(table: Record, some: Iterable[Car], tick_s: float, spare_ticks: int
     """
     healthy, lost = laws(table)
     needed = [(law, extra) for extra in range(spare_ticks, -1, -1) for law in (healthy, lost)]
-    if table.on_confirmation:
+    if table.compensator.on_confirmation:
         needed.append(((lost[0], HEALTHY), 0))
     return all(_is_stable(law, car, tick_s, extra) for car in some for law, extra in needed)
 

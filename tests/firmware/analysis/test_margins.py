@@ -27,8 +27,9 @@ from firmware_model.analysis.simulation import simulate
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
 from firmware_model.design.plants import chapter_2, steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.discretisation.tables import Target, build
-from firmware_model.target.layout import MAX_LATENCY_TICKS
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Target
+from firmware_model.target.structs import MAX_LATENCY_TICKS
 
 CAR = steer_by_wire()
 PUBLISHED = design(CAR, DesignSpecification())
@@ -126,7 +127,7 @@ def simulate_late(
     from firmware_model.firmware import Firmware
 
     firmware, plant = Firmware(table), sample(CAR, tick_s)
-    line = [(0.0, 0.0)] * (int(table.latency_ticks) + late)
+    line = [(0.0, 0.0)] * (int(table.estimator.latency_ticks) + late)
     x, y = plant.rest, []
     for k in range(ticks):
         y.append(float(plant.c @ x))

@@ -15,10 +15,11 @@ from firmware_model.analysis.simulation import Trace, simulate
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.plants import Plant, steer_by_wire
 from firmware_model.design.vehicle import VehicleParameters
-from firmware_model.discretisation.sections import FloatArray
-from firmware_model.discretisation.tables import CHANGE_MEMORY_S, MOST_MEMORY_S, Target, build
+from firmware_model.discretisation.tables import CHANGE_MEMORY_S, PEAK_MEMORY_S, build
+from firmware_model.discretisation.targets import Target
 from firmware_model.target import controller
-from firmware_model.target.layout import FaultState, Mode
+from firmware_model.target.status import FaultState, Mode
+from firmware_model.target.structs import FloatArray
 
 TICK_S, LATENCY, LOST, TICKS = 1e-3, 1, 10_000, 12_000  # a step is forgotten by then
 CAR = steer_by_wire()
@@ -64,14 +65,14 @@ def by_scipy(trace: Trace, threshold: float) -> float:
     def change(signal: FloatArray) -> FloatArray:
         return lfilter([1.0, -1.0], [1.0, -np.exp(-TICK_S / CHANGE_MEMORY_S)], signal)
 
-    def most(signal: FloatArray) -> FloatArray:
-        age = np.arange(len(signal)) * TICK_S / MOST_MEMORY_S
+    def peak(signal: FloatArray) -> FloatArray:
+        age = np.arange(len(signal)) * TICK_S / PEAK_MEMORY_S
         return np.exp(np.maximum.accumulate(np.log(np.abs(signal) + 1e-300) + age) - age)
 
     expected, estimate = answer[:, 0], trace.fault_estimate
     shares = [
         np.maximum(np.abs(part(estimate)) - threshold, 0.0)
-        / np.maximum(most(part(expected)), 1e-12)
+        / np.maximum(peak(part(expected)), 1e-12)
         for part in (lambda signal: signal, change)
     ]
     return float(np.max(shares))
@@ -170,5 +171,8 @@ def test_changes_that_leave_the_numbers_are_forgotten(precision: str) -> None:
     with np.errstate(all="ignore"):
         for y in (0.0, huge, -huge, huge, *[0.0] * 3000):
             controller.step(table, state, 0.0, y)
-            assert np.isfinite([state.change, state.change_expected, state.most]).all()
+            watched = state.adaptive_threshold
+            assert np.isfinite(
+                [watched.change, watched.model_change, watched.peak_model_output]
+            ).all()
     assert state.mode == Mode.RUN

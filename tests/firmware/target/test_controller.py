@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import math
-import subprocess
-import sys
 
 import numpy as np
 import pytest
@@ -17,10 +15,11 @@ from firmware_model.analysis.simulation import simulate
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.plants import chapter_2, steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.discretisation.tables import Target, build, discretise
+from firmware_model.discretisation.tables import build, discretise
+from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
 from firmware_model.target import controller
-from firmware_model.target.layout import Mode
+from firmware_model.target.status import Mode
 
 CAR = steer_by_wire()
 DESIGN = design(CAR, DesignSpecification())
@@ -272,38 +271,6 @@ def test_a_batch_is_its_members() -> None:
         for i, single in enumerate(singles):
             answer = single.step(inputs[0][i], inputs[1][i])
             assert states["command_2"][i] == answer.command_2
-
-
-@pytest.mark.long
-def test_compiled_and_interpreted_are_bit_identical() -> None:
-    """The same script, once with numba and once without, in float64 and float32."""
-    script = """
-import numpy as np
-from firmware_model.design.continuous_design import DesignSpecification, design
-from firmware_model.firmware import Firmware
-from firmware_model.design.plants import steer_by_wire
-from firmware_model.discretisation.tables import Target, build
-d = design(steer_by_wire(), DesignSpecification())
-rng = np.random.default_rng(6)
-for precision in ("float64", "float32"):
-    for latency, rule, late in ((0, "tustin", False), (2, "zoh", False), (1, "zoh", True)):
-        f = Firmware(build(d, Target(1e-3, latency, rule, limit_1=300.0, limit_2=900.0, lsb_1=1e-3,
-                                     lsb_2=1e-3, rate_2=5e4, threshold=0.5, confirm_ticks=2,
-                                     on_confirmation=late, precision=precision)))
-        for r, y in rng.standard_normal((60, 2)):
-            print([x.hex() if isinstance(x, float) else x for x in f.step(r, y)])
-"""
-    outputs = [
-        subprocess.run(
-            [sys.executable, "-c", script],
-            check=True,
-            capture_output=True,
-            env={"NUMBA_DISABLE_JIT": flag, "PYTHONPATH": ".", "PATH": ""},
-        ).stdout
-        for flag in ("0", "1")
-    ]
-    assert outputs[0].count(b"\n") == 360
-    assert outputs[0] == outputs[1]
 
 
 @pytest.mark.long

@@ -9,11 +9,12 @@ from firmware_model.analysis.sampled_plant import follow_plant, sample
 from firmware_model.analysis.simulation import Trace, simulate
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.plants import steer_by_wire
-from firmware_model.discretisation.sections import FloatArray
-from firmware_model.discretisation.tables import Target, build
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
 from firmware_model.target import controller
-from firmware_model.target.layout import FaultState, Mode
+from firmware_model.target.status import FaultState, Mode
+from firmware_model.target.structs import FloatArray
 
 CAR = steer_by_wire()
 TICK_S = 1e-3
@@ -179,7 +180,7 @@ def test_the_share_is_that_of_a_loss_within_some_ticks_of_noise() -> None:
         left = 1.0 if k < LOST else 0.4
         y = follow_plant(PLANT.phi, PLANT.gamma, PLANT.c, x, left * late[0], late[1])
         late = float(state.command_1), float(state.command_2)
-        shares.append(float(state.share_lost))
+        shares.append(float(state.loss_model.share))
     settled = np.array(shares[LOST + 300 :])
     assert settled.mean() == pytest.approx(0.6, abs=0.01)
     assert settled.std() < 0.01
@@ -193,5 +194,5 @@ def test_an_overflow_of_the_share_is_forgotten(precision: str) -> None:
     state = controller.init(table)[0]
     for y in (0.0, huge, -huge, huge, *[0.0] * 400):
         controller.step(table, state, huge if abs(y) > 0.0 else 0.0, y)
-        assert np.isfinite([state.share_lost, *state.share_sums]).all()
+        assert np.isfinite([state.loss_model.share, *state.loss_model.sums]).all()
     assert state.mode == Mode.RUN

@@ -18,9 +18,10 @@ from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
-from firmware_model.discretisation.tables import Target, build
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Answer, Firmware
-from firmware_model.target.layout import FaultState
+from firmware_model.target.status import FaultState
 
 STEP = ("duration_s=3.0", "fault.kind=none")
 

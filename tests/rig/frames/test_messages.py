@@ -43,7 +43,7 @@ def test_network_holds_one_frame_of_every_role():
 
 
 def test_the_value_tables_are_the_firmware_s():
-    from firmware_model.target.layout import FaultState, Mode
+    from firmware_model.target.status import FaultState, Mode
 
     status = load_network(STEER_BY_WIRE).status
     assert status.modes == {int(mode): mode.name for mode in Mode}

@@ -22,7 +22,7 @@ from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import load
 from firmware_model.design.vehicle import VehicleParameters, vehicle_state_space
-from firmware_model.target.layout import FaultState, Mode
+from firmware_model.target.status import FaultState, Mode
 from tests.helpers import NAMES, decoded, record
 
 LSB = 1e-8  # of D* on the wire

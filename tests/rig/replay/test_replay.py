@@ -28,7 +28,7 @@ from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.loading import from_run, load
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
-from firmware_model.target.layout import Mode
+from firmware_model.target.status import Mode
 from tests.helpers import NAMES, asked, record, rig
 
 TICKS = 400
