@@ -47,7 +47,7 @@ def loop_of(
 
 @pytest.mark.parametrize("n", [0, 1, 2, 3])
 def test_high_frequency_limit_of_an_estimator_that_ignores_the_delay(n: int) -> None:
-    """MATHS trap 1: z^(n+1) - z^n + T/τ = 0, stable for T/τ < 2 sin(π/(2(2n+1))).
+    """Trap 1: z^(n+1) - z^n + T/τ = 0, stable for T/τ < 2 sin(π/(2(2n+1))).
 
     T far below the plant's times, no tracking loop, a Tustin F1 and a bus n ticks late.
     """

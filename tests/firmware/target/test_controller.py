@@ -97,7 +97,7 @@ def test_algebraic_loop_is_solved_under_saturation(y: list[float]) -> None:
 @pytest.mark.parametrize("variant", ["physics", "published"])
 @pytest.mark.parametrize("latency", [0, 1, 2, 5])
 def test_exact_estimator_is_silent_while_healthy(variant: str, latency: int) -> None:
-    """MATHS trap 3: d̂ is zero to rounding for any reference and any latency."""
+    """Trap 3: d̂ is zero to rounding for any reference and any latency."""
     plant = steer_by_wire(variant=variant)  # type: ignore[arg-type]
     slow = DesignSpecification(tau_s=0.02, tau_q_s=0.02)
     table = build(design(plant, slow), Target(1e-3, latency, "zoh"))
@@ -125,7 +125,7 @@ def test_estimate_equals_the_lost_channel_after_the_fault(variant: str) -> None:
 
 @pytest.mark.long
 def test_published_tuning_survives_no_tick_of_latency() -> None:
-    """MATHS trap 2: ignoring the delay it diverges healthy; matching it, after the fault."""
+    """Trap 2: ignoring the delay it diverges healthy; matching it, after the fault."""
     plant = sample(CAR, 1e-3)
     left = np.ones((6000, 2))
     left[3000:, 0] = 0.0

@@ -18,7 +18,7 @@ def of(*settings: str, name: str = "default") -> Authority:
 
 
 def test_needs_what_the_settled_run_holds() -> None:
-    """MATHS, trap 7: 2989 N per m/s² of the physics car, 3455 N of the published one."""
+    """Trap 7: 2989 N per m/s² of the physics car, 3455 N of the published one."""
     assert of().needed_n == pytest.approx(2989.0, abs=1.0)
     assert of("plant.variant=published").needed_n == pytest.approx(3455.0, abs=1.0)
     assert of("reference.amplitude_mps2=-0.5").needed_n == pytest.approx(1494.6, abs=0.5)

@@ -49,7 +49,7 @@ def largest_estimate(scenario: Scenario) -> float:
 
 @pytest.mark.parametrize("rule", ["tustin", "tustin-held", "zoh"])
 def test_model_is_what_the_rule_leaves_on_the_reference(rule: str) -> None:
-    """MATHS, trap 3: nothing for ZOH, some for Tustin of a held input, most for Tustin."""
+    """Trap 3: nothing for ZOH, some for Tustin of a held input, most for Tustin."""
     settings = (f"design.estimator={rule}", "design.tau_s=0.005", "design.tau_q_s=0.005")
     found = parts("thesis-step", *settings)["model"]
     assert found == pytest.approx(largest_estimate(load("thesis-step", [*STEP, *settings])))

@@ -143,7 +143,7 @@ def test_the_peak_is_that_of_a_run_and_the_unavoidable_is_below_it(found: Tuning
     )
     assert np.abs(trace.error[loss:]).max() == pytest.approx(chosen.peak_mps2, rel=1e-3)
     steady_nm = 1.0 / car.g1.dc_gain
-    unavoidable = 0.5 * 2.00930 / 1.0 * steady_nm * 0.002**2  # MATHS trap 11: N1's leading term
+    unavoidable = 0.5 * 2.00930 / 1.0 * steady_nm * 0.002**2  # trap 11: N1's leading term
     assert chosen.unavoidable_mps2 == pytest.approx(unavoidable, rel=1e-4)
     assert chosen.peak_ratio >= 1.0
 
@@ -237,7 +237,7 @@ def test_a_grid_of_round_numbers_follows_the_tick() -> None:
 def test_an_unstable_or_impossible_candidate_is_none() -> None:
     scenario = scenario_of(ALWAYS, "latency_ticks=2")
     car = cars(scenario.model, {})
-    assert assess(scenario, (0.0002, 1, 0.001, 2), car, 0) is None  # MATHS trap 1
+    assert assess(scenario, (0.0002, 1, 0.001, 2), car, 0) is None  # trap 1
     assert assess(scenario, (0.02, 1, 0.02, 1), car, 0) is None  # q̂/G1 improper
 
 

@@ -302,7 +302,7 @@ def test_unavoidable_is_what_a_loss_does_before_anything_can_answer(
     _, step = signal.step(signal.ZerosPolesGain(g1.zeros, g1.poles, g1.gain), T=times)
     found = metrics(scenario, signals)["unavoidable_deviation_mps2"]
     assert found == pytest.approx((1.0 - left) * torque * step[-1], rel=1e-6)
-    # MATHS, trap 11
+    # trap 11
     short = 0.5 * g1.gain * torque * ((latency + 1) * scenario.tick_s) ** 2
     assert found == pytest.approx((1.0 - left) * short, rel=0.05)
 
