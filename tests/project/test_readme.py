@@ -8,11 +8,13 @@ import tomllib
 from pathlib import Path
 from typing import Any
 
+import click
 import pytest
 
-from can_rig.cli.main import main
+from can_rig.assessment.resolve import load, resolve
+from can_rig.cli.main import COMMANDS, main
 from can_rig.results.run_folder import LOG, REPORT, SIGNALS, SUMMARY
-from can_rig.scenario import loading as scenarios
+from can_rig.scenario.loading import draft
 from firmware_model.target.layout import Mode
 from tests.helpers import decoded, record
 
@@ -33,10 +35,11 @@ TOOLS = [line.split()[0] for line in LINES if line.startswith("./tools/")]
 @pytest.mark.parametrize("line", RIG)
 def test_a_command_parses_and_its_scenario_loads(line: str) -> None:
     _, name, *arguments = shlex.split(line)
-    command = main.commands[name]
+    command = main.get_command(click.Context(main), name)
+    assert command is not None
     context = command.make_context(name, list(arguments))
     if "scenario" in context.params:
-        scenarios.load(context.params["scenario"], context.params["settings"])
+        load(context.params["scenario"], context.params["settings"])
 
 
 def test_the_two_commands_come_first_and_are_there() -> None:
@@ -48,7 +51,7 @@ def test_the_two_commands_come_first_and_are_there() -> None:
 def test_the_scenario_loads() -> None:
     (text,) = blocks("toml")
     values = tomllib.loads(text)
-    scenario = scenarios.from_dict("my-car", values)
+    scenario = resolve(draft("my-car", values))
     assert (scenario.plant.speed_mps, scenario.fault.for_s) == (25.0, 2.0)
 
 
@@ -70,7 +73,7 @@ def test_the_log_example_runs(tmp_path: Path) -> None:
 
 def test_every_command_is_listed_and_every_listed_command_is_there() -> None:
     listed = set(re.findall(r"`can-rig ([a-z]+)", README))
-    assert listed == set(main.commands)
+    assert listed == set(COMMANDS)
 
 
 def test_every_file_that_it_names_is_there() -> None:
