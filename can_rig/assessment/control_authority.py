@@ -65,8 +65,8 @@ class Authority:
 
 
 def authority(scenario: Scenario, network: Network) -> Authority | None:
-    """The authority of ``scenario``'s X_diff; None for ``chapter-2``, which is no car."""
-    if scenario.model.kind == "chapter-2":
+    """The authority of ``scenario``'s X_diff; None where the plant is no car."""
+    if not scenario.model.is_car:
         return None
     car = car_of(scenario.plant)
     force_per_mps2 = 1.0 / abs(continuous_plant(scenario.plant).g2.dc_gain)

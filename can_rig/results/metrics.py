@@ -68,7 +68,7 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
     picture have D* as measured. What X_diff needs and can carry is there where the torque is lost.
     """
     window = windows(scenario, signals)
-    closed = scenario.model.kind != "chapter-2"
+    closed = scenario.model.closed_loop
     bias = _bias(scenario, signals)
     error = np.abs(signals.error_mps2 + bias) if closed else np.full(len(signals), np.nan)
     estimate = np.abs(signals.fault_estimate_mps2)

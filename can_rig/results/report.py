@@ -65,7 +65,7 @@ def page(
     for axis in axes:
         axis.grid(alpha=0.3, lw=0.5)
         axis.margins(x=0.0, y=0.08)
-    if scenario.model.kind == "chapter-2":
+    if not scenario.model.closed_loop:
         beside, label, distance = (
             fault_free(scenario, signals).dstar_mps2,
             "without the fault",
@@ -193,7 +193,7 @@ def _title(scenario: Scenario) -> str:
             what = f"sensor biased by {fault.bias_mps2:g} m/s², at {fault.at_s:g} s{until}"
     ticks = "tick" if scenario.latency_ticks == 1 else "ticks"
     rig = f"tick {scenario.tick_s * 1e3:g} ms, latency {scenario.latency_ticks} {ticks}"
-    car = plant.kind if plant.kind == "chapter-2" else f"{plant.kind}, {plant.variant}"
+    car = f"{plant.kind}, {plant.variant}" if plant.is_car else plant.kind
     return f"{scenario.name}: {what}\n{car}; {rig}; compensation {scenario.design.compensation}"
 
 

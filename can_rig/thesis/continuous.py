@@ -99,7 +99,7 @@ def closed_loop(scenario: Scenario, left: tuple[float, float]) -> StateSpace:
     """
     car, model = continuous_plant(scenario.plant), continuous_plant(scenario.model)
     chosen = scenario.design
-    closed = scenario.model.kind != "chapter-2"
+    closed = scenario.model.closed_loop
     blocks = [
         control.ss(car.a, car.b * left, car.c, 0.0, inputs=["u1", "u2"], outputs=["y"]),
         control.ss(model.a, model.b[:, :1], model.c, 0.0, inputs=["u1"], outputs=["g1u1"]),

@@ -12,8 +12,9 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.check import check, refuse_unstable, working_tuning
+from can_rig.assessment.resolve import load
 from can_rig.errors import ScenarioError
-from can_rig.scenario.loading import load, shipped
+from can_rig.scenario.catalogue import shipped
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, margins
 from firmware_model.analysis.sampled_loop import linear_controller, sampled_loop
 from firmware_model.analysis.sampled_plant import sample

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from can_rig.assessment.control_authority import Authority, authority
+from can_rig.assessment.resolve import load
 from can_rig.plant.nonlinear_car import NonlinearCar
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import load
 
 
 def of(*settings: str, name: str = "default") -> Authority:

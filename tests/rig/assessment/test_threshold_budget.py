@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 from scipy import stats
 
+from can_rig.assessment.resolve import load
 from can_rig.assessment.threshold_budget import budget, sigmas_for
 from can_rig.errors import ScenarioError
 from can_rig.plant.simulated import LinearPlant
 from can_rig.scenario.build import continuous_design, controller_table, network_of
-from can_rig.scenario.loading import load
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import sample
@@ -133,8 +133,11 @@ def test_no_healthy_car_of_the_box_raises_an_alarm(vertex: float) -> None:
 @pytest.mark.parametrize(
     ("settings", "expected"),
     [
-        (["budget.box=1.5"], "budget.box = 1.5: 0 to below 1 is right"),
-        (["budget.false_alarms_per_hour=0"], "budget.false_alarms_per_hour = 0: above 0 is right"),
+        (["budget.box=1.5"], "budget.box = 1.5: must be less than 1"),
+        (
+            ["budget.false_alarms_per_hour=0"],
+            "false_alarms_per_hour = 0: must be greater than 0",
+        ),
         (["budget.boxes=1"], "did you mean box?"),
         (["design.fault_threshold_mps2=budget"], "design.fault_threshold_mps2"),
     ],

@@ -13,6 +13,7 @@ import matplotlib.image
 import numpy as np
 import pytest
 
+from can_rig.assessment.resolve import load
 from can_rig.assessment.tuning.box import (
     MOST_DELAY_TICKS,
     Car,
@@ -27,7 +28,6 @@ from can_rig.assessment.tuning.report import as_dict, options, rows, why
 from can_rig.assessment.tuning.search import ALIKE, Tunings, tune
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_design, continuous_plant, target
-from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.delay_margin import delay_margins
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, law_in

@@ -11,6 +11,7 @@ import pytest
 from scipy import signal
 
 from can_rig.assessment.check import check
+from can_rig.assessment.resolve import load
 from can_rig.errors import RigError
 from can_rig.nodes.lockstep import StopRequest
 from can_rig.nodes.nodes import run_in_process
@@ -19,7 +20,6 @@ from can_rig.results.counterfactual import fault_free
 from can_rig.results.metrics import Metrics, metrics, rows, windows
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from can_rig.thesis.continuous import solve
 from firmware_model.design.plants import steer_by_wire

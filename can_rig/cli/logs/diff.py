@@ -2,39 +2,66 @@
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Mapping, Sequence
+import sys
+from collections.abc import Iterator, Mapping
 from pathlib import Path
 
-from rich.console import Console
-from rich.table import Table
+import click
 
-from can_rig.errors import LogError
-from can_rig.files import atomic, refuse_existing
-from can_rig.scenario import loading as scenarios
+from can_rig.cli.logs.picture import refuse_picture
+from can_rig.cli.options import force_option, json_option
+from can_rig.cli.output import json_line, table, wide
+from can_rig.files import atomic
+from can_rig.scenario.loading import read
 from can_rig.views.run_diff import Difference, compare, tolerances_of
 from can_rig.views.signal_table import read_table, unit
 
 
-def diff_command(
-    paths: tuple[Path, Path],
-    tolerances: Sequence[str],
-    scenario: str,
+@click.command("diff")
+@click.argument("run_a", type=click.Path(path_type=Path))
+@click.argument("run_b", type=click.Path(path_type=Path))
+@click.option(
+    "--tolerance",
+    "tolerances",
+    multiple=True,
+    metavar="SIGNAL=VALUE",
+    help="Largest difference of a signal that counts as none, in its unit, as in torque_nm=0.01; "
+    "repeatable.  [default: 0]",
+)
+@click.option(
+    "--scenario",
+    "scenario_name",
+    default="default",
+    show_default=True,
+    metavar="NAME",
+    help="Frames and tick of what is a log and no run folder.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.png",
+    help="Draw where they part.",
+)
+@json_option()
+@force_option
+def command(
+    run_a: Path,
+    run_b: Path,
+    tolerances: tuple[str, ...],
+    scenario_name: str,
     out: Path | None,
-    force: bool,
     as_json: bool,
-) -> int:
-    """``can-rig diff``: 0 the same within tolerance, 1 different.
+    force: bool,
+) -> None:
+    """Compare RUN_A and RUN_B (run folders, signals.csv files or logs), signal by signal.
 
-    Raises:
-        LogError: one cannot be read, or the picture not be written.
-        ScenarioError: no such scenario.
+    Exit status: 0 the same within tolerance, 1 different.
     """
     if out is not None:
         refuse_picture(out, force)
     allowed = tolerances_of(tolerances)
-    chosen = scenarios.load(scenario)
-    a, b = (read_table(path, chosen) for path in paths)
+    scenario = read(scenario_name).scenario
+    a, b = (read_table(path, scenario) for path in (run_a, run_b))
     difference = compare(a, b, allowed)
     if out is not None:
         from can_rig.views.diff_picture import draw_difference  # noqa: PLC0415 (matplotlib)
@@ -42,34 +69,20 @@ def diff_command(
         with atomic(out) as part:
             draw_difference(part, a, b, difference, (a.label, b.label))
     if as_json:
-        print(json.dumps({"a": a.label, "b": b.label, **difference.as_dict()}))
+        json_line(a=a.label, b=b.label, **difference.as_dict())
     else:
         print_difference(difference, (a.label, b.label))
-    return 0 if difference.same else 1
-
-
-def refuse_picture(path: Path, force: bool) -> None:
-    """Refuse a picture that cannot be one, or is there.
-
-    Raises:
-        LogError: the reason.
-    """
-    if path.suffix.lower() != ".png":
-        raise LogError(f"{path}: a picture is written as FILE.png")
-    refuse_existing(path, force, "--out")
+    sys.exit(0 if difference.same else 1)
 
 
 def print_difference(
     difference: Difference, labels: tuple[str, str], units: Mapping[str, str] | None = None
 ) -> None:
     """The table, and what it cannot say."""
-    console = Console(soft_wrap=True, highlight=False)
-    console.width = max(console.width, 120)
-    table = Table(box=None, pad_edge=False)
     headings = ("signal", "largest difference", "at s", "tolerance", "rows beyond", "first at s")
-    for heading in (*headings, *labels):
-        left = heading == "signal"
-        table.add_column(heading, justify="left" if left else "right", overflow="fold")
+    signals = table(*headings, *labels)
+    for column in signals.columns:
+        column.overflow = "fold"
     for signal in difference.signals:
         measure = (units or {}).get(signal.signal, unit(signal.signal))
         row = [signal.signal, f"{signal.largest:.4g} {measure}".rstrip()]
@@ -77,8 +90,9 @@ def print_difference(
         row += [str(signal.beyond), _time(signal.first_at_s)]
         if signal.beyond:
             row += [_number(signal.first_a), _number(signal.first_b)]
-        table.add_row(*row)
-    console.print(table)
+        signals.add_row(*row)
+    console = wide()
+    console.print(signals)
     for line in _lines(difference, labels):
         console.print(line, markup=False)
 

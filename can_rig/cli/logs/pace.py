@@ -2,15 +2,15 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Iterator
 from dataclasses import asdict
 from fractions import Fraction
 from pathlib import Path
 
-from rich.console import Console
+import click
 
 from can_rig.buses.bus import open_bus
+from can_rig.cli.output import json_line, note, tell
 from can_rig.cli.progress import reading
 from can_rig.errors import INTERRUPTED
 from can_rig.logs.frames import NS_PER_S
@@ -23,7 +23,20 @@ CHUNK_FRAMES = 256
 """Small, so that the bar moves while a slow log is played."""
 
 
-def pace_command(
+def speed_of(text: str) -> Fraction | None:
+    """A factor above zero, exact; None for ``max``."""
+    if text == "max":
+        return None
+    try:
+        speed = Fraction(text)
+    except (ValueError, ZeroDivisionError):
+        speed = Fraction(0)
+    if speed <= 0:
+        raise click.UsageError(f"--speed {text}: must be a number above 0, as in 0.5, or max")
+    return speed
+
+
+def pace(
     path: Path, bus_name: str, speed: Fraction | None, channel: str | None, as_json: bool
 ) -> int:
     """Put every frame of the log on the bus: the exit status.
@@ -38,13 +51,10 @@ def pace_command(
         pacer = Pacer(bus, speed, stop)
         result = pacer.send_all(only_channel(reading(log, f"to {bus_name}"), channel, log.path))
     if as_json:
-        print(json.dumps({"log": str(log.path), **asdict(result), "notice": log.notice}))
+        json_line(log=str(log.path), **asdict(result), notice=log.notice)
     else:
-        console = Console(stderr=True, soft_wrap=True, highlight=False)
-        for line in _lines(result, speed):
-            console.print(line, markup=False)
-        if log.notice:
-            console.print(f"note: {log.notice}", style="yellow", markup=False)
+        tell(*_lines(result, speed))
+        note(log.notice)
     return INTERRUPTED if stop.wanted else 0
 
 

@@ -3,73 +3,70 @@
 from __future__ import annotations
 
 import difflib
-from collections.abc import Sequence
 from pathlib import Path
-from typing import Final
 
+import click
 from cantools.database.can import Database
-from rich.console import Console
 
-from can_rig.cli.diff_command import refuse_picture
+from can_rig.cli.logs.own_dbc import own_dbc
+from can_rig.cli.logs.picture import refuse_picture
+from can_rig.cli.options import channel_option, dbc_options, force_option, log_argument
+from can_rig.cli.output import note, say
 from can_rig.cli.progress import reading
 from can_rig.decoding.database import load_database
 from can_rig.decoding.decode import Decoder
 from can_rig.decoding.message_columns import MessageColumns, joined
-from can_rig.errors import DbcError, LogError, ScenarioError
+from can_rig.errors import DbcError, LogError
 from can_rig.files import atomic
-from can_rig.frames.messages import shipped_dbc
 from can_rig.logs.reading import read_log
-from can_rig.replay.source import log_path, source_of
+from can_rig.replay.source import log_path
+from can_rig.views.plot_picture import plot_page
 from can_rig.views.signal_table import fault_of
 
-CAR: Final = "steer_by_wire.dbc"
 
-
-def plot_command(
-    path: Path,
-    names: Sequence[str],
+@click.command("plot")
+@log_argument
+@click.argument("signals", nargs=-1, required=True, metavar="SIGNAL...")
+@dbc_options
+@channel_option
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.png",
+    help="The picture.  [default: the log's name, .png]",
+)
+@force_option
+def command(
+    log: Path,
+    signals: tuple[str, ...],
     dbc: Path | None,
-    strict: bool,
+    no_strict: bool,
     channel: str | None,
     out: Path | None,
     force: bool,
-) -> int:
-    """Draw signals of a log: the exit status.
-
-    Raises:
-        LogError: the log cannot be read, the picture not be written, or there is nothing to draw.
-        DbcError: the DBC cannot be read, or has no such signal.
-    """
-    out = out or Path(f"{_bare(path)}.png")
+) -> None:
+    """Draw SIGNALs of LOG: MESSAGE.Signal, or Signal where only one message has it."""
+    out = out or Path(f"{_bare(log)}.png")
     refuse_picture(out, force)
-    database = load_database(dbc or _own_dbc(path), strict)
-    wanted = [resolve(database, name) for name in names]
+    database = load_database(dbc or own_dbc(log), not no_strict)
+    wanted = [resolve(database, name) for name in signals]
     decoder = Decoder(database, None, {f"{m}.{s}" for m, s in wanted}, channel)
-    log = read_log(log_path(path))
+    source = read_log(log_path(log))
     parts: dict[str, list[MessageColumns]] = {}
-    for frames in reading(log, "reading"):
+    for frames in reading(source, "reading"):
         for name, columns in decoder.decode(frames).items():
             parts.setdefault(name, []).append(columns)
     found = {name: joined(columns) for name, columns in parts.items()}
     drawn = [pair for pair in wanted if len(found.get(pair[0], ()))]
     absent = sorted({message for message, _ in wanted if not len(found.get(message, ()))})
     if not drawn:
-        raise LogError(
-            decoder.nothing_on_channel
-            or f"{log.path}: no frame of {', '.join(absent)} in it that can be decoded"
-        )
-    from can_rig.views.plot_picture import plot_page  # noqa: PLC0415 (matplotlib)
-
-    fault = fault_of(path) if path.is_dir() else None
-    page = plot_page(found, drawn, log.start_ns, fault)
+        nothing = decoder.nothing_on_channel or f"no frame of {', '.join(absent)} can be decoded"
+        raise LogError(f"{source.path}: {nothing}")
+    page = plot_page(found, drawn, source.start_ns, fault_of(log) if log.is_dir() else None)
     with atomic(out) as part:
         page.savefig(part, dpi=150, format="png")
-    notes = Console(stderr=True, soft_wrap=True)
-    for note in (log.notice, f"no frame of {', '.join(absent)}" if absent else None):
-        if note:
-            notes.print(f"note: {note}", style="yellow", markup=False, highlight=False)
-    Console(soft_wrap=True).print(f"picture in {out}", markup=False, highlight=False)
-    return 0
+    note(source.notice, f"no frame of {', '.join(absent)}" if absent else None)
+    say(f"picture in {out}")
 
 
 def resolve(database: Database, name: str) -> tuple[str, str]:
@@ -87,7 +84,7 @@ def resolve(database: Database, name: str) -> tuple[str, str]:
     if found:
         raise DbcError(
             f"signal {name} is in more than one message; "
-            f"{' or '.join('.'.join(pair) for pair in found[:4])} is right"
+            f"must be {' or '.join('.'.join(pair) for pair in found[:4])}"
         )
     by_lower = {}
     for pair in every:
@@ -105,11 +102,3 @@ def _bare(path: Path) -> str:
     """The name of a log without what says its format."""
     name = path.resolve().name.removesuffix(".gz")
     return name if path.is_dir() else Path(name).stem
-
-
-def _own_dbc(path: Path) -> Path:
-    """The DBC of a run folder's scenario; otherwise that of the car."""
-    try:
-        return shipped_dbc(source_of(path, None, ()).scenario.dbc if path.is_dir() else CAR)
-    except ScenarioError:  # a run that was killed before its run.json
-        return shipped_dbc(CAR)

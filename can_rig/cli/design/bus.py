@@ -1,56 +1,72 @@
-"""``can-rig bus``: the bus timing of a scenario, or of any DBC, for a person or as JSON."""
+"""``can-rig bus``: the bus timing of a scenario, or of any DBC."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+import sys
+from collections.abc import Iterator
 from fractions import Fraction
 from pathlib import Path
 from typing import Any
 
-from rich.console import Console
-from rich.table import Table
+import click
 
 from can_rig.assessment.bus_timing.timing import BusTiming, FrameTiming, dbc_timing, network_timing
-from can_rig.nodes.nodes import json_line
+from can_rig.cli.options import json_option, scenario_options
+from can_rig.cli.output import json_line, say, show, table
 from can_rig.plant.protocol import load_plant
-from can_rig.scenario import loading as scenarios
 from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import read
 
 COLUMNS = ("frame", "identifier", "bits", "time", "released", "response", "arrives", "slack")
 NO_BOUND = "∞"
 
 
-def bus_command(
-    name: str,
-    settings: Sequence[str],
+@click.command("bus")
+@scenario_options
+@click.option(
+    "--dbc",
+    type=click.Path(path_type=Path, dir_okay=False),
+    help="Look at all messages of this DBC that have a cycle time, not at the scenario.",
+)
+@click.option(
+    "--bitrate",
+    type=click.IntRange(min=1),
+    metavar="BIT/S",
+    help="Nominal bit rate.  [default: the scenario's bus.bitrate]",
+)
+@click.option(
+    "--data-bitrate",
+    type=click.IntRange(min=1),
+    metavar="BIT/S",
+    help="Bit rate of the data phase of FD frames.  [default: they do not switch]",
+)
+@json_option("One line of JSON.")
+def command(
+    scenario: str,
+    settings: tuple[str, ...],
     dbc: Path | None,
-    rates: tuple[int | None, int | None],
+    bitrate: int | None,
+    data_bitrate: int | None,
     as_json: bool,
-) -> int:
-    """``can-rig bus``: the exit status, 0 where every frame is sure to be sent in time, else 1.
+) -> None:
+    """Say when the frames arrive at worst, and the latency in ticks that follows.
 
-    Args:
-        name: scenario whose five frames are looked at.
-        settings: changes to it.
-        dbc: another network to look at instead.
-        rates: nominal and data bit rate [bit/s]; None for the scenario's, and for no data phase.
-        as_json: one line of JSON instead of a table.
+    Exit status: 0 if every frame is sure to be sent in time, 1 if not.
     """
-    # The latency is what is asked for; a scenario that wants it from the bus must not stop that.
-    scenario = scenarios.load(name, [*settings, "latency_ticks=0"])
-    bitrate, data_bitrate = rates[0] or scenario.bus.bitrate, rates[1]
+    chosen = read(scenario, settings).scenario  # its latency is what is asked for
+    bitrate = bitrate or chosen.bus.bitrate
     if dbc is not None:
         timing = dbc_timing(dbc, bitrate, data_bitrate)
     else:
-        if scenario.plant.is_class:
-            load_plant(scenario.plant.kind, scenario.plant)  # no timing for what cannot run
-        compute_s = scenario.bus.compute_s
-        timing = network_timing(network_of(scenario), bitrate, scenario.tick_s, compute_s)
+        if chosen.plant.is_class:
+            load_plant(chosen.plant.kind, chosen.plant)  # no timing for what cannot run
+        compute_s = chosen.bus.compute_s
+        timing = network_timing(network_of(chosen), bitrate, chosen.tick_s, compute_s)
     if as_json:
         json_line(**as_dict(timing))
     else:
-        _print(timing, None if dbc else scenario.tick_s)
-    return 0 if timing.schedulable else 1
+        _print(timing, None if dbc else chosen.tick_s)
+    sys.exit(0 if timing.schedulable else 1)
 
 
 def as_dict(timing: BusTiming) -> dict[str, Any]:
@@ -88,22 +104,19 @@ def table_rows(timing: BusTiming) -> Iterator[tuple[str, ...]]:
 
 
 def _print(timing: BusTiming, tick_s: float | None) -> None:
-    console = Console()
-    table = Table(title="worst case, times in µs", box=None, pad_edge=False)
-    table.add_column(COLUMNS[0], overflow="fold")  # gives way, where a name is long, to numbers
-    for heading in COLUMNS[1:]:
-        table.add_column(heading, justify="right", no_wrap=True)
+    shown = table(*COLUMNS, title="worst case, times in µs")
+    shown.columns[0].overflow = "fold"  # a long name gives way to the numbers
+    for column in shown.columns[1:]:
+        column.no_wrap = True
     for row in table_rows(timing):
-        table.add_row(*row)
-    console.print(table)
-    lines = [f"utilisation {float(timing.utilisation):.1%} of {timing.bitrate} bit/s"]
+        shown.add_row(*row)
+    show(shown)
+    say(f"utilisation {float(timing.utilisation):.1%} of {timing.bitrate} bit/s")
     if tick_s is not None and timing.latency_ticks is not None:
-        lines.append(f"latency_ticks = {timing.latency_ticks} at a tick of {tick_s * 1e3:g} ms")
+        say(f"latency_ticks = {timing.latency_ticks} at a tick of {tick_s * 1e3:g} ms")
     if timing.left_out:
-        lines.append(f"left out: {', '.join(timing.left_out)}")
-    verdict = "every frame meets its deadline" if timing.schedulable else _late(timing)
-    for line in (*lines, verdict):
-        console.print(line, soft_wrap=True, markup=False, highlight=False)
+        say(f"left out: {', '.join(timing.left_out)}")
+    say("every frame meets its deadline" if timing.schedulable else _late(timing))
 
 
 def _late(timing: BusTiming) -> str:

@@ -1,73 +1,30 @@
-"""``can-rig replay``, open loop: a log through today's controller, and what came out."""
+"""What ``can-rig replay`` prints of an open-loop replay, for a person and as JSON."""
 
 from __future__ import annotations
 
-import json
 import math
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 from typing import Any, Final
 
 from rich.console import Console
 from rich.table import Table
 
-from can_rig.errors import LogError
-from can_rig.files import atomic, refuse_existing
+from can_rig.cli.output import note, table, wide
 from can_rig.replay.comparison import Place, SignalComparison
-from can_rig.replay.gaps import Gap, in_order, seconds, write_gaps
+from can_rig.replay.gaps import Gap, seconds
 from can_rig.replay.replay import OpenLoop
 from can_rig.replay.source import Source
-from can_rig.scenario.build import network_of
 
 SHOWN: Final = 12
 """Gaps in the table; --gaps has all."""
-
-WIDTH: Final = 120
-"""Least characters of a line of output."""
 
 KEPT: Final = 1000
 """Gaps in the JSON object."""
 
 
-def replay_command(source: Source, gaps: Path | None, force: bool, as_json: bool) -> int:
-    """``can-rig replay``, open loop: 0 if nothing differs, else 1.
-
-    Raises:
-        LogError: the log cannot be read, or nothing of it can be compared.
-        ScenarioError: a design that cannot be made.
-    """
-    if gaps is not None:
-        refuse_existing(gaps, force, "--gaps")
-    found: list[Gap] = []
-    with _all_gaps(gaps) as write:
-        loop = OpenLoop(source.scenario, network_of(source.scenario), found.append)
-        loop.run(source.frames("replaying"))
-        listed = in_order(found)
-        write(listed)
-    if not any(signal.compared for signal in loop.comparison.signals):
-        raise LogError(
-            f"{source.log.path}: no frame of a controller in it that could be compared "
-            f"({loop.comparison.ticks} ticks were replayed); a log of both nodes is right"
-        )
-    if as_json:
-        print(json.dumps(_summary(source, loop, listed), ensure_ascii=False))
-    else:
-        _print(source, loop, listed, gaps)
-    return 0 if loop.comparison.identical else 1
-
-
-@contextmanager
-def _all_gaps(path: Path | None) -> Iterator[Callable[[list[Gap]], None]]:
-    """Writes the list, or does not; what cannot be written is refused before the replay."""
-    if path is None:
-        yield lambda gaps: None
-        return
-    with atomic(path) as part, part.open("w", encoding="utf-8", newline="") as file:
-        yield lambda gaps: write_gaps(file, gaps)
-
-
-def _summary(source: Source, loop: OpenLoop, listed: list[Gap]) -> dict[str, Any]:
+def summary(source: Source, loop: OpenLoop, listed: list[Gap]) -> dict[str, Any]:
+    """For JSON."""
     comparison = loop.comparison
     return {
         "log": str(source.log.path),
@@ -104,8 +61,9 @@ def _counts(loop: OpenLoop) -> dict[str, dict[str, int]]:
     return counts
 
 
-def _print(source: Source, loop: OpenLoop, listed: list[Gap], gaps: Path | None) -> None:
-    console = wide_console()
+def print_comparison(source: Source, loop: OpenLoop, listed: list[Gap], gaps: Path | None) -> None:
+    """Tables of signals and gaps, and a verdict; ``gaps`` is the file that has all of them."""
+    console = wide()
     console.print(_signal_table(loop.comparison.signals))
     if loop.account.counts:
         console.print()
@@ -114,22 +72,12 @@ def _print(source: Source, loop: OpenLoop, listed: list[Gap], gaps: Path | None)
     console.print()
     for line in _verdict(loop):
         console.print(line, markup=False)
-    if source.log.notice:
-        note = f"note: {source.log.notice}"
-        Console(stderr=True, soft_wrap=True).print(note, style="yellow", markup=False)
-
-
-def wide_console() -> Console:
-    """Standard output, wide enough for a table of differences wherever it goes."""
-    console = Console(soft_wrap=True, highlight=False)
-    console.width = max(console.width, WIDTH)
-    return console
+    note(source.log.notice)
 
 
 def _signal_table(signals: Sequence[SignalComparison]) -> Table:
-    table = _table(
-        "signal", "compared", "different", "first tick", "log", "replay", "largest", "at"
-    )
+    headings = ("signal", "compared", "different", "first tick", "log", "replay", "largest", "at")
+    rows = _no_wrap(table(*headings))
     for signal in signals:
         row = [signal.signal, str(signal.compared), str(signal.different)]
         if signal.first is not None and signal.largest_at is not None:
@@ -138,17 +86,8 @@ def _signal_table(signals: Sequence[SignalComparison]) -> Table:
             if not math.isnan(signal.largest):  # codes have no distance
                 size = f"{signal.largest:.4g} {signal.unit}".rstrip()
                 row += [size, str(signal.largest_at.tick)]
-        table.add_row(*row)
-    return table
-
-
-def _table(*headings: str) -> Table:
-    """Every column as wide as it needs; texts to the left."""
-    table = Table(box=None, pad_edge=False)
-    for heading in headings:
-        left = heading in {"signal", "message", "what", "wrong in the log"}
-        table.add_column(heading, justify="left" if left else "right", no_wrap=True)
-    return table
+        rows.add_row(*row)
+    return rows
 
 
 def _both(place: Place, unit: str) -> tuple[str, str]:
@@ -162,20 +101,30 @@ def _both(place: Place, unit: str) -> tuple[str, str]:
 def _count_table(loop: OpenLoop) -> Table:
     counts = _counts(loop)
     words = list(dict.fromkeys(word for row in counts.values() for word in row))
-    table = _table("wrong in the log", *words)
+    rows = _no_wrap(table("wrong in the log", *words))
     for message, row in counts.items():
-        table.add_row(message, *(str(row.get(word, "")) for word in words))
-    return table
+        rows.add_row(message, *(str(row.get(word, "")) for word in words))
+    return rows
+
+
+def _no_wrap(rows: Table) -> Table:
+    """Every column as wide as it needs."""
+    for column in rows.columns:
+        column.no_wrap = True
+    return rows
 
 
 def _list(console: Console, loop: OpenLoop, listed: list[Gap], gaps: Path | None) -> None:
     console.print()
-    table = _table("tick", "at s", "message", "what")
+    rows = _no_wrap(table("tick", "at s", "message", "what"))
+    rows.columns[0].justify = "right"
+    for column in rows.columns[2:]:
+        column.justify = "left"
     for gap in listed[:SHOWN]:
         tick = str(gap.tick) if gap.ticks == 1 else f"{gap.tick}..{gap.tick + gap.ticks - 1}"
         what = f"{gap.what}: {gap.detail}" if gap.detail else gap.what
-        table.add_row(tick, seconds(gap.time_ns), gap.message, what)
-    console.print(table)
+        rows.add_row(tick, seconds(gap.time_ns), gap.message, what)
+    console.print(rows)
     if gaps is not None:
         console.print(f"all of them in {gaps}", markup=False)
     elif len(listed) > SHOWN:
