@@ -254,7 +254,7 @@ def test_sections_are_read_only() -> None:
 
 
 def test_float32_keeps_the_dc_gain() -> None:
-    """MATHS trap 10: the expanded polynomial loses it, standard sections keep +0.075 %; these
+    """The expanded polynomial loses it, standard sections keep +0.075 %; these
     keep it to float32 rounding."""
     g, tick_s = FILTERS["G1 of the car"], 1e-3
     rounded = Sections(tustin(g, tick_s).coefficients.astype(np.float32).astype(float), tick_s)

@@ -25,7 +25,7 @@ LOST, BACK, TICKS = 600, 1200, 2400
 
 
 def unavoidable(latency: int, torque_nm: float) -> float:
-    """MATHS trap 11: the deviation before the first corrected sample, ½·g·u1·((n+1)T)²."""
+    """The deviation before the first corrected sample, ½·g·u1·((n+1)T)²."""
     return 0.5 * CAR.g1.gain * abs(torque_nm) * ((latency + 1) * TICK_S) ** 2
 
 
