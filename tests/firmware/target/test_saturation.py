@@ -15,6 +15,7 @@ from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.tables import build, discretise
 from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
+from firmware_model.target.actuator import saturate_rate
 
 CAR = steer_by_wire()
 DESIGN = design(CAR, DesignSpecification())
@@ -79,3 +80,26 @@ def test_rates_are_limited_and_the_estimator_knows() -> None:
     assert np.abs(np.diff(trace.command_2)).max() <= 50.0 * (1 + 1e-9)
     assert np.abs(trace.fault_estimate[:1500]).max() < 1e-12
     assert abs(trace.error[1499]) < 1e-4
+
+
+@pytest.mark.parametrize("limited", [1, 2])
+def test_the_rate_of_either_channel_is_limited_alone(limited: int) -> None:
+    """d̂ follows a step of D* within the tick, and so do both commands, but for the limited one."""
+    rate = {1: 2000.0, 2: 5e4}[limited]
+    target = Target(1e-3, estimator="zoh", **{f"rate_{limited}": rate})  # type: ignore[arg-type]
+    commands = _drive(Firmware(build(DESIGN, target)), np.ones(4), np.full(4, -0.5))[:, :2]
+    change = np.abs(np.diff(commands, axis=0, prepend=0.0))
+    slew = rate * 1e-3
+    np.testing.assert_allclose(change[:, limited - 1], slew, rtol=1e-12)
+    assert change[0, 2 - limited] > 100.0 * slew
+
+
+@pytest.mark.parametrize(
+    ("command", "previous", "possible"),
+    [(9.0, 0.0, 2.0), (-9.0, 0.0, -2.0), (9.0, 4.5, 5.0), (-9.0, -4.5, -5.0), (1.0, 0.5, 1.0)],
+)
+def test_a_command_keeps_to_its_rate_and_then_to_its_magnitude(
+    command: float, previous: float, possible: float
+) -> None:
+    actuator = build(DESIGN, Target(1e-3, limit_1=5.0, rate_1=2000.0)).actuator_1
+    assert saturate_rate(actuator, command, previous) == possible
