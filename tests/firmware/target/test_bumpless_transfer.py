@@ -17,7 +17,7 @@ from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.tables import LOSS_MEMORY_S, build
 from firmware_model.discretisation.targets import Target
 from firmware_model.target import controller
-from firmware_model.target.bumpless_transfer import begin_transfer, transfer
+from firmware_model.target.bumpless_transfer import begin_transfer, release, transfer
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import Record
 
@@ -134,3 +134,16 @@ def test_compensation_that_engages_late_needs_no_more_than_the_load_and_makes_up
     at_confirmation = np.abs(trace.error[LOST : LOST + ticks + 2]).max()
     assert np.abs(trace.error[LOST:]).max() < 1.5 * at_confirmation
     assert np.abs(trace.error[-100:]).max() < 1e-4
+
+
+def test_a_transfer_that_was_released_is_forgotten() -> None:
+    """The next one begins with nothing carried, not with what the last one left."""
+    table, state = begun(0.2, 0.01)
+    _, fresh = begun(0.5, 0.03)
+    for lost in (0.3, 0.4):
+        transfer(state, lost)
+    assert state.carried != 0.0
+    release(state)
+    begin_transfer(table.bumpless_transfer, state, 0.5, 0.03)
+    expected = [transfer(fresh, lost) for lost in (0.53, 0.56)]
+    assert [transfer(state, lost) for lost in (0.53, 0.56)] == expected
