@@ -20,7 +20,7 @@ from can_rig.decoding.decode import Decoder
 from can_rig.decoding.message_columns import MessageColumns
 from can_rig.decoding.output import TABLES, Output, output, refuse_output
 from can_rig.errors import LogError
-from can_rig.frames.messages import shipped_dbc
+from can_rig.frames.dbc import shipped_dbc
 from can_rig.logs.formats import format_of
 from can_rig.logs.frames import concatenate
 from can_rig.logs.log import Log

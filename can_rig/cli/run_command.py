@@ -15,7 +15,7 @@ from can_rig.assessment.check import refuse_unstable
 from can_rig.buses.bus import in_one_process
 from can_rig.cli.node_commands import tick_progress
 from can_rig.errors import INTERRUPTED, BusError, RigError
-from can_rig.frames.messages import Network
+from can_rig.frames.network import Network
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import refuse_log, write_log
 from can_rig.nodes.lockstep import StopRequest
