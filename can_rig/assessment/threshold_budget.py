@@ -27,7 +27,7 @@ from statistics import NormalDist
 import numpy as np
 
 from can_rig.assessment.tuning.box import Car, cars, ranges
-from can_rig.frames.messages import Network
+from can_rig.frames.network import Network
 from can_rig.scenario.build import continuous_design, target
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import DesignSettings, Scenario

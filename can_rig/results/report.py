@@ -13,7 +13,7 @@ from matplotlib.figure import Figure, SubFigure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from can_rig.assessment.control_authority import authority
-from can_rig.frames.messages import Network
+from can_rig.frames.network import Network
 from can_rig.results.counterfactual import fault_free
 from can_rig.results.metrics import windows
 from can_rig.results.signals import Signals

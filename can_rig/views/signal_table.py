@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig.errors import LogError
-from can_rig.frames.messages import Network
+from can_rig.frames.network import Network
 from can_rig.logs.reading import read_log
 from can_rig.replay.source import log_path
 from can_rig.results.run_folder import SIGNALS, SUMMARY

@@ -6,7 +6,7 @@ from collections import Counter
 from pathlib import Path
 
 from can_rig.cli.output import say, show, table
-from can_rig.frames.messages import Network
+from can_rig.frames.network import Network
 from can_rig.nodes.realtime import deadlines
 from can_rig.results.metrics import Metrics, rows
 from can_rig.results.run_folder import Outcome

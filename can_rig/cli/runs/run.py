@@ -16,7 +16,7 @@ from can_rig.cli.options import bus_option, realtime_option, scenario_options
 from can_rig.cli.progress import counting
 from can_rig.cli.runs.closing import closing_table
 from can_rig.errors import INTERRUPTED, BusError, RigError
-from can_rig.frames.messages import Network
+from can_rig.frames.network import Network
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import refuse_log, write_log
 from can_rig.nodes.lockstep import StopRequest

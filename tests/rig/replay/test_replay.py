@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load, load_run
 from can_rig.errors import LogError
-from can_rig.frames.messages import Transmitter
+from can_rig.frames.endpoints import Transmitter
 from can_rig.logs.frames import from_messages
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import write_log
