@@ -8,18 +8,19 @@ from collections.abc import Sequence
 from rich.console import Console
 from rich.table import Table
 
-from can_rig.assessment.check import check, table_rows
+from can_rig.assessment.stability import check_stability
+from can_rig.assessment.stability_table import table_rows
 from can_rig.nodes.nodes import json_line
 from can_rig.scenario import loading as scenarios
 
 
 def check_command(name: str, settings: Sequence[str], as_json: bool) -> int:
     """``can-rig check``: the exit status, 0 for a stable loop and 1 for one that is not."""
-    result = check(scenarios.load(name, settings))
+    result = check_stability(scenarios.load(name, settings))
     if as_json:
         json_line(**result.as_dict())
         return 0 if result.stable else 1
-    headings, *rows_of_figures = table_rows(result)
+    headings, *rows_of_figures = table_rows(result.states)
     table = Table(box=None, pad_edge=False)
     for heading in headings:
         table.add_column(heading, justify="right" if heading else "left")

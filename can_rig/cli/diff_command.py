@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from rich.console import Console
@@ -13,7 +13,8 @@ from can_rig.errors import LogError
 from can_rig.files import atomic, refuse_existing
 from can_rig.scenario import loading as scenarios
 from can_rig.views.run_diff import Difference, compare, tolerances_of
-from can_rig.views.signal_table import read_table, unit
+from can_rig.views.settings_diff import SettingDifference, written
+from can_rig.views.signal_table import SignalTable, read_table
 
 
 def diff_command(
@@ -40,11 +41,11 @@ def diff_command(
         from can_rig.views.diff_picture import draw_difference  # noqa: PLC0415 (matplotlib)
 
         with atomic(out) as part:
-            draw_difference(part, a, b, difference, (a.label, b.label))
+            draw_difference(part, a, b, difference)
     if as_json:
         print(json.dumps({"a": a.label, "b": b.label, **difference.as_dict()}))
     else:
-        print_difference(difference, (a.label, b.label))
+        print_difference(difference, (a.label, b.label), a)
     return 0 if difference.same else 1
 
 
@@ -59,9 +60,7 @@ def refuse_picture(path: Path, force: bool) -> None:
     refuse_existing(path, force, "--out")
 
 
-def print_difference(
-    difference: Difference, labels: tuple[str, str], units: Mapping[str, str] | None = None
-) -> None:
+def print_difference(difference: Difference, labels: tuple[str, str], a: SignalTable) -> None:
     """The table, and what it cannot say."""
     console = Console(soft_wrap=True, highlight=False)
     console.width = max(console.width, 120)
@@ -71,16 +70,26 @@ def print_difference(
         left = heading == "signal"
         table.add_column(heading, justify="left" if left else "right", overflow="fold")
     for signal in difference.signals:
-        measure = (units or {}).get(signal.signal, unit(signal.signal))
-        row = [signal.signal, f"{signal.largest:.4g} {measure}".rstrip()]
+        _, unit = a.name_and_unit(signal.signal)
+        row = [signal.signal, f"{signal.largest:.4g} {unit}".rstrip()]
         row += [_time(signal.largest_at_s) if signal.largest else "", f"{signal.tolerance:g}"]
         row += [str(signal.beyond), _time(signal.first_at_s)]
         if signal.beyond:
             row += [_number(signal.first_a), _number(signal.first_b)]
         table.add_row(*row)
     console.print(table)
+    if difference.settings:
+        console.print(_settings_table(difference.settings, labels))
     for line in _lines(difference, labels):
         console.print(line, markup=False)
+
+
+def _settings_table(settings: Sequence[SettingDifference], labels: tuple[str, str]) -> Table:
+    """What the two runs were asked to do differently."""
+    table = Table("setting", *labels, box=None, pad_edge=False)
+    for setting in settings:
+        table.add_row(setting.key, written(setting.a), written(setting.b))
+    return table
 
 
 def _lines(difference: Difference, labels: tuple[str, str]) -> Iterator[str]:

@@ -19,7 +19,7 @@ from can_rig.files import atomic
 from can_rig.frames.messages import shipped_dbc
 from can_rig.logs.reading import read_log
 from can_rig.replay.source import log_path, source_of
-from can_rig.views.signal_table import fault_of
+from can_rig.views.signal_table import scenario_of
 
 CAR: Final = "steer_by_wire.dbc"
 
@@ -59,8 +59,8 @@ def plot_command(
         )
     from can_rig.views.plot_picture import plot_page  # noqa: PLC0415 (matplotlib)
 
-    fault = fault_of(path) if path.is_dir() else None
-    page = plot_page(found, drawn, log.start_ns, fault)
+    run = scenario_of(path) if path.is_dir() else None
+    page = plot_page(found, drawn, log.start_ns, run.fault if run else None)
     with atomic(out) as part:
         page.savefig(part, dpi=150, format="png")
     notes = Console(stderr=True, soft_wrap=True)

@@ -11,7 +11,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from can_rig.assessment.check import refuse_unstable
+from can_rig.assessment.stability import refuse_unstable
 from can_rig.buses.bus import in_one_process
 from can_rig.cli.node_commands import tick_progress
 from can_rig.errors import INTERRUPTED, BusError, RigError
@@ -124,17 +124,11 @@ def closing_table(
 
     No metrics and no rate where no command was recorded, and so no whole tick.
     """
-    units = {
-        "y": network.feedback.unit,
-        "y.s": f"{network.feedback.unit}.s".lstrip("."),
-        "u1": network.command_1.unit,
-        "u2": network.command_2.unit,
-    }
     table = Table(box=None, pad_edge=False, show_header=False)
     table.add_column()
     table.add_column(justify="right")
     if values.get("torque_peak_nm") is not None:
-        for label, text in rows(values, units):
+        for label, text in rows(values, network):
             table.add_row(label, text)
         factor = outcome.ticks_per_s * scenario.tick_s
         table.add_row("rate", f"{outcome.ticks_per_s:.0f} ticks/s, {factor:.1f} x real time")

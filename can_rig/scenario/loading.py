@@ -131,11 +131,11 @@ def _with_latency_of_bus(scenario: Scenario) -> Scenario:
 
 
 def _with_threshold_of_budget(scenario: Scenario) -> Scenario:
-    from can_rig.assessment.threshold_budget import budget  # noqa: PLC0415 (imports this module)
+    from can_rig.assessment.threshold_budget import threshold_budget  # noqa: PLC0415 (imports this module)
     from can_rig.scenario.build import network_of  # noqa: PLC0415 (imports this module)
 
     least = dataclasses.replace(scenario.design, fault_threshold_mps2=sys.float_info.min)
-    found = budget(dataclasses.replace(scenario, design=least), network_of(scenario))
+    found = threshold_budget(dataclasses.replace(scenario, design=least), network_of(scenario))
     chosen = dataclasses.replace(
         scenario.design,
         fault_threshold_mps2=found.threshold,
