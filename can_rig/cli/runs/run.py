@@ -9,8 +9,8 @@ from pathlib import Path
 
 import click
 
-from can_rig.assessment.check import refuse_unstable
 from can_rig.assessment.resolve import load
+from can_rig.assessment.stability import refuse_unstable
 from can_rig.buses.bus import in_one_process
 from can_rig.cli.options import bus_option, realtime_option, scenario_options
 from can_rig.cli.progress import counting
