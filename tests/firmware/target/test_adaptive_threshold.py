@@ -92,7 +92,7 @@ def test_the_share_that_is_shown_is_that_of_another_computation(reference: Float
 
 
 @pytest.mark.long
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(gain=st.floats(0.6, 1.5), pace=st.floats(0.001, 0.02))
 def test_a_torque_of_another_gain_shows_its_share_and_no_more(gain: float, pace: float) -> None:
     """G1' = k G1: d̂ = (1 + Q)(1 - k) G1 u1 exactly, and 1 + Q passes on no more."""

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_model.analysis.sampled_plant import sample
@@ -44,7 +44,6 @@ def begun(missed: float, speed: float) -> tuple[Record, Record]:
 sizes = st.floats(-1.0, 1.0).filter(lambda value: abs(value) > 1e-9)
 
 
-@settings(deadline=None)  # the first call compiles
 @given(missed=sizes, speed=sizes)
 def test_it_fades_as_a_critically_damped_motion_of_that_value_and_speed(
     missed: float, speed: float
@@ -58,7 +57,6 @@ def test_it_fades_as_a_critically_damped_motion_of_that_value_and_speed(
     np.testing.assert_allclose(left, expected, rtol=1e-9, atol=1e-12)
 
 
-@settings(deadline=None)  # the first call compiles
 @given(missed=st.floats(1e-6, 1.0), ticks=st.integers(2, 40))
 def test_of_a_square_of_time_no_more_is_missed_than_a_fifth_more(missed: float, ticks: int) -> None:
     """max of (1 + 2x) exp(-x) at x = 1/2: 2 exp(-1/2) = 1.213."""

@@ -215,7 +215,7 @@ def mangled(
     return out, wrong
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 10**6), st.integers(1, 700))
 def test_dropped_doubled_and_swapped_frames_are_all_listed_and_nothing_else(
     frames: list[Message], seed: int, chunk: int
