@@ -20,7 +20,8 @@ from rich.table import Table
 
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
-from can_rig.frames.messages import Network, Receiver, Transmitter
+from can_rig.frames.endpoints import Receiver, Transmitter
+from can_rig.frames.network import Network
 from can_rig.nodes.lockstep import StopRequest
 from can_rig.nodes.nodes import run_in_process
 from can_rig.nodes.processes import run_processes

@@ -11,8 +11,8 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
-from can_rig.assessment.check import check
 from can_rig.assessment.resolve import load
+from can_rig.assessment.stability import check_stability
 from can_rig.errors import RigError
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import continuous_plant, controller_table, network_of
@@ -138,7 +138,7 @@ def cars(name: str, settings: Sequence[str]) -> None:
         delay = f"{confirmed[0] * scenario.tick_s * 1e3:g} ms" if len(confirmed) else "never"
         table.add_row(
             label,
-            "yes" if check(scenario).stable else "no",
+            "yes" if check_stability(scenario).stable else "no",
             f"{np.abs(error[at - last : at]).max():.1e}",
             "yes" if alarm else "no",
             "before" if alarm else delay,

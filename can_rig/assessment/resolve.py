@@ -15,7 +15,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from can_rig.assessment.bus_timing.timing import latency_ticks
-from can_rig.assessment.threshold_budget import budget
+from can_rig.assessment.threshold_budget import threshold_budget
 from can_rig.errors import RigError, ScenarioError
 from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import FROM_BUDGET, FROM_BUS, Draft, of_run, read
@@ -51,7 +51,7 @@ def resolve(draft: Draft) -> Scenario:
     if FROM_BUS in draft.words:
         scenario = _with_latency_of_bus(scenario)
     if FROM_BUDGET in draft.words:
-        scenario = _with_threshold_of_budget(scenario)
+        scenario = _with_threshold_of_threshold_budget(scenario)
     return scenario
 
 
@@ -68,9 +68,9 @@ def _with_latency_of_bus(scenario: Scenario) -> Scenario:
         raise ScenarioError(f"{where}: {error}") from None
 
 
-def _with_threshold_of_budget(scenario: Scenario) -> Scenario:
+def _with_threshold_of_threshold_budget(scenario: Scenario) -> Scenario:
     least = replace(scenario.design, fault_threshold_mps2=sys.float_info.min)
-    found = budget(replace(scenario, design=least), network_of(scenario))
+    found = threshold_budget(replace(scenario, design=least), network_of(scenario))
     chosen = replace(
         scenario.design,
         fault_threshold_mps2=found.threshold,

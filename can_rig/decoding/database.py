@@ -10,7 +10,7 @@ from cantools.database.can import Database
 from cantools.database.errors import Error
 
 from can_rig.errors import DbcError, one_line
-from can_rig.frames.messages import load_dbc
+from can_rig.frames.dbc import load_dbc
 
 _OTHER_FORMATS: Final = (".arxml", ".kcd", ".sym")
 

@@ -5,7 +5,8 @@ from __future__ import annotations
 import math
 
 from can_rig.errors import ScenarioError
-from can_rig.frames.messages import Network, load_network, shipped_dbc
+from can_rig.frames.dbc import shipped_dbc
+from can_rig.frames.network import Network, load_network
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
 from firmware_model.design import plants

@@ -28,8 +28,11 @@ def guest(tmp_path):
         return process
 
     yield start
-    for process in started:
-        assert process.poll() is not None
+    running = [process for process in started if process.poll() is None]
+    for process in running:
+        process.terminate()
+        process.communicate(timeout=60)
+    assert running == []
     assert list(temporary.iterdir()) == []
     for path in Path("/proc").glob("[0-9]*/cmdline"):
         try:

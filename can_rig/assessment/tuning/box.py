@@ -53,7 +53,9 @@ class Car:
     plant: Plant
 
 
-def ranges(nominal: PlantSettings, share: float, settings: Iterable[str] = ()) -> dict[str, Range]:
+def parameter_ranges(
+    nominal: PlantSettings, share: float, settings: Iterable[str] = ()
+) -> dict[str, Range]:
     """The box: lowest and highest value of each parameter that is not known exactly.
 
     Args:

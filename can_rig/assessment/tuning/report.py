@@ -13,7 +13,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from rich.table import Table
 
 from can_rig.assessment.resolve import load
-from can_rig.assessment.tuning.box import MOST_DELAY_TICKS, cars, ranges
+from can_rig.assessment.tuning.box import MOST_DELAY_TICKS, cars, parameter_ranges
 from can_rig.assessment.tuning.candidate import Tuning
 from can_rig.assessment.tuning.search import ALIKE, Tunings, tune
 from can_rig.errors import RunFolderError
@@ -47,7 +47,7 @@ def tune_command(
         raise RunFolderError(
             f"{path}: there already; another --out, or --force to replace it, is right"
         )
-    some = cars(scenario.model, ranges(scenario.model, *box))
+    some = cars(scenario.model, parameter_ranges(scenario.model, *box))
     with _progress(scenario.name) as on_candidate:
         found = tune(scenario, some, *limits, on_candidate=on_candidate)
     try:

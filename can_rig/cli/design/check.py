@@ -6,8 +6,9 @@ import sys
 
 import click
 
-from can_rig.assessment.check import check, table_rows
 from can_rig.assessment.resolve import load
+from can_rig.assessment.stability import check_stability
+from can_rig.assessment.stability_table import table_rows
 from can_rig.cli.options import json_option, scenario_options
 from can_rig.cli.output import explain, json_line, say, show, table
 
@@ -20,11 +21,11 @@ def command(scenario: str, settings: tuple[str, ...], as_json: bool) -> None:
 
     Exit status: 0 stable, 1 not.
     """
-    result = check(load(scenario, settings))
+    result = check_stability(load(scenario, settings))
     if as_json:
         json_line(**result.as_dict())
     else:
-        headings, *rows = table_rows(result)
+        headings, *rows = table_rows(result.states)
         figures = table(*headings)
         for row in rows:
             figures.add_row(*row)

@@ -3,10 +3,11 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 import click
+from rich.table import Table
 
 from can_rig.cli.logs.picture import refuse_picture
 from can_rig.cli.options import force_option, json_option
@@ -14,7 +15,8 @@ from can_rig.cli.output import json_line, table, wide
 from can_rig.files import atomic
 from can_rig.scenario.loading import read
 from can_rig.views.run_diff import Difference, compare, tolerances_of
-from can_rig.views.signal_table import read_table, unit
+from can_rig.views.settings_diff import SettingDifference, written
+from can_rig.views.signal_table import SignalTable, read_table
 
 
 @click.command("diff")
@@ -67,25 +69,23 @@ def command(
         from can_rig.views.diff_picture import draw_difference  # noqa: PLC0415 (matplotlib)
 
         with atomic(out) as part:
-            draw_difference(part, a, b, difference, (a.label, b.label))
+            draw_difference(part, a, b, difference)
     if as_json:
         json_line(a=a.label, b=b.label, **difference.as_dict())
     else:
-        print_difference(difference, (a.label, b.label))
+        print_difference(difference, (a.label, b.label), a)
     sys.exit(0 if difference.same else 1)
 
 
-def print_difference(
-    difference: Difference, labels: tuple[str, str], units: Mapping[str, str] | None = None
-) -> None:
+def print_difference(difference: Difference, labels: tuple[str, str], a: SignalTable) -> None:
     """The table, and what it cannot say."""
     headings = ("signal", "largest difference", "at s", "tolerance", "rows beyond", "first at s")
     signals = table(*headings, *labels)
     for column in signals.columns:
         column.overflow = "fold"
     for signal in difference.signals:
-        measure = (units or {}).get(signal.signal, unit(signal.signal))
-        row = [signal.signal, f"{signal.largest:.4g} {measure}".rstrip()]
+        _, unit = a.name_and_unit(signal.signal)
+        row = [signal.signal, f"{signal.largest:.4g} {unit}".rstrip()]
         row += [_time(signal.largest_at_s) if signal.largest else "", f"{signal.tolerance:g}"]
         row += [str(signal.beyond), _time(signal.first_at_s)]
         if signal.beyond:
@@ -93,8 +93,18 @@ def print_difference(
         signals.add_row(*row)
     console = wide()
     console.print(signals)
+    if difference.settings:
+        console.print(_settings_table(difference.settings, labels))
     for line in _lines(difference, labels):
         console.print(line, markup=False)
+
+
+def _settings_table(settings: Sequence[SettingDifference], labels: tuple[str, str]) -> Table:
+    """What the two runs were asked to do differently."""
+    rows = table("setting", *labels)
+    for setting in settings:
+        rows.add_row(setting.key, written(setting.a), written(setting.b))
+    return rows
 
 
 def _lines(difference: Difference, labels: tuple[str, str]) -> Iterator[str]:

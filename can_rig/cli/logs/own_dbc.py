@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final
 
 from can_rig.errors import RigError
-from can_rig.frames.messages import shipped_dbc
+from can_rig.frames.dbc import shipped_dbc
 from can_rig.replay.source import source_of
 
 CAR: Final = "steer_by_wire.dbc"

@@ -21,7 +21,7 @@ from can_rig.files import atomic
 from can_rig.logs.reading import read_log
 from can_rig.replay.source import log_path
 from can_rig.views.plot_picture import plot_page
-from can_rig.views.signal_table import fault_of
+from can_rig.views.signal_table import scenario_of
 
 
 @click.command("plot")
@@ -62,7 +62,8 @@ def command(
     if not drawn:
         nothing = decoder.nothing_on_channel or f"no frame of {', '.join(absent)} can be decoded"
         raise LogError(f"{source.path}: {nothing}")
-    page = plot_page(found, drawn, source.start_ns, fault_of(log) if log.is_dir() else None)
+    run = scenario_of(log) if log.is_dir() else None
+    page = plot_page(found, drawn, source.start_ns, run.fault if run else None)
     with atomic(out) as part:
         page.savefig(part, dpi=150, format="png")
     note(source.notice, f"no frame of {', '.join(absent)}" if absent else None)

@@ -6,7 +6,7 @@ from collections import Counter
 from pathlib import Path
 
 from can_rig.cli.output import say, show, table
-from can_rig.frames.messages import Network
+from can_rig.frames.network import Network
 from can_rig.nodes.realtime import deadlines
 from can_rig.results.metrics import Metrics, rows
 from can_rig.results.run_folder import Outcome
@@ -20,15 +20,9 @@ def closing_table(
 
     No metrics and no rate where no command was recorded, and so no whole tick.
     """
-    units = {
-        "y": network.feedback.unit,
-        "y.s": f"{network.feedback.unit}.s".lstrip("."),
-        "u1": network.command_1.unit,
-        "u2": network.command_2.unit,
-    }
     closing = table("", "")
     if values.get("torque_peak_nm") is not None:
-        for label, text in rows(values, units):
+        for label, text in rows(values, network):
             closing.add_row(label, text)
         factor = outcome.ticks_per_s * scenario.tick_s
         closing.add_row("rate", f"{outcome.ticks_per_s:.0f} ticks/s, {factor:.1f} x real time")

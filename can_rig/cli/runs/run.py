@@ -9,14 +9,14 @@ from pathlib import Path
 
 import click
 
-from can_rig.assessment.check import refuse_unstable
 from can_rig.assessment.resolve import load
+from can_rig.assessment.stability import refuse_unstable
 from can_rig.buses.bus import in_one_process
 from can_rig.cli.options import bus_option, realtime_option, scenario_options
 from can_rig.cli.progress import counting
 from can_rig.cli.runs.closing import closing_table
 from can_rig.errors import INTERRUPTED, BusError, RigError
-from can_rig.frames.messages import Network
+from can_rig.frames.network import Network
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import refuse_log, write_log
 from can_rig.nodes.lockstep import StopRequest

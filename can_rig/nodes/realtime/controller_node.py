@@ -24,7 +24,7 @@ from typing import NamedTuple
 import can
 
 from can_rig.errors import BusError
-from can_rig.frames.messages import Network
+from can_rig.frames.network import Network
 from can_rig.nodes.controller_node import ControllerNode
 from can_rig.nodes.lockstep import Watchdog
 from can_rig.nodes.realtime.deadlines import require_causal

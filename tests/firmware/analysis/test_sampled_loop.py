@@ -129,7 +129,7 @@ def test_poles_are_those_of_the_block_diagram(
 
 
 @pytest.mark.long
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     tick_s=st.floats(1e-4, 5e-3),
     tau_s=st.floats(5e-4, 0.1),

@@ -23,7 +23,7 @@ DESIGN = design(steer_by_wire(), DesignSpecification())
 
 @given(tau_s=st.floats(1e-4, 1.0), tick_s=st.floats(1e-4, 1e-2))
 def test_algebraic_loop_gain_is_that_of_the_text(tau_s: float, tick_s: float) -> None:
-    """Trap 5: F̂ and Tustin's G2 together are q, so the gain is T/(2τ+T); 1/3 at T = τ."""
+    """F̂ and Tustin's G2 together are q, so the gain is T/(2τ+T); 1/3 at T = τ."""
     filters = discretise(design(steer_by_wire(), DesignSpecification(tau_s=tau_s)), Target(tick_s))
     assert algebraic_loop_gain(filters, 0) == pytest.approx(tick_s / (2 * tau_s + tick_s), rel=1e-9)
 

@@ -7,7 +7,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_model.analysis.sampled_plant import sample
@@ -17,7 +17,7 @@ from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.tables import LOSS_MEMORY_S, build
 from firmware_model.discretisation.targets import Target
 from firmware_model.target import controller
-from firmware_model.target.bumpless_transfer import begin_transfer, transfer
+from firmware_model.target.bumpless_transfer import begin_transfer, release, transfer
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import Record
 
@@ -44,7 +44,6 @@ def begun(missed: float, speed: float) -> tuple[Record, Record]:
 sizes = st.floats(-1.0, 1.0).filter(lambda value: abs(value) > 1e-9)
 
 
-@settings(deadline=None)  # the first call compiles
 @given(missed=sizes, speed=sizes)
 def test_it_fades_as_a_critically_damped_motion_of_that_value_and_speed(
     missed: float, speed: float
@@ -58,7 +57,6 @@ def test_it_fades_as_a_critically_damped_motion_of_that_value_and_speed(
     np.testing.assert_allclose(left, expected, rtol=1e-9, atol=1e-12)
 
 
-@settings(deadline=None)  # the first call compiles
 @given(missed=st.floats(1e-6, 1.0), ticks=st.integers(2, 40))
 def test_of_a_square_of_time_no_more_is_missed_than_a_fifth_more(missed: float, ticks: int) -> None:
     """max of (1 + 2x) exp(-x) at x = 1/2: 2 exp(-1/2) = 1.213."""
@@ -134,3 +132,16 @@ def test_compensation_that_engages_late_needs_no_more_than_the_load_and_makes_up
     at_confirmation = np.abs(trace.error[LOST : LOST + ticks + 2]).max()
     assert np.abs(trace.error[LOST:]).max() < 1.5 * at_confirmation
     assert np.abs(trace.error[-100:]).max() < 1e-4
+
+
+def test_a_transfer_that_was_released_is_forgotten() -> None:
+    """The next one begins with nothing carried, not with what the last one left."""
+    table, state = begun(0.2, 0.01)
+    _, fresh = begun(0.5, 0.03)
+    for lost in (0.3, 0.4):
+        transfer(state, lost)
+    assert state.carried != 0.0
+    release(state)
+    begin_transfer(table.bumpless_transfer, state, 0.5, 0.03)
+    expected = [transfer(fresh, lost) for lost in (0.53, 0.56)]
+    assert [transfer(state, lost) for lost in (0.53, 0.56)] == expected

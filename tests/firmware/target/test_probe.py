@@ -43,7 +43,7 @@ def drive(of: Target, left: float = 1.0, bias: float = 0.0, car=CAR, rms: float 
     )
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(st.floats(-1.0, 2.0), st.floats(-10.0, 10.0), st.floats(0.1, 100.0), st.floats(0.0, 6.2))
 def test_share_is_that_of_w_in_the_estimate_whatever_is_constant(
     share: float, constant: float, size: float, angle: float

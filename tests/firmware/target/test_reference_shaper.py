@@ -55,7 +55,6 @@ def fewest_ticks(distance: float) -> int:
     return n
 
 
-@settings(deadline=None)
 @given(st.floats(1e-6, 1e4), st.booleans(), st.floats(-100.0, 100.0))
 def test_a_step_is_followed_in_minimum_time_and_not_beyond(
     distance: float, down: bool, at: float
@@ -71,28 +70,25 @@ def test_a_step_is_followed_in_minimum_time_and_not_beyond(
     assert low <= shaped.min() <= shaped.max() <= high
 
 
-@settings(deadline=None)
 @given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=60))
 def test_no_reference_makes_it_faster_than_its_limit(values: list[float]) -> None:
     reference = np.repeat(values, 7)
     assert np.abs(changes_of_speed(follow(reference))).max() <= MOST + 1e-11
 
 
-@settings(deadline=None)
 @given(st.lists(st.floats(-MOST, MOST), min_size=1, max_size=300))
 def test_a_reference_within_the_limit_comes_through_exactly(accelerations: list[float]) -> None:
     reference = np.cumsum(np.cumsum(np.array(accelerations) * (1.0 - 1e-9)))
     np.testing.assert_array_equal(follow(reference), reference)
 
 
-@settings(deadline=None)
 @given(st.lists(st.floats(-50.0, 50.0), min_size=1, max_size=20), st.floats(-50.0, 50.0))
 def test_comes_to_rest_wherever_it_is_sent(before: list[float], last: float) -> None:
     shaped = follow(np.concatenate([before, np.full(2000, last)]))
     assert (shaped[-1000:] == last).all()
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=20))
 def test_single_precision_runs_the_same_course(values: list[float]) -> None:
     single = build(

@@ -21,7 +21,7 @@ from can_rig.assessment.bus_timing.timing import (
 )
 from can_rig.assessment.resolve import load
 from can_rig.errors import DbcError, ScenarioError
-from can_rig.frames.messages import load_network
+from can_rig.frames.network import load_network
 from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import draft
 from tests.helpers import DBC, record, rig

@@ -4,15 +4,15 @@ from __future__ import annotations
 
 import pytest
 
-from can_rig.assessment.control_authority import Authority, authority
+from can_rig.assessment.control_authority import ControlAuthority, control_authority
 from can_rig.assessment.resolve import load
 from can_rig.plant.nonlinear_car import NonlinearCar
 from can_rig.scenario.build import network_of
 
 
-def of(*settings: str, name: str = "default") -> Authority:
+def of(*settings: str, name: str = "default") -> ControlAuthority:
     scenario = load(name, settings)
-    found = authority(scenario, network_of(scenario))
+    found = control_authority(scenario, network_of(scenario))
     assert found is not None
     return found
 
@@ -63,4 +63,4 @@ def test_it_is_the_largest_of_the_reference_that_counts() -> None:
 
 def test_chapter_2_has_no_tires() -> None:
     scenario = load("chapter-2")
-    assert authority(scenario, network_of(scenario)) is None
+    assert control_authority(scenario, network_of(scenario)) is None

@@ -10,7 +10,7 @@ import pytest
 from scipy import stats
 
 from can_rig.assessment.resolve import load
-from can_rig.assessment.threshold_budget import budget, sigmas_for
+from can_rig.assessment.threshold_budget import sigmas_for, threshold_budget
 from can_rig.errors import ScenarioError
 from can_rig.plant.simulated import LinearPlant
 from can_rig.scenario.build import continuous_design, controller_table, network_of
@@ -28,7 +28,7 @@ STEP = ("duration_s=3.0", "fault.kind=none")
 
 def parts(name: str, *settings: str) -> dict[str, float]:
     scenario = load(name, [*STEP, *settings])
-    return vars(budget(scenario, network_of(scenario)))
+    return vars(threshold_budget(scenario, network_of(scenario)))
 
 
 def healthy(scenario: Scenario) -> Iterator[Answer]:
@@ -109,13 +109,13 @@ def test_noise_is_that_of_d_times_the_sigmas() -> None:
 
 def test_a_scenario_takes_its_threshold_from_the_budget() -> None:
     scenario = load("noisy", [*STEP, "budget.box=0.05", "design.fault_threshold_mps2=from-budget"])
-    expected = budget(scenario, network_of(scenario)).threshold
+    expected = threshold_budget(scenario, network_of(scenario)).threshold
     assert scenario.design.fault_threshold_mps2 == expected
     least = replace(scenario.design, fault_threshold_mps2=1e-300)
-    found = budget(replace(scenario, design=least), network_of(scenario))
+    found = threshold_budget(replace(scenario, design=least), network_of(scenario))
     assert scenario.design.fault_threshold_share == found.share > 0.05
     # Changes of white noise are a little more than the noise itself; other cars cost no more.
-    alone = budget(load("noisy"), network_of(scenario)).threshold
+    alone = threshold_budget(load("noisy"), network_of(scenario)).threshold
     assert alone < expected < 1.05 * alone
 
 

@@ -20,7 +20,7 @@ from can_rig.assessment.tuning.box import (
     cars,
     delay_margin,
     laws,
-    ranges,
+    parameter_ranges,
     survives,
 )
 from can_rig.assessment.tuning.candidate import Tuning, assess, grid, with_tuning
@@ -56,7 +56,7 @@ def found_for(  # type: ignore[no-untyped-def]
     *settings: str, share: float = 0.2, spare: int = 1, limit=None, torque_limit=None
 ) -> Tunings:
     scenario = scenario_of(*settings)
-    some = cars(scenario.model, ranges(scenario.model, share))
+    some = cars(scenario.model, parameter_ranges(scenario.model, share))
     return tune(scenario, some, spare, limit, torque_limit, SMALL)
 
 
@@ -83,7 +83,7 @@ def crossover_margin(table, car: Car, tick_s: float) -> float:  # type: ignore[n
 def test_every_offer_has_the_delay_margin_at_every_vertex(found: Tunings) -> None:
     """By ``delay_margins``, which comes from the loop gain's crossovers."""
     scenario = found.scenario
-    some = cars(scenario.model, ranges(scenario.model, 0.2))
+    some = cars(scenario.model, parameter_ranges(scenario.model, 0.2))
     assert len(some) == found.cars == 17
     chosen, table = found.chosen, table_of(scenario, found.chosen)
     margin = chosen.delay_margin_ticks
@@ -102,7 +102,7 @@ def test_every_offer_has_the_delay_margin_at_every_vertex(found: Tunings) -> Non
 def test_cars_from_inside_the_box_are_stable_too(found: Tunings) -> None:
     """What the vertices do not prove."""
     scenario, generator = found.scenario, np.random.default_rng(5)
-    box, table = ranges(scenario.model, 0.2), table_of(found.scenario, found.chosen)
+    box, table = parameter_ranges(scenario.model, 0.2), table_of(found.scenario, found.chosen)
     for draw in generator.uniform(size=(60, len(box))):
         values = {
             key: low + part * (high - low)
@@ -116,7 +116,7 @@ def test_cars_from_inside_the_box_are_stable_too(found: Tunings) -> None:
 def test_the_front_is_the_front_of_all_that_would_do(found: Tunings) -> None:
     """No tuning that is stable with all the cars beats one of it in both; brute force."""
     scenario = found.scenario
-    some = cars(scenario.model, ranges(scenario.model, 0.2))
+    some = cars(scenario.model, parameter_ranges(scenario.model, 0.2))
     good = [
         t for t in found.nominal
         if t.within_limits and survives(table_of(scenario, t), some, scenario.tick_s, 1)
@@ -243,14 +243,14 @@ def test_an_unstable_or_impossible_candidate_is_none() -> None:
 
 def test_the_box() -> None:
     model = load("thesis-step").model
-    box = ranges(model, 0.2)
+    box = parameter_ranges(model, 0.2)
     assert box["mass_kg"] == pytest.approx((1120.0, 1680.0))
     some = cars(model, box)
     assert [car.label for car in some[:1]] == ["the nominal car"]
     assert len({car.label for car in some}) == 17
     heavy = dataclasses.replace(model, **{key: high for key, (_, high) in box.items()})
     np.testing.assert_array_equal(some[-1].plant.a, continuous_plant(heavy).a)
-    one = ranges(model, 0.0, ["plant.speed_mps=8..12", "trail_m=0.04..0.06"])
+    one = parameter_ranges(model, 0.0, ["plant.speed_mps=8..12", "trail_m=0.04..0.06"])
     assert one == {"speed_mps": (8.0, 12.0), "trail_m": (0.04, 0.06)}
     assert len(cars(model, one)) == 5
     assert len(cars(model, {})) == 1

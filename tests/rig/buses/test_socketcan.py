@@ -13,7 +13,7 @@ from can_rig.errors import BusLostError, SilentNodeError
 from can_rig.nodes.lockstep import Sender, StopRequest, Waiting, Watchdog
 from can_rig.nodes.nodes import run_in_process
 from tests.helpers import record
-from tests.vcan import frame, own_can, tool
+from tests.vcan import frame, on_two_buses, own_can, tool
 
 __all__ = ["own_can"]
 
@@ -183,7 +183,7 @@ def set_link(state, name):
 
 def test_an_interface_that_comes_back_in_time_costs_nothing_but_time(own_can, tmp_path):
     expected = record(tmp_path, SHORT)[0].read_bytes()
-    scenario, log = load("thesis-step", [SHORT]), tmp_path / "run.log"
+    log = tmp_path / "run.log"
     back = threading.Timer(0.3, set_link, ("up", own_can))
 
     def on_tick(tick):
@@ -191,7 +191,8 @@ def test_an_interface_that_comes_back_in_time_costs_nothing_but_time(own_can, tm
             set_link("down", own_can)
             back.start()
 
-    summary = run_in_process(scenario, f"socketcan:{own_can}", log, StopRequest(), on_tick)
+    bus = f"socketcan:{own_can}"
+    summary = on_two_buses(bus, bus, log, SHORT, on_tick=on_tick)  # however late it comes back
     back.join()
     assert log.read_bytes() == expected
     assert any("Network is down" in what for what in summary.bus_events["plant"])

@@ -7,7 +7,7 @@ from scipy.signal import cont2discrete
 
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
-from can_rig.frames.messages import Transmitter
+from can_rig.frames.endpoints import Transmitter
 from can_rig.nodes.controller_node import ControllerNode
 from can_rig.nodes.lockstep import StopRequest, Waiting, Watchdog
 from can_rig.nodes.nodes import run_in_process

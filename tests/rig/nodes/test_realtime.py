@@ -149,7 +149,7 @@ def dstar_under(commands):
 # --- deadlines -----------------------------------------------------------------------------------
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.lists(st.integers(0, TICK_NS - 1), min_size=60, max_size=60))
 def test_lateness_never_adds_up(lateness):
     """Tick k is sent at start + kT + what the k-th wake-up was late, whatever came before."""

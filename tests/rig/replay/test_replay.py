@@ -17,7 +17,7 @@ from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load, load_run
 from can_rig.errors import LogError
-from can_rig.frames.messages import Transmitter
+from can_rig.frames.endpoints import Transmitter
 from can_rig.logs.frames import from_messages
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import write_log
@@ -215,7 +215,7 @@ def mangled(
     return out, wrong
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 10**6), st.integers(1, 700))
 def test_dropped_doubled_and_swapped_frames_are_all_listed_and_nothing_else(
     frames: list[Message], seed: int, chunk: int

@@ -11,8 +11,8 @@ from itertools import product
 import numpy as np
 import pytest
 
-from can_rig.assessment.check import check, refuse_unstable, working_tuning
 from can_rig.assessment.resolve import load
+from can_rig.assessment.stability import check_stability, refuse_unstable, stable_tuning
 from can_rig.errors import ScenarioError
 from can_rig.scenario.catalogue import shipped
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, margins
@@ -36,7 +36,7 @@ compiled_only = pytest.mark.skipif(
 @pytest.mark.parametrize("name", shipped())
 def test_the_shipped_scenarios_are_stable_and_run(name: str) -> None:
     scenario = load(name)
-    result = check(scenario)
+    result = check_stability(scenario)
     assert result.stable
     assert result.verdict.startswith("stable")
     refuse_unstable(scenario)
@@ -82,7 +82,7 @@ def test_a_person_sees_one_table_and_one_verdict() -> None:
     for word in ("healthy", "torque dead", "torque 25%"):
         assert word in lines[0]
     assert max(len(line) for line in lines[:-1]) <= 80
-    assert lines[-1].startswith("unstable (torque dead): spectral radius 1.0373")
+    assert lines[-1].startswith("unstable (torque dead): the spectral radius is 1.0373")
     assert done.stderr == ""
 
 
@@ -98,13 +98,13 @@ def test_run_refuses_an_unstable_loop_and_says_what_works(settings: list[str]) -
     message = done.stderr.strip()
     assert "\n" not in message
     state = "healthy" if "tick_s=0.01" in settings else "torque dead"
-    assert f"unstable ({state}): spectral radius" in message
+    assert f"unstable ({state}): the spectral radius is" in message
     latency = "no latency_ticks" if "tick_s=0.01" in settings else "latency_ticks up to 0"
     assert latency in message
     offered = message.split("; ")[-2].removesuffix(" works").replace("--set ", "").split()
     assert ("design.estimator=tustin" in offered) == ("design.estimator=zoh" in settings)
     better = load("thesis-step", [*settings, *offered])
-    assert check(better).stable
+    assert check_stability(better).stable
     done = rig("check", "thesis-step", *arguments, *[a for s in offered for a in ("--set", s)])
     assert done.returncode == 0
 
@@ -118,8 +118,8 @@ def test_run_takes_an_unstable_loop_when_told(tmp_path) -> None:  # type: ignore
 
 @pytest.mark.parametrize("kind", ["none", "actuator-dead", "frames-missing", "frames-corrupted"])
 def test_every_kind_of_fault_ends_in_a_dead_channel(kind: str) -> None:
-    assert not check(load("thesis-step", [LATE, f"fault.kind={kind}"])).stable
-    other = check(
+    assert not check_stability(load("thesis-step", [LATE, f"fault.kind={kind}"])).stable
+    other = check_stability(
         load("thesis-step", [LATE, f"fault.kind={kind}", "fault.channel=force-difference"])
     )
     assert other.stable  # without the force difference it is the torque loop alone
@@ -129,18 +129,18 @@ def test_every_kind_of_fault_ends_in_a_dead_channel(kind: str) -> None:
 def test_the_cars_own_parameters_are_checked_not_the_models() -> None:
     """A heavy car under a controller for a light one is neither's own loop."""
     own = ["design.tau_s=0.01", "design.tau_q_s=0.02"]
-    ours = check(load("thesis-step", [*own, "plant.speed_mps=30", "model.speed_mps=10"]))
+    ours = check_stability(load("thesis-step", [*own, "plant.speed_mps=30", "model.speed_mps=10"]))
     for speed in (10, 30):
-        matched = check(load("thesis-step", [*own, f"plant.speed_mps={speed}"]))
+        matched = check_stability(load("thesis-step", [*own, f"plant.speed_mps={speed}"]))
         assert ours.healthy.spectral_radius != pytest.approx(matched.healthy.spectral_radius)
 
 
 def test_a_class_is_loaded_and_the_margins_are_said_not_to_be_its_own() -> None:
     kind = "can_rig.plant.nonlinear_car:NonlinearCar"
-    own = check(load("default", [f"plant.kind={kind}"]))
+    own = check_stability(load("default", [f"plant.kind={kind}"]))
     said = f"margins: of the linear car with its parameters, not of {kind}"
     assert list(own.notes).count(said) == 1
-    linear = check(load("default"))
+    linear = check_stability(load("default"))
     assert own.healthy == linear.healthy
     assert not any(note.startswith("margins") for note in linear.notes)
 
@@ -153,11 +153,11 @@ def test_a_class_that_is_no_plant_is_refused_as_a_run_refuses_it(command: str) -
     assert "plant.kind = 'nope:Nope': no module nope, neither installed" in done.stderr
     assert len(done.stderr.splitlines()) == 1
     with pytest.raises(ScenarioError, match=r"^plant\.kind = 'nope:Nope': no module nope"):
-        check(load("default", ["plant.kind=nope:Nope"]))
+        check_stability(load("default", ["plant.kind=nope:Nope"]))
 
 
 def test_a_partial_loss_that_is_unstable_is_said_and_does_not_decide() -> None:
-    result = check(load("thesis-step"))
+    result = check_stability(load("thesis-step"))
     shaky = dataclasses.replace(result.healthy, spectral_radius=1.1)
     odd = dataclasses.replace(result, partly_lost={**result.partly_lost, 0.5: shaky})
     assert odd.stable
@@ -166,7 +166,7 @@ def test_a_partial_loss_that_is_unstable_is_said_and_does_not_decide() -> None:
 
 def test_no_tuning_is_said_where_there_is_none() -> None:
     scenario = load("thesis-step", ["latency_ticks=20", "tick_s=0.1"])
-    assert working_tuning(scenario) is None
+    assert stable_tuning(scenario) is None
     with pytest.raises(ScenarioError, match=r"no tau_s = tau_q_s up to 0\.1 works"):
         refuse_unstable(scenario)
 

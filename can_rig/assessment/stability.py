@@ -1,22 +1,22 @@
 """``can-rig check``: whether a scenario's loop is stable, by how much, and what would make it so.
 
-The loop is linear here: limits, frames and the fault's time do not count. Both ends of the fault
-count, the healthy loop and the one that the dead channel leaves, whether or not the scenario has a
-fault: the loss is what the controller is for. Missing and corrupted frames come to the same: the
-actuator applies nothing. A plant that is a class is loaded, and the loop is that of the linear car
-with its parameters.
+The loop is taken as linear: limits, frames and the time of the fault do not count. It is checked
+before the fault and after it, that is healthy and with the channel dead, whether or not the
+scenario has a fault: the loss is what the controller is for. Missing and corrupted frames come to
+the same as a dead actuator: nothing is applied. Of a plant that is a class, the loop is that of the
+linear car with its parameters.
 """
 
 from __future__ import annotations
 
-import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from itertools import product
 from typing import Any, get_args
 
-from can_rig.assessment.control_authority import Authority, authority
-from can_rig.assessment.threshold_budget import Budget, budget
+from can_rig.assessment.control_authority import ControlAuthority, control_authority
+from can_rig.assessment.stability_table import finite_or_null
+from can_rig.assessment.threshold_budget import ThresholdBudget, threshold_budget
 from can_rig.errors import ScenarioError
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import (
@@ -39,31 +39,21 @@ from firmware_model.analysis.sampled_loop import sampled_loop
 from firmware_model.discretisation.targets import EstimatorRule
 
 Effectiveness = tuple[float, float]
+"""What is left of the torque's and of the force difference's effect, 1 healthy and 0 dead."""
+
 DEAD: dict[str, Effectiveness] = {"torque": (0.0, 1.0), "force-difference": (1.0, 0.0)}
 PARTLY_LOST = (0.75, 0.5, 0.25)  # what is left of the torque channel
 TUNINGS_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)  # tried for tau_s = tau_q_s
-# delay and gain are margins; u1, u2 are rms for white measurement noise of rms 1
-FIGURES: dict[str, Callable[[Margins], str]] = {
-    "spectral radius": lambda m: f"{m.spectral_radius:.5f}",
-    "slowest, rad/s": lambda m: f"{m.slowest_rad_per_s:.4g}",
-    "its damping": lambda m: f"{m.slowest_damping:.3f}",
-    "delay, ticks": lambda m: _or_any(m.delay_margin_ticks),
-    "delay, ms": lambda m: _or_any(m.delay_margin_s, 1e3),
-    "gain margin": lambda m: f"{m.gain_margin:.4g}",
-    "peak |S|": lambda m: f"{m.peak_sensitivity:.3f}",
-    "u1 / noise": lambda m: f"{m.noise_to_command_1:.3g}",
-    "u2 / noise": lambda m: f"{m.noise_to_command_2:.3g}",
-}
-SPARE_TICKS = (0, 1)  # extra delays that a tuning must survive to be called one that works
+SPARE_TICKS = (0, 1)  # extra delays with which a tuning must be stable to be recommended
 
 
 @dataclass(frozen=True)
-class Check:
+class StabilityCheck:
     """Margins of a scenario's loop in every state that matters.
 
     ``partly_lost`` has the margins by what is left of the torque channel, ``false_alarm`` those of
-    a whole car whose controller compensates a loss all the same, where it does so on confirmation
-    alone. Both are there to be seen and do not decide.
+    a healthy car whose controller compensates all the same; None where it always does. Neither
+    decides whether the scenario counts as stable.
     """
 
     scenario: Scenario
@@ -71,8 +61,8 @@ class Check:
     faulted: Margins
     partly_lost: dict[float, Margins]
     false_alarm: Margins | None
-    budget: Budget
-    authority: Authority | None
+    budget: ThresholdBudget
+    control_authority: ControlAuthority | None
 
     @property
     def stable(self) -> bool:
@@ -81,7 +71,7 @@ class Check:
 
     @property
     def states(self) -> Iterator[tuple[str, Margins]]:
-        """What a person calls each state, and its margins."""
+        """The name of each state, and its margins."""
         yield from zip(_both_ends(self.scenario), (self.healthy, self.faulted), strict=True)
         for left, figures in self.partly_lost.items():
             yield f"torque {left:.0%}", figures
@@ -90,7 +80,7 @@ class Check:
 
     @property
     def notes(self) -> Iterator[str]:
-        """What does not decide, a line each: whose margins, the threshold's budget, who carries."""
+        """A line each: whose margins, the threshold's budget, isolation, control authority."""
         scenario = self.scenario
         if scenario.plant.is_class:
             yield f"margins: of the linear car with its parameters, not of {scenario.plant.kind}"
@@ -98,12 +88,12 @@ class Check:
             gain = continuous_plant(scenario.model).g1.dc_gain
             yield from self.budget.describe(scenario.design, scenario.budget.box, gain)
             yield _isolation(scenario.design.probe_nm)
-        if self.authority is not None:
-            yield str(self.authority)
+        if self.control_authority is not None:
+            yield str(self.control_authority)
 
     @property
     def verdict(self) -> str:
-        """One line."""
+        """One line: stable, or what is not and what would be."""
         unstable = [(name, figures) for name, figures in self.states if not figures.stable]
         if not unstable:
             return "stable: healthy, and with a channel dead or partly lost"
@@ -114,7 +104,7 @@ class Check:
         return _reason(self.scenario, name, figures.spectral_radius)
 
     def as_dict(self) -> dict[str, Any]:
-        """For JSON, which knows neither infinity nor NaN: null."""
+        """For JSON, where null stands for infinity and NaN."""
         values = {
             "scenario": self.scenario.name,
             "stable": self.stable,
@@ -128,37 +118,39 @@ class Check:
                 **asdict(self.budget),
                 "budget": self.budget.total,
             },
-            "authority": None if self.authority is None else self.authority.as_dict(),
+            "control_authority": None
+            if self.control_authority is None
+            else self.control_authority.as_dict(),
         }
-        return {key: _finite(value) for key, value in values.items()}
+        return {key: finite_or_null(value) for key, value in values.items()}
 
 
-def check(scenario: Scenario) -> Check:
-    """The margins of the scenario's loop.
+def check_stability(scenario: Scenario) -> StabilityCheck:
+    """The margins of the scenario's loop in every state, its threshold and control authority.
 
     Raises:
         ScenarioError: a design that cannot be made or discretised, a class that is no plant.
     """
     if scenario.plant.is_class:
-        SimulatedPlant(scenario)  # refused as before a run
+        SimulatedPlant(scenario)  # refuses what a run refuses
     table, plant = controller_table(scenario, None), continuous_plant(scenario.plant)
     network = network_of(scenario)
 
-    def with_left(effectiveness: Effectiveness) -> Margins:
+    def margins_with(effectiveness: Effectiveness) -> Margins:
         return margins(table, plant, scenario.tick_s, effectiveness)
 
-    return Check(
+    return StabilityCheck(
         scenario=scenario,
-        healthy=with_left(HEALTHY),
-        faulted=with_left(DEAD[scenario.fault.channel]),
-        partly_lost={left: with_left((left, 1.0)) for left in PARTLY_LOST},
+        healthy=margins_with(HEALTHY),
+        faulted=margins_with(DEAD[scenario.fault.channel]),
+        partly_lost={left: margins_with((left, 1.0)) for left in PARTLY_LOST},
         false_alarm=(
             margins(table, plant, scenario.tick_s, confirmed=1.0)
             if table.compensator.on_confirmation
             else None
         ),
-        budget=budget(scenario, network),
-        authority=authority(scenario, network),
+        budget=threshold_budget(scenario, network),
+        control_authority=control_authority(scenario, network),
     )
 
 
@@ -166,7 +158,8 @@ def refuse_unstable(scenario: Scenario) -> None:
     """Raise unless the loop is stable before the fault and after it.
 
     Raises:
-        ScenarioError: which state is unstable and what would work; a design that cannot be made.
+        ScenarioError: names the unstable state and what would be stable; a design that cannot be
+            made.
     """
     table, plant = controller_table(scenario, None), continuous_plant(scenario.plant)
     for name, left in _both_ends(scenario).items():
@@ -179,10 +172,11 @@ def refuse_unstable(scenario: Scenario) -> None:
             )
 
 
-def working_tuning(scenario: Scenario) -> str | None:
+def stable_tuning(scenario: Scenario) -> str | None:
     """The fastest tau_s = tau_q_s that is stable before and after the fault with a tick to spare.
 
-    As the options that choose it; the scenario's own estimator is tried first. None if none is.
+    As the options that choose it; the scenario's own estimator is tried first. None if there is
+    no such tuning.
     """
     plant, states = continuous_plant(scenario.plant), tuple(_both_ends(scenario).values())
     own = scenario.design.estimator
@@ -199,53 +193,33 @@ def working_tuning(scenario: Scenario) -> str | None:
 
 
 def _reason(scenario: Scenario, state: str, radius: float) -> str:
-    """What is wrong with the loop in ``state``, and two ways out of it."""
-    most = largest_latency_survived(
+    """What is wrong with the loop in ``state``, and what latency and what tuning would do."""
+    longest = largest_latency_survived(
         continuous_design(scenario),
         target(scenario, None),
         continuous_plant(scenario.plant),
         tuple(_both_ends(scenario).values()),
     )
-    survived = "no latency_ticks" if most is None else f"latency_ticks up to {most}"
-    tuning = working_tuning(scenario) or f"no tau_s = tau_q_s up to {TUNINGS_S[-1]:g}"
+    survived = "no latency_ticks" if longest is None else f"latency_ticks up to {longest}"
+    tuning = stable_tuning(scenario) or f"no tau_s = tau_q_s up to {TUNINGS_S[-1]:g}"
     return (
-        f"unstable ({state}): spectral radius {radius:.4f}, below 1 is right; "
-        f"this tuning survives {survived}; {tuning} works"
+        f"unstable ({state}): the spectral radius is {radius:.4f} and must be below 1; "
+        f"this tuning is stable with {survived}; {tuning} works"
     )
-
-
-def table_rows(result: Check) -> Iterator[tuple[str, ...]]:
-    """A heading with the states, then one row a figure; what an unstable loop has none of: "-"."""
-    yield "", *(name for name, _ in result.states)
-    for label, form in FIGURES.items():
-        always = label in {"spectral radius", "slowest, rad/s", "its damping"}
-        cells = (form(m) if always or m.stable else "-" for _, m in result.states)
-        yield label, *cells
-
-
-def _or_any(value: float | None, scale: float = 1.0) -> str:
-    return "any" if value is None else f"{scale * value:.4g}"
 
 
 def _isolation(probe_nm: float) -> str:
     if probe_nm > 0.0:
         return (
-            f"isolation: a loss is confirmed only where a torque probe of {probe_nm:g} N m goes "
+            f"isolation: a loss is confirmed only when a torque probe of {probe_nm:g} N m goes "
             "unanswered; a biased D* stays suspected"
         )
     return (
-        "isolation: none: a D* that is biased by more than the threshold is taken for a loss; "
-        "design.probe_nm, a small torque probe, would tell"
+        "isolation: none: a D* biased by more than the threshold is taken for a loss; a small "
+        "torque probe, design.probe_nm, would tell the two apart"
     )
 
 
 def _both_ends(scenario: Scenario) -> dict[str, Effectiveness]:
     channel = scenario.fault.channel
     return {"healthy": HEALTHY, f"{channel} dead": DEAD[channel]}
-
-
-def _finite(value: Any) -> Any:
-    """``value`` with None for every number in it that is not finite."""
-    if isinstance(value, dict):
-        return {key: _finite(inner) for key, inner in value.items()}
-    return None if isinstance(value, float) and not math.isfinite(value) else value
