@@ -46,8 +46,7 @@ def in_process(scenario: Scenario, folder: Path) -> float:
 
 def two_processes(scenario: Scenario, bus: str, folder: Path) -> float:
     """Ticks a second of two processes on ``bus``."""
-    arguments = [scenario.name, "--set", f"duration_s={scenario.duration_s}", "--bus", bus]
-    summary = run_processes(arguments, folder / "two.log", StopRequest(), ignore)
+    summary = run_processes(scenario, bus, folder / "two.log", StopRequest())
     return summary.ticks / summary.wall_s
 
 

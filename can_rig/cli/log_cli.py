@@ -113,7 +113,7 @@ def replay(
     if speed is not None:
         raise click.UsageError("--speed is the pace of a replay onto a --bus; name one")
     if what_if:
-        from can_rig.replay.what_if import what_if_command  # noqa: PLC0415
+        from can_rig.cli.what_if_command import what_if_command  # noqa: PLC0415
 
         _refuse_together("--what-if", gaps=gaps)
         sys.exit(
@@ -124,7 +124,7 @@ def replay(
     if out is not None:
         raise click.UsageError("--out is the run folder of a --what-if")
     from can_rig.cli.replay_command import replay_command  # noqa: PLC0415 (imports the controller)
-    from can_rig.replay.source import source_of  # noqa: PLC0415
+    from can_rig.results.source import source_of  # noqa: PLC0415
 
     source = source_of(log, scenario_name, settings, channel)
     sys.exit(replay_command(source, gaps, force, as_json))

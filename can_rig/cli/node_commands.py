@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
@@ -18,13 +18,12 @@ from rich.progress import (
 
 from can_rig.errors import INTERRUPTED, LogError, RigError
 from can_rig.nodes.lockstep import StopRequest, Waiting
-from can_rig.nodes.nodes import EveryNowAndThen, NodeSummary, json_line, run_controller, run_plant
+from can_rig.nodes.nodes import NodeSummary, json_line, run_controller, run_plant
+from can_rig.nodes.progress import OnTick, Throttled
 from can_rig.nodes.realtime import deadlines
 from can_rig.nodes.realtime import nodes as realtime_nodes
 from can_rig.scenario import loading as scenarios
 from can_rig.scenario.settings import Scenario
-
-OnTick = Callable[[int], None]
 
 
 def plant_command(
@@ -46,7 +45,7 @@ def plant_command(
     stop = StopRequest().on_signals()
     run_node = realtime_nodes.run_plant if real_time else run_plant
     with _node_output(scenario, as_json) as on_tick:
-        summary = run_node(scenario, bus, log, waiting, stop, EveryNowAndThen(on_tick))
+        summary = run_node(scenario, bus, log, waiting, stop, Throttled(on_tick))
     return _node_end(scenario, summary, as_json)
 
 
@@ -69,7 +68,7 @@ def controller_command(
 
     run_node = realtime_nodes.run_controller if real_time else run_controller
     with _node_output(scenario, as_json) as on_tick:
-        summary = run_node(scenario, bus, waiting, stop, on_ready, EveryNowAndThen(on_tick))
+        summary = run_node(scenario, bus, waiting, stop, on_ready, Throttled(on_tick))
     return _node_end(scenario, summary, as_json)
 
 

@@ -18,7 +18,7 @@ from can_rig.errors import DbcError, LogError, ScenarioError
 from can_rig.files import atomic
 from can_rig.frames.messages import shipped_dbc
 from can_rig.logs.reading import read_log
-from can_rig.replay.source import log_path, source_of
+from can_rig.results.source import log_path, source_of
 from can_rig.views.signal_table import fault_of
 
 CAR: Final = "steer_by_wire.dbc"

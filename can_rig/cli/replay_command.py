@@ -12,12 +12,13 @@ from typing import Any, Final
 from rich.console import Console
 from rich.table import Table
 
+from can_rig.cli.progress import reading
 from can_rig.errors import LogError
 from can_rig.files import atomic, refuse_existing
 from can_rig.replay.comparison import Place, SignalComparison
 from can_rig.replay.gaps import Gap, in_order, seconds, write_gaps
 from can_rig.replay.replay import OpenLoop
-from can_rig.replay.source import Source
+from can_rig.results.source import Source
 from can_rig.scenario.build import network_of
 
 SHOWN: Final = 12
@@ -42,7 +43,7 @@ def replay_command(source: Source, gaps: Path | None, force: bool, as_json: bool
     found: list[Gap] = []
     with _all_gaps(gaps) as write:
         loop = OpenLoop(source.scenario, network_of(source.scenario), found.append)
-        loop.run(source.frames("replaying"))
+        loop.run(source.frames(lambda log: reading(log, "replaying")))
         listed = in_order(found)
         write(listed)
     if not any(signal.compared for signal in loop.comparison.signals):

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import os
-import time
 from collections import Counter
 from collections.abc import Sequence
 from pathlib import Path
@@ -11,23 +9,18 @@ from pathlib import Path
 from rich.console import Console
 from rich.table import Table
 
-from can_rig.assessment.check import refuse_unstable
-from can_rig.buses.bus import in_one_process
 from can_rig.cli.node_commands import tick_progress
-from can_rig.errors import INTERRUPTED, BusError, RigError
+from can_rig.errors import INTERRUPTED
 from can_rig.frames.messages import Network
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import refuse_log, write_log
 from can_rig.nodes.lockstep import StopRequest
-from can_rig.nodes.nodes import EveryNowAndThen, run_in_process
-from can_rig.nodes.processes import run_processes
 from can_rig.nodes.realtime import deadlines
-from can_rig.plant.simulated import SimulatedPlant
+from can_rig.results import execution
+from can_rig.results.execution import refuse
 from can_rig.results.metrics import Metrics, rows
-from can_rig.results.run_folder import LOG, Outcome, create, finish, give_up
+from can_rig.results.run_folder import LOG, Outcome
 from can_rig.scenario import loading as scenarios
-from can_rig.scenario.build import controller_table, network_of
-from can_rig.scenario.reference import on_the_bus
 from can_rig.scenario.settings import Scenario
 
 
@@ -44,77 +37,28 @@ def run_command(
 ) -> int:
     """``can-rig run``: the exit status. Without a ``bus`` the run has a local one of its own."""
     scenario = scenarios.load(name, settings)
-    if real_time:
-        deadlines.require_causal(scenario)
-    bus = _bus_name(bus, in_process)
-    network = network_of(scenario)
-    controller_table(scenario, network)  # what cannot run is refused before it starts
-    on_the_bus(scenario, network)
-    SimulatedPlant(scenario)
-    if not allow_unstable:
-        refuse_unstable(scenario)
+    refuse(scenario, allow_unstable)
     for path in logs:
         refuse_log(path, force)
     stop = StopRequest().on_signals()
-    folder = create(out, scenario, force)
-    outcome = Outcome(bus, realtime={} if real_time else None)
-    failure: RigError | None = None
-    start = time.perf_counter()
-    try:
-        with tick_progress(scenario) as on_tick:
-            if in_process:
-                summary = run_in_process(
-                    scenario, bus, folder / LOG, stop, EveryNowAndThen(on_tick)
-                )
-            else:
-                arguments = [name, *(a for s in settings for a in ("--set", s)), "--bus", bus]
-                summary = run_processes(arguments, folder / LOG, stop, on_tick, real_time)
-        outcome.ticks, outcome.wall_s = summary.ticks, summary.wall_s
-        outcome.rejected_frames, outcome.realtime = summary.rejected_frames, summary.realtime
-        outcome.bus_events = summary.bus_events
-        if summary.ticks < scenario.ticks:
-            outcome.outcome = "interrupted"
-    except RigError as error:
-        failure = error
-        outcome.outcome, outcome.wall_s = str(error), time.perf_counter() - start
-    if not (folder / LOG).is_file():
-        give_up(folder)
-        if failure is not None:
-            raise failure
+    runner = execution.in_process if in_process else execution.two_processes
+    done = execution.execute(
+        scenario,
+        out,
+        stop,
+        force=force,
+        bus=bus,
+        runner=execution.real_time if real_time else runner,
+        progress=lambda: tick_progress(scenario),
+    )
+    if done is None:
         return INTERRUPTED
-    values = _finish(folder, scenario, network, outcome, failure)
-    closing_table(scenario, network, values, outcome, folder)
+    closing_table(done.scenario, done.network, done.metrics, done.outcome, done.folder)
     for path in logs:
-        write_log(read_log(folder / LOG), path)
-    if failure is not None:
-        raise failure
-    return INTERRUPTED if outcome.outcome == "interrupted" else 0
-
-
-def _bus_name(bus: str | None, in_process: bool) -> str:
-    """The bus of the run, refused before both nodes wait on it for each other in vain."""
-    bus = bus or f"local:run-{os.getpid()}"
-    if not in_process and in_one_process(bus):
-        raise BusError(
-            f"bus {bus!r}: stays within one process, and the nodes are two; --in-process, or the "
-            "bus 'local', is right"
-        )
-    return bus
-
-
-def _finish(
-    folder: Path,
-    scenario: Scenario,
-    network: Network,
-    outcome: Outcome,
-    failure: RigError | None,
-) -> Metrics:
-    try:
-        return finish(folder, scenario, network, outcome)
-    except RigError:
-        if failure is not None:  # came first, and may be why: a disk that was full already
-            raise failure from None
-        raise
+        write_log(read_log(done.folder / LOG), path)
+    if done.failure is not None:
+        raise done.failure
+    return done.exit_status
 
 
 def closing_table(

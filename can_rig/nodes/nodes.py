@@ -23,7 +23,6 @@ from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 
 NodeName = Literal["plant", "controller"]
-PROGRESS_EVERY_S = 0.1
 
 
 @dataclass
@@ -153,26 +152,6 @@ def _recorder(log: Path | None, scenario: Scenario) -> Iterator[Recorder | None]
         return
     with Recorder(log, scenario.tick_ns) as recorder:
         yield recorder
-
-
-class EveryNowAndThen:
-    """Calls ``report(tick)`` at most every 0.1 s; asked each tick, it looks at the clock rarely."""
-
-    def __init__(self, report: Callable[[int], None]) -> None:
-        self._report = report
-        self._countdown = self._stride = 64
-        self._last_s = time.monotonic()
-
-    def __call__(self, tick: int) -> None:
-        """Note that ``tick`` ticks are done."""
-        self._countdown -= 1
-        if self._countdown:
-            return
-        self._countdown = self._stride
-        now_s = time.monotonic()
-        if now_s - self._last_s >= PROGRESS_EVERY_S:
-            self._last_s = now_s
-            self._report(tick)
 
 
 def json_line(**values: object) -> None:
