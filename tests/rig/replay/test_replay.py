@@ -427,7 +427,7 @@ def test_the_command_line_says_what_differs(drive: Path, frames: list[Message]) 
     assert different.returncode == 1
     assert "different from tick 0 on" in different.stdout
     for arguments, words in (
-        ((drive,), "--scenario NAME is right"),
+        ((drive,), "name it with --scenario NAME"),
         (("nothing.log", "--scenario", "default"), "there is no such file"),
         ((".", "--scenario", "default"), "not a run folder"),
         ((drive, "--scenario", "default", "--channel", "can7"), "the log has vcan0"),
