@@ -20,10 +20,10 @@ from rich.table import Table
 
 from can_rig.buses.bus import open_bus
 from can_rig.frames.messages import Network, Receiver, Transmitter
-from can_rig.nodes.lockstep import StopRequest
-from can_rig.nodes.nodes import run_in_process
 from can_rig.nodes.processes import run_processes
 from can_rig.nodes.recorder import Recorder
+from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.watchdog import StopRequest
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario import loading as scenarios
 from can_rig.scenario.build import controller_table, network_of

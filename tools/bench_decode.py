@@ -26,8 +26,8 @@ from can_rig.frames.messages import shipped_dbc
 from can_rig.logs.frames import concatenate
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import candump_lines, write_log
-from can_rig.nodes.lockstep import StopRequest
-from can_rig.nodes.nodes import run_in_process
+from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.watchdog import StopRequest
 from can_rig.scenario import loading as scenarios
 
 RUN_S = 15.0  # whole cycles of the alive counter, so that a repetition loses no frame

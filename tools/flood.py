@@ -24,10 +24,10 @@ from rich.console import Console
 from rich.table import Table
 
 from can_rig.buses.bus import open_bus
-from can_rig.nodes.lockstep import StopRequest
-from can_rig.nodes.nodes import NodeSummary, run_in_process
 from can_rig.nodes.processes import run_processes
 from can_rig.nodes.progress import OnTick
+from can_rig.nodes.runner import NodeSummary, run_in_process
+from can_rig.nodes.watchdog import StopRequest
 from can_rig.scenario import loading as scenarios
 
 TAKEN_WITHIN_S = 10.0  # makes the local bus wait for the slowest listener

@@ -124,7 +124,7 @@ def _check_is_up(channel: str) -> None:
         raise BusError(f"CAN interface {channel} is down: sudo ip link set up {channel}")
 
 
-def lost(bus: can.BusABC, error: can.CanError, for_s: float) -> BusLostError:
+def lost(bus: object, error: can.CanError, for_s: float) -> BusLostError:
     """What to raise when ``bus`` has refused with ``error`` for ``for_s``: one line, and a way."""
     code = error.error_code or 0
     channel = getattr(bus, "channel", "")
@@ -136,7 +136,8 @@ def lost(bus: can.BusABC, error: can.CanError, for_s: float) -> BusLostError:
         errno.ENOBUFS: f"the transmit queue has been full for {for_s:g} s; is there a node that "
         f"acknowledges? a longer queue: sudo ip link set {channel} txqueuelen 1000",
     }
-    return BusLostError(f"{bus.channel_info}: {reasons.get(code) or one_line(error)}")
+    name = getattr(bus, "channel_info", "the bus")
+    return BusLostError(f"{name}: {reasons.get(code) or one_line(error)}")
 
 
 def _recipe(channel: object) -> str:

@@ -9,7 +9,7 @@ from rich.console import Console
 from rich.table import Table
 
 from can_rig.assessment.check import check, table_rows
-from can_rig.nodes.nodes import json_line
+from can_rig.nodes.progress import json_line
 from can_rig.scenario import loading as scenarios
 
 

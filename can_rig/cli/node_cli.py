@@ -135,11 +135,11 @@ def plant(
     In real time it goes on without the controller node: actuators hold, then drop to zero.
     """
     from can_rig.cli.node_commands import plant_command  # noqa: PLC0415
-    from can_rig.nodes.lockstep import Waiting  # noqa: PLC0415
+    from can_rig.nodes.watchdog import Timeouts  # noqa: PLC0415
 
-    alone = math.inf if real_time else Waiting.silence_s
-    waiting = Waiting(first_s, alone if silence_s is None else silence_s)
-    sys.exit(plant_command(scenario, settings, bus, log, waiting, as_json, real_time))
+    alone = math.inf if real_time else Timeouts.silence_s
+    timeouts = Timeouts(first_s, alone if silence_s is None else silence_s)
+    sys.exit(plant_command(scenario, settings, bus, log, timeouts, as_json, real_time))
 
 
 @click.command()
@@ -160,7 +160,7 @@ def controller(
     then takes over without a bump.
     """
     from can_rig.cli.node_commands import controller_command  # noqa: PLC0415
-    from can_rig.nodes.lockstep import Waiting  # noqa: PLC0415
+    from can_rig.nodes.watchdog import Timeouts  # noqa: PLC0415
 
-    waiting = Waiting(first_s, Waiting.silence_s if silence_s is None else silence_s)
-    sys.exit(controller_command(scenario, settings, bus, waiting, as_json, real_time))
+    timeouts = Timeouts(first_s, Timeouts.silence_s if silence_s is None else silence_s)
+    sys.exit(controller_command(scenario, settings, bus, timeouts, as_json, real_time))

@@ -17,11 +17,10 @@ from rich.progress import (
 )
 
 from can_rig.errors import INTERRUPTED, LogError, RigError
-from can_rig.nodes.lockstep import StopRequest, Waiting
-from can_rig.nodes.nodes import NodeSummary, json_line, run_controller, run_plant
-from can_rig.nodes.progress import OnTick, Throttled
-from can_rig.nodes.realtime import deadlines
-from can_rig.nodes.realtime import nodes as realtime_nodes
+from can_rig.nodes.progress import OnTick, Throttled, json_line
+from can_rig.nodes.realtime import timing
+from can_rig.nodes.runner import NodeSummary, run_controller, run_plant
+from can_rig.nodes.watchdog import StopRequest, Timeouts
 from can_rig.scenario import loading as scenarios
 from can_rig.scenario.settings import Scenario
 
@@ -31,7 +30,7 @@ def plant_command(
     settings: Sequence[str],
     bus: str,
     log: Path | None,
-    waiting: Waiting,
+    timeouts: Timeouts,
     as_json: bool,
     real_time: bool,
 ) -> int:
@@ -43,9 +42,17 @@ def plant_command(
         )
     scenario = scenarios.load(name, settings)
     stop = StopRequest().on_signals()
-    run_node = realtime_nodes.run_plant if real_time else run_plant
     with _node_output(scenario, as_json) as on_tick:
-        summary = run_node(scenario, bus, log, waiting, stop, Throttled(on_tick))
+        summary = run_plant(
+            scenario,
+            bus,
+            log,
+            timeouts,
+            stop,
+            Throttled(on_tick),
+            real_time=real_time,
+            by_hand=True,
+        )
     return _node_end(scenario, summary, as_json)
 
 
@@ -53,7 +60,7 @@ def controller_command(
     name: str,
     settings: Sequence[str],
     bus: str,
-    waiting: Waiting,
+    timeouts: Timeouts,
     as_json: bool,
     real_time: bool,
 ) -> int:
@@ -66,9 +73,17 @@ def controller_command(
         if as_json:
             json_line(ready=True)
 
-    run_node = realtime_nodes.run_controller if real_time else run_controller
     with _node_output(scenario, as_json) as on_tick:
-        summary = run_node(scenario, bus, waiting, stop, on_ready, Throttled(on_tick))
+        summary = run_controller(
+            scenario,
+            bus,
+            timeouts,
+            stop,
+            on_ready,
+            Throttled(on_tick),
+            real_time=real_time,
+            by_hand=True,
+        )
     return _node_end(scenario, summary, as_json)
 
 
@@ -105,13 +120,13 @@ def _node_end(scenario: Scenario, summary: NodeSummary, as_json: bool) -> int:
     if as_json:
         json_line(**asdict(summary))
         return 0
-    rate = summary.ticks / summary.wall_s if summary.wall_s else 0.0
     console = Console(stderr=True)
     console.print(
-        f"{summary.ticks} of {scenario.ticks} ticks, {rate:.0f} a second", highlight=False
+        f"{summary.ticks} of {scenario.ticks} ticks, {summary.ticks_per_s:.0f} a second",
+        highlight=False,
     )
-    for label, text in deadlines.rows(summary.realtime or {}):
+    for label, text in timing.rows(summary.realtime or {}):
         console.print(f"{label}: {text}", highlight=False, soft_wrap=True)
-    for line in deadlines.scheduling_lines(summary.realtime or {}):
+    for line in timing.scheduling_lines(summary.realtime or {}):
         console.print(line, highlight=False, soft_wrap=True)
     return 0 if summary.ticks == scenario.ticks else INTERRUPTED

@@ -14,8 +14,8 @@ from can_rig.errors import INTERRUPTED
 from can_rig.frames.messages import Network
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import refuse_log, write_log
-from can_rig.nodes.lockstep import StopRequest
-from can_rig.nodes.realtime import deadlines
+from can_rig.nodes.realtime import timing
+from can_rig.nodes.watchdog import StopRequest
 from can_rig.results import execution
 from can_rig.results.execution import refuse
 from can_rig.results.metrics import Metrics, rows
@@ -82,7 +82,7 @@ def closing_table(
             table.add_row(label, text)
         factor = outcome.ticks_per_s * scenario.tick_s
         table.add_row("rate", f"{outcome.ticks_per_s:.0f} ticks/s, {factor:.1f} x real time")
-    for label, text in deadlines.rows(outcome.realtime or {}):
+    for label, text in timing.rows(outcome.realtime or {}):
         table.add_row(label, text)
     rejected: Counter[str] = Counter()
     for counts in outcome.rejected_frames.values():
@@ -94,6 +94,6 @@ def closing_table(
     console = Console()
     if table.row_count:
         console.print(table)
-    for line in deadlines.scheduling_lines(outcome.realtime or {}):
+    for line in timing.scheduling_lines(outcome.realtime or {}):
         console.print(line, soft_wrap=True, highlight=False)
     console.print(f"run folder  {folder}", soft_wrap=True, markup=False, highlight=False)

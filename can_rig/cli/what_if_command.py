@@ -13,7 +13,7 @@ from can_rig.cli.node_commands import tick_progress
 from can_rig.cli.progress import reading
 from can_rig.cli.run_command import closing_table
 from can_rig.errors import INTERRUPTED
-from can_rig.nodes.lockstep import StopRequest
+from can_rig.nodes.watchdog import StopRequest
 from can_rig.replay.what_if import LABELS, question, what_if
 from can_rig.views.signal_table import units_of
 

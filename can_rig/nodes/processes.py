@@ -24,10 +24,9 @@ from pathlib import Path
 from typing import Any, Final
 
 from can_rig.errors import RigError, SilentNodeError
-from can_rig.nodes.lockstep import StopRequest, Waiting
-from can_rig.nodes.nodes import NodeName, NodeSummary, run_controller, run_plant
 from can_rig.nodes.progress import OnTick, Progress, Throttled, no_progress
-from can_rig.nodes.realtime import nodes as realtime
+from can_rig.nodes.runner import NodeName, NodeSummary, run_controller, run_plant
+from can_rig.nodes.watchdog import StopRequest, Timeouts
 from can_rig.scenario.settings import Scenario
 
 ENDS_WITHIN_S: Final = 4.0
@@ -179,17 +178,16 @@ def run_processes(
 def _controller(
     scenario: Scenario, bus: str, real_time: bool, stop: StopRequest, report: Report
 ) -> NodeSummary:
-    run = realtime.run_controller if real_time else run_controller
     on_tick = Throttled(lambda tick: report(ticks=tick))
-    return run(scenario, bus, Waiting(), stop, lambda: report(ready=True), on_tick)
+    on_ready = partial(report, ready=True)
+    return run_controller(scenario, bus, Timeouts(), stop, on_ready, on_tick, real_time=real_time)
 
 
 def _plant(
     scenario: Scenario, bus: str, real_time: bool, log: Path, stop: StopRequest, report: Report
 ) -> NodeSummary:
-    run = realtime.run_plant if real_time else run_plant
     on_tick = Throttled(lambda tick: report(ticks=tick))
-    return run(scenario, bus, log, Waiting(), stop, on_tick)
+    return run_plant(scenario, bus, log, Timeouts(), stop, on_tick, real_time=real_time)
 
 
 def _watch(

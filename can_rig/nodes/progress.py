@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-import time
+import json
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Final
+
+from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock
 
 PROGRESS_EVERY_S: Final = 0.1
 
@@ -26,10 +28,11 @@ def no_progress() -> Iterator[OnTick]:
 class Throttled:
     """Calls ``report(tick)`` at most every 0.1 s; called each tick, it rarely reads the clock."""
 
-    def __init__(self, report: OnTick) -> None:
+    def __init__(self, report: OnTick, clock: Clock = SYSTEM_CLOCK) -> None:
         self._report = report
+        self._clock = clock
         self._countdown = self._stride = 64
-        self._last_s = time.monotonic()
+        self._last_ns = clock.now_ns()
 
     def __call__(self, tick: int) -> None:
         """Note that ``tick`` ticks are done."""
@@ -37,7 +40,12 @@ class Throttled:
         if self._countdown:
             return
         self._countdown = self._stride
-        now_s = time.monotonic()
-        if now_s - self._last_s >= PROGRESS_EVERY_S:
-            self._last_s = now_s
+        now_ns = self._clock.now_ns()
+        if now_ns - self._last_ns >= PROGRESS_EVERY_S * NS_PER_S:
+            self._last_ns = now_ns
             self._report(tick)
+
+
+def json_line(**values: object) -> None:
+    """One line of JSON on standard output, at once."""
+    print(json.dumps(values), flush=True)

@@ -10,8 +10,8 @@ from typing import Final
 import numpy as np
 
 from can_rig.errors import LogError, ScenarioError
-from can_rig.nodes.lockstep import StopRequest
 from can_rig.nodes.progress import Progress, no_progress
+from can_rig.nodes.watchdog import StopRequest
 from can_rig.results.execution import Execution, execute, refuse
 from can_rig.results.run_folder import LOG
 from can_rig.results.signals import Signals, read_signals, signals_of

@@ -16,11 +16,11 @@ from can_rig.assessment.check import refuse_unstable
 from can_rig.buses.bus import in_one_process
 from can_rig.errors import INTERRUPTED, BusError, RigError, RunFolderError
 from can_rig.frames.messages import Network
-from can_rig.nodes.lockstep import StopRequest
-from can_rig.nodes.nodes import NodeSummary, run_in_process
 from can_rig.nodes.processes import run_processes
 from can_rig.nodes.progress import Progress, Throttled, no_progress
 from can_rig.nodes.realtime.deadlines import require_causal
+from can_rig.nodes.runner import NodeSummary, run_in_process
+from can_rig.nodes.watchdog import StopRequest
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.results.metrics import Metrics
 from can_rig.results.run_folder import LOG, Outcome, RunFolder, finish

@@ -11,7 +11,7 @@ from rich.console import Console
 from rich.table import Table
 
 from can_rig.assessment.bus_timing.timing import BusTiming, FrameTiming, dbc_timing, network_timing
-from can_rig.nodes.nodes import json_line
+from can_rig.nodes.progress import json_line
 from can_rig.plant.protocol import load_plant
 from can_rig.scenario import loading as scenarios
 from can_rig.scenario.build import network_of

@@ -16,7 +16,7 @@ from can_rig.assessment.tuning.box import MOST_DELAY_TICKS, cars, ranges
 from can_rig.assessment.tuning.candidate import Tuning
 from can_rig.assessment.tuning.search import ALIKE, Tunings, tune
 from can_rig.errors import RunFolderError
-from can_rig.nodes.nodes import json_line
+from can_rig.nodes.progress import json_line
 from can_rig.scenario import loading as scenarios
 
 PICTURE = "tuning.png"

@@ -5,8 +5,8 @@ import random
 import can
 
 from can_rig.buses.bus import open_bus
-from can_rig.nodes.lockstep import StopRequest
-from can_rig.nodes.nodes import run_in_process
+from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.watchdog import StopRequest
 from can_rig.scenario.loading import load
 from tests.helpers import record
 

@@ -16,8 +16,8 @@ import pytest
 from matplotlib.figure import Figure
 
 from can_rig.errors import INTERRUPTED, RigError, RunFolderError, SilentNodeError
-from can_rig.nodes.lockstep import StopRequest
-from can_rig.nodes.nodes import NodeSummary
+from can_rig.nodes.runner import NodeSummary
+from can_rig.nodes.watchdog import StopRequest
 from can_rig.results import execution
 from can_rig.results.execution import execute
 from can_rig.scenario.loading import load

@@ -11,8 +11,8 @@ import pytest
 from scipy import signal
 
 from can_rig.assessment.check import check
-from can_rig.nodes.lockstep import StopRequest
-from can_rig.nodes.nodes import run_in_process
+from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.watchdog import StopRequest
 from can_rig.results.counterfactual import fault_free
 from can_rig.results.metrics import Metrics, metrics, rows, windows
 from can_rig.results.signals import Signals, read_signals

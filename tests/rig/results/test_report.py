@@ -10,9 +10,9 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
-from can_rig.nodes.lockstep import StopRequest
-from can_rig.nodes.nodes import run_in_process
-from can_rig.nodes.realtime.deadlines import Timing
+from can_rig.nodes.realtime.timing import Timing
+from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.watchdog import StopRequest
 from can_rig.results import report
 from can_rig.results.run_folder import Outcome, finish
 from can_rig.results.signals import Signals, read_signals

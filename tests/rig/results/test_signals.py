@@ -13,8 +13,8 @@ from can import LogReader
 
 from can_rig.errors import LogError
 from can_rig.frames.messages import Network, Transmitter
-from can_rig.nodes.lockstep import StopRequest
-from can_rig.nodes.nodes import run_in_process
+from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.watchdog import StopRequest
 from can_rig.results.signals import COLUMNS, Signals, plain_frames, read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import load
