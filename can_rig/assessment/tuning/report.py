@@ -17,7 +17,7 @@ from can_rig.assessment.tuning.box import MOST_DELAY_TICKS, cars, parameter_rang
 from can_rig.assessment.tuning.candidate import Tuning
 from can_rig.assessment.tuning.search import ALIKE, Tunings, tune
 from can_rig.errors import RunFolderError
-from can_rig.nodes.nodes import json_line
+from can_rig.nodes.progress import json_line
 
 PICTURE = "tuning.png"
 APART = 1.6  # factor in peak or noise from one row of the table to the next
