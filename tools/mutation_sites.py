@@ -16,7 +16,7 @@
 | `break`          | `continue`, and the other way round                                           |
 | `return a`       | `return None`                                                                 |
 
-Texts, annotations, decorators, imports and what is raised are left alone.
+Texts, annotations, decorators, imports, what is raised, and `strict=True` are left alone.
 """
 
 from __future__ import annotations
@@ -101,8 +101,10 @@ def _changes(node: ast.AST, values: frozenset[str] = frozenset()) -> Iterator[tu
         yield condition, f"(not ({ast.unparse(condition)}))"
     for name, value in ast.iter_fields(node):
         for child in value if isinstance(value, list) else [value]:
-            if isinstance(child, ast.AST) and not isinstance(child, ast.JoinedStr | ast.arg):
-                yield from () if name in _LEFT_ALONE else _changes(child, values)
+            if isinstance(child, ast.JoinedStr | ast.arg) or name in _LEFT_ALONE:
+                continue
+            if isinstance(child, ast.AST) and getattr(child, "arg", None) != "strict":
+                yield from _changes(child, values)
 
 
 def _set_twice(function: ast.FunctionDef) -> frozenset[str]:
