@@ -16,7 +16,7 @@ from can_rig.frames.endpoints import Receiver
 from can_rig.frames.network import Network
 from can_rig.logs.frames import SENT
 from can_rig.logs.reading import read_log
-from firmware_model.discretisation.sections import FloatArray
+from firmware_model.target.structs import FloatArray
 
 COLUMNS = (
     "time_s",

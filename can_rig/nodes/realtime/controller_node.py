@@ -33,7 +33,7 @@ from can_rig.plant.simulated import Actuator
 from can_rig.scenario.build import controller_table
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
-from firmware_model.target.layout import FaultState, Mode
+from firmware_model.target.status import FaultState, Mode
 
 MOST_OTHERS = 30  # frames looked at behind a sample before it is answered: a flood never ends
 BEHIND = 1 << 15  # of 16 bits of a tick: half of them are the past

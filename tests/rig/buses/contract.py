@@ -89,7 +89,7 @@ class BusContract:
     def test_every_kind_of_frame_survives(self, near: Open, far: Open) -> None:
         sender, receiver = near(), far()
 
-        @settings(max_examples=100, deadline=None)
+        @settings(max_examples=100)
         @given(frames(error_frames=self.error_frames))
         def survives(sent: can.Message) -> None:
             sender.send(sent)

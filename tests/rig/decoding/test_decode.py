@@ -17,7 +17,7 @@ from can_rig.logs.frames import from_messages
 from tests.rig.decoding.databases import FEATURES, databases, numbers, require_agreement
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=200)
 @given(databases(), st.data())
 def test_every_value_is_that_of_cantools(database: Database, data: st.DataObject) -> None:
     payloads = []
@@ -34,7 +34,7 @@ def test_every_value_is_that_of_cantools(database: Database, data: st.DataObject
     require_agreement(database, [payloads[at] for at in order])
 
 
-@settings(max_examples=100, deadline=None)
+@settings(max_examples=100)
 @given(
     st.integers(1, 64),
     st.booleans(),
@@ -61,7 +61,7 @@ def test_scaling_at_the_edges(length, motorola, signed, raw, scale, offset) -> N
     require_agreement(Database([message]), [(message, payload)] * 2)
 
 
-@settings(max_examples=30, deadline=None)
+@settings(max_examples=30)
 @given(st.lists(st.tuples(st.integers(0, 4), st.binary(min_size=8, max_size=8)), max_size=30))
 def test_the_features_of_public_databases(draws: list[tuple[int, bytes]]) -> None:
     database = cantools.database.load_string(FEATURES, "dbc")

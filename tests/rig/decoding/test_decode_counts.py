@@ -31,7 +31,7 @@ def protected(counters: list[int], data_id: int) -> list[bytes]:
     return frames
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(
     st.lists(
         st.tuples(st.integers(0, 14), st.sampled_from(["good", "good", "good", "bad", "short"])),

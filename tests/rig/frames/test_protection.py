@@ -65,7 +65,7 @@ def bursts():
                 yield (pattern << shift).to_bytes(8, "big")
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(payloads, data_ids)
 def test_every_burst_of_up_to_8_bits_is_detected(payload, data_id):
     data = bytearray(payload)

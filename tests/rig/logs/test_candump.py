@@ -75,7 +75,7 @@ frames_drawn = st.builds(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(frames_drawn, max_size=20), st.integers(1, 7))
 def test_the_same_frames_as_python_can(tmp_path_factory, messages, chunk_frames) -> None:
     """Of a log that python-can wrote, read by python-can."""
@@ -94,7 +94,7 @@ def test_the_same_frames_as_python_can(tmp_path_factory, messages, chunk_frames)
         assert mine.channel == other.channel
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(frames_drawn, max_size=20))
 def test_written_lines_read_the_same(tmp_path_factory, messages) -> None:
     frames = from_messages(messages)

@@ -61,7 +61,7 @@ def test_what_is_no_frame_is_named(tmp_path: Path, line: str) -> None:
     assert len(concatenate(found)) == 1  # what was before it came
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=300)
 @given(st.binary(max_size=60), st.integers(0, 70), st.integers(0, 10))
 @example(b"\n", 10, 0)
 @example(b"_", 40, 0)

@@ -135,6 +135,7 @@ def test_python_cans_own_logger_listens(root: Path) -> None:
                 if "DL:" in line:
                     lines.append(line)
             assert all(f"{each:02x} 00 00 00" in line for each, line in enumerate(lines))
-        finally:
             logger.send_signal(signal.SIGINT)
-    assert logger.returncode == 0
+            assert logger.wait(TIMEOUT_S) == 0
+        finally:
+            logger.kill()
