@@ -9,10 +9,10 @@ import cantools
 import numpy as np
 from click.testing import CliRunner
 
+from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
 from can_rig.nodes.lockstep import StopRequest
 from can_rig.nodes.nodes import NodeSummary, run_in_process
-from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from tests.processes import rig, start
 

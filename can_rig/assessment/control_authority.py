@@ -1,10 +1,10 @@
-"""Whether X_diff can carry what the lost torque carried: the actuator's limit and the tires'.
+"""Control authority: whether X_diff can replace the lost torque within its limit and the tires'.
 
-With the torque lost the column turns free, so the front tires carry no lateral force in a steady
-bend (3.4), and all of m a_y is the rear axle's: Y_r = m a_y, and X_diff = 2 l_r Y_r/d_r from (3.3),
-which is a_y/G2(0); D* = a_y where nothing turns any more (3.8). Both share the friction of the rear
-tires: √(X_diff² + Y_r²) ≤ μ m g l_f/(l_f + l_r). The simulated linear car knows nothing of it; a
-nonlinear one slides.
+With the torque lost the steering column turns freely, so in a steady bend the front tires carry no
+lateral force (3.4) and the rear axle carries all of m a_y: Y_r = m a_y, and X_diff = 2 l_r Y_r/d_r
+from (3.3), which is a_y/G2(0); D* = a_y once the yaw rate is steady (3.8). Both share the friction
+of the rear tires: √(X_diff² + Y_r²) ≤ μ m g l_f/(l_f + l_r). The linear car does not model this
+limit; a nonlinear one slides.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from can_rig.frames.messages import Network
+from can_rig.frames.network import Network
 from can_rig.plant.nonlinear_car import car_of
 from can_rig.scenario.build import continuous_plant, target
 from can_rig.scenario.reference import reference
@@ -22,15 +22,15 @@ from can_rig.scenario.settings import Scenario
 
 
 @dataclass(frozen=True)
-class Authority:
-    """What X_diff has to give after the loss of the torque, and what it can.
+class ControlAuthority:
+    """What X_diff must give after the loss of the torque, and what it can give.
 
     Attributes:
         reference_mps2: largest |r| of the scenario.
-        needed_n: |X_diff| that holds it.
-        limit_n: the actuator's, or its frame's.
-        tires_n: what friction leaves beside the lateral force of that bend.
-        carries_mps2: the largest |D*| that limit and tires can hold.
+        needed_n: |X_diff| that holds it in a steady bend.
+        limit_n: largest |X_diff| of the actuator, or of its frame.
+        tires_n: largest |X_diff| that friction leaves beside the lateral force of that bend.
+        carries_mps2: the largest |D*| that can be held within limit and tires.
         friction: μ.
     """
 
@@ -43,20 +43,21 @@ class Authority:
 
     @property
     def available_n(self) -> float:
-        """The smaller of the two."""
+        """The largest |X_diff| that both limit and tires allow in that bend."""
         return min(self.limit_n, self.tires_n)
 
     @property
     def enough(self) -> bool:
-        """Whether the loss can be carried at all."""
+        """Whether r can be held without the torque."""
         return self.reference_mps2 <= self.carries_mps2
 
     def __str__(self) -> str:
         can = "enough" if self.enough else "NOT ENOUGH"
         return (
-            f"authority: {can}: |r| = {self.reference_mps2:.3g} m/s² without the torque takes "
-            f"{self.needed_n:.0f} N of X_diff; its limit is {self.limit_n:.0f} N, the tires leave "
-            f"{self.tires_n:.0f} N (μ = {self.friction:g}): up to {self.carries_mps2:.3g} m/s²"
+            f"control authority: {can}: to hold |r| = {self.reference_mps2:.3g} m/s² without the "
+            f"torque takes {self.needed_n:.0f} N of X_diff; its limit is {self.limit_n:.0f} N, the "
+            f"tires leave {self.tires_n:.0f} N (μ = {self.friction:g}), enough for "
+            f"{self.carries_mps2:.3g} m/s²"
         )
 
     def as_dict(self) -> dict[str, float | bool]:
@@ -64,20 +65,20 @@ class Authority:
         return {**asdict(self), "enough": self.enough}
 
 
-def authority(scenario: Scenario, network: Network) -> Authority | None:
-    """The authority of ``scenario``'s X_diff; None for ``chapter-2``, which is no car."""
-    if scenario.model.kind == "chapter-2":
+def control_authority(scenario: Scenario, network: Network) -> ControlAuthority | None:
+    """The control authority that X_diff has in ``scenario``; None for a plant that is no car."""
+    if not scenario.model.is_car:
         return None
     car = car_of(scenario.plant)
     force_per_mps2 = 1.0 / abs(continuous_plant(scenario.plant).g2.dc_gain)
     wanted = float(np.abs(reference(scenario)).max())
     limit_n = float(target(scenario, network).limit_2)
-    sideways = car.m * wanted
-    return Authority(
+    lateral_n = car.m * wanted
+    return ControlAuthority(
         reference_mps2=wanted,
         needed_n=force_per_mps2 * wanted,
         limit_n=limit_n,
-        tires_n=math.sqrt(max(car.grip_r**2 - sideways**2, 0.0)),
+        tires_n=math.sqrt(max(car.grip_r**2 - lateral_n**2, 0.0)),
         carries_mps2=min(limit_n / force_per_mps2, car.grip_r / math.hypot(force_per_mps2, car.m)),
         friction=scenario.plant.friction,
     )

@@ -1,20 +1,22 @@
-"""``design.fault_threshold_mps2 = "from-budget"``: how much d̂ a healthy car may show.
+"""The threshold budget, ``design.fault_threshold_mps2 = "from-budget"``: d̂ of a healthy car.
 
-The threshold has to stand above all that makes some d̂ without a fault, and each part is computed
-from the scenario, not guessed:
+The threshold must be above everything that contributes to d̂ without a fault. Each contribution is
+computed from the scenario:
 
     model         the car as modelled, on the scenario's own reference from its first step on: what
-                  the estimator's rule leaves of hold, delay and limits
-    noise         rms of d̂ from the sensor's noise, times as many sigmas as it takes
-    quantisation  one step of D* on the bus
+                  the estimator's discretisation rule leaves of hold, delay and limits
+    noise         rms of d̂ due to the sensor's noise, times the necessary number of sigmas
+    quantisation  one LSB of D* on the bus
 
-Other cars do not count there. What a car of ``budget.box`` shows is a share of what the torque
-does, and ``design.fault_threshold_share`` has to be above that: the largest of the vertices of a
-box around the model, on the scenario's own reference, as the firmware itself sees it.
+Cars that differ from the model contribute to the share instead: what a car of ``budget.box`` shows
+is a share of what the torque does, and ``design.fault_threshold_share`` must be above that. It is
+the largest over the vertices of a box around the model, on the scenario's own reference, as the
+firmware itself computes it.
 
-The sigmas: d̂ takes over white noise as it is (F1 knows what the noise makes of the commands, so
-only F2 y is left), so it is above z sigmas in m ticks in a row with probability p^m, p that of one
-tick. Of the ticks of an hour ``budget.false_alarms_per_hour`` may be the first of such a row.
+The sigmas: white noise reaches d̂ unfiltered (F1 accounts for what the noise makes of the commands,
+which leaves F2 y), so |d̂| is beyond z sigmas in m ticks in a row with probability p^m, where p is
+that of a single tick. Of the ticks of an hour, ``budget.false_alarms_per_hour`` may begin such a
+row.
 """
 
 from __future__ import annotations
@@ -26,29 +28,31 @@ from statistics import NormalDist
 
 import numpy as np
 
-from can_rig.assessment.tuning.box import Car, cars, ranges
-from can_rig.frames.messages import Network
+from can_rig.assessment.tuning.box import Car, cars, parameter_ranges
+from can_rig.frames.network import Network
 from can_rig.scenario.build import continuous_design, target
-from can_rig.scenario.reference import reference
+from can_rig.scenario.reference import LANE_CHANGE_S, reference
 from can_rig.scenario.settings import DesignSettings, Scenario
 from firmware_model.analysis.margins import HEALTHY, noise_gain
 from firmware_model.analysis.sampled_loop import linear_controller, sampled_loop
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import Trace, simulate
 from firmware_model.discretisation.tables import build
-from firmware_model.target.layout import Record
+from firmware_model.target.structs import FloatArray, Record
 
-IGNORED = 1e9  # a share at which no d̂ is too much
-MARGIN = 1.2  # between the budget and the threshold
+NO_DETECTION = 1e9  # a share with which no d̂ exceeds the adaptive threshold
+SAFETY_FACTOR = 1.2  # of the threshold over the budget
 HOUR_S = 3600.0
-LEAST_CHANCE = 1e-300  # that a double can halve and invert
+MIN_PROBABILITY = 1e-300  # that a double can halve and invert
+SETTLED_S = 60.0  # every transient of a car and every fading peak has decayed by then
+PERIODS = 10.0  # of a sine, after which it shows nothing new
 
 
 @dataclass(frozen=True)
-class Budget:
-    """Largest |d̂| of a healthy loop by cause, m/s², and the sigmas that the noise was given.
+class ThresholdBudget:
+    """Largest |d̂| of a healthy loop by cause, m/s², and the sigmas that the noise is given.
 
-    ``cars`` is a share of what the torque does, without a unit.
+    ``cars`` is what other cars show, as a share of what the torque does, without a unit.
     """
 
     model: float
@@ -59,74 +63,76 @@ class Budget:
 
     @property
     def total(self) -> float:
-        """All that the threshold has to cover, at once, m/s²."""
+        """What the threshold must cover if all causes coincide, m/s²."""
         return self.model + self.noise + self.quantisation
 
     @property
     def threshold(self) -> float:
         """What ``from-budget`` stands for, m/s²."""
-        return MARGIN * self.total
+        return SAFETY_FACTOR * self.total
 
     @property
     def share(self) -> float:
-        """What ``from-budget`` makes of ``fault_threshold_share``."""
-        return MARGIN * self.cars
+        """The ``fault_threshold_share`` that ``from-budget`` asks for at least."""
+        return SAFETY_FACTOR * self.cars
 
     def describe(self, chosen: DesignSettings, box: float, steady_gain: float) -> Iterator[str]:
-        """What d̂ shows without a fault and what the thresholds make of it, a line each.
+        """Whether the thresholds cover d̂ of a healthy car, a line for each of them.
 
         Args:
-            chosen: with both thresholds.
-            box: by how much other cars may be off.
-            steady_gain: of G1 at s = 0, m/s² per N m.
+            chosen: has both thresholds.
+            box: by how much the parameters of other cars may differ, 0.2 for ±20 %.
+            steady_gain: G1(0), m/s² per N m.
         """
         threshold, share = chosen.fault_threshold_mps2, chosen.fault_threshold_share
         yield (
             f"decision: the threshold of {threshold:.3g} m/s² {_covers(threshold, self.total)} "
             f"what the modelled car shows without a fault, {self.total:.3g}: model "
-            f"{self.model:.2g}, noise {self.noise:.2g} ({self.sigmas:.1f} sigma), one step of D* "
-            f"{self.quantisation:.0e}; a loss shows from |torque| = "
-            f"{threshold / abs(steady_gain):.2g} N m on"
+            f"{self.model:.2g}, noise {self.noise:.2g} ({self.sigmas:.1f} sigma), one LSB of D* "
+            f"{self.quantisation:.0e}; a loss can be detected where |torque| is above "
+            f"{threshold / abs(steady_gain):.2g} N m"
         )
         if box > 0.0:
             yield (
                 f"other cars: the share of {share:.3g} {_covers(share, self.cars)} what cars "
-                f"±{box:.0%} show on this drive, {self.cars:.2g} of what the torque does"
+                f"within ±{box:.0%} show on this drive, {self.cars:.2g} of what the torque does"
             )
         elif share == 0.0:
             yield (
-                "other cars: none: one whose d̂ passes the threshold is taken for a loss; "
-                "design.fault_threshold_share would allow for it, and budget.box says how much"
+                "other cars: none: a car whose d̂ exceeds the threshold is taken for a loss; "
+                "design.fault_threshold_share allows for such cars, budget.box says which"
             )
 
 
-def budget(scenario: Scenario, network: Network) -> Budget:
-    """The parts of the budget of ``scenario``.
+def threshold_budget(scenario: Scenario, network: Network) -> ThresholdBudget:
+    """The contributions to d̂ of a healthy car in ``scenario``.
 
-    Its own threshold counts for ``cars`` alone, where it is above what the budget asks for: what is
-    below it is no matter of the share.
+    The scenario's own threshold matters for ``cars`` alone, where it is above what the budget asks
+    for: only d̂ beyond the threshold counts against the share.
 
     Raises:
         ScenarioError: a design or a box that cannot be made.
     """
     place = replace(target(scenario, network), threshold=math.inf, lsb_1=0.0, lsb_2=0.0)
     table = build(continuous_design(scenario), place)
-    wanted = reference(scenario)
-    nominal, *others = cars(scenario.model, ranges(scenario.model, scenario.budget.box))
+    drive = _drive(scenario)
+    nominal, *others = cars(scenario.model, parameter_ranges(scenario.model, scenario.budget.box))
 
     def healthy(table: Record, car: Car) -> Trace:
-        return simulate(table, sample(car.plant, scenario.tick_s), wanted)
+        return simulate(table, sample(car.plant, scenario.tick_s), drive)
 
     sigmas = noise = 0.0
     if scenario.noise.dstar_rms_mps2 > 0.0:
         loop = sampled_loop(linear_controller(table), nominal.plant, scenario.tick_s, HEALTHY)
         sigmas = sigmas_for(
-            scenario.budget.false_alarms_per_hour, scenario.tick_s, int(table.confirm_ticks)
+            scenario.budget.false_alarms_per_hour,
+            scenario.tick_s,
+            int(table.decision.confirm_ticks),
         )
         noise = sigmas * noise_gain(loop, 2) * scenario.noise.dstar_rms_mps2
-        if others:  # what counts then is Hd̂ too, and H passes on a little more of white noise
-            noise *= math.sqrt(2.0 / (1.0 + float(table.change_memory)))
-    found = Budget(
+        if others:  # then Hd̂ counts too, and H amplifies white noise a little
+            noise *= math.sqrt(2.0 / (1.0 + float(table.adaptive_threshold.change_memory)))
+    found = ThresholdBudget(
         model=float(np.abs(healthy(table, nominal).fault_estimate).max()),  # finite: limited
         noise=noise,
         quantisation=network.feedback.lsb,
@@ -134,9 +140,24 @@ def budget(scenario: Scenario, network: Network) -> Budget:
         cars=0.0,
     )
     floor = max(found.threshold, scenario.design.fault_threshold_mps2)
-    table = build(continuous_design(scenario), replace(place, threshold=floor, model_share=IGNORED))
+    table = build(
+        continuous_design(scenario), replace(place, threshold=floor, model_share=NO_DETECTION)
+    )
     shown = (float(healthy(table, car).share_shown.max()) for car in others)
     return replace(found, cars=max(shown, default=0.0))
+
+
+def _drive(scenario: Scenario) -> FloatArray:
+    """The reference, (ticks,), for as long as it makes a healthy car do anything new."""
+    period_s = 2.0 * math.pi / scenario.reference.frequency_rad_per_s
+    new_until_s = {
+        "step": 0.0,
+        "sine": PERIODS * period_s,
+        "lane-change": LANE_CHANGE_S + 2.5 * period_s,
+        "csv": scenario.duration_s,
+    }[scenario.reference.kind]
+    duration_s = min(scenario.duration_s, new_until_s + SETTLED_S)
+    return reference(replace(scenario, duration_s=duration_s))
 
 
 def _covers(value: float, needed: float) -> str:
@@ -146,4 +167,4 @@ def _covers(value: float, needed: float) -> str:
 def sigmas_for(false_alarms_per_hour: float, tick_s: float, confirm_ticks: int) -> float:
     """z with (ticks of an hour) p^m = false alarms, p the chance of a tick beyond ±z sigmas."""
     p = (false_alarms_per_hour * tick_s / HOUR_S) ** (1.0 / confirm_ticks)
-    return -NormalDist().inv_cdf(min(max(p, LEAST_CHANCE), 1.0) / 2.0)
+    return -NormalDist().inv_cdf(min(max(p, MIN_PROBABILITY), 1.0) / 2.0)

@@ -12,10 +12,10 @@ from typing import Final
 import numpy as np
 from rich.console import Console
 
-from can_rig.assessment.check import refuse_unstable
-from can_rig.cli.diff_command import print_difference
-from can_rig.cli.node_commands import tick_progress
-from can_rig.cli.run_command import closing_table
+from can_rig.assessment.stability import refuse_unstable
+from can_rig.cli.logs.diff import print_difference
+from can_rig.cli.progress import counting
+from can_rig.cli.runs.closing import closing_table
 from can_rig.errors import INTERRUPTED, LogError, ScenarioError
 from can_rig.nodes.lockstep import StopRequest
 from can_rig.nodes.nodes import EveryNowAndThen, run_in_process
@@ -28,7 +28,7 @@ from can_rig.scenario.reference import on_the_bus
 from can_rig.scenario.settings import ReferenceSettings, Scenario
 from can_rig.views.diff_picture import draw_difference
 from can_rig.views.run_diff import compare
-from can_rig.views.signal_table import SignalTable, table_of, units_of
+from can_rig.views.signal_table import SignalTable, table_of
 
 REFERENCE: Final = "reference.csv"
 """The log's reference, in the run folder that it leads to."""
@@ -74,7 +74,7 @@ def what_if_command(
     folder = create(out, scenario, force)
     scenario = replace(scenario, reference=_reference_file(logged, folder / REFERENCE))
     on_the_bus(scenario, network)
-    with tick_progress(scenario) as on_tick:
+    with counting(scenario.name, "ticks", scenario.ticks) as on_tick:
         bus = f"local:what-if-{os.getpid()}"
         summary = run_in_process(scenario, bus, folder / LOG, stop, EveryNowAndThen(on_tick))
     outcome = Outcome(
@@ -84,17 +84,17 @@ def what_if_command(
         outcome.outcome = "interrupted"
     values = finish(folder, scenario, network, outcome)
 
-    before = table_of(logged, str(path), recorded.scenario.fault)
-    after = _table(folder, scenario)
+    before = table_of(logged, str(path), recorded.scenario)
+    asked = replace(scenario, reference=recorded.scenario.reference)  # the log's, as a file
+    after = _table(folder, asked)
     difference = compare(before, after, {})
     labels = ("log", "what if")
-    units = units_of(network)
-    draw_difference(folder / PICTURE, before, after, difference, labels, units)
+    draw_difference(folder / PICTURE, before, after, difference)
     if as_json:
         result = {"run_folder": str(folder), "metrics": values, **difference.as_dict()}
         print(json.dumps(result, ensure_ascii=False))
     else:
-        print_difference(difference, labels, units)
+        print_difference(difference, labels, before)
         Console().print()
         closing_table(scenario, network, values, outcome, folder)
     return INTERRUPTED if outcome.outcome == "interrupted" else 0
@@ -124,4 +124,4 @@ def _reference_file(logged: Signals, path: Path) -> ReferenceSettings:
 
 def _table(folder: Path, scenario: Scenario) -> SignalTable:
     signals = read_signals(folder / LOG, network_of(scenario), scenario.tick_s)
-    return table_of(signals, "what if", scenario.fault)
+    return table_of(signals, str(folder), scenario)

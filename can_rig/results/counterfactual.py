@@ -1,4 +1,4 @@
-"""Runs beside the recorded one: the same ticks without the fault, or without the noise as well."""
+"""Runs beside the recorded one: the same ticks without the fault, the noise or compensation."""
 
 from __future__ import annotations
 
@@ -9,13 +9,14 @@ from typing import NamedTuple
 import numpy as np
 
 from can_rig.errors import RigError
+from can_rig.plant.faults import CHANNELS
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import NoiseSettings, Scenario
-from firmware_model.discretisation.sections import FloatArray
 from firmware_model.firmware import Firmware
+from firmware_model.target.structs import FloatArray
 
 
 class Beside(NamedTuple):
@@ -39,6 +40,12 @@ def noise_free(scenario: Scenario, signals: Signals) -> Beside:
     return _beside(replace(scenario.healthy, noise=NoiseSettings()), signals)
 
 
+def uncompensated(scenario: Scenario, signals: Signals) -> Beside:
+    """The same run, fault and noise included, by a controller that does not compensate."""
+    design = replace(scenario.design, compensation="off")
+    return _beside(replace(scenario, design=design), signals)
+
+
 def _beside(scenario: Scenario, signals: Signals) -> Beside:
     if not len(signals):
         return Beside(np.empty(0), np.empty(0))
@@ -48,10 +55,16 @@ def _beside(scenario: Scenario, signals: Signals) -> Beside:
     plant, wanted = SimulatedPlant(healthy), reference(healthy)[:ticks].tolist()
     firmware = Firmware(controller_table(healthy, network_of(healthy)))
     measured, force = np.full((2, ticks), np.nan)
+    lost = (
+        CHANNELS.index(healthy.fault.channel) if healthy.fault.kind.startswith("frames-") else None
+    )
     with suppress(RigError):
         for tick in range(ticks):
             measured[tick] = plant.measure()
             answer = firmware.step(wanted[tick], measured[tick])
             force[tick] = answer.command_2
-            plant.advance(tick, answer.command_1, answer.command_2)
+            heard: list[float | None] = [answer.command_1, answer.command_2]
+            if lost is not None and healthy.fault.active(tick * healthy.tick_ns):
+                heard[lost] = None
+            plant.advance(tick, *heard)
     return Beside(measured[first:], force[first:])

@@ -8,14 +8,16 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig.assessment.control_authority import authority
+from can_rig.assessment.control_authority import control_authority
+from can_rig.drawing.names import names_of, printed
+from can_rig.frames.network import Network
 from can_rig.plant.faults import SensorFault
 from can_rig.results.counterfactual import fault_free, noise_free
 from can_rig.results.loss_metrics import decision_metrics, unavoidable_deviation
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
-from firmware_model.discretisation.sections import FloatArray
+from firmware_model.target.structs import FloatArray
 
 Metrics = dict[str, float | bool | None]
 Mask = NDArray[np.bool_]
@@ -68,8 +70,8 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
     picture have D* as measured. What X_diff needs and can carry is there where the torque is lost.
     """
     window = windows(scenario, signals)
-    closed = scenario.model.kind != "chapter-2"
-    bias = _bias(scenario, signals)
+    closed = scenario.model.closed_loop
+    bias = sensor_bias(scenario, signals)
     error = np.abs(signals.error_mps2 + bias) if closed else np.full(len(signals), np.nan)
     estimate = np.abs(signals.fault_estimate_mps2)
     torque, force = np.abs(signals.torque_nm), np.abs(signals.force_difference_n)
@@ -80,7 +82,7 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
             deviation = np.abs(signals.dstar_mps2 - bias - healthy)
     settled = window.settled_after if window.after.any() else window.settled_before
     torque_lost = scenario.fault.channel == "torque" and window.lost.any()
-    carried = authority(scenario, network_of(scenario)) if torque_lost else None
+    authority = control_authority(scenario, network_of(scenario)) if torque_lost else None
     unavoidable = unavoidable_deviation(scenario, signals)
     peak = _peak(deviation[window.after])
     return {
@@ -102,14 +104,14 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
         "force_difference_peak_n": _peak(force),
         "force_difference_settled_n": _peak(force[settled]),
         "force_difference_noise_rms_n": _noise_rms(scenario, signals, window.settled_before),
-        "force_difference_needed_n": None if carried is None else carried.needed_n,
-        "force_difference_available_n": None if carried is None else carried.available_n,
-        "dstar_carried_mps2": None if carried is None else carried.carries_mps2,
+        "force_difference_needed_n": None if authority is None else authority.needed_n,
+        "force_difference_available_n": None if authority is None else authority.available_n,
+        "dstar_carried_mps2": None if authority is None else authority.carries_mps2,
     }
 
 
-def _bias(scenario: Scenario, signals: Signals) -> FloatArray:
-    """What a biased sensor added to D* at every tick, m/s²."""
+def sensor_bias(scenario: Scenario, signals: Signals) -> FloatArray:
+    """What a biased sensor added to D* at every tick, m/s², (ticks,)."""
     sensor = SensorFault(scenario)
     ticks = np.rint(signals.time_s / scenario.tick_s).astype(np.int64)
     return np.array([sensor.bias(tick) for tick in ticks.tolist()], dtype=np.float64)
@@ -128,15 +130,24 @@ def _integral(values: FloatArray, tick_s: float) -> float | None:
     return float(np.nansum(values)) * tick_s if np.isfinite(values).any() else None
 
 
-def rows(values: Metrics, units: dict[str, str]) -> list[tuple[str, str]]:
+def rows(values: Metrics, network: Network) -> list[tuple[str, str]]:
     """The closing table, label and text: the metrics that mean something in this run."""
+    names = names_of(network)._asdict()
+    output = printed(network.feedback.unit)
+    units = {
+        "y": output,
+        "y.s": f"{output} s".lstrip(),
+        "u1": printed(network.command_1.unit),
+        "u2": printed(network.command_2.unit),
+    }
     faulted = values.get("deviation_peak_after_fault_mps2") is not None
     out: list[tuple[str, str]] = []
     for key, label, healthy_label, unit in _TABLE:
         value = values.get(key)
         text = label if faulted else healthy_label
         if value is not None and text:
-            out.append((text, f"{value:.4g} {units.get(unit, unit)}".rstrip()))
+            number = f"{value:.4g} {units.get(unit, unit)}".rstrip()
+            out.append((text.format(**names), number))
         elif key == "detection_delay_s" and values.get("missed_detection"):
             out.append((text, "never"))
     return out
@@ -173,14 +184,14 @@ _TABLE = (
         "|fault estimate|, peak",
         "y",
     ),
-    ("torque_peak_nm", "|command 1|, peak", "|command 1|, peak", "u1"),
-    ("force_difference_peak_n", "|command 2|, peak", "|command 2|, peak", "u2"),
+    ("torque_peak_nm", "|{command_1}|, peak", "|{command_1}|, peak", "u1"),
+    ("force_difference_peak_n", "|{command_2}|, peak", "|{command_2}|, peak", "u2"),
     (
         "force_difference_noise_rms_n",
-        "|command 2|, rms from noise",
-        "|command 2|, rms from noise",
+        "|{command_2}|, rms from noise",
+        "|{command_2}|, rms from noise",
         "u2",
     ),
-    ("force_difference_settled_n", "|command 2|, settled", "|command 2|, settled", "u2"),
-    ("dstar_carried_mps2", "|D*| that command 2 could hold by itself", "", "y"),
+    ("force_difference_settled_n", "|{command_2}|, settled", "|{command_2}|, settled", "u2"),
+    ("dstar_carried_mps2", "|D*| that the {command_2} can hold alone", "", "y"),
 )

@@ -1,76 +1,67 @@
-"""Where two runs part, on one page: every signal that differs, whole and around the first place."""
+"""How two runs differ, on one page: each signal that does, in full and around the first place."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
-from can_rig.results.report import BLUE, INK, LOST, ORANGE
-from can_rig.scenario.settings import FaultSettings
+from can_rig.drawing import style
 from can_rig.views.run_diff import Difference, SignalDifference
-from can_rig.views.signal_table import SignalTable, unit
+from can_rig.views.signal_table import SignalTable, titles
 
 BEFORE, AFTER = 15, 45  # rows around the first difference
+MAX_SETTINGS: Final = 4  # in the heading; the table has them all
+CURVES: Final[tuple[dict[str, Any], ...]] = (
+    {"color": style.BLUE, "lw": 1.9},
+    {"color": style.ORANGE, "lw": 1.2, "ls": style.DASHED},
+)
 
 
-def draw_difference(
-    path: Path,
-    a: SignalTable,
-    b: SignalTable,
-    difference: Difference,
-    labels: tuple[str, str],
-    units: Mapping[str, str] | None = None,
-) -> None:
+def draw_difference(path: Path, a: SignalTable, b: SignalTable, difference: Difference) -> None:
     """Write ``difference_page`` as a PNG."""
-    difference_page(a, b, difference, labels, units).savefig(path, dpi=150, format="png")
+    difference_page(a, b, difference).savefig(path, dpi=150, format="png")
 
 
-def difference_page(
-    a: SignalTable,
-    b: SignalTable,
-    difference: Difference,
-    labels: tuple[str, str],
-    units: Mapping[str, str] | None = None,
-) -> Figure:
-    """One row a signal that differs (all, where none does): left the whole run, right the place.
+def difference_page(a: SignalTable, b: SignalTable, difference: Difference) -> Figure:
+    """A row for each signal that differs (for all if none does): left in full, right the place.
 
-    Times in which ``b`` had a channel lost are shaded.
+    The runs are named by folder and scenario, with the settings that differ. The time in which
+    ``b`` had a channel lost is shaded.
     """
     shown = [signal for signal in difference.signals if signal.beyond] or difference.signals
-    figure = Figure(figsize=(8.27, 1.0 + 1.75 * max(len(shown), 1)), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = style.page(1.2 + 1.75 * max(len(shown), 1))
     axes = figure.subplots(len(shown), 2, squeeze=False, width_ratios=(3, 2), sharex="col")
     around = _around(a, difference)
-    for (whole, near), signal in zip(axes, shown, strict=True):
-        _draw(whole, a, b, signal, None)
+    for (full, near), signal in zip(axes, shown, strict=True):
+        _draw(full, a, b, signal, None)
         _draw(near, a, b, signal, around)
-        measure = (units or {}).get(signal.signal, unit(signal.signal))
-        name = signal.signal.removesuffix(_suffix(signal.signal)).replace("_", " ")
-        whole.set_ylabel(f"{name}\nin {measure}" if measure else name)
+        full.set_ylabel(style.labelled(*a.name_and_unit(signal.signal)))
         near.yaxis.tick_right()
     for axis in axes[-1]:
         axis.set_xlabel("time in s")
-    handles = axes[0, 0].get_lines()[:2]
-    figure.legend(handles, labels, loc="outside upper center", ncols=2, frameon=False, fontsize=10)
+    figure.legend(
+        axes[0, 0].get_lines()[:2], titles(a, b),
+        loc="outside upper center", ncols=2, frameon=False, fontsize=10,
+        title=_settings(difference), title_fontsize=9,
+    )  # fmt: skip
     first = difference.first_at_s
-    axes[0, 0].set_title("whole", fontsize=9, loc="left")
     where = "the end" if first is None else f"the first difference, {first:.6f} s"
+    axes[0, 0].set_title("in full", fontsize=9, loc="left")
     axes[0, 1].set_title(f"around {where}", fontsize=9, loc="left")
     figure.align_ylabels(axes[:, 0])
     return figure
 
 
-_SUFFIXES: Final = ("_mps2", "_nm", "_n")
-
-
-def _suffix(name: str) -> str:
-    return next((suffix for suffix in _SUFFIXES if name.endswith(suffix)), "")
+def _settings(difference: Difference) -> str | None:
+    if not difference.settings:
+        return None
+    shown = [str(setting) for setting in difference.settings[:MAX_SETTINGS]]
+    rest = len(difference.settings) - len(shown)
+    return "\n".join(shown + [f"and {rest} more settings"] * bool(rest))
 
 
 def _around(a: SignalTable, difference: Difference) -> tuple[float, float]:
@@ -89,39 +80,22 @@ def _draw(
     signal: SignalDifference,
     span_s: tuple[float, float] | None,
 ) -> None:
-    name = signal.signal
-    for table, color, style, width in (
-        (a, BLUE, "-", 1.9),
-        (b, ORANGE, (0, (4, 2)), 1.2),
-    ):
+    for table, curve in zip((a, b), CURVES, strict=True):
         rows = slice(None)
         if span_s is not None:
             first, last = np.searchsorted(table.time_s, span_s)
             rows = slice(int(first), int(last) + 1)
         axis.step(
             table.time_s[rows],
-            table.columns[name][rows],
+            table.columns[signal.signal][rows],
             where="post",
-            color=color,
-            ls=style,
-            lw=width,
             marker="." if span_s is not None else "",
             ms=3,
+            **curve,
         )
-    axis.grid(alpha=0.3, lw=0.5)
-    axis.margins(x=0.0, y=0.08)
+    style.ruled(axis)
     if signal.first_at_s is not None:
-        axis.axvline(signal.first_at_s, color=INK, lw=0.8, ls=(0, (1, 2)))
+        axis.axvline(signal.first_at_s, color=style.INK, lw=0.8, ls=style.DOTTED)
     if span_s is not None:
         axis.set_xlim(*span_s)
-    shade_loss(axis, b.fault)
-
-
-def shade_loss(axis: Axes, fault: FaultSettings | None) -> None:
-    """Shade the time of a fault, as far as the axis shows it."""
-    if fault is None or fault.kind == "none":
-        return
-    low, high = axis.get_xlim()
-    end_s = high if fault.for_s is None else fault.at_s + fault.for_s
-    if fault.at_s < high and end_s > low:
-        axis.axvspan(max(low, fault.at_s), min(high, end_s), color=LOST, lw=0, zorder=0)
+    style.shade_loss(axis, b.fault)

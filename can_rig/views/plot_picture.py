@@ -1,37 +1,28 @@
-"""Signals of a log on one page: a panel a unit, steps, words where the DBC has words."""
+"""Signals of a log on one page: a panel for each unit, words where the DBC has value tables."""
 
 from __future__ import annotations
 
 import datetime
 from collections.abc import Mapping, Sequence
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from can_rig.decoding.message_columns import MessageColumns
+from can_rig.drawing import style
+from can_rig.drawing.names import printed
 from can_rig.logs.frames import NS_PER_S
-from can_rig.results.report import BLUE, GREEN, INK, ORANGE
 from can_rig.scenario.settings import FaultSettings
-from can_rig.views.diff_picture import shade_loss
-from firmware_model.discretisation.sections import FloatArray
+from firmware_model.target.structs import FloatArray
 
-STYLES: Final[tuple[dict[str, Any], ...]] = (
-    {"color": BLUE, "lw": 1.6},
-    {"color": ORANGE, "lw": 1.2, "ls": (0, (4, 2))},
-    {"color": GREEN, "lw": 1.2, "ls": (0, (1, 1))},
-    {"color": INK, "lw": 1.0, "ls": (0, (6, 2, 1, 2))},
-)
-"""Of different greys and dashes, so that print tells them apart."""
+MAX_POINTS: Final = 20_000
+"""A longer signal is cut into half as many slices, and the extremes of each are drawn."""
 
-MOST_POINTS: Final = 20_000
-"""A longer signal is drawn by its least and largest value in each of so many halves of a slice."""
-
-A_DATE_NS: Final = 10**9 * NS_PER_S
-"""Time stamps beyond are counted since 1970."""
+FIRST_DATE_NS: Final = 10**9 * NS_PER_S
+"""From here on a time stamp is a date, counted since 1970."""
 
 Pair = tuple[str, str]
 
@@ -47,8 +38,8 @@ def plot_page(
     Args:
         messages: decoded columns by name.
         signals: message and signal of each curve.
-        start_ns: when the recording began; if that is a date, time counts from there.
-        fault: shaded, if there was one.
+        start_ns: when the recording began; if that is a date, time is counted from there.
+        fault: its time is shaded.
     """
     panels: dict[tuple[str, str], list[Pair]] = {}
     for message, signal in signals:
@@ -56,25 +47,26 @@ def plot_page(
         key = ("words", f"{message}.{signal}") if layout.is_enumeration else ("unit", layout.unit)
         panels.setdefault(key, []).append((message, signal))
     heights = [1.0 if kind == "words" else 1.6 for kind, _ in panels]
-    figure = Figure(figsize=(8.27, 0.8 + 1.45 * sum(heights)), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = style.page(0.8 + 1.45 * sum(heights))
     grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False, height_ratios=heights)
     axes = [row[0] for row in grid]
-    dated = start_ns >= A_DATE_NS
+    dated = start_ns >= FIRST_DATE_NS
     for axis, ((kind, unit), pairs) in zip(axes, panels.items(), strict=True):
-        for style, (message, signal) in enumerate(pairs):
+        for at, (message, signal) in enumerate(pairs):
             columns = messages[message]
             time_s, values = curve(columns, signal, start_ns if dated else 0)
             axis.step(
-                *thinned(time_s, values), where="post", label=signal, **STYLES[style % len(STYLES)]
+                *thinned(time_s, values),
+                where="post",
+                label=signal,
+                **style.SERIES[at % len(style.SERIES)],
             )
-        axis.grid(alpha=0.3, lw=0.5)
-        axis.margins(x=0.0, y=0.08)
+        style.ruled(axis)
         if kind == "words":
             _words(axis, messages[pairs[0][0]], pairs[0][1])
         _name(axis, [signal for _, signal in pairs], unit if kind == "unit" else "")
     for axis in axes if not dated else ():
-        shade_loss(axis, fault)
+        style.shade_loss(axis, fault)
     axes[-1].set_xlabel(_time_label(start_ns) if dated else "time in s")
     figure.align_ylabels(axes)
     return figure
@@ -93,9 +85,9 @@ def curve(columns: MessageColumns, signal: str, zero_ns: int) -> tuple[FloatArra
 
 
 def thinned(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A curve of at most ``MOST_POINTS`` that reaches as high and as low everywhere."""
-    slices = MOST_POINTS // 2
-    if len(values) <= MOST_POINTS:
+    """A curve of at most ``MAX_POINTS`` that has every peak of the given one."""
+    slices = MAX_POINTS // 2
+    if len(values) <= MAX_POINTS:
         return time_s, values
     size = -(-len(values) // slices)
     whole = len(values) // size * size
@@ -124,19 +116,11 @@ def _words(axis: Axes, columns: MessageColumns, signal: str) -> None:
 
 
 def _name(axis: Axes, names: Sequence[str], unit: str) -> None:
-    readable = unit.replace("^2", "²").replace("N.m", "N m")
     if len(names) == 1:
-        axis.set_ylabel(f"{names[0]}\nin {readable}" if readable else names[0])
+        axis.set_ylabel(style.labelled(names[0], unit))
         return
-    axis.set_ylabel(f"in {readable}" if readable else "")
-    axis.legend(
-        loc="lower right",
-        bbox_to_anchor=(1.0, 1.0),
-        ncols=4,
-        frameon=False,
-        fontsize=9,
-        borderpad=0,
-    )
+    axis.set_ylabel(f"in {printed(unit)}" if unit else "")
+    style.legend_above(axis)
 
 
 def _time_label(start_ns: int) -> str:

@@ -1,4 +1,4 @@
-"""Two runs beside each other, signal by signal: how far apart, where, and from when on."""
+"""Two runs compared signal by signal: how far they differ, where, and from when on."""
 
 from __future__ import annotations
 
@@ -10,8 +10,9 @@ from typing import Any
 import numpy as np
 
 from can_rig.errors import LogError
+from can_rig.views.settings_diff import SettingDifference, differing_settings
 from can_rig.views.signal_table import SignalTable
-from firmware_model.discretisation.sections import FloatArray
+from firmware_model.target.structs import FloatArray
 
 
 @dataclass(frozen=True)
@@ -37,17 +38,19 @@ class SignalDifference:
 
 @dataclass(frozen=True)
 class Difference:
-    """What two runs differ in."""
+    """How two runs differ."""
 
     signals: list[SignalDifference]
     rows: int
-    """That both have."""
+    """At times that both have."""
     only_a: int
     """Rows at times that only this run has."""
     only_b: int
     columns_a: list[str]
     """Columns that only this run has."""
     columns_b: list[str]
+    settings: list[SettingDifference] | None = None
+    """Keys of the scenarios that differ; None where one of the scenarios is not known."""
 
     @property
     def same(self) -> bool:
@@ -66,20 +69,20 @@ class Difference:
 
 
 def compare(a: SignalTable, b: SignalTable, tolerances: Mapping[str, float]) -> Difference:
-    """Compare the rows that both have, by their time.
+    """Compare the rows of the same time.
 
     Raises:
-        LogError: a tolerance is of no signal, or no row is of the same time in both.
+        LogError: a tolerance for a signal that they do not share, or no row of the same time.
     """
     names = [name for name in a.columns if name in b.columns]
     for name in tolerances:
         if name not in names:
             near = difflib.get_close_matches(name, names, 1, 0.5)
-            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(names)}"
-            raise LogError(f"--tolerance {name}: no signal of both runs; {hint}")
+            hint = f"did you mean {near[0]}?" if near else f"must be one of {', '.join(names)}"
+            raise LogError(f"--tolerance {name}: not a signal of both runs; {hint}")
     time_ns, rows_a, rows_b = np.intersect1d(a.time_ns, b.time_ns, return_indices=True)
     if not len(time_ns):
-        raise LogError(f"{a.label} and {b.label}: no row of the one is of a time of the other")
+        raise LogError(f"{a.label} and {b.label}: have no row of the same time")
     time_s = np.multiply(time_ns, 1e-9, dtype=np.float64)
     signals = [
         _signal(n, time_s, a.columns[n][rows_a], b.columns[n][rows_b], tolerances.get(n, 0.0))
@@ -92,6 +95,7 @@ def compare(a: SignalTable, b: SignalTable, tolerances: Mapping[str, float]) -> 
         len(b.time_ns) - len(time_ns),
         [name for name in a.columns if name not in b.columns],
         [name for name in b.columns if name not in a.columns],
+        None if not (a.scenario and b.scenario) else differing_settings(a.scenario, b.scenario),
     )
 
 
@@ -110,7 +114,7 @@ def tolerances_of(texts: Iterable[str]) -> dict[str, float]:
             value = -1.0
         if not (name and value >= 0.0):
             raise LogError(
-                f"--tolerance {text}: SIGNAL=VALUE with a value of 0 or above is right, as in "
+                f"--tolerance {text}: must be SIGNAL=VALUE with a value of 0 or above, as in "
                 "torque_nm=0.01"
             )
         tolerances[name.strip()] = value

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import csv
-import dataclasses
 import json
 from dataclasses import dataclass
 from pathlib import Path
@@ -12,15 +11,17 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig.errors import LogError
-from can_rig.frames.messages import Network
+from can_rig.assessment.resolve import load_run
+from can_rig.drawing.names import CAR, Names, names_of, printed
+from can_rig.errors import LogError, ScenarioError
+from can_rig.frames.network import Network
 from can_rig.logs.reading import read_log
 from can_rig.replay.source import log_path
 from can_rig.results.run_folder import SIGNALS, SUMMARY
 from can_rig.results.signals import COLUMNS, Signals, cell, signals_of
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import FaultSettings, Scenario
-from firmware_model.discretisation.sections import FloatArray
+from firmware_model.target.structs import FloatArray
 
 TIME: Final = "time_s"
 
@@ -36,22 +37,60 @@ class SignalTable:
     """Signals over one time axis."""
 
     label: str
+    """The file or folder that they come from."""
     time_ns: NDArray[np.int64]
     """(n,) increasing."""
     columns: dict[str, FloatArray]
     """(n,) by name, as in ``signals.csv``; nan in an empty cell."""
-    fault: FaultSettings | None = None
-    """What was lost in it, if that is known."""
+    scenario: Scenario | None = None
+    """What was run, if that is known."""
+
+    @property
+    def fault(self) -> FaultSettings | None:
+        """What was lost, if that is known."""
+        return None if self.scenario is None else self.scenario.fault
 
     @property
     def time_s(self) -> FloatArray:
         """(n,) the time axis in s."""
         return np.multiply(self.time_ns, 1e-9, dtype=np.float64)
 
+    def name_and_unit(self, column: str) -> tuple[str, str]:
+        """What a column is called in print, and its unit there; "" without one."""
+        network = None if self.scenario is None else network_of(self.scenario)
+        own = {} if network is None else units_of(network)
+        name = _names(CAR if network is None else names_of(network)).get(column)
+        return name or column.replace("_", " "), own.get(column, unit(column))
+
 
 def unit(column: str) -> str:
-    """The unit of a column by the suffix of its name; none without one."""
+    """The unit of a column by the suffix of its name; "" without one."""
     return next((text for suffix, text in _UNITS if column.endswith(suffix)), "")
+
+
+def _names(names: Names) -> dict[str, str]:
+    return {
+        "reference_mps2": "reference",
+        "dstar_mps2": names.output,
+        "error_mps2": "error",
+        "torque_nm": names.command_1,
+        "force_difference_n": names.command_2,
+        "fault_estimate_mps2": "fault estimate",
+    }
+
+
+def titles(a: SignalTable, b: SignalTable) -> tuple[str, str]:
+    """A name for each of two runs: as much of its path as tells them apart, and its scenario."""
+    parts_a, parts_b = Path(a.label).parts, Path(b.label).parts
+    tail = 1
+    while parts_a[-tail:] == parts_b[-tail:] and tail < max(len(parts_a), len(parts_b)):
+        tail += 1
+    return _title(a, parts_a[-tail:]), _title(b, parts_b[-tail:])
+
+
+def _title(table: SignalTable, parts: tuple[str, ...]) -> str:
+    name = str(Path(*parts))
+    return name if table.scenario is None else f"{name} ({table.scenario.name})"
 
 
 def read_table(path: Path, scenario: Scenario) -> SignalTable:
@@ -59,7 +98,7 @@ def read_table(path: Path, scenario: Scenario) -> SignalTable:
 
     Args:
         path: which one.
-        scenario: of a log: its frames and its tick.
+        scenario: gives the frames and the tick of a log.
 
     Raises:
         LogError: it is none of these, or cannot be read.
@@ -67,30 +106,29 @@ def read_table(path: Path, scenario: Scenario) -> SignalTable:
     if path.is_dir():
         if not (path / SIGNALS).is_file():
             raise LogError(f"{path}: not a finished run folder, it has no {SIGNALS}")
-        return _from_csv(path / SIGNALS, str(path), fault_of(path))
+        return _from_csv(path / SIGNALS, str(path), scenario_of(path))
     if path.suffix.lower() == ".csv":
         return _from_csv(log_path(path), str(path), None)
     log = read_log(log_path(path))
     messages = (message for frames in log for message in frames.messages())
     signals = signals_of(messages, network_of(scenario), scenario.tick_s)
     if not len(signals):
-        raise LogError(f"{path}: has no frame of the rig that can be used")
+        raise LogError(f"{path}: has no usable frame of the rig")
     return table_of(signals, str(path))
 
 
-def table_of(signals: Signals, label: str, fault: FaultSettings | None = None) -> SignalTable:
+def table_of(signals: Signals, label: str, scenario: Scenario | None = None) -> SignalTable:
     """The columns of a log that has been read, rounded as ``signals.csv`` would have them."""
     columns = {
         name: np.array([float(cell(x) or "nan") for x in getattr(signals, name).tolist()])
         for name in COLUMNS
         if name != TIME
     }
-    return SignalTable(label, _whole(signals.time_s), columns, fault)
+    return SignalTable(label, _whole_ns(signals.time_s), columns, scenario)
 
 
 def units_of(network: Network) -> dict[str, str]:
-    """Units of the columns in another network, where they are not what the names say."""
-    readable = {"m/s^2": "m/s²", "N.m": "N m"}
+    """Units of the columns in ``network``, which for an abstract plant are not what they say."""
     codecs = {
         "reference_mps2": network.reference,
         "dstar_mps2": network.feedback,
@@ -99,20 +137,19 @@ def units_of(network: Network) -> dict[str, str]:
         "force_difference_n": network.command_2,
         "fault_estimate_mps2": network.status,
     }
-    return {name: readable.get(codec.unit, codec.unit) for name, codec in codecs.items()}
+    return {name: printed(codec.unit) for name, codec in codecs.items()}
 
 
-def fault_of(folder: Path) -> FaultSettings | None:
-    """What a run folder says was lost; None where it says nothing."""
+def scenario_of(folder: Path) -> Scenario | None:
+    """What a run folder says was run; None where it does not say so."""
     try:
-        values: Any = json.loads((folder / SUMMARY).read_text("utf-8"))["scenario"]["fault"]
-        known = {field.name for field in dataclasses.fields(FaultSettings)}
-        return FaultSettings(**{key: value for key, value in values.items() if key in known})
-    except (OSError, ValueError, KeyError, TypeError):
+        values: Any = json.loads((folder / SUMMARY).read_text("utf-8"))["scenario"]
+        return load_run(values)
+    except (OSError, ValueError, KeyError, TypeError, ScenarioError):
         return None
 
 
-def _from_csv(path: Path, label: str, fault: FaultSettings | None) -> SignalTable:
+def _from_csv(path: Path, label: str, scenario: Scenario | None) -> SignalTable:
     try:
         with path.open(encoding="utf-8-sig", newline="") as file:
             header, *rows = csv.reader(file)
@@ -124,13 +161,13 @@ def _from_csv(path: Path, label: str, fault: FaultSettings | None) -> SignalTabl
         raise LogError(f"{path}: not a table of numbers under one header: {error}") from None
     columns = dict(zip(header, values, strict=True))
     if TIME not in columns:
-        raise LogError(f"{path}: has no column {TIME}; {', '.join(header[:8])} are there")
-    time_ns = _whole(columns.pop(TIME))
+        raise LogError(f"{path}: has no column {TIME}; its columns are {', '.join(header[:8])}")
+    time_ns = _whole_ns(columns.pop(TIME))
     if not (np.diff(time_ns) > 0).all():
         raise LogError(f"{path}: {TIME} does not increase from row to row")
-    return SignalTable(label, time_ns, columns, fault)
+    return SignalTable(label, time_ns, columns, scenario)
 
 
-def _whole(time_s: FloatArray) -> NDArray[np.int64]:
-    """Whole ns: two runs of the same tick have the same."""
+def _whole_ns(time_s: FloatArray) -> NDArray[np.int64]:
+    """Times in whole ns, which are the same in two runs of the same tick."""
     return np.rint(time_s * 1e9).astype(np.int64)

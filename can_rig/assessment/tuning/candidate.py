@@ -16,10 +16,9 @@ from can_rig.scenario.settings import DesignSettings, Scenario
 from firmware_model.analysis.margins import noise_gain
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
-from firmware_model.discretisation.sections import FloatArray
 from firmware_model.discretisation.tables import build
 from firmware_model.errors import DesignError
-from firmware_model.target.layout import Record
+from firmware_model.target.structs import FloatArray, Record
 
 Values = tuple[float, int, float, int]  # τ, α, τ_q, α_q
 
@@ -121,8 +120,8 @@ def _lose_torque(scenario: Scenario, table: Record, noise: tuple[float, float]) 
     torque, force = np.abs(lost.command_1), np.abs(lost.command_2)
     torque_after, force_after = float(torque[loss:].max()), float(force[loss:].max())
     tail = NOISE_SIGMAS * scenario.noise.dstar_rms_mps2
-    room_1 = table.limit_1 - tail * noise[0] - torque_after
-    room_2 = table.limit_2 - tail * noise[1] - force_after
+    room_1 = table.actuator_1.limit - tail * noise[0] - torque_after
+    room_2 = table.actuator_2.limit - tail * noise[1] - force_after
     return Tuning(
         design=scenario.design,
         peak_mps2=peak,

@@ -12,12 +12,12 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, TimeRemainingColumn
 from rich.table import Table
 
-from can_rig.assessment.tuning.box import MOST_DELAY_TICKS, cars, ranges
+from can_rig.assessment.resolve import load
+from can_rig.assessment.tuning.box import MOST_DELAY_TICKS, cars, parameter_ranges
 from can_rig.assessment.tuning.candidate import Tuning
 from can_rig.assessment.tuning.search import ALIKE, Tunings, tune
 from can_rig.errors import RunFolderError
 from can_rig.nodes.nodes import json_line
-from can_rig.scenario import loading as scenarios
 
 PICTURE = "tuning.png"
 APART = 1.6  # factor in peak or noise from one row of the table to the next
@@ -41,13 +41,13 @@ def tune_command(
     """
     from can_rig.assessment.tuning.picture import draw_tunings  # noqa: PLC0415 (matplotlib: slow to import)
 
-    scenario = scenarios.load(name, settings)
+    scenario = load(name, settings)
     path = out / PICTURE
     if path.exists() and not force:
         raise RunFolderError(
             f"{path}: there already; another --out, or --force to replace it, is right"
         )
-    some = cars(scenario.model, ranges(scenario.model, *box))
+    some = cars(scenario.model, parameter_ranges(scenario.model, *box))
     with _progress(scenario.name) as on_candidate:
         found = tune(scenario, some, *limits, on_candidate=on_candidate)
     try:

@@ -22,6 +22,7 @@ from can_rig.assessment.tuning.box import Car, delay_margin, survives
 from can_rig.assessment.tuning.candidate import Tuning, Values, assess, grid, settles, table_of
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_plant
+from can_rig.scenario.plant_settings import CAR
 from can_rig.scenario.settings import Scenario
 
 ALIKE = 1.05  # peaks within this factor are told apart by their noise
@@ -133,8 +134,10 @@ def _front(
 
 def _refuse(scenario: Scenario, spare_ticks: int) -> None:
     where = f"scenario {scenario.name}:"
-    if scenario.model.kind == "chapter-2":
-        raise ScenarioError(f"{where} model.kind = 'chapter-2': a car is right, as steer-by-wire")
+    if not scenario.model.is_car:
+        raise ScenarioError(
+            f"{where} model.kind = {scenario.model.kind!r}: must be a car, such as {CAR}"
+        )
     if scenario.design.compensation == "off":
         raise ScenarioError(f"{where} design.compensation = 'off': on-confirmation is right")
     if scenario.reference.amplitude_mps2 == 0.0:

@@ -19,9 +19,10 @@ from firmware_model.design.continuous_design import ContinuousDesign, DesignSpec
 from firmware_model.design.plants import Plant, chapter_2, steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.sections import Sections
-from firmware_model.discretisation.tables import Target, build, discretise
+from firmware_model.discretisation.tables import build, discretise
+from firmware_model.discretisation.targets import Target
 from firmware_model.errors import ParameterError
-from firmware_model.target.layout import Record
+from firmware_model.target.structs import Record
 
 pytestmark = pytest.mark.filterwarnings("ignore::scipy.signal.BadCoefficients")
 

@@ -13,13 +13,14 @@ import matplotlib.image
 import numpy as np
 import pytest
 
+from can_rig.assessment.resolve import load
 from can_rig.assessment.tuning.box import (
     MOST_DELAY_TICKS,
     Car,
     cars,
     delay_margin,
     laws,
-    ranges,
+    parameter_ranges,
     survives,
 )
 from can_rig.assessment.tuning.candidate import Tuning, assess, grid, with_tuning
@@ -27,7 +28,6 @@ from can_rig.assessment.tuning.report import as_dict, options, rows, why
 from can_rig.assessment.tuning.search import ALIKE, Tunings, tune
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_design, continuous_plant, target
-from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.delay_margin import delay_margins
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, law_in
@@ -56,7 +56,7 @@ def found_for(  # type: ignore[no-untyped-def]
     *settings: str, share: float = 0.2, spare: int = 1, limit=None, torque_limit=None
 ) -> Tunings:
     scenario = scenario_of(*settings)
-    some = cars(scenario.model, ranges(scenario.model, share))
+    some = cars(scenario.model, parameter_ranges(scenario.model, share))
     return tune(scenario, some, spare, limit, torque_limit, SMALL)
 
 
@@ -83,7 +83,7 @@ def crossover_margin(table, car: Car, tick_s: float) -> float:  # type: ignore[n
 def test_every_offer_has_the_delay_margin_at_every_vertex(found: Tunings) -> None:
     """By ``delay_margins``, which comes from the loop gain's crossovers."""
     scenario = found.scenario
-    some = cars(scenario.model, ranges(scenario.model, 0.2))
+    some = cars(scenario.model, parameter_ranges(scenario.model, 0.2))
     assert len(some) == found.cars == 17
     chosen, table = found.chosen, table_of(scenario, found.chosen)
     margin = chosen.delay_margin_ticks
@@ -93,7 +93,7 @@ def test_every_offer_has_the_delay_margin_at_every_vertex(found: Tunings) -> Non
     assert min(crossover_margin(table, car, scenario.tick_s) for car in worst[:2]) == margin
     for car in (some[0], some[6]):
         assert crossover_margin(table, car, scenario.tick_s) >= margin
-    if table.on_confirmation:
+    if table.compensator.on_confirmation:
         law = linear_controller(table, confirmed=1.0)
         false_alarms = [sampled_loop(law, car.plant, scenario.tick_s) for car in some]
         assert max(loop.spectral_radius() for loop in false_alarms) < 1.0
@@ -102,7 +102,7 @@ def test_every_offer_has_the_delay_margin_at_every_vertex(found: Tunings) -> Non
 def test_cars_from_inside_the_box_are_stable_too(found: Tunings) -> None:
     """What the vertices do not prove."""
     scenario, generator = found.scenario, np.random.default_rng(5)
-    box, table = ranges(scenario.model, 0.2), table_of(found.scenario, found.chosen)
+    box, table = parameter_ranges(scenario.model, 0.2), table_of(found.scenario, found.chosen)
     for draw in generator.uniform(size=(60, len(box))):
         values = {
             key: low + part * (high - low)
@@ -116,7 +116,7 @@ def test_cars_from_inside_the_box_are_stable_too(found: Tunings) -> None:
 def test_the_front_is_the_front_of_all_that_would_do(found: Tunings) -> None:
     """No tuning that is stable with all the cars beats one of it in both; brute force."""
     scenario = found.scenario
-    some = cars(scenario.model, ranges(scenario.model, 0.2))
+    some = cars(scenario.model, parameter_ranges(scenario.model, 0.2))
     good = [
         t for t in found.nominal
         if t.within_limits and survives(table_of(scenario, t), some, scenario.tick_s, 1)
@@ -143,7 +143,7 @@ def test_the_peak_is_that_of_a_run_and_the_unavoidable_is_below_it(found: Tuning
     )
     assert np.abs(trace.error[loss:]).max() == pytest.approx(chosen.peak_mps2, rel=1e-3)
     steady_nm = 1.0 / car.g1.dc_gain
-    unavoidable = 0.5 * 2.00930 / 1.0 * steady_nm * 0.002**2  # MATHS trap 11: N1's leading term
+    unavoidable = 0.5 * 2.00930 / 1.0 * steady_nm * 0.002**2  # trap 11: N1's leading term
     assert chosen.unavoidable_mps2 == pytest.approx(unavoidable, rel=1e-4)
     assert chosen.peak_ratio >= 1.0
 
@@ -161,7 +161,7 @@ def test_the_noise_is_that_of_a_long_run(found: Tunings) -> None:
         plant = sample(continuous_plant(scenario.plant), 1e-3)
         run = simulate(table, plant, np.ones(ticks), effectiveness=effectiveness)
         noisy = simulate(table, plant, np.ones(ticks), effectiveness=effectiveness, noise=noise)
-        if table.on_confirmation and left == 1.0:
+        if table.compensator.on_confirmation and left == 1.0:
             continue  # the noise crosses its threshold of 1e-5: compensated, but not lost
         forces.append(np.std((noisy.command_2 - run.command_2)[10_000:]) / 1e-4)
         torques.append(np.std((noisy.command_1 - run.command_1)[10_000:]) / 1e-4)
@@ -237,20 +237,20 @@ def test_a_grid_of_round_numbers_follows_the_tick() -> None:
 def test_an_unstable_or_impossible_candidate_is_none() -> None:
     scenario = scenario_of(ALWAYS, "latency_ticks=2")
     car = cars(scenario.model, {})
-    assert assess(scenario, (0.0002, 1, 0.001, 2), car, 0) is None  # MATHS trap 1
+    assert assess(scenario, (0.0002, 1, 0.001, 2), car, 0) is None  # trap 1
     assert assess(scenario, (0.02, 1, 0.02, 1), car, 0) is None  # q̂/G1 improper
 
 
 def test_the_box() -> None:
     model = load("thesis-step").model
-    box = ranges(model, 0.2)
+    box = parameter_ranges(model, 0.2)
     assert box["mass_kg"] == pytest.approx((1120.0, 1680.0))
     some = cars(model, box)
     assert [car.label for car in some[:1]] == ["the nominal car"]
     assert len({car.label for car in some}) == 17
     heavy = dataclasses.replace(model, **{key: high for key, (_, high) in box.items()})
     np.testing.assert_array_equal(some[-1].plant.a, continuous_plant(heavy).a)
-    one = ranges(model, 0.0, ["plant.speed_mps=8..12", "trail_m=0.04..0.06"])
+    one = parameter_ranges(model, 0.0, ["plant.speed_mps=8..12", "trail_m=0.04..0.06"])
     assert one == {"speed_mps": (8.0, 12.0), "trail_m": (0.04, 0.06)}
     assert len(cars(model, one)) == 5
     assert len(cars(model, {})) == 1

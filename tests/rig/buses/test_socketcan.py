@@ -6,12 +6,12 @@ import threading
 import pytest
 from click.testing import CliRunner
 
+from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus, open_for_node
 from can_rig.cli.main import main
 from can_rig.errors import BusLostError, SilentNodeError
 from can_rig.nodes.lockstep import Sender, StopRequest, Waiting, Watchdog
 from can_rig.nodes.nodes import run_in_process
-from can_rig.scenario.loading import load
 from tests.helpers import record
 from tests.vcan import frame, on_two_buses, own_can, tool
 

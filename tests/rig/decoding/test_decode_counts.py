@@ -8,7 +8,8 @@ from can import Message
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from can_rig.decoding.decode import Decoder, load_database
+from can_rig.decoding.database import load_database
+from can_rig.decoding.decode import Decoder
 from can_rig.errors import DbcError
 from can_rig.frames.protection import Checker, CheckStatus, Protector
 from can_rig.logs.frames import from_messages
@@ -141,5 +142,5 @@ def test_only_what_is_wanted() -> None:
 def test_a_signal_that_does_not_fit_is_refused() -> None:
     text = FEATURES.replace("Temp : 36|7@0-", "Temp : 60|16@0-")
     database = cantools.database.load_string(text, "dbc", strict=False)
-    with pytest.raises(DbcError, match="message BIG: signal Temp ends behind its 8 bytes"):
+    with pytest.raises(DbcError, match="message BIG: signal Temp must end within the 8 bytes"):
         Decoder(database)

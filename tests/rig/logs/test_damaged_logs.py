@@ -103,7 +103,7 @@ def test_a_damaged_binary_log_is_named(tmp_path: Path) -> None:
     data = bytearray(path.read_bytes())
     data[144 + 40 : 144 + 60] = bytes(20)
     path.write_bytes(data)
-    with pytest.raises(LogError, match=r"a.blf: byte \d+: not as its format has it"):
+    with pytest.raises(LogError, match=r"a.blf: byte \d+: does not follow the format"):
         concatenate(read_log(path))
 
 

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
+from can_rig.assessment.resolve import load
 from can_rig.nodes.realtime.takeover import LISTEN_S, RETURN_S, FreeMotion, TakeOver
 from can_rig.scenario.build import controller_table, network_of
-from can_rig.scenario.loading import load
 from firmware_model.design.vehicle import VehicleParameters, vehicle_state_space
 from firmware_model.firmware import Firmware
 

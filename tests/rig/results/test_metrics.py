@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 from scipy import signal
 
-from can_rig.assessment.check import check
+from can_rig.assessment.resolve import load
+from can_rig.assessment.stability import check_stability
 from can_rig.errors import RigError
 from can_rig.nodes.lockstep import StopRequest
 from can_rig.nodes.nodes import run_in_process
@@ -19,7 +20,6 @@ from can_rig.results.counterfactual import fault_free
 from can_rig.results.metrics import Metrics, metrics, rows, windows
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from can_rig.thesis.continuous import solve
 from firmware_model.design.plants import steer_by_wire
@@ -167,7 +167,7 @@ def test_a_fault_where_nothing_acts_changes_nothing(run: Run) -> None:
     deviation = values["deviation_peak_after_fault_mps2"]
     assert deviation is not None and deviation < 1e-6
     assert values["detection_delay_s"] is None
-    assert ("loss confirmed after", "never") in rows(values, {})
+    assert ("loss confirmed after", "never") in rows(values, network_of(load("thesis-step")))
 
 
 @pytest.mark.parametrize(
@@ -302,7 +302,7 @@ def test_unavoidable_is_what_a_loss_does_before_anything_can_answer(
     _, step = signal.step(signal.ZerosPolesGain(g1.zeros, g1.poles, g1.gain), T=times)
     found = metrics(scenario, signals)["unavoidable_deviation_mps2"]
     assert found == pytest.approx((1.0 - left) * torque * step[-1], rel=1e-6)
-    # MATHS, trap 11
+    # trap 11
     short = 0.5 * g1.gain * torque * ((latency + 1) * scenario.tick_s) ** 2
     assert found == pytest.approx((1.0 - left) * short, rel=0.05)
 
@@ -315,7 +315,7 @@ def test_there_is_nothing_unavoidable_where_no_actuator_dies_in_the_log() -> Non
 
 def test_noise_in_the_commands_is_that_of_the_exact_covariance(run: Run) -> None:
     scenario, signals = run("noisy", "duration_s=10.0", "fault.kind=none")
-    expected = check(scenario).healthy.noise_to_command_2 * scenario.noise.dstar_rms_mps2
+    expected = check_stability(scenario).healthy.noise_to_command_2 * scenario.noise.dstar_rms_mps2
     found = metrics(scenario, signals)["force_difference_noise_rms_n"]
     assert found == pytest.approx(expected, rel=0.15)  # 2 s of noise that lasts for some ms
 
@@ -349,18 +349,18 @@ def test_peaks_belong_to_their_windows() -> None:
 
 
 def labels(scenario: Scenario, values: Metrics) -> str:
-    units = {"y": "m/s^2", "u1": "N.m", "u2": "N"}
-    return "\n".join(f"{label}: {text}" for label, text in rows(values, units))
+    network = network_of(load("thesis-step"))
+    return "\n".join(f"{label}: {text}" for label, text in rows(values, network))
 
 
 def test_rows_say_only_what_the_run_has() -> None:
     scenario = load("thesis-step", ["tick_s=0.01"])
     closed = labels(scenario, metrics(scenario, quiet(scenario)))
-    assert "|error| after the fault, peak: 0 m/s^2" in closed
+    assert "|error| after the fault, peak: 0 m/s²" in closed
     assert "deviation" in closed and "never" in closed
     healthy = replace(scenario, fault=replace(scenario.fault, kind="none"))
     without = labels(healthy, metrics(healthy, quiet(healthy)))
-    assert "|error|, settled: 0 m/s^2" in without
+    assert "|error|, settled: 0 m/s²" in without
     assert not any(word in without for word in ("after", "before", "deviation", "never", "None"))
     other = load("chapter-2", ["tick_s=0.01"])
     opened = labels(other, metrics(other, quiet(other)))
@@ -372,7 +372,7 @@ def test_a_run_without_a_tick_has_no_numbers() -> None:
     empty = Signals(*(np.empty(0) for _ in Signals.__dataclass_fields__))
     values = metrics(scenario, empty)
     assert set(values.values()) == {None}
-    assert rows(values, {}) == []
+    assert rows(values, network_of(load("thesis-step"))) == []
 
 
 def test_every_key_says_its_unit() -> None:

@@ -10,14 +10,16 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
+from can_rig.assessment.resolve import load
+from can_rig.drawing.style import SHADE
 from can_rig.nodes.lockstep import StopRequest
 from can_rig.nodes.nodes import run_in_process
 from can_rig.nodes.realtime.deadlines import Timing
 from can_rig.results import report
+from can_rig.results.metrics import metrics, rows
 from can_rig.results.run_folder import Outcome, finish
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 
 pytestmark = pytest.mark.filterwarnings("error")
@@ -38,19 +40,22 @@ def drawn(folder: Path, name: str, *settings: str) -> Figure:
 def test_title_and_units_say_what_was_run(tmp_path: Path) -> None:
     page = drawn(tmp_path, "thesis-step", "plant.variant=published", "fault.for_s=0.05")
     title = page.get_suptitle()
-    for words in ("thesis-step", "actuator dead, torque, at 0.1 s for 0.05 s", "published"):
+    for words in (
+        "thesis-step: steering torque lost from 0.1 s to 0.15 s (actuator dead)",
+        "published model",
+    ):
         assert words in title
     assert "tick 1 ms, latency 0 ticks" in title
     labels = [axis.get_ylabel() for axis in page.axes]
     assert labels[0] == "D*\nin m/s²"
     assert labels[1] == "|error|\nin m/s²"
-    assert labels[2:4] == ["steer torque\nin N m", "force difference\nin N"]
+    assert labels[2:4] == ["steering torque\nin N m", "rear force difference\nin N"]
 
 
 def test_the_loss_is_shaded_where_it_was(tmp_path: Path) -> None:
     page = drawn(tmp_path, "thesis-step", "fault.for_s=0.05")
     for axis in page.axes:
-        (span,) = (p for p in axis.patches if p.get_facecolor()[:3] == to_rgb(report.LOST))
+        (span,) = (p for p in axis.patches if p.get_facecolor()[:3] == to_rgb(SHADE))
         assert span.get_extents().transformed(axis.transData.inverted()).intervalx == pytest.approx(
             [0.1, 0.15]
         )
@@ -71,7 +76,11 @@ def test_a_spike_is_off_the_scale_and_said_to_be(tmp_path: Path) -> None:
 def test_an_open_loop_shows_its_deviation_and_not_an_error(tmp_path: Path) -> None:
     output, deviation, *_ = drawn(tmp_path, "chapter-2").axes
     assert deviation.get_ylabel() == "|deviation|"
-    assert [line.get_label() for line in output.lines[:2]] == ["without the fault", "output y"]
+    assert [line.get_label() for line in output.lines[:3]] == [
+        "output y",
+        "without the fault",
+        "output y without compensation",
+    ]
     time_s, size = deviation.lines[0].get_data()
     assert np.max(np.asarray(size)[np.asarray(time_s) < 0.1]) < 5e-8
     assert np.max(size) > 1e-4
@@ -135,3 +144,61 @@ def test_a_real_time_run_shows_how_late_it_was(tmp_path: Path) -> None:
     heights = {labels[at]: bar.get_height() for at, bar in enumerate(wake_ups) if bar.get_height()}
     assert heights == {"10": 3, "2000": 1}
     assert page.canvas.get_width_height()
+
+
+def test_what_the_dead_motor_applies_is_shown_beside_its_command(tmp_path: Path) -> None:
+    page = drawn(tmp_path, "partial-loss", "fault.left=0.25")
+    commanded, applied = (np.asarray(line.get_ydata()) for line in page.axes[2].lines[:2])
+    assert [line.get_label() for line in page.axes[2].lines[:2]] == ["commanded", "applied"]
+    np.testing.assert_array_equal(applied[1:100], commanded[:99])
+    np.testing.assert_array_equal(applied[100:], 0.25 * commanded[99:-1])
+    assert "applied" not in [line.get_label() for line in page.axes[3].lines]
+
+
+def test_a_thin_line_is_the_run_without_compensation(tmp_path: Path) -> None:
+    """From the fault on, and as a run through the bus has it."""
+    for name in ("with", "without"):
+        (tmp_path / name).mkdir()
+    kind = ("fault.kind=frames-missing", "noise.dstar_rms_mps2=0.001")
+    output = drawn(tmp_path / "with", "default", *kind).axes[0]
+    thin = next(line for line in output.lines if line.get_label() == "D* without compensation")
+    off = load("default", [*SHORT, *kind, "design.compensation=off"])
+    expected = recorded(tmp_path / "without", off)
+    np.testing.assert_allclose(np.asarray(thin.get_xdata()), expected.time_s[100:])
+    np.testing.assert_allclose(np.asarray(thin.get_ydata()), expected.dstar_mps2[100:], atol=1e-6)
+    assert thin.get_linewidth() < 0.5 * output.lines[0].get_linewidth()
+    page = report.page(off, network_of(off), expected)
+    assert len(page.axes[0].lines) == 3  # output, reference and the edge of the shade
+
+
+def test_a_biased_sensor_is_shown_beside_the_car(tmp_path: Path) -> None:
+    page = drawn(tmp_path, "default", "fault.kind=sensor-biased", "fault.bias_mps2=0.25")
+    measured, _, car = (np.asarray(line.get_ydata()) for line in page.axes[0].lines[:3])
+    np.testing.assert_allclose(measured[100:] - car, 0.25)
+    assert page.axes[0].get_ylabel() == "D* as measured\nin m/s²"
+    assert "D* biased by 0.25 m/s² at 0.1 s" in page.get_suptitle()
+    assert "applied" not in [line.get_label() for axis in page.axes for line in axis.lines]
+
+
+@pytest.mark.parametrize("name", ["default", "chapter-2"])
+def test_title_shade_panel_and_closing_table_use_one_name(tmp_path: Path, name: str) -> None:
+    scenario = load(name, [*SHORT, "fault.channel=force-difference"])
+    network, signals = network_of(scenario), recorded(tmp_path, scenario)
+    page = report.page(scenario, network, signals)
+    lost = {"default": "rear force difference", "chapter-2": "input 2"}[name]
+    assert f"{lost} lost at 0.1 s" in page.get_suptitle()
+    assert [text.get_text() for text in page.axes[0].texts] == [f"{lost} lost"]
+    assert page.axes[3].get_ylabel().splitlines()[0] == lost
+    labels = [label for label, _ in rows(metrics(scenario, signals), network)]
+    assert f"|{lost}|, peak" in labels
+
+
+def test_the_title_says_what_of_the_plan_did_not_happen(tmp_path: Path) -> None:
+    late = drawn(tmp_path, "thesis-step", "fault.at_s=0.5").get_suptitle()
+    assert "lost at 0.5 s, after the end of the run" in late
+    scenario = load("thesis-step", SHORT)
+    log = tmp_path / "bus.log"
+    log.write_text("".join(log.read_text().splitlines(keepends=True)[: 5 * 50]))
+    signals = read_signals(log, network_of(scenario), scenario.tick_s)
+    short = report.page(scenario, network_of(scenario), signals).get_suptitle()
+    assert short.splitlines()[-1] == "ended at 0.05 s of 0.2 s"

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from can_rig.assessment.resolve import load
 from can_rig.errors import LogError
-from can_rig.scenario.loading import load
 from can_rig.views.diff_picture import difference_page
 from can_rig.views.run_diff import compare, tolerances_of
 from can_rig.views.signal_table import SignalTable, read_table, unit
@@ -97,7 +97,7 @@ def test_rows_and_columns_of_one_run_alone_are_a_difference() -> None:
     wider = compare(table(x=[1]), table("b", x=[1], y=[1]), {})
     assert (wider.columns_b, wider.same) == (["y"], False)
     assert compare(table(x=[1]), table("b", x=[1]), {}).same
-    with pytest.raises(LogError, match="no row of the one"):
+    with pytest.raises(LogError, match="no row of the same time"):
         compare(table(x=[1]), table("b", start=5, x=[1]), {})
 
 
@@ -145,13 +145,13 @@ def test_tolerances_and_units() -> None:
 def test_the_picture_shows_the_place(runs: Path) -> None:
     a, b = (read_table(runs / name, load("default")) for name in ("a", "later"))
     difference = compare(a, b, {})
-    page = difference_page(a, b, difference, ("A", "B"))
+    page = difference_page(a, b, difference)
     whole, near = page.axes[0], page.axes[1]
     low, high = near.get_xlim()
     assert low < difference.first_at_s < high
     assert high - low < 0.1 < whole.get_xlim()[1] - whole.get_xlim()[0]
     assert "m/s²" in whole.get_ylabel()
-    same = difference_page(a, a, compare(a, a, {}), ("A", "A"))
+    same = difference_page(a, a, compare(a, a, {}))
     assert len(same.axes) == 2 * len(a.columns)
 
 

@@ -10,11 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from can_rig.cli.plot_command import resolve
-from can_rig.decoding.decode import decode_log, load_database
+from can_rig.cli.logs.plot import resolve
+from can_rig.decoding.database import load_database
+from can_rig.decoding.decode import decode_log
 from can_rig.errors import DbcError
 from can_rig.scenario.settings import FaultSettings
-from can_rig.views.plot_picture import MOST_POINTS, plot_page, thinned
+from can_rig.views.plot_picture import MAX_POINTS, plot_page, thinned
 from tests.helpers import DBC, asked, record
 
 CAR = """VERSION ""
@@ -107,7 +108,7 @@ def test_a_run_folder_has_its_own_dbc_and_fault(tmp_path: Path) -> None:
 def test_a_long_signal_keeps_every_peak(values: np.ndarray) -> None:
     time_s = np.arange(len(values)) * 1e-3
     thin_s, thin = thinned(time_s, values)
-    assert len(thin) <= MOST_POINTS + MOST_POINTS // 2
+    assert len(thin) <= MAX_POINTS + MAX_POINTS // 2
     assert (thin.min(), thin.max()) == (values.min(), values.max())
     assert np.isin(thin_s, time_s).all()
     assert (np.diff(thin_s) > 0).all()

@@ -1,0 +1,225 @@
+"""``can-rig check``: whether a scenario's loop is stable, by how much, and what would make it so.
+
+The loop is taken as linear: limits, frames and the time of the fault do not count. It is checked
+before the fault and after it, that is healthy and with the channel dead, whether or not the
+scenario has a fault: the loss is what the controller is for. Missing and corrupted frames come to
+the same as a dead actuator: nothing is applied. Of a plant that is a class, the loop is that of the
+linear car with its parameters.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import asdict, dataclass, replace
+from itertools import product
+from typing import Any, get_args
+
+from can_rig.assessment.control_authority import ControlAuthority, control_authority
+from can_rig.assessment.stability_table import finite_or_null
+from can_rig.assessment.threshold_budget import ThresholdBudget, threshold_budget
+from can_rig.errors import ScenarioError
+from can_rig.plant.simulated import SimulatedPlant
+from can_rig.scenario.build import (
+    continuous_design,
+    continuous_plant,
+    controller_table,
+    network_of,
+    target,
+)
+from can_rig.scenario.settings import Scenario
+from firmware_model.analysis.margins import (
+    HEALTHY,
+    Margins,
+    is_stable_in,
+    largest_latency_survived,
+    law_in,
+    margins,
+)
+from firmware_model.analysis.sampled_loop import sampled_loop
+from firmware_model.discretisation.targets import EstimatorRule
+
+Effectiveness = tuple[float, float]
+"""What is left of the torque's and of the force difference's effect, 1 healthy and 0 dead."""
+
+DEAD: dict[str, Effectiveness] = {"torque": (0.0, 1.0), "force-difference": (1.0, 0.0)}
+PARTLY_LOST = (0.75, 0.5, 0.25)  # what is left of the torque channel
+TUNINGS_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)  # tried for tau_s = tau_q_s
+SPARE_TICKS = (0, 1)  # extra delays with which a tuning must be stable to be recommended
+
+
+@dataclass(frozen=True)
+class StabilityCheck:
+    """Margins of a scenario's loop in every state that matters.
+
+    ``partly_lost`` has the margins by what is left of the torque channel, ``false_alarm`` those of
+    a healthy car whose controller compensates all the same; None where it always does. Neither
+    decides whether the scenario counts as stable.
+    """
+
+    scenario: Scenario
+    healthy: Margins
+    faulted: Margins
+    partly_lost: dict[float, Margins]
+    false_alarm: Margins | None
+    budget: ThresholdBudget
+    control_authority: ControlAuthority | None
+
+    @property
+    def stable(self) -> bool:
+        """Stable before the fault and after it."""
+        return self.healthy.stable and self.faulted.stable
+
+    @property
+    def states(self) -> Iterator[tuple[str, Margins]]:
+        """The name of each state, and its margins."""
+        yield from zip(_both_ends(self.scenario), (self.healthy, self.faulted), strict=True)
+        for left, figures in self.partly_lost.items():
+            yield f"torque {left:.0%}", figures
+        if self.false_alarm is not None:
+            yield "false alarm", self.false_alarm
+
+    @property
+    def notes(self) -> Iterator[str]:
+        """A line each: whose margins, the threshold's budget, isolation, control authority."""
+        scenario = self.scenario
+        if scenario.plant.is_class:
+            yield f"margins: of the linear car with its parameters, not of {scenario.plant.kind}"
+        if self.healthy.stable:
+            gain = continuous_plant(scenario.model).g1.dc_gain
+            yield from self.budget.describe(scenario.design, scenario.budget.box, gain)
+            yield _isolation(scenario.design.probe_nm)
+        if self.control_authority is not None:
+            yield str(self.control_authority)
+
+    @property
+    def verdict(self) -> str:
+        """One line: stable, or what is not and what would be."""
+        unstable = [(name, figures) for name, figures in self.states if not figures.stable]
+        if not unstable:
+            return "stable: healthy, and with a channel dead or partly lost"
+        names = ", ".join(name for name, _ in unstable)
+        if self.stable:
+            return f"stable healthy and with {self.scenario.fault.channel} dead, but not: {names}"
+        name, figures = unstable[0]
+        return _reason(self.scenario, name, figures.spectral_radius)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For JSON, where null stands for infinity and NaN."""
+        values = {
+            "scenario": self.scenario.name,
+            "stable": self.stable,
+            "healthy": asdict(self.healthy),
+            "faulted": asdict(self.faulted),
+            "partly_lost": {f"{left:g}": asdict(m) for left, m in self.partly_lost.items()},
+            "false_alarm": None if self.false_alarm is None else asdict(self.false_alarm),
+            "decision": {
+                "threshold_mps2": self.scenario.design.fault_threshold_mps2,
+                "threshold_share": self.scenario.design.fault_threshold_share,
+                **asdict(self.budget),
+                "budget": self.budget.total,
+            },
+            "control_authority": None
+            if self.control_authority is None
+            else self.control_authority.as_dict(),
+        }
+        return {key: finite_or_null(value) for key, value in values.items()}
+
+
+def check_stability(scenario: Scenario) -> StabilityCheck:
+    """The margins of the scenario's loop in every state, its threshold and control authority.
+
+    Raises:
+        ScenarioError: a design that cannot be made or discretised, a class that is no plant.
+    """
+    if scenario.plant.is_class:
+        SimulatedPlant(scenario)  # refuses what a run refuses
+    table, plant = controller_table(scenario, None), continuous_plant(scenario.plant)
+    network = network_of(scenario)
+
+    def margins_with(effectiveness: Effectiveness) -> Margins:
+        return margins(table, plant, scenario.tick_s, effectiveness)
+
+    return StabilityCheck(
+        scenario=scenario,
+        healthy=margins_with(HEALTHY),
+        faulted=margins_with(DEAD[scenario.fault.channel]),
+        partly_lost={left: margins_with((left, 1.0)) for left in PARTLY_LOST},
+        false_alarm=(
+            margins(table, plant, scenario.tick_s, confirmed=1.0)
+            if table.compensator.on_confirmation
+            else None
+        ),
+        budget=threshold_budget(scenario, network),
+        control_authority=control_authority(scenario, network),
+    )
+
+
+def refuse_unstable(scenario: Scenario) -> None:
+    """Raise unless the loop is stable before the fault and after it.
+
+    Raises:
+        ScenarioError: names the unstable state and what would be stable; a design that cannot be
+            made.
+    """
+    table, plant = controller_table(scenario, None), continuous_plant(scenario.plant)
+    for name, left in _both_ends(scenario).items():
+        loop = sampled_loop(law_in(table, left), plant, scenario.tick_s, left)
+        radius = loop.spectral_radius()
+        if not radius < 1.0:
+            reason = _reason(scenario, name, radius)
+            raise ScenarioError(
+                f"scenario {scenario.name}: {reason}; --allow-unstable runs it as it is"
+            )
+
+
+def stable_tuning(scenario: Scenario) -> str | None:
+    """The fastest tau_s = tau_q_s that is stable before and after the fault with a tick to spare.
+
+    As the options that choose it; the scenario's own estimator is tried first. None if there is
+    no such tuning.
+    """
+    plant, states = continuous_plant(scenario.plant), tuple(_both_ends(scenario).values())
+    own = scenario.design.estimator
+    rules = [own, *(rule for rule in get_args(EstimatorRule) if rule != own)]
+    for tau_s, rule in product(TUNINGS_S, rules):
+        chosen = replace(scenario.design, tau_s=tau_s, tau_q_s=tau_s, estimator=rule)
+        other = replace(scenario, design=chosen)
+        design, place = continuous_design(other), target(other, None)
+        if all(is_stable_in(design, place, plant, states, spare) for spare in SPARE_TICKS):
+            keys = [f"design.tau_s={tau_s:g}", f"design.tau_q_s={tau_s:g}"]
+            keys += [f"design.estimator={rule}"] if rule != own else []
+            return " ".join(f"--set {key}" for key in keys)
+    return None
+
+
+def _reason(scenario: Scenario, state: str, radius: float) -> str:
+    """What is wrong with the loop in ``state``, and what latency and what tuning would do."""
+    longest = largest_latency_survived(
+        continuous_design(scenario),
+        target(scenario, None),
+        continuous_plant(scenario.plant),
+        tuple(_both_ends(scenario).values()),
+    )
+    survived = "no latency_ticks" if longest is None else f"latency_ticks up to {longest}"
+    tuning = stable_tuning(scenario) or f"no tau_s = tau_q_s up to {TUNINGS_S[-1]:g}"
+    return (
+        f"unstable ({state}): the spectral radius is {radius:.4f} and must be below 1; "
+        f"this tuning is stable with {survived}; {tuning} works"
+    )
+
+
+def _isolation(probe_nm: float) -> str:
+    if probe_nm > 0.0:
+        return (
+            f"isolation: a loss is confirmed only when a torque probe of {probe_nm:g} N m goes "
+            "unanswered; a biased D* stays suspected"
+        )
+    return (
+        "isolation: none: a D* biased by more than the threshold is taken for a loss; a small "
+        "torque probe, design.probe_nm, would tell the two apart"
+    )
+
+
+def _both_ends(scenario: Scenario) -> dict[str, Effectiveness]:
+    channel = scenario.fault.channel
+    return {"healthy": HEALTHY, f"{channel} dead": DEAD[channel]}

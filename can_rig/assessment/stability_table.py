@@ -1,0 +1,50 @@
+"""The margins of a loop as a table for people, and its figures as JSON has them."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterable, Iterator
+from typing import Any, Final
+
+from firmware_model.analysis.margins import Margins
+
+ALWAYS: Final[dict[str, Callable[[Margins], str]]] = {
+    "spectral radius": lambda m: f"{m.spectral_radius:.5f}",
+    "slowest, rad/s": lambda m: f"{m.slowest_rad_per_s:.4g}",
+    "its damping": lambda m: f"{m.slowest_damping:.3f}",
+}
+"""Figures of any loop."""
+
+IF_STABLE: Final[dict[str, Callable[[Margins], str]]] = {
+    "delay, ticks": lambda m: _or_any(m.delay_margin_ticks),
+    "delay, ms": lambda m: _or_any(m.delay_margin_s, 1e3),
+    "gain margin": lambda m: f"{m.gain_margin:.4g}",
+    "peak |S|": lambda m: f"{m.peak_sensitivity:.3f}",
+    "u1 / noise": lambda m: f"{m.noise_to_command_1:.3g}",
+    "u2 / noise": lambda m: f"{m.noise_to_command_2:.3g}",
+}
+"""Margins, and the rms of each command for white measurement noise of rms 1."""
+
+
+def table_rows(states: Iterable[tuple[str, Margins]]) -> Iterator[tuple[str, ...]]:
+    """A heading with the names of the states, then a row for each figure.
+
+    "-" stands where an unstable loop has no such figure, "any" where a margin has no end.
+    """
+    named = list(states)
+    yield "", *(name for name, _ in named)
+    for label, form in ALWAYS.items():
+        yield label, *(form(margins) for _, margins in named)
+    for label, form in IF_STABLE.items():
+        yield label, *(form(margins) if margins.stable else "-" for _, margins in named)
+
+
+def finite_or_null(value: Any) -> Any:
+    """``value`` with None for every number in it that is not finite."""
+    if isinstance(value, dict):
+        return {key: finite_or_null(inner) for key, inner in value.items()}
+    return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def _or_any(value: float | None, scale: float = 1.0) -> str:
+    return "any" if value is None else f"{scale * value:.4g}"

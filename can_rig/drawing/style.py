@@ -1,0 +1,85 @@
+"""The look of every picture: few colours, of different greys in print, and few dashes."""
+
+from __future__ import annotations
+
+from typing import Any, Final, Literal
+
+from matplotlib.axes import Axes
+from matplotlib.backends.backend_agg import FigureCanvasAgg
+from matplotlib.figure import Figure
+
+from can_rig.drawing.names import printed
+from can_rig.scenario.settings import FaultSettings
+
+INK: Final = "#1b1b1b"
+BLUE, ORANGE, GREEN = "#0b4f8a", "#b8461a", "#2f7d4f"
+PALE_BLUE, PALE_ORANGE = "#a9bccd", "#e3b49c"
+"""Wide and beneath a dark curve that may cover them."""
+SHADE: Final = "#efe9e2"
+"""Of the time in which something is lost."""
+
+DASHED: Final = (0, (4, 3))
+DOTTED: Final = (0, (1, 2))
+DASH_DOTTED: Final = (0, (6, 2, 1, 2))
+
+SERIES: Final[tuple[dict[str, Any], ...]] = (
+    {"color": BLUE, "lw": 1.6},
+    {"color": ORANGE, "lw": 1.2, "ls": DASHED},
+    {"color": GREEN, "lw": 1.2, "ls": DOTTED},
+    {"color": INK, "lw": 1.0, "ls": DASH_DOTTED},
+)
+"""Of curves that share a panel and are of equal rank."""
+
+A4_WIDTH_IN: Final = 8.27
+
+
+def page(height_in: float, width_in: float = A4_WIDTH_IN) -> Figure:
+    """An empty page, drawn without a display."""
+    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+    FigureCanvasAgg(figure)
+    return figure
+
+
+def ruled(axis: Axes) -> None:
+    """A faint grid, and curves from edge to edge."""
+    axis.grid(alpha=0.3, lw=0.5)
+    axis.margins(x=0.0, y=0.08)
+
+
+def labelled(name: str, unit: str) -> str:
+    """The label of an axis: the name, and below it the unit where there is one."""
+    return f"{name}\nin {printed(unit)}" if unit else name
+
+
+def legend_above(
+    axis: Axes, side: Literal["left", "right"] = "right", raised: float = 0.0, columns: int = 4
+) -> None:
+    """The legend above the panel, where no curve can be; ``raised`` by that share of its height."""
+    axis.legend(
+        loc="lower left" if side == "left" else "lower right",
+        bbox_to_anchor=(0.0 if side == "left" else 1.0, 1.0 + raised),
+        ncols=columns,
+        frameon=False,
+        fontsize=9,
+        borderpad=0.2,
+        borderaxespad=0.0,
+        columnspacing=1.5,
+    )
+
+
+def shade_loss(axis: Axes, fault: FaultSettings | None) -> float | None:
+    """Shade the time of ``fault`` as far as the axis shows it, with a line where it begins.
+
+    Returns:
+        Where the shade begins, in s; None where the axis shows nothing of the fault.
+    """
+    if fault is None or fault.kind == "none":
+        return None
+    low, high = axis.get_xlim()
+    end_s = high if fault.for_s is None else fault.at_s + fault.for_s
+    if not (fault.at_s < high and end_s > low):
+        return None
+    start_s = max(low, fault.at_s)
+    axis.axvspan(start_s, min(high, end_s), color=SHADE, lw=0, zorder=0)
+    axis.axvline(start_s, color=INK, lw=0.8, zorder=1)
+    return start_s

@@ -1,0 +1,40 @@
+"""What the actuators did with the commands of a run, as far as its log tells."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from can_rig.plant.faults import ActuatorFault
+from can_rig.plant.simulated import Actuator
+from can_rig.results.signals import Signals
+from can_rig.scenario.settings import Scenario
+from firmware_model.target.structs import FloatArray
+
+
+def applied_commands(scenario: Scenario, signals: Signals) -> tuple[FloatArray, FloatArray]:
+    """Both inputs of the plant from each tick to the next, (ticks,) each, in the commands' units.
+
+    A command acts ``latency_ticks`` after its tick; one that is not on record is held for
+    ``actuator.hold_s`` and is zero from then on; of a dead actuator's effect ``fault.left`` is
+    left. nan at the start of a log that starts late, where the command that acts is not in it.
+    """
+    first = round(float(signals.time_s[0]) / scenario.tick_s) if len(signals) else 0
+    hold_ticks = round(scenario.actuator.hold_s / scenario.tick_s)
+    fault = ActuatorFault(scenario)
+    left = np.array([fault.effectiveness(first + row) for row in range(len(signals))])
+    before = np.full(scenario.latency_ticks, 0.0 if first == 0 else math.nan)
+    commands = signals.torque_nm, signals.force_difference_n
+    factors = left.reshape(-1, 2).T
+    one, two = (
+        factor * np.concatenate([before, _held(command, hold_ticks)])[: len(signals)]
+        for command, factor in zip(commands, factors, strict=True)
+    )
+    return one, two
+
+
+def _held(command: FloatArray, hold_ticks: int) -> FloatArray:
+    actuator = Actuator(hold_ticks)
+    heard = (None if math.isnan(value) else value for value in command.tolist())
+    return np.array([actuator.hear(value) for value in heard], dtype=np.float64)

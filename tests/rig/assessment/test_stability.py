@@ -1,0 +1,264 @@
+"""``can-rig check`` and the refusal of ``can-rig run``; the grids of predictions against runs."""
+
+from __future__ import annotations
+
+import dataclasses
+import json
+import math
+import os
+from itertools import product
+
+import numpy as np
+import pytest
+
+from can_rig.assessment.resolve import load
+from can_rig.assessment.stability import check_stability, refuse_unstable, stable_tuning
+from can_rig.errors import ScenarioError
+from can_rig.scenario.catalogue import shipped
+from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, margins
+from firmware_model.analysis.sampled_loop import linear_controller, sampled_loop
+from firmware_model.analysis.sampled_plant import sample
+from firmware_model.analysis.simulation import simulate
+from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.design.plants import steer_by_wire
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Target
+from firmware_model.firmware import Firmware
+from tests.helpers import rig
+
+LATE = "latency_ticks=1"
+CAR = steer_by_wire()
+compiled_only = pytest.mark.skipif(
+    os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="tens of millions of ticks"
+)
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_the_shipped_scenarios_are_stable_and_run(name: str) -> None:
+    scenario = load(name)
+    result = check_stability(scenario)
+    assert result.stable
+    assert result.verdict.startswith("stable")
+    refuse_unstable(scenario)
+
+
+def test_json_has_the_figures_of_both_ends() -> None:
+    done = rig("check", "thesis-step", "--json")
+    assert done.returncode == 0
+    values = json.loads(done.stdout)
+    assert values["stable"] is True
+    table = build(design(CAR, DesignSpecification()), Target(1e-3))
+    for name, left in (("healthy", HEALTHY), ("faulted", TORQUE_DEAD)):
+        expected = margins(table, CAR, 1e-3, left)
+        assert values[name]["spectral_radius"] == pytest.approx(expected.spectral_radius)
+        assert values[name]["delay_margin_ticks"] == expected.delay_margin_ticks == 0
+
+
+def refuse(text: str) -> None:
+    raise AssertionError(f"{text} is no JSON")
+
+
+def test_noise_beyond_all_numbers_is_null_in_json() -> None:
+    done = rig("check", "default", "--set", "noise.dstar_rms_mps2=1e308", "--json")
+    assert done.stderr == ""
+    values = json.loads(done.stdout, parse_constant=refuse)
+    assert values["decision"]["noise"] is values["decision"]["budget"] is None
+    assert values["decision"]["quantisation"] == pytest.approx(1e-8)
+
+
+def test_an_unstable_loop_is_exit_status_1_and_still_json() -> None:
+    done = rig("check", "thesis-step", "--set", LATE, "--json")
+    assert done.returncode == 1
+    values = json.loads(done.stdout, parse_constant=refuse)
+    assert values["stable"] is False
+    assert values["healthy"]["spectral_radius"] < 1.0 < values["faulted"]["spectral_radius"]
+    assert values["faulted"]["delay_margin_ticks"] is None
+
+
+def test_a_person_sees_one_table_and_one_verdict() -> None:
+    done = rig("check", "thesis-step", "--set", LATE, env={**os.environ, "COLUMNS": "80"})
+    lines = done.stdout.splitlines()
+    assert done.returncode == 1
+    for word in ("healthy", "torque dead", "torque 25%"):
+        assert word in lines[0]
+    assert max(len(line) for line in lines[:-1]) <= 80
+    assert lines[-1].startswith("unstable (torque dead): the spectral radius is 1.0373")
+    assert done.stderr == ""
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [[LATE], ["tick_s=0.01"], [LATE, "fault.kind=none"], [LATE, "design.estimator=zoh"]],
+)
+def test_run_refuses_an_unstable_loop_and_says_what_works(settings: list[str]) -> None:
+    """Unstable healthy, after the fault, or after one that the scenario does not have."""
+    arguments = [a for setting in settings for a in ("--set", setting)]
+    done = rig("run", "thesis-step", *arguments)
+    assert done.returncode == 2
+    message = done.stderr.strip()
+    assert "\n" not in message
+    state = "healthy" if "tick_s=0.01" in settings else "torque dead"
+    assert f"unstable ({state}): the spectral radius is" in message
+    latency = "no latency_ticks" if "tick_s=0.01" in settings else "latency_ticks up to 0"
+    assert latency in message
+    offered = message.split("; ")[-2].removesuffix(" works").replace("--set ", "").split()
+    assert ("design.estimator=tustin" in offered) == ("design.estimator=zoh" in settings)
+    better = load("thesis-step", [*settings, *offered])
+    assert check_stability(better).stable
+    done = rig("check", "thesis-step", *arguments, *[a for s in offered for a in ("--set", s)])
+    assert done.returncode == 0
+
+
+def test_run_takes_an_unstable_loop_when_told(tmp_path) -> None:  # type: ignore[no-untyped-def]
+    arguments = ("--set", LATE, "--set", "duration_s=0.05", "--in-process", "--out", tmp_path / "r")
+    assert rig("run", "thesis-step", *arguments).returncode == 2
+    assert not (tmp_path / "r").exists()
+    assert rig("run", "thesis-step", *arguments, "--allow-unstable").returncode == 0
+
+
+@pytest.mark.parametrize("kind", ["none", "actuator-dead", "frames-missing", "frames-corrupted"])
+def test_every_kind_of_fault_ends_in_a_dead_channel(kind: str) -> None:
+    assert not check_stability(load("thesis-step", [LATE, f"fault.kind={kind}"])).stable
+    other = check_stability(
+        load("thesis-step", [LATE, f"fault.kind={kind}", "fault.channel=force-difference"])
+    )
+    assert other.stable  # without the force difference it is the torque loop alone
+    assert "force-difference dead" in dict(other.states)
+
+
+def test_the_cars_own_parameters_are_checked_not_the_models() -> None:
+    """A heavy car under a controller for a light one is neither's own loop."""
+    own = ["design.tau_s=0.01", "design.tau_q_s=0.02"]
+    ours = check_stability(load("thesis-step", [*own, "plant.speed_mps=30", "model.speed_mps=10"]))
+    for speed in (10, 30):
+        matched = check_stability(load("thesis-step", [*own, f"plant.speed_mps={speed}"]))
+        assert ours.healthy.spectral_radius != pytest.approx(matched.healthy.spectral_radius)
+
+
+def test_a_class_is_loaded_and_the_margins_are_said_not_to_be_its_own() -> None:
+    kind = "can_rig.plant.nonlinear_car:NonlinearCar"
+    own = check_stability(load("default", [f"plant.kind={kind}"]))
+    said = f"margins: of the linear car with its parameters, not of {kind}"
+    assert list(own.notes).count(said) == 1
+    linear = check_stability(load("default"))
+    assert own.healthy == linear.healthy
+    assert not any(note.startswith("margins") for note in linear.notes)
+
+
+@pytest.mark.parametrize("command", ["check", "bus"])
+def test_a_class_that_is_no_plant_is_refused_as_a_run_refuses_it(command: str) -> None:
+    done = rig(command, "default", "--set", "plant.kind=nope:Nope")
+    assert done.returncode == 2
+    assert done.stdout == ""
+    assert "plant.kind = 'nope:Nope': no module nope, neither installed" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    with pytest.raises(ScenarioError, match=r"^plant\.kind = 'nope:Nope': no module nope"):
+        check_stability(load("default", ["plant.kind=nope:Nope"]))
+
+
+def test_a_partial_loss_that_is_unstable_is_said_and_does_not_decide() -> None:
+    result = check_stability(load("thesis-step"))
+    shaky = dataclasses.replace(result.healthy, spectral_radius=1.1)
+    odd = dataclasses.replace(result, partly_lost={**result.partly_lost, 0.5: shaky})
+    assert odd.stable
+    assert odd.verdict == "stable healthy and with torque dead, but not: torque 50%"
+
+
+def test_no_tuning_is_said_where_there_is_none() -> None:
+    scenario = load("thesis-step", ["latency_ticks=20", "tick_s=0.1"])
+    assert stable_tuning(scenario) is None
+    with pytest.raises(ScenarioError, match=r"no tau_s = tau_q_s up to 0\.1 works"):
+        refuse_unstable(scenario)
+
+
+def growth(table, plant, left, ticks: int) -> float:  # type: ignore[no-untyped-def]
+    """Factor a tick by which a disturbance grows, over the second half of ``ticks``, simulated."""
+    reference = np.zeros(ticks)
+    reference[:5] = [1.0, -0.6, 0.8, 0.3, -1.0]
+    trace = simulate(table, plant, reference, effectiveness=np.tile(left, (ticks, 1)))
+    sizes = (
+        np.abs(trace.measurement)
+        + np.abs(trace.command_1) / 1e5
+        + np.abs(trace.command_2) / 1e6
+        + np.abs(trace.fault_estimate)
+    )
+    part = ticks // 8
+    middle, end = sizes[4 * part : 5 * part].max(), sizes[-part:].max()
+    if not end < 1e100:
+        return math.inf
+    return float((end / middle) ** (1.0 / (ticks - 5 * part)))
+
+
+def disagreement(spec: DesignSpecification, target: Target, left: tuple[float, float]) -> str:
+    """Empty when the prediction is what the simulation does."""
+    table, plant = build(design(CAR, spec), target), sample(CAR, target.tick_s)
+    radius = sampled_loop(linear_controller(table), CAR, target.tick_s, left).spectral_radius()
+    # long enough for a radius this close to 1 to show: 8 e-folds between the two windows
+    ticks = int(min(max(20.0 / abs(math.log(radius)), 800.0), 200_000.0))
+    observed = growth(table, plant, left, ticks)
+    near = abs(radius - 1.0) < 1e-4
+    agrees = abs(observed - radius) < 1e-4 if near else (observed < 1.0) == (radius < 1.0)
+    return "" if agrees else f"{spec} {target} {left}: {radius} predicted, {observed} simulated"
+
+
+TAUS_S = (1e-3, 2e-3, 5e-3, 1e-2, 2e-2)
+
+
+@compiled_only
+@pytest.mark.parametrize("tick_s", [1e-4, 5e-4, 1e-3, 2e-3, 5e-3])
+def test_every_combination_is_stable_exactly_when_it_simulates_as_stable(tick_s: float) -> None:
+    """T × n × τ × τ_q × estimator × (healthy, torque dead): 2000 loops in all."""
+    wrong: list[str] = []
+    for n, tau_s, tau_q_s, rule in product(range(4), TAUS_S, TAUS_S, ("tustin", "zoh")):
+        spec = DesignSpecification(tau_s=tau_s, tau_q_s=tau_q_s)
+        target = Target(tick_s, n, rule)  # type: ignore[arg-type]
+        wrong += [w for left in (HEALTHY, TORQUE_DEAD) if (w := disagreement(spec, target, left))]
+    assert wrong == []
+
+
+@compiled_only
+def test_random_loops_are_stable_exactly_when_they_simulate_as_stable() -> None:
+    random = np.random.default_rng(10)
+    wrong = []
+    for _ in range(300):
+        tau_s, tau_q_s, tick_s = np.exp(random.uniform(np.log(5e-4), np.log(5e-2), 3))
+        spec = DesignSpecification(
+            tau_s=tau_s,
+            alpha=int(random.integers(1, 3)),
+            tau_q_s=tau_q_s,
+            alpha_q=int(random.integers(2, 4)),
+        )
+        rule = ("tustin", "tustin-held", "zoh")[random.integers(3)]
+        target = Target(tick_s / 10.0, int(random.integers(7)), rule)  # type: ignore[arg-type]
+        wrong.append(disagreement(spec, target, (float(random.uniform()), 1.0)))
+    assert [w for w in wrong if w] == []
+
+
+@compiled_only
+def test_noise_of_a_long_run_has_the_predicted_rms() -> None:
+    """200 000 ticks: correlated over ~30 ticks, so 1 % is some four standard deviations."""
+    table = build(
+        design(CAR, DesignSpecification(tau_s=0.01, tau_q_s=0.02)), Target(1e-3, 1, "zoh")
+    )
+    figures = margins(table, CAR, 1e-3)
+    noise = np.random.default_rng(11).standard_normal(400_000)
+    trace = simulate(table, sample(CAR, 1e-3), np.zeros(len(noise)), noise=noise)
+    settled = slice(5000, None)
+    u1, u2 = trace.command_1[settled].std(), trace.command_2[settled].std()
+    assert u1 == pytest.approx(figures.noise_to_command_1, rel=0.01)
+    assert u2 == pytest.approx(figures.noise_to_command_2, rel=0.01)
+
+
+def test_a_run_of_the_rigs_own_firmware_grows_at_the_predicted_rate() -> None:
+    """One design by hand, tick by tick, with no help from ``simulate``."""
+    table = build(design(CAR, DesignSpecification()), Target(1e-3, 1, "zoh"))
+    radius = margins(table, CAR, 1e-3, TORQUE_DEAD).spectral_radius
+    firmware, plant = Firmware(table), sample(CAR, 1e-3)
+    x, waiting, sizes = plant.rest, (0.0, 0.0), []
+    for k in range(900):
+        answer = firmware.step(float(k < 3), float(plant.c @ x))
+        x = plant.phi @ x + plant.gamma @ np.array([0.0, waiting[1]])
+        waiting = (answer.command_1, answer.command_2)
+        sizes.append(float(np.abs(x).max()))
+    observed = (max(sizes[850:]) / max(sizes[450:500])) ** (1.0 / 400)
+    assert observed == pytest.approx(radius, rel=1e-3)
