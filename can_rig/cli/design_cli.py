@@ -131,7 +131,7 @@ def tune(
     Every choice is stable with ticks to spare, healthy and faulted, for a box of cars around the
     one that it is designed for.  Exit status: 0 found, 1 not within --noise-limit.
     """
-    from can_rig.assessment.tuning.report import tune_command  # noqa: PLC0415
+    from can_rig.cli.tune_command import tune_command  # noqa: PLC0415
 
     limits = (spare_ticks, noise_limit_n, torque_noise_limit_nm)
     sys.exit(tune_command(scenario, settings, (box, box_settings), limits, out, force, as_json))
