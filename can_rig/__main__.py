@@ -1,5 +1,19 @@
-"""``python -m can_rig`` is ``can-rig``."""
+"""``can-rig`` and ``python -m can_rig``."""
 
-from can_rig.cli.main import main
+import os
 
-main()
+from can_rig.cli.interrupts import end_at_once
+
+
+def main() -> None:
+    """Run the command line; Ctrl-C counts from the first moment on."""
+    end_at_once()
+    # The matrices are small: threads of OpenBLAS cost more than they save, and do not survive fork.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+    from can_rig.cli.main import main as commands  # noqa: PLC0415 (from here on it takes time)
+
+    commands()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,8 +1,8 @@
 """The one place that compiles: ``@firmware`` marks what runs on the target, ``@compiled`` the rest.
 
 The same lines run interpreted with ``NUMBA_DISABLE_JIT=1`` (for a debugger, for coverage) and
-compiled without it, with bit-identical float64 results: no fast-math, no reordering, no fused
-multiply-add.
+compiled without it, with bit-identical results: no fast-math, no reordering, no fused
+multiply-add, and a division by zero that gives infinity or NaN, as in C and in NumPy.
 """
 
 from __future__ import annotations
@@ -43,9 +43,9 @@ def compiled(function: Function) -> Function:
     settings: Any = config
     before, settings.CACHE_DIR = settings.CACHE_DIR, _CACHE_FOLDER
     try:
-        return cast(Function, njit(cache=True)(function))
+        return cast(Function, njit(cache=True, error_model="numpy")(function))
     except RuntimeError:  # there is no folder to keep it in
-        return cast(Function, njit(function))
+        return cast(Function, njit(cache=False, error_model="numpy")(function))
     finally:
         settings.CACHE_DIR = before
 

@@ -6,10 +6,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from firmware_model.discretisation.sections import FloatArray
 from firmware_model.target import controller
-from firmware_model.target.layout import Record
 from firmware_model.target.reference_shaper import start
+from firmware_model.target.structs import FloatArray, Record
 
 
 class Answer(NamedTuple):
@@ -53,19 +52,21 @@ class Firmware:
         Args:
             sections: shape (MAX_SECTIONS, 2), what to add to the state of F1's first model.
         """
-        self._states[0].estimator_1 += sections.astype(self._tables[0].limit_1.dtype)
+        accumulators = self._states[0].estimator.channel_1.accumulators
+        accumulators += sections.astype(accumulators.dtype)
 
     def follow(self, reference: float, speed: float) -> None:
         """Let the reference that C follows be on its way: at ``reference``, by ``speed`` a tick."""
-        start(self._states[0], reference, speed)
+        start(self._states[0].reference_shaper, reference, speed)
 
     def act(self, command_1: float, command_2: float) -> None:
         """Let F1 know what the actuators do from the next ``step`` on, where commands were lost.
 
         For a latency of at least one tick: commands of the tick itself cannot be late.
         """
-        state = self._states[0]
-        state.delay_1[state.delay_at], state.delay_2[state.delay_at] = command_1, command_2
+        estimator = self._states[0].estimator
+        estimator.delay_1[estimator.delay_index] = command_1
+        estimator.delay_2[estimator.delay_index] = command_2
 
     @property
     def commands(self) -> tuple[float, float]:

@@ -1,9 +1,39 @@
-"""Where there is no vcan0 its tests are skipped, and every test has a folder of its own."""
+"""What holds for every test: a folder of its own, and no process of it is left behind."""
 
 import os
+import signal
 from pathlib import Path
 
+import hypothesis
 import pytest
+
+from tests.processes import end_all
+
+# Assertions in helpers tell their values too.
+pytest.register_assert_rewrite("tests.helpers", "tests.vcan", "tests.firmware", "tests.rig")
+
+# No deadline and no complaint of slow data: the time that an example takes depends on the machine.
+# In CI the examples are the same every time, so that a failure comes from the change and not from
+# the draw; by hand they are new every time, and a failing one is printed so that it can be rerun.
+hypothesis.settings.register_profile(
+    "tests",
+    deadline=None,
+    derandomize="CI" in os.environ,
+    print_blob=True,
+    suppress_health_check=[hypothesis.HealthCheck.too_slow],
+)
+hypothesis.settings.load_profile("tests")
+
+
+def pytest_configure():
+    """Processes that tests start hear Ctrl-C and the like, even where this one must not.
+
+    ``nohup ./tools/test &`` starts it with SIGINT and SIGHUP ignored, and a child inherits that; of
+    a handler it inherits nothing.
+    """
+    for number in (signal.SIGINT, signal.SIGHUP, signal.SIGTERM):
+        if signal.getsignal(number) == signal.SIG_IGN:
+            signal.signal(number, lambda *_: None)
 
 
 def pytest_collection_modifyitems(items):
@@ -20,3 +50,10 @@ def pytest_collection_modifyitems(items):
 def no_run_folder_in_the_checkout(monkeypatch, tmp_path):
     """Whatever a test forgets to name lands in its own folder."""
     monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture(autouse=True)
+def no_process_left_behind():
+    """Also when a test fails half-way."""
+    yield
+    end_all()

@@ -2,7 +2,6 @@
 
 import os
 import subprocess
-import sys
 from pathlib import Path
 
 import can
@@ -10,11 +9,14 @@ import cantools
 import numpy as np
 from click.testing import CliRunner
 
+from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
 from can_rig.nodes.lockstep import StopRequest
 from can_rig.nodes.nodes import NodeSummary, run_in_process
-from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
+from tests.processes import rig, start
+
+__all__ = ["DBC", "NAMES", "asked", "decoded", "record", "rig", "start"]
 
 DBC = Path(__file__).parents[1] / "dbc"
 NAMES = (
@@ -24,32 +26,6 @@ NAMES = (
     "FORCE_DIFF_CMD",
     "CONTROLLER_STATUS",
 )
-
-
-def start(*arguments: object, **options: object) -> subprocess.Popen[str]:
-    """``can-rig`` with ``arguments``, in a session of its own, its output to be collected."""
-    return subprocess.Popen(
-        [sys.executable, "-m", "can_rig", *map(str, arguments)],
-        **{
-            "stdout": subprocess.PIPE,
-            "stderr": subprocess.PIPE,
-            "stdin": subprocess.DEVNULL,
-            "text": True,
-            "start_new_session": True,
-            **options,
-        },
-    )
-
-
-def rig(*arguments: object, **options: object) -> subprocess.CompletedProcess[str]:
-    """``can-rig`` with ``arguments``, to its end."""
-    process = start(*arguments, **options)
-    try:
-        out, err = process.communicate(timeout=300)
-    except subprocess.TimeoutExpired:
-        process.kill()
-        raise
-    return subprocess.CompletedProcess(process.args, process.returncode, out, err)
 
 
 def asked(*arguments: object) -> subprocess.CompletedProcess[str]:

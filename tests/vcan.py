@@ -10,9 +10,9 @@ from pathlib import Path
 import can
 import pytest
 
+from can_rig.assessment.resolve import load
 from can_rig.nodes.lockstep import StopRequest, Waiting
 from can_rig.nodes.nodes import NodeSummary, run_controller, run_plant
-from can_rig.scenario.loading import load
 
 TIMEOUT_S = 120.0  # for what must come; the guest is slow, an import takes up to 20 s
 PATIENT = Waiting(first_s=TIMEOUT_S, silence_s=TIMEOUT_S)

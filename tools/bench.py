@@ -18,14 +18,15 @@ import can
 from rich.console import Console
 from rich.table import Table
 
+from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
-from can_rig.frames.messages import Network, Receiver, Transmitter
+from can_rig.frames.endpoints import Receiver, Transmitter
+from can_rig.frames.network import Network
 from can_rig.nodes.lockstep import StopRequest
 from can_rig.nodes.nodes import run_in_process
 from can_rig.nodes.processes import run_processes
 from can_rig.nodes.recorder import Recorder
 from can_rig.plant.simulated import SimulatedPlant
-from can_rig.scenario import loading as scenarios
 from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
@@ -123,7 +124,7 @@ def main() -> None:
 
 def bench_loop(rounds: int, seconds: float) -> None:
     """Print the two tables of the loop."""
-    scenario = scenarios.load("thesis-step", [f"duration_s={seconds}"])
+    scenario = load("thesis-step", [f"duration_s={seconds}"])
     network = network_of(scenario)
     console = Console()
     with tempfile.TemporaryDirectory() as name:

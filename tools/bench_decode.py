@@ -21,21 +21,23 @@ from cantools.database.can import Database
 from rich.console import Console
 from rich.table import Table
 
-from can_rig.decoding.decode import decode_log, load_database
-from can_rig.frames.messages import shipped_dbc
+from can_rig.assessment.resolve import load
+from can_rig.decoding.database import load_database
+from can_rig.decoding.decode import decode_log
+from can_rig.frames.dbc import shipped_dbc
 from can_rig.logs.frames import concatenate
 from can_rig.logs.reading import read_log
-from can_rig.logs.writing import candump_lines, write_log
+from can_rig.logs.writers.candump import candump_lines
+from can_rig.logs.writing import write_log
 from can_rig.nodes.lockstep import StopRequest
 from can_rig.nodes.nodes import run_in_process
-from can_rig.scenario import loading as scenarios
 
 RUN_S = 15.0  # whole cycles of the alive counter, so that a repetition loses no frame
 
 
 def repeated_run(folder: Path, frames: int) -> Path:
     """A candump log of at least so many frames: a run, over and over."""
-    scenario = scenarios.load("thesis-step", [f"duration_s={RUN_S}"])
+    scenario = load("thesis-step", [f"duration_s={RUN_S}"])
     once = folder / "once.log"
     run_in_process(scenario, "virtual:bench", once, StopRequest(), lambda _ticks: None)
     run = concatenate(read_log(once))

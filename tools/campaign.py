@@ -11,17 +11,17 @@ from rich.console import Console
 from rich.progress import track
 from rich.table import Table
 
+from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import check_stability
 from can_rig.errors import RigError
 from can_rig.plant.simulated import SimulatedPlant
-from can_rig.scenario import loading as scenarios
 from can_rig.scenario.build import continuous_plant, controller_table, network_of
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import Trace, simulate
 from firmware_model.firmware import Firmware
-from firmware_model.target.layout import FaultState
+from firmware_model.target.status import FaultState
 
 LANE_CHANGES = (
     "reference.kind=lane-change",
@@ -57,7 +57,7 @@ def main() -> None:
 @click.option("--losses", default=300, show_default=True, help="At random, where |u1| >= 10 N m.")
 def decision(name: str, settings: Sequence[str], hours: float, losses: int) -> None:
     """False alarms and detection delays on double lane changes, one after the other."""
-    scenario = scenarios.load(name, [*LANE_CHANGES, *settings])
+    scenario = load(name, [*LANE_CHANGES, *settings])
     draw = np.random.default_rng(scenario.seed)
     drives = round(hours * 3600.0 / scenario.duration_s)
     suspicions = alarms = 0
@@ -129,7 +129,7 @@ def cars(name: str, settings: Sequence[str]) -> None:
                     "settled after"):  # fmt: skip
         table.add_column(heading, justify="left" if heading == "car" else "right")
     for label, changes in CARS.items():
-        scenario = scenarios.load(name, [*settings, *changes])
+        scenario = load(name, [*settings, *changes])
         error, state = step_and_loss(scenario)
         at = round(scenario.fault.at_s / scenario.tick_s)
         last = round(1.0 / scenario.tick_s)

@@ -21,11 +21,11 @@ import can
 from rich.console import Console
 from rich.table import Table
 
+from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
 from can_rig.nodes.lockstep import StopRequest
 from can_rig.nodes.nodes import NodeSummary, run_in_process
 from can_rig.nodes.processes import run_processes
-from can_rig.scenario import loading as scenarios
 
 TAKEN_WITHIN_S = 10.0  # makes the local bus wait for the slowest listener
 SETTLE_S = 2.0  # before the flood, and for what still waits after it
@@ -139,7 +139,7 @@ def main() -> int:
     with tempfile.TemporaryDirectory() as name:
         log, undisturbed = Path(name) / "flood.log", Path(name) / "quiet.log"
         summary, seconds = run_beside_flood(options.bus, options.frames, log, memory)
-        quiet = scenarios.load("thesis-step", [f"duration_s={summary.ticks / 1000}"])
+        quiet = load("thesis-step", [f"duration_s={summary.ticks / 1000}"])
         run_in_process(quiet, "virtual:quiet", undisturbed, StopRequest(), lambda _: None)
         difference, foreign = disturbed(log, undisturbed)
     lost = options.frames - foreign

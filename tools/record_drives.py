@@ -11,11 +11,11 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import click
 
+from can_rig.assessment.resolve import load
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import write_log
 from can_rig.nodes.lockstep import StopRequest
 from can_rig.nodes.nodes import run_in_process
-from can_rig.scenario.loading import load
 
 FOLDER = Path(__file__).parents[1] / "tests" / "drives"
 

@@ -14,7 +14,7 @@ from dataclasses import asdict, dataclass
 
 import numpy as np
 
-from can_rig.frames.messages import Network
+from can_rig.frames.network import Network
 from can_rig.plant.nonlinear_car import car_of
 from can_rig.scenario.build import continuous_plant, target
 from can_rig.scenario.reference import reference
@@ -67,7 +67,7 @@ class ControlAuthority:
 
 def control_authority(scenario: Scenario, network: Network) -> ControlAuthority | None:
     """The control authority that X_diff has in ``scenario``; None for a plant that is no car."""
-    if scenario.model.kind == "chapter-2":
+    if not scenario.model.is_car:
         return None
     car = car_of(scenario.plant)
     force_per_mps2 = 1.0 / abs(continuous_plant(scenario.plant).g2.dc_gain)

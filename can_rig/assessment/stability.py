@@ -36,7 +36,7 @@ from firmware_model.analysis.margins import (
     margins,
 )
 from firmware_model.analysis.sampled_loop import sampled_loop
-from firmware_model.discretisation.tables import EstimatorRule
+from firmware_model.discretisation.targets import EstimatorRule
 
 Effectiveness = tuple[float, float]
 """What is left of the torque's and of the force difference's effect, 1 healthy and 0 dead."""
@@ -145,7 +145,9 @@ def check_stability(scenario: Scenario) -> StabilityCheck:
         faulted=margins_with(DEAD[scenario.fault.channel]),
         partly_lost={left: margins_with((left, 1.0)) for left in PARTLY_LOST},
         false_alarm=(
-            margins(table, plant, scenario.tick_s, confirmed=1.0) if table.on_confirmation else None
+            margins(table, plant, scenario.tick_s, confirmed=1.0)
+            if table.compensator.on_confirmation
+            else None
         ),
         budget=threshold_budget(scenario, network),
         control_authority=control_authority(scenario, network),

@@ -29,7 +29,7 @@ from statistics import NormalDist
 import numpy as np
 
 from can_rig.assessment.tuning.box import Car, cars, parameter_ranges
-from can_rig.frames.messages import Network
+from can_rig.frames.network import Network
 from can_rig.scenario.build import continuous_design, target
 from can_rig.scenario.reference import LANE_CHANGE_S, reference
 from can_rig.scenario.settings import DesignSettings, Scenario
@@ -37,9 +37,8 @@ from firmware_model.analysis.margins import HEALTHY, noise_gain
 from firmware_model.analysis.sampled_loop import linear_controller, sampled_loop
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import Trace, simulate
-from firmware_model.discretisation.sections import FloatArray
 from firmware_model.discretisation.tables import build
-from firmware_model.target.layout import Record
+from firmware_model.target.structs import FloatArray, Record
 
 NO_DETECTION = 1e9  # a share with which no d̂ exceeds the adaptive threshold
 SAFETY_FACTOR = 1.2  # of the threshold over the budget
@@ -126,11 +125,13 @@ def threshold_budget(scenario: Scenario, network: Network) -> ThresholdBudget:
     if scenario.noise.dstar_rms_mps2 > 0.0:
         loop = sampled_loop(linear_controller(table), nominal.plant, scenario.tick_s, HEALTHY)
         sigmas = sigmas_for(
-            scenario.budget.false_alarms_per_hour, scenario.tick_s, int(table.confirm_ticks)
+            scenario.budget.false_alarms_per_hour,
+            scenario.tick_s,
+            int(table.decision.confirm_ticks),
         )
         noise = sigmas * noise_gain(loop, 2) * scenario.noise.dstar_rms_mps2
         if others:  # then Hd̂ counts too, and H amplifies white noise a little
-            noise *= math.sqrt(2.0 / (1.0 + float(table.change_memory)))
+            noise *= math.sqrt(2.0 / (1.0 + float(table.adaptive_threshold.change_memory)))
     found = ThresholdBudget(
         model=float(np.abs(healthy(table, nominal).fault_estimate).max()),  # finite: limited
         noise=noise,

@@ -1,4 +1,4 @@
-"""A python-can bus by name: the local bus, SocketCAN, and whatever python-can knows.
+"""A python-can bus by name: the local bus, SocketCAN, and every other bus of python-can.
 
-It imports nothing of `can_rig` but `errors`.
+It imports `errors` only; `nodes` and every room above may import it.
 """

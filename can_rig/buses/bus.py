@@ -1,8 +1,10 @@
-"""Open a CAN bus from a name such as ``local``, ``socketcan:vcan0`` or ``kvaser:0?bitrate=500000``.
+"""Open a CAN bus by a name such as ``local``, ``socketcan:vcan0`` or ``kvaser:0?bitrate=500000``.
 
-A name is ``interface[:channel][?key=value[&key=value ...]]`` with any interface that python-can
-knows and any argument of its bus class; values are cast as in python-can's configuration files.
+A name is ``interface[:channel][?key=value[&key=value ...]]``: any interface of python-can, and any
+arguments of its bus class, whose values are converted as in python-can's configuration files.
 """
+
+from __future__ import annotations
 
 import difflib
 import errno
@@ -10,20 +12,21 @@ import logging
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import can
 from can.interfaces import VALID_INTERFACES
 from can.util import cast_from_string
 
+from can_rig.buses.socketcan import NodeSocketcanBus
 from can_rig.errors import BusError, BusLostError, one_line
 
-_NETWORK = Path("/sys/class/net")
-_IFF_UP = 1
-_NO_CAN = {errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT}
+_NETWORK: Final = Path("/sys/class/net")
+_IFF_UP: Final = 1
+_NO_CAN: Final = {errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT}
 
-# Interfaces of python-can that need a package, with the extra that installs it.
-_EXTRAS = {
+# Interfaces that need another package, and the extra of python-can that installs it.
+_EXTRAS: Final = {
     "canalystii": "canalystii",
     "cantact": "cantact",
     "gs_usb": "gs-usb",
@@ -37,12 +40,15 @@ _EXTRAS = {
 
 
 def open_bus(name: str, **kwargs: Any) -> can.BusABC:
-    """The open bus called ``name``; configuration files of python-can have no say.
+    """Open the bus called ``name``; python-can's configuration files are ignored.
 
-    :param name: ``local``, ``local:NAME``, ``local:/path``, ``socketcan:vcan0``, ``virtual:x``,
-        ``udp_multicast:239.74.163.2``, ``interface:channel?key=value&key=value``.
-    :param kwargs: arguments of the bus class, stronger than those in the name.
-    :raises BusError: the name is malformed, or there is no such interface, channel or package.
+    Args:
+        name: ``local``, ``local:NAME``, ``local:/path``, ``socketcan:vcan0``, ``virtual:x``,
+            ``udp_multicast:239.74.163.2``, ``interface:channel?key=value&key=value``.
+        **kwargs: arguments of the bus class; they override those in the name.
+
+    Raises:
+        BusError: the name is malformed, or the interface, the channel or a package is missing.
     """
     interface, channel, arguments = _parse(name)
     if interface not in VALID_INTERFACES:
@@ -60,8 +66,8 @@ def open_bus(name: str, **kwargs: Any) -> can.BusABC:
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without python-can's own log records: what went wrong, the error says."""
-    logger = logging.getLogger("can")  # the loggers of its buses hand on to this one
+    """Without python-can's own log records, whose content is in the error."""
+    logger = logging.getLogger("can")  # the parent of the loggers of its buses
     propagate, logger.propagate = logger.propagate, False
     nowhere = logging.NullHandler()
     logger.addHandler(nowhere)  # without one, logging prints to standard error as a last resort
@@ -73,16 +79,16 @@ def _quiet() -> Iterator[None]:
 
 
 def open_for_node(name: str, identifiers: Collection[int], overhear: bool) -> can.BusABC:
-    """The bus called ``name`` as a node of the rig wants it; ``open_bus`` where that is the same.
+    """Open the bus called ``name`` for a node of the rig.
 
-    On SocketCAN what others send cannot crowd out the 11-bit ``identifiers`` that the node lives
-    on, and is heard only if the node is to ``overhear`` it; see ``NodeSocketcanBus``.
+    On SocketCAN it is a `NodeSocketcanBus`, on which other traffic cannot displace frames with the
+    11-bit ``identifiers``, and is received only if ``overhear`` is set; else as `open_bus`.
 
-    :raises BusError: as ``open_bus``.
+    Raises:
+        BusError: as `open_bus`.
     """
     if _parse(name)[0] != "socketcan":
         return open_bus(name)
-    from can_rig.buses.socketcan import NodeSocketcanBus  # noqa: PLC0415 (Linux alone has it)
 
     def opened(**kwargs: Any) -> can.BusABC:
         return open_bus(name, **kwargs)
@@ -91,9 +97,10 @@ def open_for_node(name: str, identifiers: Collection[int], overhear: bool) -> ca
 
 
 def in_one_process(name: str) -> bool:
-    """Whether the bus called ``name`` joins only what opens it within one process.
+    """Whether the bus called ``name`` connects only nodes of one and the same process.
 
-    :raises BusError: the name is malformed.
+    Raises:
+        BusError: the name is malformed.
     """
     return _parse(name)[0] == "virtual"
 
@@ -105,7 +112,7 @@ def _parse(name: str) -> tuple[str, str | int | None, dict[str, Any]]:
     for item in filter(None, query.split("&")):
         key, equals, value = item.partition("=")
         if not (key.isidentifier() and equals):
-            raise BusError(f"bus {name!r}: {item!r} is not of the form key=value")
+            raise BusError(f"bus {name!r}: {item!r} must be of the form key=value")
         arguments[key] = cast_from_string(value)
     return interface, int(channel) if channel.isdecimal() else channel or None, arguments
 
@@ -114,18 +121,18 @@ def _suggestion(interface: str) -> str:
     near = difflib.get_close_matches(interface, VALID_INTERFACES, cutoff=0.5)
     if near:
         return f"did you mean {' or '.join(near)}?"
-    return f"there are {', '.join(sorted(VALID_INTERFACES))}"
+    return f"it must be one of {', '.join(sorted(VALID_INTERFACES))}"
 
 
 def _check_is_up(channel: str) -> None:
-    # The kernel binds to an interface that is down; the first recv() would be the one to fail.
+    # The kernel binds to an interface that is down, and only the first recv() would fail.
     flags = _NETWORK / channel / "flags"
     if flags.exists() and not int(flags.read_text(), 16) & _IFF_UP:
         raise BusError(f"CAN interface {channel} is down: sudo ip link set up {channel}")
 
 
 def lost(bus: can.BusABC, error: can.CanError, for_s: float) -> BusLostError:
-    """What to raise when ``bus`` has refused with ``error`` for ``for_s``: one line, and a way."""
+    """The error for a bus that has been failing with ``error`` for ``for_s``, with its remedy."""
     code = error.error_code or 0
     channel = getattr(bus, "channel", "")
     reasons = {
@@ -134,7 +141,7 @@ def lost(bus: can.BusABC, error: can.CanError, for_s: float) -> BusLostError:
         errno.ENODEV: f"the interface is gone: {_recipe(channel)}",
         errno.ENXIO: f"the interface is gone: {_recipe(channel)}",
         errno.ENOBUFS: f"the transmit queue has been full for {for_s:g} s; is there a node that "
-        f"acknowledges? a longer queue: sudo ip link set {channel} txqueuelen 1000",
+        f"acknowledges? for a longer queue: sudo ip link set {channel} txqueuelen 1000",
     }
     return BusLostError(f"{bus.channel_info}: {reasons.get(code) or one_line(error)}")
 
@@ -147,7 +154,7 @@ def _recipe(channel: object) -> str:
 
 
 def _explain(name: str, interface: str, channel: object, error: Exception) -> str:
-    """What the user can do about it, in one line."""
+    """What is wrong, and what the user can do about it, in one line."""
     if interface == "socketcan" and isinstance(error, OSError):
         if error.errno in _NO_CAN:
             return (

@@ -1,10 +1,10 @@
-"""SocketCAN as a node of the rig wants it: what others send cannot crowd out the node's own frames.
+"""SocketCAN for a node of the rig: other traffic cannot displace the frames of the control loop.
 
-A raw CAN socket has one receive queue, and the kernel drops what does not fit without a word: a
-flood of anybody's identifiers would drop the frames that the loop lives on. So the node has two
-sockets with filters in the kernel. Its own identifiers have a queue to themselves; the other socket
-takes all the rest, for the log. Where both have frames they take turns, so that a flood costs a
-node twice its reading and no more. What the kernel drops from either is counted (``SO_MEMINFO``,
+A raw CAN socket has one receive queue, and the kernel silently drops what does not fit: a flood of
+other identifiers would drop the frames of the loop. So a node has two sockets with filters in the
+kernel. The identifiers of the loop have a queue of their own; the other socket takes everything
+else, for the log. While both have frames they are read in turns, so that a flood at most doubles
+what a node has to read. Frames that the kernel drops from either are counted (``SO_MEMINFO``,
 sock_diag(7): ``SK_MEMINFO_DROPS``).
 """
 
@@ -20,7 +20,8 @@ from typing import Final
 import can
 from can.interfaces.socketcan import SocketcanBus
 
-QUEUE_BYTES: Final = 8 << 20  # some 20 000 frames; without CAP_NET_ADMIN net.core.rmem_max rules
+QUEUE_BYTES: Final = 8 << 20
+"""Some 20 000 frames; without CAP_NET_ADMIN, net.core.rmem_max limits it."""
 
 _SO_RCVBUFFORCE: Final = 33
 _SO_MEMINFO: Final = 55
@@ -36,12 +37,12 @@ class NodeSocketcanBus(can.BusABC):
     """A node's end of a CAN interface.
 
     Args:
-        opened: opens a python-can bus on the interface, with the arguments that it is given.
-        identifiers: 11-bit identifiers that have a queue of their own.
-        overhear: whether to receive everything else too.
+        opened: opens a python-can bus on the interface, given the arguments of its class.
+        identifiers: 11-bit identifiers with a queue of their own.
+        overhear: whether to receive all other frames too.
 
     Raises:
-        BusError: what ``opened`` raises.
+        BusError: from ``opened``.
     """
 
     def __init__(
@@ -53,7 +54,7 @@ class NodeSocketcanBus(can.BusABC):
         ]
         self._own = _socketcan(opened(can_filters=own))
         self._buses = [self._own]
-        self._last = self._own  # whose turn it was
+        self._last = self._own  # the one read last
         self.channel = self._own.channel
         self.channel_info = self._own.channel_info
         if overhear:
@@ -64,7 +65,7 @@ class NodeSocketcanBus(can.BusABC):
             self._buses[1].socket.setsockopt(_SOL_CAN_RAW, _CAN_RAW_JOIN_FILTERS, 1)
         for bus in self._buses:
             _widen(bus.socket)
-            for _ in range(_STALE_MAX):  # what came before the filters were in place
+            for _ in range(_STALE_MAX):  # received before the filters were set
                 if bus.recv(0) is None:
                     break
         self._dropped_before = self._dropped()
@@ -72,7 +73,7 @@ class NodeSocketcanBus(can.BusABC):
 
     @property
     def lost_frames(self) -> int:
-        """How many frames the kernel has dropped because this node did not read in time."""
+        """Number of frames that the kernel has dropped because this node did not read in time."""
         return self._dropped() - self._dropped_before
 
     def _dropped(self) -> int:
@@ -84,7 +85,7 @@ class NodeSocketcanBus(can.BusABC):
         )
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """As python-can's."""
+        """As `can.BusABC.send`."""
         self._own.send(msg, timeout)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
@@ -100,7 +101,7 @@ class NodeSocketcanBus(can.BusABC):
         return self._last.recv(0), True
 
     def fileno(self) -> int:
-        """The descriptor of the node's own identifiers."""
+        """The descriptor of the socket with the node's own identifiers."""
         return self._own.fileno()
 
     def shutdown(self) -> None:

@@ -1,4 +1,5 @@
-"""The command line: options, tables, progress and exit statuses, no computation.
+"""The command line: every command with its options, tables, progress and exit statuses.
 
-Imports every other room; nothing imports it.
+`main` names the commands; `runs`, `design` and `logs` have a module for each. What is computed is
+computed in other rooms. This room imports all of them, and none of them imports it.
 """

@@ -1,36 +1,68 @@
-"""``can-rig``: the command line."""
+"""``can-rig``: the commands by name, each imported only when it is called."""
 
 from __future__ import annotations
 
 import sys
-from typing import Any
+from importlib import import_module
+from typing import Any, Final
 
 import click
-from rich.console import Console
 
-from can_rig.cli.design_cli import bus_timing, check, figures, scenarios, tune
-from can_rig.cli.log_cli import decode, diff, plot, replay
-from can_rig.cli.node_cli import controller, plant, run
+from can_rig.cli.interrupts import raise_again
 from can_rig.errors import INTERRUPTED, RigError
 
+COMMANDS: Final = {
+    "run": ("runs.run", "Run both nodes through SCENARIO and collect the run folder."),
+    "plant": ("runs.plant", "Run the plant node: the simulated car."),
+    "controller": ("runs.controller", "Run the controller node: the firmware."),
+    "scenarios": ("design.scenarios", "List the scenarios that come with the package."),
+    "check": ("design.check", "Say whether SCENARIO's loop is stable, and by how much."),
+    "bus": ("design.bus", "Say when the frames arrive at worst, and the latency that follows."),
+    "tune": ("design.tune", "Choose the tuning with the least peak after a loss of the torque."),
+    "figures": ("design.figures", "Draw the thesis's figures: firmware over continuous loop."),
+    "decode": ("logs.decode", "Decode LOG through a DBC into tables."),
+    "replay": ("logs.replay", "Drive today's controller with LOG, and compare."),
+    "plot": ("logs.plot", "Draw SIGNALs of LOG."),
+    "diff": ("logs.diff", "Compare two runs, signal by signal."),
+}
+"""Name → module, in which ``command`` is the command, and the line that ``--help`` shows."""
 
-class RigGroup(click.Group):
-    """Shows the rig's own errors as one line and exits with their status."""
+
+class Commands(click.Group):
+    """Imports a command when it is called; shows the rig's own errors as one line."""
+
+    def list_commands(self, ctx: click.Context) -> list[str]:
+        """The names, in the order in which they are needed."""
+        return list(COMMANDS)
+
+    def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
+        """The command ``cmd_name``, imported."""
+        if cmd_name not in COMMANDS:
+            return None
+        module = import_module(f"can_rig.cli.{COMMANDS[cmd_name][0]}")
+        raise_again()
+        command: click.Command = module.command
+        return command
+
+    def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
+        """The names and their lines, without importing one."""
+        with formatter.section("Commands"):
+            formatter.write_dl([(name, line) for name, (_, line) in COMMANDS.items()])
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command; bad input never reaches the user as a traceback."""
         try:
             return super().invoke(ctx)
         except RigError as error:
-            Console(stderr=True, soft_wrap=True).print(
-                f"error: {error}", style="red", markup=False, highlight=False
-            )
+            from can_rig.cli.output import complain  # noqa: PLC0415 (rich is not needed for --help)
+
+            complain(str(error))
             sys.exit(error.exit_status)
-        except KeyboardInterrupt:  # while it still starts; later a run ends between two ticks
+        except KeyboardInterrupt:  # where no command has taken the signal for a wish to stop
             sys.exit(INTERRUPTED)
 
 
-@click.group(cls=RigGroup, context_settings={"help_option_names": ["-h", "--help"]})
+@click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="fault-tolerant-steering", prog_name="can-rig")
 def main() -> None:
     """A fault-tolerant steering controller and a simulated car, over CAN.
@@ -38,11 +70,3 @@ def main() -> None:
     Exit status: 0 done, 1 the answer is no, 2 bad input, 3 a node or the bus fell silent,
     130 stopped by Ctrl-C.
     """
-
-
-for _command in (
-    *(run, plant, controller),
-    *(scenarios, check, bus_timing, tune, figures),
-    *(decode, replay, plot, diff),
-):
-    main.add_command(_command)

@@ -1,8 +1,9 @@
-"""Options that commands of ``can-rig`` share."""
+"""Options that commands share."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from pathlib import Path
 from typing import Any, TypeVar
 
 import click
@@ -11,16 +12,74 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def scenario_options(function: Function) -> Function:
-    """SCENARIO and --set, which every command that runs something takes."""
+    """SCENARIO and --set, of every command that looks at a scenario or runs one."""
+    return scenario_argument(set_option("Change one key of the scenario")(function))
+
+
+scenario_argument = click.argument("scenario", default="default")
+
+
+def set_option(what: str) -> Callable[[Function], Function]:
+    """--set, which does ``what``."""
+    return click.option(
+        "--set",
+        "settings",
+        multiple=True,
+        metavar="KEY=VALUE",
+        help=f"{what}, as in plant.speed_mps=20; repeatable.",
+    )
+
+
+def bus_name(_context: click.Context, _option: click.Parameter, value: str | None) -> str | None:
+    """Refuse a bus without a name, which a variable that is not set makes of --bus "$BUS"."""
+    if value is not None and not value.strip():
+        raise click.BadParameter("a bus has a name, such as local or socketcan:vcan0")
+    return value
+
+
+def bus_option(default: str | None, shown: str) -> Callable[[Function], Function]:
+    """--bus, with its own default."""
+    return click.option(
+        "--bus",
+        default=default,
+        callback=bus_name,
+        metavar="NAME",
+        help="local[:NAME], socketcan:vcan0, udp_multicast:ADDRESS, or any python-can "
+        f"INTERFACE:CHANNEL?KEY=VALUE.  [default: {shown}]",
+    )
+
+
+realtime_option = click.option(
+    "--realtime",
+    "real_time",
+    is_flag=True,
+    help="Absolute deadlines of the wall clock, one a tick; late commands count as lost. "
+    "Needs a latency of at least one tick.",
+)
+
+log_argument = click.argument("log", type=click.Path(path_type=Path))
+
+channel_option = click.option(
+    "--channel", metavar="NAME", help="Only frames of this bus, as the log names it."
+)
+
+force_option = click.option("--force", is_flag=True, help="Replace outputs that exist.")
+
+
+def json_option(what: str = "The result as one JSON object.") -> Callable[[Function], Function]:
+    """--json, which prints ``what``."""
+    return click.option("--json", "as_json", is_flag=True, help=what)
+
+
+def dbc_options(function: Function) -> Function:
+    """--dbc and --no-strict, of every command that decodes."""
     for decorate in (
+        click.option("--no-strict", is_flag=True, help="Accept a DBC whose signals overlap."),
         click.option(
-            "--set",
-            "settings",
-            multiple=True,
-            metavar="KEY=VALUE",
-            help="Change one key of the scenario, as in plant.speed_mps=20; repeatable.",
+            "--dbc",
+            type=click.Path(path_type=Path, dir_okay=False),
+            help="A DBC, or another database that cantools reads.  [default: the rig's own]",
         ),
-        click.argument("scenario", default="default"),
     ):
         function = decorate(function)
     return function

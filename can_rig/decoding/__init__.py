@@ -1,1 +1,5 @@
-"""Frames into columns of physical values, through any DBC."""
+"""Frames into columns of physical values, through any CAN database; and those columns into files.
+
+`decode.decode_log` is the interface. The room imports `logs`, `frames`, `files` and `errors`;
+`replay`, `views` and `cli` may import it.
+"""

@@ -1,4 +1,4 @@
-"""Frames of a log → columns of physical values, by any DBC.
+"""Frames of a log → columns of physical values, through any CAN database.
 
     from can_rig.decoding.decode import decode_log
 
@@ -6,25 +6,26 @@
     messages["DSTAR_FEEDBACK"].signals["DStar"]     # numpy
     messages["DSTAR_FEEDBACK"].to_pandas()
 
-Nothing is decoded silently: `Decoder.counts` says of every message how many frames there were and
-why some gave no row, `Decoder.unknown` how many frames have an identifier that is not in the DBC.
+No frame is lost silently: `Decoder.counts` says for every message how many frames there are and why
+some of them give no row, `Decoder.unknown` how many frames have an identifier that is not in the
+database.
 """
 
 from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Collection, Iterable
+from difflib import get_close_matches
 from pathlib import Path
 from typing import Final
 
-import cantools
 import numpy as np
 from cantools.database.can import Database
-from cantools.database.errors import Error
 
-from can_rig.decoding.message_columns import Counts, MessageColumns, MessageDecoder, joined
+from can_rig.decoding.database import load_database
+from can_rig.decoding.message_columns import MessageColumns, joined
+from can_rig.decoding.message_decoder import Counts, MessageDecoder
 from can_rig.errors import DbcError
-from can_rig.frames.messages import load_dbc
 from can_rig.logs.frames import ERROR, EXTENDED, Frames
 from can_rig.logs.reading import read_log
 
@@ -36,13 +37,13 @@ class Decoder:
 
     Args:
         database: any cantools CAN database.
-        messages: names of those to decode; None: all.
-        signals: those to decode, as ``Signal`` or ``Message.Signal``; None: all. Messages that
-            have none of them are not decoded.
-        channel: the only bus whose frames are looked at; None: all.
+        messages: names of the messages to decode; None: all.
+        signals: the signals to decode, as ``Signal`` or ``Message.Signal``; None: all. Messages
+            without any of them are not decoded.
+        channel: the only bus to decode; None: all.
 
     Raises:
-        DbcError: a name is not in the database, or a message of it cannot be decoded.
+        DbcError: a name is not in the database, or one of its messages cannot be decoded.
     """
 
     def __init__(
@@ -62,33 +63,33 @@ class Decoder:
         self._keys: Final = np.array(keys, dtype=np.uint32)
         self._names: Final = [known[key] for key in keys]
         self.frames = 0
-        """All that were looked at."""
+        """Number of all frames so far."""
         self.error_frames = 0
         self.unknown: Counter[str] = Counter()
-        """Frames whose identifier is not in the database, by it: ``123`` or ``12345678``."""
+        """Number of frames by identifier, ``123`` or ``12345678``, that is not in the database."""
         self.not_wanted = 0
-        """Frames of messages and buses that were not asked for."""
+        """Number of frames of messages and buses that were not asked for."""
         self._channels: dict[str, None] = {}  # an ordered set
 
     @property
     def counts(self) -> dict[str, Counts]:
-        """What became of the frames, by message: those that were asked for."""
+        """What became of the frames of each message that was asked for."""
         return {name: decoder.counts for name, decoder in self._decoders.items()}
 
     @property
     def messages(self) -> dict[str, MessageDecoder]:
-        """The messages that are decoded, in the order of the database."""
+        """The messages to decode, in the order of the database."""
         return self._decoders
 
     @property
     def nothing_on_channel(self) -> str | None:
-        """One line if the wanted bus is not in the log."""
+        """One line if the bus asked for is not in the log."""
         if self._channel is None or self._channel in self._channels:
             return None
-        return f"no frame is of bus {self._channel}; the log has {', '.join(self._channels)}"
+        return f"no frame on bus {self._channel}; the log has {', '.join(self._channels)}"
 
     def decode(self, frames: Frames) -> dict[str, MessageColumns]:
-        """The columns of a chunk, by message; only of those that have a frame in it."""
+        """The columns of a chunk, by message; only messages with a frame in it."""
         rows = np.arange(self.frames, self.frames + len(frames))
         self.frames += len(frames)
         self._channels.update(dict.fromkeys(frames.channels))
@@ -116,14 +117,14 @@ class Decoder:
         return {name: found[name] for name in self._decoders if name in found}
 
     def _places(self, frames: Frames) -> np.ndarray[tuple[int], np.dtype[np.int16]]:
-        """(n,) which of the sorted messages a frame is; their number: none of them."""
+        """(n,) index of each frame's message in the sorted ones; their number for none of them."""
         if not len(self._keys):
             return np.zeros(len(frames), dtype=np.int16)
         keys = frames.arbitration_id | frames.has(EXTENDED).astype(np.uint32) << _EXTENDED_BIT
         places = np.searchsorted(self._keys, keys)
         places[places == len(self._keys)] = 0
         places[self._keys[places] != keys] = len(self._keys)
-        return places.astype(np.int16)  # sorted by radix, which is quick
+        return places.astype(np.int16)  # of 16 bits, which sort by radix
 
     def _count_unknown(self, frames: Frames) -> None:
         for extended, digits in ((False, 3), (True, 8)):
@@ -133,7 +134,7 @@ class Decoder:
 
 
 class DecodedLog(dict[str, MessageColumns]):
-    """The columns of a whole log by message, only of those that occur; and what was not decoded."""
+    """The columns of a whole log, by message that occurs; and what was not decoded."""
 
     def __init__(
         self, columns: dict[str, MessageColumns], decoder: Decoder, notice: str | None
@@ -143,7 +144,7 @@ class DecodedLog(dict[str, MessageColumns]):
         self.unknown: Final = decoder.unknown
         self.error_frames: Final = decoder.error_frames
         self.notice: Final = notice
-        """One line if the end of the log is missing."""
+        """One line if the end of the log is missing, else None."""
 
 
 def decode_log(
@@ -153,18 +154,18 @@ def decode_log(
     signals: Collection[str] | None = None,
     channel: str | None = None,
 ) -> DecodedLog:
-    """Decode a log as a whole, in memory.
+    """Decode a whole log in memory.
 
     Args:
         path: a log of any format that `read_log` reads.
-        database: a cantools database, or the file of one.
-        messages: as those of `Decoder`.
-        signals: as those of `Decoder`.
-        channel: as that of `Decoder`.
+        database: a cantools database, or a file of one.
+        messages: see `Decoder`.
+        signals: see `Decoder`.
+        channel: see `Decoder`.
 
     Raises:
         LogError: the log cannot be read.
-        DbcError: the database cannot, or has no such message or signal.
+        DbcError: the database cannot be read, or has no such message or signal.
     """
     if not isinstance(database, Database):
         database = load_database(database)
@@ -176,26 +177,6 @@ def decode_log(
             parts.setdefault(name, []).append(columns)
     whole = {name: joined(parts[name]) for name in decoder.messages if name in parts}
     return DecodedLog(whole, decoder, log.notice)
-
-
-def load_database(path: str | Path, strict: bool = True) -> Database:
-    """A DBC, or another CAN database that cantools reads (.arxml, .kcd, .sym).
-
-    Raises:
-        DbcError: it cannot be read; also if ``strict`` and signals overlap or do not fit.
-    """
-    if Path(path).suffix.lower() not in {".arxml", ".kcd", ".sym"}:
-        return load_dbc(path, strict)
-    try:
-        loaded = cantools.database.load_file(path, strict=strict)
-    except OSError as error:
-        raise DbcError(f"{path}: cannot be read: {error.strerror}") from error
-    except (Error, ValueError, KeyError) as error:
-        reason = " ".join(str(error).split())
-        raise DbcError(f"{path}: cannot be loaded: {reason}") from error
-    if not isinstance(loaded, Database):
-        raise DbcError(f"{path}: holds no CAN messages")
-    return loaded
 
 
 def _decoders(
@@ -224,9 +205,7 @@ def _of_message(
 
 
 def _require(wanted: Collection[str], names: Collection[str], kind: str) -> None:
-    """Every wanted name is one of ``names``."""
-    from difflib import get_close_matches  # noqa: PLC0415
-
+    """Refuse a wanted name that is not one of ``names``."""
     for name in wanted:
         if name not in names:
             near = get_close_matches(name, names, 3, 0.5) or sorted(set(names))[:5]

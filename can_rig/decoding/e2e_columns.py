@@ -1,8 +1,8 @@
-"""AUTOSAR E2E profile 1 of many frames at once: the CRC and the counter of `protection`.
+"""AUTOSAR E2E profile 1 for many frames at once: the CRC and the counter of `frames.protection`.
 
-A CRC is linear in the bits that it covers, so that of a frame is the exclusive or of one byte
-from a table for each of its bytes and of a constant for the data identifier. The tables are made
-by calling the library, which stays the one that knows the polynomial.
+A CRC is linear in the bits that it covers: it is the exclusive or of a table value for each byte of
+the frame, and of a constant for the data identifier. The tables are computed with the E2E library,
+so that the polynomial stays there only.
 """
 
 from __future__ import annotations
@@ -24,7 +24,7 @@ Rows = NDArray[np.bool_]
 
 
 def intact(data: UInt8s, length: UInt8s, data_id: int) -> Rows:
-    """(n,) what e2e_p01_check says of payloads (n, 8 or more) of these lengths."""
+    """(n,) result of e2e_p01_check for payloads (n, 8 or more) of these lengths."""
     crc = np.full(len(data), _crc(bytearray(FRAME_BYTES), data_id), dtype=np.uint8)
     for byte, table in enumerate(_tables(), start=1):
         crc ^= table[data[:, byte]]
@@ -38,11 +38,11 @@ def counters(data: UInt8s) -> UInt8s:
 
 
 def steps(counter: UInt8s, before: int | None) -> NDArray[np.int64]:
-    """(n,) by how much each counter is ahead of the one before it, 0..14: 1 is in sequence.
+    """(n,) difference of each counter to the one before it, 0..14; 1 is in sequence.
 
     Args:
         counter: (n,) of intact frames, in their order.
-        before: the last counter before them; None: the first of them begins, and is in sequence.
+        before: the last counter before them; None: the first frame starts the sequence.
     """
     numbers = counter.astype(np.int64)
     first = (numbers[:1] - 1) if before is None else np.array([before])
@@ -52,7 +52,7 @@ def steps(counter: UInt8s, before: int | None) -> NDArray[np.int64]:
 
 @cache
 def _tables() -> Any:
-    """(7, 256) what each value of bytes 1 to 7 adds to the CRC."""
+    """(7, 256) contribution of each value of bytes 1 to 7 to the CRC."""
     nothing = _crc(bytearray(FRAME_BYTES), 0)
     tables = np.zeros((FRAME_BYTES - 1, 256), dtype=np.uint8)
     for byte in range(1, FRAME_BYTES):

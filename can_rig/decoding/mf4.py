@@ -1,4 +1,4 @@
-"""Decoded messages as an ASAM MDF 4 file: a group a message, a channel a signal, with its unit."""
+"""Decoded messages as ASAM MDF 4: a channel group for each message, a channel for each signal."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from can_rig.logs.frames import NS_PER_S
 
 
 class DecodedMf4:
-    """Written piece by piece to a temporary file, and to ``path`` at the end.
+    """Collects chunks in a temporary file, and writes ``path`` at the end.
 
-    Time is float64 seconds since ``start_ns``, as MDF has it; where a frame does not have a
-    multiplexed signal, its sample is marked invalid. Integers of more than 64 bits are rounded to
+    Time is in float64 seconds since ``start_ns``, as in every MDF file; the sample of a multiplexed
+    signal that is not in a frame is marked invalid. Integers of more than 64 bits are rounded to
     float64.
     """
 

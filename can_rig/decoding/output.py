@@ -1,4 +1,4 @@
-"""Where decoded messages go, by the name of the output; nothing half written is left behind."""
+"""Decoded messages into files, by the name of the output; nothing incomplete is left behind."""
 
 from __future__ import annotations
 
@@ -12,52 +12,55 @@ from can_rig.errors import LogError
 from can_rig.files import atomic, refuse_existing
 
 TABLES: Final = (".csv", ".parquet")
-"""What becomes one table of all messages."""
+"""Formats with one table of all messages."""
 
 _MF4: Final = ".mf4"
 
 
 class Output(Protocol):
-    """A file, or several, that decoded chunks go to."""
+    """One or several files that decoded chunks are written to."""
 
     def write(self, chunk: Mapping[str, MessageColumns]) -> None:
         """Add the messages of a chunk of the log."""
 
     def close(self) -> None:
-        """Finish."""
+        """Finish the files."""
 
 
 def refuse_output(path: Path, force: bool) -> None:
-    """Refuse an output that cannot be one, or is there already and may not be replaced.
+    """Refuse an output of an unknown format, or one that exists and must not be replaced.
 
     Raises:
         LogError: the reason.
     """
     if path.suffix not in {"", _MF4, *TABLES}:
         raise LogError(
-            f"{path}: nothing is written as {path.suffix}; .csv, .parquet, .mf4 are right, or a "
+            f"{path}: cannot be written as {path.suffix}; it must be .csv, .parquet or .mf4, or a "
             "folder, without a suffix"
         )
     refuse_existing(path, force, "--out")
     if not path.exists():
         return
     if path.is_dir() and any(inside.suffix != ".csv" for inside in path.iterdir()):
-        raise LogError(f"{path}: holds more than decoded messages, so --force does not replace it")
+        raise LogError(
+            f"{path}: holds other files than decoded messages, so that --force does not replace it"
+        )
     if path.is_dir() != (path.suffix == ""):
-        raise LogError(f"{path}: a {'folder' if path.is_dir() else 'file'}, not to be replaced")
+        found, other = ("folder", "file") if path.is_dir() else ("file", "folder")
+        raise LogError(f"{path}: is a {found}, which --force does not replace by a {other}")
 
 
 @contextmanager
 def output(
     path: Path, layout: Mapping[str, MessageColumns], start_ns: int, names: bool
 ) -> Iterator[Output]:
-    """An output at ``path``, which is there, whole, when the context is left without an error.
+    """An output at ``path``, which exists, complete, once the context is left without an error.
 
     Args:
         path: ``.csv``, ``.parquet``, ``.mf4``, or a folder.
-        layout: of a table of all messages: its messages, without rows.
-        start_ns: the start of the recording, on the clock of the columns.
-        names: words of value tables in place of numbers.
+        layout: the messages of a table of all messages, without rows.
+        start_ns: start of the recording, on the clock of the columns [ns].
+        names: whether to write words of value tables instead of numbers.
 
     Raises:
         LogError: it cannot be written.

@@ -1,7 +1,7 @@
-"""One signal of a DBC, of many frames at once: bits → raw values → physical values.
+"""One signal of a database, in many frames at once: bits → raw values → physical values.
 
-Every value is the one that cantools gives for the same frame, to the bit: the same order of
-operations (raw · factor + offset), integers where cantools has integers, however long.
+Every value equals that of cantools for the same frame, to the bit: the same order of operations
+(raw · factor + offset), and integers where cantools has integers, of any length.
 
 | raw              | factor and offset        | column                                      |
 |------------------|--------------------------|---------------------------------------------|
@@ -31,30 +31,30 @@ _FLOATS: Final = {16: "2", 32: "4", 64: "8"}  # bits: bytes
 
 @dataclass(frozen=True)
 class SignalColumn:
-    """How one signal lies in its frame, and what its raw value means."""
+    """Where one signal lies in its frame, and what its raw value means."""
 
     name: str
     unit: str
     first_bit: int
-    """Where it begins, counted as its byte order counts: Intel from the least significant bit of
-    each byte, Motorola from the most significant."""
+    """Its first bit in its own byte order: Intel counts from the least significant bit of each
+    byte, Motorola from the most significant."""
     length: int
     motorola: bool
     is_signed: bool
     is_float: bool
     conversion: BaseConversion
-    """Of the number; without the value table."""
+    """Factor and offset, without the value table."""
     choices: dict[int, str]
     """Value table: raw value → word."""
 
     @property
     def is_enumeration(self) -> bool:
-        """Whether its numbers are codes, not a physical value with a word for "not available"."""
+        """Whether its numbers are codes, not physical values with a word for "not available"."""
         unscaled = self.conversion.scale == 1 and self.conversion.offset == 0
         return bool(self.choices) and unscaled and not self.is_float
 
     def raw(self, data: UInt8s) -> Column:
-        """(n,) raw values of the payloads ``data`` (n, bytes), which must hold the signal."""
+        """(n,) raw values in payloads (n, bytes) that are long enough for the signal."""
         if self.length > _WORD_BITS:
             return self._long(data)
         word = self._motorola_bits(data) if self.motorola else self._intel_bits(data)
@@ -62,7 +62,7 @@ class SignalColumn:
             word &= np.uint64((1 << self.length) - 1)
         if self.is_float:
             size = _FLOATS[self.length]
-            with np.errstate(invalid="ignore"):  # a signalling nan is a nan
+            with np.errstate(invalid="ignore"):  # a signalling NaN becomes a quiet one
                 return word.astype(f"u{size}").view(f"f{size}").astype(np.float64)
         if self.is_signed:
             signed = word.view(np.int64)
@@ -75,7 +75,7 @@ class SignalColumn:
 
     def physical(self, raw: Column) -> Column:
         """(n,) physical values [``unit``] of raw ones."""
-        with np.errstate(over="ignore", invalid="ignore"):  # as Python's floats: inf and nan
+        with np.errstate(over="ignore", invalid="ignore"):  # inf and nan, as in Python's floats
             return self._physical(raw)
 
     def _physical(self, raw: Column) -> Column:
@@ -87,7 +87,7 @@ class SignalColumn:
             return scaled
         if isinstance(self.conversion, LinearIntegerConversion) or (scale == 1 and offset == 0):
             return self._integer(raw, int(scale), int(offset))
-        if isinstance(scale, int):  # the product is an integer, and exact, before the sum is not
+        if isinstance(scale, int):  # the product is an exact integer; only the sum is rounded
             raw, scale = self._integer(raw, scale, 0), 1.0
         if raw.dtype == object:
             return np.array([value * scale + offset for value in raw.tolist()], dtype=np.float64)
@@ -95,12 +95,12 @@ class SignalColumn:
         return numbers
 
     def words(self, raw: Column) -> NDArray[np.object_]:
-        """(n,) the words of the value table; None where it has none for the raw value."""
+        """(n,) words of the value table; None for a raw value without a word."""
         get = self.choices.get
         return np.array([get(int(value)) for value in raw.tolist()], dtype=object)
 
     def _integer(self, raw: Column, scale: int, offset: int) -> Column:
-        """raw · scale + offset in the shortest integers that hold all that can occur."""
+        """raw · scale + offset in the shortest integers that hold every possible value."""
         if (scale, offset) == (1, 0):
             return raw
         low, high = (
@@ -117,28 +117,30 @@ class SignalColumn:
         return np.array([value * scale + offset for value in raw.tolist()], dtype=object)
 
     def _intel_bits(self, data: UInt8s) -> NDArray[np.uint64]:
-        """The signal in the low bits of words; what is above them is not cleared."""
+        """The signal in the low bits of words, whose other bits are not cleared."""
         byte, shift = divmod(self.first_bit, 8)
         word, begin = _window(data, byte, "<u8")
         shift += (byte - begin) * 8
         word >>= np.uint64(shift)
-        if shift + self.length > _WORD_BITS:  # its top is in a ninth byte
+        if shift + self.length > _WORD_BITS:  # its top bits are in a ninth byte
             word |= data[:, begin + _WORD_BYTES].astype(np.uint64) << np.uint64(_WORD_BITS - shift)
         return word
 
     def _motorola_bits(self, data: UInt8s) -> NDArray[np.uint64]:
-        """The same; the bytes of a frame are the digits of a number, the first the highest."""
+        """The same for Motorola: the first byte of a frame is the most significant."""
         word, begin = _window(data, self.first_bit // 8, ">u8")
-        behind = (begin + _WORD_BYTES) * 8 - (self.first_bit + self.length)  # bits of the window
+        behind = (begin + _WORD_BYTES) * 8 - (
+            self.first_bit + self.length
+        )  # bits after it in the window
         if behind >= 0:
             word >>= np.uint64(behind)
             return word
-        word <<= np.uint64(-behind)  # its end is in a ninth byte
+        word <<= np.uint64(-behind)  # its last bits are in a ninth byte
         word |= data[:, begin + _WORD_BYTES].astype(np.uint64) >> np.uint64(8 + behind)
         return word
 
     def _long(self, data: UInt8s) -> NDArray[np.object_]:
-        """Integers of more than 64 bits, one by one."""
+        """Signals of more than 64 bits, one by one."""
         size = data.shape[1]
         order = "big" if self.motorola else "little"
         behind = size * 8 - self.first_bit - self.length if self.motorola else self.first_bit
@@ -151,7 +153,7 @@ class SignalColumn:
 
 
 def _window(data: UInt8s, byte: int, kind: str) -> tuple[NDArray[np.uint64], int]:
-    """Eight bytes of every payload as one word, and where they begin: at ``byte`` or before."""
+    """Eight bytes of every payload as one word, and their first byte: ``byte`` or one before it."""
     begin = max(min(byte, data.shape[1] - _WORD_BYTES), 0)
     eight = data[:, begin : begin + _WORD_BYTES]
     if eight.shape[1] < _WORD_BYTES:
@@ -160,16 +162,16 @@ def _window(data: UInt8s, byte: int, kind: str) -> tuple[NDArray[np.uint64], int
 
 
 def signal_column(signal: Signal, where: str) -> SignalColumn:
-    """The column of a signal of the DBC.
+    """The column of a signal of the database.
 
     Raises:
-        DbcError: it is a float that is not of 16, 32 or 64 bits; ``where`` begins the line.
+        DbcError: a float is not of 16, 32 or 64 bits; ``where`` begins the line.
     """
     motorola = signal.byte_order == "big_endian"
     if signal.conversion.is_float and signal.length not in _FLOATS:
         raise DbcError(
             f"{where}: signal {signal.name} is a float of {signal.length} bits; "
-            "16, 32 or 64 are right"
+            "it must have 16, 32 or 64"
         )
     start = signal.start
     return SignalColumn(

@@ -1,11 +1,11 @@
 """Decoded messages as tables in files: CSV and Parquet, written chunk by chunk with pyarrow.
 
-One table holds every message: a row a frame in the order of the log, the name of its message,
-and a column ``Message.Signal`` for each signal, empty where the frame does not have it. In a
-folder each message has a file of its own, whose columns are its signals.
+One table holds every message: a row for each frame, in the order of the log, with the name of its
+message, and a column ``Message.Signal`` for each signal, empty where it is not in the frame. In a
+folder each message has a file of its own, with its signals as columns.
 
-Time is exact. In Parquet it is ``time_ns``, an integer; in CSV ``time_s``, a date as a decimal of
-nine places, a time since some start in as many as it needs.
+Time is exact. In Parquet it is the integer ``time_ns``; in CSV it is ``time_s``, with nine decimal
+places for a date, and as many as needed for a time since the start.
 """
 
 from __future__ import annotations
@@ -33,9 +33,9 @@ class WideTable:
 
     Args:
         path: ``.csv``, or ``.parquet``.
-        layout: by message that can come, its columns without rows.
-        start_ns: about the time of the first frame.
-        names: words of value tables in place of codes.
+        layout: for every message that can occur, its columns without rows.
+        start_ns: time of about the first frame [ns].
+        names: whether to write words of value tables instead of codes.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class WideTable:
         self._table = _Table(path, {"message": pa.string(), **self._fields}, start_ns)
 
     def write(self, chunk: Mapping[str, MessageColumns]) -> None:
-        """Add the messages of a chunk, their frames in the order of the log."""
+        """Add the messages of a chunk, with their frames in the order of the log."""
         if not chunk:
             return
         order = np.argsort(np.concatenate([columns.row for columns in chunk.values()]))
@@ -109,7 +109,7 @@ class FolderOfTables:
 
 
 class _Table:
-    """One file, of a time and ``fields``: name → type."""
+    """One file, with the time and ``fields`` (name → type) as columns."""
 
     def __init__(self, path: Path, fields: Mapping[str, Any], start_ns: int) -> None:
         is_csv = path.suffix == ".csv"
@@ -132,7 +132,7 @@ class _Table:
         self._writer.write_table(pa.table(columns, schema=self._schema))
 
     def close(self) -> None:
-        """Write what is held back."""
+        """Write what is still held in memory."""
         self._writer.close()
 
 
@@ -141,13 +141,13 @@ def _seconds(time_ns: NDArray[np.int64]) -> Any:
 
 
 def _decimals(time_ns: NDArray[np.int64]) -> Any:
-    """Whole nanoseconds read as decimals of a second: 16 bytes each, two's complement."""
+    """Nanoseconds as decimals of a second: 16 bytes each, in two's complement."""
     wide = np.stack([time_ns, time_ns >> 63], axis=1)
     return pa.Array.from_buffers(_DATE, len(time_ns), [None, pa.py_buffer(wide.tobytes())])
 
 
 def _fields(columns: MessageColumns, names: bool) -> dict[str, Any]:
-    """Signal → type of its column."""
+    """The type of each signal's column."""
     return {
         signal: pa.string()
         if names and columns.layout[signal].is_enumeration
@@ -159,12 +159,12 @@ def _fields(columns: MessageColumns, names: bool) -> dict[str, Any]:
 def _values(
     columns: MessageColumns, signal: str, names: bool
 ) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    """(n,) what to write, and where there is nothing."""
+    """(n,) values to write, and where there is none."""
     values = np.ma.getdata(columns.signals[signal])
     missing = np.ma.getmaskarray(columns.signals[signal])
     if names and columns.layout[signal].is_enumeration:
         words = columns.words(signal)
-        bare = np.array([word is None for word in words])  # a number that has no word
+        bare = np.array([word is None for word in words])  # numbers without a word
         words[bare] = values[bare].astype(str)
         return words, missing
     if values.dtype == object:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from can_rig.frames.messages import Network
+from can_rig.frames.network import Network
 from can_rig.scenario.settings import FaultSettings
 
 

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from can_rig.drawing.names import printed
-from firmware_model.discretisation.sections import FloatArray
+from firmware_model.target.structs import FloatArray
 
 FAR: Final = 3.0
 """What reaches so many times further than the rest of a panel does not set its scale."""

@@ -1,11 +1,13 @@
 """One frame of the DBC: the conversion between a record and its 8 bytes.
 
 A value outside the range of the DBC saturates; it never wraps and never raises. Not-a-number is
-sent as the one raw value outside the range, -2^31 (NOT_AVAILABLE), and no receiver uses it.
+sent as the one raw value outside every range, -2^31 (NOT_AVAILABLE), which no receiver uses.
 
-One `struct` call packs a frame of the checked layout, bit for bit as cantools does; cantools itself
-takes about 25 µs more for the ten conversions of a tick.
+One `struct` call packs a frame of the checked layout, bit for bit as cantools does; cantools would
+take about 25 µs more for the ten conversions of a tick.
 """
+
+from __future__ import annotations
 
 import math
 from collections.abc import Mapping
@@ -16,21 +18,21 @@ from can_rig.frames.layout import FRAME, NOT_AVAILABLE
 
 
 class Record(NamedTuple):
-    """What one frame says."""
+    """The content of one frame."""
 
     value: float
-    """The signal, in the unit of the DBC; nan where the frame says NOT_AVAILABLE."""
+    """The signal, in the unit of the DBC; nan for NOT_AVAILABLE."""
     tick: int
-    """Lockstep tick that it belongs to, modulo 65536."""
+    """Tick of the frame, modulo 65536."""
     mode: int = 0
-    """What the controller does, a key of `MessageCodec.modes`; 0 in a frame that has none."""
+    """Mode of the controller, a key of `MessageCodec.modes`; 0 in a frame without it."""
     fault_state: int = 0
-    """What its fault decision says, a key of `MessageCodec.fault_states`; 0 likewise."""
+    """State of the fault decision, a key of `MessageCodec.fault_states`; 0 likewise."""
 
 
 @dataclass(frozen=True, slots=True)
 class MessageCodec:
-    """One frame of the DBC: its facts, and the conversion between its value and its bytes."""
+    """One frame: its definition in the DBC, and the conversion between its value and its bytes."""
 
     role: str
     name: str
@@ -41,27 +43,27 @@ class MessageCodec:
     data_id: int
     """E2E data identifier."""
     cycle_time_ms: int | None
-    """GenMsgCycleTime [ms]; the tick of a scenario rules over it."""
+    """GenMsgCycleTime [ms]; the rig sends at the tick of the scenario instead."""
     signal_name: str
     unit: str
     """Unit of the value, as the DBC writes it; empty where dimensionless."""
     lsb: float
-    """Step of the value [unit]."""
+    """Resolution of the value [unit]."""
     raw_minimum: int
     raw_maximum: int
     minimum: float
-    """Least value that can be sent [unit]."""
+    """Smallest value that can be sent [unit]."""
     maximum: float
     """Largest value that can be sent [unit]."""
     modes: Mapping[int, str]
-    """Value table of Mode; empty in a frame that has none."""
+    """Value table of Mode; empty for a frame without it."""
     fault_states: Mapping[int, str]
-    """Value table of FaultState; empty likewise."""
+    """Value table of FaultState; empty for a frame without it."""
     mode_shift: int
     fault_state_shift: int
 
     def to_raw(self, value: float) -> int:
-        """Raw value nearest to `value` [unit], saturated; NOT_AVAILABLE for nan."""
+        """The raw value nearest to ``value`` [unit], saturated; NOT_AVAILABLE for nan."""
         if self.minimum < value < self.maximum:
             return round(value / self.lsb)
         if value >= self.maximum:
@@ -69,15 +71,15 @@ class MessageCodec:
         return self.raw_minimum if value <= self.minimum else NOT_AVAILABLE
 
     def quantise(self, value: float) -> float:
-        """`value` as the receiver gets it [unit]: saturated, on the raw grid; nan stays nan."""
+        """``value`` as a receiver gets it [unit]: saturated, on the raw grid; nan stays nan."""
         raw = self.to_raw(value)
         return math.nan if raw == NOT_AVAILABLE else raw * self.lsb
 
     def encode(self, value: float, tick: int, mode: int = 0, fault_state: int = 0) -> bytearray:
         """The 8 bytes of a frame, with counter and checksum still zero.
 
-        `value` [unit] saturates, `tick` is taken modulo 65536; `mode` and `fault_state` saturate
-        at 0 and 3 in the status frame, and no other frame has them.
+        ``value`` [unit] saturates, ``tick`` is taken modulo 65536; ``mode`` and ``fault_state``
+        saturate at 0 and 3 in the status frame, and are ignored for any other.
         """
         bits = 0
         if self.modes:
@@ -86,10 +88,10 @@ class MessageCodec:
         return bytearray(FRAME.pack(0, bits, tick & 0xFFFF, self.to_raw(value)))
 
     def decode(self, data: bytes | bytearray) -> Record:
-        """What 8 bytes say; counter and checksum are not looked at.
+        """The content of 8 bytes; counter and checksum are ignored.
 
         Raises:
-            struct.error: `data` is not 8 bytes long.
+            struct.error: ``data`` is not 8 bytes long.
         """
         _, bits, tick, raw = FRAME.unpack(data)
         value = raw * self.lsb if self.raw_minimum <= raw <= self.raw_maximum else math.nan

@@ -1,4 +1,4 @@
-"""The layout that every frame of the rig has, and the check of a DBC against it.
+"""The layout of every frame of the rig, and the check of a message of a DBC against it.
 
 | bytes | content                                                                              |
 |-------|--------------------------------------------------------------------------------------|
@@ -7,7 +7,7 @@
 | 2, 3  | `Tick`, unsigned                                                                     |
 | 4..7  | the value, signed, scaled                                                            |
 
-Intel byte order, classic frames with 11-bit identifiers. The check runs once, where the DBC is
+Intel byte order, classic frames with 11-bit identifiers. The check runs once, when the DBC is
 loaded, so that the loop can pack and unpack a whole frame with one `Struct`.
 """
 
@@ -23,39 +23,28 @@ FRAME: Final = Struct("<BBHi")
 """Checksum; counter and status bits; tick; raw value."""
 
 NOT_AVAILABLE: Final = -(2**31)
-"""Raw value of a signal that has no value: the one that has no positive counterpart."""
+"""Raw value of a signal without a value: the one integer without a positive counterpart."""
 
 ROLES: Final = ("reference", "feedback", "command_1", "command_2", "status")
-"""The frames of a tick, in their order on the bus."""
+"""The roles of the frames of a tick, in their order on the bus."""
 
 _HEADER: Final = {"Checksum": (0, 8), "AliveCounter": (8, 4), "Tick": (16, 16)}  # start, length
 _STATUS: Final = ("Mode", "FaultState")
 _STATUS_STARTS: Final = (12, 14)  # two bits each, in either order
 _VALUE: Final = (32, 32)
-_GRID_TOLERANCE: Final = 1e-3  # of an LSB; float64 resolves 5e-7 of one at the end of 32 bits
-
-
-def attribute(message: Message, name: str) -> int | str | None:
-    """A message's own attribute, an ENUM as its word; None where the DBC sets none."""
-    found = message.dbc.attributes.get(name) if message.dbc else None
-    if found is None or isinstance(found.value, float):
-        return None
-    choices = found.definition.choices
-    if choices and isinstance(found.value, int):
-        return str(choices[found.value]) if found.value in range(len(choices)) else None
-    return found.value
+_GRID_TOLERANCE: Final = 1e-3  # of an LSB; float64 resolves 5e-7 LSB at the end of 32 bits
 
 
 def value_signal(message: Message) -> Signal:
-    """The scaled signal of a message that `require_layout` has passed."""
+    """The scaled signal of a message that `require_layout` has accepted."""
     return next(signal for signal in message.signals if signal.start == _VALUE[0])
 
 
 def require_layout(message: Message, role: str, where: str) -> None:
-    """Check that `message` is laid out as the frame of `role`.
+    """Check that ``message`` has the layout of the frame with this role.
 
     Raises:
-        DbcError: it is not; `where` (file and message) begins the reason.
+        DbcError: it does not; ``where`` (file and message) begins the line.
     """
     if message.is_extended_frame or message.is_fd or message.length != FRAME_BYTES:
         kind = (
@@ -74,14 +63,14 @@ def require_layout(message: Message, role: str, where: str) -> None:
         _require_status(signals, where)
     if len(signals) != 1:
         raise DbcError(
-            f"{where}: signals {sorted(signals)} beside those of the header; "
-            f"there must be one, the value, at bit {_VALUE[0]}"
+            f"{where}: signals {sorted(signals)} in addition to the header; "
+            f"there must be exactly one, the value, at bit {_VALUE[0]}"
         )
     _require_value(signals.popitem()[1], where)
 
 
 def _require_plain(signal: Signal | None, name: str, place: tuple[int, int], where: str) -> None:
-    """An unsigned, unscaled signal at its place."""
+    """Refuse a signal that is not unsigned, unscaled, and at its place."""
     wanted = f"it must be unsigned Intel, {place[1]} bits at bit {place[0]}, factor 1, offset 0"
     if signal is None:
         raise DbcError(f"{where}: no signal {name}; {wanted}")
@@ -95,7 +84,7 @@ def _require_plain(signal: Signal | None, name: str, place: tuple[int, int], whe
 
 
 def _require_status(signals: dict[str, Signal], where: str) -> None:
-    """Mode and FaultState share the high nibble of byte 1; removes them from `signals`."""
+    """Check that Mode and FaultState share the high nibble of byte 1, and remove them."""
     starts = []
     for name in _STATUS:
         signal = signals.pop(name, None)
@@ -109,7 +98,7 @@ def _require_status(signals: dict[str, Signal], where: str) -> None:
 
 
 def _require_value(signal: Signal, where: str) -> None:
-    """The scaled signal: places, no offset, and a range whose ends are on the raw grid."""
+    """Check the place of the scaled signal, its offset, and that its range is on the raw grid."""
     if (
         (signal.start, signal.length) != _VALUE
         or not signal.is_signed

@@ -1,14 +1,14 @@
-"""AUTOSAR end-to-end protection, profile 1 (variant 1A), of an 8-byte frame.
+"""AUTOSAR end-to-end protection, profile 1 (variant 1A), of a frame of 8 bytes.
 
 Byte 0 is a CRC-8 (SAE J1850, polynomial 0x1D) over the low byte and the high byte of the data
-identifier and bytes 1 to 7; the low nibble of byte 1 is a counter 0..14. The CRC finds damage and
-a frame of another sender, the counter finds repetition, loss and wrong order. Every burst of up to
-8 bits is found, except 5 of the 769 that straddle bytes 0 and 1: the polynomial wants the CRC after
-the data, the profile sends it before. The CRC-15 of CAN finds those.
+identifier and bytes 1 to 7; the low nibble of byte 1 is a counter 0..14. The CRC detects damage
+and a frame of another sender, the counter detects repetition, loss and wrong order. Every burst of
+up to 8 bits is detected, except for 5 of the 769 that straddle bytes 0 and 1: the polynomial needs
+the CRC after the data, and the profile sends it before. The CRC-15 of CAN detects those.
 
 Source: AUTOSAR SWS E2E Library (Doc. 428), "Specification of E2E Profile 1": data identifier mode
 E2E_P01_DATAID_BOTH, E2E_P01Protect and E2E_P01Check. Of its configuration, SyncCounterInit is 1
-and MaxNoNewOrRepeatedData is 14, which switches that monitor off.
+and MaxNoNewOrRepeatedData is 14, which disables that monitor.
 """
 
 from enum import IntEnum
@@ -26,16 +26,16 @@ _SYNC_COUNTER_INIT: Final = 1
 
 
 class CheckStatus(IntEnum):
-    """What the check of one frame found: the statuses of E2E_P01CheckStatusType, and the length."""
+    """Result of the check of one frame: those of E2E_P01CheckStatusType, and some of our own."""
 
     OK = 0
     """The next frame."""
     INITIAL = 1
     """The first intact frame of a run; there is no counter to compare with."""
     OK_SOME_LOST = 2
-    """An intact frame, newer than the last one, with a tolerable number lost between."""
+    """An intact frame, newer than the last one, with a tolerated number lost between them."""
     REPEATED = 3
-    """The counter of the last frame again."""
+    """The same counter as in the last frame."""
     WRONG_SEQUENCE = 4
     """Too many frames lost, or an old frame."""
     SYNC = 5
@@ -47,13 +47,13 @@ class CheckStatus(IntEnum):
     NO_NEW_DATA = 8
     """No frame at all where one was due."""
     WRONG_TICK = 9
-    """Intact, but of another tick than the one under way; its counter is not looked at."""
+    """Intact, but of another tick than the current one; its counter is not checked."""
 
 
 USABLE: Final = (CheckStatus.OK, CheckStatus.INITIAL, CheckStatus.OK_SOME_LOST)
-"""The statuses of a frame whose content may be used; after any other it updates nothing."""
+"""The statuses of a frame whose content may be used; with any other it updates nothing."""
 
-# Module constants: a member lookup on the enumeration costs as much as the rest of a check.
+# Module constants: a lookup in the enumeration costs as much as the rest of a check.
 _OK, _INITIAL, _OK_SOME_LOST = USABLE
 _REPEATED, _WRONG_SEQUENCE = CheckStatus.REPEATED, CheckStatus.WRONG_SEQUENCE
 _SYNC, _WRONG_CRC, _WRONG_LENGTH = CheckStatus.SYNC, CheckStatus.WRONG_CRC, CheckStatus.WRONG_LENGTH
@@ -62,7 +62,7 @@ _WRONG_TICK = CheckStatus.WRONG_TICK
 
 def _require_data_id(data_id: int) -> int:
     if not 0 <= data_id <= 0xFFFF:
-        raise ValueError(f"data_id is {data_id}; it must be a 16-bit unsigned number, 0..65535")
+        raise ValueError(f"data_id is {data_id}; it must be 0..65535")
     return data_id
 
 
@@ -70,7 +70,7 @@ class Protector:
     """The sending end of one protected frame (E2E_P01Protect).
 
     Args:
-        data_id: 16-bit identifier of the frame, known to both ends and never sent.
+        data_id: 16-bit identifier of the frame, known to both ends and never sent itself.
 
     Raises:
         ValueError: `data_id` is not 16-bit unsigned.
@@ -80,11 +80,11 @@ class Protector:
 
     def __init__(self, data_id: int) -> None:
         self.data_id: Final = _require_data_id(data_id)
-        self._counter = _LARGEST_DELTA  # the one before 0, which SWS E2E has sent first
+        self._counter = _LARGEST_DELTA  # so that 0 is sent first, as in SWS E2E
 
     def protect(self, data: bytearray) -> None:
         """Write the next counter and the CRC into the 8 bytes of `data`, in place."""
-        # The library counts on from the counter that it finds in the frame, 14 to 0.
+        # The library increments the counter that it finds in the frame; 0 follows 14.
         data[1] = (data[1] & 0xF0) | self._counter
         e2e_p01_protect(data, self.data_id)
         self._counter = data[1] & 0x0F
@@ -93,14 +93,14 @@ class Protector:
 class Checker:
     """The receiving end of one protected frame (E2E_P01Check).
 
-    Call `check` once for every frame that arrived, or `no_new_data` where one was due and none
-    did. Each call without a usable frame widens the tolerated counter step by one, because the
-    sender has counted on meanwhile; a usable frame narrows it to `max_delta_counter` again. A step
-    beyond it takes over the received counter and asks for one more frame in sequence (SYNC)
+    Call `check` for every frame that has arrived, or `no_new_data` where one was due and none has.
+    Each call without a usable frame widens the tolerated counter step by one, because the sender
+    has counted on in the meantime; a usable frame narrows it to ``max_delta_counter`` again. After
+    a larger step the received counter is adopted, and one more frame in sequence (SYNC) is needed
     before the content is used again.
 
     Args:
-        data_id: identifier of the frame, the sender's.
+        data_id: identifier of the frame, as at the sender.
         max_delta_counter: tolerated number of frames lost between two that arrive in successive
             calls, 1..14 (MaxDeltaCounterInit).
 
@@ -115,36 +115,35 @@ class Checker:
             raise ValueError(f"max_delta_counter is {max_delta_counter}; it must be 1..14")
         self.data_id: Final = _require_data_id(data_id)
         self.max_delta_counter: Final = max_delta_counter
-        self._last: int | None = None  # counter of the last frame in sequence
-        self._next = -1  # the counter that makes the next frame OK; -1 while that is not enough
-        self._window = max_delta_counter  # largest tolerated step at the last call
-        self._sync = 0  # frames still wanted in sequence before use
+        self._last: int | None = None  # counter of the last frame that was accepted
+        self._next = -1  # the counter of an OK frame; -1 where that is not enough
+        self._window = max_delta_counter  # largest step that was tolerated at the last call
+        self._sync = 0  # frames in sequence still needed before use
         self._counts = [0] * len(CheckStatus)
 
     @property
     def counts(self) -> dict[CheckStatus, int]:
-        """How often each status was found since the start."""
+        """Number of frames with each status since the start."""
         return dict(zip(CheckStatus, self._counts, strict=True))
 
     def check(self, data: bytearray) -> CheckStatus:
-        """Judge one received frame; never raises, whatever its content and length."""
+        """Judge one received frame; never raises, whatever its content or length."""
         intact = len(data) == FRAME_BYTES and e2e_p01_check(data, self.data_id)
         received = data[1] & 0x0F if intact else -1
-        if intact and received == self._next:  # as nearly always: no need to look further
+        if intact and received == self._next:  # the usual case
             self._last, self._next = received, _AFTER[received]
             self._window = self.max_delta_counter
             self._counts[_OK] += 1
             return _OK
-        self._window += 1  # the SWS stops at 14, which already tolerates every step
+        self._window += 1  # SWS E2E limits it to 14, which tolerates every step
         status = self._judge(received) if intact else self._damage(data)
         self._counts[status] += 1
         return status
 
     def reject(self, data: bytearray) -> None:
-        """Count a frame that says another tick than the one under way; nothing else changes.
+        """Count a frame of another tick than the current one; nothing else changes.
 
-        So a frame that another sender makes up has to guess the tick too before it can disturb
-        the counter.
+        So a forged frame must also have the current tick before it can disturb the counter.
         """
         intact = len(data) == FRAME_BYTES and e2e_p01_check(data, self.data_id)
         self._counts[_WRONG_TICK if intact else self._damage(data)] += 1
@@ -176,7 +175,7 @@ class Checker:
         return self._accept(received, _OK if delta == 1 else _OK_SOME_LOST)
 
     def _accept(self, received: int, status: CheckStatus) -> CheckStatus:
-        """Go on from this counter, with the tolerance as narrow as at the start."""
+        """Adopt this counter, with the initial tolerance."""
         self._last = received
         self._next = -1 if self._sync else _AFTER[received]
         self._window = self.max_delta_counter

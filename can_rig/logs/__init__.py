@@ -1,1 +1,6 @@
-"""Logs of every format as columns of frames."""
+"""CAN logs of every common format, read and written as columns of frames.
+
+`reading.read_log` and `writing.write_log` are the interface; `readers` and `writers` hold a module
+for each format. The room imports `errors`, `files`, and `compiled` of `firmware_model`; every room
+above it may import it.
+"""

@@ -3,108 +3,52 @@
     for frames in read_log(Path("drive.log")):
         print(len(frames), frames.time_ns[0])
 
-| suffix            | format                       | read by                                   |
-|-------------------|------------------------------|-------------------------------------------|
-| `.log`, `.log.gz` | candump -L, candump -l       | `candump`, exact to the nanosecond        |
-| `.asc`, `.asc.gz` | Vector ASCII                 | python-can                                |
-| `.blf`            | Vector binary                | python-can                                |
-| `.trc`, `.trc.gz` | PEAK                         | python-can                                |
-| `.mf4`            | ASAM MDF 4, bus logging      | asammdf                                   |
+| suffix            | format                     | read by                                  |
+|-------------------|----------------------------|------------------------------------------|
+| `.log`, `.log.gz` | candump -L, candump -l     | `readers.candump`, exact to 1 ns         |
+| `.asc`, `.asc.gz` | Vector ASCII               | python-can                               |
+| `.blf`            | Vector binary logging      | python-can                               |
+| `.trc`, `.trc.gz` | PEAK trace                 | python-can                               |
+| `.mf4`            | ASAM MDF 4, bus logging    | asammdf                                  |
 
-Time stamps are whole nanoseconds. Text is read digit by digit in a candump log; the other readers
-give float seconds since the start of the recording, which are rounded to the nearest nanosecond
-and added to the start.
+Time stamps are integers in nanoseconds. Those of a candump log are read digit by digit; the other
+readers give float seconds since the start of the recording, which are rounded to the nearest
+nanosecond and added to the start.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
-from dataclasses import dataclass, field
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
+from typing import Final
 
-from can_rig.errors import LogError
+from can_rig.logs.formats import format_of
 from can_rig.logs.frames import Frames
+from can_rig.logs.log import Log
+from can_rig.logs.readers.asc import read_asc
+from can_rig.logs.readers.blf import read_blf
+from can_rig.logs.readers.candump import read_candump
+from can_rig.logs.readers.mf4 import read_mf4
+from can_rig.logs.readers.trc import read_trc
 
-SUFFIXES = (".log", ".asc", ".blf", ".trc", ".mf4")
-COMPRESSED = (".log", ".asc", ".trc")  # what may end in .gz beside
-
-
-@dataclass
-class Log:
-    """A log, to be iterated over as often as wanted; each chunk is a `Frames`.
-
-    Raises (while it is iterated over):
-        LogError: the file cannot be read, or is not what its name says; one line with the place.
-    """
-
-    path: Path
-    chunk_frames: int = 1 << 18
-    """Most frames in a chunk."""
-    start_ns: int = field(default=0, init=False)
-    """When the recording began, on the clock of ``time_ns``: since 1970 (UTC) where the file says
-    when, else 0. Known with the first chunk. Of a candump log, which has no header, the time
-    stamp of its first frame."""
-    notice: str | None = field(default=None, init=False)
-    """One line once the end is reached and something is missing there; all whole frames came."""
-    fraction: float = field(default=0.0, init=False)
-    """How much of the file is read, 0..1."""
-
-    def __iter__(self) -> Iterator[Frames]:
-        self.start_ns, self.notice, self.fraction = 0, None, 0.0
-        kind = format_of(self.path)
-        if not self.path.exists():
-            raise LogError(f"{self.path}: there is no such file")
-        if self.path.is_dir():
-            raise LogError(f"{self.path}: is a folder; a log file is right")
-        return _reader(kind)(self)
-
-
-def _reader(kind: str) -> Callable[[Log], Iterator[Frames]]:
-    """The reader of a format; each imports much, and is imported where it is wanted."""
-    if kind == ".log":
-        from can_rig.logs.candump import read_candump  # noqa: PLC0415
-
-        return read_candump
-    if kind == ".mf4":
-        from can_rig.logs.mf4 import read_mf4  # noqa: PLC0415
-
-        return read_mf4
-    from can_rig.logs import python_can  # noqa: PLC0415
-
-    readers = {".asc": "read_asc", ".blf": "read_blf", ".trc": "read_trc"}
-    reader: Callable[[Log], Iterator[Frames]] = getattr(python_can, readers[kind])
-    return reader
+_READERS: Final[Mapping[str, Callable[[Log], Iterator[Frames]]]] = {
+    ".log": read_candump,
+    ".asc": read_asc,
+    ".blf": read_blf,
+    ".trc": read_trc,
+    ".mf4": read_mf4,
+}
 
 
 def read_log(path: str | Path, chunk_frames: int = 1 << 18) -> Log:
-    """The log at ``path``, by its suffix.
+    """The log at ``path``, in the format of its suffix; iterating over it reads the file.
 
     Args:
-        path: ``.log``, ``.asc``, ``.blf``, ``.trc`` or ``.mf4``; text also with ``.gz`` behind.
-        chunk_frames: most frames in a chunk, which bounds the memory.
+        path: ``.log``, ``.asc``, ``.blf``, ``.trc`` or ``.mf4``; text formats also with ``.gz``.
+        chunk_frames: largest number of frames in a chunk, which bounds the memory.
 
     Raises:
-        LogError: the suffix is none of those.
+        LogError: the suffix is not one of a log.
     """
-    log = Log(Path(path), chunk_frames)
-    format_of(log.path)
-    return log
-
-
-def format_of(path: Path) -> str:
-    """The suffix that says what ``path`` is, without ``.gz``.
-
-    Raises:
-        LogError: none that is known.
-    """
-    suffixes = [suffix.lower() for suffix in path.suffixes[-2:]]
-    compressed = bool(suffixes) and suffixes[-1] == ".gz"
-    if compressed:
-        suffixes.pop()
-    known = COMPRESSED if compressed else SUFFIXES
-    if not suffixes or suffixes[-1] not in known:
-        raise LogError(
-            f"{path}: not a log that can be told by its name; {', '.join(SUFFIXES)} are right, "
-            f"{', '.join(COMPRESSED)} also with .gz behind"
-        )
-    return suffixes[-1]
+    path = Path(path)
+    return Log(path, _READERS[format_of(path)], chunk_frames)

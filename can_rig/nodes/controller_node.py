@@ -7,7 +7,9 @@ from collections.abc import Callable
 
 import can
 
-from can_rig.frames.messages import Network, Receiver, Record, Transmitter
+from can_rig.frames.codec import Record
+from can_rig.frames.endpoints import Receiver, Transmitter
+from can_rig.frames.network import Network
 from can_rig.nodes.lockstep import Interrupted, Sender, Waiting, Watchdog
 from can_rig.plant.faults import FrameFault
 from can_rig.scenario.build import controller_table

@@ -10,7 +10,8 @@ from typing import Final
 
 import can
 
-from can_rig.frames.messages import Network, Receiver, Transmitter
+from can_rig.frames.endpoints import Receiver, Transmitter
+from can_rig.frames.network import Network
 from can_rig.nodes.lockstep import Interrupted, Sender, Waiting, Watchdog
 from can_rig.nodes.recorder import Recorder
 from can_rig.plant.simulated import SimulatedPlant

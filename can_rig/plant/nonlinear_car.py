@@ -24,7 +24,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numba import njit
 
-from can_rig.scenario.settings import PlantSettings
+from can_rig.scenario.plant_settings import PlantSettings
 from firmware_model.design.vehicle import vehicle_state_space
 
 GRAVITY_MPS2 = 9.81

@@ -4,7 +4,7 @@
 ``mycar.py`` beside a scenario is a plant:
 
     class Lag:                                     # plant.kind = "mycar:Lag"
-        def __init__(self, settings):              # can_rig.scenario.settings.PlantSettings
+        def __init__(self, settings):              # can_rig.scenario.plant_settings.PlantSettings
             self.reset()
 
         def reset(self):
@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Protocol, TypeVar, runtime_checkable
 
 from can_rig.errors import RigError, ScenarioError
-from can_rig.scenario.settings import PlantSettings
+from can_rig.scenario.plant_settings import PlantSettings
 
 METHODS = {
     "reset": "reset()",

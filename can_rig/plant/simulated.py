@@ -9,7 +9,8 @@ import numpy as np
 from can_rig.plant.faults import ActuatorFault, SensorFault
 from can_rig.plant.protocol import GuardedPlant, PlantProtocol, load_plant
 from can_rig.scenario.build import continuous_plant
-from can_rig.scenario.settings import PlantSettings, Scenario
+from can_rig.scenario.plant_settings import PlantSettings
+from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import follow_plant, sample
 
 
@@ -51,7 +52,7 @@ class LinearPlant:
         self._x[:] = 0.0
 
     def advance(self, dt_s: float, torque_nm: float, force_difference_n: float) -> float:
-        """The output ``dt_s`` seconds later; for ``chapter-2`` nothing has a unit."""
+        """The output ``dt_s`` seconds later; of a plant that is no car it has no unit."""
         if dt_s != self._dt_s:
             sampled = sample(self._plant, dt_s)
             self._phi, self._gamma, self._c = sampled.phi, sampled.gamma, sampled.c

@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from can_rig.frames.codec import MessageCodec
 from can_rig.frames.layout import FRAME, NOT_AVAILABLE
-from can_rig.frames.messages import Network
+from can_rig.frames.network import Network
 from can_rig.logs.frames import NS_PER_S
 from can_rig.replay.gaps import Row
 from can_rig.replay.rig_frames import INPUTS

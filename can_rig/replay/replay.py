@@ -20,7 +20,7 @@ from typing import Final
 import can
 
 from can_rig.errors import LogError
-from can_rig.frames.messages import Network
+from can_rig.frames.network import Network
 from can_rig.logs.frames import NS_PER_S, Frames
 from can_rig.nodes.controller_node import ControllerNode
 from can_rig.nodes.lockstep import Interrupted, StopRequest, Waiting, Watchdog

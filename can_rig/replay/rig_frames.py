@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from can_rig.decoding import e2e_columns
-from can_rig.frames.messages import Network
+from can_rig.frames.network import Network
 from can_rig.frames.protection import FRAME_BYTES
 from can_rig.logs.frames import ERROR, EXTENDED, REMOTE, Frames
 
@@ -22,7 +22,7 @@ class RigFrame(NamedTuple):
     """One frame of the network, as a log has it."""
 
     role: int
-    """Which one, an index of `frame_layout.ROLES`."""
+    """Which one, an index of `frames.layout.ROLES`."""
     time_ns: int
     """Time stamp, as `Frames.time_ns`."""
     data: bytes

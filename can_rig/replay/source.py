@@ -10,12 +10,13 @@ from typing import Any
 
 import numpy as np
 
+from can_rig.assessment.resolve import load, load_run
 from can_rig.cli.progress import reading
 from can_rig.errors import LogError, ScenarioError
 from can_rig.logs.frames import Frames
-from can_rig.logs.reading import Log, read_log
+from can_rig.logs.log import Log
+from can_rig.logs.reading import read_log
 from can_rig.results.run_folder import LOG, SUMMARY
-from can_rig.scenario import loading as scenarios
 from can_rig.scenario.settings import Scenario
 
 
@@ -77,14 +78,14 @@ def source_of(
     """
     log = read_log(log_path(path))
     if name is not None:
-        return Source(log, scenarios.load(name, settings), channel)
+        return Source(log, load(name, settings), channel)
     if not path.is_dir():
         raise ScenarioError(
             f"{path}: a log file does not say which scenario it is of; --scenario NAME is right "
             "(a run folder brings its own)"
         )
     values, realtime = _recorded(path)
-    scenario = scenarios.from_run(values, settings)
+    scenario = load_run(values, settings)
     return Source(log, scenario, channel, scenario.latency_ticks if realtime else 1)
 
 

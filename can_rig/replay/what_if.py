@@ -13,9 +13,9 @@ import numpy as np
 from rich.console import Console
 
 from can_rig.assessment.stability import refuse_unstable
-from can_rig.cli.diff_command import print_difference
-from can_rig.cli.node_commands import tick_progress
-from can_rig.cli.run_command import closing_table
+from can_rig.cli.logs.diff import print_difference
+from can_rig.cli.progress import counting
+from can_rig.cli.runs.closing import closing_table
 from can_rig.errors import INTERRUPTED, LogError, ScenarioError
 from can_rig.nodes.lockstep import StopRequest
 from can_rig.nodes.nodes import EveryNowAndThen, run_in_process
@@ -74,7 +74,7 @@ def what_if_command(
     folder = create(out, scenario, force)
     scenario = replace(scenario, reference=_reference_file(logged, folder / REFERENCE))
     on_the_bus(scenario, network)
-    with tick_progress(scenario) as on_tick:
+    with counting(scenario.name, "ticks", scenario.ticks) as on_tick:
         bus = f"local:what-if-{os.getpid()}"
         summary = run_in_process(scenario, bus, folder / LOG, stop, EveryNowAndThen(on_tick))
     outcome = Outcome(

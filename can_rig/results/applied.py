@@ -10,7 +10,7 @@ from can_rig.plant.faults import ActuatorFault
 from can_rig.plant.simulated import Actuator
 from can_rig.results.signals import Signals
 from can_rig.scenario.settings import Scenario
-from firmware_model.discretisation.sections import FloatArray
+from firmware_model.target.structs import FloatArray
 
 
 def applied_commands(scenario: Scenario, signals: Signals) -> tuple[FloatArray, FloatArray]:

@@ -15,8 +15,8 @@ from can_rig.results.signals import Signals
 from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import NoiseSettings, Scenario
-from firmware_model.discretisation.sections import FloatArray
 from firmware_model.firmware import Firmware
+from firmware_model.target.structs import FloatArray
 
 
 class Beside(NamedTuple):

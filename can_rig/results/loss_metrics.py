@@ -11,8 +11,8 @@ from can_rig.results.signals import Signals
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import sample
-from firmware_model.discretisation.sections import FloatArray
-from firmware_model.target.layout import FaultState
+from firmware_model.target.status import FaultState
+from firmware_model.target.structs import FloatArray
 
 Mask = NDArray[np.bool_]
 

@@ -10,14 +10,14 @@ from numpy.typing import NDArray
 
 from can_rig.assessment.control_authority import control_authority
 from can_rig.drawing.names import names_of, printed
-from can_rig.frames.messages import Network
+from can_rig.frames.network import Network
 from can_rig.plant.faults import SensorFault
 from can_rig.results.counterfactual import fault_free, noise_free
 from can_rig.results.loss_metrics import decision_metrics, unavoidable_deviation
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
-from firmware_model.discretisation.sections import FloatArray
+from firmware_model.target.structs import FloatArray
 
 Metrics = dict[str, float | bool | None]
 Mask = NDArray[np.bool_]
@@ -70,7 +70,7 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
     picture have D* as measured. What X_diff needs and can carry is there where the torque is lost.
     """
     window = windows(scenario, signals)
-    closed = scenario.model.kind != "chapter-2"
+    closed = scenario.model.closed_loop
     bias = sensor_bias(scenario, signals)
     error = np.abs(signals.error_mps2 + bias) if closed else np.full(len(signals), np.nan)
     estimate = np.abs(signals.fault_estimate_mps2)

@@ -12,7 +12,7 @@ from matplotlib.figure import Figure, SubFigure
 from can_rig.assessment.control_authority import control_authority
 from can_rig.drawing import scales, style
 from can_rig.drawing.names import Names, names_of
-from can_rig.frames.messages import Network
+from can_rig.frames.network import Network
 from can_rig.results import report_title
 from can_rig.results.applied import applied_commands
 from can_rig.results.counterfactual import fault_free, uncompensated
@@ -20,7 +20,7 @@ from can_rig.results.metrics import sensor_bias, windows
 from can_rig.results.report_timing import draw_timing
 from can_rig.results.signals import Signals
 from can_rig.scenario.settings import Scenario
-from firmware_model.discretisation.sections import FloatArray
+from firmware_model.target.structs import FloatArray
 
 HEIGHT_IN = 10.6
 
@@ -61,7 +61,7 @@ def page(
     )
     names, time_s = names_of(network), signals.time_s
     beside, label, distance = signals.reference_mps2, "reference", "|error|"
-    if scenario.model.kind == "chapter-2":
+    if not scenario.model.closed_loop:
         beside = fault_free(scenario, signals).dstar_mps2
         label, distance = "without the fault", "|deviation|"
     for axis in axes:

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from can_rig.drawing.names import Names, ticks_text
 from can_rig.results.signals import Signals
-from can_rig.scenario.settings import FaultSettings, PlantSettings, Scenario
+from can_rig.scenario.plant_settings import PlantSettings
+from can_rig.scenario.settings import FaultSettings, Scenario
 
 
 def title(scenario: Scenario, names: Names, signals: Signals) -> str:
@@ -54,4 +55,4 @@ def _ended_early(scenario: Scenario, signals: Signals) -> str:
 def _car(plant: PlantSettings) -> str:
     if plant.is_class:
         return plant.kind.partition(":")[2]
-    return plant.kind if plant.kind == "chapter-2" else f"{plant.kind}, {plant.variant} model"
+    return f"{plant.kind}, {plant.variant} model" if plant.is_car else plant.kind

@@ -13,7 +13,7 @@ from typing import Any
 
 from can_rig.errors import LogError, RunFolderError
 from can_rig.files import atomic
-from can_rig.frames.messages import Network
+from can_rig.frames.network import Network
 from can_rig.results.metrics import Metrics, metrics
 from can_rig.results.signals import read_signals
 from can_rig.scenario.settings import Scenario

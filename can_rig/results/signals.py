@@ -12,10 +12,11 @@ import numpy as np
 from can import Message
 from numpy.typing import NDArray
 
-from can_rig.frames.messages import Network, Receiver
+from can_rig.frames.endpoints import Receiver
+from can_rig.frames.network import Network
 from can_rig.logs.frames import SENT
 from can_rig.logs.reading import read_log
-from firmware_model.discretisation.sections import FloatArray
+from firmware_model.target.structs import FloatArray
 
 COLUMNS = (
     "time_s",

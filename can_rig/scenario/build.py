@@ -5,13 +5,16 @@ from __future__ import annotations
 import math
 
 from can_rig.errors import ScenarioError
-from can_rig.frames.messages import Network, load_network, shipped_dbc
-from can_rig.scenario.settings import PlantSettings, Scenario
+from can_rig.frames.dbc import shipped_dbc
+from can_rig.frames.network import Network, load_network
+from can_rig.scenario.plant_settings import PlantSettings
+from can_rig.scenario.settings import Scenario
 from firmware_model.design import plants
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
-from firmware_model.discretisation.tables import Target, build
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Target
 from firmware_model.errors import DesignError
-from firmware_model.target.layout import Record
+from firmware_model.target.structs import Record
 
 GOVERNED = 0.5  # share of the motor's limit that may go into the second derivative of D*
 
@@ -31,9 +34,7 @@ def continuous_plant(settings: PlantSettings) -> plants.Plant:
         ScenarioError: parameters with which the car is not stable.
     """
     try:
-        if settings.kind == "chapter-2":
-            return plants.chapter_2()
-        return plants.steer_by_wire(settings, settings.variant)
+        return settings.linear.make(settings, settings.variant)
     except DesignError as error:
         raise ScenarioError(f"plant: {error}") from None
 
@@ -51,7 +52,7 @@ def continuous_design(scenario: Scenario) -> ContinuousDesign:
         tau_q_s=chosen.tau_q_s,
         alpha_q=chosen.alpha_q,
         compensation=chosen.compensation != "off",
-        feedback=scenario.model.kind != "chapter-2",
+        feedback=scenario.model.closed_loop,
     )
     plant = continuous_plant(scenario.model)
     try:
@@ -106,7 +107,7 @@ def reference_acceleration(scenario: Scenario) -> float:
     as much again is left for the rest.
     """
     limits = scenario.limits
-    if scenario.model.kind == "chapter-2":  # open loop: no C that would follow
+    if not scenario.model.closed_loop:  # no C that would follow
         return math.inf
     torque = math.inf if limits.torque_nm is None else limits.torque_nm
     if limits.torque_rate_nm_per_s is not None:

@@ -1,38 +1,46 @@
-"""A TOML scenario as a validated, frozen object: the one source of every default of a run.
+"""TOML to a validated, frozen scenario: the one source of every default of a run.
 
-What keys there are is declared in ``settings``. Errors name the scenario and the key.
+What keys there are is declared in ``settings``. Errors name the scenario and the key. Two numbers
+may be given as a word, ``latency_ticks = "from-bus"`` and
+``design.fault_threshold_mps2 = "from-budget"``: a ``Draft`` keeps it, and ``assessment.resolve``
+puts the number in, which follows from the rest of the scenario.
 """
 
 from __future__ import annotations
 
-import dataclasses
 import difflib
 import json
-import sys
 import tomllib
 from collections.abc import Iterable, Mapping
-from importlib.resources import files
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from pydantic import TypeAdapter, ValidationError
 
-from can_rig.errors import RigError, ScenarioError
-from can_rig.scenario.settings import BUILT_IN, Scenario
-from firmware_model.errors import DesignError
+from can_rig.errors import ScenarioError
+from can_rig.scenario.catalogue import shipped
+from can_rig.scenario.plant_settings import CAR
+from can_rig.scenario.refusal import refusal
+from can_rig.scenario.settings import Scenario
 
-FROM_BUS = "from-bus"  # what ``latency_ticks`` may be in a file
-THRESHOLD = "fault_threshold_mps2"
-FROM_BUDGET = "from-budget"  # what ``design.fault_threshold_mps2`` may be in a file
+FROM_BUS: Final = ("latency_ticks", "from-bus")
+FROM_BUDGET: Final = ("design.fault_threshold_mps2", "from-budget")
+"""A key, and the word that may stand there for its number."""
 
-
-def shipped() -> dict[str, Path]:
-    """Name → file of the scenarios that come with the package, sorted."""
-    folder = Path(str(files("can_rig"))) / "scenario" / "shipped"
-    return {path.stem: path for path in sorted(folder.glob("*.toml"))}
+_ADAPTER: Final = TypeAdapter(Scenario)
 
 
-def load(name: str, settings: Iterable[str] = ()) -> Scenario:
+@dataclass(frozen=True)
+class Draft:
+    """A scenario as it is written: the default stands in ``scenario`` where a word is written."""
+
+    scenario: Scenario
+    words: frozenset[tuple[str, str]] = frozenset()
+    """Which of ``FROM_BUS`` and ``FROM_BUDGET`` are written."""
+
+
+def read(name: str, settings: Iterable[str] = ()) -> Draft:
     """The scenario ``name``, a shipped one or a path to a TOML file, with ``KEY=VALUE`` changes.
 
     Raises:
@@ -43,7 +51,7 @@ def load(name: str, settings: Iterable[str] = ()) -> Scenario:
     if name in known:
         path = known[name]
     elif path.exists() and not path.is_file():
-        raise ScenarioError(f"scenario {name}: not a file; a TOML file or a shipped one is right")
+        raise ScenarioError(f"scenario {name}: not a file; must be a TOML file or a shipped one")
     elif not path.is_file():
         near = difflib.get_close_matches(name, known, n=1)
         hint = f"did you mean {near[0]}?" if near else f"shipped ones: {', '.join(known)}"
@@ -60,17 +68,17 @@ def load(name: str, settings: Iterable[str] = ()) -> Scenario:
         _change(values, setting)
     if "name" in values:
         raise ScenarioError(f"scenario {name}: name: unknown key; a scenario is named by its file")
-    return from_dict(path.stem, values)
+    return draft(path.stem, values)
 
 
-def from_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Scenario:
+def of_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Draft:
     """The scenario that a run folder's ``run.json`` holds, with ``KEY=VALUE`` changes.
 
     A parameter that the controller believed as it was follows the plant's again when that is
     changed, as in a scenario file that does not name it.
 
     Raises:
-        ScenarioError: as ``from_dict``.
+        ScenarioError: as ``draft``.
     """
     changed: dict[str, Any] = json.loads(json.dumps(values))
     plant, model = changed.get("plant"), changed.get("model")
@@ -78,17 +86,14 @@ def from_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Scenari
         changed["model"] = {k: v for k, v in model.items() if k not in plant or plant[k] != v}
     for setting in settings:
         _change(changed, setting)
-    return from_dict(str(changed.get("name", "run")), changed)
+    return draft(str(changed.get("name", "run")), changed)
 
 
-def from_dict(name: str, values: Mapping[str, Any]) -> Scenario:
+def draft(name: str, values: Mapping[str, Any]) -> Draft:
     """A scenario from plain values; ``model`` is the plant's own but for the keys it names.
 
     What the controller believes in is linear: of a plant of one's own, the thesis's car with the
     same parameters.
-
-    ``latency_ticks`` may be ``"from-bus"`` here, and ``design.fault_threshold_mps2``
-    ``"from-budget"``; the scenario has the numbers that follow.
 
     Raises:
         ScenarioError: an unknown key, a bad value; the message names the key.
@@ -96,55 +101,28 @@ def from_dict(name: str, values: Mapping[str, Any]) -> Scenario:
     merged = {key: value for key, value in values.items() if key != "name"}
     plant, model = merged.get("plant", {}), merged.get("model", {})
     if isinstance(plant, Mapping) and isinstance(model, Mapping):
-        linear = {"kind": BUILT_IN[0]} if ":" in str(plant.get("kind")) else {}
+        linear = {"kind": CAR} if ":" in str(plant.get("kind")) else {}
         merged["model"] = {**plant, **linear, **model}
-    from_bus = merged.get("latency_ticks") == FROM_BUS
-    if from_bus:
-        merged["latency_ticks"] = 0  # until the rest, on which it depends, is known to be right
-    tuning = merged.get("design")
-    from_budget = isinstance(tuning, Mapping) and tuning.get(THRESHOLD) == FROM_BUDGET
-    if isinstance(tuning, Mapping) and from_budget:
-        merged["design"] = {key: value for key, value in tuning.items() if key != THRESHOLD}
+    words = frozenset(pair for pair in (FROM_BUS, FROM_BUDGET) if _take(merged, *pair))
     try:
         # As JSON, where strict still takes a table for a dataclass and a whole number for a float.
         scenario = _ADAPTER.validate_json(json.dumps({"name": name, **merged}, default=str))
     except ValidationError as error:
-        raise ScenarioError(f"scenario {name}: {_first_line(error)}") from None
-    except DesignError as error:
-        raise ScenarioError(f"scenario {name}: plant: {error}") from None
-    if from_bus:
-        scenario = _with_latency_of_bus(scenario)
-    return _with_threshold_of_budget(scenario) if from_budget else scenario
+        raise ScenarioError(f"scenario {name}: {refusal(error, Scenario)}") from None
+    return Draft(scenario, words)
 
 
-def _with_latency_of_bus(scenario: Scenario) -> Scenario:
-    from can_rig.assessment.bus_timing.timing import latency_ticks  # noqa: PLC0415 (cantools: slow to import)
-    from can_rig.scenario.build import network_of  # noqa: PLC0415 (imports this module)
-
-    network, bus = network_of(scenario), scenario.bus
-    try:
-        ticks = latency_ticks(network, bus.bitrate, scenario.tick_s, bus.compute_s)
-        return dataclasses.replace(scenario, latency_ticks=ticks)
-    except (RigError, ValueError) as error:
-        where = f'scenario {scenario.name}: latency_ticks = "{FROM_BUS}"'
-        raise ScenarioError(f"{where}: {error}") from None
-
-
-def _with_threshold_of_budget(scenario: Scenario) -> Scenario:
-    from can_rig.assessment.threshold_budget import threshold_budget  # noqa: PLC0415 (imports this module)
-    from can_rig.scenario.build import network_of  # noqa: PLC0415 (imports this module)
-
-    least = dataclasses.replace(scenario.design, fault_threshold_mps2=sys.float_info.min)
-    found = threshold_budget(dataclasses.replace(scenario, design=least), network_of(scenario))
-    chosen = dataclasses.replace(
-        scenario.design,
-        fault_threshold_mps2=found.threshold,
-        fault_threshold_share=max(scenario.design.fault_threshold_share, found.share),
-    )
-    return dataclasses.replace(scenario, design=chosen)
-
-
-_ADAPTER = TypeAdapter(Scenario)
+def _take(values: dict[str, Any], key: str, word: str) -> bool:
+    """Whether ``word`` stands at ``key``; if so it is taken out, without touching other tables."""
+    first, _, rest = key.partition(".")
+    inner = values.get(first)
+    if rest and isinstance(inner, Mapping):
+        values[first] = copy = dict(inner)
+        return _take(copy, rest, word)
+    if inner != word:
+        return False
+    del values[first]
+    return True
 
 
 def _change(values: dict[str, Any], setting: str) -> None:
@@ -152,7 +130,7 @@ def _change(values: dict[str, Any], setting: str) -> None:
     key, equals, text = setting.partition("=")
     parts = key.strip().split(".")
     if not equals or not all(parts):
-        raise ScenarioError(f"--set {setting}: KEY=VALUE is right, as in plant.speed_mps=20")
+        raise ScenarioError(f"--set {setting}: must be KEY=VALUE, as in plant.speed_mps=20")
     try:
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
@@ -163,27 +141,3 @@ def _change(values: dict[str, Any], setting: str) -> None:
         if not isinstance(table, dict):
             raise ScenarioError(f"--set {setting}: {part} is a value and has no keys")
     table[parts[-1]] = value
-
-
-def _first_line(error: ValidationError) -> str:
-    """pydantic's first finding as ``key: what is wrong; what would be right``."""
-    finding = error.errors()[0]
-    location = [str(part) for part in finding["loc"]]
-    key = ".".join(location)
-    if finding["type"] == "unexpected_keyword_argument":
-        near = difflib.get_close_matches(location[-1], _keys(location[:-1]), n=1, cutoff=0.5)
-        known = ", ".join(_keys(location[:-1]))
-        return f"{key}: unknown key; " + (f"did you mean {near[0]}?" if near else f"known: {known}")
-    message = finding["msg"].removeprefix("Value error, ")
-    if finding["type"] == "value_error":
-        return f"{key}.{message}" if key else message
-    return f"{key} = {finding['input']!r}: {message[0].lower()}{message[1:]}"
-
-
-def _keys(location: list[str]) -> list[str]:
-    """Key names of the table at ``location``."""
-    kind: Any = Scenario
-    for part in location:
-        default = next(f.default_factory for f in dataclasses.fields(kind) if f.name == part)
-        kind = default
-    return [f.name for f in dataclasses.fields(kind) if f.name != "name"]

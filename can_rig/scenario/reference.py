@@ -8,9 +8,9 @@ from pathlib import Path
 import numpy as np
 
 from can_rig.errors import ScenarioError
-from can_rig.frames.messages import Network
+from can_rig.frames.network import Network
 from can_rig.scenario.settings import MAX_REFERENCE_MPS2, Scenario
-from firmware_model.discretisation.sections import FloatArray
+from firmware_model.target.structs import FloatArray
 
 LANE_CHANGE_S = 1.0  # when a lane change begins
 

@@ -7,16 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from can_rig.assessment.resolve import load
 from can_rig.errors import ScenarioError
 from can_rig.plant.faults import ActuatorFault
-from can_rig.scenario import loading as scenarios
 from can_rig.scenario.build import continuous_plant, controller_table, network_of
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
 from can_rig.thesis.continuous import Solution, solve
 from firmware_model.analysis.sampled_plant import SampledPlant, advance_plant, measure_plant, sample
 from firmware_model.analysis.simulation import simulate
-from firmware_model.discretisation.sections import FloatArray
+from firmware_model.target.structs import FloatArray
 
 START_S = 0.02  # how much of the start of a closed loop is shown closely
 #: what may change without making another figure of it
@@ -138,20 +138,20 @@ def _compared(figure: str, caption: str, loop: _Loop, *curves: Curve) -> Compari
 
 
 def _fig_2_2(settings: Sequence[str]) -> Comparison:
-    loop = both(scenarios.load("chapter-2", settings).healthy)
+    loop = both(load("chapter-2", settings).healthy)
     caption = "$\\hat d$ and $G_1 u_1$ while the plant is healthy"
     return _compared("2.2", caption, loop, *_estimate_and_channel(loop))
 
 
 def _fig_2_3(settings: Sequence[str]) -> Comparison:
-    scenario = scenarios.load("chapter-2", settings)
+    scenario = load("chapter-2", settings)
     loop = both(replace(scenario, fault=replace(scenario.fault, at_s=0.0)))
     caption = "$\\hat d$ and $G_1 u_1$, channel 1 lost from the start"
     return _compared("2.3", caption, loop, *_estimate_and_channel(loop))
 
 
 def _fig_2_4(settings: Sequence[str]) -> Comparison:
-    loop = both(scenarios.load("chapter-2", settings))
+    loop = both(load("chapter-2", settings))
     caption = f"$y$ and $G_2 u_2$, channel 1 lost at {loop.scenario.fault.at_s:g} s"
     y = loop.curve("y", lambda s: s.measurement)
     return _compared("2.4", caption, loop, y, loop.curve("G2 u2", lambda s: s.model_2))
@@ -173,7 +173,7 @@ def _estimate_and_channel(loop: _Loop) -> tuple[Curve, Curve]:
 def _error(figure: str, name: str, signal: str, settings: Sequence[str]) -> Comparison:
     """The thesis drew its figures from the printed coefficients: the ``published`` car."""
     chosen = [f"plant.variant={variant}" for variant in ("published", "physics")]
-    loops = [both(scenarios.load(name, [*settings, variant])) for variant in chosen]
+    loops = [both(load(name, [*settings, variant])) for variant in chosen]
     lost = f"steering motor lost at {loops[0].scenario.fault.at_s:g} s"
     curves = [loop.curve(f"e, {loop.scenario.plant.variant}", lambda s: s.error) for loop in loops]
     # While healthy e = (1 - q̂) r for every car, so one curve is enough.

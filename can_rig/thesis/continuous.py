@@ -27,7 +27,7 @@ from can_rig.plant.faults import CHANNELS
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.settings import Scenario
 from firmware_model.design.plants import Plant
-from firmware_model.discretisation.sections import FloatArray
+from firmware_model.target.structs import FloatArray
 
 OUTPUTS = ("r", "y", "u1", "u2", "d", "g1u1", "g2u2")
 StateSpace = tuple[FloatArray, FloatArray, FloatArray, FloatArray]
@@ -99,7 +99,7 @@ def closed_loop(scenario: Scenario, left: tuple[float, float]) -> StateSpace:
     """
     car, model = continuous_plant(scenario.plant), continuous_plant(scenario.model)
     chosen = scenario.design
-    closed = scenario.model.kind != "chapter-2"
+    closed = scenario.model.closed_loop
     blocks = [
         control.ss(car.a, car.b * left, car.c, 0.0, inputs=["u1", "u2"], outputs=["y"]),
         control.ss(model.a, model.b[:, :1], model.c, 0.0, inputs=["u1"], outputs=["g1u1"]),

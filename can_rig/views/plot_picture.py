@@ -16,7 +16,7 @@ from can_rig.drawing import style
 from can_rig.drawing.names import printed
 from can_rig.logs.frames import NS_PER_S
 from can_rig.scenario.settings import FaultSettings
-from firmware_model.discretisation.sections import FloatArray
+from firmware_model.target.structs import FloatArray
 
 MAX_POINTS: Final = 20_000
 """A longer signal is cut into half as many slices, and the extremes of each are drawn."""

@@ -12,7 +12,7 @@ import numpy as np
 from can_rig.errors import LogError
 from can_rig.views.settings_diff import SettingDifference, differing_settings
 from can_rig.views.signal_table import SignalTable
-from firmware_model.discretisation.sections import FloatArray
+from firmware_model.target.structs import FloatArray
 
 
 @dataclass(frozen=True)

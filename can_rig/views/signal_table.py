@@ -11,17 +11,17 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
+from can_rig.assessment.resolve import load_run
 from can_rig.drawing.names import CAR, Names, names_of, printed
 from can_rig.errors import LogError, ScenarioError
-from can_rig.frames.messages import Network
+from can_rig.frames.network import Network
 from can_rig.logs.reading import read_log
 from can_rig.replay.source import log_path
 from can_rig.results.run_folder import SIGNALS, SUMMARY
 from can_rig.results.signals import COLUMNS, Signals, cell, signals_of
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import from_run
 from can_rig.scenario.settings import FaultSettings, Scenario
-from firmware_model.discretisation.sections import FloatArray
+from firmware_model.target.structs import FloatArray
 
 TIME: Final = "time_s"
 
@@ -144,7 +144,7 @@ def scenario_of(folder: Path) -> Scenario | None:
     """What a run folder says was run; None where it does not say so."""
     try:
         values: Any = json.loads((folder / SUMMARY).read_text("utf-8"))["scenario"]
-        return from_run(values)
+        return load_run(values)
     except (OSError, ValueError, KeyError, TypeError, ScenarioError):
         return None
 

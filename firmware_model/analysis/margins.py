@@ -25,10 +25,10 @@ from firmware_model.analysis.sampled_loop import (
 )
 from firmware_model.design.continuous_design import ContinuousDesign
 from firmware_model.design.plants import Plant
-from firmware_model.discretisation.sections import FloatArray
-from firmware_model.discretisation.tables import Target, build
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Target
 from firmware_model.errors import DesignError
-from firmware_model.target.layout import MAX_LATENCY_TICKS, Record
+from firmware_model.target.structs import MAX_LATENCY_TICKS, FloatArray, Record
 
 HEALTHY = (1.0, 1.0)
 TORQUE_DEAD = (0.0, 1.0)  # the thesis's fault

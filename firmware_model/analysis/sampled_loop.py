@@ -24,14 +24,17 @@ from scipy import linalg
 
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.design.plants import Plant
-from firmware_model.discretisation.sections import ComplexArray, FloatArray
+from firmware_model.discretisation.sections import ComplexArray
 from firmware_model.errors import ParameterError
 from firmware_model.target import controller
-from firmware_model.target.layout import FILTERS, FaultState, Record, RecordArray, table_type
+from firmware_model.target.layout import table_type
+from firmware_model.target.status import FaultState
+from firmware_model.target.structs import FloatArray, Record, RecordArray
 
 ANSWERS = ("command_1", "command_2", "fault_estimate")
+DELAYS = (("estimator", "delay_1"), ("estimator", "delay_2"))
 OPEN_INTEGRATOR = 1e-7  # |z - 1| below which a pole is an integrator
-Memory = tuple[str, tuple[int, ...]]  # a field of the controller's state and an index into it
+Memory = tuple[tuple[str, ...], tuple[int, ...]]  # a path in the controller's state, an index
 
 
 @dataclass(frozen=True)
@@ -132,20 +135,20 @@ def linear_controller(table: Record, confirmed: float = 0.0) -> LinearController
     states = controller.init(tables[0], k + 2)
     if confirmed > 0.0:
         states["fault_state"] = FaultState.CONFIRMED
-        states["share_lost"] = confirmed
-        states["engaged"] = table.on_confirmation
-    for j, (name, index) in enumerate(memories):
-        states[name][(j, *index)] = 1.0
+        states["loss_model"]["share"] = confirmed
+        states["decision"]["engaged"] = table.compensator.on_confirmation
+    for j, (path, index) in enumerate(memories):
+        _field(states, path)[(j, *index)] = 1.0
     inputs = np.zeros((2, k + 2))
     inputs[:, k:] = np.eye(2)
     controller.step_many(tables, states, inputs[1], inputs[0])
-    for line in ("delay_1", "delay_2"):  # the ring has turned by one: oldest first again
-        ring = states[line][:, : table.latency_ticks]
-        ring[:] = np.roll(ring, -states["delay_at"][0], axis=1)
-    after = np.array([states[name][(slice(None), *index)] for name, index in memories])
+    latency = int(table.estimator.latency_ticks)
+    for line in DELAYS:  # the ring has turned by one: oldest first again
+        ring = _field(states, line)[:, :latency]
+        ring[:] = np.roll(ring, -states["estimator"]["delay_index"][0], axis=1)
+    after = np.array([_field(states, path)[(slice(None), *index)] for path, index in memories])
     after = after.reshape(k, k + 2)  # also when there is no memory at all
     answers = np.array([states[name] for name in ANSWERS])
-    latency = int(table.latency_ticks)
     return LinearController(after[:, :k], after[:, k:], answers[:, :k], answers[:, k:], latency)
 
 
@@ -170,10 +173,12 @@ def sampled_loop(
         ParameterError: a delay that is not finite and >= 0, an effectiveness outside 0..1.
     """
     if not (math.isfinite(extra_delay_ticks) and extra_delay_ticks >= 0.0):
-        raise ParameterError(f"extra_delay_ticks = {extra_delay_ticks:g}: 0 or above is right")
+        raise ParameterError(
+            f"extra_delay_ticks = {extra_delay_ticks:g}: must be finite and 0 or above"
+        )
     for left in effectiveness:
         if not 0.0 <= left <= 1.0:
-            raise ParameterError(f"effectiveness = {left:g}: 0 (dead) to 1 (healthy) is right")
+            raise ParameterError(f"effectiveness = {left:g}: must be 0 (dead) to 1 (healthy)")
     m = law.latency_ticks + math.floor(extra_delay_ticks)
     phi, gamma_new, gamma_old = _split_hold(plant, tick_s, extra_delay_ticks % 1.0)
     gamma_new, gamma_old = gamma_new * effectiveness, gamma_old * effectiveness
@@ -211,6 +216,13 @@ def reaching(a: FloatArray, row: FloatArray) -> NDArray[np.bool_]:
         reaches = wider
 
 
+def _field(states: RecordArray, path: tuple[str, ...]) -> RecordArray:
+    """A view of the field at ``path`` in every one of ``states``."""
+    for name in path:
+        states = states[name]
+    return states
+
+
 def _memories(table: Record) -> list[Memory]:
     """Everything that one tick leaves to the next, but for accumulators that stay zero for ever.
 
@@ -218,29 +230,37 @@ def _memories(table: Record) -> list[Memory]:
     count them would add eigenvalues at 1 that no signal ever sees.
     """
     memories: list[Memory] = []
-    filters = {name: name for name in FILTERS}
-    if table.on_confirmation:
-        filters["lost"] = "estimator_1"  # a second memory of the same filter
-    for memory, name in filters.items():
-        for i in range(table[f"{name}_n"]):
-            _, b1, b2, a1, a2 = table[name][i]
+    estimator = table.estimator
+    cascades = {
+        ("tracking", "filter"): table.tracking.filter,
+        ("estimator", "channel_1"): estimator.channel_1,
+        ("estimator", "channel_2"): estimator.channel_2,
+        ("estimator", "one_plus_q"): estimator.one_plus_q,
+        ("compensator", "filter"): table.compensator.filter,
+    }
+    if table.compensator.on_confirmation:
+        cascades["loss_model", "channel_1"] = estimator.channel_1  # another state of it
+    for path, cascade in cascades.items():
+        for i in range(cascade.n):
+            _, b1, b2, a1, a2 = cascade.coefficients[i]
             if b1 or a1 or b2 or a2:
-                memories.append((memory, (i, 0)))
+                memories.append(((*path, "accumulators"), (i, 0)))
             if b2 or a2:
-                memories.append((memory, (i, 1)))
-    for line in ("delay_1", "delay_2"):
-        memories += [(line, (j,)) for j in range(table.latency_ticks)]
+                memories.append(((*path, "accumulators"), (i, 1)))
+    for line in DELAYS:
+        memories += [(line, (j,)) for j in range(estimator.latency_ticks)]
     return memories
 
 
 def _without_limits(table: Record, n: int) -> RecordArray:
     """``n`` copies of ``table`` that are linear, in float64."""
     tables = np.zeros(n, table_type())
-    for name in table.dtype.names:
-        if name.startswith(("limit_", "slew_", "threshold")):
-            tables[name] = math.inf
-        elif not name.startswith(("lsb_", "governs")):
-            tables[name] = table[name]
+    tables[:] = np.array(table)
+    for actuator in ("actuator_1", "actuator_2"):
+        tables[actuator]["limit"] = tables[actuator]["slew"] = math.inf
+        tables[actuator]["lsb"] = 0.0
+    tables["adaptive_threshold"]["threshold"] = math.inf
+    tables["reference_shaper"]["enabled"] = 0
     return tables
 
 

@@ -10,8 +10,8 @@ from scipy import linalg
 
 from firmware_model.compiled import firmware
 from firmware_model.design.plants import Plant
-from firmware_model.discretisation.sections import FloatArray
 from firmware_model.errors import ParameterError
+from firmware_model.target.structs import FloatArray
 
 
 @dataclass(frozen=True)
@@ -41,7 +41,7 @@ def sample(plant: Plant, tick_s: float) -> SampledPlant:
         ParameterError: a tick that is not a finite time above zero.
     """
     if not 0.0 < tick_s < float("inf"):
-        raise ParameterError(f"tick_s = {tick_s:g}: a finite time above 0 s is right")
+        raise ParameterError(f"tick_s = {tick_s:g}: must be finite and above 0 s")
     n = len(plant.a)
     augmented = np.zeros((n + 2, n + 2))
     augmented[:n, :n] = plant.a

@@ -13,10 +13,9 @@ from numpy.typing import NDArray
 
 from firmware_model.analysis.sampled_plant import SampledPlant, follow_plant, measure_plant
 from firmware_model.compiled import firmware
-from firmware_model.discretisation.sections import FloatArray
 from firmware_model.target import controller
-from firmware_model.target.adaptive_threshold import share_shown
-from firmware_model.target.layout import Record
+from firmware_model.target.adaptive_threshold import least_model_share
+from firmware_model.target.structs import FloatArray, Record
 
 
 @dataclass(frozen=True)
@@ -31,7 +30,7 @@ class Trace:
     fault_estimate: FloatArray
     fault_state: NDArray[np.int64]
     share_shown: FloatArray
-    """The least ``model_share`` for which d̂ would not be too much; see ``suspicion``."""
+    """The least ``model_share`` for which d̂ stays below the adaptive threshold."""
 
     @property
     def error(self) -> FloatArray:
@@ -90,7 +89,7 @@ def _run(
 ) -> None:
     phi, gamma, c, x = plant
     reference, effectiveness, noise = inputs
-    latency = table.latency_ticks
+    latency = table.estimator.latency_ticks
     y = measure_plant(c, x)
     for k in range(len(reference)):
         controller.step(table, state, reference[k], y + noise[k])
@@ -98,7 +97,7 @@ def _run(
         signals[1, k] = state.command_1
         signals[2, k] = state.command_2
         signals[3, k] = state.fault_estimate
-        signals[4, k] = share_shown(table, state)
+        signals[4, k] = least_model_share(table.adaptive_threshold, state.adaptive_threshold)
         fault_state[k] = state.fault_state
         if k >= latency:  # until then the plant rests
             u1 = effectiveness[k, 0] * signals[1, k - latency]

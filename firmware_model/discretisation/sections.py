@@ -20,8 +20,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_model.errors import ImproperError
+from firmware_model.target.structs import FloatArray
 
-FloatArray = NDArray[np.float64]
 ComplexArray = NDArray[np.complex128]
 
 
@@ -84,8 +84,8 @@ def from_delta_zpk(
     """
     if len(zeros) > len(poles):
         raise ImproperError(
-            f"a filter with {len(zeros)} zeros and {len(poles)} poles needs its future input; "
-            "at least as many poles as zeros are right"
+            f"a filter with {len(zeros)} zeros and {len(poles)} poles needs its future input: "
+            "must have at least as many poles as zeros"
         )
     pole_groups, zero_groups = _by_two(poles), _by_two(zeros)
     if not pole_groups:

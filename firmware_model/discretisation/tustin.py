@@ -19,8 +19,9 @@ import numpy as np
 from scipy import linalg
 
 from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.discretisation.sections import FloatArray, Sections, from_delta_zpk
+from firmware_model.discretisation.sections import Sections, from_delta_zpk
 from firmware_model.errors import ImproperError, ParameterError
+from firmware_model.target.structs import FloatArray
 
 
 def tustin(g: ZeroPoleGain, tick_s: float, prewarp_rad_per_s: float | None = None) -> Sections:
@@ -91,8 +92,8 @@ def _bilinear(
     _check_tick(tick_s)
     if g.relative_degree < 0:
         raise ImproperError(
-            f"a transfer function with {len(g.zeros)} zeros and {len(g.poles)} poles is improper; "
-            "at least as many poles as zeros are right"
+            f"a transfer function with {len(g.zeros)} zeros and {len(g.poles)} poles is improper: "
+            "must have at least as many poles as zeros"
         )
     kappa = _kappa(tick_s, prewarp_rad_per_s)
     for pole in g.poles:
@@ -114,15 +115,15 @@ def _kappa(tick_s: float, prewarp_rad_per_s: float | None) -> float:
         return 2.0 / tick_s
     if not 0.0 < prewarp_rad_per_s < math.pi / tick_s:
         raise ParameterError(
-            f"prewarp_rad_per_s = {prewarp_rad_per_s:g}: between 0 and the Nyquist frequency "
-            f"{math.pi / tick_s:g} rad/s is right"
+            f"prewarp_rad_per_s = {prewarp_rad_per_s:g}: must be above 0 and below the Nyquist "
+            f"frequency, {math.pi / tick_s:g} rad/s"
         )
     return prewarp_rad_per_s / math.tan(prewarp_rad_per_s * tick_s / 2.0)
 
 
 def _check_tick(tick_s: float) -> None:
     if not (math.isfinite(tick_s) and tick_s > 0.0):
-        raise ParameterError(f"tick_s = {tick_s:g}: a finite time above 0 s is right")
+        raise ParameterError(f"tick_s = {tick_s:g}: must be finite and above 0 s")
 
 
 def _refuse_feedthrough(g: ZeroPoleGain, rule: str) -> None:

@@ -4,45 +4,62 @@
     s1 += β1 u - α1 y + s2
     s2 += β2 u - α2 y
 
-Two accumulators a section, five coefficients, no division, no allocation. ``coefficients`` is
-(n, 5) and ``state`` is (n, 2), both in the table's own precision; ``n`` sections of them are used.
+Two accumulators and five coefficients a section, no division, no allocation. A cascade of sections
+is one filter.
 """
 
 from __future__ import annotations
 
-from typing import Any
+import numpy as np
 
 from firmware_model.compiled import firmware
+from firmware_model.target.precision import real
+from firmware_model.target.structs import MAX_SECTIONS, Field, Precision, Record, record_type
 
-Array = Any  # a float32 or float64 array; numba compiles one version for each
+CONSTANTS = (
+    Field(
+        "coefficients", "output/input", "β0, β1, β2, α1, α2, a row a section",
+        shape=(MAX_SECTIONS, 5),
+    ),
+    Field("n", "1", "number of sections in use", "int32"),
+)  # fmt: skip
+STATE = (Field("accumulators", "output", "s1, s2, a row a section", shape=(MAX_SECTIONS, 2)),)
+
+
+def at_rest(precision: Precision = "float64") -> Record:
+    """A state of any cascade, at rest, for whoever runs one alone."""
+    return np.zeros(1, record_type(STATE, precision))[0]
 
 
 @firmware
-def output(coefficients: Array, state: Array, n: int, u: float) -> float:
-    """What the cascade answers to ``u`` now; the state stays as it is."""
-    for i in range(n):
-        u = coefficients[i, 0] * u + state[i, 0]
+def output(cascade: Record, state: Record, u: float) -> float:
+    """The answer to ``u`` in this tick; the state stays as it is."""
+    coefficients, s = cascade.coefficients, state.accumulators
+    for i in range(cascade.n):
+        u = coefficients[i, 0] * u + s[i, 0]
     return u
 
 
 @firmware
-def advance(coefficients: Array, state: Array, n: int, u: float) -> float:
+def advance(cascade: Record, state: Record, u: float) -> float:
     """The same answer, and the state one tick later."""
-    for i in range(n):
-        y = coefficients[i, 0] * u + state[i, 0]
-        state[i, 0] += coefficients[i, 1] * u - coefficients[i, 3] * y + state[i, 1]
-        state[i, 1] += coefficients[i, 2] * u - coefficients[i, 4] * y
+    coefficients, s = cascade.coefficients, state.accumulators
+    for i in range(cascade.n):
+        y = coefficients[i, 0] * u + s[i, 0]
+        s[i, 0] += coefficients[i, 1] * u - coefficients[i, 3] * y + s[i, 1]
+        s[i, 1] += coefficients[i, 2] * u - coefficients[i, 4] * y
         u = y
     return u
 
 
 @firmware
-def settle(coefficients: Array, state: Array, n: int, u: float) -> float:
-    """Put the cascade where a constant input ``u`` would have brought it; returns its output.
+def settle(cascade: Record, state: Record, u: float) -> float:
+    """Put the cascade into its steady state for a constant input ``u``; returns the output.
 
-    A section that integrates has no such place for ``u`` other than zero: it is left at rest.
+    A section that integrates has no steady state unless ``u`` is zero: it is left at rest.
     """
-    for i in range(n):
+    coefficients, s = cascade.coefficients, state.accumulators
+    for i in range(cascade.n):
         b0, b1, b2 = coefficients[i, 0], coefficients[i, 1], coefficients[i, 2]
         a1, a2 = coefficients[i, 3], coefficients[i, 4]
         y = u * b0
@@ -50,27 +67,29 @@ def settle(coefficients: Array, state: Array, n: int, u: float) -> float:
             y = u * b2 / a2
         elif a1 != 0.0:
             y = u * b1 / a1
-        state[i, 0] = y - b0 * u
-        state[i, 1] = a1 * y - b1 * u
+        s[i, 0] = y - b0 * u
+        s[i, 1] = a1 * y - b1 * u
         u = y
     return u
 
 
 @firmware
-def settle_integrator(coefficients: Array, state: Array, n: int, y: float) -> None:
-    """Put the cascade where its input is zero and its integrator holds the output at ``y``.
+def settle_integrator(cascade: Record, state: Record, y: float) -> None:
+    """Put the cascade into the steady state in which its integrator holds the output at ``y``.
 
-    Sections after the integrator are settled backwards from ``y``; those before it rest at zero.
+    The input is zero. Sections after the integrator are settled backwards from ``y``; those before
+    it rest at zero.
     """
-    for k in range(n):
-        i = n - 1 - k
+    coefficients, s = cascade.coefficients, state.accumulators
+    for k in range(cascade.n):
+        i = cascade.n - 1 - k
         b0, b1, b2 = coefficients[i, 0], coefficients[i, 1], coefficients[i, 2]
         a1, a2 = coefficients[i, 3], coefficients[i, 4]
-        u = y - y  # a zero of the table's own precision
+        u = real(0.0, y)
         if a2 != 0.0:
             u = y * a2 / b2
         elif a1 != 0.0 and b2 == 0.0:
             u = y * a1 / b1
-        state[i, 0] = y - b0 * u
-        state[i, 1] = a1 * y - b1 * u
+        s[i, 0] = y - b0 * u
+        s[i, 1] = a1 * y - b1 * u
         y = u

@@ -3,19 +3,18 @@
 Everything that runs the controller calls ``step``: a node on a bus, a simulation, a replay, a
 batch of thousands. It allocates nothing and reads nothing but its arguments.
 
-**The algebraic loop.** With a Tustin estimator at zero latency this tick's d̂ depends on this
-tick's u2, which depends on this tick's d̂: F̂ is biproper and Tustin's G2 feeds through, with loop
-gain T/(2τ+T) for the thesis's design. It is solved exactly, in one division made at design time,
-and exactly too under saturation: for a loop gain below 1 the saturated solution of the linear loop
-is the solution of the saturated loop. With a held-input estimator, or any latency, the gain is 0.
-
-**Commands as the plant gets them.** A command is limited in size and rate and rounded to the grid
-of its frame first, and that value is what the estimator works on; C goes on from the limited one.
+**Commands as the plant gets them.** A command is saturated in magnitude and rate and rounded to the
+resolution of its frame first, and that value is what the estimator works on.
 
 **Compensation on confirmation.** The thesis feeds F̂ with d̂, which has waited for the bus twice:
 once in the model, once on the way of u2. After a confirmed loss the lost channel's own command is
 known at once, so F̂ may work on s w = s G1 u1 instead, s the share that is lost, and the delay
 around the loop is halved.
+
+**Inputs that are missing.** The commands are held, and act on the plant for as long. So whatever
+models the plant goes on with them: F1, and w, which a channel that is lost owes from these commands
+too. What acts on the inputs (C, F̂, the reference shaper, the decision) waits; after that the input
+of F̂ goes over to where w has arrived by a bumpless transfer.
 """
 
 from __future__ import annotations
@@ -26,42 +25,32 @@ from typing import Any
 import numpy as np
 
 from firmware_model.compiled import firmware
-from firmware_model.target.adaptive_threshold import begin_watching
-from firmware_model.target.biquad import advance, output, settle, settle_integrator
-from firmware_model.target.bumpless_transfer import hand_over, let_go
-from firmware_model.target.decision import CLEAR, decide, lost_now, remember
-from firmware_model.target.layout import (
-    MAX_LATENCY_TICKS,
-    Mode,
-    Record,
-    RecordArray,
-    state_type,
+from firmware_model.target.actuator import quantise, saturate, saturate_rate
+from firmware_model.target.adaptive_threshold import settle_threshold
+from firmware_model.target.biquad import advance, output, settle
+from firmware_model.target.bumpless_transfer import release, transfer
+from firmware_model.target.decision import CLEAR, decide, disengage_when_faded, engage
+from firmware_model.target.estimator import (
+    advance_model,
+    clear_estimator,
+    model_output,
+    settle_estimator,
 )
+from firmware_model.target.layout import precision_of, state_type
+from firmware_model.target.loss_model import advance_loss_model, clear_loss_model, loss_output
+from firmware_model.target.precision import real
 from firmware_model.target.probe import probe_response, probe_torque
-from firmware_model.target.reference_shaper import govern, start
+from firmware_model.target.reference_shaper import shape_reference, start
+from firmware_model.target.status import Mode
+from firmware_model.target.structs import Record, RecordArray
+from firmware_model.target.tracking import settle_tracking, track
 
 MODE_INIT, MODE_RUN, MODE_HOLD = int(Mode.INIT), int(Mode.RUN), int(Mode.HOLD)
 
 
 def init(table: Record, n: int = 1) -> RecordArray:
     """``n`` states at rest for ``table``, in its precision: every memory zero, mode INIT."""
-    precision = table.dtype["limit_1"].name
-    return np.zeros(n, state_type(precision))
-
-
-@firmware
-def limited(command: float, before: float, limit: float, slew: float) -> float:
-    """The command that the actuator can follow: within ``limit``, and ``slew`` from the last."""
-    low, high = max(-limit, before - slew), min(limit, before + slew)
-    return min(max(command, low), high)
-
-
-@firmware
-def as_sent(command: float, lsb: float) -> float:
-    """The command as its frame carries it: on the grid of the frame."""
-    if lsb > 0.0:
-        command = np.rint(command / lsb) * lsb
-    return command
+    return np.zeros(n, state_type(precision_of(table)))
 
 
 @firmware
@@ -70,7 +59,7 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
 
     Answers in ``state.command_1``, ``state.command_2``, ``state.fault_estimate``, ``state.mode``
     and ``state.fault_state``. An input that is not a finite number changes no command: the last
-    good ones are held, the estimator follows them, and the mode says HOLD.
+    good ones are held, the models follow them, and the mode says HOLD.
 
     Args:
         table: the constant table of ``tables.build``.
@@ -79,155 +68,130 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
         measurement: y (D*).
     """
     if not (math.isfinite(reference) and math.isfinite(measurement)):
-        state.mode = MODE_HOLD
-        follow_commands(table, state)
+        hold(table, state)
         return
     state.reference = reference  # stored first: the arithmetic is in the table's own precision
     state.measurement = measurement
     held_1, held_2 = state.command_1, state.command_2
+    estimator, compensator = table.estimator, table.compensator
 
-    error = wanted(table, state) - table.feedback * state.measurement
-    torque = output(table.tracking, state.tracking, table.tracking_n, error)
-    if state.probe_at > 0:
-        torque = torque + probe_torque(table, state)
-    possible = limited(torque, held_1, table.limit_1, table.slew_1)
-    # No wind-up: C goes on from the error that would have asked for what is possible (Hanus 1987).
-    realisable = error + (possible - torque) * table.conditioning
-    advance(table.tracking, state.tracking, table.tracking_n, realisable)
-    state.command_1 = as_sent(possible, table.lsb_1)
+    error = tracked_reference(table, state) - table.tracking.feedback * state.measurement
+    torque = output(table.tracking.filter, state.tracking.filter, error)
+    if state.probe.tick > 0:
+        torque = torque + probe_torque(table.probe, state.probe)
+    possible = saturate_rate(table.actuator_1, torque, held_1)
+    track(table.tracking, state.tracking, error, torque, possible)
+    state.command_1 = quantise(table.actuator_1, possible)
 
-    at_stake, kept = model_output(table, state)
-    known = at_stake + kept - state.measurement
+    model_1, model_2 = model_output(estimator, state.estimator, state.command_1, real(0.0, held_2))
+    known = model_1 + model_2 - state.measurement
 
     # Every filter's answer to a zero: what this tick's u2 finds already there.
-    zero = error - error
-    q_rest = output(table.one_plus_q, state.one_plus_q, table.one_plus_q_n, zero)
-    rest = output(table.compensator, state.compensator, table.compensator_n, zero)
-    from_reference = table.reference_to_2 * state.reference
+    zero = real(0.0, error)
+    q_rest = output(estimator.one_plus_q, state.estimator.one_plus_q, zero)
+    rest_2 = output(compensator.filter, state.compensator.filter, zero)
+    from_reference = compensator.reference_share * state.reference
 
     # Without feedthrough of u2 this is already d̂; with it, all but what u2 changes in this tick.
-    before = known + table.estimator_feedthrough_2 * held_2
-    decide(table, state, q_rest + table.q_feedthrough * before, at_stake, kept)
+    before = known + estimator.feedthrough_2 * held_2
+    decide(table, state, q_rest + estimator.one_plus_q_feedthrough * before, model_1, model_2)
 
-    if table.on_confirmation:  # u2 = r2 + F̂w, with the w that is known before it reaches the plant
+    if compensator.on_confirmation:  # u2 = r2 + F̂ s w, with the w of this tick's command
         drive, force = zero, from_reference
-        if state.engaged:
-            drive = hand_over(state, state.share_lost * lost_now(table, state))
-            force = from_reference + rest + table.compensator_feedthrough * drive
+        if state.decision.engaged:
+            if state.mode == MODE_HOLD:
+                engage(table, state)
+            drive = transfer(
+                state.bumpless_transfer, state.loss_model.share * loss_output(table, state)
+            )
+            force = from_reference + rest_2 + compensator.feedthrough * drive
     else:  # the thesis: u2 = r2 + rest + f(q_rest + q(known + g u2)), solved for u2
-        estimate = q_rest + table.q_feedthrough * known
-        force = from_reference + rest + table.compensator_feedthrough * estimate
-        force = force * table.loop_inverse
+        estimate = q_rest + estimator.one_plus_q_feedthrough * known
+        force = from_reference + rest_2 + compensator.feedthrough * estimate
+        force = force * compensator.loop_inverse
         drive = zero
-    state.command_2 = as_sent(limited(force, held_2, table.limit_2, table.slew_2), table.lsb_2)
+    state.command_2 = quantise(table.actuator_2, saturate_rate(table.actuator_2, force, held_2))
 
-    residual = known + table.estimator_feedthrough_2 * state.command_2
-    estimate = advance(table.one_plus_q, state.one_plus_q, table.one_plus_q_n, residual)
-    drive = drive if table.on_confirmation else estimate
-    advance(table.compensator, state.compensator, table.compensator_n, drive)
+    residual = known + estimator.feedthrough_2 * state.command_2
+    estimate = advance(estimator.one_plus_q, state.estimator.one_plus_q, residual)
+    drive = drive if compensator.on_confirmation else estimate
+    advance(compensator.filter, state.compensator.filter, drive)
     if not (math.isfinite(torque) and math.isfinite(force)):
         state.command_1, state.command_2 = held_1, held_2
-        forget(state)
-        state.mode = MODE_HOLD
-        follow_commands(table, state)
+        clear_memories(state)
+        hold(table, state)
         return
     state.fault_estimate = estimate
     state.mode = MODE_RUN
-    remember(table, state)
-    follow_commands(table, state)
+    advance_models(table, state)
 
 
 @firmware
-def wanted(table: Record, state: Record) -> float:
-    """What C follows: the reference, governed where the motor has a limit, and a probe's answer."""
+def hold(table: Record, state: Record) -> None:
+    """A tick without inputs: the last commands are held, and the models follow them."""
+    state.mode = MODE_HOLD
+    advance_models(table, state)
+
+
+@firmware
+def advance_models(table: Record, state: Record) -> None:
+    """Advance everything that models the plant by the commands of this tick."""
+    w = advance_loss_model(table, state)
+    disengage_when_faded(table, state, w)
+    advance_model(table.estimator, state.estimator, state.command_1, state.command_2)
+
+
+@firmware
+def tracked_reference(table: Record, state: Record) -> float:
+    """What C tracks: the reference, shaped where the table says so, and the answer to a probe."""
     r: float = state.reference
-    if table.governs:
-        govern(table, state)
-        r = state.governed
-    if state.probe_at > 0:
-        r = r + probe_response(table, state)
+    if table.reference_shaper.enabled:
+        r = shape_reference(table.reference_shaper, state.reference_shaper, r)
+    if state.probe.tick > 0:
+        r = r + probe_response(table.probe, state.probe)
     return r
 
 
 @firmware
-def forget(state: Record) -> None:
+def clear_memories(state: Record) -> None:
     """Empty every memory after an overflow: a number that is lost must not stay lost."""
-    start(state, 0.0, 0.0)
-    state.probe_at = 0
-    state.tracking[:] = 0
-    state.estimator_1[:] = 0
-    state.estimator_2[:] = 0
-    state.one_plus_q[:] = 0
-    state.compensator[:] = 0
-    state.lost[:] = 0
-    begin_watching(state, 0.0)
-    let_go(state)
-
-
-@firmware
-def model_output(table: Record, state: Record) -> tuple[float, float]:
-    """G1 u1 and G2 u2 as the plant shows them at this tick, without what this tick's u2 adds."""
-    u1 = state.command_1
-    u2 = u1 - u1
-    if table.latency_ticks > 0:
-        u1 = state.delay_1[state.delay_at]
-        u2 = state.delay_2[state.delay_at]
-    return (
-        output(table.estimator_1, state.estimator_1, table.estimator_1_n, u1),
-        output(table.estimator_2, state.estimator_2, table.estimator_2_n, u2),
-    )
-
-
-@firmware
-def follow_commands(table: Record, state: Record) -> None:
-    """Advance F1 by the commands that reach the plant this tick, and the delay line by one."""
-    u1, u2 = state.command_1, state.command_2
-    if table.latency_ticks > 0:
-        at = state.delay_at
-        u1, state.delay_1[at] = state.delay_1[at], u1
-        u2, state.delay_2[at] = state.delay_2[at], u2
-        state.delay_at = (at + 1) % table.latency_ticks
-    state.acting_1 = u1
-    advance(table.estimator_1, state.estimator_1, table.estimator_1_n, u1)
-    advance(table.estimator_2, state.estimator_2, table.estimator_2_n, u2)
+    start(state.reference_shaper, 0.0, 0.0)
+    state.probe.tick = 0
+    state.tracking.filter.accumulators[:] = 0.0
+    state.compensator.filter.accumulators[:] = 0.0
+    clear_estimator(state.estimator)
+    clear_loss_model(state)
+    settle_threshold(state.adaptive_threshold, 0.0)
+    release(state.bumpless_transfer)
 
 
 @firmware
 def reset(table: Record, state: Record, reference: float) -> None:
-    """Put a healthy loop where a constant ``reference`` would have brought it.
+    """Put the controller into the steady state of a healthy loop at a constant ``reference``.
 
     The next ``step`` with that reference, and the measurement that settles at it, repeats the
     commands: no bump.
     """
     state.reference = reference
-    start(state, state.reference, 0.0)
     target = state.reference
-    zero = target - target
-    limit_1, limit_2 = table.limit_1, table.limit_2
-    torque = as_sent(limited(table.steady_1 * target, zero, limit_1, limit_1), table.lsb_1)
-    force = as_sent(limited(table.reference_to_2 * target, zero, limit_2, limit_2), table.lsb_2)
-    if table.integrates:
-        settle_integrator(table.tracking, state.tracking, table.tracking_n, torque)
-    else:
-        settle(table.tracking, state.tracking, table.tracking_n, target)
-    settle(table.estimator_1, state.estimator_1, table.estimator_1_n, torque)
-    settle(table.estimator_2, state.estimator_2, table.estimator_2_n, force)
-    settle(table.one_plus_q, state.one_plus_q, table.one_plus_q_n, zero)
-    settle(table.compensator, state.compensator, table.compensator_n, zero)
-    for i in range(MAX_LATENCY_TICKS):
-        state.delay_1[i] = torque
-        state.delay_2[i] = force
-        state.delay_lost[i] = zero
-    state.delay_at = 0
-    state.lost[:] = zero
-    state.command_1, state.command_2 = torque, force
-    state.acting_1 = torque
-    state.fault_estimate = zero
-    begin_watching(state, model_output(table, state)[0])
-    state.decide_ticks = 0
-    state.probe_at = 0
-    state.engaged = 0
-    let_go(state)
+    zero = real(0.0, target)
+    start(state.reference_shaper, target, zero)
+    asked_1 = table.tracking.steady_command * target
+    asked_2 = table.compensator.reference_share * target
+    torque = quantise(table.actuator_1, saturate(table.actuator_1, asked_1))
+    force = quantise(table.actuator_2, saturate(table.actuator_2, asked_2))
+    state.command_1, state.command_2, state.fault_estimate = torque, force, zero
+    settle_tracking(table.tracking, state.tracking, target, torque)
+    settle_estimator(table.estimator, state.estimator, torque, force)
+    settle(table.compensator.filter, state.compensator.filter, zero)
+    model_1, _ = model_output(table.estimator, state.estimator, torque, zero)
+    settle_threshold(state.adaptive_threshold, model_1)
+    clear_loss_model(state)
+    state.loss_model.delay[:] = zero
+    state.probe.tick = 0
+    state.decision.ticks = 0
+    state.decision.engaged = 0
+    release(state.bumpless_transfer)
     state.mode = MODE_INIT
     state.fault_state = CLEAR
 

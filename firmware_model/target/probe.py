@@ -1,83 +1,98 @@
-"""A small torque probe: what d̂ alone cannot say, whether it is the torque that is lost.
+"""A small torque probe: it tells a lost torque from all else that makes d̂ grow.
 
-A biased D* makes some d̂, a car that is not the modelled one too. But only a torque that does not
-reach the wheels leaves what *it* would have done in d̂. So before a suspected loss is confirmed the
-motor is told to add two periods of a sine that swells and fades, a sin ωkT (1 - cos ½ωkT)/2, and d̂
-and w (what d̂ is if the torque is lost; ``decision``) are compared at its frequency, where over
-whole periods a constant is silent:
+A biased D* sensor makes some d̂, a car that is not the model too. But only a torque that does not
+reach the wheels leaves its *own* effect in d̂. So before a suspected loss is confirmed the motor
+adds two periods of a windowed sine, a sin ωkT (1 - cos ½ωkT)/2, and d̂ is compared with w (what d̂
+is if the torque is lost; ``loss_model``) at its frequency, where over whole periods a constant
+cancels:
 
     share = Re(D W*)/|W|²,  D = Σ d̂ exp(-jωk T),  W = Σ w exp(-jωk T)
 
-1 for a dead motor, 1 - left for one that has lost a part, 0 for a bias, ΔG1/G1 for another car. C
-is told beforehand what the probe will do to D* by the model, G1 delayed by the latency, so that it
+1 for a dead motor, 1 - left for one that has lost a part, 0 for a bias, ΔG1/G1 for another car. The
+reference of C is offset by the model's answer to the probe, G1 delayed by the latency, so that C
 lets the probe pass and does not fight it.
 
-Only half of the phase, φ = ½ωkT, is kept: sin ωkT = 2 sin φ cos φ, cos ωkT = cos² φ - sin² φ. No
-constant takes part in the arithmetic, which so stays in the table's own precision.
+Only half of the phase, φ = ½ωkT, is kept: sin ωkT = 2 sin φ cos φ, cos ωkT = cos² φ - sin² φ.
 """
 
 from __future__ import annotations
 
 from firmware_model.compiled import firmware
-from firmware_model.target.layout import Record
+from firmware_model.target.precision import real
+from firmware_model.target.structs import Field, Record
+
+CONSTANTS = (
+    Field("ticks", "tick", "duration of a probe; 0: none", "int32"),
+    Field("amplitude", "u1", "half of a, the amplitude of the sine"),
+    Field("least_share", "1", "part of the torque that has to be missing to confirm a loss"),
+    Field("response", "y/u1", "G1 at ω, latency included: real, imaginary part", shape=(2,)),
+    Field("rotation", "1", "of φ in a tick: cosine, sine", shape=(2,)),
+)
+STATE = (
+    Field("tick", "tick", "tick of the running probe, from 1 on; 0: none runs", "int32"),
+    Field("cosine", "1", "cos φ"),
+    Field("sine", "1", "sin φ"),
+    Field("correlation", "y", "Re D, -Im D, Re W, -Im W", shape=(4,)),
+)
 
 
 @firmware
-def begin(state: Record) -> None:
+def begin_probe(state: Record) -> None:
     """Start a probe with the next tick."""
-    state.probe_at = 1
-    state.probe_cos = 1.0
-    state.probe_sin = 0.0
-    state.probe_heard[:] = 0.0
+    state.tick = 1
+    state.cosine = 1.0
+    state.sine = 0.0
+    state.correlation[:] = 0.0
 
 
 @firmware
 def phase(state: Record) -> tuple[float, float, float]:
-    """cos ωkT, sin ωkT, and 1 - cos ½ωkT, the swell."""
-    cos, sin = state.probe_cos, state.probe_sin
+    """cos ωkT, sin ωkT, and the window 1 - cos ½ωkT."""
+    cos, sin = state.cosine, state.sine
     return cos * cos - sin * sin, sin * cos + sin * cos, cos * cos + sin * sin - cos
 
 
 @firmware
-def probe_torque(table: Record, state: Record) -> float:
-    """What is added to command 1 in this tick."""
-    _, sin, swell = phase(state)
-    added: float = table.probe_amplitude * swell * sin
-    return added
+def probe_torque(constants: Record, state: Record) -> float:
+    """What the probe adds to command 1 in this tick."""
+    _, sin, window = phase(state)
+    torque: float = constants.amplitude * window * sin
+    return torque
 
 
 @firmware
-def probe_response(table: Record, state: Record) -> float:
-    """What the probe adds to D* in this tick if the torque acts; as if it swelled slowly."""
-    cos, sin, swell = phase(state)
-    turned = table.probe_gain[0] * sin + table.probe_gain[1] * cos
-    response: float = table.probe_amplitude * swell * turned
+def probe_response(constants: Record, state: Record) -> float:
+    """What the probe adds to D* in this tick if the torque acts; the window is taken as slow."""
+    cos, sin, window = phase(state)
+    in_phase = constants.response[0] * sin + constants.response[1] * cos
+    response: float = constants.amplitude * window * in_phase
     return response
 
 
 @firmware
-def listen(table: Record, state: Record, estimate: float, expected: float) -> bool:
+def correlate(constants: Record, state: Record, estimate: float, lost: float) -> bool:
     """Take in d̂ and w of this tick, and turn the phase; whether the probe is over."""
     cos, sin, _ = phase(state)
-    state.probe_heard[0] += estimate * cos
-    state.probe_heard[1] += estimate * sin
-    state.probe_heard[2] += expected * cos
-    state.probe_heard[3] += expected * sin
-    cos, sin = state.probe_cos, state.probe_sin
-    state.probe_cos = table.probe_turn[0] * cos - table.probe_turn[1] * sin
-    state.probe_sin = table.probe_turn[1] * cos + table.probe_turn[0] * sin
-    state.probe_at += 1
-    over: bool = state.probe_at > table.probe_ticks
+    correlation = state.correlation
+    correlation[0] += estimate * cos
+    correlation[1] += estimate * sin
+    correlation[2] += lost * cos
+    correlation[3] += lost * sin
+    cos, sin = state.cosine, state.sine
+    state.cosine = constants.rotation[0] * cos - constants.rotation[1] * sin
+    state.sine = constants.rotation[1] * cos + constants.rotation[0] * sin
+    state.tick += 1
+    over: bool = state.tick > constants.ticks
     return over
 
 
 @firmware
-def share_heard(state: Record) -> float:
-    """The part of the torque that the probe has found lost; ends the probe."""
-    state.probe_at = 0
-    heard = state.probe_heard
-    size = heard[2] * heard[2] + heard[3] * heard[3]
-    share: float = size - size
-    if size > 0.0:
-        share = (heard[0] * heard[2] + heard[1] * heard[3]) / size
+def end_probe(state: Record) -> float:
+    """End the probe; returns the part of the torque that it has found missing."""
+    state.tick = 0
+    d, w = state.correlation[:2], state.correlation[2:]
+    power = w[0] * w[0] + w[1] * w[1]
+    share = real(0.0, power)
+    if power > 0.0:
+        share = (d[0] * w[0] + d[1] * w[1]) / power
     return share

@@ -25,12 +25,12 @@ def test_another_state_of_the_package_has_another_folder(
 def test_refusal_to_cache_is_no_refusal_to_compile(monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
 
-    def njit(function=None, cache=False):  # type: ignore[no-untyped-def]
-        calls.append(cache)
+    def njit(cache=False, error_model=None):  # type: ignore[no-untyped-def]
+        calls.append((cache, error_model))
         if cache:
             raise RuntimeError("no locator available")
-        return function
+        return lambda function: function
 
     monkeypatch.setattr(compiled, "njit", njit)
     assert compiled.firmware(abs) is abs
-    assert calls == [True, False]
+    assert calls == [(True, "numpy"), (False, "numpy")]

@@ -6,10 +6,10 @@ import pytest
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.plants import steer_by_wire
-from firmware_model.discretisation.tables import Target, build
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
-from firmware_model.target.biquad import advance
-from firmware_model.target.layout import MAX_SECTIONS
+from firmware_model.target.biquad import advance, at_rest
 
 TICK_S = 0.001
 PLANT = sample(steer_by_wire(), TICK_S)
@@ -55,14 +55,14 @@ def test_commands_that_were_late_are_no_fault_to_who_knows(latency, lost):
 def test_a_motion_that_is_known_is_no_fault(precision, rounding):
     """A plant that someone else pushed for 30 ticks and that nothing drives now."""
     constant = table(1, precision)
-    state, sections = PLANT.rest, np.zeros((MAX_SECTIONS, 2))
+    state, pushed = PLANT.rest, at_rest()
     for _ in range(30):
-        advance(constant.estimator_1, sections, constant.estimator_1_n, 100.0)
+        advance(constant.estimator.channel_1, pushed, 100.0)
         state = PLANT.phi @ state + PLANT.gamma @ [100.0, 0.0]
     y = float(PLANT.c @ state)
     assert abs(y) > 0.01
     told, untold = Firmware(constant), Firmware(constant)
-    told.move(sections)
+    told.move(pushed.accumulators)
     assert abs(told.step(y, y).fault_estimate) < rounding
     assert abs(untold.step(y, y).fault_estimate) > 1e-3 * abs(y)
 

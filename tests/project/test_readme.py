@@ -1,96 +1,48 @@
-"""What the README says can be typed, can be typed."""
+"""The README: one screen of what and why, and nothing in it that is not so."""
 
 from __future__ import annotations
 
 import re
-import shlex
-import tomllib
-from pathlib import Path
-from typing import Any
 
-import pytest
+import click
 
+from can_rig import errors
 from can_rig.cli.main import main
 from can_rig.results.run_folder import LOG, REPORT, SIGNALS, SUMMARY
-from can_rig.scenario import loading as scenarios
-from firmware_model.target.layout import Mode
-from tests.helpers import decoded, record
+from tests.project.pages import ROOT, command_lines, table, text_of
 
-ROOT = Path(__file__).parents[2]
-README = (ROOT / "README.md").read_text(encoding="utf-8")
+README = text_of("README.md")
 
 
-def blocks(language: str) -> list[str]:
-    """The fenced blocks of a language."""
-    return re.findall(rf"^```{language}\n(.*?)^```", README, re.MULTILINE | re.DOTALL)
+def test_the_two_commands_come_first() -> None:
+    tools = [line.split()[0] for line in command_lines(README) if line.startswith("./tools/")]
+    assert tools == ["./tools/run", "./tools/test"]
 
 
-LINES = [line.split("#")[0].strip() for block in blocks("sh") for line in block.splitlines()]
-RIG = [line for line in LINES if line.startswith("can-rig ")]
-TOOLS = [line.split()[0] for line in LINES if line.startswith("./tools/")]
-
-
-@pytest.mark.parametrize("line", RIG)
-def test_a_command_parses_and_its_scenario_loads(line: str) -> None:
-    _, name, *arguments = shlex.split(line)
-    command = main.commands[name]
-    context = command.make_context(name, list(arguments))
-    if "scenario" in context.params:
-        scenarios.load(context.params["scenario"], context.params["settings"])
-
-
-def test_the_two_commands_come_first_and_are_there() -> None:
-    assert TOOLS[:2] == ["./tools/run", "./tools/test"]
-    for tool in TOOLS:
-        assert (ROOT / tool).stat().st_mode & 0o111
-
-
-def test_the_scenario_loads() -> None:
-    (text,) = blocks("toml")
-    values = tomllib.loads(text)
-    scenario = scenarios.from_dict("my-car", values)
-    assert (scenario.plant.speed_mps, scenario.fault.for_s) == (25.0, 2.0)
-
-
-def test_the_firmware_example_runs() -> None:
-    (code,) = (block for block in blocks("python") if "firmware_model" in block)
-    names: dict[str, object] = {}
-    exec(code, names)
-    assert names["answer"].mode == Mode.RUN  # type: ignore[attr-defined]
-
-
-def test_the_log_example_runs(tmp_path: Path) -> None:
-    log, _, _ = record(tmp_path, "duration_s=0.02", bus="virtual:readme")
-    (code,) = (block for block in blocks("python") if "decode_log" in block)
-    code = code.replace("runs/demo/bus.log", str(log)).replace("dbc/", f"{ROOT}/dbc/")
-    names: dict[str, Any] = {}
-    exec(code, names)
-    assert names["table"]["DStar"].tolist() == decoded(log)["DSTAR_FEEDBACK"].tolist()
+def test_it_stays_short() -> None:
+    assert len(README.encode()) < 10_000
 
 
 def test_every_command_is_listed_and_every_listed_command_is_there() -> None:
-    listed = set(re.findall(r"`can-rig ([a-z]+)", README))
-    assert listed == set(main.commands)
+    listed = [
+        name for cell, *_ in table(README, "command") for name in re.findall(r"can-rig (\w+)", cell)
+    ]
+    assert sorted(listed) == sorted(main.list_commands(click.Context(main)))
 
 
-def test_every_file_that_it_names_is_there() -> None:
-    for path in re.findall(r"\]\(([^)]+)\)|`(dbc/[^`]+)`|`(can_rig/[a-z_/]+\.py)`", README):
-        assert (ROOT / next(filter(None, path))).exists()
-    for name in (LOG, SIGNALS, SUMMARY, REPORT):
-        assert f"`{name}`" in README
+def test_the_exit_statuses_are_those_of_the_errors() -> None:
+    listed = {int(cell) for cell, *_ in table(README, "exit status")}
+    found = {error.exit_status for error in [errors.RigError, *errors.RigError.__subclasses__()]}
+    assert listed == found | {0, 1, errors.INTERRUPTED}
 
 
-@pytest.mark.parametrize("package", ["firmware_model", "can_rig"])
-def test_every_module_has_its_place_in_the_structure(package: str) -> None:
-    structure = README[README.index("## Structure") : README.index("## What to expect")]
-    table = structure[structure.index(f"| `{package}/` |") :].split("\n\n")[0]
-    named: dict[str, set[str]] = {}
-    for row in table.splitlines()[2:]:
-        folder, names = re.findall(r"^\| (?:`(\w+)/`: )?(.*?) \|", row)[0]
-        named.setdefault(folder, set()).update(re.findall(r"`(\w+)`", names))
-    there: dict[str, set[str]] = {}
-    for path in (ROOT / package).rglob("*.py"):
-        if not path.stem.startswith("__"):
-            folder = str(path.parent.relative_to(ROOT / package))
-            there.setdefault("" if folder == "." else folder, set()).add(path.stem)
-    assert named == there
+def test_the_files_of_a_run_folder_are_named() -> None:
+    for page in (README, text_of("docs/results.md")):
+        for name in (LOG, SIGNALS, SUMMARY, REPORT):
+            assert f"`{name}`" in page
+
+
+def test_both_pictures_are_there() -> None:
+    pictures = re.findall(r"!\[[^]]+\]\(([^)]+)\)", README)
+    assert pictures == ["docs/run.png", "docs/architecture.svg"]
+    assert all((ROOT / picture).is_file() for picture in pictures)

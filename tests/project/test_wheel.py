@@ -53,9 +53,11 @@ def test_the_wheel_runs_far_from_its_checkout(installed, tmp_path):
 
 def test_it_holds_the_packages_the_frames_and_the_scenarios_and_no_tests(installed):
     names = {str(path.relative_to(installed)) for path in installed.rglob("*") if path.is_file()}
-    for folder, package in (("dbc", "can_rig/dbc"), ("can_rig/scenarios", "can_rig/scenarios")):
+    shipped = "can_rig/scenario/shipped"
+    for folder, package in (("dbc", "can_rig/dbc"), (shipped, shipped)):
         for path in (CHECKOUT / folder).iterdir():
             assert f"{package}/{path.name}" in names
+    assert any(name.endswith(".dist-info/licenses/LICENSE") for name in names)
     assert {"can_rig/py.typed", "firmware_model/__init__.py"} <= names
     tops = {name.split("/")[0] for name in names}
     assert {top for top in tops if not top.endswith(".dist-info")} <= {

@@ -33,7 +33,8 @@ from can_rig.assessment.bus_timing.response_time import (
 )
 from can_rig.errors import RigError
 from can_rig.frames.codec import MessageCodec
-from can_rig.frames.messages import Network, load_dbc
+from can_rig.frames.dbc import load_dbc
+from can_rig.frames.network import Network
 from can_rig.frames.protection import FRAME_BYTES
 
 SETTLES_WITHIN_TICKS: Final = 64  # more latency than a controller's table can hold

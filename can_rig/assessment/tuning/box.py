@@ -14,9 +14,12 @@ from dataclasses import dataclass
 from itertools import product
 from typing import Any
 
+from pydantic import ValidationError
+
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_plant
-from can_rig.scenario.settings import PlantSettings
+from can_rig.scenario.plant_settings import PlantSettings
+from can_rig.scenario.refusal import refusal
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD
 from firmware_model.analysis.sampled_loop import (
     LinearController,
@@ -26,8 +29,7 @@ from firmware_model.analysis.sampled_loop import (
 )
 from firmware_model.design.plants import Plant
 from firmware_model.design.vehicle import VehicleParameters
-from firmware_model.errors import DesignError
-from firmware_model.target.layout import Record
+from firmware_model.target.structs import Record
 
 Range = tuple[float, float]
 Law = tuple[LinearController, tuple[float, float]]  # and what is left of the actuators
@@ -104,11 +106,15 @@ def cars(nominal: PlantSettings, box: Mapping[str, Range]) -> list[Car]:
         label = ", ".join(f"{key} = {value:g}" for key, value in values.items())
         try:
             found.append(Car(label, continuous_plant(dataclasses.replace(nominal, **values))))
-        except (ScenarioError, DesignError, ValueError) as error:
-            raise ScenarioError(
-                f"box: {label}: {error}; choose a smaller --box or --box-set"
-            ) from None
+        except ValidationError as error:
+            raise _no_car(label, refusal(error, PlantSettings)) from None
+        except ScenarioError as error:
+            raise _no_car(label, str(error)) from None
     return found
+
+
+def _no_car(label: str, reason: str) -> ScenarioError:
+    return ScenarioError(f"box: {label}: {reason}; a smaller --box or --box-set may help")
 
 
 def laws(table: Record) -> tuple[Law, Law]:
@@ -133,7 +139,7 @@ def is_stable(table: Record, some: Iterable[Car], tick_s: float, spare_ticks: in
     """
     healthy, lost = laws(table)
     needed = [(law, extra) for extra in range(spare_ticks, -1, -1) for law in (healthy, lost)]
-    if table.on_confirmation:
+    if table.compensator.on_confirmation:
         needed.append(((lost[0], HEALTHY), 0))
     return all(_is_stable(law, car, tick_s, extra) for car in some for law, extra in needed)
 

@@ -18,10 +18,9 @@ from can_rig.scenario.settings import DesignSettings, Scenario
 from firmware_model.analysis.margins import noise_gain
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
-from firmware_model.discretisation.sections import FloatArray
 from firmware_model.discretisation.tables import build
 from firmware_model.errors import DesignError
-from firmware_model.target.layout import Record
+from firmware_model.target.structs import FloatArray, Record
 
 Values = tuple[float, int, float, int]  # τ, α, τ_q, α_q
 

@@ -14,7 +14,7 @@ from can_rig.scenario.build import target
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
-from firmware_model.target.layout import Record
+from firmware_model.target.structs import Record
 
 AT_REST = 0.05  # largest error that counts as rest, as a share of the step
 

@@ -32,6 +32,7 @@ from can_rig.assessment.tuning.refusals import NoTuningError, Refusal, advice
 from can_rig.assessment.tuning.robustness import box_refusal, has_control_authority
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_plant
+from can_rig.scenario.plant_settings import CAR
 from can_rig.scenario.settings import Scenario
 
 EQUAL_PEAKS = 1.05  # of peaks within this factor the one with the least noise is chosen
@@ -80,7 +81,7 @@ def tune(
     noise_limit_n: float | None = None,
     torque_noise_limit_nm: float | None = None,
     candidates: Sequence[Values] | None = None,
-    on_progress: Callable[[str, int, int], None] = lambda what, done, of: None,
+    on_progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> Tunings:
     """Search the trade-off.
 
@@ -92,7 +93,8 @@ def tune(
         noise_limit_n: largest rms of X_diff that ``noise.dstar_rms_mps2`` may cause, N.
         torque_noise_limit_nm: the same of the torque, N m; a tuning beyond it is refused.
         candidates: in place of ``grid``.
-        on_progress: told what is looked at, how many are done, and of how many.
+        on_progress: told how many tests are done, and of how many: those of the nominal car, and
+            those over the box that they leave.
 
     Raises:
         ScenarioError: nothing to tune; NoTuningError: no candidate passes.
@@ -122,12 +124,20 @@ def tune(
             refusals[Refusal.TORQUE_NOISE] += 1
         else:
             nominal.append(tuning)
-        on_progress("nominal car", done, len(candidates))
+        on_progress(done, len(candidates) + len(nominal))
+    of, done = len(candidates) + len(nominal), len(candidates)
+
+    def on_tested() -> None:
+        nonlocal done
+        done += 1
+        on_progress(done, of)
+
     # Those that reach a limit come last, and only where no other passes.
     for held in (True, False):
         some = [tuning for tuning in nominal if tuning.within_limits is held]
-        front = _front(scenario, some, box, spare_ticks, refusals, on_progress)
+        front = _front(scenario, some, box, spare_ticks, refusals, on_tested)
         if front:
+            on_progress(of, of)
             return Tunings(
                 scenario, spare_ticks, len(cars), noise_limit_n, len(candidates),
                 nominal, front, refusals,
@@ -141,7 +151,7 @@ def _front(
     cars: Sequence[Car],
     spare_ticks: int,
     refusals: Counter[Refusal],
-    on_progress: Callable[[str, int, int], None],
+    on_tested: Callable[[], None],
 ) -> list[Tuning]:
     """Those that pass with all ``cars`` and that no such one beats in both noise and peak.
 
@@ -149,7 +159,7 @@ def _front(
     """
     front: list[Tuning] = []
     by_peak = sorted(some, key=lambda tuning: (tuning.peak_mps2, tuning.noise_to_force))
-    for done, tuning in enumerate(by_peak, 1):
+    for tuning in by_peak:
         if not front or tuning.noise_to_force < front[-1].noise_to_force:
             tuned = replace(scenario, design=tuning.design)
             table = frameless_table(tuned)
@@ -159,14 +169,16 @@ def _front(
                 front.append(replace(tuning, delay_margin_ticks=margin))
             else:
                 refusals[refusal] += 1
-        on_progress("cars of the box", done, len(by_peak))
+        on_tested()
     return front
 
 
 def _refuse(scenario: Scenario, spare_ticks: int) -> None:
     where = f"scenario {scenario.name}:"
-    if scenario.model.kind == "chapter-2":
-        raise ScenarioError(f"{where} model.kind = 'chapter-2': must be a car, as steer-by-wire")
+    if not scenario.model.is_car:
+        raise ScenarioError(
+            f"{where} model.kind = {scenario.model.kind!r}: must be a car, such as {CAR}"
+        )
     if scenario.design.compensation == "off":
         raise ScenarioError(
             f"{where} design.compensation = 'off': must be on-confirmation or always"

@@ -1,1 +1,4 @@
-"""The default bus: no root, no kernel module, any number of listeners."""
+"""The default bus, a python-can interface: no root, no kernel module, any number of listeners.
+
+Imported by python-can alone, through the entry point in `pyproject.toml`.
+"""

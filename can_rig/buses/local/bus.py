@@ -2,13 +2,15 @@
 
 A bus is a directory and a node is an AF_UNIX datagram socket in it, so that the kernel keeps the
 frames of all senders in one queue per listener, lossless and in order. A sender keeps a connected
-socket per listener; frames that a full queue refuses wait in the sender's memory.
+socket per listener; frames that do not fit into a listener's queue wait in the sender's memory.
 
-Who is on the bus is read from the directory whenever the count in its file ``.can-generation`` has
-moved. Every node maps that file and raises the count when it joins, after it has bound its socket
-and before its constructor returns: a sender looks at a word of memory, needs no system call, and
-cannot miss a node. The file's lock orders joining, leaving and the removal of dead sockets.
+A sender reads the directory again whenever the count in its file ``.can-generation`` has changed.
+Every node maps that file and increments the count when it joins, after it has bound its socket and
+before its constructor returns: a sender only reads a word of memory, without a system call, and
+cannot miss a node. A lock on the file orders joining, leaving and the removal of dead sockets.
 """
+
+from __future__ import annotations
 
 import logging
 import select
@@ -16,7 +18,7 @@ import socket
 import struct
 import threading
 import time
-from typing import Any
+from typing import Any, Final
 
 from can import (
     BusABC,
@@ -28,35 +30,44 @@ from can import (
 )
 from can.typechecking import AutoDetectedConfig, Channel
 
+from can_rig.buses.local.datagram import (
+    CUT_OFF,
+    CUT_OFF_NOTICE,
+    FD,
+    HEADER,
+    MAX_BYTES,
+    OWN,
+    flags_of,
+    message,
+)
 from can_rig.buses.local.directory import Directory, bus_root
 from can_rig.buses.local.peer import Peer
 
 log = logging.getLogger(__name__)
 
-DEFAULT_CHANNEL = "rig"
+DEFAULT_CHANNEL: Final = "rig"
 
-_HEADER = struct.Struct("<dIBB")  # timestamp in s, identifier, flags, DLC; the data follow
-_DATAGRAM_MAX = _HEADER.size + 64
-_EXTENDED, _REMOTE, _ERROR, _FD, _BRS, _ESI, _OWN, _CUT_OFF = (1 << bit for bit in range(8))
-_DONTWAIT = int(socket.MSG_DONTWAIT)
-_LAST_FRAME = _HEADER.pack(0.0, 0, _CUT_OFF, 0)
-
-_SHUTDOWN_S = 2.0  # how long shutdown() waits for listeners to take what was sent
-_COARSE_S = 0.05  # SO_RCVTIMEO counts in jiffies of 4 ms; shorter timeouts go through select()
+_DONTWAIT: Final = int(socket.MSG_DONTWAIT)
+_SHUTDOWN_S: Final = 2.0  # how long shutdown() waits for listeners to take what was sent
+_COARSE_S: Final = 0.05  # SO_RCVTIMEO counts in jiffies of 4 ms; select() does shorter timeouts
 
 
 class LocalBus(BusABC):
     """A node on a bus of this machine; lossless, in order, for any number of listeners.
 
-    :param channel: a name, or an absolute path of a directory. Nodes with the same one meet.
-    :param receive_own_messages: deliver the frames of this node to itself too, ``is_rx=False``.
-    :param preserve_timestamps: send ``Message.timestamp`` instead of the time of sending.
-    :param fd: CAN FD; without it FD frames are refused by :meth:`send` and skipped by ``recv``.
-    :param tx_backlog: frames that may wait for one listener, beside the kernel's queue. A
-        listener that leaves more unread is cut off, so that it cannot stop the others: the sender
-        logs a warning and goes on, the listener gets every frame up to there and then a
-        :exc:`~can.CanOperationError`. For flow control give :meth:`send` a timeout.
-    :raises ~can.CanInitializationError: the directory is unusable or its path too long.
+    Args:
+        channel: a name, or the absolute path of a directory; the same for all nodes of a bus.
+        receive_own_messages: deliver the frames of this node to itself too, ``is_rx=False``.
+        preserve_timestamps: send ``Message.timestamp`` instead of the time of sending.
+        fd: CAN FD; without it FD frames are refused by `send` and skipped by ``recv``.
+        tx_backlog: number of frames that may wait for one listener, in addition to those in the
+            kernel's queue. A listener that leaves more unread is cut off, so that it cannot stop
+            the others: the sender logs a warning and goes on, the listener gets every frame sent
+            until then and after them a `can.CanOperationError`. For flow control, call `send`
+            with a timeout.
+
+    Raises:
+        can.CanInitializationError: the directory is unusable, or its path is too long.
     """
 
     def __init__(
@@ -75,10 +86,10 @@ class LocalBus(BusABC):
         self._can_protocol = CanProtocol.CAN_FD if fd else CanProtocol.CAN_20
         self._tx_backlog = tx_backlog
         self._rescan_lock = threading.Lock()
-        self._known: dict[str, Peer] = {}  # cut-off listeners stay, not to be found anew
+        self._known: dict[str, Peer] = {}  # also those cut off, so that they are not found again
         self._peers: tuple[Peer, ...] = ()
         self._own: Peer | None = None
-        self._timeout: float | None = None  # what SO_RCVTIMEO is set to
+        self._timeout: float | None = None  # the value of SO_RCVTIMEO
         self._seen = -1
         try:
             self._directory = Directory(self.channel)
@@ -90,12 +101,16 @@ class LocalBus(BusABC):
         super().__init__(channel=channel, **kwargs)
 
     def send(self, msg: Message, timeout: float | None = None) -> None:
-        """Hand a frame to every other node; never waits for a listener unless told to.
+        """Send a frame to every other node; never waits for a listener without a ``timeout``.
 
-        :param timeout: if > 0, wait up to this many seconds until no earlier frame waits for room
-            in a listener's queue.
-        :raises ~can.CanTimeoutError: there was no room in time; the frame went to nobody.
-        :raises ~can.CanOperationError: the frame is not a CAN frame, or the bus is closed.
+        Args:
+            msg: the frame.
+            timeout: if > 0, how long to wait until every earlier frame is in its listener's queue
+                [s].
+
+        Raises:
+            can.CanTimeoutError: there was no room in time; the frame has been sent to no node.
+            can.CanOperationError: the frame is not a CAN frame, or the bus is closed.
         """
         if self._generation[0] != self._seen:
             self._rescan()
@@ -104,22 +119,22 @@ class LocalBus(BusABC):
 
         identifier, dlc, data, flags = msg.arbitration_id, msg.dlc, msg.data, 0
         if msg.is_extended_id or msg.is_remote_frame or msg.is_error_frame or msg.is_fd:
-            flags = _flags(msg)
+            flags = flags_of(msg)
         if flags or dlc > 8 or dlc != len(data) or not 0 <= identifier <= 0x7FF:
-            self._check(msg)  # everything but the plain frame of the hot path
+            self._check(msg)  # a plain frame needs no check: this is the hot path
         timestamp = msg.timestamp if self.preserve_timestamps else time.time()
-        frame = _HEADER.pack(timestamp, identifier, flags, dlc) + data
+        frame = HEADER.pack(timestamp, identifier, flags, dlc) + data
 
         for peer in self._peers:
             if not peer.offer(frame):
                 self._drop(peer)
         if self._own is not None:
-            frame = _HEADER.pack(timestamp, identifier, flags | _OWN, dlc) + data
+            frame = HEADER.pack(timestamp, identifier, flags | OWN, dlc) + data
             if not self._own.offer(frame):
                 self._drop(self._own)
 
     def recv(self, timeout: float | None = None) -> Message | None:
-        """As in :class:`~can.BusABC`, a sixth faster where no filter is set."""
+        """As `can.BusABC.recv`, but faster by a sixth while no filter is set."""
         if self._filters is None:
             return self._recv_internal(timeout)[0]
         return super().recv(timeout)
@@ -129,61 +144,42 @@ class LocalBus(BusABC):
             if timeout is None or timeout >= _COARSE_S:
                 if timeout != self._timeout:
                     self._set_receive_timeout(timeout)
-                datagram = self._socket.recv(_DATAGRAM_MAX)
+                datagram = self._socket.recv(MAX_BYTES)
             else:
                 if timeout > 0:
                     select.select((self._socket,), (), (), timeout)
-                datagram = self._socket.recv(_DATAGRAM_MAX, _DONTWAIT)
+                datagram = self._socket.recv(MAX_BYTES, _DONTWAIT)
         except BlockingIOError:
             return None, False
         except (OSError, ValueError) as error:  # ValueError: select() on a closed socket
             self._check_if_open()
             raise CanOperationError(f"cannot receive from {self}: {error}") from error
-        if not datagram:  # shutdown() in another thread wakes a waiting receiver so
+        if not datagram:  # this is how shutdown() in another thread wakes a waiting receiver
             self._check_if_open()
-
-        timestamp, identifier, flags, dlc = _HEADER.unpack_from(datagram)
-        data = bytearray(datagram[_HEADER.size :])
-        if not flags:
-            return Message(
-                timestamp, identifier, False, False, False, self.channel, dlc, data
-            ), False
-        if flags & _CUT_OFF:
+        received, flags = message(datagram, self.channel)
+        if flags & CUT_OFF:
             raise CanOperationError(f"cut off from a sender on {self}: too many frames unread")
-        if flags & _FD and self._can_protocol is not CanProtocol.CAN_FD:
-            return self._recv_internal(timeout)  # as if it had not come
-        return Message(
-            timestamp=timestamp,
-            arbitration_id=identifier,
-            is_extended_id=bool(flags & _EXTENDED),
-            is_remote_frame=bool(flags & _REMOTE),
-            is_error_frame=bool(flags & _ERROR),
-            channel=self.channel,
-            dlc=dlc,
-            data=data,
-            is_fd=bool(flags & _FD),
-            is_rx=not flags & _OWN,
-            bitrate_switch=bool(flags & _BRS),
-            error_state_indicator=bool(flags & _ESI),
-        ), False
+        if flags & FD and self._can_protocol is not CanProtocol.CAN_FD:
+            return self._recv_internal(timeout)  # as if it had not been sent
+        return received, False
 
     def fileno(self) -> int:
-        """The descriptor that is readable while frames wait; -1 once closed."""
+        """The descriptor that is readable while there are frames to receive; -1 once closed."""
         return self._socket.fileno()
 
     def flush_tx_buffer(self) -> None:
-        """Discard the frames that wait for room in listeners' queues."""
+        """Discard the frames that wait for room in the queues of listeners."""
         for peer in self._peers:
             peer.discard()
 
     def shutdown(self) -> None:
-        """Leave the bus; waits up to 2 s for listeners to take what was sent, then warns."""
+        """Leave the bus; waits up to 2 s for listeners to take what was sent, else warns."""
         if self._is_shutdown:
             return
         super().shutdown()
-        self._seen = -1  # the next send looks, and finds the bus closed
+        self._seen = -1  # so that the next send() finds the bus closed
         self._directory.leave(self._name)
-        self._socket.shutdown(socket.SHUT_RD)  # senders see it, and wait no longer for this node
+        self._socket.shutdown(socket.SHUT_RD)  # so that senders no longer wait for this node
         deadline = time.monotonic() + _SHUTDOWN_S
         for peer in self._known.values():
             if lost := peer.close(deadline):
@@ -195,7 +191,7 @@ class LocalBus(BusABC):
 
     @staticmethod
     def _detect_available_configs() -> list[AutoDetectedConfig]:
-        """The default bus, and every named bus that has a node."""
+        """The default bus, and every named bus with a node."""
         names = {node.parent.name for node in bus_root().glob("*/*.node")}
         channels = sorted(names | {DEFAULT_CHANNEL})
         return [{"interface": "local", "channel": name} for name in channels]
@@ -213,24 +209,24 @@ class LocalBus(BusABC):
             raise CanOperationError(f"not a CAN frame: {error}") from error
 
     def _set_receive_timeout(self, timeout: float | None) -> None:
-        # Not settimeout(): that makes the socket non-blocking and costs a poll() per recv().
+        # settimeout() would make the socket non-blocking, at the cost of a poll() per recv().
         seconds, microseconds = divmod(round((timeout or 0) * 1e6), 1_000_000)
         timeval = struct.pack("ll", seconds, microseconds)
         self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVTIMEO, timeval)
         self._timeout = timeout
 
     def _rescan(self) -> None:
-        """Connect to the nodes that have joined since the last look."""
+        """Connect to the nodes that have joined since the last time."""
         with self._rescan_lock:
             self._check_if_open()
-            seen = self._generation[0]  # before the directory: a later joiner moves it again
+            seen = self._generation[0]  # before the directory: a node that joins later changes it
             known = {*self._known} if self.receive_own_messages else {*self._known, self._name}
             try:
                 links = self._directory.connect_all_but(known)
             except OSError as error:
-                raise CanOperationError(f"cannot look who is on {self}: {error}") from error
+                raise CanOperationError(f"cannot list the nodes on {self}: {error}") from error
             for name, link in links.items():
-                self._known[name] = Peer(name, link, self._tx_backlog, _LAST_FRAME)
+                self._known[name] = Peer(name, link, self._tx_backlog, CUT_OFF_NOTICE)
             self._list_peers()
             self._seen = seen
 
@@ -245,7 +241,7 @@ class LocalBus(BusABC):
             if not peer.wait_until_drained(deadline):
                 raise CanTimeoutError(f"{peer.name} on {self} took no frame within {timeout} s")
 
-    def _drop(self, peer: "Peer") -> None:
+    def _drop(self, peer: Peer) -> None:
         with self._rescan_lock:
             if peer.cut_off:
                 log.warning(
@@ -253,17 +249,5 @@ class LocalBus(BusABC):
                 )
             elif self._known.pop(peer.name, None):
                 peer.close(deadline=0.0)
-                self._directory.remove(peer.name)  # of a killed node; one that left did so itself
+                self._directory.remove(peer.name)  # a killed node; one that leaves does this itself
             self._list_peers()
-
-
-def _flags(msg: Message) -> int:
-    """What the header says of a frame that is not a plain data frame."""
-    return (
-        _EXTENDED * msg.is_extended_id
-        | _REMOTE * msg.is_remote_frame
-        | _ERROR * msg.is_error_frame
-        | _FD * msg.is_fd
-        | _BRS * msg.bitrate_switch
-        | _ESI * msg.error_state_indicator
-    )

@@ -1,4 +1,6 @@
-"""Who is on a local bus: the directory of its sockets, and the count that moves when one joins."""
+"""The nodes on a local bus: the directory of their sockets, and a count of all that have joined."""
+
+from __future__ import annotations
 
 import contextlib
 import fcntl
@@ -12,18 +14,19 @@ import struct
 import tempfile
 from collections.abc import Container, Iterator
 from pathlib import Path
+from typing import Final
 
 from can import CanInitializationError
 
 from can_rig.buses.local.peer import RETRY_S
 
-GENERATION = ".can-generation"
-NODE_NAME = re.compile(r"\d+-[0-9a-f]{6}\.node")  # process id, then what tells its nodes apart
-PATH_MAX = 107 - len("/4194304-012345.node")  # sun_path holds 107 bytes and a NUL
+GENERATION: Final = ".can-generation"
+NODE_NAME: Final = re.compile(r"\d+-[0-9a-f]{6}\.node")  # process id, and a random part
+PATH_MAX: Final = 107 - len("/4194304-012345.node")  # sun_path holds 107 bytes and a NUL
 
 
 def bus_root() -> Path:
-    """The directory that holds the named buses of this user."""
+    """The directory with the named buses of this user."""
     runtime = os.environ.get("XDG_RUNTIME_DIR", "")
     if runtime.startswith("/") and os.access(runtime, os.W_OK | os.X_OK):
         return Path(runtime) / "can-rig"
@@ -31,39 +34,43 @@ def bus_root() -> Path:
 
 
 class Directory:
-    """The directory of a bus: who is there, and the count that moves when one joins."""
+    """The directory of a bus.
+
+    Raises:
+        CanInitializationError: the channel cannot be a directory, or its path is too long.
+    """
 
     def __init__(self, channel: str) -> None:
         root = bus_root()
         self._named = not channel.startswith("/")
         if self._named and (not channel or "/" in channel or channel.startswith(".")):
             raise CanInitializationError(
-                f"local bus {channel!r} is neither a name without '/' nor an absolute path"
+                f"local bus {channel!r}: the channel must be a name without '/' or an absolute path"
             )
         self._path = root / channel
         excess = len(os.fsencode(self._path)) - PATH_MAX
         if excess > 0:
             raise CanInitializationError(
-                f"path of local bus is {excess} bytes too long for a socket: {self._path}"
+                f"path of the local bus is {excess} bytes too long for a socket: {self._path}"
             )
         if self._named:
             root.mkdir(mode=0o700, exist_ok=True)
             status = root.lstat()
             if status.st_uid != os.getuid() or stat.S_IMODE(status.st_mode) & 0o077:
-                raise CanInitializationError(f"{root} is not a private directory of this user")
+                raise CanInitializationError(f"{root} must be a private directory of this user")
         self._file = self._open_locked()
-        # The view keeps the map alive, for the look of a send() after shutdown().
+        # The view keeps the memory mapped for a send() after shutdown().
         self.generation = memoryview(mmap.mmap(self._file, 8)).cast("Q")
 
     def _open_locked(self) -> int:
         while True:
             self._path.mkdir(mode=0o700, exist_ok=True)
-            with contextlib.suppress(FileNotFoundError):  # the last node has just taken it away
+            with contextlib.suppress(FileNotFoundError):  # the last node has just removed it
                 file = os.open(self._path / GENERATION, os.O_RDWR | os.O_CREAT, mode=0o600)
                 fcntl.flock(file, fcntl.LOCK_EX)
                 status = os.fstat(file)
                 if status.st_nlink:
-                    if status.st_size == 0:  # written, for a hole that no disk backs is a SIGBUS
+                    if status.st_size == 0:  # written, because a hole on a full disk is a SIGBUS
                         os.write(file, bytes(8))
                     return file
                 os.close(file)
@@ -77,7 +84,7 @@ class Directory:
             fcntl.flock(self._file, fcntl.LOCK_UN)
 
     def join(self) -> tuple[socket.socket, str]:
-        """Bind a new node's socket and let the others know; returns it with its name."""
+        """Bind the socket of a new node and count it; returns the socket and its name."""
         name = f"{os.getpid()}-{secrets.token_hex(3)}.node"
         node = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         with self._locked():
@@ -86,9 +93,9 @@ class Directory:
         return node, name
 
     def connect_all_but(self, known: Container[str]) -> dict[str, socket.socket]:
-        """Links to the nodes that are not ``known``, by name; removes sockets of dead nodes."""
+        """Connected sockets to the nodes not ``known``, by name; removes sockets of dead nodes."""
         links = {}
-        with self._locked():  # a socket without a listener is dead, not one about to be bound
+        with self._locked():  # so that a socket without a listener is dead, and not being bound
             for name in self._nodes():
                 if name in known:
                     continue
@@ -114,20 +121,20 @@ class Directory:
         return []
 
     def remove(self, name: str) -> None:
-        """Unlink a node's socket; names are never used again."""
+        """Remove the socket of a node, whose name is never used again."""
         (self._path / name).unlink(missing_ok=True)
 
     def leave(self, name: str) -> None:
-        """Remove a node's socket, and with the last one of a named bus the directory."""
-        for link in self.connect_all_but(known=()).values():  # removes what killed nodes left
+        """Remove the socket of a node, and after the last one on a named bus its directory."""
+        for link in self.connect_all_but(known=()).values():  # and so removes dead ones
             link.close()
         with self._locked():
             self.remove(name)
             if self._named and not self._nodes():
                 (self._path / GENERATION).unlink(missing_ok=True)
-                with contextlib.suppress(OSError):  # something else lies there
+                with contextlib.suppress(OSError):  # something else is in it
                     self._path.rmdir()
 
     def close(self) -> None:
-        """Let go of the count; the memory stays mapped."""
+        """Close the file of the count; the memory stays mapped."""
         os.close(self._file)

@@ -1,32 +1,42 @@
-"""A listener on a local bus as a sender sees it."""
+"""A listener on a local bus, as a sender keeps it: a connection and a backlog."""
+
+from __future__ import annotations
 
 import errno
 import socket
 import threading
 import time
 from collections import deque
+from typing import Final
 
-GONE = {errno.ECONNREFUSED, errno.ECONNRESET, errno.ENOTCONN, errno.EPIPE}
-DONTWAIT = int(socket.MSG_DONTWAIT)
-RETRY_S = 0.1  # how long a drainer waits for room before it looks whether it has to end
+GONE: Final = {errno.ECONNREFUSED, errno.ECONNRESET, errno.ENOTCONN, errno.EPIPE}
+DONTWAIT: Final = int(socket.MSG_DONTWAIT)
+RETRY_S: Final = 0.1  # how long a drainer waits for room until it checks whether to stop
 
 
 class Peer:
-    """A listener as a sender sees it: a connected socket and the frames that wait for room."""
+    """A listener: a connected socket, and the frames that wait for room in its queue.
 
-    def __init__(self, name: str, link: socket.socket, limit: int, last_frame: bytes) -> None:
+    Args:
+        name: of its socket.
+        link: connected to it.
+        limit: number of frames that may wait.
+        cut_off_notice: sent after them when more would have to wait.
+    """
+
+    def __init__(self, name: str, link: socket.socket, limit: int, cut_off_notice: bytes) -> None:
         self.name = name
         self.cut_off = False
         self._link = link
         self._limit = limit
-        self._last_frame = last_frame
+        self._cut_off_notice = cut_off_notice
         self._backlog: deque[bytes] = deque()
-        self._lock = threading.Lock()  # taken only by who finds or leaves a backlog
+        self._lock = threading.Lock()  # taken only where there is a backlog, or will be
         self._drainer: threading.Thread | None = None
         self._closing = False
 
     def offer(self, frame: bytes) -> bool:
-        """Deliver a frame, now or in its turn; False if there will be no more for this one."""
+        """Send a frame now or after the backlog; False if the listener is gone or cut off."""
         if not self._backlog:
             try:
                 self._link.send(frame, DONTWAIT)
@@ -39,9 +49,9 @@ class Peer:
                 return True
         with self._lock:
             if self.cut_off:
-                return True  # another thread has just found that out, and reports it
+                return True  # another thread has just cut it off, and reports that
             self.cut_off = len(self._backlog) >= self._limit
-            self._backlog.append(self._last_frame if self.cut_off else frame)
+            self._backlog.append(self._cut_off_notice if self.cut_off else frame)
             if self._drainer is None:
                 self._drainer = threading.Thread(target=self._drain, daemon=True)
                 self._drainer.start()
@@ -53,21 +63,21 @@ class Peer:
                 if not self._backlog or self._closing:
                     self._drainer = None
                     return
-            # The frame stays in the backlog until it is sent, so that none can overtake it.
+            # The frame stays in the backlog until it is sent, so that no other can overtake it.
             try:
                 self._link.send(self._backlog[0])
             except BlockingIOError:  # SO_SNDTIMEO has passed
                 continue
             except OSError as error:
                 if error.errno in GONE:
-                    self._backlog.clear()  # the next offer() meets the same error and reports it
+                    self._backlog.clear()  # the next offer() fails likewise, and reports it
                 else:
                     time.sleep(RETRY_S)  # the kernel is short of memory
             else:
                 self._backlog.popleft()
 
     def discard(self) -> None:
-        """Empty the backlog, save the frame that may be on its way."""
+        """Empty the backlog, except for the frame that may be being sent."""
         with self._lock:
             while len(self._backlog) > 1:
                 self._backlog.pop()
@@ -80,7 +90,7 @@ class Peer:
         return not self._backlog
 
     def close(self, deadline: float) -> int:
-        """Close, after the backlog is drained or at ``deadline``; returns frames never sent."""
+        """Close when the backlog is drained, or at ``deadline``; returns the frames never sent."""
         if not self.cut_off:
             self.wait_until_drained(deadline)
         drainer, self._closing = self._drainer, True

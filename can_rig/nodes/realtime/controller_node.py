@@ -24,7 +24,7 @@ from typing import NamedTuple
 import can
 
 from can_rig.errors import BusError
-from can_rig.frames.messages import Network
+from can_rig.frames.network import Network
 from can_rig.nodes.controller_node import ControllerNode
 from can_rig.nodes.lockstep import Watchdog
 from can_rig.nodes.realtime.deadlines import require_causal
@@ -33,7 +33,7 @@ from can_rig.plant.simulated import Actuator
 from can_rig.scenario.build import controller_table
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
-from firmware_model.target.layout import FaultState, Mode
+from firmware_model.target.status import FaultState, Mode
 
 MOST_OTHERS = 30  # frames looked at behind a sample before it is answered: a flood never ends
 BEHIND = 1 << 15  # of 16 bits of a tick: half of them are the past

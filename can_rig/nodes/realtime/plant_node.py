@@ -27,7 +27,7 @@ from typing import Any
 import can
 
 from can_rig.errors import SilentNodeError
-from can_rig.frames.messages import Network
+from can_rig.frames.network import Network
 from can_rig.nodes.lockstep import Interrupted, Watchdog
 from can_rig.nodes.plant_node import NOT_OURS, PlantNode
 from can_rig.nodes.realtime.deadlines import CATCH_UP_TICKS, Clock, Schedule, Timing, require_causal

@@ -32,10 +32,9 @@ import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 
 from can_rig.scenario.settings import Scenario
-from firmware_model.discretisation.sections import FloatArray
 from firmware_model.firmware import Firmware
-from firmware_model.target.biquad import advance
-from firmware_model.target.layout import Record
+from firmware_model.target.biquad import advance, at_rest
+from firmware_model.target.structs import FloatArray, Record
 
 LISTEN_S: Final = 0.05
 RETURN_S: Final = 0.4  # X_diff then keeps below 4000 N for 1 m/s², should the motor be dead
@@ -114,18 +113,21 @@ class FreeMotion:
     """
 
     def __init__(self, table: Record) -> None:
-        coefficients, n = table.estimator_1, int(table.estimator_1_n)
-        self.sections: FloatArray = np.zeros((len(coefficients), 2))
+        cascade = table.estimator.channel_1
         self._index = [
-            (i, j) for i in range(n) for j in (0, 1) if j == 0 or coefficients[i, 2:5:2].any()
+            (i, j)
+            for i in range(cascade.n)
+            for j in (0, 1)
+            if j == 0 or cascade.coefficients[i, 2:5:2].any()
         ]
         order = len(self._index)
         self._phi, self._c = np.zeros((order, order)), np.zeros(order)
         for column, at in enumerate(self._index):
-            unit = np.zeros_like(self.sections)
-            unit[at] = 1.0
-            self._c[column] = advance(coefficients, unit, n, 0.0)
-            self._phi[:, column] = [unit[i] for i in self._index]
+            unit = at_rest()
+            unit.accumulators[at] = 1.0
+            self._c[column] = advance(cascade, unit, 0.0)
+            self._phi[:, column] = [unit.accumulators[i] for i in self._index]
+        self.sections: FloatArray = np.zeros_like(unit.accumulators)
         gramian = solve_discrete_lyapunov(self._phi.T, np.outer(self._c, self._c))
         values, vectors = np.linalg.eigh(gramian)
         self._root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T  # W = rootᵀ root

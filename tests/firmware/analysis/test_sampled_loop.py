@@ -19,9 +19,10 @@ from firmware_model.design.continuous_design import ContinuousDesign, DesignSpec
 from firmware_model.design.plants import Plant, chapter_2, steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.sections import Sections
-from firmware_model.discretisation.tables import Target, build, discretise
+from firmware_model.discretisation.tables import build, discretise
+from firmware_model.discretisation.targets import Target
 from firmware_model.errors import ParameterError
-from firmware_model.target.layout import Record
+from firmware_model.target.structs import Record
 
 pytestmark = pytest.mark.filterwarnings("ignore::scipy.signal.BadCoefficients")
 
@@ -128,7 +129,7 @@ def test_poles_are_those_of_the_block_diagram(
 
 
 @pytest.mark.long
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(
     tick_s=st.floats(1e-4, 5e-3),
     tau_s=st.floats(5e-4, 0.1),

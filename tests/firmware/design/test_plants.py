@@ -45,7 +45,7 @@ def _assert_channels_are_the_state_space(plant: Plant, rel: float) -> None:
         assert given_values == pytest.approx(_exact(plant, omega), rel=rel)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(cars, st.sampled_from(["physics", "published"]))
 @example(replace(TABLE_3_2, lateral_weight=0.0), "physics")
 @example(replace(TABLE_3_2, lateral_weight=1.0, speed_mps=50.0), "physics")
@@ -125,7 +125,6 @@ def test_zeros_agree_with_the_pencil_of_python_control() -> None:
     st.lists(st.floats(-3, 3), min_size=15, max_size=15),
     st.floats(0.5, 30),
 )
-@settings(deadline=None)
 def test_numerators_are_the_determinant_difference(entries: list[float], s: float) -> None:
     """``c adj(sI - A) b = det(sI - A + b c) - det(sI - A)``, the matrix determinant lemma."""
     a = np.array(entries[:9]).reshape(3, 3)

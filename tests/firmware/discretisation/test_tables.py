@@ -13,16 +13,17 @@ from hypothesis import strategies as st
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.plants import chapter_2, steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.discretisation.tables import Target, algebraic_loop_gain, build, discretise
+from firmware_model.discretisation.tables import algebraic_loop_gain, build, discretise
+from firmware_model.discretisation.targets import Target
 from firmware_model.errors import DesignError, ParameterError
-from firmware_model.target.layout import MAX_LATENCY_TICKS
+from firmware_model.target.structs import MAX_LATENCY_TICKS
 
 DESIGN = design(steer_by_wire(), DesignSpecification())
 
 
 @given(tau_s=st.floats(1e-4, 1.0), tick_s=st.floats(1e-4, 1e-2))
 def test_algebraic_loop_gain_is_that_of_the_text(tau_s: float, tick_s: float) -> None:
-    """MATHS trap 5: F̂ and Tustin's G2 together are q, so the gain is T/(2τ+T); 1/3 at T = τ."""
+    """F̂ and Tustin's G2 together are q, so the gain is T/(2τ+T); 1/3 at T = τ."""
     filters = discretise(design(steer_by_wire(), DesignSpecification(tau_s=tau_s)), Target(tick_s))
     assert algebraic_loop_gain(filters, 0) == pytest.approx(tick_s / (2 * tau_s + tick_s), rel=1e-9)
 
@@ -31,7 +32,7 @@ def test_algebraic_loop_gain_is_that_of_the_text(tau_s: float, tick_s: float) ->
 def test_no_loop_within_the_tick_when_the_command_acts_later(latency: int, rule: Any) -> None:
     target = Target(1e-3, latency, rule)
     assert algebraic_loop_gain(discretise(DESIGN, target), latency) == 0.0
-    assert build(DESIGN, target).loop_inverse == 1.0
+    assert build(DESIGN, target).compensator.loop_inverse == 1.0
 
 
 def test_a_loop_gain_of_one_or_more_is_refused() -> None:
@@ -47,25 +48,34 @@ def test_a_loop_gain_of_one_or_more_is_refused() -> None:
 def test_the_table_is_the_filters(precision: Any) -> None:
     target = Target(1e-3, 2, precision=precision, limit_1=10.0, lsb_2=0.5)
     table, filters = build(DESIGN, target), discretise(DESIGN, target)
-    for name, sections in vars(filters).items():
-        n = len(sections.coefficients)
-        assert table[f"{name}_n"] == n
-        np.testing.assert_array_equal(table[name][:n], sections.coefficients.astype(precision))
-        np.testing.assert_array_equal(table[name][n:], 0.0)
-    assert table.dtype["tracking"].base == np.dtype(precision)
-    assert (table.limit_1, table.lsb_2, table.latency_ticks) == (10.0, 0.5, 2)
-    assert math.isinf(table.limit_2)
+    estimator = table.estimator
+    for cascade, sections in (
+        (table.tracking.filter, filters.tracking),
+        (estimator.channel_1, filters.estimator_1),
+        (estimator.channel_2, filters.estimator_2),
+        (estimator.one_plus_q, filters.one_plus_q),
+        (table.compensator.filter, filters.compensator),
+    ):
+        n, stored = len(sections.coefficients), cascade.coefficients
+        assert cascade.n == n
+        assert stored.dtype == np.dtype(precision)
+        np.testing.assert_array_equal(stored[:n], sections.coefficients.astype(precision))
+        np.testing.assert_array_equal(stored[n:], 0.0)
+    assert (table.actuator_1.limit, table.actuator_2.lsb) == (10.0, 0.5)
+    assert math.isinf(table.actuator_2.limit)
+    assert estimator.latency_ticks == 2
 
 
 def test_the_table_is_constant() -> None:
     with pytest.raises(ValueError, match="read-only"):
-        build(DESIGN, Target(1e-3)).limit_1 = 1.0
+        build(DESIGN, Target(1e-3)).actuator_1.limit = 1.0
 
 
 def test_open_loop_takes_the_reference_on_both_channels() -> None:
     """(2.40): u = r + F̂ d̂."""
     table = build(design(chapter_2(), DesignSpecification(feedback=False)), Target(1e-3))
-    assert (table.feedback, table.reference_to_2, table.integrates) == (0.0, 1.0, 0)
+    assert (table.tracking.feedback, table.tracking.integrates) == (0.0, 0)
+    assert table.compensator.reference_share == 1.0
 
 
 @pytest.mark.parametrize(

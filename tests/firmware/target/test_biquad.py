@@ -13,7 +13,15 @@ from firmware_model.design.tracking import tracking
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.sections import Sections
 from firmware_model.discretisation.tustin import tustin, zoh
-from firmware_model.target.biquad import advance, output, settle, settle_integrator
+from firmware_model.target.biquad import (
+    CONSTANTS,
+    advance,
+    at_rest,
+    output,
+    settle,
+    settle_integrator,
+)
+from firmware_model.target.structs import Record, record_type
 
 CAR = steer_by_wire()
 FILTERS = {
@@ -25,10 +33,16 @@ FILTERS = {
 }
 
 
+def cascade_of(coefficients: np.ndarray) -> Record:
+    cascade = np.zeros(1, record_type(CONSTANTS, "float64"))[0]
+    cascade.n = len(coefficients)
+    cascade.coefficients[: cascade.n] = coefficients
+    return cascade
+
+
 def run(sections: Sections, inputs: np.ndarray) -> np.ndarray:
-    state = np.zeros((len(sections.coefficients), 2))
-    n = len(state)
-    return np.array([advance(sections.coefficients, state, n, u) for u in inputs])
+    cascade, state = cascade_of(sections.coefficients), at_rest()
+    return np.array([advance(cascade, state, u) for u in inputs])
 
 
 @pytest.mark.parametrize("name", FILTERS)
@@ -54,32 +68,32 @@ def test_is_linear(inputs: list[float], factor: float) -> None:
 
 @pytest.mark.parametrize("name", FILTERS)
 def test_output_is_what_advance_answers_and_moves_nothing(name: str) -> None:
-    sections = FILTERS[name]
-    state = np.random.default_rng(2).standard_normal((len(sections.coefficients), 2))
-    before = state.copy()
-    looked = output(sections.coefficients, state, len(state), 0.7)
-    np.testing.assert_array_equal(state, before)
-    assert looked == advance(sections.coefficients, state, len(state), 0.7)
+    cascade, state = cascade_of(FILTERS[name].coefficients), at_rest()
+    before = np.random.default_rng(2).standard_normal(state.accumulators.shape)
+    state.accumulators[:] = before
+    answer = output(cascade, state, 0.7)
+    np.testing.assert_array_equal(state.accumulators, before)
+    assert answer == advance(cascade, state, 0.7)
 
 
 @pytest.mark.parametrize("name", FILTERS)
 def test_settle_is_where_a_constant_input_leads(name: str) -> None:
     sections = FILTERS[name]
-    state = np.zeros((len(sections.coefficients), 2))
-    settled = settle(sections.coefficients, state, len(state), 3.0)
+    cascade, state = cascade_of(sections.coefficients), at_rest()
+    settled = settle(cascade, state, 3.0)
     dc_gain = sections(np.array([1.0 + 0j]))[0].real
     assert settled == pytest.approx(3.0 * dc_gain, rel=1e-12)
     for _ in range(2000):
-        settled = advance(sections.coefficients, state, len(state), 3.0)
+        settled = advance(cascade, state, 3.0)
     assert settled == pytest.approx(3.0 * dc_gain, rel=1e-9)
 
 
 @pytest.mark.parametrize("alpha_q", [2, 3, 4])
 def test_settle_integrator_holds_its_output_at_zero_input(alpha_q: int) -> None:
     sections = tustin(tracking(CAR.g1, 0.001, alpha_q), 1e-3)
-    state = np.zeros((len(sections.coefficients), 2))
-    settle_integrator(sections.coefficients, state, len(state), 42.5)
-    answers = [advance(sections.coefficients, state, len(state), 0.0) for _ in range(3000)]
+    cascade, state = cascade_of(sections.coefficients), at_rest()
+    settle_integrator(cascade, state, 42.5)
+    answers = [advance(cascade, state, 0.0) for _ in range(3000)]
     np.testing.assert_allclose(answers, 42.5, rtol=1e-9)
 
 
@@ -92,14 +106,13 @@ def test_settle_integrator_goes_backwards_through_every_kind_of_section() -> Non
             [0.5, 0.2, 0.0, 0.4, 0.0],
         ]
     )
-    state = np.zeros((3, 2))
-    settle_integrator(sections, state, 3, 7.0)
-    answers = [advance(sections, state, 3, 0.0) for _ in range(50)]
+    cascade, state = cascade_of(sections), at_rest()
+    settle_integrator(cascade, state, 7.0)
+    answers = [advance(cascade, state, 0.0) for _ in range(50)]
     np.testing.assert_allclose(answers, 7.0, rtol=1e-12)
 
 
 def test_settle_leaves_an_integrator_at_rest() -> None:
-    sections = np.array([[0.2, 0.1, 0.0, 0.0, 0.0]])
-    state = np.zeros((1, 2))
-    assert settle(sections, state, 1, 0.0) == 0.0
-    np.testing.assert_array_equal(state, 0.0)
+    cascade, state = cascade_of(np.array([[0.2, 0.1, 0.0, 0.0, 0.0]])), at_rest()
+    assert settle(cascade, state, 0.0) == 0.0
+    np.testing.assert_array_equal(state.accumulators, 0.0)

@@ -4,16 +4,24 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from firmware_model.analysis.sampled_plant import follow_plant, sample
 from firmware_model.analysis.simulation import Trace, simulate
 from firmware_model.design.continuous_design import DesignSpecification, design
-from firmware_model.design.plants import steer_by_wire
-from firmware_model.discretisation.sections import FloatArray
-from firmware_model.discretisation.tables import Target, build
+from firmware_model.design.plants import chapter_2, steer_by_wire
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Target
+from firmware_model.discretisation.tustin import zoh
 from firmware_model.firmware import Firmware
 from firmware_model.target import controller
-from firmware_model.target.layout import FaultState, Mode
+from firmware_model.target.loss_model import (
+    initialise_loss_model,
+    loss_output,
+    loss_output_in_estimate,
+)
+from firmware_model.target.status import FaultState, Mode
+from firmware_model.target.structs import FloatArray
 
 CAR = steer_by_wire()
 TICK_S = 1e-3
@@ -24,7 +32,7 @@ LOST, BACK, TICKS = 600, 1200, 2400
 
 
 def unavoidable(latency: int, torque_nm: float) -> float:
-    """MATHS trap 11: the deviation before the first corrected sample, ½·g·u1·((n+1)T)²."""
+    """The deviation before the first corrected sample, ½·g·u1·((n+1)T)²."""
     return 0.5 * CAR.g1.gain * abs(torque_nm) * ((latency + 1) * TICK_S) ** 2
 
 
@@ -179,7 +187,7 @@ def test_the_share_is_that_of_a_loss_within_some_ticks_of_noise() -> None:
         left = 1.0 if k < LOST else 0.4
         y = follow_plant(PLANT.phi, PLANT.gamma, PLANT.c, x, left * late[0], late[1])
         late = float(state.command_1), float(state.command_2)
-        shares.append(float(state.share_lost))
+        shares.append(float(state.loss_model.share))
     settled = np.array(shares[LOST + 300 :])
     assert settled.mean() == pytest.approx(0.6, abs=0.01)
     assert settled.std() < 0.01
@@ -193,5 +201,49 @@ def test_an_overflow_of_the_share_is_forgotten(precision: str) -> None:
     state = controller.init(table)[0]
     for y in (0.0, huge, -huge, huge, *[0.0] * 400):
         controller.step(table, state, huge if abs(y) > 0.0 else 0.0, y)
-        assert np.isfinite([state.share_lost, *state.share_sums]).all()
+        assert np.isfinite([state.loss_model.share, *state.loss_model.sums]).all()
     assert state.mode == Mode.RUN
+
+
+def test_a_command_that_acts_within_the_tick_is_no_fault() -> None:
+    """Chapter 2's u2 = r feeds through Tustin's G2: some 1e-3 of d̂ that the decision must know."""
+    plant = chapter_2()
+    table = build(
+        design(plant, DesignSpecification(tau_s=0.01, feedback=False)),
+        Target(TICK_S, threshold=1e-6),
+    )
+    firmware, y = Firmware(table), 2.0 * (plant.g1.dc_gain + plant.g2.dc_gain)
+    assert table.estimator.feedthrough_2 * 2.0 > 100.0 * table.adaptive_threshold.threshold
+    firmware.reset(2.0)
+    assert [firmware.step(2.0, y).fault_state for _ in range(5)] == [FaultState.CLEAR] * 5
+
+
+def test_after_a_reset_a_loss_takes_all_its_ticks_to_be_confirmed() -> None:
+    """Reset while SUSPECTED: the ticks from before it count no more."""
+    firmware = Firmware(build(FAST, confirming(confirm_ticks=4, threshold=0.01)))
+    whole, lost = 1.0, 0.9
+    firmware.reset(1.0)
+    for y in (whole, lost, lost):
+        before = firmware.step(1.0, y)
+    assert before.fault_state == FaultState.SUSPECTED
+    firmware.reset(1.0)
+    states = [firmware.step(1.0, y).fault_state for y in (lost, lost, lost, lost)]
+    assert states == [FaultState.SUSPECTED] * 3 + [FaultState.CONFIRMED]
+
+
+@pytest.mark.parametrize("latency", [0, 1, 3])
+def test_the_loss_model_starts_with_the_value_and_the_speed_that_w_has(latency: int) -> None:
+    """w of a loss of all that is detected at its first sample: G1's step response, by scipy."""
+    torque_nm, detected = 1.0 / CAR.g1.dc_gain, 1 + latency
+    step_response = np.cumsum(signal.sosfilt(zoh(CAR.g1, TICK_S).sos, [1.0] + [0.0] * 9))
+    table = build(FAST, confirming(latency, confirm_ticks=9, limit_1=2.0 * torque_nm))
+    state = controller.init(table)[0]
+    controller.reset(table, state, 1.0)
+    estimate = torque_nm * step_response[1]
+    initialise_loss_model(table, state, estimate, 1.0)
+    state.fault_state = FaultState.SUSPECTED
+    assert estimate > 0.0
+    assert state.loss_model.previous_output == pytest.approx(torque_nm * step_response[latency])
+    assert loss_output(table, state) == pytest.approx(torque_nm * step_response[detected])
+    in_estimate = loss_output_in_estimate(table, state)
+    assert in_estimate == pytest.approx(estimate)

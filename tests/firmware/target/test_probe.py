@@ -14,11 +14,12 @@ from firmware_model.analysis.simulation import Trace, simulate
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.plants import steer_by_wire
 from firmware_model.design.vehicle import VehicleParameters
-from firmware_model.discretisation.tables import Target, build
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Target
 from firmware_model.errors import ParameterError
 from firmware_model.target import controller
-from firmware_model.target.layout import FaultState
-from firmware_model.target.probe import begin, listen, probe_torque, share_heard
+from firmware_model.target.probe import begin_probe, correlate, end_probe, probe_torque
+from firmware_model.target.status import FaultState
 
 TICK_S, TICKS, LOST, PROBE_NM = 1e-3, 8000, 3000, 2.0
 CAR = steer_by_wire()
@@ -42,33 +43,33 @@ def drive(of: Target, left: float = 1.0, bias: float = 0.0, car=CAR, rms: float 
     )
 
 
-@settings(deadline=None, max_examples=30)
+@settings(max_examples=30)
 @given(st.floats(-1.0, 2.0), st.floats(-10.0, 10.0), st.floats(0.1, 100.0), st.floats(0.0, 6.2))
 def test_share_is_that_of_w_in_the_estimate_whatever_is_constant(
     share: float, constant: float, size: float, angle: float
 ) -> None:
     table = build(TUNED, target(probe_rad_per_s=200.0))
     state = controller.init(table)[0]
-    begin(state)
-    ticks, over = int(table.probe_ticks), False
+    begin_probe(state.probe)
+    ticks, over = int(table.probe.ticks), False
     for k in range(ticks):
         assert not over
         w = size * math.sin(4.0 * math.pi * k / ticks + angle) + 3.0 * constant
-        over = listen(table, state, share * w + constant, w)
+        over = correlate(table.probe, state.probe, share * w + constant, w)
     assert over
-    assert share_heard(state) == pytest.approx(share, abs=1e-9 * (1.0 + abs(constant) / size))
-    assert state.probe_at == 0
+    assert end_probe(state.probe) == pytest.approx(share, abs=1e-9 * (1.0 + abs(constant) / size))
+    assert state.probe.tick == 0
 
 
 @pytest.mark.parametrize("rad_per_s", [5.0, 10.0, 31.0])
 def test_probe_is_two_periods_that_swell_and_fade(rad_per_s: float) -> None:
     table = build(TUNED, target(probe_rad_per_s=rad_per_s))
     state = controller.init(table)[0]
-    begin(state)
+    begin_probe(state.probe)
     torque, over = [], False
     while not over:
-        torque.append(probe_torque(table, state))
-        over = listen(table, state, 0.0, 0.0)
+        torque.append(probe_torque(table.probe, state.probe))
+        over = correlate(table.probe, state.probe, 0.0, 0.0)
     k = np.arange(len(torque)) / len(torque)
     expected = PROBE_NM * np.sin(4 * np.pi * k) * (1.0 - np.cos(2 * np.pi * k)) / 2.0
     np.testing.assert_allclose(torque, expected, atol=1e-11 * PROBE_NM)
@@ -141,8 +142,8 @@ def test_without_a_suspicion_there_is_no_probe() -> None:
 
 def test_a_probe_without_an_answer_finds_nothing_lost() -> None:
     state = controller.init(build(TUNED, target()))[0]
-    begin(state)
-    assert share_heard(state) == 0.0
+    begin_probe(state.probe)
+    assert end_probe(state.probe) == 0.0
 
 
 @pytest.mark.parametrize("left", [0.0, 1.0])
@@ -160,9 +161,9 @@ def test_a_quick_probe_confirms_a_loss_and_no_bias(left: float) -> None:
 def test_reset_ends_a_probe() -> None:
     table = build(TUNED, target())
     state = controller.init(table)[0]
-    begin(state)
+    begin_probe(state.probe)
     controller.reset(table, state, 1.0)
-    assert state.probe_at == 0
+    assert state.probe.tick == 0
 
 
 @pytest.mark.parametrize(
@@ -171,7 +172,7 @@ def test_reset_ends_a_probe() -> None:
         ({"probe": -1.0}, "probe = -1"),
         ({"probe": math.inf}, "probe = inf"),
         ({"probe_rad_per_s": 0.0}, "probe_rad_per_s = 0"),
-        ({"probe_rad_per_s": 800.0}, "up to an eighth"),
+        ({"probe_rad_per_s": 800.0}, "at most an eighth"),
         ({"probe_rad_per_s": math.nan}, "probe_rad_per_s = nan"),
     ],
 )

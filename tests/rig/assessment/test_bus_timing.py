@@ -19,10 +19,11 @@ from can_rig.assessment.bus_timing.timing import (
     latency_ticks,
     network_timing,
 )
+from can_rig.assessment.resolve import load
 from can_rig.errors import DbcError, ScenarioError
-from can_rig.frames.messages import load_network
+from can_rig.frames.network import load_network
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import from_dict, load
+from can_rig.scenario.loading import draft
 from tests.helpers import DBC, record, rig
 from tests.rig.assessment.test_response_time import simulate
 
@@ -242,7 +243,7 @@ def test_a_scenario_takes_its_latency_from_the_bus():
     assert load("thesis-step", [*asked, "bus.bitrate=500000", "tick_s=0.002"]).latency_ticks == 1
     scenario = load("thesis-step", [*asked, "bus.compute_s=0.0004"])
     assert latency_ticks(network_of(scenario), 1_000_000, 0.001, 0.0004) == scenario.latency_ticks
-    assert from_dict("x", scenario.as_dict()) == replace(scenario, name="x")
+    assert draft("x", scenario.as_dict()).scenario == replace(scenario, name="x")
 
 
 @pytest.mark.parametrize(

@@ -5,9 +5,9 @@ from __future__ import annotations
 import pytest
 
 from can_rig.assessment.control_authority import ControlAuthority, control_authority
+from can_rig.assessment.resolve import load
 from can_rig.plant.nonlinear_car import NonlinearCar
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import load
 
 
 def of(*settings: str, name: str = "default") -> ControlAuthority:
@@ -18,7 +18,7 @@ def of(*settings: str, name: str = "default") -> ControlAuthority:
 
 
 def test_needs_what_the_settled_run_holds() -> None:
-    """MATHS, trap 7: 2989 N per m/s² of the physics car, 3455 N of the published one."""
+    """Trap 7: 2989 N per m/s² of the physics car, 3455 N of the published one."""
     assert of().needed_n == pytest.approx(2989.0, abs=1.0)
     assert of("plant.variant=published").needed_n == pytest.approx(3455.0, abs=1.0)
     assert of("reference.amplitude_mps2=-0.5").needed_n == pytest.approx(1494.6, abs=0.5)

@@ -11,16 +11,18 @@ from itertools import product
 import numpy as np
 import pytest
 
+from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import check_stability, refuse_unstable, stable_tuning
 from can_rig.errors import ScenarioError
-from can_rig.scenario.loading import load, shipped
+from can_rig.scenario.catalogue import shipped
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, margins
 from firmware_model.analysis.sampled_loop import linear_controller, sampled_loop
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.plants import steer_by_wire
-from firmware_model.discretisation.tables import Target, build
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
 from tests.helpers import rig
 

@@ -10,6 +10,7 @@ from functools import partial
 import numpy as np
 import pytest
 
+from can_rig.assessment.resolve import load
 from can_rig.assessment.tuning.box import (
     MAX_DELAY_TICKS,
     Car,
@@ -23,7 +24,6 @@ from can_rig.assessment.tuning.candidate import Tuning, with_tuning
 from can_rig.assessment.tuning.report import as_dict, options, rows
 from can_rig.assessment.tuning.search import Tunings
 from can_rig.scenario.build import continuous_design, continuous_plant, target
-from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.delay_margin import delay_margins
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, law_in
@@ -69,7 +69,7 @@ def test_every_offer_has_the_delay_margin_at_every_vertex(found: Tunings) -> Non
     assert min(crossover_margin(table, car, scenario.tick_s) for car in worst[:2]) == margin
     for car in (some[0], some[6]):
         assert crossover_margin(table, car, scenario.tick_s) >= margin
-    if table.on_confirmation:
+    if table.compensator.on_confirmation:
         law = linear_controller(table, confirmed=1.0)
         false_alarms = [sampled_loop(law, car.plant, scenario.tick_s) for car in some]
         assert max(loop.spectral_radius() for loop in false_alarms) < 1.0
@@ -137,7 +137,7 @@ def test_the_noise_is_that_of_a_long_run(found: Tunings) -> None:
         plant = sample(continuous_plant(scenario.plant), 1e-3)
         run = simulate(table, plant, np.ones(ticks), effectiveness=effectiveness)
         noisy = simulate(table, plant, np.ones(ticks), effectiveness=effectiveness, noise=noise)
-        if table.on_confirmation and left == 1.0:
+        if table.compensator.on_confirmation and left == 1.0:
             continue  # the noise crosses its threshold of 1e-5: compensated, but not lost
         forces.append(np.std((noisy.command_2 - run.command_2)[10_000:]) / 1e-4)
         torques.append(np.std((noisy.command_1 - run.command_1)[10_000:]) / 1e-4)

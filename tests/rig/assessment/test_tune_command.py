@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import json
+from pathlib import Path
 
 import matplotlib.image
 import pytest
 
-from can_rig.scenario.loading import load
+from can_rig.assessment.resolve import load
+from can_rig.assessment.tuning import search
 from tests.helpers import asked, rig
 from tests.rig.assessment.tuned import SETTINGS, SMALL, compiled_only
 
@@ -46,29 +48,30 @@ def test_what_is_wrong_is_one_line_with_exit_status_2(arguments: list[str], reas
 
 
 def test_the_command_writes_the_picture_the_table_and_the_options(
-    tmp_path, monkeypatch, capsys
-) -> None:  # type: ignore[no-untyped-def]
-    from can_rig.assessment.tuning import search
-    from can_rig.cli.tune_command import tune_command
-
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(search, "grid", lambda tick_s: SMALL)
     monkeypatch.setenv("COLUMNS", "80")
-    arguments = ("thesis-step", SETTINGS, (0.1, ()), (1, None), tmp_path)
-    assert tune_command(*arguments, False, True) == 0
-    values = json.loads(capsys.readouterr().out)
+    settings = [word for setting in SETTINGS for word in ("--set", setting)]
+    arguments = ("tune", "thesis-step", *settings, "--box", "0.1", "--out", tmp_path)
+    done = asked(*arguments, "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    values = json.loads(done.stdout)
     image = matplotlib.image.imread(tmp_path / "tuning.png")
     assert image.shape[0] > 800
     assert image[..., :3].std() > 0.05
-    with pytest.raises(Exception, match="there already"):
-        tune_command(*arguments, False, True)
-    assert tune_command(*arguments, True, False) == 0
-    shown = capsys.readouterr().out
+    again = asked(*arguments)
+    assert again.returncode == 2
+    assert "there already" in again.stderr
+    done = asked(*arguments, "--force")
+    assert done.returncode == 0
+    shown = done.stdout
     assert values["options"] in shown
     assert max(len(line) for line in shown.splitlines()[:-3]) <= 80
     assert sum(line.startswith(">") for line in shown.splitlines()) == 1
     # What the options choose is what was chosen.
-    settings = [*SETTINGS, *values["options"].replace("--set ", "").split()]
-    chosen = load("thesis-step", settings).design
+    chosen_settings = [*SETTINGS, *values["options"].replace("--set ", "").split()]
+    chosen = load("thesis-step", chosen_settings).design
     assert (chosen.tau_s, chosen.tau_q_s) == (
         values["chosen"]["tau_s"], values["chosen"]["tau_q_s"]
     )  # fmt: skip

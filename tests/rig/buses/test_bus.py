@@ -90,17 +90,17 @@ def test_unknown_interface() -> None:
     assert failure("socketscan:vcan0").startswith(
         "unknown bus interface 'socketscan'; did you mean socketcan"
     )
-    assert "there are canalystii, " in failure("qqqqq")
+    assert "it must be one of canalystii, " in failure("qqqqq")
     assert "unknown bus interface ''" in failure("")
 
 
 @pytest.mark.parametrize("query", ["fd", "=1", "a-b=1", "fd=true&&x"])
 def test_malformed_arguments(query: str) -> None:
-    assert "is not of the form key=value" in failure(f"local:x?{query}")
+    assert "must be of the form key=value" in failure(f"local:x?{query}")
 
 
 def test_error_of_a_bus_is_one_line() -> None:
-    assert "neither a name without '/'" in failure("local:a/b")
+    assert "must be a name without '/'" in failure("local:a/b")
 
 
 def raising(error: Exception) -> Any:

@@ -18,7 +18,7 @@ from click.testing import CliRunner
 
 from can_rig.cli.main import main
 from can_rig.decoding.decode import decode_log
-from can_rig.frames.messages import shipped_dbc
+from can_rig.frames.dbc import shipped_dbc
 from can_rig.results.run_folder import LOG
 from tests.helpers import NAMES, decoded, record
 from tests.helpers import rig as rig_process
@@ -238,7 +238,10 @@ def test_a_missing_end_is_said_and_the_rest_decoded(drive: Path, tmp_path: Path)
         (["{log}", "--dbc", "no.dbc"], "no.dbc: cannot be read"),
         (["{log}", "--message", "DSTAR"], "no message DSTAR in the database; it has DSTAR_"),
         (["{log}", "--signal", "dstar"], "no signal dstar in the database; it has DStar"),
-        (["{log}", "--out", "a.xlsx"], "a.xlsx: nothing is written as .xlsx; .csv, .parquet"),
+        (
+            ["{log}", "--out", "a.xlsx"],
+            "a.xlsx: cannot be written as .xlsx; it must be .csv, .parquet",
+        ),
         (["{log}", "--out", "/proc/no/a.csv"], "/proc/no/a.csv: cannot be written"),
     ],
 )

@@ -10,8 +10,9 @@ import canmatrix.formats
 import cantools
 import pytest
 
-from can_rig.frames.layout import ROLES, attribute
-from can_rig.frames.messages import load_network
+from can_rig.frames.dbc import attribute
+from can_rig.frames.layout import ROLES
+from can_rig.frames.network import load_network
 
 DBC = Path(__file__).parents[3] / "dbc"
 FILES = ("steer_by_wire.dbc", "chapter_2.dbc")
@@ -143,7 +144,7 @@ def test_the_table_of_identifiers_in_the_readme():
 
 
 def test_frames_differ_in_the_crc_of_their_data_id():
-    from can_rig.frames.messages import Transmitter
+    from can_rig.frames.endpoints import Transmitter
     from can_rig.frames.protection import Checker, CheckStatus
 
     codecs = [codec for name in FILES for codec in load_network(DBC / name)]

@@ -63,7 +63,7 @@ def bursts():
                 yield (pattern << shift).to_bytes(8, "big")
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(payloads, data_ids)
 def test_every_burst_of_up_to_8_bits_is_detected(payload, data_id):
     data = bytearray(payload)
@@ -184,9 +184,9 @@ def test_a_bad_frame_updates_nothing_but_the_tolerance():
 
 @pytest.mark.parametrize("data_id", [-1, 0x10000])
 def test_data_id_out_of_range_is_refused(data_id):
-    with pytest.raises(ValueError, match="16-bit unsigned"):
+    with pytest.raises(ValueError, match=r"must be 0\.\.65535"):
         Protector(data_id)
-    with pytest.raises(ValueError, match="16-bit unsigned"):
+    with pytest.raises(ValueError, match=r"must be 0\.\.65535"):
         Checker(data_id)
 
 

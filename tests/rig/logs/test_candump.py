@@ -1,21 +1,18 @@
-"""candump logs: what candump writes, what python-can reads, and what neither may pass over."""
+"""candump logs: what candump writes and what python-can reads, in blocks of any size."""
 
 from __future__ import annotations
 
 import gzip
 import io
-import re
 from pathlib import Path
 
 import can
 import numpy as np
 import pytest
 from can.io import CanutilsLogReader, CanutilsLogWriter
-from hypothesis import example, given, settings
+from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from can_rig.errors import LogError
-from can_rig.logs import candump_lines
 from can_rig.logs.frames import (
     BITRATE_SWITCH,
     ERROR,
@@ -24,58 +21,13 @@ from can_rig.logs.frames import (
     FD,
     REMOTE,
     SENT,
-    Frames,
     concatenate,
     from_messages,
 )
+from can_rig.logs.readers import candump_lines
 from can_rig.logs.reading import read_log
-from can_rig.logs.writing import candump_lines as lines_of
-
-# Of can-utils 2020.11: candump -L, candump -l of a socket with error frames and FD, and log2asc's
-# example; 2023: the R or T that -x adds, and a raw DLC above 8.
-CANDUMP = """\
-(1436509052.249713) vcan0 044#2A366C2BBA
-(1436509052.449847) vcan0 0F6#7ADFE07BD2
-(1436509052.650004) can1 12345678#R
-(1436509052.850189) can1 123#R4
-(1436509053.050404) vcan0 00000555#
-(1436509053.250570) vcan0 5A1##0
-(1436509053.451125) vcan0 5A1##3112233445566778899AABBCCDDEEFF
-(1436509053.651227) vcan0 1F334455##11122334455667788
-(1436509053.651229) can1 20000088#0000080000000000
-(1436509053.651231) can1 20000004#000C000000006000
-(1436509053.851336) vcan0 4F8#DE AD
-"""
-GOOD = CANDUMP.replace("DE AD", "DEAD")
-DIRECTED = (
-    "".join(f"{line} {'RT'[at % 2]}\n" for at, line in enumerate(GOOD.splitlines()))
-    + "(1436509055.000001) can1 123#1122334455667788_B R\n"
-)
-
-
-def written(folder: Path, text: str | bytes, name: str = "a.log") -> Path:
-    path = folder / name
-    path.write_bytes(text.encode() if isinstance(text, str) else text)
-    return path
-
-
-def whole(path: Path, chunk_frames: int = 1 << 18) -> Frames:
-    return concatenate(read_log(path, chunk_frames))
-
-
-def rows(frames: Frames) -> list[tuple]:
-    """Every frame as plain values, channels by name."""
-    return [
-        (
-            int(frames.time_ns[at]),
-            int(frames.arbitration_id[at]),
-            int(frames.flags[at]),
-            frames.channels[frames.channel[at]],
-            int(frames.length[at]),
-            frames.data[at].tobytes().rstrip(b"\0"),
-        )
-        for at in range(len(frames))
-    ]
+from can_rig.logs.writers.candump import candump_lines as lines_of
+from tests.rig.logs.candump_samples import DIRECTED, GOOD, rows, whole, written
 
 
 def test_what_candump_writes(tmp_path: Path) -> None:
@@ -123,7 +75,7 @@ frames_drawn = st.builds(
 )
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(frames_drawn, max_size=20), st.integers(1, 7))
 def test_the_same_frames_as_python_can(tmp_path_factory, messages, chunk_frames) -> None:
     """Of a log that python-can wrote, read by python-can."""
@@ -142,7 +94,7 @@ def test_the_same_frames_as_python_can(tmp_path_factory, messages, chunk_frames)
         assert mine.channel == other.channel
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=60)
 @given(st.lists(frames_drawn, max_size=20))
 def test_written_lines_read_the_same(tmp_path_factory, messages) -> None:
     frames = from_messages(messages)
@@ -165,107 +117,11 @@ def test_time_stamps_are_exact(tmp_path: Path) -> None:
     ]
 
 
-@pytest.mark.parametrize(
-    "line",
-    [
-        "hello",
-        "(1.0) can0",
-        "(1.0) can0 123",
-        "(1.0)can0 123#",
-        "1.0 can0 123#",
-        "(x) can0 123#",
-        "(1.0 can0 123#",
-        "(12345678901.0) can0 123#",
-        "(9999999999.0) can0 123#",
-        "(1.0) can0 123#1",
-        "(1.0) can0 123#11223344556677889",
-        "(1.0) can0 123#112233445566778899",
-        "(1.0) can0 123#XY",
-        "(1.0) can0 123#11 X",
-        "(1.0) can0 123#11 R R",
-        "(1.0) can0 FFF#11",
-        "(1.0) can0 123456789#11",
-        "(1.0) can0 #11",
-        "(1.0) can0 123##",
-        "(1.0) can0 123##G",
-        "(1.0) can0 123##0" + "11" * 65,
-        "(1.0) can0 123#R9",
-        "(1.0) can0 123#11_9",
-        "(1.0) can0 123#1122334455667788_8",
-        "(1.0) can0 123#1122334455667788_",
-        "\0\0\0\0",
-        CANDUMP.splitlines()[-1],  # blanks within the payload
-    ],
-)
-def test_what_is_no_frame_is_named(tmp_path: Path, line: str) -> None:
-    log = read_log(written(tmp_path, f"(0.5) can0 1#\n\n{line}\n(2.0) can0 1#\n"))
-    found = []
-    with pytest.raises(
-        LogError, match=r"a.log: line 3: not a frame as candump -L writes it"
-    ) as error:
-        found.extend(log)
-    assert "\n" not in str(error.value)
-    assert len(concatenate(found)) == 1  # what was before it came
-
-
-@settings(max_examples=300, deadline=None)
-@given(st.binary(max_size=60), st.integers(0, 70), st.integers(0, 10))
-@example(b"\n", 10, 0)
-@example(b"_", 40, 0)
-def test_damage_is_refused_or_read_and_never_more(tmp_path_factory, junk, at, cut) -> None:
-    """Bytes put into a line, or in place of some: an error with its line, or frames."""
-    line = b"(1436509053.451125) vcan0 5A1##3112233445566778899AABBCCDDEEFF R\n"
-    text = line + line[:at] + junk + line[at + cut :] + line
-    path = written(tmp_path_factory.mktemp("log"), text)
-    try:
-        frames = whole(path)
-    except LogError as error:
-        assert re.search(r"line \d+: ", str(error))
-    else:
-        assert 1 <= len(frames) <= 3 + junk.count(b"\n") + junk.count(b"#")
-
-
-def test_cut_off_at_every_byte(tmp_path: Path) -> None:
-    """Every line that has its end is read; of the last one, what cannot go on."""
-    every = rows(whole(written(tmp_path, DIRECTED)))
-    text = DIRECTED.encode()
-    for cut in range(len(text) + 1):
-        path = written(tmp_path, text[:cut])
-        log = read_log(path)
-        frames = concatenate(log)
-        ended = text[:cut].count(b"\n")
-        unfinished = text[:cut].rpartition(b"\n")[2]
-        is_whole = re.search(rb" [RT]$", unfinished) is not None
-        assert rows(frames) == every[: ended + is_whole]
-        if unfinished and not is_whole:
-            assert log.notice is not None
-            assert f"line {ended + 1}: the file ends within this line" in log.notice
-            assert "\n" not in log.notice
-        else:
-            assert log.notice is None
-
-
-def test_compressed_and_cut_off(tmp_path: Path) -> None:
-    text = DIRECTED * 50
-    packed = gzip.compress(text.encode())
-    every = rows(whole(written(tmp_path, packed, "a.log.gz")))
-    assert every == rows(whole(written(tmp_path, text)))
-    two = gzip.compress(DIRECTED.encode()) * 50
-    assert rows(whole(written(tmp_path, two, "a.log.gz"))) == every
-    for cut in range(0, len(packed), 7):
-        log = read_log(written(tmp_path, packed[:cut], "a.log.gz"))
-        found = rows(concatenate(log))
-        assert found == every[: len(found)]
-        assert (log.notice is None) == (cut == 0)
-    with pytest.raises(LogError, match=r"a.log.gz: damaged .* or not gzip"):
-        whole(written(tmp_path, text, "a.log.gz"))
-
-
 @pytest.mark.parametrize("block", [1, 7, 100])
 def test_blocks_of_any_size(tmp_path: Path, monkeypatch, block: int) -> None:
     plain, packed = (written(tmp_path, DIRECTED * 2), gzip.compress((DIRECTED * 2).encode()))
     every = rows(whole(plain))
-    monkeypatch.setattr("can_rig.logs.blocks.BLOCK_BYTES", block)
+    monkeypatch.setattr("can_rig.logs.readers.blocks.BLOCK_BYTES", block)
     assert rows(whole(plain)) == every
     assert rows(whole(written(tmp_path, packed, "a.log.gz"))) == every
 
@@ -289,26 +145,5 @@ def test_the_compiled_lines_are_those_that_run_interpreted(tmp_path: Path, monke
     for name, value in vars(candump_lines).items():
         if hasattr(value, "py_func"):
             monkeypatch.setattr(candump_lines, name, value.py_func)
-    monkeypatch.setattr("can_rig.logs.candump.parse", candump_lines.parse)
+    monkeypatch.setattr("can_rig.logs.readers.candump.parse", candump_lines.parse)
     assert rows(whole(tmp_path / "a.log")) == compiled
-
-
-@pytest.mark.parametrize(
-    ("name", "reason"),
-    [
-        ("a.txt", "not a log that can be told by its name; .log, .asc"),
-        ("a.blf.gz", "not a log that can be told by its name"),
-        ("log", "not a log that can be told by its name"),
-    ],
-)
-def test_names_that_say_nothing(tmp_path: Path, name: str, reason: str) -> None:
-    with pytest.raises(LogError, match=reason):
-        read_log(tmp_path / name)
-
-
-def test_what_is_not_there(tmp_path: Path) -> None:
-    with pytest.raises(LogError, match=r"no.log: there is no such file"):
-        list(read_log(tmp_path / "no.log"))
-    (tmp_path / "folder.log").mkdir()
-    with pytest.raises(LogError, match="is a folder"):
-        list(read_log(tmp_path / "folder.log"))

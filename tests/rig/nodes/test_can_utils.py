@@ -14,11 +14,11 @@ from pathlib import Path
 import pytest
 from click.testing import CliRunner
 
+from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
 from can_rig.results.run_folder import LOG, SIGNALS, SUMMARY
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import load
 from tests.helpers import DBC, NAMES, record, rig, start
 from tests.vcan import TIMEOUT_S, beside, frames, on_two_buses, tool
 

@@ -4,10 +4,10 @@ import random
 
 import can
 
+from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
 from can_rig.nodes.lockstep import StopRequest
 from can_rig.nodes.nodes import run_in_process
-from can_rig.scenario.loading import load
 from tests.helpers import record
 
 TICKS, A_TICK = 300, 50

@@ -5,15 +5,15 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
+from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
-from can_rig.frames.messages import Transmitter
+from can_rig.frames.endpoints import Transmitter
 from can_rig.nodes.controller_node import ControllerNode
 from can_rig.nodes.lockstep import StopRequest, Waiting, Watchdog
 from can_rig.nodes.nodes import run_in_process
 from can_rig.nodes.plant_node import PlantNode
 from can_rig.nodes.recorder import Recorder
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import load
 from firmware_model.design.vehicle import VehicleParameters, vehicle_state_space
 from tests.helpers import NAMES, decoded, record
 

@@ -12,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import cont2discrete
 
+from can_rig.assessment.resolve import load
 from can_rig.errors import BusError, RunFolderError, ScenarioError, SilentNodeError
 from can_rig.nodes.lockstep import StopRequest, Waiting, Watchdog
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode
@@ -20,9 +21,8 @@ from can_rig.nodes.realtime.plant_node import RealTimePlantNode
 from can_rig.nodes.recorder import RealTimeRecorder
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import load
 from firmware_model.design.vehicle import VehicleParameters, vehicle_state_space
-from firmware_model.target.layout import FaultState, Mode
+from firmware_model.target.status import FaultState, Mode
 from tests.helpers import NAMES, decoded, record
 
 LSB = 1e-8  # of D* on the wire
@@ -149,7 +149,7 @@ def dstar_under(commands):
 # --- deadlines -----------------------------------------------------------------------------------
 
 
-@settings(max_examples=20, deadline=None)
+@settings(max_examples=20)
 @given(st.lists(st.integers(0, TICK_NS - 1), min_size=60, max_size=60))
 def test_lateness_never_adds_up(lateness):
     """Tick k is sent at start + kT + what the k-th wake-up was late, whatever came before."""

@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import load
 from tests.helpers import rig, start
 from tests.rig.nodes.test_run import FILES, alive, lines_of, nodes_of, one_line, wait_for
 

@@ -6,9 +6,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.linalg import expm
 
+from can_rig.assessment.resolve import load
 from can_rig.nodes.realtime.takeover import LISTEN_S, RETURN_S, FreeMotion, TakeOver
 from can_rig.scenario.build import controller_table, network_of
-from can_rig.scenario.loading import load
 from firmware_model.design.vehicle import VehicleParameters, vehicle_state_space
 from firmware_model.firmware import Firmware
 
@@ -36,7 +36,7 @@ def table_of(scenario):
     return controller_table(scenario, network_of(scenario))
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(STATES)
 def test_what_follows_is_predicted_from_fifty_milliseconds(x0):
     """From D* on the grid of its frame; the threshold of the default decision is 1e-5."""
@@ -73,7 +73,7 @@ def test_noise_alone_is_not_taken_for_a_motion():
         assert max(abs(motion.advance()) for _ in range(500)) < 3 * rms
 
 
-@settings(max_examples=10, deadline=None)
+@settings(max_examples=10)
 @given(STATES)
 def test_the_estimate_starts_at_zero_on_a_car_that_moves(x0):
     """F1 with no command of its own predicts the car: d̂ stays below the default threshold."""

@@ -6,11 +6,11 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from can_rig.frames.messages import Receiver, Transmitter
+from can_rig.assessment.resolve import load
+from can_rig.frames.endpoints import Receiver, Transmitter
 from can_rig.plant.faults import ActuatorFault, FrameFault
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import continuous_plant, network_of
-from can_rig.scenario.loading import load
 from can_rig.thesis.continuous import solve
 
 CHANNELS = ["torque", "force-difference"]

@@ -12,10 +12,10 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
+from can_rig.assessment.resolve import load
 from can_rig.plant.nonlinear_car import NonlinearCar, _advance, _rates, brush, car_of
 from can_rig.plant.simulated import LinearPlant
-from can_rig.scenario.loading import load
-from can_rig.scenario.settings import PlantSettings
+from can_rig.scenario.plant_settings import PlantSettings
 from tests.helpers import decoded, record
 
 G = 9.81

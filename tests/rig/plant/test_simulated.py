@@ -6,10 +6,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
+from can_rig.assessment.resolve import load
 from can_rig.plant.simulated import Actuator, LinearPlant, SimulatedPlant
 from can_rig.scenario.build import continuous_plant
-from can_rig.scenario.loading import load
-from can_rig.scenario.settings import PlantSettings
+from can_rig.scenario.plant_settings import PlantSettings
 
 HEALTHY = ["fault.kind=none"]
 commands = st.one_of(st.none(), st.floats(-1e3, 1e3))

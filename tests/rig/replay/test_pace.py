@@ -10,7 +10,7 @@ from pathlib import Path
 import can
 import pytest
 from can import Message
-from hypothesis import given, settings
+from hypothesis import given
 from hypothesis import strategies as st
 
 from can_rig.buses.bus import open_bus
@@ -92,7 +92,6 @@ def test_hours_do_not_drift(speed: Fraction) -> None:
     assert result.log_ns == times[-1] - times[0]
 
 
-@settings(deadline=None)
 @given(
     st.lists(st.integers(0, 10**10), min_size=1, max_size=40),
     st.fractions(min_value=Fraction(1, 50), max_value=50),

@@ -15,8 +15,9 @@ from can import Message
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from can_rig.assessment.resolve import load, load_run
 from can_rig.errors import LogError
-from can_rig.frames.messages import Transmitter
+from can_rig.frames.endpoints import Transmitter
 from can_rig.logs.frames import from_messages
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import write_log
@@ -25,10 +26,9 @@ from can_rig.replay.replay import OpenLoop
 from can_rig.replay.rig_frames import signed
 from can_rig.results.signals import plain_frames
 from can_rig.scenario.build import controller_table, network_of
-from can_rig.scenario.loading import from_run, load
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
-from firmware_model.target.layout import Mode
+from firmware_model.target.status import Mode
 from tests.helpers import NAMES, asked, record, rig
 
 TICKS = 400
@@ -215,7 +215,7 @@ def mangled(
     return out, wrong
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=25)
 @given(st.integers(0, 10**6), st.integers(1, 700))
 def test_dropped_doubled_and_swapped_frames_are_all_listed_and_nothing_else(
     frames: list[Message], seed: int, chunk: int
@@ -448,8 +448,8 @@ def write_log_of(frames: list[Message], path: Path) -> None:
 
 def test_a_run_brings_its_scenario_and_the_model_follows_the_car() -> None:
     recorded = load("default", ["model.mass_kg=1500"])
-    assert from_run(recorded.as_dict()) == recorded
-    changed = from_run(recorded.as_dict(), ["plant.mass_kg=1600", "plant.speed_mps=12"])
+    assert load_run(recorded.as_dict()) == recorded
+    changed = load_run(recorded.as_dict(), ["plant.mass_kg=1600", "plant.speed_mps=12"])
     assert (changed.model.mass_kg, changed.model.speed_mps) == (1500.0, 12.0)
 
 

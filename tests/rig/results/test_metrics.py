@@ -10,6 +10,7 @@ import numpy as np
 import pytest
 from scipy import signal
 
+from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import check_stability
 from can_rig.errors import RigError
 from can_rig.nodes.lockstep import StopRequest
@@ -19,7 +20,6 @@ from can_rig.results.counterfactual import fault_free
 from can_rig.results.metrics import Metrics, metrics, rows, windows
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from can_rig.thesis.continuous import solve
 from firmware_model.design.plants import steer_by_wire
@@ -302,7 +302,7 @@ def test_unavoidable_is_what_a_loss_does_before_anything_can_answer(
     _, step = signal.step(signal.ZerosPolesGain(g1.zeros, g1.poles, g1.gain), T=times)
     found = metrics(scenario, signals)["unavoidable_deviation_mps2"]
     assert found == pytest.approx((1.0 - left) * torque * step[-1], rel=1e-6)
-    # MATHS, trap 11
+    # trap 11
     short = 0.5 * g1.gain * torque * ((latency + 1) * scenario.tick_s) ** 2
     assert found == pytest.approx((1.0 - left) * short, rel=0.05)
 

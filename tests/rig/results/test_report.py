@@ -10,6 +10,7 @@ import pytest
 from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
+from can_rig.assessment.resolve import load
 from can_rig.drawing.style import SHADE
 from can_rig.nodes.lockstep import StopRequest
 from can_rig.nodes.nodes import run_in_process
@@ -19,7 +20,6 @@ from can_rig.results.metrics import metrics, rows
 from can_rig.results.run_folder import Outcome, finish
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 
 pytestmark = pytest.mark.filterwarnings("error")

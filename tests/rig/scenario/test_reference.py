@@ -7,8 +7,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from can_rig.assessment.resolve import load
 from can_rig.errors import ScenarioError
-from can_rig.scenario.loading import load
 from can_rig.scenario.reference import LANE_CHANGE_S, lane_change, reference
 
 

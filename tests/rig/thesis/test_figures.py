@@ -12,10 +12,10 @@ import pytest
 from click.testing import CliRunner
 from scipy import integrate, signal
 
+from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_plant
-from can_rig.scenario.loading import load
 from can_rig.scenario.settings import Scenario
 from can_rig.thesis.comparisons import Comparison, both, compare
 from can_rig.thesis.continuous import OUTPUTS, closed_loop, lag_over, solve

@@ -12,8 +12,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
+from can_rig.assessment.resolve import load
 from can_rig.errors import LogError
-from can_rig.scenario.loading import load
 from can_rig.views.diff_picture import difference_page
 from can_rig.views.run_diff import compare, tolerances_of
 from can_rig.views.signal_table import SignalTable, read_table, unit

@@ -1,0 +1,34 @@
+"""``can-rig check``."""
+
+from __future__ import annotations
+
+import sys
+
+import click
+
+from can_rig.assessment.resolve import load
+from can_rig.assessment.stability import check_stability
+from can_rig.assessment.stability_table import table_rows
+from can_rig.cli.options import json_option, scenario_options
+from can_rig.cli.output import json_line, say, show, table
+
+
+@click.command("check")
+@scenario_options
+@json_option("The figures as one JSON object.")
+def command(scenario: str, settings: tuple[str, ...], as_json: bool) -> None:
+    """Say whether SCENARIO's loop is stable, healthy and faulted, and by how much.
+
+    Exit status: 0 stable, 1 not.
+    """
+    result = check_stability(load(scenario, settings))
+    if as_json:
+        json_line(**result.as_dict())
+    else:
+        headings, *rows = table_rows(result.states)
+        figures = table(*headings)
+        for row in rows:
+            figures.add_row(*row)
+        show(figures)
+        say(*result.notes, *result.scenario.notes, result.verdict)
+    sys.exit(0 if result.stable else 1)

@@ -1,0 +1,1 @@
+"""The commands that read a log or a run folder."""

@@ -1,0 +1,131 @@
+"""``can-rig diff``: a table, a picture and an exit status of what two runs differ in."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator, Sequence
+from pathlib import Path
+
+import click
+from rich.table import Table
+
+from can_rig.cli.logs.picture import refuse_picture
+from can_rig.cli.options import force_option, json_option
+from can_rig.cli.output import json_line, table, wide
+from can_rig.files import atomic
+from can_rig.scenario.loading import read
+from can_rig.views.run_diff import Difference, compare, tolerances_of
+from can_rig.views.settings_diff import SettingDifference, written
+from can_rig.views.signal_table import SignalTable, read_table
+
+
+@click.command("diff")
+@click.argument("run_a", type=click.Path(path_type=Path))
+@click.argument("run_b", type=click.Path(path_type=Path))
+@click.option(
+    "--tolerance",
+    "tolerances",
+    multiple=True,
+    metavar="SIGNAL=VALUE",
+    help="Largest difference of a signal that counts as none, in its unit, as in torque_nm=0.01; "
+    "repeatable.  [default: 0]",
+)
+@click.option(
+    "--scenario",
+    "scenario_name",
+    default="default",
+    show_default=True,
+    metavar="NAME",
+    help="Frames and tick of what is a log and no run folder.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.png",
+    help="Draw where they part.",
+)
+@json_option()
+@force_option
+def command(
+    run_a: Path,
+    run_b: Path,
+    tolerances: tuple[str, ...],
+    scenario_name: str,
+    out: Path | None,
+    as_json: bool,
+    force: bool,
+) -> None:
+    """Compare RUN_A and RUN_B (run folders, signals.csv files or logs), signal by signal.
+
+    Exit status: 0 the same within tolerance, 1 different.
+    """
+    if out is not None:
+        refuse_picture(out, force)
+    allowed = tolerances_of(tolerances)
+    scenario = read(scenario_name).scenario
+    a, b = (read_table(path, scenario) for path in (run_a, run_b))
+    difference = compare(a, b, allowed)
+    if out is not None:
+        from can_rig.views.diff_picture import draw_difference  # noqa: PLC0415 (matplotlib)
+
+        with atomic(out) as part:
+            draw_difference(part, a, b, difference)
+    if as_json:
+        json_line(a=a.label, b=b.label, **difference.as_dict())
+    else:
+        print_difference(difference, (a.label, b.label), a)
+    sys.exit(0 if difference.same else 1)
+
+
+def print_difference(difference: Difference, labels: tuple[str, str], a: SignalTable) -> None:
+    """The table, and what it cannot say."""
+    headings = ("signal", "largest difference", "at s", "tolerance", "rows beyond", "first at s")
+    signals = table(*headings, *labels)
+    for column in signals.columns:
+        column.overflow = "fold"
+    for signal in difference.signals:
+        _, unit = a.name_and_unit(signal.signal)
+        row = [signal.signal, f"{signal.largest:.4g} {unit}".rstrip()]
+        row += [_time(signal.largest_at_s) if signal.largest else "", f"{signal.tolerance:g}"]
+        row += [str(signal.beyond), _time(signal.first_at_s)]
+        if signal.beyond:
+            row += [_number(signal.first_a), _number(signal.first_b)]
+        signals.add_row(*row)
+    console = wide()
+    console.print(signals)
+    if difference.settings:
+        console.print(_settings_table(difference.settings, labels))
+    for line in _lines(difference, labels):
+        console.print(line, markup=False)
+
+
+def _settings_table(settings: Sequence[SettingDifference], labels: tuple[str, str]) -> Table:
+    """What the two runs were asked to do differently."""
+    rows = table("setting", *labels)
+    for setting in settings:
+        rows.add_row(setting.key, written(setting.a), written(setting.b))
+    return rows
+
+
+def _lines(difference: Difference, labels: tuple[str, str]) -> Iterator[str]:
+    columns = (difference.columns_a, difference.columns_b)
+    rows = (difference.only_a, difference.only_b)
+    for label, names, number in zip(labels, columns, rows, strict=True):
+        if names:
+            yield f"only {label} has {', '.join(names)}"
+        if number:
+            yield f"{number} rows are of times that only {label} has"
+    if difference.first_at_s is not None:
+        yield f"different from {difference.first_at_s:.6f} s on, in {difference.rows} common rows"
+    elif difference.same:
+        yield f"the same in all {difference.rows} rows"
+    else:
+        yield f"the same in the {difference.rows} rows that both have"
+
+
+def _time(time_s: float | None) -> str:
+    return "" if time_s is None else f"{time_s:.6f}"
+
+
+def _number(value: float | None) -> str:
+    return "no value" if value is None else f"{value:.9g}"

@@ -1,0 +1,105 @@
+"""``can-rig plot``: signals of any log through any DBC, drawn for print."""
+
+from __future__ import annotations
+
+import difflib
+from pathlib import Path
+
+import click
+from cantools.database.can import Database
+
+from can_rig.cli.logs.own_dbc import own_dbc
+from can_rig.cli.logs.picture import refuse_picture
+from can_rig.cli.options import channel_option, dbc_options, force_option, log_argument
+from can_rig.cli.output import note, say
+from can_rig.cli.progress import reading
+from can_rig.decoding.database import load_database
+from can_rig.decoding.decode import Decoder
+from can_rig.decoding.message_columns import MessageColumns, joined
+from can_rig.errors import DbcError, LogError
+from can_rig.files import atomic
+from can_rig.logs.reading import read_log
+from can_rig.replay.source import log_path
+from can_rig.views.plot_picture import plot_page
+from can_rig.views.signal_table import scenario_of
+
+
+@click.command("plot")
+@log_argument
+@click.argument("signals", nargs=-1, required=True, metavar="SIGNAL...")
+@dbc_options
+@channel_option
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.png",
+    help="The picture.  [default: the log's name, .png]",
+)
+@force_option
+def command(
+    log: Path,
+    signals: tuple[str, ...],
+    dbc: Path | None,
+    no_strict: bool,
+    channel: str | None,
+    out: Path | None,
+    force: bool,
+) -> None:
+    """Draw SIGNALs of LOG: MESSAGE.Signal, or Signal where only one message has it."""
+    out = out or Path(f"{_bare(log)}.png")
+    refuse_picture(out, force)
+    database = load_database(dbc or own_dbc(log), not no_strict)
+    wanted = [resolve(database, name) for name in signals]
+    decoder = Decoder(database, None, {f"{m}.{s}" for m, s in wanted}, channel)
+    source = read_log(log_path(log))
+    parts: dict[str, list[MessageColumns]] = {}
+    for frames in reading(source, "reading"):
+        for name, columns in decoder.decode(frames).items():
+            parts.setdefault(name, []).append(columns)
+    found = {name: joined(columns) for name, columns in parts.items()}
+    drawn = [pair for pair in wanted if len(found.get(pair[0], ()))]
+    absent = sorted({message for message, _ in wanted if not len(found.get(message, ()))})
+    if not drawn:
+        nothing = decoder.nothing_on_channel or f"no frame of {', '.join(absent)} can be decoded"
+        raise LogError(f"{source.path}: {nothing}")
+    run = scenario_of(log) if log.is_dir() else None
+    page = plot_page(found, drawn, source.start_ns, run.fault if run else None)
+    with atomic(out) as part:
+        page.savefig(part, dpi=150, format="png")
+    note(source.notice, f"no frame of {', '.join(absent)}" if absent else None)
+    say(f"picture in {out}")
+
+
+def resolve(database: Database, name: str) -> tuple[str, str]:
+    """Message and signal of ``MESSAGE.Signal``, or of ``Signal`` where only one message has it.
+
+    Raises:
+        DbcError: there is none, or more than one.
+    """
+    every = [
+        (message.name, signal.name) for message in database.messages for signal in message.signals
+    ]
+    found = [pair for pair in every if name in (pair[1], ".".join(pair))]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise DbcError(
+            f"signal {name} is in more than one message; "
+            f"must be {' or '.join('.'.join(pair) for pair in found[:4])}"
+        )
+    by_lower = {}
+    for pair in every:
+        by_lower[pair[1].lower()] = pair[1]
+        by_lower[".".join(pair).lower()] = ".".join(pair)
+    near = difflib.get_close_matches(name.lower(), by_lower, 3, 0.5)
+    hint = " or ".join(by_lower[key] for key in near)
+    raise DbcError(
+        f"no signal {name} in the database; "
+        + (f"did you mean {hint}?" if hint else f"it has {', '.join(s for _, s in every[:6])}, …")
+    )
+
+
+def _bare(path: Path) -> str:
+    """The name of a log without what says its format."""
+    name = path.resolve().name.removesuffix(".gz")
+    return name if path.is_dir() else Path(name).stem

@@ -1,0 +1,159 @@
+"""``can-rig replay``: a log through today's controller, onto a bus, or through another scenario."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import click
+
+from can_rig.cli.logs.comparison import print_comparison, summary
+from can_rig.cli.logs.pace import pace, speed_of
+from can_rig.cli.options import (
+    bus_name,
+    channel_option,
+    force_option,
+    json_option,
+    log_argument,
+    set_option,
+)
+from can_rig.cli.output import json_line
+from can_rig.errors import LogError
+from can_rig.files import atomic, refuse_existing
+from can_rig.replay.gaps import Gap, in_order, write_gaps
+from can_rig.replay.replay import OpenLoop
+from can_rig.replay.source import Source, source_of
+from can_rig.scenario.build import network_of
+
+
+@click.command("replay")
+@log_argument
+@click.option(
+    "--scenario",
+    "scenario_name",
+    metavar="NAME",
+    help="Whose controller: a shipped scenario or a TOML file.  [default: the run folder's own]",
+)
+@set_option("Change one key of the scenario")
+@channel_option
+@click.option(
+    "--gaps",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE.csv",
+    help="List everything that is wrong in the log.",
+)
+@click.option(
+    "--bus",
+    callback=bus_name,
+    metavar="NAME",
+    help="At a pace: put every frame of LOG on this bus, for other programs to see; names as "
+    "those of `can-rig run --bus`.",
+)
+@click.option(
+    "--speed",
+    metavar="X",
+    help="With --bus: times the log's own pace, as in 0.5 or 10; max: as fast as the bus takes "
+    "them.  [default: 1]",
+)
+@click.option(
+    "--what-if",
+    is_flag=True,
+    help="The logged reference through the closed loop, plant and controller, of the scenario as "
+    "--scenario and --set change it: an ordinary run folder, and what differs from the log.",
+)
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, file_okay=False),
+    help="With --what-if: the run folder.  [default: runs/SCENARIO-TIME]",
+)
+@click.option(
+    "--allow-unstable",
+    is_flag=True,
+    help="With --what-if: run a loop that `can-rig check` refuses.",
+)
+@json_option()
+@force_option
+def command(
+    log: Path,
+    scenario_name: str | None,
+    settings: tuple[str, ...],
+    channel: str | None,
+    gaps: Path | None,
+    bus: str | None,
+    speed: str | None,
+    what_if: bool,
+    out: Path | None,
+    allow_unstable: bool,
+    as_json: bool,
+    force: bool,
+) -> None:
+    """Drive today's controller with LOG, a log of any format or a run folder.
+
+    Open loop (the default): the logged reference and feedback go through the controller's receive
+    rules and firmware, frame by frame; what it answers is compared with the log, as on the wire.
+    --bus puts the log on a bus instead, --what-if asks what another scenario would have done.
+
+    Exit status: 0 nothing that can be compared differs, 1 something does.
+    """
+    if bus is not None:
+        _refuse_together("--bus", scenario=scenario_name, set=settings, gaps=gaps, what_if=what_if)
+        sys.exit(pace(log, bus, speed_of(speed or "1"), channel, as_json))
+    if speed is not None:
+        raise click.UsageError("--speed is the pace of a replay onto a --bus; name one")
+    if what_if:
+        from can_rig.replay.what_if import what_if_command  # noqa: PLC0415 (matplotlib)
+
+        _refuse_together("--what-if", gaps=gaps)
+        sys.exit(
+            what_if_command(
+                log, scenario_name, settings, channel, out, force, allow_unstable, as_json
+            )
+        )
+    if out is not None:
+        raise click.UsageError("--out is the run folder of a --what-if")
+    sys.exit(_open_loop(source_of(log, scenario_name, settings, channel), gaps, force, as_json))
+
+
+def _refuse_together(option: str, **others: object) -> None:
+    for name, value in others.items():
+        if value:
+            raise click.UsageError(f"{option} and --{name.replace('_', '-')} do not go together")
+
+
+def _open_loop(source: Source, gaps: Path | None, force: bool, as_json: bool) -> int:
+    """A log through today's controller: 0 if nothing differs, else 1.
+
+    Raises:
+        LogError: the log cannot be read, or nothing of it can be compared.
+        ScenarioError: a design that cannot be made.
+    """
+    if gaps is not None:
+        refuse_existing(gaps, force, "--gaps")
+    found: list[Gap] = []
+    with _all_gaps(gaps) as write:
+        loop = OpenLoop(source.scenario, network_of(source.scenario), found.append)
+        loop.run(source.frames("replaying"))
+        listed = in_order(found)
+        write(listed)
+    if not any(signal.compared for signal in loop.comparison.signals):
+        raise LogError(
+            f"{source.log.path}: no frame of a controller in it that could be compared "
+            f"({loop.comparison.ticks} ticks were replayed); must be a log of both nodes"
+        )
+    if as_json:
+        json_line(**summary(source, loop, listed))
+    else:
+        print_comparison(source, loop, listed, gaps)
+    return 0 if loop.comparison.identical else 1
+
+
+@contextmanager
+def _all_gaps(path: Path | None) -> Iterator[Callable[[list[Gap]], None]]:
+    """Writes the list, or does not; what cannot be written is refused before the replay."""
+    if path is None:
+        yield lambda gaps: None
+        return
+    with atomic(path) as part, part.open("w", encoding="utf-8", newline="") as file:
+        yield lambda gaps: write_gaps(file, gaps)

@@ -1,0 +1,61 @@
+"""What every command prints alike: tables, lines, notes, errors and JSON."""
+
+from __future__ import annotations
+
+import json
+
+from rich.console import Console
+from rich.table import Table
+
+WIDTH = 120
+"""Least characters of a line of a wide table, wherever it goes."""
+
+
+def table(*headings: str, left: int = 1, title: str | None = None) -> Table:
+    """A table without a frame; the first ``left`` columns hold text, the others numbers."""
+    made = Table(box=None, pad_edge=False, title=title, show_header=any(headings))
+    for index, heading in enumerate(headings):
+        made.add_column(heading, justify="left" if index < left else "right")
+    return made
+
+
+def show(what: Table) -> None:
+    """A table, as wide as the terminal."""
+    Console().print(what)
+
+
+def wide() -> Console:
+    """Standard output for tables that keep their columns wherever it goes."""
+    console = Console(soft_wrap=True, highlight=False)
+    console.width = max(console.width, WIDTH)
+    return console
+
+
+def say(*lines: str) -> None:
+    """Lines on standard output as they are: never cut short, no markup in them."""
+    _print(Console(), lines)
+
+
+def tell(*lines: str) -> None:
+    """Lines on standard error, beside a result that a program may read."""
+    _print(Console(stderr=True), lines)
+
+
+def note(*texts: str | None) -> None:
+    """What a person should know besides, on standard error; None is nothing."""
+    _print(Console(stderr=True), [f"note: {text}" for text in texts if text], "yellow")
+
+
+def complain(text: str) -> None:
+    """One line for what went wrong, on standard error."""
+    _print(Console(stderr=True), [f"error: {text}"], "red")
+
+
+def json_line(**values: object) -> None:
+    """One line of JSON on standard output, at once."""
+    print(json.dumps(values, ensure_ascii=False), flush=True)
+
+
+def _print(console: Console, lines: list[str] | tuple[str, ...], style: str | None = None) -> None:
+    for line in lines:
+        console.print(line, style=style, soft_wrap=True, markup=False, highlight=False)

@@ -1,0 +1,42 @@
+"""The last lines of a run: its metrics, its rate, what was not used, where it is."""
+
+from __future__ import annotations
+
+from collections import Counter
+from pathlib import Path
+
+from can_rig.cli.output import say, show, table
+from can_rig.frames.network import Network
+from can_rig.nodes.realtime import deadlines
+from can_rig.results.metrics import Metrics, rows
+from can_rig.results.run_folder import Outcome
+from can_rig.scenario.settings import Scenario
+
+
+def closing_table(
+    scenario: Scenario, network: Network, values: Metrics, outcome: Outcome, folder: Path
+) -> None:
+    """Metrics, rate, frames not used and the folder of a run that has ended.
+
+    No metrics and no rate where no command was recorded, and so no whole tick.
+    """
+    closing = table("", "")
+    if values.get("torque_peak_nm") is not None:
+        for label, text in rows(values, network):
+            closing.add_row(label, text)
+        factor = outcome.ticks_per_s * scenario.tick_s
+        closing.add_row("rate", f"{outcome.ticks_per_s:.0f} ticks/s, {factor:.1f} x real time")
+    for label, text in deadlines.rows(outcome.realtime or {}):
+        closing.add_row(label, text)
+    rejected: Counter[str] = Counter()
+    for counts in outcome.rejected_frames.values():
+        rejected.update(counts)
+    if rejected:
+        closing.add_row("frames not used", ", ".join(f"{n} {k}" for k, n in rejected.items()))
+    for node, events in outcome.bus_events.items():
+        closing.add_row(f"bus of the {node}", ", ".join(f"{n} {k}" for k, n in events.items()))
+    if closing.row_count:
+        show(closing)
+    say(*scenario.notes)
+    say(*deadlines.scheduling_lines(outcome.realtime or {}))
+    say(f"run folder  {folder}")

@@ -1,0 +1,47 @@
+"""``can-rig controller``."""
+
+from __future__ import annotations
+
+import sys
+
+import click
+
+from can_rig.assessment.resolve import load
+from can_rig.cli.options import scenario_options
+from can_rig.cli.output import json_line
+from can_rig.cli.runs.node import end_of_node, node_options, node_progress
+from can_rig.nodes.lockstep import StopRequest, Waiting
+from can_rig.nodes.nodes import EveryNowAndThen, run_controller
+from can_rig.nodes.realtime import nodes as realtime_nodes
+
+
+@click.command("controller")
+@scenario_options
+@node_options
+def command(
+    scenario: str,
+    settings: tuple[str, ...],
+    bus: str,
+    silence_s: float | None,
+    first_s: float,
+    as_json: bool,
+    real_time: bool,
+) -> None:
+    """Run the controller node: the firmware, in lockstep with a plant node or in real time.
+
+    In real time it may be started, or started again, while the car drives: it listens for 50 ms,
+    then takes over without a bump.
+    """
+    waiting = Waiting(first_s, Waiting.silence_s if silence_s is None else silence_s)
+    chosen = load(scenario, settings)
+    stop = StopRequest().on_signals()
+
+    def on_ready() -> None:
+        if as_json:
+            json_line(ready=True)
+
+    run_node = realtime_nodes.run_controller if real_time else run_controller
+    with node_progress(chosen, as_json) as on_tick:
+        summary = run_node(chosen, bus, waiting, stop, on_ready, EveryNowAndThen(on_tick))
+        on_tick(summary.ticks)
+    sys.exit(end_of_node(chosen, summary, as_json))

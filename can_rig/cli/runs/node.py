@@ -1,0 +1,81 @@
+"""What the commands ``plant`` and ``controller`` share: options, progress and the last lines."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+
+import click
+
+from can_rig.cli.options import Function, bus_option, json_option, realtime_option
+from can_rig.cli.output import json_line, tell
+from can_rig.cli.progress import counting
+from can_rig.errors import INTERRUPTED, RigError
+from can_rig.nodes.nodes import NodeSummary
+from can_rig.nodes.realtime import deadlines
+from can_rig.scenario.settings import Scenario
+
+
+def _above_zero(
+    _context: click.Context, _option: click.Parameter, value: float | None
+) -> float | None:
+    if value is not None and not value > 0.0:  # nan too
+        raise click.BadParameter(f"{value:g} s: must be above 0")
+    return value
+
+
+def node_options(function: Function) -> Function:
+    """What both nodes take beside the scenario."""
+    for decorate in (
+        bus_option("local", "local"),
+        json_option("Progress and summary as JSON lines."),
+        click.option(
+            "--silence",
+            "silence_s",
+            type=float,
+            callback=_above_zero,
+            metavar="S",
+            help="Seconds of silence after which the other node counts as gone.  [default: 1.0; "
+            "plant --realtime drives on alone]",
+        ),
+        click.option(
+            "--wait",
+            "first_s",
+            default=60.0,
+            callback=_above_zero,
+            show_default=True,
+            metavar="S",
+            help="Seconds to wait for the other node to appear.",
+        ),
+        realtime_option,
+    ):
+        function = decorate(function)
+    return function
+
+
+@contextmanager
+def node_progress(scenario: Scenario, as_json: bool) -> Iterator[Callable[[int], None]]:
+    """Progress of one node: a bar for a person, JSON lines for a program."""
+    if not as_json:
+        with counting(scenario.name, "ticks", scenario.ticks) as on_tick:
+            yield on_tick
+        return
+    try:
+        yield lambda tick: json_line(ticks=tick)
+    except RigError as error:
+        json_line(error=str(error))
+        raise SystemExit(error.exit_status) from None
+
+
+def end_of_node(scenario: Scenario, summary: NodeSummary, as_json: bool) -> int:
+    """Say how it went: the exit status."""
+    if as_json:
+        json_line(**asdict(summary))
+        return 0
+    rate = summary.ticks / summary.wall_s if summary.wall_s else 0.0
+    tell(f"{summary.ticks} of {scenario.ticks} ticks, {rate:.0f} a second")
+    realtime = summary.realtime or {}
+    tell(*(f"{label}: {text}" for label, text in deadlines.rows(realtime)))
+    tell(*deadlines.scheduling_lines(realtime))
+    return 0 if summary.ticks == scenario.ticks else INTERRUPTED

@@ -1,0 +1,56 @@
+"""``can-rig plant``."""
+
+from __future__ import annotations
+
+import math
+import sys
+from pathlib import Path
+
+import click
+
+from can_rig.assessment.resolve import load
+from can_rig.cli.options import scenario_options
+from can_rig.cli.runs.node import end_of_node, node_options, node_progress
+from can_rig.errors import LogError
+from can_rig.nodes.lockstep import StopRequest, Waiting
+from can_rig.nodes.nodes import EveryNowAndThen, run_plant
+from can_rig.nodes.realtime import nodes as realtime_nodes
+
+OTHER_FORMATS = {".asc", ".blf", ".trc", ".mf4", ".gz"}
+"""Of logs; a node writes candump lines as it goes."""
+
+
+@click.command("plant")
+@scenario_options
+@node_options
+@click.option(
+    "--log", type=click.Path(path_type=Path, dir_okay=False), help="Record candump lines here."
+)
+def command(
+    scenario: str,
+    settings: tuple[str, ...],
+    bus: str,
+    log: Path | None,
+    silence_s: float | None,
+    first_s: float,
+    as_json: bool,
+    real_time: bool,
+) -> None:
+    """Run the plant node: the simulated car, in lockstep with a controller node or in real time.
+
+    In real time it goes on without the controller node: actuators hold, then drop to zero.
+    """
+    if log is not None and log.suffix.lower() in OTHER_FORMATS:
+        raise LogError(
+            f"{log}: must be FILE.log, a node records candump lines as it goes; "
+            "can-rig run --log writes other formats"
+        )
+    alone_s = math.inf if real_time else Waiting.silence_s
+    waiting = Waiting(first_s, alone_s if silence_s is None else silence_s)
+    chosen = load(scenario, settings)
+    stop = StopRequest().on_signals()
+    run_node = realtime_nodes.run_plant if real_time else run_plant
+    with node_progress(chosen, as_json) as on_tick:
+        summary = run_node(chosen, bus, log, waiting, stop, EveryNowAndThen(on_tick))
+        on_tick(summary.ticks)
+    sys.exit(end_of_node(chosen, summary, as_json))

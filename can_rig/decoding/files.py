@@ -1,0 +1,110 @@
+"""A whole log, decoded into files chunk by chunk: no more of it in memory than that."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Iterator, Sequence
+from contextlib import ExitStack
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+import numpy as np
+from cantools.database.can import Database
+
+from can_rig.decoding.decode import Decoder
+from can_rig.decoding.message_columns import MessageColumns
+from can_rig.decoding.output import TABLES, Output, output
+from can_rig.errors import LogError
+from can_rig.logs.formats import format_of
+from can_rig.logs.frames import Frames, concatenate
+from can_rig.logs.log import Log
+
+_CELLS: Final = 1 << 22  # of a chunk of a wide table: bounds its memory
+_LEAST_ROWS: Final = 1 << 10
+
+Reading = Callable[[Log, str], Iterator[Frames]]
+"""The chunks of a log, and for whoever waits what is being done with them."""
+
+
+@dataclass(frozen=True)
+class Selection:
+    """What of a log is decoded; None: all."""
+
+    messages: Collection[str] | None = None
+    signals: Collection[str] | None = None
+    channel: str | None = None
+
+    def decoder(self, database: Database) -> Decoder:
+        """A new one."""
+        return Decoder(database, self.messages, self.signals, self.channel)
+
+
+@dataclass(frozen=True)
+class Form:
+    """How it is written."""
+
+    relative: bool = False
+    """Time counts from the start of the recording."""
+    names: bool = False
+    """Words of value tables in place of numbers."""
+
+
+def decode_to_files(
+    log: Log,
+    database: Database,
+    selection: Selection,
+    outputs: Sequence[Path],
+    form: Form,
+    reading: Reading,
+) -> Decoder:
+    """Decode ``log`` into every one of ``outputs``; what became of the frames.
+
+    The outputs are there, whole, when this returns, and none of them before.
+
+    Raises:
+        LogError: the log cannot be read, has no frame of the wanted bus, or is none; an output
+            cannot be written.
+        DbcError: the database has no such message or signal.
+    """
+    decoder = selection.decoder(database)
+    layout = {}
+    if any(path.suffix in TABLES for path in outputs):
+        layout = _survey(log, selection.decoder(database), reading)
+        columns = sum(len(message.signals) for message in layout.values()) + 2
+        log.chunk_frames = min(log.chunk_frames, max(_CELLS // columns, _LEAST_ROWS))
+    with ExitStack() as stack:
+        writers: list[Output] | None = None
+
+        def opened() -> list[Output]:
+            start_ns = 0 if form.relative else log.start_ns
+            return [
+                stack.enter_context(output(path, layout, start_ns, form.names)) for path in outputs
+            ]
+
+        for frames in reading(log, "decoding"):
+            writers = opened() if writers is None else writers
+            start_ns = log.start_ns if form.relative else 0
+            chunk = decoder.decode(replace(frames, time_ns=frames.time_ns - start_ns))
+            for writer in writers:
+                writer.write(chunk)
+        if writers is None:
+            if format_of(log.path) == ".log":  # without a header, nothing says that it is a log
+                raise LogError(
+                    f"{log.path}: has no frame in it; must be a log as candump -L writes it"
+                )
+            opened()
+        if decoder.nothing_on_channel:
+            raise LogError(f"{log.path}: {decoder.nothing_on_channel}")
+    return decoder
+
+
+def _survey(log: Log, decoder: Decoder, reading: Reading) -> dict[str, MessageColumns]:
+    """By message that occurs, its columns without rows; of a pipe, which is read once, of all."""
+    if log.path.is_file():
+        for frames in reading(log, "looking through"):
+            decoder.decode(frames)
+    return {
+        name: message.decode(concatenate([]), np.zeros(0, dtype=np.int64))
+        for name, message in decoder.messages.items()
+        if message.counts.frames or not log.path.is_file()
+    }

@@ -1,0 +1,182 @@
+"""Decodes one message of a DBC: all its frames at once → columns, and why some give no row."""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Sequence
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+from cantools.database.can import Message as DbcMessage
+from numpy.typing import NDArray
+
+from can_rig.decoding import e2e_columns
+from can_rig.decoding.message_columns import MessageColumns
+from can_rig.decoding.signal_columns import Column, signal_column
+from can_rig.errors import DbcError
+from can_rig.frames.dbc import attribute
+from can_rig.frames.layout import ROLES
+from can_rig.logs.frames import CLASSIC_BYTES, REMOTE, Frames, UInt8s
+
+Rows = NDArray[np.bool_]
+
+
+@dataclass
+class Counts:
+    """What became of the frames of one message.
+
+    ``frames`` is the sum of ``decoded`` and of the five reasons after it.
+    """
+
+    frames: int = 0
+    decoded: int = 0
+    """One row each."""
+    too_short: int = 0
+    """Fewer bytes than in the database; with E2E, any other number."""
+    remote: int = 0
+    """Remote frames, which have no payload."""
+    unknown_multiplexer: int = 0
+    """The multiplexer has a value for which the database has no signals."""
+    wrong_crc: int = 0
+    """E2E: damaged, another sender's, or the counter 15, which no sender uses."""
+    repeated: int = 0
+    """E2E: the same counter as the frame before; 15 lost frames look the same."""
+    longer: int = 0
+    """Decoded, but with more bytes than in the database."""
+    gaps: int = 0
+    """E2E: decoded, but by the counter some frames before it are missing."""
+    lost: int = 0
+    """E2E: number of frames missing in all those gaps, or a multiple of 15 more."""
+
+    def as_dict(self) -> dict[str, int]:
+        """Every count, by name."""
+        return asdict(self)
+
+
+class MessageDecoder:
+    """Decodes the frames of one message, chunk after chunk.
+
+    Args:
+        message: from any cantools database.
+        wanted: the signals to decode; None: all.
+
+    Raises:
+        DbcError: a signal does not fit into the message, or is a float of an odd length.
+    """
+
+    def __init__(self, message: DbcMessage, wanted: Collection[str] | None = None) -> None:
+        self.message = message
+        self.counts = Counts()
+        where = f"message {message.name}"
+        self._layout = {s.name: signal_column(s, where) for s in message.signals}
+        self._wanted = [name for name in self._layout if wanted is None or name in wanted]
+        for column in self._layout.values():
+            if column.first_bit + column.length > 8 * message.length:
+                raise DbcError(
+                    f"{where}: signal {column.name} must end within the {message.length} bytes"
+                )
+        # The signals in every frame: those at the root of the tree, including multiplexers.
+        self._always = {n if isinstance(n, str) else next(iter(n)) for n in message.signal_tree}
+        self._data_id = protected_by(message)
+        self._counter: int | None = None
+
+    def decode(self, frames: Frames, row: NDArray[np.int64]) -> MessageColumns:
+        """The columns of the usable ``frames``; all have the identifier of this message."""
+        self.counts.frames += len(frames)
+        usable = self._usable(frames)
+        if not usable.all():
+            frames, row = frames[usable], row[usable]
+        data = _at_least(frames.data, max(self.message.length, CLASSIC_BYTES))
+        present: dict[str, Rows] = {}
+        known = self._find(self.message.signal_tree, data, np.ones(len(frames), bool), present)
+        if not known.all():
+            frames, row, data = frames[known], row[known], data[known]
+            present = {name: mask[known] for name, mask in present.items()}
+            self.counts.unknown_multiplexer += int((~known).sum())
+        self.counts.decoded += len(frames)
+        self.counts.longer += int((frames.length > self.message.length).sum())
+        signals, codes = {}, {}
+        for name in self._wanted:
+            raw, signals[name] = self._column(name, data, present[name])
+            if self._layout[name].choices:
+                codes[name] = raw
+        layout = {name: self._layout[name] for name in self._wanted}
+        return MessageColumns(self.message.name, frames.time_ns, row, signals, codes, layout)
+
+    def _usable(self, frames: Frames) -> Rows:
+        """(n,) whether a frame is long enough and, if protected, intact and not repeated."""
+        counts = self.counts
+        remote = frames.has(REMOTE)
+        counts.remote += int(remote.sum())
+        if self._data_id is None:
+            short = ~remote & (frames.length < self.message.length)
+            counts.too_short += int(short.sum())
+            enough: Rows = ~(remote | short)
+            return enough
+        short = ~remote & (frames.length != self.message.length)
+        counts.too_short += int(short.sum())
+        whole = ~remote & ~short
+        usable: Rows = whole & e2e_columns.intact(frames.data, frames.length, self._data_id)
+        counts.wrong_crc += int(whole.sum() - usable.sum())
+        counter = e2e_columns.counters(frames.data[usable])
+        steps = e2e_columns.steps(counter, self._counter)
+        counts.repeated += int((steps == 0).sum())
+        counts.gaps += int((steps > 1).sum())
+        counts.lost += int((steps[steps > 1] - 1).sum())
+        if len(counter):
+            self._counter = int(counter[-1])
+        usable[usable] = steps != 0
+        return usable
+
+    def _find(
+        self, tree: Sequence[Any], data: UInt8s, rows: Rows, present: dict[str, Rows]
+    ) -> Rows:
+        """Note in ``present`` which of ``rows`` have each signal of ``tree``.
+
+        Returns (n,) where every multiplexer has a value that is in the database.
+        """
+        known, nowhere = np.ones(len(rows), dtype=bool), np.zeros(len(rows), dtype=bool)
+        for node in tree:
+            if isinstance(node, str):
+                present[node] = present.get(node, nowhere) | rows
+                continue
+            ((name, branches),) = node.items()
+            present[name] = present.get(name, nowhere) | rows
+            column = self._layout[name]
+            number = column.physical(column.raw(data))  # as cantools has it: scaled, then truncated
+            number = np.trunc(number) if number.dtype.kind == "f" else number
+            found = ~rows
+            for value, branch in branches.items():
+                chosen = rows & (number == value)
+                found |= chosen
+                known &= self._find(branch, data, chosen, present)
+            known &= found
+        return known
+
+    def _column(self, name: str, data: UInt8s, rows: Rows) -> tuple[Column, Column]:
+        """Raw and physical values; masked arrays for a multiplexed signal."""
+        column = self._layout[name]
+        if name in self._always:
+            raw = column.raw(data)
+            return raw, column.physical(raw)
+        raw = column.raw(data[rows])
+        return _spread(raw, rows), _spread(column.physical(raw), rows)
+
+
+def _spread(values: Column, rows: Rows) -> Column:
+    whole = np.zeros(len(rows), dtype=values.dtype)
+    whole[rows] = values
+    return np.ma.MaskedArray(whole, mask=~rows)
+
+
+def _at_least(data: UInt8s, width: int) -> UInt8s:
+    missing = width - data.shape[1]
+    return np.pad(data, ((0, 0), (0, missing))) if missing > 0 else data
+
+
+def protected_by(message: DbcMessage) -> int | None:
+    """The E2E data identifier of a message of the rig; None for any other message."""
+    data_id = attribute(message, "E2EDataId")
+    if attribute(message, "RigRole") not in ROLES or not isinstance(data_id, int):
+        return None
+    return data_id if 0 < data_id <= 0xFFFF and message.length == CLASSIC_BYTES else None

@@ -1,0 +1,77 @@
+"""The two ends of a frame on the bus: record → protected frame, and back."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from can import Message
+
+from can_rig.frames.codec import MessageCodec, Record
+from can_rig.frames.protection import FRAME_BYTES, USABLE, Checker, Protector
+
+
+class Transmitter:
+    """The sending end of one frame: codec, then protection."""
+
+    def __init__(self, codec: MessageCodec) -> None:
+        self.codec: Final = codec
+        self._protector = Protector(codec.data_id)
+
+    def frame(
+        self,
+        value: float,
+        tick: int,
+        mode: int = 0,
+        fault_state: int = 0,
+    ) -> Message:
+        """The next frame, ready to send; for the arguments see `MessageCodec.encode`."""
+        data = self.codec.encode(value, tick, mode, fault_state)
+        self._protector.protect(data)
+        return Message(0.0, self.codec.frame_id, False, False, False, None, FRAME_BYTES, data)
+
+
+class Receiver:
+    """The receiving end of one frame: protection, then codec.
+
+    Args:
+        codec: the frame.
+        max_delta_counter: see `Checker`.
+    """
+
+    def __init__(self, codec: MessageCodec, max_delta_counter: int = 1) -> None:
+        self.codec: Final = codec
+        self.checker: Final = Checker(codec.data_id, max_delta_counter)
+        self._judged = False  # whether the checker has judged a frame of this tick
+
+    def accept(self, message: Message, tick: int | None = None) -> Record | None:
+        """The content of a frame; None if it must not be used, for a reason that is counted.
+
+        Call `end_tick` at the end of each tick. The value is nan where it is NOT_AVAILABLE.
+
+        Args:
+            message: a received frame with this codec's identifier.
+            tick: the current tick; a frame of another tick, modulo 65536, is not used. None: a
+                frame of any tick is.
+        """
+        data = message.data
+        if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
+            return None  # another kind of frame with the same number
+        if len(data) == FRAME_BYTES:
+            record = self.codec.decode(data)
+            if tick is None or record.tick == tick & 0xFFFF:
+                self._judged = True
+                return record if self.checker.check(data) in USABLE else None
+        self.checker.reject(data)
+        return None
+
+    def end_tick(self) -> None:
+        """Tell the checker of a tick without any frame that it could judge."""
+        if not self._judged:
+            self.checker.no_new_data()
+        self._judged = False
+
+    @property
+    def rejected(self) -> dict[str, int]:
+        """Number of frames that were not used, by `CheckStatus` in lower case, if not zero."""
+        counts = self.checker.counts
+        return {s.name.lower(): n for s, n in counts.items() if n and s not in USABLE}

@@ -1,0 +1,43 @@
+"""One log file: where it is, who reads it, and what is known of it while it is read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+
+from can_rig.errors import LogError
+from can_rig.logs.frames import Frames
+
+
+@dataclass
+class Log:
+    """A log that can be iterated over any number of times; each chunk is a `Frames`.
+
+    Raises (during iteration):
+        LogError: the file cannot be read, or its content is not of its format; one line that names
+            the file and the place.
+    """
+
+    path: Path
+    reader: Callable[[Log], Iterator[Frames]] = field(repr=False)
+    """Reads the format of the file."""
+    chunk_frames: int
+    """Largest number of frames in a chunk."""
+    start_ns: int = field(default=0, init=False)
+    """Start of the recording on the clock of ``Frames.time_ns`` [ns]: since 1970 (UTC) if the file
+    gives a date, else 0. Known once the first chunk is. For a candump log, which has no header, the
+    time stamp of the first frame."""
+    notice: str | None = field(default=None, init=False)
+    """One line if the end of the log is missing, known after the last chunk; every complete frame
+    has been read nevertheless."""
+    fraction: float = field(default=0.0, init=False)
+    """Share of the file that has been read, 0..1."""
+
+    def __iter__(self) -> Iterator[Frames]:
+        self.start_ns, self.notice, self.fraction = 0, None, 0.0
+        if not self.path.exists():
+            raise LogError(f"{self.path}: there is no such file")
+        if self.path.is_dir():
+            raise LogError(f"{self.path}: is a folder; it must be a log file")
+        return self.reader(self)

@@ -1,0 +1,244 @@
+"""The lines of ``candump -L`` → columns, compiled: one pass over the bytes.
+
+    (1436509052.249713) vcan2 123#1122334455667788 R    a frame, received; T: sent; or neither
+    (1436509052.249714) vcan2 12345678#                 eight digits: an extended identifier
+    (1436509052.249715) vcan2 123##1112233              FD, then its flags: 1 BRS, 2 ESI
+    (1436509052.249716) vcan2 123#R8                    a remote frame that asks for 8 bytes
+    (1436509052.249717) vcan2 20000080#0000000000000000 bit 29: an error frame, its classes
+    (1436509052.249718) vcan2 123#1122334455667788_9    a raw DLC above 8; the payload stays 8 bytes
+
+Source: can-utils, `lib.h` (parse_canframe, sprint_canframe) and `candump.c`.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from can_rig.logs.frames import (
+    BITRATE_SWITCH,
+    CLASSIC_BYTES,
+    ERROR,
+    ERROR_STATE,
+    EXTENDED,
+    FD,
+    FD_BYTES,
+    REMOTE,
+    SENT,
+    UInt8s,
+)
+from firmware_model.compiled import compiled
+
+DONE, BAD_LINE, NEW_CHANNEL, WIDER = 0, 1, 2, 3
+"""Why `parse` returned: no text or no room is left, or what the next line contains."""
+
+_ERROR_BIT, _REMOTE_BIT, _ID_MASK = 1 << 29, 1 << 30, (1 << 29) - 1
+_NOT_HEX = 255
+_HEX = np.full(256, _NOT_HEX, dtype=np.uint8)
+_HEX[list(b"0123456789")] = range(10)
+_HEX[list(b"abcdef")] = range(10, 16)
+_HEX[list(b"ABCDEF")] = range(10, 16)
+_NEWLINE, _RETURN, _TAB, _SPACE = 10, 13, 9, 32
+_ZERO, _NINE, _POINT, _HASH, _UNDERSCORE = 48, 57, 46, 35, 95
+_OPEN, _CLOSE = 40, 41
+_R, _T, _LOWER = 114, 116, 32  # in either case
+_LAST_SECOND = (1 << 63) // 10**9 - 1  # in the year 2262
+_NS_DIGITS = 9
+
+
+@compiled
+def parse(
+    text: UInt8s,
+    at: int,
+    names: UInt8s,
+    name_ends: Any,
+    time_ns: Any,
+    arbitration_id: Any,
+    flags: UInt8s,
+    channel: UInt8s,
+    length: UInt8s,
+    data: UInt8s,
+) -> tuple[int, int, int, int]:
+    """Fill the columns from the lines that begin at ``at``; a line ends with a newline.
+
+    ``names`` holds the known channels in a row, ``name_ends`` where each of them ends. Returns the
+    number of frames, the number of lines, where the next line begins, and why it stopped there.
+    """
+    frames = lines = 0
+    room, width = data.shape
+    end = len(text)
+    while frames < room and at < end:
+        line = at
+        at = _blanks(text, at)
+        if text[at] == _NEWLINE:
+            at += 1
+            lines += 1
+            continue
+        stamp, at = _stamp(text, at)
+        name, at = _word(text, at)
+        if at < 0:
+            return frames, lines, line, BAD_LINE
+        known = _find(text, name, at, names, name_ends)
+        bits, identifier, at = _identifier(text, _blanks(text, at))
+        if at < 0:
+            return frames, lines, line, BAD_LINE
+        bits, size, at = _payload(text, at, bits, data[frames])
+        if at < 0:
+            return frames, lines, line, WIDER if size > width else BAD_LINE
+        if _is_blank(text[at]):
+            at = _blanks(text, at)
+            if text[at] | _LOWER == _T:
+                bits |= SENT
+                at = _blanks(text, at + 1)
+            elif text[at] | _LOWER == _R:
+                at = _blanks(text, at + 1)
+        if text[at] != _NEWLINE:
+            return frames, lines, line, BAD_LINE
+        if known < 0:
+            return frames, lines, line, NEW_CHANNEL
+        at += 1
+        time_ns[frames] = stamp
+        arbitration_id[frames] = identifier
+        flags[frames] = bits
+        channel[frames] = known
+        length[frames] = size
+        frames += 1
+        lines += 1
+    return frames, lines, at, DONE
+
+
+@compiled
+def _is_blank(byte: int) -> bool:
+    return byte in (_SPACE, _TAB, _RETURN)
+
+
+@compiled
+def _blanks(text: UInt8s, at: int) -> int:
+    """The position after the blanks at ``at``."""
+    while _is_blank(text[at]):
+        at += 1
+    return at
+
+
+@compiled
+def _stamp(text: UInt8s, at: int) -> tuple[int, int]:
+    """``(seconds.fraction)`` in ns, finer digits cut off, and the position after it; -1: none."""
+    if text[at] != _OPEN:
+        return 0, -1
+    at += 1
+    first = at
+    value = 0
+    while _ZERO <= text[at] <= _NINE:
+        value = value * 10 + (int(text[at]) - _ZERO)
+        at += 1
+    if not 0 < at - first <= _NS_DIGITS + 1 or value > _LAST_SECOND:
+        return 0, -1
+    digits = 0
+    if text[at] == _POINT:
+        at += 1
+        while _ZERO <= text[at] <= _NINE:
+            if digits < _NS_DIGITS:
+                value = value * 10 + (int(text[at]) - _ZERO)
+                digits += 1
+            at += 1
+    for _ in range(_NS_DIGITS - digits):
+        value *= 10
+    return value, at + 1 if text[at] == _CLOSE else -1
+
+
+@compiled
+def _word(text: UInt8s, at: int) -> tuple[int, int]:
+    """Begin and end of the word after some blanks; an end of -1: no blanks or no word."""
+    if at < 0 or not _is_blank(text[at]):
+        return 0, -1
+    start = at = _blanks(text, at)
+    while text[at] > _SPACE:
+        at += 1
+    return start, at if at > start and _is_blank(text[at]) else -1
+
+
+@compiled
+def _find(text: UInt8s, start: int, stop: int, names: UInt8s, name_ends: Any) -> int:
+    """Index of ``text[start:stop]`` among the names; -1: none of them."""
+    begin = 0
+    for index in range(len(name_ends)):
+        end = name_ends[index]
+        if end - begin == stop - start:
+            same = True
+            for offset in range(stop - start):
+                same &= text[start + offset] == names[begin + offset]
+            if same:
+                return index
+        begin = end
+    return -1
+
+
+@compiled
+def _identifier(text: UInt8s, at: int) -> tuple[int, int, int]:
+    """``123#`` or ``12345678#``: flags, identifier, and the position after it; -1: not one."""
+    first = at
+    value = 0
+    while _HEX[text[at]] != _NOT_HEX and at - first < 9:
+        value = value << 4 | int(_HEX[text[at]])
+        at += 1
+    digits = at - first
+    if text[at] != _HASH or not 0 < digits <= 8 or (digits <= 3 and value > 0x7FF):
+        return 0, 0, -1
+    bits = 0
+    if value & _ERROR_BIT:
+        bits = ERROR
+    elif digits > 3:
+        bits = EXTENDED
+    if value & _REMOTE_BIT:
+        bits |= REMOTE
+    return bits, value & _ID_MASK, at + 1
+
+
+@compiled
+def _payload(text: UInt8s, at: int, bits: int, row: UInt8s) -> tuple[int, int, int]:
+    """What follows the first ``#``, into ``row``: flags, length, and the position after it.
+
+    The position is -1 where it is not a payload, or where ``row`` is shorter than the length.
+    """
+    max_bytes = CLASSIC_BYTES
+    if text[at] == _HASH:
+        kind = _HEX[text[at + 1]]
+        if kind == _NOT_HEX:
+            return 0, 0, -1
+        max_bytes = FD_BYTES
+        bits |= FD | BITRATE_SWITCH * (int(kind) & 1) | ERROR_STATE * (int(kind) >> 1 & 1)
+        at += 2
+    elif text[at] | _LOWER == _R:
+        bits |= REMOTE
+        row[:] = 0
+        at += 1
+        size = 0
+        if _HEX[text[at]] != _NOT_HEX:
+            size = int(_HEX[text[at]])
+            at += 1
+        if size > CLASSIC_BYTES:
+            return 0, 0, -1
+        return bits, size, _raw_dlc(text, at, size)
+    size = 0
+    while _HEX[text[at]] != _NOT_HEX:
+        low = _HEX[text[at + 1]]
+        if low == _NOT_HEX or size == max_bytes:
+            return 0, 0, -1
+        if size < len(row):
+            row[size] = _HEX[text[at]] << 4 | low
+        size += 1
+        at += 2
+    if size > len(row):
+        return 0, size, -1
+    row[size:] = 0
+    return bits, size, _raw_dlc(text, at, size) if max_bytes == CLASSIC_BYTES else at
+
+
+@compiled
+def _raw_dlc(text: UInt8s, at: int, size: int) -> int:
+    """The position after ``_9`` to ``_F``, which only a frame of 8 bytes may have; -1: refused."""
+    if text[at] != _UNDERSCORE:
+        return at
+    dlc = _HEX[text[at + 1]]
+    return at + 2 if size == CLASSIC_BYTES and CLASSIC_BYTES < dlc != _NOT_HEX else -1

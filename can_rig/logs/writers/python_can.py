@@ -1,0 +1,67 @@
+"""Logs of Vector and PEAK, through python-can's writers."""
+
+from __future__ import annotations
+
+from itertools import chain
+from pathlib import Path
+from typing import Final
+
+from can.io import ASCWriter, BLFWriter, TRCWriter
+
+from can_rig.errors import LogError
+from can_rig.logs.frames import ERROR, FD, NS_PER_S, REMOTE
+from can_rig.logs.log import Log
+
+_HALF_NS: Final = 5e-10
+_BLF_SINCE_NS: Final = 631_152_000 * NS_PER_S  # 1990: python-can writes no earlier date
+
+
+def write_asc(log: Log, path: Path) -> None:
+    """Write a Vector ASCII log."""
+    with ASCWriter(path) as writer:
+        for frames in log:
+            for message in frames.messages():
+                writer.on_message_received(message)
+
+
+def write_trc(log: Log, path: Path, final: Path) -> None:
+    """Write a PEAK trace that says in its header that it is called ``final``.
+
+    Raises:
+        LogError: a frame is not a classic data frame.
+    """
+    with TRCWriter(path) as writer:
+        writer.filepath = str(final.absolute())
+        for frames in log:
+            other = frames.has(FD | REMOTE | ERROR)
+            if other.any():
+                raise LogError(
+                    f"{final}: python-can writes only classic data frames to PEAK traces, and "
+                    f"{int(other.sum())} frames of {log.path} are not; the format must be .log, "
+                    ".blf or .mf4"
+                )
+            for message in frames.messages():
+                writer.on_message_received(message)
+
+
+def write_blf(log: Log, path: Path) -> None:
+    """Write a Vector binary log."""
+    with BLFWriter(path) as writer:
+        chunks = iter(log)
+        first = next(chunks, None)
+        if first is None:
+            return
+        # The header has the start to the millisecond. Relative to it time stamps stay exact, with
+        # half a nanosecond added, because the writer cuts off the rest.
+        start_ns = int(first.time_ns[0]) // 1_000_000 * 1_000_000
+        if start_ns < _BLF_SINCE_NS:
+            start_ns = 0  # the time of a simulation, not a date
+        writer.start_timestamp = 0.0
+        last_s = 0.0
+        for frames in chain([first], chunks):
+            for message, time_ns in zip(frames.messages(), frames.time_ns.tolist(), strict=True):
+                last_s = (time_ns - start_ns) / NS_PER_S
+                message.timestamp = last_s + _HALF_NS
+                writer.on_message_received(message)
+        writer.start_timestamp = start_ns / NS_PER_S
+        writer.stop_timestamp = writer.start_timestamp + last_s

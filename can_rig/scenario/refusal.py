@@ -1,0 +1,49 @@
+"""What pydantic finds wrong with settings, as one line: ``key = value: must be ...``."""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+from collections.abc import Sequence
+from typing import Any, Final
+
+from pydantic import ValidationError
+
+WORDS: Final = {
+    "Input should": "must",
+    "greater than or equal to": "at least",
+    "less than or equal to": "at most",
+}
+"""What pydantic says, and what a line of the rig says."""
+
+
+def refusal(error: ValidationError, settings: type[Any]) -> str:
+    """The first finding about ``settings``, the class that was to be made.
+
+    Findings of a ``__post_init__`` are ``key = value: must be ...`` already, with the key within
+    their own table.
+    """
+    finding = error.errors()[0]
+    location = [str(part) for part in finding["loc"]]
+    key = ".".join(location)
+    kind, message = finding["type"], finding["msg"].removeprefix("Value error, ")
+    if kind == "unexpected_keyword_argument":
+        known = _keys(settings, location[:-1])
+        near = difflib.get_close_matches(location[-1], known, n=1, cutoff=0.5)
+        hint = f"did you mean {near[0]}?" if near else f"known: {', '.join(known)}"
+        return f"{key}: unknown key; {hint}"
+    if kind == "value_error":
+        return f"{key}.{message}" if key else message
+    if kind == "dataclass_type":
+        message = "must be a table"
+    for theirs, ours in WORDS.items():
+        message = message.replace(theirs, ours)
+    return f"{key} = {finding['input']!r}: {message}"
+
+
+def _keys(settings: Any, location: Sequence[str]) -> list[str]:
+    """Key names of the table at ``location``."""
+    for part in location:
+        fields = dataclasses.fields(settings)
+        settings = next(field.default_factory for field in fields if field.name == part)
+    return [field.name for field in dataclasses.fields(settings) if field.name != "name"]

@@ -1,0 +1,44 @@
+"""What a tick takes in and answers, and the words for its mode and the state of channel 1."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+from firmware_model.target.structs import Field
+
+
+class Mode(IntEnum):
+    """What the controller is doing, as its status frame says it."""
+
+    INIT = 0
+    """No tick has run since ``init`` or ``reset``."""
+    RUN = 1
+    """The last tick was computed from its inputs."""
+    HOLD = 2
+    """The last tick's input was not a finite number: the last good commands are held."""
+    OFF = 3
+    """Reserved for a controller that is switched off."""
+
+
+class FaultState(IntEnum):
+    """What ``decision`` makes of d̂. It isolates nothing: a biased D* sensor looks the same."""
+
+    CLEAR = 0
+    """d̂ is below the threshold, and the loss of all of channel 1 would take it above."""
+    SUSPECTED = 1
+    """d̂ exceeds the threshold, not yet for long enough."""
+    CONFIRMED = 2
+    """It did for long enough, and channel 1 has not been seen to work since."""
+    CANNOT_TELL = 3
+    """Channel 1 contributes so little at present that its loss would not show."""
+
+
+STATE = (
+    Field("reference", "y", "r of this tick"),
+    Field("measurement", "y", "y (D*) of this tick"),
+    Field("command_1", "u1", "command to channel 1, saturated and quantised"),
+    Field("command_2", "u2", "command to channel 2, saturated and quantised"),
+    Field("fault_estimate", "y", "d̂"),
+    Field("mode", "1", "a Mode", "int32"),
+    Field("fault_state", "1", "a FaultState", "int32"),
+)

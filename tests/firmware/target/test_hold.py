@@ -1,0 +1,96 @@
+"""Missing inputs: the commands are held, and whatever models the plant goes on with them."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import numpy as np
+import pytest
+
+from firmware_model.analysis.sampled_plant import follow_plant, sample
+from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.design.plants import steer_by_wire
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Target
+from firmware_model.target import controller
+from firmware_model.target.status import FaultState, Mode
+from firmware_model.target.structs import FloatArray, Record
+
+TICK_S, LOST, MISSING, MISSED = 1e-3, 400, 800, 40
+CAR = steer_by_wire()
+PLANT = sample(CAR, TICK_S)
+DESIGN = design(CAR, DesignSpecification(tau_s=0.002, tau_q_s=0.01))
+SINE = np.sin(0.01 * np.arange(1500))
+
+
+@dataclass(frozen=True)
+class Run:
+    """By tick, shape (ticks,): w as d̂ of that tick contains it is ``lost``."""
+
+    error: FloatArray
+    estimate: FloatArray
+    lost: FloatArray
+    command_2: FloatArray
+    mode: FloatArray
+    fault_state: FloatArray
+
+
+def table_of(latency: int, **changes: object) -> Record:
+    chosen = {"estimator": "zoh", "threshold": 1e-6, "on_confirmation": True, **changes}
+    return build(DESIGN, Target(TICK_S, latency, **chosen))  # type: ignore[arg-type]
+
+
+def drive(table: Record, lost: int | None, missed: int = MISSED) -> Run:
+    """A sine; no measurement in ``missed`` ticks from MISSING on, no channel 1 from ``lost`` on."""
+    state, x, y = controller.init(table)[0], PLANT.rest, 0.0
+    latency = int(table.estimator.latency_ticks)
+    late = [(0.0, 0.0)] * latency
+    rows = []
+    for k, reference in enumerate(SINE.tolist()):
+        missing = MISSING <= k < MISSING + missed
+        w = float(state.loss_model.delay[state.estimator.delay_index])
+        controller.step(table, state, reference, math.nan if missing else y)
+        rows.append(
+            (reference - y, state.fault_estimate, w, state.command_2, state.mode, state.fault_state)
+        )
+        late.append((float(state.command_1), float(state.command_2)))
+        u1, u2 = late.pop(0)
+        left = 1.0 if lost is None or k < lost else 0.0
+        y = follow_plant(PLANT.phi, PLANT.gamma, PLANT.c, x, left * u1, u2)
+    run = Run(*np.array(rows, dtype=np.float64).T)
+    held = run.mode == Mode.HOLD
+    assert np.flatnonzero(held).tolist() == list(range(MISSING, MISSING + missed))
+    return run
+
+
+@pytest.mark.parametrize("latency", [0, 1, 3])
+def test_f1_goes_on_with_the_commands_that_are_held(latency: int) -> None:
+    """In a turn, where a model that stood still would be wrong by what the car has moved on."""
+    run = drive(table_of(latency), None)
+    assert np.abs(np.diff(SINE[MISSING : MISSING + MISSED])).sum() > 0.1
+    assert np.abs(run.estimate).max() < 1e-12
+    assert not np.isin(run.fault_state, (FaultState.SUSPECTED, FaultState.CONFIRMED)).any()
+
+
+@pytest.mark.parametrize("latency", [1, 3])
+def test_so_does_the_model_of_the_loss(latency: int) -> None:
+    """d̂ = w after a loss of all (2.9), before, while and after inputs are missing."""
+    run = drive(table_of(latency), LOST)
+    known = (np.arange(len(SINE)) > LOST + latency) & (run.mode == Mode.RUN)
+    assert run.fault_state[-1] == FaultState.CONFIRMED
+    assert np.abs(run.estimate[known]).max() > 0.5
+    np.testing.assert_allclose(run.lost[known], run.estimate[known], atol=1e-12)
+
+
+@pytest.mark.parametrize("latency", [1, 3])
+def test_the_compensation_goes_on_without_a_bump(latency: int) -> None:
+    """w moves by some 0.2 m/s² meanwhile: a jump there would ask for most of X_diff in a tick."""
+    run = drive(table_of(latency), LOST)
+    first = MISSING + MISSED
+    steps, load = np.abs(np.diff(run.command_2)), np.abs(run.command_2).max()
+    assert steps[first - 1] < 0.1 * load
+    assert steps[first:].max() < 0.2 * load
+    healthy = drive(table_of(latency), None)
+    later = slice(first + 300, None)
+    np.testing.assert_allclose(run.error[later], healthy.error[later], atol=0.01)

@@ -1,0 +1,134 @@
+"""What the documentation says can be followed, typed or run, can be."""
+
+from __future__ import annotations
+
+import re
+import shlex
+import tomllib
+from pathlib import Path
+
+import click
+import pytest
+
+from can_rig.cli.main import main
+from can_rig.plant.protocol import PlantProtocol, load_plant
+from can_rig.scenario import loading as scenarios
+from can_rig.scenario.settings import PlantSettings
+from tests.project.pages import PAGES, ROOT, blocks, command_lines, prose, text_of
+
+COMMANDS = main.list_commands(click.Context(main))
+LINES = [(page.name, line) for page in PAGES for line in command_lines(page.read_text("utf-8"))]
+RIG = [line for _, line in LINES if line.startswith("can-rig ")]
+OTHERS = {"cantools", "python", "sudo"}  # programs that are not ours
+PLACES = "can_rig|dbc|docs|firmware_model|tests|tools"
+
+
+def ids(page: Path) -> str:
+    return str(page.relative_to(ROOT))
+
+
+def anchors(text: str) -> set[str]:
+    """What GitHub makes of the headings of a page."""
+    headings = re.findall(r"^#+ (.*)$", prose(text), re.MULTILINE)
+    plain = [re.sub(r"[^\w\- ]", "", heading.lower()) for heading in headings]
+    return {heading.replace(" ", "-") for heading in plain}
+
+
+@pytest.mark.parametrize("page", PAGES, ids=ids)
+def test_every_relative_link_leads_somewhere(page: Path) -> None:
+    for link in re.findall(r"\]\(([^)\s]+)\)", prose(page.read_text("utf-8"))):
+        if link.startswith("https://"):
+            continue
+        path, _, anchor = link.partition("#")
+        there = (page.parent / path).resolve() if path else page
+        assert there.exists(), link
+        if anchor:
+            assert anchor in anchors(there.read_text("utf-8")), link
+
+
+@pytest.mark.parametrize("page", PAGES, ids=ids)
+def test_every_file_that_it_names_is_there(page: Path) -> None:
+    for name in re.findall(rf"`((?:{PLACES})/[\w./-]*)", prose(page.read_text("utf-8"))):
+        assert (ROOT / name).exists(), name
+
+
+def test_the_index_has_every_page() -> None:
+    index = text_of("docs/README.md")
+    for page in (ROOT / "docs").glob("*.md"):
+        assert page.name == "README.md" or f"]({page.name})" in index
+
+
+@pytest.mark.parametrize("line", RIG)
+def test_a_command_parses_and_its_scenario_loads(line: str) -> None:
+    _, name, *arguments = shlex.split(line)
+    command = main.get_command(click.Context(main), name)
+    assert command is not None
+    context = command.make_context(name, list(arguments))
+    if "scenario" in context.params:
+        scenarios.load(context.params["scenario"], context.params["settings"])
+
+
+@pytest.mark.parametrize(("page", "line"), LINES)
+def test_every_other_line_calls_a_tool_that_is_there(page: str, line: str) -> None:
+    program = line.split(maxsplit=1)[0]
+    if program.startswith("./tools/"):
+        assert (ROOT / program).stat().st_mode & 0o111
+    elif not program.startswith(".venv/bin/"):
+        assert program in {"can-rig", *OTHERS}, f"{page}: {line}"
+
+
+@pytest.mark.parametrize("page", PAGES, ids=ids)
+def test_every_command_that_the_text_mentions_is_there(page: Path) -> None:
+    assert set(re.findall(r"`can-rig ([a-z]+)", page.read_text("utf-8"))) <= set(COMMANDS)
+
+
+@pytest.mark.parametrize("page", PAGES, ids=ids)
+def test_every_scenario_loads(page: Path, tmp_path: Path) -> None:
+    for block in blocks(page.read_text("utf-8"), "toml"):
+        tomllib.loads(block)
+        file = tmp_path / "my-car.toml"
+        file.write_text(block, "utf-8")
+        assert scenarios.load(str(file)).fault.for_s == 2.0
+
+
+@pytest.mark.parametrize("page", ["README.md", "docs/design.md", "docs/firmware.md"])
+def test_its_python_runs(page: str, capsys: pytest.CaptureFixture[str]) -> None:
+    code = "\n".join(blocks(text_of(page), "python"))
+    assert code
+    exec(code, {})
+
+
+def test_every_python_block_is_run_by_some_test() -> None:
+    with_python = {ids(page) for page in PAGES if blocks(page.read_text("utf-8"), "python")}
+    assert with_python == {
+        *("README.md", "docs/design.md", "docs/firmware.md"),  # above
+        *("docs/logs.md", "docs/scenarios.md"),  # below, and in test_docs_logs
+    }
+
+
+def test_the_plant_of_ones_own_is_one(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    (code,) = blocks(text_of("docs/scenarios.md"), "python")
+    (tmp_path / "mycar_of_the_docs.py").write_text(code, "utf-8")
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.syspath_prepend(tmp_path)
+    kind = "mycar_of_the_docs:Lag"
+    plant = load_plant(kind, PlantSettings(kind=kind))
+    assert isinstance(plant, PlantProtocol)
+    for _ in range(2000):
+        settled = plant.advance(0.001, 50.0, 0.0)
+    assert settled == pytest.approx(1.0)  # 0.02 m/s² per N m, after twenty time constants
+
+
+def test_nothing_in_the_repository_cites_a_page_that_is_not_there() -> None:
+    pages = {page.name for page in PAGES}
+    traps = re.findall(r"^(\d+)\. \*\*", text_of("docs/traps.md"), re.MULTILINE)
+    assert traps == [str(number) for number in range(1, len(traps) + 1)]
+    for folder in PLACES.split("|"):
+        for file in (ROOT / folder).rglob("*"):
+            if file.suffix not in {".py", ".toml", ".dbc", ".c", ""} or not file.is_file():
+                continue
+            text = file.read_text("utf-8")
+            cited = set(re.findall(r"\b[\w-]+\.md\b", text))
+            assert cited <= pages, f"{file}: {cited - pages}"
+            cited = set(re.findall(r"\b[Tt]rap (\d+)", text))  # of docs/traps.md
+            assert cited <= set(traps), f"{file}: trap {cited - set(traps)}"

@@ -1,0 +1,184 @@
+"""The house: rooms that one can take in at a glance, and imports that only go down."""
+
+from __future__ import annotations
+
+import ast
+import shutil
+import subprocess
+import sys
+from functools import cache
+from pathlib import Path
+
+import pytest
+
+CHECKOUT = Path(__file__).parents[2]
+PACKAGES = ("can_rig", "firmware_model")
+ROOTS = {
+    "can_rig": {"__init__", "__main__", "errors", "files"},
+    "firmware_model": {"__init__", "compiled", "errors", "firmware"},
+}
+HEAVY = {"matplotlib", "asammdf", "pyarrow", "pandas", "control"}
+"""Libraries so slow to import that a command that does without them must not wait for them."""
+
+MAX_MODULES = 10
+MAX_LINES = 300
+
+
+def sources(*folders: str) -> list[Path]:
+    found = [path for folder in folders for path in sorted((CHECKOUT / folder).rglob("*.py"))]
+    assert found
+    return found
+
+
+@pytest.mark.parametrize("package", PACKAGES)
+def test_beside_the_rooms_lies_only_what_all_of_them_need(package: str) -> None:
+    assert {path.stem for path in (CHECKOUT / package).glob("*.py")} == ROOTS[package]
+
+
+def test_a_room_has_at_most_ten_modules() -> None:
+    rooms = {path.parent for path in sources(*PACKAGES)}
+    sizes = {
+        str(room.relative_to(CHECKOUT)): len({*room.glob("*.py")} - {room / "__init__.py"})
+        for room in rooms
+    }
+    assert {room: size for room, size in sizes.items() if size > MAX_MODULES} == {}
+
+
+def test_a_file_has_at_most_300_lines() -> None:
+    long = {
+        str(path.relative_to(CHECKOUT)): lines
+        for path in sources(*PACKAGES, "tests", "tools")
+        if (lines := len(path.read_text("utf-8").splitlines())) > MAX_LINES
+    }
+    assert long == {}
+
+
+def name_of(path: Path) -> str:
+    return ".".join(path.relative_to(CHECKOUT).with_suffix("").parts).removesuffix(".__init__")
+
+
+MODULES = {name_of(path): path for path in sources(*PACKAGES)}
+
+
+def imported(node: ast.stmt) -> list[str]:
+    """Modules that one statement imports; ``from room import module`` counts as the module."""
+    if isinstance(node, ast.Import):
+        return [alias.name for alias in node.names]
+    if isinstance(node, ast.ImportFrom) and node.module and not node.level:
+        inside = [f"{node.module}.{alias.name}" for alias in node.names]
+        return [name for name in inside if name in MODULES] or [node.module]
+    return []
+
+
+@cache
+def is_heavy(module: str) -> bool:
+    """Whether importing ``module`` imports a heavy library, itself or through another of ours."""
+    if module not in MODULES:
+        return module.split(".", maxsplit=1)[0] in HEAVY
+    body = ast.parse(MODULES[module].read_text("utf-8")).body
+    return any(is_heavy(name) for node in body for name in imported(node))
+
+
+def imports_within_functions(path: Path) -> list[str]:
+    tree = ast.parse(path.read_text("utf-8"))
+    functions = [n for n in ast.walk(tree) if isinstance(n, ast.FunctionDef | ast.AsyncFunctionDef)]
+    inside = {node for function in functions for node in ast.walk(function)}
+    names = [name for node in inside if isinstance(node, ast.stmt) for name in imported(node)]
+    return sorted(name for name in names if name.split(".")[0] in PACKAGES)
+
+
+def test_only_commands_and_heavy_libraries_excuse_an_import_within_a_function() -> None:
+    """It may keep a heavy library out of a light command; it may not hide a circle."""
+    unexcused = {
+        name_of(path): late
+        for path in sources(*PACKAGES)
+        if not name_of(path).startswith("can_rig.cli.")
+        and (late := [name for name in imports_within_functions(path) if not is_heavy(name)])
+    }
+    assert unexcused == {}
+
+
+# What a broken arrow would look like, and the contract that must object.
+BROKEN = {
+    "upwards": (
+        "can_rig/frames/codec.py",
+        "from can_rig.nodes import lockstep",
+        "The rooms of can_rig BROKEN",
+    ),
+    "upwards, within a function": (
+        "can_rig/scenario/reference.py",
+        "def late():\n    from can_rig.plant import faults",
+        "The rooms of can_rig BROKEN",
+    ),
+    "sideways": (
+        "can_rig/logs/frames.py",
+        "from can_rig.frames import codec",
+        "The rooms of can_rig BROKEN",
+    ),
+    "target": (
+        "firmware_model/target/biquad.py",
+        "from firmware_model.design import zpk",
+        "The rooms of firmware_model BROKEN",
+    ),
+    "to the rig": ("firmware_model/design/zpk.py", "import can_rig.errors", "knows no rig"),
+    "to a bus": ("firmware_model/firmware.py", "import can", "knows no rig"),
+    "to a clock": ("firmware_model/firmware.py", "import time", "knows no rig"),
+    "circle": (
+        "can_rig/frames/protection.py",
+        "from can_rig.frames import layout",
+        "in a circle BROKEN",
+    ),
+    "a room that no contract names": (
+        "can_rig/attic/__init__.py",
+        "from can_rig import errors",
+        "can_rig.attic",
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def copy(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """Both packages without their data, to be broken."""
+    folder = tmp_path_factory.mktemp("copy")
+    for path in [*sources(*PACKAGES), CHECKOUT / "pyproject.toml"]:
+        target = folder / path.relative_to(CHECKOUT)
+        target.parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(path, target)
+    return folder
+
+
+def lint(folder: Path) -> subprocess.CompletedProcess[str]:
+    command = [str(Path(sys.executable).with_name("lint-imports")), "--no-logo"]
+    return subprocess.run(  # PYTHONPATH would put the checkout before the copy
+        command,
+        cwd=folder,
+        env={"COLUMNS": "200"},
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+
+
+def test_the_contracts_are_kept(copy: Path) -> None:
+    done = lint(copy)
+    assert done.returncode == 0, done.stdout
+
+
+@pytest.mark.parametrize("kind", BROKEN)
+def test_the_contracts_object(copy: Path, kind: str) -> None:
+    name, statement, objection = BROKEN[kind]
+    path = copy / name
+    before = path.read_text("utf-8") if path.exists() else None
+    path.parent.mkdir(exist_ok=True)
+    path.write_text(f"{before or ''}\n{statement}\n", "utf-8")
+    try:
+        done = lint(copy)
+    finally:
+        path.unlink()
+        if before is None:
+            path.parent.rmdir()
+        else:
+            path.write_text(before, "utf-8")
+    assert done.returncode == 1
+    assert objection in " ".join(done.stdout.split())

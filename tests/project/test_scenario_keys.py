@@ -1,0 +1,78 @@
+"""docs/scenario-keys.md says what the settings say."""
+
+from __future__ import annotations
+
+import copy
+from typing import Any
+
+import pytest
+from pydantic import TypeAdapter
+
+from can_rig.scenario.settings import Scenario
+from tools import scenario_keys
+
+SCHEMA: dict[str, Any] = TypeAdapter(Scenario).json_schema()
+
+
+@pytest.fixture
+def schema() -> dict[str, Any]:
+    return copy.deepcopy(SCHEMA)
+
+
+def test_the_page_is_up_to_date() -> None:
+    assert scenario_keys.page(SCHEMA) == scenario_keys.PAGE.read_text(encoding="utf-8"), (
+        "the settings have changed: run tools/scenario_keys"
+    )
+
+
+def test_it_has_every_key_of_a_scenario_with_its_default() -> None:
+    text = scenario_keys.PAGE.read_text(encoding="utf-8")
+    parts = dict(part.split("\n", 1) for part in text.split("\n## ")[1:])
+    for section, values in Scenario("any").as_dict().items():
+        if section in {"name", "model"}:
+            continue
+        table = values if isinstance(values, dict) else {section: values}
+        part = parts[f"`[{section}]`" if isinstance(values, dict) else "Top level"]
+        for key, value in table.items():
+            shown = "not set" if value is None else f"`{value!r}`".replace("'", '"')
+            (row,) = (line for line in part.splitlines() if line.startswith(f"| `{key}` |"))
+            assert row.split(" | ")[2] == shown
+
+
+def test_a_key_without_a_meaning_is_refused(schema: dict[str, Any]) -> None:
+    schema["$defs"]["BusSettings"]["properties"]["termination_ohm"] = {"type": "number"}
+    with pytest.raises(ValueError, match=r"bus\.termination_ohm: has no meaning"):
+        scenario_keys.page(schema)
+
+
+def test_two_meanings_are_refused(schema: dict[str, Any]) -> None:
+    schema["$defs"]["BusSettings"]["properties"]["bitrate"]["description"] = "Bits a second."
+    with pytest.raises(ValueError, match=r"bus\.bitrate: has a meaning in the settings too"):
+        scenario_keys.page(schema)
+
+
+def test_a_meaning_without_a_key_is_refused(schema: dict[str, Any]) -> None:
+    del schema["$defs"]["BusSettings"]["properties"]["bitrate"]
+    with pytest.raises(ValueError, match=r"no key bus\.bitrate"):
+        scenario_keys.page(schema)
+
+
+@pytest.mark.parametrize(
+    ("field", "shown"),
+    [
+        ({"type": "number", "exclusiveMinimum": 0.0}, "number, > 0"),
+        ({"type": "integer", "minimum": 1, "maximum": 8}, "whole number, ≥ 1, ≤ 8"),
+        ({"type": "number", "minimum": 1e-5, "exclusiveMaximum": 1.0}, "number, ≥ 1e-05, < 1"),
+        ({"anyOf": [{"type": "number"}, {"type": "null"}]}, "number"),
+        ({"anyOf": [{"type": "integer"}, {"const": "from-bus"}]}, 'whole number or `"from-bus"`'),
+        ({"enum": ["a", "b"], "type": "string"}, '`"a"`, `"b"`'),
+    ],
+)
+def test_bounds_are_shown(field: dict[str, Any], shown: str) -> None:
+    assert scenario_keys.allowed(field) == shown
+
+
+def test_the_longest_suffix_says_the_unit() -> None:
+    assert scenario_keys.unit("torque_rate_nm_per_s") == "N m/s"
+    assert scenario_keys.unit("frequency_rad_per_s") == "rad/s"
+    assert scenario_keys.unit("alpha") == ""

@@ -1,0 +1,141 @@
+"""docs/scenario-keys.md: every key of a scenario, with the settings themselves as the source.
+
+Keys, defaults and bounds come from the JSON schema that pydantic derives from the settings, units
+from the suffix of the key. A meaning is the description of the field in the settings, where it has
+one, and otherwise an entry of tools/scenario_keys.toml.
+"""
+
+from __future__ import annotations
+
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+from pydantic import TypeAdapter
+
+from can_rig.scenario.settings import Scenario
+
+MEANINGS = Path(__file__).with_name("scenario_keys.toml")
+PAGE = Path(__file__).parents[1] / "docs" / "scenario-keys.md"
+UNITS = {  # the longest suffix that fits counts
+    "_n_per_rad": "N/rad",
+    "_nms_per_rad": "N m s/rad",
+    "_nm_per_s": "N m/s",
+    "_n_per_s": "N/s",
+    "_rad_per_s": "rad/s",
+    "_per_hour": "1/h",
+    "_kgm2": "kg m²",
+    "_kg": "kg",
+    "_mps2": "m/s²",
+    "_mps": "m/s",
+    "_nm": "N m",
+    "_n": "N",
+    "_m": "m",
+    "_s": "s",
+    "_ticks": "ticks",
+    "bitrate": "bit/s",
+}
+HEADER = """\
+# Scenario keys
+
+<!-- Written by tools/scenario_keys from the settings; do not edit by hand. -->
+
+Every key of a scenario file and of `--set KEY=VALUE`. [Scenarios](scenarios.md) explains how they
+work together. An unknown key, a value of the wrong type or a value out of bounds is refused in one
+line that names the key.
+"""
+
+
+def main() -> None:
+    """Write the page."""
+    PAGE.write_text(page(TypeAdapter(Scenario).json_schema()), encoding="utf-8")
+
+
+def page(schema: dict[str, Any]) -> str:
+    """The page for the JSON schema of the settings.
+
+    Raises:
+        ValueError: a key has no meaning, or two, or a meaning has no key.
+    """
+    meanings = tomllib.loads(MEANINGS.read_text(encoding="utf-8"))
+    text = [HEADER]
+    for section, table in sections(schema):
+        text.append(f"\n## {f'`[{section}]`' if section else 'Top level'}\n\n")
+        explained = meanings.pop(section or "top", {})
+        text.append(explained.pop("", ""))
+        if section == "model":
+            continue  # the keys of the plant once more
+        text.append("| key | unit | default | allowed | meaning |\n|---|---|---|---|---|\n")
+        for key, field in table.items():
+            meaning = one_meaning(f"{section}.{key}", field, explained.pop(key, None))
+            cells = (f"`{key}`", unit(key), default(field), allowed(field), meaning)
+            text.append(f"| {' | '.join(cells)} |\n")
+        if explained:
+            raise ValueError(f"{MEANINGS.name}: no key {section}.{next(iter(explained))}")
+    if meanings:
+        raise ValueError(f"{MEANINGS.name}: no section {next(iter(meanings))}")
+    return "".join(text)
+
+
+def sections(schema: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """The keys of the top level, then each table with its keys."""
+    fields = {key: field for key, field in schema["properties"].items() if key != "name"}
+    yield "", {key: field for key, field in fields.items() if "$ref" not in field}
+    for section, field in fields.items():
+        if "$ref" in field:
+            yield section, schema["$defs"][field["$ref"].split("/")[-1]]["properties"]
+
+
+def one_meaning(key: str, field: dict[str, Any], explained: str | None) -> str:
+    """What ``key`` means, from the settings or from the file of meanings, but not from both."""
+    described = field.get("description")
+    if (described is None) == (explained is None):
+        found = "no meaning" if described is None else "a meaning in the settings too"
+        raise ValueError(f"{key}: has {found}; it must have one, there or in {MEANINGS.name}")
+    return " ".join((described or explained or "").split()).replace("|", r"\|")
+
+
+def unit(key: str) -> str:
+    """The unit that the suffix of a key says; empty for a key without one."""
+    fitting = [suffix for suffix in UNITS if key.endswith(suffix)]
+    return UNITS[max(fitting, key=len)] if fitting else ""
+
+
+def default(field: dict[str, Any]) -> str:
+    """The default as a scenario file would have it."""
+    value = field.get("default")
+    if value is None:
+        return "not set"
+    return f'`"{value}"`' if isinstance(value, str) else f"`{value}`"
+
+
+def allowed(field: dict[str, Any]) -> str:
+    """What a value may be: words, or a type with its bounds."""
+    if "anyOf" in field:
+        return " or ".join(allowed(one) for one in field["anyOf"] if one.get("type") != "null")
+    if "const" in field:
+        return f'`"{field["const"]}"`'
+    if "enum" in field:
+        return ", ".join(f'`"{word}"`' for word in field["enum"])
+    bounds = [
+        f"{sign} {number(field[name])}"
+        for name, sign in (
+            ("exclusiveMinimum", ">"),
+            ("minimum", "≥"),
+            ("maximum", "≤"),
+            ("exclusiveMaximum", "<"),
+        )
+        if name in field
+    ]
+    kind = {"integer": "whole number", "string": "text"}.get(field["type"], field["type"])
+    return ", ".join((kind, *bounds))
+
+
+def number(value: float) -> str:
+    """A bound, short."""
+    return str(value) if isinstance(value, int) else f"{value:g}"
+
+
+if __name__ == "__main__":
+    main()
