@@ -19,7 +19,7 @@ def draw_tunings(path: Path, found: Tunings) -> None:
 def picture(found: Tunings) -> Figure:
     """Every tuning that is stable with the nominal car, the trade-off over the box, the choice."""
     scenario, chosen = found.scenario, found.chosen
-    figure = style.page(5.0, 6.9)
+    figure = style.page(5.0, style.COLUMN_WIDTH_IN)
     axis = figure.subplots()
     axis.set_xscale("log")
     axis.set_yscale("log")
