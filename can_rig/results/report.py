@@ -22,7 +22,7 @@ from can_rig.results.signals import Signals
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import FloatArray
 
-HEIGHT_IN = 10.6
+HEIGHT_IN, HEIGHT_WITH_TIMING_IN = 10.6, 11.4
 
 
 def draw_report(
@@ -50,7 +50,7 @@ def page(
     applies beside what it is commanded. A real-time run has a sixth panel: how late the plant node
     woke and how long the answers took.
     """
-    figure = style.page(HEIGHT_IN)
+    figure = style.page(HEIGHT_WITH_TIMING_IN if realtime else HEIGHT_IN)
     signals_part: Figure | SubFigure = figure
     if realtime:
         parts: Any = figure.subfigures(2, 1, height_ratios=(5.25, 1.2))
@@ -78,7 +78,7 @@ def page(
         (network.feedback, network.feedback, network.command_1, network.command_2, network.status),
         strict=True,
     ):  # fmt: skip
-        axis.set_ylabel(style.labelled(name, codec.unit))
+        axis.set_ylabel(style.labelled(name, codec.unit), fontsize=9)
     axes[4].set_xlabel("time in s")
     _mark_loss(axes, scenario, names)
     signals_part.align_ylabels(axes)
