@@ -430,7 +430,7 @@ def test_the_command_line_says_what_differs(drive: Path, frames: list[Message]) 
         (("nothing.log", "--scenario", "default"), "there is no such file"),
         ((".", "--scenario", "default"), "not a run folder"),
         ((drive, "--scenario", "default", "--channel", "can7"), "the log has vcan0"),
-        ((drive, "--scenario", "default", "--gaps", "gaps.csv"), "there already"),
+        ((drive, "--scenario", "default", "--gaps", "gaps.csv"), "gaps.csv: exists"),
     ):
         refused = asked("replay", *arguments)
         assert refused.returncode == 2
