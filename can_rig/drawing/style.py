@@ -31,6 +31,8 @@ SERIES: Final[tuple[dict[str, Any], ...]] = (
 """Of curves that share a panel and are of equal rank."""
 
 A4_WIDTH_IN: Final = 8.27
+COLUMN_WIDTH_IN: Final = 6.9
+"""Of a picture between the margins of a page."""
 
 
 def page(height_in: float, width_in: float = A4_WIDTH_IN) -> Figure:

@@ -18,8 +18,8 @@ from firmware_model.analysis.sampled_plant import SampledPlant, advance_plant, m
 from firmware_model.analysis.simulation import simulate
 from firmware_model.target.structs import FloatArray
 
-START_S = 0.02  # how much of the start of a closed loop is shown closely
-#: what may change without making another figure of it
+START_S = 0.02  # of a closed loop, shown enlarged
+#: keys that may change without making it another figure
 SETTINGS = ("tick_s", "duration_s", "latency_ticks", "design.", "limits.", "plant.", "fault.at_s")
 
 
@@ -70,14 +70,14 @@ def compare(settings: Sequence[str] = ()) -> list[Comparison]:
     """Every figure's curves; ``settings`` as ``--set`` has them.
 
     Raises:
-        ScenarioError: a setting that is wrong, or that would make another figure of it.
+        ScenarioError: a bad setting, or one that would make it another figure.
     """
     for setting in settings:
         key = setting.partition("=")[0].strip()
         if key in {"plant.kind", "plant.variant"} or not key.startswith(SETTINGS):
             raise ScenarioError(
-                f"--set {setting}: the figures keep the thesis's own {key}; one of "
-                f"{', '.join(s.rstrip('.') for s in SETTINGS)} is right"
+                f"--set {setting}: the figures keep the thesis's own {key}; must be one of "
+                f"{', '.join(s.rstrip('.') for s in SETTINGS)}"
             )
     return [make(settings) for make in MAKERS.values()]
 
@@ -95,7 +95,7 @@ class _Loop:
 
 
 def both(scenario: Scenario) -> _Loop:
-    """The firmware with the table, limits and grids of its target, and the continuous loop."""
+    """The firmware with the limits and the LSBs of its target, and the continuous loop."""
     car = sample(continuous_plant(scenario.plant), scenario.tick_s)
     fault = ActuatorFault(scenario)
     trace = simulate(
@@ -124,7 +124,7 @@ def both(scenario: Scenario) -> _Loop:
 
 
 def _response(car: SampledPlant, u1: FloatArray, u2: FloatArray) -> FloatArray:
-    """What the plant answers to commands held from tick to tick: L⁻¹[G1 u1] + L⁻¹[G2 u2]."""
+    """The plant's response to commands held from tick to tick: L⁻¹[G1 u1] + L⁻¹[G2 u2]."""
     x, y = car.rest, np.empty(len(u1))
     for k in range(len(y)):
         y[k] = measure_plant(car.c, x)

@@ -1,7 +1,7 @@
 """Figs. 2.2-2.4, 3.5 and 3.6 of the thesis: the sampled firmware over the continuous solution.
 
-Each figure shows in its upper panel what the thesis prints, the continuous solution wide and pale,
-the firmware thin and dark on it, and below it how far the two are apart.
+The upper panel of each figure shows what the thesis prints: the continuous solution wide and pale,
+the firmware thin and dark on top of it. The lower one shows the difference of the two.
 """
 
 from __future__ import annotations
@@ -12,17 +12,16 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.backends.backend_agg import FigureCanvasAgg
-from matplotlib.figure import Figure
 from matplotlib.ticker import ScalarFormatter
 from numpy.typing import NDArray
 
-from can_rig.errors import RunFolderError
+from can_rig import files
+from can_rig.drawing import style
+from can_rig.drawing.names import ticks_text
 from can_rig.thesis.comparisons import MAKERS, START_S, Comparison, Curve
 
-INK, PALE, SHADE = "#101010", "#a9bccd", "#efe9e2"
-STYLES: tuple[Any, ...] = ("-", (0, (5, 2.5)))
-FEW = 50  # samples that are shown one by one
+DASHES: tuple[Any, ...] = ("-", style.DASHED)  # of the first and the second curve
+MAX_MARKERS = 50  # up to so many samples are marked one by one
 LEGEND: dict[str, Any] = {"frameon": False, "fontsize": 9, "handlelength": 3.2}
 
 
@@ -30,36 +29,33 @@ def draw_figures(folder: Path, comparisons: Sequence[Comparison], force: bool) -
     """``fig-2.2.png`` and so on in ``folder``, for print.
 
     Raises:
-        RunFolderError: one is there already and ``force`` is not given, or cannot be written.
+        LogError: one is there already and ``force`` is not given, or cannot be written.
     """
     refuse_existing(folder, force)
     paths = [folder / f"fig-{comparison.figure}.png" for comparison in comparisons]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-        for path, comparison in zip(paths, comparisons, strict=True):
-            _draw(path, comparison)
-    except OSError as error:
-        raise RunFolderError(f"{folder}: cannot be written: {error.strerror}") from None
+    for path, comparison in zip(paths, comparisons, strict=True):
+        with files.atomic(path) as part:
+            _draw(part, comparison)
     return paths
 
 
 def refuse_existing(folder: Path, force: bool) -> None:
-    """Raise ``RunFolderError`` for the first figure that is in ``folder``, unless ``force``."""
-    for path in (folder / f"fig-{figure}.png" for figure in MAKERS):
-        if path.exists() and not force:
-            raise RunFolderError(
-                f"{path}: there already; another --out, or --force to replace it, is right"
-            )
+    """Refuse a folder that has one of the figures already, unless it may be replaced.
+
+    Raises:
+        LogError: the first that is there.
+    """
+    for figure in MAKERS:
+        files.refuse_existing(folder / f"fig-{figure}.png", force, "--out")
 
 
 def _draw(path: Path, comparison: Comparison) -> None:
     zoomed = comparison.figure.startswith("3.")
-    figure = Figure(figsize=(6.9, 7.4 if zoomed else 5.0), layout="constrained")
-    FigureCanvasAgg(figure)
+    figure = style.page(7.4 if zoomed else 5.0, style.COLUMN_WIDTH_IN)
     fault, scenario = comparison.scenario.fault, comparison.scenario
     everything = (0.0, float(scenario.ticks * scenario.tick_s))
     if zoomed:
-        # The whole run as the thesis shows it, of its own car; what happens does so in two places.
+        # The whole run as the thesis shows it, of its own car; the start and the loss enlarged.
         grid = figure.add_gridspec(3, 2, height_ratios=(1.0, 1.1, 0.9))
         places = [(0.0, START_S), (fault.at_s - 0.1, fault.at_s + 0.9)]
         whole = figure.add_subplot(grid[0, :])
@@ -82,7 +78,7 @@ def _draw(path: Path, comparison: Comparison) -> None:
         )
     figure.suptitle(
         f"Fig. {comparison.figure}: {comparison.caption}\n"
-        f"tick {scenario.tick_s * 1e3:g} ms, latency {scenario.latency_ticks} ticks, "
+        f"tick {scenario.tick_s * 1e3:g} ms, latency {ticks_text(scenario.latency_ticks)}, "
         f"estimator {scenario.design.estimator}",
         fontsize=10,
     )
@@ -98,18 +94,18 @@ def _signals(
     label: str | None = "continuous"
     for curve in curves:
         if place == (0.0, START_S) and comparison.start is not None:
-            axis.plot(*comparison.start, color=PALE, lw=4.0, label=label)
+            axis.plot(*comparison.start, color=style.PALE_BLUE, lw=4.0, label=label)
         else:
-            axis.plot(time_s, curve.continuous[inside], color=PALE, lw=4.0, label=label)
+            axis.plot(time_s, curve.continuous[inside], color=style.PALE_BLUE, lw=4.0, label=label)
         label = None
-    marker = "o" if len(time_s) <= FEW else None
-    for curve, style in zip(curves, STYLES, strict=False):
+    marker = "o" if len(time_s) <= MAX_MARKERS else None
+    for curve, dashes in zip(curves, DASHES, strict=False):
         axis.plot(
             time_s,
             curve.sampled[inside],
-            color=INK,
+            color=style.INK,
             lw=1.2,
-            ls=style,
+            ls=dashes,
             marker=marker,
             ms=3,
             label=f"{_math(curve.name)}, sampled",
@@ -125,9 +121,9 @@ def _signals(
 
 def _differences(axis: Axes, comparison: Comparison, place: tuple[float, float]) -> None:
     inside = _inside(comparison, place)
-    for curve, style in zip(comparison.curves, STYLES, strict=False):
+    for curve, dashes in zip(comparison.curves, DASHES, strict=False):
         difference = curve.difference[inside]
-        axis.plot(comparison.time_s[inside], difference, color=INK, lw=1.0, ls=style)
+        axis.plot(comparison.time_s[inside], difference, color=style.INK, lw=1.0, ls=dashes)
     unit = f"\nin {comparison.unit}" if comparison.unit else ""
     axis.set_ylabel(f"sampled − continuous{unit}", fontsize=9)
     axis.set_xlabel("time in s", fontsize=9)
@@ -142,10 +138,7 @@ def _finish(axis: Axes, comparison: Comparison, place: tuple[float, float]) -> N
     axis.yaxis.get_offset_text().set_fontsize(8)
     axis.grid(alpha=0.35, lw=0.5)
     axis.set_xlim(place)
-    fault = comparison.scenario.fault
-    if fault.kind != "none" and place[0] <= fault.at_s < place[1]:
-        axis.axvspan(fault.at_s, place[1], color=SHADE, lw=0, zorder=0)
-        axis.axvline(fault.at_s, color=INK, lw=0.8, zorder=1)
+    style.shade_loss(axis, comparison.scenario.fault)
 
 
 def _inside(comparison: Comparison, place: tuple[float, float]) -> NDArray[np.bool_]:

@@ -1,1 +1,4 @@
-"""What five frames cost on a real bus, before there is one."""
+"""When frames arrive on a bus at worst: frame lengths, response times, the latency in ticks.
+
+Imported by `assessment` and `cli`; it imports `frames` and `errors`.
+"""

@@ -1,7 +1,7 @@
-"""How many bits a frame has on the wire: exactly, from what it says, and at worst.
+"""How many bits a frame has on the wire: exactly, from its contents, and at worst.
 
-After five equal bits the sender puts in one of the other value, which itself counts for the next
-five (ISO 11898-1, bit stuffing). What is stuffed, and how the rest is built:
+After five equal bits the sender inserts one of the other value, which itself counts towards the
+next five (ISO 11898-1, bit stuffing). Which bits are stuffed, and what the others are:
 
 | frame       | dynamically stuffed, s bytes of data                              |
 |-------------|-------------------------------------------------------------------|
@@ -15,7 +15,7 @@ stuff bit before their first bit and after every fourth. All frames end in 10 bi
 CRC delimiter, ACK slot, ACK delimiter, and seven for the end of frame.
 
 A remote frame is a classic one with s = 0. The intermission of 3 bits between frames belongs to
-none of them: `FrameBits` leaves it out, `duration_s` and `on_the_bus` bring it in.
+neither: `FrameBits` leaves it out, `duration_s` and `on_the_bus` add it.
 """
 
 from fractions import Fraction
@@ -39,71 +39,70 @@ _LENGTH_OF_CRC_17: Final = 16  # longest data of an FD frame with the short CRC 
 
 
 class FrameError(RigError):
-    """A frame or a bit rate that CAN does not have."""
+    """A frame or a bit rate that does not exist in CAN."""
 
 
 class FrameBits(NamedTuple):
     """Length of a frame from its start-of-frame bit to the last of its end-of-frame bits."""
 
     nominal: int
-    """Bits at the nominal bit rate: all of them but where the frame switches."""
+    """Bits at the nominal bit rate: all of them, unless the frame switches its bit rate."""
     data: int = 0
     """Bits at the data bit rate."""
 
     @property
     def total(self) -> int:
-        """Bits at either rate, without the intermission."""
+        """All bits, without the intermission."""
         return self.nominal + self.data
 
     @property
     def on_the_bus(self) -> int:
-        """Bits at either rate until the next frame can start: with the intermission."""
+        """All bits until the next frame can start: with the intermission."""
         return self.total + INTERMISSION_BITS
 
     def duration_s(
         self, bitrate: int, data_bitrate: int | None = None, *, intermission: bool = True
     ) -> Fraction:
-        """How long the frame keeps the bus [s], exactly.
+        """How long the frame occupies the bus [s], exactly.
 
         Args:
             bitrate: nominal bit rate [bit/s].
             data_bitrate: of the data phase [bit/s]; None where no frame switches.
-            intermission: whether the 3 bits after the frame count; they do in an analysis of
-                who may send when, they do not in the time until a receiver has the frame.
+            intermission: whether the 3 bits after the frame count. They do for when the next frame
+                can be sent, they do not for when a receiver has this one.
 
         Raises:
-            FrameError: a bit rate that is not above 0, or a data bit rate that is missing or
-                below the nominal one.
+            FrameError: a bit rate not above 0; a data bit rate missing or below the nominal one.
         """
         if bitrate <= 0:
-            raise FrameError(f"bit rate {bitrate} bit/s: above 0 is right")
+            raise FrameError(f"bit rate {bitrate} bit/s: must be above 0")
         after = INTERMISSION_BITS if intermission else 0
         duration = Fraction(self.nominal + after, bitrate)
         if self.data:
             if data_bitrate is None or data_bitrate < bitrate:
                 raise FrameError(
-                    f"data bit rate {data_bitrate} bit/s: the nominal one ({bitrate}) or above is "
-                    "right for frames that switch"
+                    f"data bit rate {data_bitrate} bit/s: must be the nominal one ({bitrate}) or "
+                    "above for frames that switch"
                 )
             duration += Fraction(self.data, data_bitrate)
         return duration
 
 
 def frame_bits(message: Message) -> FrameBits:
-    """The exact length of one frame, as its identifier and its data have it stuffed.
+    """The exact length of one frame, with the stuff bits that its identifier and data cause.
 
     Raises:
-        FrameError: an error frame, or a length or an identifier that no frame has.
+        FrameError: an error frame; a length or an identifier that no frame has.
     """
     remote = message.is_remote_frame
     length = message.dlc  # python-can: in bytes for FD frames too
     _require_length(length, message.is_fd)
     if message.is_error_frame or (remote and message.is_fd):
-        raise FrameError(f"{message}: neither a data frame nor a remote one; it has no length")
+        raise FrameError(f"{message}: must be a data frame or a remote one; others have no length")
     if not remote and len(message.data) != length:
-        raise FrameError(f"{message}: {len(message.data)} bytes of data; {length} is right")
+        raise FrameError(f"{message}: {len(message.data)} bytes of data; must be {length}")
     if message.arbitration_id >> (29 if message.is_extended_id else 11):
-        raise FrameError(f"identifier 0x{message.arbitration_id:X}: one of 11 or 29 bits is right")
+        raise FrameError(f"identifier 0x{message.arbitration_id:X}: must have 11 or 29 bits")
     bits = _control(message) + "".join(f"{byte:08b}" for byte in message.data if not remote)
     if not message.is_fd:
         bits += f"{_crc_15(bits):015b}"
@@ -124,12 +123,12 @@ def worst_case_bits(
     fd: bool = False,
     brs: bool = False,
 ) -> FrameBits:
-    """The most bits that a frame of `length` bytes can have, whatever it says.
+    """The most bits that a frame of `length` bytes can have, whatever its contents.
 
     n stuffable bits take at most (n - 1) // 4 stuff bits: one after the first five and one after
     every four more. With the intermission that is (Davis et al. 2007)
-    g + 8 s + 13 + (g + 8 s - 1) // 4 bits of a classic frame, g = 34 or 54. In FD frames the fixed
-    stuff bit stands in for one after the last bit, so it is (n - 2) // 4.
+    g + 8 s + 13 + (g + 8 s - 1) // 4 bits of a classic frame, g = 34 or 54. In FD frames the first
+    fixed stuff bit replaces one after the last bit, so it is (n - 2) // 4.
 
     Raises:
         FrameError: a length that no such frame has.
@@ -147,8 +146,8 @@ def worst_case_bits(
 def _require_length(length: int, fd: bool) -> None:
     if length not in (FD_LENGTHS if fd else range(CLASSIC_BYTES + 1)):
         kind = "an FD" if fd else "a classic"
-        right = "0 to 8, 12, 16, 20, 24, 32, 48 or 64" if fd else "0 to 8"
-        raise FrameError(f"{kind} frame of {length} bytes: {right} is right")
+        possible = "0 to 8, 12, 16, 20, 24, 32, 48 or 64" if fd else "0 to 8"
+        raise FrameError(f"{kind} frame of {length} bytes: must have {possible}")
 
 
 def _control(message: Message) -> str:
@@ -168,7 +167,7 @@ def _control(message: Message) -> str:
 
 
 def _crc_15(bits: str) -> int:
-    """Remainder of the bits, 15 zeros after them, by x^15+x^14+x^10+x^8+x^7+x^4+x^3+1."""
+    """Remainder of the bits, followed by 15 zeros, divided by x^15+x^14+x^10+x^8+x^7+x^4+x^3+1."""
     remainder = int(bits, 2) << 15
     while (excess := remainder.bit_length() - _CRC_15.bit_length()) >= 0:
         remainder ^= _CRC_15 << excess
@@ -176,7 +175,7 @@ def _crc_15(bits: str) -> int:
 
 
 def _stuffed_after(bits: str) -> list[int]:
-    """How many of `bits` are sent before each stuff bit."""
+    """For each stuff bit, how many of `bits` are sent before it."""
     places = []
     run, last = 0, ""
     for sent, bit in enumerate(bits, start=1):
@@ -196,9 +195,9 @@ def _arbitration_bits(extended: bool) -> int:
 def _fd_bits(length: int, extended: bool, brs: bool, early: int, late: int) -> FrameBits:
     """An FD frame with `early` dynamic stuff bits before its BRS bit and `late` ones after it.
 
-    The rate switches at the sample points of BRS and of the CRC delimiter, so each of the two is
-    partly a nominal and partly a data bit; both together last one of each, wherever the
-    sample points are. Here BRS is the nominal one.
+    The rate switches at the sample points of BRS and of the CRC delimiter, so each of these bits is
+    partly nominal and partly data; together they last one bit of each rate, wherever the sample
+    points are. Here BRS counts as the nominal one.
     """
     crc = 17 if length <= _LENGTH_OF_CRC_17 else 21
     check = _STUFF_COUNT_BITS + crc

@@ -1,12 +1,12 @@
 """The worst-case response time of every frame on a bus, by the revised analysis.
 
 Davis, Burns, Bril, Lukkien: "Controller Area Network (CAN) schedulability analysis: Refuted,
-revisited and revised", Real-Time Systems 35 (2007). It is refuted there that the first instance
-after the critical instant responds last: a frame cannot be pre-empted once it is on the bus, so
-what waits behind it is pushed into the next instance. All instances of the busy period count.
+revisited and revised", Real-Time Systems 35 (2007). They refute that the first instance after the
+critical instant has the longest response: a frame is not pre-empted once it is on the bus, so
+what waits behind it delays the next instance. All instances of the busy period count.
 
-For frame m with transmission time C, period T, queuing jitter J, the more important ones hp(m),
-the less important ones lp(m), and one nominal bit τ:
+For frame m with transmission time C, period T, queuing jitter J, the frames of higher priority
+hp(m), those of lower priority lp(m), and one nominal bit τ:
 
     B      = max C_k over lp(m)                                   one of them has just begun
     t      = E(t) + B + Σ_{hp(m), m} ⌈(t + J_k) / T_k⌉ C_k        busy period at this priority
@@ -15,8 +15,8 @@ the less important ones lp(m), and one nominal bit τ:
     R      = max_{q < Q} (J + w(q) - q T + C)
     E(t)   = (31 τ + max C_k over hp(m), m) (burst - 1 + ⌈t / every⌉)   errors; 0 without any
 
-C includes the intermission, so R does too. Every node must offer the most important frame that it
-has queued, and m must not wait for a node that is late to offer it (J says how late).
+C includes the intermission, so R does too. Every node must send its queued frame of the highest
+priority first; a node that queues m late is covered by J.
 
 All times become whole multiples of one unit: the ceilings are exact, no rounding adds an instance.
 """
@@ -33,14 +33,14 @@ from can_rig.assessment.bus_timing.frame_length import FrameBits
 from can_rig.errors import RigError
 
 ERROR_BITS: Final = 31
-"""Most bits that signalling an error and recovering from it take, beside the frame sent again."""
+"""Most bits of error signalling and recovery, in addition to the frame sent again."""
 
 Seconds = float | Fraction
-"""A time [s]; a float stands for the decimal that it prints as, so 0.1 is a tenth."""
+"""A time [s]; a float stands for the decimal that it prints as: 0.1 is exactly a tenth."""
 
 
 class AnalysisError(RigError):
-    """Frames that the analysis cannot take: a bad period, two frames of one priority."""
+    """Frames that cannot be analysed: a bad period, two frames of the same priority."""
 
 
 @dataclass(frozen=True)
@@ -52,19 +52,19 @@ class PeriodicFrame:
     bits: FrameBits
     """Worst-case length."""
     period_s: Seconds
-    """Least time between two that are due [s]."""
+    """Least time from one release to the next [s]."""
     jitter_s: Seconds = 0.0
-    """Most time from being due to being queued [s]."""
+    """Most time from release to being queued [s]."""
     deadline_s: Seconds | None = None
-    """Latest end of the transmission, after it was due [s]; None: the period."""
+    """Latest end of the transmission after the release [s]; None: the period."""
     extended: bool = False
     """Whether the identifier has 29 bits."""
 
     @property
     def priority(self) -> tuple[int, bool, int]:
-        """The less, the more important: what arbitration compares, bit by bit.
+        """What arbitration compares bit by bit; the lower wins.
 
-        Of equal first 11 bits an 11-bit identifier wins, by its dominant RTR and IDE.
+        If the first 11 bits are equal an 11-bit identifier wins, by its dominant RTR and IDE.
         """
         if self.extended:
             return (self.frame_id >> 18, True, self.frame_id & 0x3FFFF)
@@ -73,7 +73,7 @@ class PeriodicFrame:
 
 @dataclass(frozen=True)
 class Errors:
-    """`burst` errors at once, and then one `every_s` seconds at most."""
+    """`burst` errors at once, and then at most one every `every_s` seconds."""
 
     every_s: Seconds
     burst: int = 1
@@ -81,21 +81,21 @@ class Errors:
 
 @dataclass(frozen=True)
 class Response:
-    """What the analysis finds about one frame; all times in seconds, exact."""
+    """The result for one frame; all times in seconds, exact."""
 
     frame: PeriodicFrame
     transmission_s: Fraction
     blocking_s: Fraction
     instances: int
-    """Instances of the frame in the busy period; 0 if that has no end."""
+    """Instances of the frame in the busy period; 0 if that is unbounded."""
     busy_period_s: Fraction | None
     """None: the bus is never free at this priority, so the frame may wait for ever."""
     response_s: Fraction | None
-    """From being due to the end of the intermission after it; None: no bound."""
+    """From the release to the end of the intermission after the frame; None: unbounded."""
 
     @property
     def slack_s(self) -> Fraction | None:
-        """Deadline minus response [s], below 0 where it is missed; None: no bound."""
+        """Deadline minus response [s], negative where it is missed; None: unbounded."""
         if self.response_s is None:
             return None
         deadline = self.frame.deadline_s
@@ -115,7 +115,7 @@ def exact(seconds: Seconds) -> Fraction:
 def utilisation(
     frames: Sequence[PeriodicFrame], bitrate: int, data_bitrate: int | None = None
 ) -> Fraction:
-    """Share of the time that the bus is taken, Σ C / T; above 1 nothing helps."""
+    """Share of the time that the bus is busy, Σ C / T; above 1 it is overloaded."""
     shares = (f.bits.duration_s(bitrate, data_bitrate) / exact(f.period_s) for f in frames)
     return sum(shares, Fraction(0))
 
@@ -126,7 +126,7 @@ def response_times(
     data_bitrate: int | None = None,
     errors: Errors | None = None,
 ) -> list[Response]:
-    """The worst-case response of each frame, in order of importance.
+    """The worst-case response of each frame, in order of priority.
 
     Args:
         frames: all that is on the bus, in any order.
@@ -135,8 +135,8 @@ def response_times(
         errors: how often frames are destroyed; None: never.
 
     Raises:
-        AnalysisError: a period that is not above 0, a jitter below 0, two frames of one identifier.
-        FrameError: a bit rate that is not one.
+        AnalysisError: a period not above 0, a jitter below 0, two frames with one identifier.
+        FrameError: a bad bit rate.
     """
     ordered = sorted(frames, key=lambda frame: frame.priority)
     _require_sound(ordered, errors)
@@ -167,23 +167,23 @@ def _require_sound(ordered: Sequence[PeriodicFrame], errors: Errors | None) -> N
         if not (0.0 < period < math.inf and 0.0 <= jitter < math.inf):
             raise AnalysisError(
                 f"{frame.name}: period {period:g} s, jitter {jitter:g} s: "
-                "a period above 0 and a jitter of 0 or above are right"
+                "the period must be above 0, the jitter 0 or above"
             )
     for one, other in pairwise(ordered):
         if one.priority == other.priority:
             raise AnalysisError(
                 f"{one.name} and {other.name} both have identifier 0x{one.frame_id:X}; "
-                "one sender each is right"
+                "identifiers must differ"
             )
     if errors and not (0 < errors.every_s < math.inf and errors.burst >= 1):
         raise AnalysisError(
             f"errors: {errors.burst} at once, one every {float(errors.every_s):g} s: "
-            "1 or more, and an interval above 0, are right"
+            "must be 1 or more, at an interval above 0"
         )
 
 
 class _Load(NamedTuple):
-    """What comes again and again, in units of time."""
+    """What recurs, in units of time."""
 
     transmission: int
     period: int
@@ -201,7 +201,7 @@ class _Analysis:
     errors: Sequence[_Load] = ()
 
     def disturbed(self, every: int, burst: int) -> "_Analysis":
-        """The same with errors: E(t) is the demand of a load whose jitter makes the burst."""
+        """The same with errors: E(t) is the demand of a load whose jitter causes the burst."""
         again = max(load.transmission for load in (*self.higher, self.own))
         errors = _Load(ERROR_BITS * self.bit + again, every, (burst - 1) * every)
         return replace(self, errors=[errors])
@@ -212,7 +212,7 @@ class _Analysis:
         everything = [*self.errors, *self.higher, own]
         share = sum(Fraction(load.transmission, load.period) for load in everything)
         once = self.blocking > 0 or any(load.jitter for load in everything)
-        if share > 1 or (share == 1 and once):  # what came once too often is never made up for
+        if share > 1 or (share == 1 and once):  # a backlog is never worked off
             return None, 0, None
         busy = _least(own.transmission, lambda t: self.blocking + _demand(everything, t))
         instances = _times(busy + own.jitter, own.period)
@@ -235,12 +235,12 @@ def _times(t: int, period: int) -> int:
 
 
 def _demand(loads: Sequence[_Load], t: int) -> int:
-    """What `loads` can queue in a window of length t, each with its jitter."""
+    """The most that `loads` can queue in a window of length t, each with its jitter."""
     return sum(_times(t + load.jitter, load.period) * load.transmission for load in loads)
 
 
 def _least(start: int, step: Callable[[int], int]) -> int:
-    """The least fixed point of a rising `step`, from a `start` that is not above it."""
+    """The least fixed point of a monotonic `step`, from a `start` not above it."""
     t = start
     while (longer := step(t)) > t:
         t = longer

@@ -1,13 +1,13 @@
 """When the frames of a tick arrive, and the latency in ticks that follows.
 
 D* is sampled at the start of the tick and the plant's two frames are queued. The controller has
-both after their worst response, computes for `compute_s`, and queues its three frames. All five
-have the tick for a period; nothing else is on the bus.
+both after their worst-case response, computes for `compute_s`, and queues its three frames. The
+period of all five is the tick; nothing else is on the bus.
 
-If the last answer is gone before the tick ends, the two groups never meet: every tick finds the bus
-free, so each group is analysed by itself. If not, all five are analysed together, without
-knowledge of who comes when: the answers are queued at any time from the start of the tick to the
-moment above, which is their jitter.
+If the last answer is sent before the tick ends, the two groups never meet: every tick finds the bus
+free, so each group is analysed by itself. If not, all five are analysed together at any phase: the
+answers are queued at some time from the start of the tick to the moment above, which is their
+jitter.
 
 A command that has arrived acts from the start of the next tick, so the latency in ticks is the
 arrival of the later command over the tick, rounded up: 1 where the exchange fits in a tick.
@@ -37,11 +37,11 @@ from can_rig.frames.dbc import load_dbc
 from can_rig.frames.network import Network
 from can_rig.frames.protection import FRAME_BYTES
 
-SETTLES_WITHIN_TICKS: Final = 64  # more latency than a controller's table can hold
+MAX_SETTLING_TICKS: Final = 64  # more latency than a controller's table can hold
 
 
 class TimingError(RigError):
-    """A bus on which the frames of a tick are not sure to be sent within it."""
+    """A bus on which the frames of a tick may not all be sent within it."""
 
 
 @dataclass(frozen=True)
@@ -52,43 +52,43 @@ class FrameTiming:
     frame_id: int
     extended: bool
     bits: int
-    """At worst, with the intermission."""
+    """Worst case, with the intermission."""
     transmission_s: Fraction
     """Time for that many bits."""
     release_s: Fraction
-    """Latest moment at which the node queues the frame, after the start of the tick."""
+    """Latest time after the start of the tick at which the node queues the frame."""
     response_s: Fraction | None
-    """At worst, from then to the end of the intermission after the frame; None: no bound."""
+    """Worst case from the release to the end of the intermission; None: unbounded."""
     deadline_s: Fraction
-    """Largest response that is right: the period, at the end of which the next one is queued."""
+    """Largest response allowed: the period, at the end of which the next one is queued."""
 
     @property
     def arrival_s(self) -> Fraction | None:
-        """Latest end of the frame after the start of the tick."""
+        """Latest end of the frame, after the start of the tick."""
         return None if self.response_s is None else self.release_s + self.response_s
 
     @property
     def slack_s(self) -> Fraction | None:
-        """Deadline minus response, below 0 where it is missed."""
+        """Deadline minus response, negative where it is missed."""
         return None if self.response_s is None else self.deadline_s - self.response_s
 
 
 @dataclass(frozen=True)
 class BusTiming:
-    """All frames of a bus, the most important first."""
+    """All frames of a bus, the highest priority first."""
 
     bitrate: int
     utilisation: Fraction
-    """Share of the time that the bus is taken, every frame at its longest."""
+    """Share of the time that the bus is busy, every frame at its longest."""
     frames: Sequence[FrameTiming]
     latency_ticks: int | None = None
-    """From the sample of D* to the command acting; None: no bound, or not the rig's frames."""
+    """From the sample of D* to the command acting; None: unbounded, or not the rig's frames."""
     left_out: Sequence[str] = ()
     """Messages that cannot be analysed, each with the reason."""
 
     @property
     def schedulable(self) -> bool:
-        """Whether every frame is always gone before its deadline."""
+        """Whether every frame always meets its deadline."""
         return all(frame.slack_s is not None and frame.slack_s >= 0 for frame in self.frames)
 
 
@@ -125,20 +125,20 @@ def latency_ticks(network: Network, bitrate: int, tick_s: Seconds, compute_s: Se
     Arguments as those of `network_timing`.
 
     Raises:
-        TimingError: not every frame is sure to be gone before its successor.
+        TimingError: some frame may not be sent before its successor is queued.
     """
     timing = network_timing(network, bitrate, tick_s, compute_s)
     if timing.latency_ticks is None:
         raise TimingError(
-            f"{bitrate} bit/s: the frames of a tick of {float(tick_s) * 1e3:g} ms take the bus for "
-            f"{float(timing.utilisation):.0%} of it and some may come too late; "
-            "a faster bus, a quicker controller or a longer tick is right"
+            f"{bitrate} bit/s: the frames of a tick of {float(tick_s) * 1e3:g} ms use "
+            f"{float(timing.utilisation):.0%} of the bus and some may come too late; "
+            "the bus or the controller must be faster, or the tick longer"
         )
     return timing.latency_ticks
 
 
 def dbc_timing(path: str | Path, bitrate: int, data_bitrate: int | None = None) -> BusTiming:
-    """All messages of any DBC, each sent every GenMsgCycleTime, by nodes that know no common time.
+    """All messages of any DBC, each sent every GenMsgCycleTime, by nodes without a common clock.
 
     Args:
         path: the DBC.
@@ -146,8 +146,8 @@ def dbc_timing(path: str | Path, bitrate: int, data_bitrate: int | None = None) 
         data_bitrate: of the data phase [bit/s], to which every FD frame switches; None: none does.
 
     Raises:
-        DbcError: it cannot be read as one.
-        AnalysisError, FrameError: no bus has such frames or such a bit rate.
+        DbcError: not a DBC.
+        AnalysisError, FrameError: frames or bit rates that no bus has.
     """
     frames, left_out = [], []
     for message in load_dbc(path, strict=False).messages:
@@ -185,7 +185,7 @@ def _apart(
     bitrate: int,
     compute: Fraction,
 ) -> list[FrameTiming]:
-    """The two groups, each alone on the bus."""
+    """The two groups, each by itself on the bus."""
     measured = [_timing(response) for response in response_times(plant, bitrate)]
     release = (_latest(measured) or 0) + compute
     return [*measured, *(_timing(r, release) for r in response_times(answers, bitrate))]
@@ -197,9 +197,9 @@ def _together(
     bitrate: int,
     compute: Fraction,
 ) -> list[FrameTiming]:
-    """All five at any phase; the answers' jitter follows from the responses that depend on it."""
+    """All five at any phase; the answers' jitter depends on responses that depend on it."""
     names = {frame.name for frame in plant}
-    release, limit = compute, SETTLES_WITHIN_TICKS * exact(plant[0].period_s)
+    release, limit = compute, MAX_SETTLING_TICKS * exact(plant[0].period_s)
     while True:
         late = [replace(frame, jitter_s=release) for frame in answers]
         frames = [
@@ -230,7 +230,7 @@ def _timing(response: Response, release: Fraction = Fraction(0)) -> FrameTiming:
 
 
 def _latest(frames: Iterable[FrameTiming]) -> Fraction | None:
-    """Arrival of the last of `frames`; None where one has none."""
+    """Arrival of the last of `frames`; None where one is unbounded."""
     latest = Fraction(0)
     for frame in frames:
         if frame.arrival_s is None:

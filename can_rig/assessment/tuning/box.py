@@ -1,9 +1,9 @@
-"""The cars that a tuning has to work with: the nominal one and the corners of a box around it.
+"""The cars that a tuning must work with: the nominal one and the vertices of a box around it.
 
-The design stays that of the nominal car; the plant goes to every vertex. A vertex need not be a car
-that one could design for (its G1 or G2 may have zeros in the right half plane), only a stable one.
-Vertices are no proof for the inside of the box; they are where this car's loop is worst, which a
-test confirms with cars drawn from the inside.
+The design stays that of the nominal car; the plant is that of each vertex. A vertex need not be a
+car that one could design for (its G1 or G2 may have zeros in the right half plane), only a stable
+one. Vertices do not prove anything for the inside of the box; they are where the loop of this car
+is worst, which a test confirms with cars drawn from the inside.
 """
 
 from __future__ import annotations
@@ -33,7 +33,7 @@ from firmware_model.target.structs import Record
 
 Range = tuple[float, float]
 Law = tuple[LinearController, tuple[float, float]]  # and what is left of the actuators
-#: what differs from car to car and from day to day; the rest of Table 3.1 is known
+#: parameters that differ from car to car and from day to day; the rest of Table 3.1 is known
 UNCERTAIN = (
     "mass_kg",
     "front_cornering_stiffness_n_per_rad",
@@ -41,8 +41,8 @@ UNCERTAIN = (
     "speed_mps",
 )
 KEYS = tuple(field.name for field in dataclasses.fields(VehicleParameters))
-MOST_KEYS = 8  # 256 vertices
-MOST_DELAY_TICKS = 8  # extra delay up to which a margin is counted
+MAX_KEYS = 8  # 256 vertices
+MAX_DELAY_TICKS = 8  # extra delay up to which a margin is counted
 
 
 @dataclass(frozen=True)
@@ -52,22 +52,27 @@ class Car:
     label: str
     plant: Plant
 
+    def steady_commands(self, dstar_mps2: float) -> tuple[float, float]:
+        """|Torque| in N m and |X_diff| in N that hold ``dstar_mps2``, each by itself."""
+        size = abs(dstar_mps2)
+        return size / abs(self.plant.g1.dc_gain), size / abs(self.plant.g2.dc_gain)
+
 
 def parameter_ranges(
     nominal: PlantSettings, share: float, settings: Iterable[str] = ()
 ) -> dict[str, Range]:
-    """The box: lowest and highest value of each parameter that is not known exactly.
+    """The box: lowest and highest value of each uncertain parameter.
 
     Args:
         nominal: the car in its middle.
-        share: by how much each of ``UNCERTAIN`` may be off, 0.2 for ±20 %; 0 for none.
-        settings: ``plant.KEY=LOW..HIGH``, of these or of other parameters.
+        share: by how much each of ``UNCERTAIN`` may differ, 0.2 for ±20 %; 0 for not at all.
+        settings: ``plant.KEY=LOW..HIGH``, for these or other parameters.
 
     Raises:
         ScenarioError: a share outside 0..1, a setting that cannot be read, too many parameters.
     """
     if not 0.0 <= share < 1.0:
-        raise ScenarioError(f"--box {share:g}: 0 to below 1 is right, 0.2 for ±20 %")
+        raise ScenarioError(f"--box {share:g}: must be 0 to below 1, as in 0.2 for ±20 %")
     box: dict[str, Range] = {}
     if share > 0.0:
         for key in UNCERTAIN:
@@ -82,10 +87,10 @@ def parameter_ranges(
             box[key] = (1.0, 0.0)
         if key not in KEYS or not box[key][0] <= box[key][1]:
             raise ScenarioError(
-                f"--box-set {setting}: plant.KEY=LOW..HIGH is right, as in plant.speed_mps=8..12"
+                f"--box-set {setting}: must be plant.KEY=LOW..HIGH, as in plant.speed_mps=8..12"
             )
-    if len(box) > MOST_KEYS:
-        raise ScenarioError(f"box: {len(box)} parameters; at most {MOST_KEYS} are right")
+    if len(box) > MAX_KEYS:
+        raise ScenarioError(f"box: {len(box)} parameters; must be at most {MAX_KEYS}")
     return box
 
 
@@ -113,7 +118,7 @@ def _no_car(label: str, reason: str) -> ScenarioError:
 
 
 def laws(table: Record) -> tuple[Law, Law]:
-    """What acts, and what is left of the actuators: healthy, and with the torque channel dead."""
+    """The law and what is left of the actuators: healthy, and with the torque channel dead."""
     return (
         (linear_controller(table), HEALTHY),
         (linear_controller(table, confirmed=1.0), TORQUE_DEAD),
@@ -125,11 +130,12 @@ def loops(table: Record, car: Car, tick_s: float) -> list[SampledLoop]:
     return [sampled_loop(law, car.plant, tick_s, left) for law, left in laws(table)]
 
 
-def survives(table: Record, some: Iterable[Car], tick_s: float, spare_ticks: int) -> bool:
-    """Whether every one of ``some`` is stable, healthy and lost, with 0 to ``spare_ticks`` more.
+def is_stable(table: Record, some: Iterable[Car], tick_s: float, spare_ticks: int) -> bool:
+    """Whether all of ``some`` are stable, healthy and lost, with up to ``spare_ticks`` more delay.
 
-    A false alarm has to be stable too, without more ticks: a car that is not the nominal one gives
-    some d̂, and a table that compensates on confirmation then compensates a channel that works.
+    A false alarm must be stable too, without additional delay: a car that is not the nominal one
+    shows some d̂, and a table that compensates on confirmation may then compensate for a channel
+    that works.
     """
     healthy, lost = laws(table)
     needed = [(law, extra) for extra in range(spare_ticks, -1, -1) for law in (healthy, lost)]
@@ -139,11 +145,12 @@ def survives(table: Record, some: Iterable[Car], tick_s: float, spare_ticks: int
 
 
 def delay_margin(table: Record, some: Iterable[Car], tick_s: float, known: int = -1) -> int:
-    """Extra ticks, up to ``MOST_DELAY_TICKS``, with each of which every car is stable.
+    """Extra ticks of delay, up to ``MAX_DELAY_TICKS``, with each of which every car is stable.
 
-    Healthy and lost; -1 when one is unstable as it is. ``known``: so many are known to be survived.
+    Healthy and lost; -1 if a car is unstable without any. With ``known`` ticks all are known to be
+    stable.
     """
-    margin, states = max(MOST_DELAY_TICKS, known), laws(table)
+    margin, states = max(MAX_DELAY_TICKS, known), laws(table)
     for car, law in product(some, states):
         for extra in range(known + 1, margin + 1):
             if not _is_stable(law, car, tick_s, extra):

@@ -1,4 +1,4 @@
-"""One candidate of ``can-rig tune``: its noise, and its answer to the loss of the torque."""
+"""One candidate of ``can-rig tune``: its noise, and its response to the loss of the torque."""
 
 from __future__ import annotations
 
@@ -6,10 +6,12 @@ import math
 from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from itertools import product
+from typing import Any
 
 import numpy as np
 
-from can_rig.assessment.tuning.box import Car, loops, survives
+from can_rig.assessment.tuning.box import Car, is_stable, loops
+from can_rig.assessment.tuning.refusals import Refusal
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_design, continuous_plant, target
 from can_rig.scenario.settings import DesignSettings, Scenario
@@ -24,13 +26,12 @@ Values = tuple[float, int, float, int]  # τ, α, τ_q, α_q
 
 E6 = (1.0, 1.5, 2.2, 3.3, 4.7, 6.8)  # preferred numbers, a factor of about 1.5 apart
 E12 = (1.0, 1.2, 1.5, 1.8, 2.2, 2.7, 3.3, 3.9, 4.7, 5.6, 6.8, 8.2)
-TAU_TICKS, TAU_Q_TICKS = (0.1, 20.0), (1.0, 100.0)  # smallest and largest tried, in ticks
+TAU_TICKS, TAU_Q_TICKS = (0.1, 20.0), (1.0, 100.0)  # smallest and largest of the grid, in ticks
 ORDERS, TRACKING_ORDERS = (1, 2), (2, 3, 4)
 
-BEFORE_S, AFTER_S = 3.0, 2.0  # of the loss; the slowest mode of F̂ decays with 3.5 rad/s
-NOISE_SIGMAS = 3.0  # of a command that have to fit below its limit
-AT_REST = 0.05  # of the step: largest error that counts as rest
-SETTLED = 0.5  # largest part of the peak in the last quarter of a transient that decays
+BEFORE_S, AFTER_S = 3.0, 2.0  # the loss; the slowest mode of F̂ decays with 3.5 rad/s
+NOISE_SIGMAS = 3.0  # of the noise in a command that must fit below its limit
+DECAYED = 0.5  # largest part of the peak in the last quarter of a transient that decays
 
 
 @dataclass(frozen=True)
@@ -42,11 +43,11 @@ class Tuning:
         peak_mps2: largest deviation from the fault-free run after the loss.
         unavoidable_mps2: the deviation before the first corrected sample, ½ g1 |u1| ((n+1) T)².
         noise_to_torque: rms of the torque command for D* noise of rms 1 m/s², N m per m/s².
-        noise_to_force: the same of X_diff, N per m/s²; each in its worst state.
-        torque_peak_nm: of the whole run, the first step of the reference included.
+        noise_to_force: the same for X_diff, N per m/s²; each in the worse of the two states.
+        torque_peak_nm: over the whole run, the first step of the reference included.
         torque_after_nm, force_after_n: largest commands from the loss on.
-        within_limits: those, with ``NOISE_SIGMAS`` of the noise, are below the limits.
-        delay_margin_ticks: over the whole box; None where it was not looked at.
+        within_limits: these plus ``NOISE_SIGMAS`` of the noise are below the limits.
+        delay_margin_ticks: of the worst car of the box; None where it was not computed.
     """
 
     design: DesignSettings
@@ -62,7 +63,7 @@ class Tuning:
 
     @property
     def peak_ratio(self) -> float:
-        """The peak in units of what no controller can avoid."""
+        """The peak over the deviation that no controller can avoid."""
         return self.peak_mps2 / self.unavoidable_mps2
 
 
@@ -91,37 +92,41 @@ def assess(
     values: Values,
     cars: Iterable[Car],
     spare_ticks: int,
-) -> Tuning | None:
-    """Steps 1 and 2 for one candidate; None if there is no such design or it is not stable."""
+) -> Tuning | Refusal:
+    """Steps 1 and 2 for one candidate: what it achieves, or the test that it fails."""
     scenario, tick_s = with_tuning(scenario, values), scenario.tick_s
-    table = table_of(scenario)
     cars = list(cars)
-    if table is None or not survives(table, cars, tick_s, spare_ticks):
-        return None
+    try:
+        table = frameless_table(scenario)
+    except (DesignError, ScenarioError):
+        return Refusal.DESIGN
+    if not is_stable(table, cars, tick_s, spare_ticks):
+        return Refusal.NOMINAL_SPARE if is_stable(table, cars, tick_s, 0) else Refusal.NOMINAL
     states = loops(table, cars[0], tick_s)
     noise_1, noise_2 = (max(noise_gain(loop, answer) for loop in states) for answer in (0, 1))
     if not math.isfinite(noise_1 + noise_2):
-        return None
+        return Refusal.NOISE
     return _lose_torque(scenario, table, (noise_1, noise_2))
 
 
-def _lose_torque(scenario: Scenario, table: Record, noise: tuple[float, float]) -> Tuning | None:
-    """The loss in a settled step; None for a transient that does not decay."""
+def _lose_torque(scenario: Scenario, table: Record, noise: tuple[float, float]) -> Tuning | Refusal:
+    """The loss during a settled step."""
     tick_s, car = scenario.tick_s, continuous_plant(scenario.plant)
-    loss, step, left = held_step(scenario)
+    loss, step, left = loss_in_a_step(scenario)
     plant = sample(car, tick_s)
     healthy = simulate(table, plant, step)
     lost = simulate(table, plant, step, effectiveness=left)
     deviation = np.abs(lost.measurement - healthy.measurement)[loss:]
     peak = float(deviation.max())
-    if not (math.isfinite(peak) and deviation[-len(deviation) // 4 :].max() <= SETTLED * peak):
-        return None
+    if not (math.isfinite(peak) and deviation[-len(deviation) // 4 :].max() <= DECAYED * peak):
+        return Refusal.TRANSIENT
     delay_s = (scenario.latency_ticks + 1) * tick_s
     torque, force = np.abs(lost.command_1), np.abs(lost.command_2)
     torque_after, force_after = float(torque[loss:].max()), float(force[loss:].max())
     tail = NOISE_SIGMAS * scenario.noise.dstar_rms_mps2
-    room_1 = table.actuator_1.limit - tail * noise[0] - torque_after
-    room_2 = table.actuator_2.limit - tail * noise[1] - force_after
+    limits = target(scenario, None)
+    room_1 = limits.limit_1 - tail * noise[0] - torque_after
+    room_2 = limits.limit_2 - tail * noise[1] - force_after
     return Tuning(
         design=scenario.design,
         peak_mps2=peak,
@@ -135,7 +140,7 @@ def _lose_torque(scenario: Scenario, table: Record, noise: tuple[float, float]) 
     )
 
 
-def held_step(scenario: Scenario) -> tuple[int, FloatArray, FloatArray]:
+def loss_in_a_step(scenario: Scenario) -> tuple[int, FloatArray, FloatArray]:
     """The tick of the loss, the reference (ticks,), what is left of the actuators (ticks, 2)."""
     loss = round(BEFORE_S / scenario.tick_s)
     ticks = loss + round(AFTER_S / scenario.tick_s)
@@ -144,26 +149,18 @@ def held_step(scenario: Scenario) -> tuple[int, FloatArray, FloatArray]:
     return loss, np.full(ticks, scenario.reference.amplitude_mps2), left
 
 
-def settles(scenario: Scenario, table: Record, car: Car) -> bool:
-    """Whether D* of ``car`` comes to rest at the step, within its limits, before and after."""
-    loss, step, left = held_step(scenario)
-    run = simulate(table, sample(car.plant, scenario.tick_s), step, effectiveness=left)
-    error, last = np.abs(run.error), round(0.25 * AFTER_S / scenario.tick_s)
-    rest = max(error[loss - last : loss].max(), error[-last:].max())
-    return bool(rest <= AT_REST * abs(step[0]))
+def frameless_table(scenario: Scenario, **changes: Any) -> Record:
+    """The controller's table without frames, with ``changes`` of its ``Target``.
 
+    Its threshold trusts the model: when a loss is detected depends on the drive before it, how it
+    is met on the tuning. Cars that are not the model are then taken for faulty, and must be stable
+    with that.
 
-def table_of(scenario: Scenario) -> Record | None:
-    """The controller's table without frames; None for a design that cannot be made.
-
-    It trusts the model: when a loss is told is a matter of the drive before it, how it is met of
-    the tuning. Cars that are not the model are then taken for lost, and have to bear that.
+    Raises:
+        ScenarioError, DesignError: a design that cannot be made or discretised.
     """
-    try:
-        place = replace(target(scenario, None), model_share=0.0)
-        return build(continuous_design(scenario), place)
-    except (DesignError, ScenarioError):
-        return None
+    place = replace(target(scenario, None), **{"model_share": 0.0, **changes})
+    return build(continuous_design(scenario), place)
 
 
 def _round_numbers(series: Iterable[float], low: float, high: float) -> list[float]:

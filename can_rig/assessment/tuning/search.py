@@ -1,36 +1,49 @@
 """The search behind ``can-rig tune``: τ, α, τ_q, α_q for a tick, a latency, limits and a box.
 
-Of every candidate, on a grid that follows the tick:
+The candidates are on a grid that follows the tick. For each of them:
 
-1. the design exists, and the nominal car is stable healthy and lost with the ticks to spare;
-2. the noise in both commands, exactly, and the loss of the torque channel in a held curve, with the
-   scenario's limits, rates, latency and decision on d̂;
-3. only of those that no accepted one beats in both noise and peak: the vertices of the box, their
-   margins and their answer to the step. A loop that is stable may still run back and forth between
-   the limits of its torque for ever, once the step has sent it there.
+1. the design must exist, and the nominal car must be stable, healthy and lost, with the ticks to
+   spare;
+2. the noise in both commands is computed exactly, and the loss of the torque channel during a
+   settled step is simulated with the scenario's limits, rates, latency and decision on d̂;
+3. unless an accepted one has both less noise and less peak: the vertices of the box must be stable
+   and come to rest at the step. A loop that is stable may still cycle between the limits of its
+   torque for ever once the step has sent it there.
 
-Step 3 goes from the least peak upwards, so it looks at the trade-off alone and at little besides.
+Step 3 goes from the least peak upwards, so that it looks at little more than the trade-off.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterable, Sequence
-from dataclasses import dataclass, replace
+from collections import Counter
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
 
-from can_rig.assessment.tuning.box import Car, delay_margin, survives
-from can_rig.assessment.tuning.candidate import Tuning, Values, assess, grid, settles, table_of
+from can_rig.assessment.tuning.box import Car, delay_margin
+from can_rig.assessment.tuning.candidate import (
+    Tuning,
+    Values,
+    assess,
+    frameless_table,
+    grid,
+)
+from can_rig.assessment.tuning.refusals import NoTuningError, Refusal, advice
+from can_rig.assessment.tuning.robustness import box_refusal, has_control_authority
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.plant_settings import CAR
 from can_rig.scenario.settings import Scenario
 
-ALIKE = 1.05  # peaks within this factor are told apart by their noise
+EQUAL_PEAKS = 1.05  # of peaks within this factor the one with the least noise is chosen
 
 
 @dataclass(frozen=True)
 class Tunings:
-    """What was found: ``front`` from the least peak to the least noise, and all that was tried."""
+    """What was found: ``front`` from the least peak to the least noise, and all that was tried.
+
+    ``nominal`` are those that pass steps 1 and 2, ``refusals`` how many fail each test.
+    """
 
     scenario: Scenario
     spare_ticks: int
@@ -39,18 +52,23 @@ class Tunings:
     tried: int
     nominal: list[Tuning]
     front: list[Tuning]
+    refusals: Counter[Refusal] = field(default_factory=Counter)
 
     @property
     def chosen(self) -> Tuning:
-        """The least noise among the peaks that are as good as the least one within the limit."""
-        quiet = [tuning for tuning in self.front if self.is_quiet(tuning)]
-        if not quiet:
+        """The least noise, among the peaks about as small as the least within the noise limit."""
+        within = [tuning for tuning in self.front if self.within_noise_limit(tuning)]
+        if not within:
             return self.front[-1]
-        least = min(tuning.peak_mps2 for tuning in quiet)
-        alike = [tuning for tuning in quiet if tuning.peak_mps2 <= ALIKE * least]
-        return min(alike, key=lambda tuning: tuning.noise_to_force)
+        least = min(tuning.peak_mps2 for tuning in within)
+        equal = [tuning for tuning in within if tuning.peak_mps2 <= EQUAL_PEAKS * least]
+        return min(equal, key=lambda tuning: tuning.noise_to_force)
 
-    def is_quiet(self, tuning: Tuning) -> bool:
+    def noise_n(self, tuning: Tuning) -> float:
+        """Rms of X_diff in N at the scenario's noise; per m/s² of noise where it has none."""
+        return tuning.noise_to_force * (self.scenario.noise.dstar_rms_mps2 or 1.0)
+
+    def within_noise_limit(self, tuning: Tuning) -> bool:
         """Whether the noise in X_diff is within the limit, where there is one."""
         limit = math.inf if self.noise_limit_n is None else self.noise_limit_n
         return tuning.noise_to_force * self.scenario.noise.dstar_rms_mps2 <= limit
@@ -63,21 +81,23 @@ def tune(
     noise_limit_n: float | None = None,
     torque_noise_limit_nm: float | None = None,
     candidates: Sequence[Values] | None = None,
-    on_candidate: Callable[[int, int], None] = lambda done, of: None,
+    on_progress: Callable[[int, int], None] = lambda done, of: None,
 ) -> Tunings:
     """Search the trade-off.
 
     Args:
         scenario: everything but the four numbers; its reference is a step of its amplitude.
         cars: the nominal one first (``box.cars``).
-        spare_ticks: more ticks of delay than the controller knows of that have to be survived.
-        noise_limit_n: rms of X_diff that ``noise.dstar_rms_mps2`` may cause, N.
-        torque_noise_limit_nm: the same of the torque, N m; nothing above it is looked at.
-        candidates: instead of ``grid``.
-        on_candidate: told how many are done, of how many.
+        spare_ticks: additional ticks of delay, unknown to the controller, with which the loop must
+            be stable.
+        noise_limit_n: largest rms of X_diff that ``noise.dstar_rms_mps2`` may cause, N.
+        torque_noise_limit_nm: the same of the torque, N m; a tuning beyond it is refused.
+        candidates: in place of ``grid``.
+        on_progress: told how many tests are done, and of how many: those of the nominal car, and
+            those over the box that they leave.
 
     Raises:
-        ScenarioError: nothing to tune, or nothing that survives.
+        ScenarioError: nothing to tune; NoTuningError: no candidate passes.
     """
     _refuse(scenario, spare_ticks)
     for option, limit in (
@@ -90,45 +110,66 @@ def tune(
     own = (
         [] if scenario.plant == scenario.model else [Car("plant", continuous_plant(scenario.plant))]
     )
+    box = (*cars, *own)
+    if not all(has_control_authority(scenario, car) for car in box):
+        none = Counter({Refusal.FORCE_LIMIT: len(candidates)})
+        raise NoTuningError(scenario, none, advice(scenario, box, none))
     nominal: list[Tuning] = []
+    refusals: Counter[Refusal] = Counter()
     for done, values in enumerate(candidates, 1):
         tuning = assess(scenario, values, (cars[0], *own), spare_ticks)
-        if tuning is not None and tuning.noise_to_torque * scenario.noise.dstar_rms_mps2 <= loudest:
+        if isinstance(tuning, Refusal):
+            refusals[tuning] += 1
+        elif tuning.noise_to_torque * scenario.noise.dstar_rms_mps2 > loudest:
+            refusals[Refusal.TORQUE_NOISE] += 1
+        else:
             nominal.append(tuning)
-        on_candidate(done, len(candidates))
-    # What fits below the limits comes first; what does not, only where nothing does.
-    for some in ([t for t in nominal if t.within_limits], nominal):
-        front = _front(scenario, some, (*cars, *own), spare_ticks)
+        on_progress(done, len(candidates) + len(nominal))
+    of, done = len(candidates) + len(nominal), len(candidates)
+
+    def on_tested() -> None:
+        nonlocal done
+        done += 1
+        on_progress(done, of)
+
+    # Those that reach a limit come last, and only where no other passes.
+    for held in (True, False):
+        some = [tuning for tuning in nominal if tuning.within_limits is held]
+        front = _front(scenario, some, box, spare_ticks, refusals, on_tested)
         if front:
+            on_progress(of, of)
             return Tunings(
-                scenario, spare_ticks, len(cars), noise_limit_n, len(candidates), nominal, front
-            )
-    raise ScenarioError(
-        f"scenario {scenario.name}: of {len(candidates)} tunings {len(nominal)} are stable at the "
-        f"nominal car with {spare_ticks} ticks to spare and quiet enough, and none over the box; a "
-        "smaller --box, fewer --spare-ticks, a smaller latency or less noise is right"
-    )
+                scenario, spare_ticks, len(cars), noise_limit_n, len(candidates),
+                nominal, front, refusals,
+            )  # fmt: skip
+    raise NoTuningError(scenario, refusals, advice(scenario, box, refusals))
 
 
 def _front(
-    scenario: Scenario, some: Iterable[Tuning], cars: Sequence[Car], spare_ticks: int
+    scenario: Scenario,
+    some: Sequence[Tuning],
+    cars: Sequence[Car],
+    spare_ticks: int,
+    refusals: Counter[Refusal],
+    on_tested: Callable[[], None],
 ) -> list[Tuning]:
-    """Those that are stable and settle over the box, and that no such one beats in noise and peak.
+    """Those that pass with all ``cars`` and that no such one beats in both noise and peak.
 
-    Least peak first.
+    Least peak first. Adds to ``refusals``.
     """
     front: list[Tuning] = []
-    for tuning in sorted(some, key=lambda t: (t.peak_mps2, t.noise_to_force)):
-        if front and tuning.noise_to_force >= front[-1].noise_to_force:
-            continue
-        table = table_of(replace(scenario, design=tuning.design))
-        if (
-            table is not None
-            and survives(table, cars, scenario.tick_s, spare_ticks)
-            and all(settles(scenario, table, car) for car in cars)
-        ):
-            margin = delay_margin(table, cars, scenario.tick_s, spare_ticks)
-            front.append(replace(tuning, delay_margin_ticks=margin))
+    by_peak = sorted(some, key=lambda tuning: (tuning.peak_mps2, tuning.noise_to_force))
+    for tuning in by_peak:
+        if not front or tuning.noise_to_force < front[-1].noise_to_force:
+            tuned = replace(scenario, design=tuning.design)
+            table = frameless_table(tuned)
+            refusal = box_refusal(tuned, table, cars, spare_ticks)
+            if refusal is None:
+                margin = delay_margin(table, cars, scenario.tick_s, spare_ticks)
+                front.append(replace(tuning, delay_margin_ticks=margin))
+            else:
+                refusals[refusal] += 1
+        on_tested()
     return front
 
 
@@ -139,15 +180,19 @@ def _refuse(scenario: Scenario, spare_ticks: int) -> None:
             f"{where} model.kind = {scenario.model.kind!r}: must be a car, such as {CAR}"
         )
     if scenario.design.compensation == "off":
-        raise ScenarioError(f"{where} design.compensation = 'off': on-confirmation is right")
+        raise ScenarioError(
+            f"{where} design.compensation = 'off': must be on-confirmation or always"
+        )
     if scenario.reference.amplitude_mps2 == 0.0:
-        raise ScenarioError(f"{where} reference.amplitude_mps2 = 0: a loss would not show")
+        raise ScenarioError(
+            f"{where} reference.amplitude_mps2 = 0: must not be 0, or a loss would not show"
+        )
     if spare_ticks < 0:
-        raise ScenarioError(f"--spare-ticks {spare_ticks}: 0 or above is right")
+        raise ScenarioError(f"--spare-ticks {spare_ticks}: must be 0 or above")
 
 
 def _refuse_limit(scenario: Scenario, option: str, limit: float | None) -> None:
     if limit is not None and not (limit > 0.0 and scenario.noise.dstar_rms_mps2 > 0.0):
         raise ScenarioError(
-            f"{option} {limit:g}: above 0 is right, with noise.dstar_rms_mps2 above 0"
+            f"{option} {limit:g}: must be above 0, and so must noise.dstar_rms_mps2"
         )

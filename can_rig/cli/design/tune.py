@@ -7,8 +7,25 @@ from pathlib import Path
 
 import click
 
-from can_rig.assessment.tuning.report import tune_command
+from can_rig.assessment.resolve import load
+from can_rig.assessment.tuning.box import cars, parameter_ranges
+from can_rig.assessment.tuning.refusals import NoTuningError, refusal_rows, refusals_as_dict
+from can_rig.assessment.tuning.report import (
+    HEADINGS,
+    UNITS,
+    as_dict,
+    noise_unit,
+    options,
+    rows,
+    why,
+)
+from can_rig.assessment.tuning.search import Tunings, tune
 from can_rig.cli.options import json_option, scenario_options
+from can_rig.cli.output import json_line, say, show, table
+from can_rig.cli.progress import progress
+from can_rig.files import atomic, refuse_existing
+
+PICTURE = "tuning.png"
 
 
 @click.command("tune")
@@ -18,7 +35,7 @@ from can_rig.cli.options import json_option, scenario_options
     default=0.2,
     show_default=True,
     metavar="SHARE",
-    help="By how much mass, both cornering stiffnesses and speed may be off: 0.2 for ±20 %.",
+    help="By how much mass, both cornering stiffnesses and speed may differ: 0.2 for ±20 %.",
 )
 @click.option(
     "--box-set",
@@ -32,7 +49,7 @@ from can_rig.cli.options import json_option, scenario_options
     default=1,
     show_default=True,
     metavar="N",
-    help="Ticks of delay, beyond the scenario's own, that must be survived.",
+    help="Ticks of delay, beyond the scenario's own, with which the loop must be stable.",
 )
 @click.option(
     "--noise-limit",
@@ -72,7 +89,51 @@ def command(
     """Choose tau, tau_q, alpha and alpha_q for SCENARIO: least peak after the loss of the torque.
 
     Every choice is stable with ticks to spare, healthy and faulted, for a box of cars around the
-    one that it is designed for.  Exit status: 0 found, 1 not within --noise-limit.
+    one that it is designed for.  Exit status: 0 found, 1 none, or none within --noise-limit.
     """
-    limits = (spare_ticks, noise_limit_n, torque_noise_limit_nm)
-    sys.exit(tune_command(scenario, settings, (box, box_settings), limits, out, force, as_json))
+    picture = out / PICTURE
+    refuse_existing(picture, force, "--out")
+    chosen = load(scenario, settings)
+    some = cars(chosen.model, parameter_ranges(chosen.model, box, box_settings))
+    try:
+        with progress(chosen.name, "tunings") as bar:
+            found = tune(
+                chosen, some, spare_ticks, noise_limit_n, torque_noise_limit_nm,
+                on_progress=bar.count,
+            )  # fmt: skip
+    except NoTuningError as error:
+        _tell_refusals(error, as_json)
+        sys.exit(error.exit_status)
+    from can_rig.assessment.tuning.picture import draw_tunings  # noqa: PLC0415 (matplotlib)
+
+    with atomic(picture) as part:
+        draw_tunings(part, found)
+    if as_json:
+        json_line(**as_dict(found), picture=str(picture))
+    else:
+        _print(found, picture)
+    sys.exit(0 if found.within_noise_limit(found.chosen) else 1)
+
+
+def _print(found: Tunings, picture: Path) -> None:
+    force = noise_unit(found)
+    units = (*UNITS[:-3], f"rms {force}", f"rms {force.replace('N', 'N m', 1)}", UNITS[-1])
+    tunings = table("", *(f"{name}\n{unit}" for name, unit in zip(HEADINGS, units, strict=True)))
+    for tuning, cells in rows(found):
+        chosen = tuning is found.chosen
+        tunings.add_row(">" if chosen else "", *cells, style="bold" if chosen else None)
+    show(tunings)
+    say(f"chosen: {why(found)}", options(found, found.chosen), f"picture  {picture}")
+
+
+def _tell_refusals(error: NoTuningError, as_json: bool) -> None:
+    if as_json:
+        refused = refusals_as_dict(error.refusals)
+        json_line(chosen=None, refused=refused, advice=error.advice)
+        return
+    refused_rows = table("tunings", "refused because", left=0)
+    refused_rows.columns[1].justify = "left"
+    for reason, count in refusal_rows(error.refusals):
+        refused_rows.add_row(str(count), reason)
+    show(refused_rows)
+    say(f"none of {error.refusals.total()} tunings passes: {error.advice}")

@@ -231,19 +231,19 @@ def test_after_a_reset_a_loss_takes_all_its_ticks_to_be_confirmed() -> None:
     assert states == [FaultState.SUSPECTED] * 3 + [FaultState.CONFIRMED]
 
 
+@pytest.mark.parametrize("ticks", [1, 4])
 @pytest.mark.parametrize("latency", [0, 1, 3])
-def test_the_loss_model_starts_with_the_value_and_the_speed_that_w_has(latency: int) -> None:
-    """w of a loss of all that is detected at its first sample: G1's step response, by scipy."""
-    torque_nm, detected = 1.0 / CAR.g1.dc_gain, 1 + latency
-    step_response = np.cumsum(signal.sosfilt(zoh(CAR.g1, TICK_S).sos, [1.0] + [0.0] * 9))
-    table = build(FAST, confirming(latency, confirm_ticks=9, limit_1=2.0 * torque_nm))
+def test_the_loss_model_starts_with_the_value_and_the_speed_that_w_has(
+    latency: int, ticks: int
+) -> None:
+    """A loss of all in a steady bend: w is G1's step response, by scipy, from the loss on."""
+    torque_nm = 1.0 / CAR.g1.dc_gain
+    w = torque_nm * signal.sosfilt(zoh(CAR.g1, TICK_S).sos, np.ones(20))
+    table = build(FAST, confirming(latency))
     state = controller.init(table)[0]
     controller.reset(table, state, 1.0)
-    estimate = torque_nm * step_response[1]
-    initialise_loss_model(table, state, estimate, 1.0)
+    initialise_loss_model(table, state, w[ticks], 1.0)
     state.fault_state = FaultState.SUSPECTED
-    assert estimate > 0.0
-    assert state.loss_model.previous_output == pytest.approx(torque_nm * step_response[latency])
-    assert loss_output(table, state) == pytest.approx(torque_nm * step_response[detected])
-    in_estimate = loss_output_in_estimate(table, state)
-    assert in_estimate == pytest.approx(estimate)
+    assert loss_output_in_estimate(table, state) == pytest.approx(w[ticks])
+    assert loss_output(table, state) == pytest.approx(w[ticks + latency])
+    assert state.loss_model.previous_output == pytest.approx(w[ticks + latency - 1], abs=1e-15)

@@ -12,10 +12,8 @@ from scipy import signal
 
 from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import check_stability
-from can_rig.errors import RigError
-from can_rig.nodes.lockstep import StopRequest
-from can_rig.nodes.nodes import run_in_process
-from can_rig.plant.simulated import LinearPlant
+from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.watchdog import StopRequest
 from can_rig.results.counterfactual import fault_free
 from can_rig.results.metrics import Metrics, metrics, rows, windows
 from can_rig.results.signals import Signals, read_signals
@@ -109,30 +107,35 @@ def test_the_fault_is_lost_at_the_ticks_at_which_the_nodes_lose_it() -> None:
 def test_fault_free_is_the_rig_s_own_run_without_the_fault(
     run: Run, name: str, settings: list[str]
 ) -> None:
-    """Same plant, limits, noise and latency; the frame of D* alone keeps them apart."""
+    """Same plant, limits, noise and latency, to the last bit of D*."""
     short = ["duration_s=0.3", "fault.at_s=0.1", *settings]
     _, signals = run(name, *short, "fault.kind=none")
-    distance = np.abs(fault_free(load(name, short), signals).dstar_mps2 - signals.dstar_mps2)
-    assert distance.max() < 20 * LSB_MPS2
+    found = fault_free(load(name, short), signals)
+    np.testing.assert_array_equal(found.dstar_mps2, signals.dstar_mps2)
+    np.testing.assert_array_equal(found.force_difference_n, signals.force_difference_n)
 
 
-def test_fault_free_ends_where_a_plant_fails_by_itself(monkeypatch: pytest.MonkeyPatch) -> None:
-    scenario = load("thesis-step", ["duration_s=0.1", "fault.at_s=0.05"])
-    whole = fault_free(scenario, quiet(scenario)).dstar_mps2
-    advance = LinearPlant.advance
+FAILING = """
+class Failing:
+    def __init__(self, settings): self.reset()
+    def reset(self): self.calls, self.dstar_mps2 = 0, 0.0
+    def advance(self, dt_s, torque_nm, force_difference_n):
+        self.calls += 1
+        if self.calls > 70: raise RuntimeError("it broke")
+        self.dstar_mps2 += (0.02 * torque_nm - self.dstar_mps2) * dt_s
+        return self.dstar_mps2
+"""
 
-    def fails(plant: LinearPlant, *arguments: float) -> float:
-        calls.append(arguments)
-        if len(calls) > 71:  # one of them before the first tick
-            raise RigError("it broke")
-        return advance(plant, *arguments)
 
-    calls: list[tuple[float, ...]] = []
-    monkeypatch.setattr(LinearPlant, "advance", fails)
-    broken = fault_free(scenario, quiet(scenario)).dstar_mps2
-    np.testing.assert_array_equal(broken[:71], whole[:71])
-    assert np.isnan(broken[71:]).all()
-    calls.clear()
+def test_fault_free_ends_where_a_plant_fails_by_itself(tmp_path: Path) -> None:
+    (tmp_path / "breaking_car.py").write_text(FAILING)
+    kind = "plant.kind=breaking_car:Failing"
+    scenario = load("thesis-step", ["duration_s=0.1", "fault.at_s=0.05", kind])
+    broken = fault_free(scenario, quiet(scenario))
+    assert np.isfinite(broken.dstar_mps2[:71]).all()
+    assert np.isnan(broken.dstar_mps2[71:]).all()
+    assert np.isnan(broken.force_difference_n[71:]).all()
+    assert np.abs(broken.dstar_mps2[:71]).max() > 0.0
     # Where there is nothing to compare with there is no number.
     assert metrics(scenario, quiet(scenario))["deviation_settled_after_fault_mps2"] is None
 

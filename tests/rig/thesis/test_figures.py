@@ -134,7 +134,7 @@ def test_what_has_no_continuous_counterpart_is_refused() -> None:
         solve(loaded("thesis-step", "fault.kind=frames-missing"))
     with pytest.raises(ScenarioError, match=r"reference.kind = 'csv'"):
         solve(loaded("thesis-step", "reference.kind=csv", "reference.file=x.csv"))
-    with pytest.raises(ScenarioError, match="order of at least 2"):
+    with pytest.raises(ScenarioError, match="the order must be at least 2"):
         lag_over(continuous_plant(loaded("thesis-step").plant), 0, 0.001, 1)
 
 

@@ -1,0 +1,173 @@
+"""``can-rig bus``, the timing of any DBC, and a scenario that takes its latency from the bus."""
+
+import json
+from dataclasses import replace
+from fractions import Fraction
+
+import pytest
+
+from can_rig.assessment.bus_timing.frame_length import FrameError, worst_case_bits
+from can_rig.assessment.bus_timing.response_time import PeriodicFrame, response_times
+from can_rig.assessment.bus_timing.timing import (
+    dbc_timing,
+    latency_ticks,
+)
+from can_rig.assessment.resolve import load
+from can_rig.errors import DbcError, ScenarioError
+from can_rig.frames.network import load_network
+from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import draft
+from tests.helpers import DBC, record, rig
+
+STEER_BY_WIRE = load_network(DBC / "steer_by_wire.dbc")
+US = Fraction(1, 10**6)
+
+
+FOREIGN = """VERSION ""
+BS_:
+BU_: A B
+BO_ 291 FAST: 7 A
+ SG_ Speed : 0|8@1+ (1,0) [0|255] ""  B
+BO_ 2566844926 LONG_IDENTIFIER: 8 A
+ SG_ Speed : 0|8@1+ (1,0) [0|255] ""  B
+BO_ 292 FLEXIBLE: 20 B
+ SG_ Speed : 0|8@1+ (1,0) [0|255] ""  A
+ SG_ Overlap : 4|8@1+ (1,0) [0|255] ""  A
+BO_ 293 ON_EVENT: 8 B
+ SG_ Speed : 0|8@1+ (1,0) [0|255] ""  A
+BO_ 2147484000 TRANSPORT: 40 B
+ SG_ Speed : 0|8@1+ (1,0) [0|255] ""  A
+BA_DEF_ BO_ "GenMsgCycleTime" INT 0 65535;
+BA_DEF_ BO_ "VFrameFormat" ENUM "StandardCAN","ExtendedCAN","r2","J1939PG","r4","r5","r6","r7","r8","r9","r10","r11","r12","r13","StandardCAN_FD","ExtendedCAN_FD";
+BA_DEF_DEF_ "GenMsgCycleTime" 0;
+BA_DEF_DEF_ "VFrameFormat" "StandardCAN";
+BA_ "GenMsgCycleTime" BO_ 291 10;
+BA_ "GenMsgCycleTime" BO_ 2566844926 20;
+BA_ "GenMsgCycleTime" BO_ 292 50;
+BA_ "GenMsgCycleTime" BO_ 2147484000 100;
+BA_ "VFrameFormat" BO_ 292 14;
+"""  # noqa: E501
+
+
+@pytest.fixture
+def foreign(tmp_path):
+    path = tmp_path / "foreign.dbc"
+    path.write_text(FOREIGN)
+    return path
+
+
+def test_any_dbc_by_its_cycle_times(foreign):
+    timing = dbc_timing(foreign, 500_000, 2_000_000)
+    bits = {
+        "FAST": worst_case_bits(7),
+        "FLEXIBLE": worst_case_bits(20, fd=True, brs=True),
+        "LONG_IDENTIFIER": worst_case_bits(8, extended=True),
+    }
+    alone = response_times(
+        [
+            PeriodicFrame("FAST", 291, bits["FAST"], 0.01),
+            PeriodicFrame("FLEXIBLE", 292, bits["FLEXIBLE"], 0.05),
+            PeriodicFrame("LONG", 0x18FEF1FE, bits["LONG_IDENTIFIER"], 0.02, extended=True),
+        ],
+        500_000,
+        2_000_000,
+    )
+    assert [f.name for f in timing.frames] == ["FAST", "FLEXIBLE", "LONG_IDENTIFIER"]
+    assert [f.response_s for f in timing.frames] == [r.response_s for r in alone]
+    assert [f.bits for f in timing.frames] == [bits[f.name].on_the_bus for f in timing.frames]
+    assert [f.deadline_s for f in timing.frames] == [Fraction(n, 1000) for n in (10, 50, 20)]
+    assert timing.left_out == [
+        "ON_EVENT (no cycle time)",
+        "TRANSPORT (40 bytes do not fit in a frame)",
+    ]
+    assert timing.latency_ticks is None
+    slow = dbc_timing(foreign, 500_000)  # without a data bit rate no frame switches
+    assert slow.utilisation > timing.utilisation
+    with pytest.raises(FrameError):
+        dbc_timing(foreign, 500_000, 250_000)
+
+
+def test_a_file_that_is_no_dbc_is_one_line(tmp_path):
+    (tmp_path / "x.dbc").write_text("not a DBC")
+    for path, reason in (("x.dbc", "not a DBC"), ("missing.dbc", "cannot be read"), (".", "read")):
+        with pytest.raises(DbcError, match=reason) as caught:
+            dbc_timing(tmp_path / path, 500_000)
+        assert "\n" not in str(caught.value)
+
+
+def test_a_scenario_takes_its_latency_from_the_bus():
+    asked = ["latency_ticks=from-bus"]
+    assert load("thesis-step").latency_ticks == 0
+    assert load("thesis-step", asked).latency_ticks == 1
+    assert load("chapter-2", asked).latency_ticks == 1
+    assert load("thesis-step", [*asked, "bus.compute_s=0.0004"]).latency_ticks == 2
+    assert load("thesis-step", [*asked, "bus.bitrate=500000", "tick_s=0.002"]).latency_ticks == 1
+    scenario = load("thesis-step", [*asked, "bus.compute_s=0.0004"])
+    assert latency_ticks(network_of(scenario), 1_000_000, 0.001, 0.0004) == scenario.latency_ticks
+    assert draft("x", scenario.as_dict()).scenario == replace(scenario, name="x")
+
+
+@pytest.mark.parametrize(
+    ("settings", "named"),
+    [
+        (["latency_ticks=from-bus", "bus.bitrate=500000"], '"from-bus": 500000 bit/s'),
+        (["latency_ticks=from-bus", "tick_s=0.0001"], '"from-bus": 1000000 bit/s'),
+        (["latency_ticks=from-bus", "tick_s=1", "bus.compute_s=63.9995"], "latency_ticks = 65"),
+        (["latency_ticks=from-bus", "tick_s=0"], "tick_s = 0"),
+        (["latency_ticks=from-bus", "bus.baud=1"], "bus.baud: unknown key"),
+        (["latency_ticks=from_bus"], "latency_ticks"),
+        (["bus.bitrate=0"], "bus.bitrate = 0"), (["bus.bitrate=8e6"], "bus.bitrate"),
+        (["bus.bitrate=1000001"], "bus.bitrate"), (["bus.compute_s=-1"], "bus.compute_s"),
+        (["bus.compute_s=nan"], "bus.compute_s"), (["bus=5"], "bus"),
+    ],
+)  # fmt: skip
+def test_a_bad_bus_is_one_line_that_names_the_key(settings, named):
+    with pytest.raises(ScenarioError) as caught:
+        load("thesis-step", settings)
+    assert named in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_run_with_the_latency_of_the_bus_is_that_with_its_number(tmp_path):
+    short = ("duration_s=0.02", "design.tau_s=0.02", "design.tau_q_s=0.02")
+    logs = [
+        record(tmp_path, *short, f"latency_ticks={latency}")[0].read_bytes()
+        for latency in ("from-bus", 1, 0)
+    ]
+    assert logs[0] == logs[1] != logs[2]
+
+
+def test_the_command_prints_the_table_and_says_by_its_status_whether_it_fits():
+    fits = rig("bus")
+    assert (fits.returncode, fits.stderr) == (0, "")
+    for text in ("STEER_TORQUE_CMD", "0x110", "135.0", "875.0", "67.5%", "latency_ticks = 1"):
+        assert text in fits.stdout
+    full = rig("bus", "--bitrate", 500_000, "--set", "latency_ticks=from-bus")
+    assert full.returncode == 1
+    assert "135.0%" in full.stdout
+    assert "∞" in full.stdout
+    assert "not schedulable: STEER_TORQUE_CMD" in full.stdout
+    assert "…" not in fits.stdout + full.stdout  # no number cut off at 80 columns
+
+
+def test_the_command_speaks_json_and_reads_any_dbc(foreign):
+    one = json.loads(rig("bus", "thesis-step", "--json").stdout)
+    assert (one["latency_ticks"], one["utilisation"], one["schedulable"]) == (1, 0.675, True)
+    assert [frame["arrival_s"] for frame in one["frames"]][-1] == 0.000875
+    other = rig("bus", "--dbc", foreign, "--bitrate", 500_000, "--data-bitrate", 2_000_000)
+    assert other.returncode == 0
+    assert "0x18FEF1FE" in other.stdout
+    assert "left out: ON_EVENT (no cycle time), TRANSPORT" in other.stdout
+    full = json.loads(rig("bus", "--json", "--bitrate", "400000").stdout)
+    assert full["latency_ticks"] is None
+    assert full["frames"][-1]["response_s"] is None
+
+
+@pytest.mark.parametrize(
+    "arguments", [["--dbc", "missing.dbc"], ["--bitrate", "0"], ["nowhere"], ["--set", "bus.x=1"]]
+)
+def test_bad_input_of_the_command_is_one_line_and_status_2(arguments):
+    bad = rig("bus", *arguments)
+    assert bad.returncode == 2
+    assert "Traceback" not in bad.stderr
+    assert bad.stdout == ""

@@ -1,0 +1,89 @@
+"""``can-rig tune`` on the command line: bad words, its picture, table, options and JSON."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import matplotlib.image
+import pytest
+
+from can_rig.assessment.resolve import load
+from can_rig.assessment.tuning import search
+from tests.helpers import asked, rig
+from tests.rig.assessment.tuned import SETTINGS, SMALL, compiled_only
+
+pytestmark = compiled_only
+
+
+BAD = {
+    "share": (["--box", "1"], "must be 0 to below 1"),
+    "negative share": (["--box", "-0.1"], "must be 0 to below 1"),
+    "nan": (["--box", "nan"], "must be 0 to below 1"),
+    "no such key": (["--box-set", "plant.sped=1..2"], "must be plant.KEY=LOW..HIGH"),
+    "no range": (["--box-set", "plant.speed_mps=12"], "must be plant.KEY=LOW..HIGH"),
+    "turned round": (["--box-set", "plant.speed_mps=12..8"], "must be plant.KEY=LOW..HIGH"),
+    "no car": (["--box-set", "plant.mass_kg=-1..8"], "box: mass_kg = -1"),
+    "a car that is unstable": (
+        ["--box", "0", "--box-set", "rear_cornering_stiffness_n_per_rad=1e3..5e4",
+         "--set", "plant.speed_mps=60"], "box: rear_cornering.*pole",
+    ),
+    "noise limit without noise": (["--noise-limit", "300"], "and so must noise.dstar"),
+    "spare": (["--spare-ticks", "-1"], "must be 0 or above"),
+    "chapter 2": (["chapter-2", "--box", "0"], "chapter-2"),
+    "off": (["--set", "design.compensation=off"], "compensation = 'off'"),
+    "no reference": (["--set", "reference.amplitude_mps2=0"], "would not show"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("arguments", "reason"), BAD.values(), ids=BAD)
+def test_what_is_wrong_is_one_line_with_exit_status_2(arguments: list[str], reason: str) -> None:
+    import re
+
+    done = rig("tune", *arguments)
+    assert done.returncode == 2, done.stderr
+    (line,) = [line for line in done.stderr.splitlines() if "error:" in line]
+    assert re.search(reason, line), line
+    assert "Traceback" not in done.stderr
+
+
+def test_the_command_writes_the_picture_the_table_and_the_options(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(search, "grid", lambda tick_s: SMALL)
+    monkeypatch.setenv("COLUMNS", "80")
+    settings = [word for setting in SETTINGS for word in ("--set", setting)]
+    arguments = ("tune", "thesis-step", *settings, "--box", "0.1", "--out", tmp_path)
+    done = asked(*arguments, "--json")
+    assert (done.returncode, done.stderr) == (0, "")
+    values = json.loads(done.stdout)
+    image = matplotlib.image.imread(tmp_path / "tuning.png")
+    assert image.shape[0] > 800
+    assert image[..., :3].std() > 0.05
+    again = asked(*arguments)
+    assert again.returncode == 2
+    assert "there already" in again.stderr
+    done = asked(*arguments, "--force")
+    assert done.returncode == 0
+    shown = done.stdout
+    assert values["options"] in shown
+    assert max(len(line) for line in shown.splitlines()[:-3]) <= 80
+    assert sum(line.startswith(">") for line in shown.splitlines()) == 1
+    # What the options choose is what was chosen.
+    chosen_settings = [*SETTINGS, *values["options"].replace("--set ", "").split()]
+    chosen = load("thesis-step", chosen_settings).design
+    assert (chosen.tau_s, chosen.tau_q_s) == (
+        values["chosen"]["tau_s"], values["chosen"]["tau_q_s"]
+    )  # fmt: skip
+
+
+def test_where_none_passes_the_table_says_why_and_the_status_is_1() -> None:
+    weak = ("--set", "limits.force_difference_n=100.0")
+    done = asked("tune", "default", *weak)
+    assert done.returncode == 1
+    counted, advice = done.stdout.splitlines()[1:]
+    assert counted.split(maxsplit=1)[1].endswith("because of the limit of X_diff")
+    assert advice.startswith(f"none of {counted.split()[0]} tunings passes: limits.force_diff")
+    values = json.loads(asked("tune", "default", *weak, "--json").stdout)
+    assert values["chosen"] is None
+    assert values["refused"] == {"force_limit": int(counted.split()[0])}

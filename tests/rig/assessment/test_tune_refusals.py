@@ -1,0 +1,163 @@
+"""What ``can-rig tune`` refuses, why, and what limits of noise and commands do to its choice."""
+
+from __future__ import annotations
+
+import dataclasses
+from collections import Counter
+
+import numpy as np
+import pytest
+
+from can_rig.assessment.resolve import load
+from can_rig.assessment.tuning.box import Car, cars, parameter_ranges
+from can_rig.assessment.tuning.candidate import assess, grid
+from can_rig.assessment.tuning.refusals import NoTuningError, Refusal, advice, refusal_rows
+from can_rig.assessment.tuning.report import why
+from can_rig.assessment.tuning.search import EQUAL_PEAKS
+from can_rig.scenario.build import continuous_plant
+from tests.rig.assessment.tuned import ALWAYS, SMALL, compiled_only, found_for, scenario_of
+
+pytestmark = compiled_only
+
+
+def test_a_noise_limit_is_kept_or_said_to_be_impossible() -> None:
+    noisy = ("noise.dstar_rms_mps2=0.005", "design.fault_threshold_mps2=0.02")
+    free, limited = found_for(*noisy), found_for(*noisy, limit=20.0)
+    assert limited.chosen.noise_to_force * 0.005 <= 20.0 < free.chosen.noise_to_force * 0.005
+    assert limited.chosen.peak_mps2 > EQUAL_PEAKS * free.chosen.peak_mps2
+    assert "within 20 N rms" in why(limited)
+    never = found_for(*noisy, limit=1e-3)
+    assert not never.within_noise_limit(never.chosen)
+    assert never.chosen == never.front[-1]
+    assert why(never).startswith("none is within 0.001 N")
+
+
+def test_a_noise_limit_of_the_torque_is_kept() -> None:
+    noisy = ("noise.dstar_rms_mps2=0.005", "design.fault_threshold_mps2=0.02")
+    free, limited = found_for(*noisy), found_for(*noisy, torque_limit=20.0)
+    assert all(t.noise_to_torque * 0.005 <= 20.0 for t in limited.front)
+    assert free.chosen.noise_to_torque * 0.005 > 20.0
+    with pytest.raises(NoTuningError, match="a larger --torque-noise-limit") as refused:
+        found_for(*noisy, torque_limit=1e-6)
+    assert refused.value.refusals[Refusal.TORQUE_NOISE] > 0.5 * len(SMALL)
+
+
+def test_designs_that_reach_a_limit_are_the_last_resort() -> None:
+    """42.5 N m hold 1 m/s²: a limit of 46 leaves room for slow designs alone."""
+    tight = found_for("limits.torque_nm=46.0", share=0.0)
+    assert all(t.within_limits and t.torque_after_nm < 46.0 for t in tight.front)
+    assert any(not t.within_limits for t in tight.nominal)
+    noisy = found_for("limits.torque_nm=60.0", "noise.dstar_rms_mps2=0.001", share=0.0)
+    for tuning in noisy.front:
+        assert tuning.torque_after_nm + 3.0 * 0.001 * tuning.noise_to_torque < 60.0
+    over = found_for("limits.force_difference_n=3500.0", share=0.0)  # 3754 N at the peak
+    assert not any(t.within_limits for t in over.front)
+    assert "reach the limits" in why(over)
+
+
+def test_more_ticks_to_spare_cost_peak() -> None:
+    one, seven = found_for(share=0.0), found_for(share=0.0, spare=7)
+    assert seven.chosen.delay_margin_ticks is not None
+    assert seven.chosen.delay_margin_ticks >= 7
+    assert seven.chosen.peak_mps2 > one.chosen.peak_mps2
+
+
+def test_a_grid_of_round_numbers_follows_the_tick() -> None:
+    for tick_s in (0.0001, 0.001, 0.002):
+        values = grid(tick_s)
+        assert len(set(values)) == len(values) < 3000
+        for tau_s, alpha, tau_q_s, alpha_q in values:
+            assert 0.0999 * tick_s < tau_s < 20.01 * tick_s
+            assert 0.999 * tick_s < tau_q_s < 100.1 * tick_s
+            assert (alpha in (1, 2)) and (alpha_q in (2, 3, 4))
+    assert (0.0022, 2, 0.0047, 3) in grid(0.001)
+
+
+def test_an_unstable_or_impossible_candidate_is_refused() -> None:
+    scenario = scenario_of(ALWAYS, "latency_ticks=2")
+    car = cars(scenario.model, {})
+    assert assess(scenario, (0.0002, 1, 0.001, 2), car, 0) is Refusal.NOMINAL  # stiff poles
+    assert assess(scenario, (0.02, 1, 0.02, 1), car, 0) is Refusal.DESIGN  # q̂/G1 improper
+
+
+def test_the_box() -> None:
+    model = load("thesis-step").model
+    box = parameter_ranges(model, 0.2)
+    assert box["mass_kg"] == pytest.approx((1120.0, 1680.0))
+    some = cars(model, box)
+    assert [car.label for car in some[:1]] == ["the nominal car"]
+    assert len({car.label for car in some}) == 17
+    heavy = dataclasses.replace(model, **{key: high for key, (_, high) in box.items()})
+    np.testing.assert_array_equal(some[-1].plant.a, continuous_plant(heavy).a)
+    one = parameter_ranges(model, 0.0, ["plant.speed_mps=8..12", "trail_m=0.04..0.06"])
+    assert one == {"speed_mps": (8.0, 12.0), "trail_m": (0.04, 0.06)}
+    assert len(cars(model, one)) == 5
+    assert len(cars(model, {})) == 1
+
+
+def refusals_for(*settings: str, share: float = 0.2, spare: int = 1) -> NoTuningError:
+    with pytest.raises(NoTuningError) as raised:
+        found_for(*settings, share=share, spare=spare)
+    assert raised.value.refusals.total() == len(SMALL)
+    assert raised.value.exit_status == 1
+    return raised.value
+
+
+def test_the_limit_of_x_diff_that_no_tuning_can_meet_is_named_with_what_is_needed() -> None:
+    """22 m/s, 1750 kg: what the worst vertex needs, by a linear equation at rest."""
+    heavy = ("plant.speed_mps=22", "plant.mass_kg=1750", "tick_s=0.002")
+    error = refusals_for(*heavy, "limits.force_difference_n=4000.0")
+    assert error.refusals == Counter({Refusal.FORCE_LIMIT: len(SMALL)})
+    nominal = scenario_of(*heavy).model
+    box = parameter_ranges(nominal, 0.2)
+    needed = 0.0
+    for at in np.ndindex(2, 2, 2, 2):
+        values = {key: ends[end] for end, (key, ends) in zip(at, box.items(), strict=True)}
+        plant = continuous_plant(dataclasses.replace(nominal, **values))
+        gain = -plant.c @ np.linalg.solve(plant.a, plant.b[:, 1])  # 0 = A x + b u, y = C x
+        needed = max(needed, 1.0 / abs(gain.item()))
+    assert 4000.0 < needed < 5000.0
+    said = (
+        "limits.force_difference_n = 4000 must be larger: the most demanding car needs "
+        f"{needed:.4g} N to hold the step"
+    )
+    assert said in error.advice
+    assert said in str(error)
+    assert "\n" not in str(error)
+
+
+def test_what_is_refused_is_counted_by_the_first_test_that_it_fails() -> None:
+    tiny = refusals_for(ALWAYS, share=0.0, spare=8)
+    assert set(tiny.refusals) <= {Refusal.DESIGN, Refusal.NOMINAL, Refusal.NOMINAL_SPARE}
+    assert tiny.refusals[Refusal.NOMINAL_SPARE] > 0
+    assert "fewer --spare-ticks" in tiny.advice
+    ample = found_for(ALWAYS, share=0.0, spare=0)
+    assert ample.refusals[Refusal.NOMINAL_SPARE] == 0
+    assert [reason for reason, _ in refusal_rows(tiny.refusals)] == [
+        str(reason) for reason in Refusal if reason in tiny.refusals
+    ]
+
+
+def test_the_advice_is_about_the_last_test_that_any_reaches() -> None:
+    scenario, nominal = scenario_of(), [Car("nominal", continuous_plant(scenario_of().model))]
+
+    def advised(**counts: int) -> str:
+        named = {Refusal[name.upper()]: count for name, count in counts.items()}
+        return advice(scenario, nominal, Counter(named))
+
+    assert "smaller --box" in advised(nominal=900, box=1)
+    assert "--spare-ticks" in advised(box=900, box_spare=1)
+    torque = advised(torque_limit=3, rest=1)
+    assert "limits.torque_nm = 400 must leave more room" in torque
+    assert "42.5" in torque  # N m hold 1 m/s²
+    free = load("thesis-step")
+    assert "limits.torque_nm is not set" in advice(free, nominal, Counter([Refusal.TRANSIENT]))
+    for reason in Refusal:
+        assert advice(scenario, nominal, Counter([reason]))
+
+
+def test_a_limit_that_keeps_the_loop_from_resting_is_the_reason() -> None:
+    """A torque limit just above what holds the step of the nominal car, and a box around that."""
+    cause = refusals_for("limits.torque_nm=43.0").refusals
+    assert cause[Refusal.TORQUE_LIMIT] > 0
+    assert Refusal.FORCE_LIMIT not in cause
