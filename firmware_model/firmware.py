@@ -47,7 +47,7 @@ class Firmware:
         controller.reset(self._tables[0], self._states[0], reference)
 
     def move(self, sections: FloatArray) -> None:
-        """Let F1 know of a motion of the plant that no command of this controller made.
+        """Add a motion of the plant to F1 that no command of this controller caused.
 
         Args:
             sections: shape (MAX_SECTIONS, 2), what to add to the state of F1's first model.
@@ -56,13 +56,13 @@ class Firmware:
         accumulators += sections.astype(accumulators.dtype)
 
     def follow(self, reference: float, speed: float) -> None:
-        """Let the reference that C follows be on its way: at ``reference``, by ``speed`` a tick."""
+        """Start the shaped reference at ``reference``, moving by ``speed`` a tick."""
         start(self._states[0].reference_shaper, reference, speed)
 
     def act(self, command_1: float, command_2: float) -> None:
-        """Let F1 know what the actuators do from the next ``step`` on, where commands were lost.
+        """Tell F1 which commands act from the next ``step`` on, where those sent were lost.
 
-        For a latency of at least one tick: commands of the tick itself cannot be late.
+        Only for a latency of at least one tick: without it no command can be late.
         """
         estimator = self._states[0].estimator
         estimator.delay_1[estimator.delay_index] = command_1

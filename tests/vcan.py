@@ -11,11 +11,11 @@ import can
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.nodes.lockstep import StopRequest, Waiting
-from can_rig.nodes.nodes import NodeSummary, run_controller, run_plant
+from can_rig.nodes.runner import NodeSummary, run_controller, run_plant
+from can_rig.nodes.watchdog import StopRequest, Timeouts
 
 TIMEOUT_S = 120.0  # for what must come; the guest is slow, an import takes up to 20 s
-PATIENT = Waiting(first_s=TIMEOUT_S, silence_s=TIMEOUT_S)
+PATIENT = Timeouts(first_s=TIMEOUT_S, silence_s=TIMEOUT_S)
 
 
 def tool(*command: object, **options: object) -> subprocess.CompletedProcess[str]:

@@ -22,10 +22,10 @@ from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
 from can_rig.frames.endpoints import Receiver, Transmitter
 from can_rig.frames.network import Network
-from can_rig.nodes.lockstep import StopRequest
-from can_rig.nodes.nodes import run_in_process
 from can_rig.nodes.processes import run_processes
 from can_rig.nodes.recorder import Recorder
+from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.watchdog import StopRequest
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.settings import Scenario
@@ -47,8 +47,7 @@ def in_process(scenario: Scenario, folder: Path) -> float:
 
 def two_processes(scenario: Scenario, bus: str, folder: Path) -> float:
     """Ticks a second of two processes on ``bus``."""
-    arguments = [scenario.name, "--set", f"duration_s={scenario.duration_s}", "--bus", bus]
-    summary = run_processes(arguments, folder / "two.log", StopRequest(), ignore)
+    summary = run_processes(scenario, bus, folder / "two.log", StopRequest())
     return summary.ticks / summary.wall_s
 
 

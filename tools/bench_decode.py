@@ -29,8 +29,8 @@ from can_rig.logs.frames import concatenate
 from can_rig.logs.reading import read_log
 from can_rig.logs.writers.candump import candump_lines
 from can_rig.logs.writing import write_log
-from can_rig.nodes.lockstep import StopRequest
-from can_rig.nodes.nodes import run_in_process
+from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.watchdog import StopRequest
 
 RUN_S = 15.0  # whole cycles of the alive counter, so that a repetition loses no frame
 

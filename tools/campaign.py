@@ -14,13 +14,10 @@ from rich.table import Table
 from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import check_stability
 from can_rig.errors import RigError
-from can_rig.plant.simulated import SimulatedPlant
-from can_rig.scenario.build import continuous_plant, controller_table, network_of
-from can_rig.scenario.reference import reference
+from can_rig.plant.frameless import frameless
+from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
-from firmware_model.analysis.sampled_plant import sample
-from firmware_model.analysis.simulation import Trace, simulate
-from firmware_model.firmware import Firmware
+from firmware_model.analysis.simulation import Trace
 from firmware_model.target.status import FaultState
 
 LANE_CHANGES = (
@@ -88,17 +85,12 @@ def decision(name: str, settings: Sequence[str], hours: float, losses: int) -> N
 
 def drive(scenario: Scenario, draw: np.random.Generator, lost: int | None = None) -> Trace:
     """One drive with noise of its own; the torque is lost from tick ``lost`` on."""
-    wanted = reference(scenario)
-    left = np.ones((len(wanted), 2))
+    fault = replace(scenario.fault, kind="none")
     if lost is not None:
-        left[lost:, 0] = scenario.fault.left
-    return simulate(
-        controller_table(scenario, network_of(scenario)),
-        sample(continuous_plant(scenario.plant), scenario.tick_s),
-        wanted,
-        effectiveness=left,
-        noise=scenario.noise.dstar_rms_mps2 * draw.standard_normal(len(wanted)),
-    )
+        at_s = lost * scenario.tick_s
+        fault = replace(fault, kind="actuator-dead", channel="torque", at_s=at_s, for_s=None)
+    scenario = replace(scenario, fault=fault, seed=int(draw.integers(1 << 62)))
+    return frameless(scenario, network_of(scenario))
 
 
 def lose(scenario: Scenario, draw: np.random.Generator) -> float | None:
@@ -130,7 +122,8 @@ def cars(name: str, settings: Sequence[str]) -> None:
         table.add_column(heading, justify="left" if heading == "car" else "right")
     for label, changes in CARS.items():
         scenario = load(name, [*settings, *changes])
-        error, state = step_and_loss(scenario)
+        trace = frameless(scenario, network_of(scenario))
+        error, state = trace.reference - trace.measured, trace.fault_state
         at = round(scenario.fault.at_s / scenario.tick_s)
         last = round(1.0 / scenario.tick_s)
         confirmed = np.flatnonzero(state[at:] == FaultState.CONFIRMED)
@@ -146,19 +139,6 @@ def cars(name: str, settings: Sequence[str]) -> None:
             f"{np.abs(error[-last:]).max():.1e}",
         )
     Console().print(table)
-
-
-def step_and_loss(scenario: Scenario) -> tuple[np.ndarray, np.ndarray]:
-    """Error and fault state of every tick, each (ticks,), of a run without frames."""
-    plant, wanted = SimulatedPlant(scenario), reference(scenario)
-    firmware = Firmware(controller_table(scenario, network_of(scenario)))
-    error, state = np.zeros(len(wanted)), np.zeros(len(wanted), dtype=int)
-    for tick, r in enumerate(wanted.tolist()):
-        y = plant.measure()
-        answer = firmware.step(r, y)
-        error[tick], state[tick] = r - y, answer.fault_state
-        plant.advance(tick, answer.command_1, answer.command_2)
-    return error, state
 
 
 if __name__ == "__main__":

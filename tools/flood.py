@@ -15,6 +15,8 @@ import sys
 import tempfile
 import threading
 import time
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import can
@@ -23,9 +25,10 @@ from rich.table import Table
 
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
-from can_rig.nodes.lockstep import StopRequest
-from can_rig.nodes.nodes import NodeSummary, run_in_process
 from can_rig.nodes.processes import run_processes
+from can_rig.nodes.progress import OnTick
+from can_rig.nodes.runner import NodeSummary, run_in_process
+from can_rig.nodes.watchdog import StopRequest
 
 TAKEN_WITHIN_S = 10.0  # makes the local bus wait for the slowest listener
 SETTLE_S = 2.0  # before the flood, and for what still waits after it
@@ -74,11 +77,11 @@ def _nodes() -> list[tuple[str, int]]:
     found = []
     children = Path(f"/proc/self/task/{os.getpid()}/children").read_text().split()
     for child in children:
-        words = Path(f"/proc/{child}/cmdline").read_text().split("\0")
-        if "can_rig" in words:
+        name = Path(f"/proc/{child}/comm").read_text().strip()
+        if name.startswith("rig-"):
             status = Path(f"/proc/{child}/status").read_text()
             resident = int(status.partition("VmRSS:")[2].split()[0])
-            found.append((words[words.index("can_rig") + 1], resident))
+            found.append((name.removeprefix("rig-"), resident))
     return found
 
 
@@ -104,10 +107,15 @@ def run_beside_flood(bus: str, frames: int, log: Path, memory: Memory) -> tuple[
         time.sleep(SETTLE_S)
         stop.wanted = True
 
-    threading.Thread(target=around_the_flood, daemon=True).start()
-    summary = run_processes(
-        ["thesis-step", "--set", "duration_s=2000", "--bus", bus], log, stop, on_tick
-    )
+    flooding = threading.Thread(target=around_the_flood, daemon=True)
+
+    @contextmanager
+    def progress() -> Iterator[OnTick]:
+        flooding.start()  # the nodes are forked by now
+        yield on_tick
+
+    scenario = load("thesis-step", ["duration_s=2000"])
+    summary = run_processes(scenario, bus, log, stop, progress)
     memory.over.set()
     return summary, seconds[0]
 

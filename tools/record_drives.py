@@ -14,8 +14,8 @@ import click
 from can_rig.assessment.resolve import load
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import write_log
-from can_rig.nodes.lockstep import StopRequest
-from can_rig.nodes.nodes import run_in_process
+from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.watchdog import StopRequest
 
 FOLDER = Path(__file__).parents[1] / "tests" / "drives"
 

@@ -131,7 +131,7 @@ def _check_is_up(channel: str) -> None:
         raise BusError(f"CAN interface {channel} is down: sudo ip link set up {channel}")
 
 
-def lost(bus: can.BusABC, error: can.CanError, for_s: float) -> BusLostError:
+def lost(bus: object, error: can.CanError, for_s: float) -> BusLostError:
     """The error for a bus that has been failing with ``error`` for ``for_s``, with its remedy."""
     code = error.error_code or 0
     channel = getattr(bus, "channel", "")
@@ -143,7 +143,8 @@ def lost(bus: can.BusABC, error: can.CanError, for_s: float) -> BusLostError:
         errno.ENOBUFS: f"the transmit queue has been full for {for_s:g} s; is there a node that "
         f"acknowledges? for a longer queue: sudo ip link set {channel} txqueuelen 1000",
     }
-    return BusLostError(f"{bus.channel_info}: {reasons.get(code) or one_line(error)}")
+    name = getattr(bus, "channel_info", "the bus")
+    return BusLostError(f"{name}: {reasons.get(code) or one_line(error)}")
 
 
 def _recipe(channel: object) -> str:

@@ -116,7 +116,7 @@ class Checker:
         self.data_id: Final = _require_data_id(data_id)
         self.max_delta_counter: Final = max_delta_counter
         self._last: int | None = None  # counter of the last frame that was accepted
-        self._next = -1  # the counter of an OK frame; -1 where that is not enough
+        self._next: int | None = None  # the counter of an OK frame; None where that is not enough
         self._window = max_delta_counter  # largest step that was tolerated at the last call
         self._sync = 0  # frames in sequence still needed before use
         self._counts = [0] * len(CheckStatus)
@@ -129,14 +129,13 @@ class Checker:
     def check(self, data: bytearray) -> CheckStatus:
         """Judge one received frame; never raises, whatever its content or length."""
         intact = len(data) == FRAME_BYTES and e2e_p01_check(data, self.data_id)
-        received = data[1] & 0x0F if intact else -1
-        if intact and received == self._next:  # the usual case
-            self._last, self._next = received, _AFTER[received]
+        if intact and data[1] & 0x0F == self._next:  # the usual case, made quick
+            self._last, self._next = self._next, _AFTER[self._next]
             self._window = self.max_delta_counter
             self._counts[_OK] += 1
             return _OK
         self._window += 1  # SWS E2E limits it to 14, which tolerates every step
-        status = self._judge(received) if intact else self._damage(data)
+        status = self._judge(data[1] & 0x0F) if intact else self._damage(data)
         self._counts[status] += 1
         return status
 
@@ -160,7 +159,7 @@ class Checker:
         return CheckStatus.NO_NEW_DATA
 
     def _judge(self, received: int) -> CheckStatus:
-        """Compare the counter of an intact frame with that of the last one."""
+        """Compare the counter of an intact frame that is not OK with that of the last one."""
         if self._last is None:
             return self._accept(received, _INITIAL)
         delta = (received - self._last) % _COUNTERS
@@ -172,11 +171,11 @@ class Checker:
         if self._sync:
             self._sync -= 1
             return self._accept(received, _SYNC)
-        return self._accept(received, _OK if delta == 1 else _OK_SOME_LOST)
+        return self._accept(received, _OK_SOME_LOST)
 
     def _accept(self, received: int, status: CheckStatus) -> CheckStatus:
         """Adopt this counter, with the initial tolerance."""
         self._last = received
-        self._next = -1 if self._sync else _AFTER[received]
+        self._next = None if self._sync else _AFTER[received]
         self._window = self.max_delta_counter
         return status

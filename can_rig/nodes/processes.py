@@ -1,81 +1,153 @@
-"""Start both nodes as processes, watch both, and tell what happened to either."""
+"""Both nodes as processes of their own: forked from this one, watched, and what became of each.
+
+A node is forked, not started anew: it begins with everything imported and compiled that this
+process has. Nothing here runs a thread when it forks, so no lock is copied in the hands of one.
+"""
 
 from __future__ import annotations
 
-import json
+import gc
 import math
+import multiprocessing
 import os
-import selectors
 import signal
-import subprocess
 import sys
 import time
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, nullcontext
+import warnings
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, nullcontext, suppress
 from dataclasses import dataclass, field
+from functools import partial
+from multiprocessing.connection import Connection, wait
+from multiprocessing.context import ForkProcess
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from can_rig.errors import RigError, SilentNodeError
-from can_rig.nodes.lockstep import StopRequest, Waiting
-from can_rig.nodes.nodes import NodeName, NodeSummary
+from can_rig.nodes.progress import OnTick, Progress, Throttled, no_progress
+from can_rig.nodes.runner import NodeName, NodeSummary, run_controller, run_plant
+from can_rig.nodes.watchdog import StopRequest, Timeouts
+from can_rig.scenario.settings import Scenario
 
-ENDS_WITHIN_S = 4.0  # the watchdog of a node, and its bus that waits 2 s for slow listeners
+ENDS_WITHIN_S: Final = 4.0
+"""The watchdog of a node, and its bus that waits 2 s for slow listeners."""
+
+STOPPING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+
+Report = Callable[..., None]
+"""Tells the parent process something by name: ``ready``, ``ticks``, ``summary``, ``error``."""
+
+Node = Callable[[StopRequest, Report], NodeSummary]
 
 
 @dataclass
-class Child:
+class NodeProcess:
     """One node's process and what it has said so far."""
 
     name: NodeName
-    process: subprocess.Popen[bytes]
-    unread: bytes = b""
+    process: ForkProcess
+    connection: Connection
     said: dict[str, Any] = field(default_factory=dict)
     ended_s: float = math.inf
 
     @classmethod
-    def start(cls, name: NodeName, arguments: Sequence[str]) -> Child:
-        """Start ``can-rig NAME`` in a session of its own, so that Ctrl-C reaches only us."""
-        command = [sys.executable, "-m", "can_rig", name, *arguments, "--json"]
-        process = subprocess.Popen(
-            command, stdout=subprocess.PIPE, stdin=subprocess.DEVNULL, start_new_session=True
+    def fork(cls, name: NodeName, node: Node, others: list[NodeProcess]) -> NodeProcess:
+        """Fork ``node``; ``others`` are the processes that there are already."""
+        here, there = multiprocessing.Pipe(duplex=False)
+        readers = [here, *(other.connection for other in others)]
+        # Until the node has a session and signal handlers of its own, it is sent none.
+        before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPPING)
+        arguments = (name, node, there, readers, before)
+        process = multiprocessing.get_context("fork").Process(
+            target=_node_main, args=arguments, name=f"{name} node", daemon=True
         )
-        return cls(name, process)
+        try:
+            with warnings.catch_warnings(action="ignore", category=DeprecationWarning):
+                process.start()  # Python 3.12 warns of any thread; OpenBLAS restarts its own
+        finally:
+            signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        there.close()
+        return cls(name, process, here)
 
-    def read(self) -> bool:
-        """Take in what it has printed; False at the end of its output."""
-        assert self.process.stdout is not None
-        text = os.read(self.process.stdout.fileno(), 65536)
-        *lines, self.unread = (self.unread + text).split(b"\n")
-        for line in lines:
-            self.said.update(json.loads(line))
-        return bool(text)
+    def listen(self) -> bool:
+        """Take in one thing that it has said; False at the end."""
+        try:
+            self.said.update(self.connection.recv())
+        except (EOFError, OSError):
+            return False
+        return True
+
+    @property
+    def ticks(self) -> int:
+        """How many it says that it has completed."""
+        summary: NodeSummary | None = self.said.get("summary")
+        return int(self.said.get("ticks", 0)) if summary is None else summary.ticks
 
     def ask_to_stop(self) -> None:
-        """The node ends after its tick, or at once where it is still starting."""
+        """The node ends after its tick."""
         self.process.terminate()
 
     def kill(self) -> None:
         """Leave nothing behind."""
-        if self.process.poll() is None:
+        if self.process.is_alive():
             self.process.kill()
-        self.process.wait()
+        self.process.join()
+        self.connection.close()
+
+
+def _node_main(
+    name: NodeName,
+    node: Node,
+    connection: Connection,
+    readers: list[Connection],
+    signals: set[signal.Signals],
+) -> None:
+    """What the forked process does: a session of its own, so that Ctrl-C reaches the parent only.
+
+    Args:
+        name: shown as the name of the process.
+        node: runs the node.
+        connection: to the parent.
+        readers: the parent's ends of pipes: who kept them open would not see the parent's death.
+        signals: what is blocked from now on.
+    """
+    os.setsid()
+    with suppress(OSError):  # Linux alone has it
+        Path("/proc/self/comm").write_text(f"rig-{name}", encoding="ascii")
+    for reader in readers:
+        reader.close()
+    stop = StopRequest().on_signals()
+    signal.pthread_sigmask(signal.SIG_SETMASK, signals)
+
+    def report(**said: object) -> None:
+        try:
+            connection.send(said)
+        except OSError:  # the parent has been killed
+            stop.wanted = True
+
+    try:
+        report(summary=node(stop, report))
+    except RigError as error:
+        report(error=error)
+        sys.exit(error.exit_status)
 
 
 def run_processes(
-    arguments: Sequence[str],
+    scenario: Scenario,
+    bus: str,
     log: Path,
     stop: StopRequest,
-    on_tick: Callable[[int], None],
+    progress: Progress = no_progress,
     real_time: bool = False,
 ) -> NodeSummary:
     """Run the plant and the controller as two processes, in lockstep on one core where possible.
 
     Args:
-        arguments: scenario, ``--set`` and bus options, as each node takes them.
+        scenario: the run.
+        bus: the name of a bus that two processes can share.
         log: where the plant node records.
         stop: ends the run after a tick.
-        on_tick: called now and then with the number of ticks completed.
+        progress: entered when both nodes have been forked.
         real_time: by the wall clock, each on a core of its own where possible.
 
     Returns:
@@ -85,96 +157,109 @@ def run_processes(
         SilentNodeError: a node died or said nothing for too long; the message names it.
         RigError: a node refused to start; its own line says why.
     """
-    children: list[Child] = []
-    to_plant = ["--log", str(log)]
-    if real_time:
-        arguments = [*arguments, "--realtime"]
-        to_plant += ["--silence", f"{Waiting().silence_s:g}"]  # by hand it would drive on alone
+    processes: list[NodeProcess] = []
     try:
-        with nullcontext() if real_time else _one_core():
-            controller = Child.start("controller", arguments)
-            children.append(controller)  # first: a plant that waits repeats its offer on the bus
-            _watch(children, stop, until=lambda: "ready" in controller.said)
+        with nullcontext() if real_time else _one_core(), _frozen_garbage():
+            controller_node = partial(_controller, scenario, bus, real_time)
+            controller = NodeProcess.fork("controller", controller_node, processes)
+            processes.append(controller)  # first: a plant that waits repeats its offer on the bus
+            _watch(processes, stop, until=lambda: "ready" in controller.said)
             if "ready" in controller.said and not stop.wanted:
-                children.append(Child.start("plant", [*arguments, *to_plant]))
-        _watch(children, stop, progress=lambda: on_tick(_ticks(children)))
-        return _conclude(children, stop)
+                plant_node = partial(_plant, scenario, bus, real_time, log)
+                processes.append(NodeProcess.fork("plant", plant_node, processes))
+        with progress() as on_tick:
+            _watch(processes, stop, on_tick=on_tick)
+        return _conclude(processes)
     finally:
-        for child in children:
-            child.kill()
+        for process in processes:
+            process.kill()
+
+
+def _controller(
+    scenario: Scenario, bus: str, real_time: bool, stop: StopRequest, report: Report
+) -> NodeSummary:
+    on_tick = Throttled(lambda tick: report(ticks=tick))
+    on_ready = partial(report, ready=True)
+    return run_controller(scenario, bus, Timeouts(), stop, on_ready, on_tick, real_time=real_time)
+
+
+def _plant(
+    scenario: Scenario, bus: str, real_time: bool, log: Path, stop: StopRequest, report: Report
+) -> NodeSummary:
+    on_tick = Throttled(lambda tick: report(ticks=tick))
+    return run_plant(scenario, bus, log, Timeouts(), stop, on_tick, real_time=real_time)
 
 
 def _watch(
-    children: list[Child],
+    processes: list[NodeProcess],
     stop: StopRequest,
     until: Callable[[], bool] = lambda: False,
-    progress: Callable[[], None] = lambda: None,
+    on_tick: OnTick = lambda tick: None,
 ) -> None:
-    """Read what the nodes say until ``until()`` or all have ended.
+    """Take in what the nodes say until ``until()`` or all have ended.
 
     A stop request ends the plant after its tick, then the controller. When one node has ended, the
     other gets as long as its own watchdog needs.
     """
-    deadline = math.inf
+    deadline_s = math.inf
     asked = False
-    with selectors.DefaultSelector() as selector:
-        for child in children:
-            assert child.process.stdout is not None
-            selector.register(child.process.stdout, selectors.EVENT_READ, child)
-        while selector.get_map() and not until() and time.monotonic() < deadline:
-            if stop.wanted and not asked:
-                asked = True
-                deadline = time.monotonic() + ENDS_WITHIN_S
-                children[-1].ask_to_stop()
-            for key, _ in selector.select(timeout=0.1):
-                child = key.data
-                if not child.read():
-                    selector.unregister(key.fileobj)
-                    child.process.wait()
-                    child.ended_s = time.monotonic()
-                    deadline = child.ended_s + ENDS_WITHIN_S
-                    if stop.wanted:
-                        children[0].ask_to_stop()
-            progress()
+    open_: dict[Any, NodeProcess] = {each.connection: each for each in processes}
+    while open_ and not until() and time.monotonic() < deadline_s:
+        if stop.wanted and not asked:
+            asked = True
+            deadline_s = time.monotonic() + ENDS_WITHIN_S
+            processes[-1].ask_to_stop()
+        for ready in wait(list(open_), timeout=0.1):
+            process = open_[ready]
+            if not process.listen():
+                del open_[ready]
+                process.process.join()
+                process.ended_s = time.monotonic()
+                deadline_s = process.ended_s + ENDS_WITHIN_S
+                if stop.wanted:
+                    processes[0].ask_to_stop()
+        on_tick(processes[-1].ticks)
 
 
-def _conclude(children: list[Child], stop: StopRequest) -> NodeSummary:
+def _conclude(processes: list[NodeProcess]) -> NodeSummary:
     """The summary of a run whose nodes have ended, or the error of the first that ended badly."""
-    for child in sorted(children, key=lambda child: child.ended_s):
-        status = child.process.poll()
+    for each in sorted(processes, key=lambda each: each.ended_s):
+        status = each.process.exitcode
         if status is None:
-            raise SilentNodeError(f"the {child.name} node does not end")
-        if status in (-signal.SIGTERM, -signal.SIGINT) and stop.wanted:
-            continue  # it was still starting, or not yet in a session of its own
+            raise SilentNodeError(f"the {each.name} node does not end")
         if status < 0:
             raise SilentNodeError(
-                f"the {child.name} node was ended by {signal.Signals(-status).name} "
-                f"after {_ticks(children)} ticks"
+                f"the {each.name} node was ended by {signal.Signals(-status).name} "
+                f"after {processes[-1].ticks} ticks"
             )
         if status > 0:
-            error = child.said.get("error", f"exit status {status}")
-            kind = SilentNodeError if status == SilentNodeError.exit_status else RigError
-            raise kind(f"{child.name} node: {error}")
-    rejected: dict[str, dict[str, int]] = {}
-    events: dict[str, dict[str, int]] = {}
-    realtime: dict[str, Any] | None = None
-    for child in children:
-        rejected |= child.said.get("rejected_frames", {})
-        events |= child.said.get("bus_events", {})
-        if figures := child.said.get("realtime"):
-            scheduling = (realtime or {}).get("scheduling", {}) | figures["scheduling"]
-            realtime = {**(realtime or {}), **figures, "scheduling": scheduling}
-    wall_s = children[-1].said.get("wall_s", 0.0)
-    return NodeSummary(_ticks(children), wall_s, rejected, events, realtime)
+            error = each.said.get("error", RigError(f"ended with exit status {status}"))
+            raise type(error)(f"{each.name} node: {error}")
+    summaries: list[NodeSummary] = [each.said["summary"] for each in processes]
+    total = NodeSummary(processes[-1].ticks, summaries[-1].wall_s, {}, {})
+    for one in summaries:
+        total.rejected_frames |= one.rejected_frames
+        total.bus_events |= one.bus_events
+        if one.realtime is not None:
+            before = total.realtime or {"scheduling": {}}
+            scheduling = before["scheduling"] | one.realtime["scheduling"]
+            total.realtime = {**before, **one.realtime, "scheduling": scheduling}
+    return total
 
 
-def _ticks(children: list[Child]) -> int:
-    return int(children[-1].said.get("ticks", 0))
+@contextmanager
+def _frozen_garbage() -> Iterator[None]:
+    """Keep the collector of a forked process away from what it shares with this one."""
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()
 
 
 @contextmanager
 def _one_core() -> Iterator[None]:
-    """Let children started inside share one core and leave it only when they wait.
+    """Let processes forked inside share one core and leave it only when they wait.
 
     Nodes in lockstep alternate, and waking another core costs more than the tick. Under SCHED_BATCH
     a frame does not preempt its sender, so a tick is two switches and not up to five. Runs side by

@@ -52,6 +52,10 @@ class FrameFault:
         self._channel = CHANNELS.index(scenario.fault.channel)
         self._random = random.Random(scenario.seed)
 
+    def concerns(self, channel: int) -> bool:
+        """Whether frames of command ``channel`` (0, 1) are lost or damaged at some time."""
+        return self._fault is not None and channel == self._channel
+
     def on_the_wire(self, frame: can.Message, channel: int, tick: int) -> can.Message | None:
         """The frame of command ``channel`` (0, 1) as it leaves the node; None when it does not.
 

@@ -7,18 +7,18 @@ because the machine was slow or the log's clock went back, is sent at once.
 
 from __future__ import annotations
 
-import time
 from collections.abc import Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from fractions import Fraction
-from typing import Final, Protocol
+from typing import Final
 
 import can
 
 from can_rig.errors import BusError
 from can_rig.logs.frames import ERROR, FD, NS_PER_S, Frames
-from can_rig.nodes.lockstep import StopRequest
+from can_rig.nodes.clock import SYSTEM_CLOCK, Clock
+from can_rig.nodes.watchdog import StopRequest
 
 SLICE_NS: Final = NS_PER_S // 20
 """How soon a stop request is noticed."""
@@ -33,28 +33,6 @@ REFUSED_S: Final = 1.0
 """How long a bus may refuse a frame, as one does whose queue is full."""
 
 RETRY_NS: Final = NS_PER_S // 1000
-
-
-class Clock(Protocol):
-    """What time it is, and waiting: tests have one of their own."""
-
-    def now_ns(self) -> int:
-        """Time that only goes on [ns]."""
-
-    def sleep_ns(self, duration_ns: int) -> None:
-        """Wait."""
-
-
-class MonotonicClock:
-    """The machine's."""
-
-    def now_ns(self) -> int:
-        """As ``Clock``."""
-        return time.monotonic_ns()
-
-    def sleep_ns(self, duration_ns: int) -> None:
-        """As ``Clock``."""
-        time.sleep(duration_ns / NS_PER_S)
 
 
 @dataclass
@@ -92,15 +70,15 @@ class Pacer:
         bus: can.BusABC,
         speed: Fraction | None,
         stop: StopRequest,
-        clock: Clock | None = None,
+        clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         if speed is not None and speed <= 0:
-            raise ValueError(f"speed is {speed}; above 0 is right")
+            raise ValueError(f"speed is {speed}; it must be above 0")
         self._bus = bus
         self._fd = bus.protocol is not can.CanProtocol.CAN_20
         self._speed = speed
         self._stop = stop
-        self._clock = clock or MonotonicClock()
+        self._clock = clock
         self._first_ns: tuple[int, int] | None = None  # by the log, by the clock
         self.result: Final = Paced()
 
@@ -139,12 +117,12 @@ class Pacer:
             return not self._stop.wanted
         due_ns = self._first_ns[1] + since_ns * self._speed.denominator // self._speed.numerator
         while not self._stop.wanted:
-            left_ns = due_ns - self._clock.now_ns()
-            if left_ns <= 0:
-                self.result.late_ns = max(self.result.late_ns, -left_ns)
+            now_ns = self._clock.now_ns()
+            if now_ns >= due_ns:
+                self.result.late_ns = max(self.result.late_ns, now_ns - due_ns)
                 return True
             self._take_away()
-            self._clock.sleep_ns(min(left_ns, SLICE_NS))
+            self._clock.sleep_until(min(due_ns, now_ns + SLICE_NS))
         return False
 
     def _take_away(self) -> None:
@@ -172,7 +150,7 @@ class Pacer:
                         f"the bus refuses frame {message.arbitration_id:X} for {REFUSED_S:g} s, "
                         f"after {self.result.sent} that it took: {reason}"
                     ) from None
-                self._clock.sleep_ns(RETRY_NS)
+                self._clock.sleep_until(now_ns + RETRY_NS)
             else:
                 self.result.sent += 1
                 assert self._first_ns is not None

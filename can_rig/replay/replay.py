@@ -1,7 +1,7 @@
 """Open loop: the logged reference and feedback drive today's controller node, frame by frame.
 
-It is the node of a live run, with its receive rules and its firmware; only the bus is a tape and
-the watchdog without end. What it answers is compared with what the log has.
+It is the node of a lockstep run, with its receive rules and its firmware, without a bus and without
+a watchdog. What it answers is compared with what the log has.
 
 The one thing that a log has and a lockstep bus has not is time that goes on without the feedback.
 A frame of a later tick says so, if a second one agrees; then the node is told that the ticks in
@@ -13,7 +13,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import suppress
 from itertools import islice
 from typing import Final
 
@@ -21,54 +20,16 @@ import can
 
 from can_rig.errors import LogError
 from can_rig.frames.network import Network
+from can_rig.frames.wire_tick import tick_at, ticks_ahead
 from can_rig.logs.frames import NS_PER_S, Frames
-from can_rig.nodes.controller_node import ControllerNode
-from can_rig.nodes.lockstep import Interrupted, StopRequest, Waiting, Watchdog
+from can_rig.nodes.lockstep.controller_node import ControllerNode
 from can_rig.replay.comparison import ANSWERS, Comparison
 from can_rig.replay.gaps import NEAR, Account, Gap, Row
-from can_rig.replay.rig_frames import INPUTS, WIRE_TICKS, RigFrame, rig_frames, signed
-from can_rig.results.signals import absolute_tick
+from can_rig.replay.rig_frames import INPUTS, RigFrame, rig_frames
 from can_rig.scenario.settings import Scenario
 
 AHEAD: Final = 32
 """Frames that are looked at in advance for a second one that agrees."""
-
-
-class Tape(can.BusABC):
-    """A bus that keeps what is sent and has nothing to receive."""
-
-    def __init__(self) -> None:
-        super().__init__(channel="tape")
-        self.shutdown()  # there is nothing to close, and python-can warns of what is not closed
-        self.sent: list[bytes] = []
-
-    def send(self, msg: can.Message, timeout: float | None = None) -> None:
-        """Keep the payload."""
-        self.sent.append(bytes(msg.data))
-
-    def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
-        return None, True
-
-
-class Feed(Watchdog):
-    """Gives the node one frame, then has it stop waiting."""
-
-    def __init__(self, tape: Tape) -> None:
-        super().__init__(tape, "plant", Waiting(), StopRequest())
-        self.message: can.Message | None = None
-
-    def hear(self) -> None:
-        """Nobody is waited for."""
-
-    def receive(self, tick: int) -> can.Message:
-        """The frame, once."""
-        message, self.message = self.message, None
-        if message is None:
-            raise Interrupted
-        return message
-
-    def go_on_waiting(self, tick: int) -> None:
-        """The next call of ``receive`` says whether there is more."""
 
 
 class OpenLoop:
@@ -87,9 +48,10 @@ class OpenLoop:
         self._tick_s = scenario.tick_s
         self._network = network
         self._identifiers = [codec.frame_id for codec in network]
-        self._tape = Tape()
-        self._node = ControllerNode(scenario.healthy, network, self._tape)
-        self._feed = Feed(self._tape)
+        self._sent: list[bytes] = []
+        self._node = ControllerNode(
+            scenario.healthy, network, lambda message: self._sent.append(bytes(message.data))
+        )
         self.account: Final = Account(network, scenario.tick_ns, on_gap)
         self.comparison: Final = Comparison(network)
         self.first_tick: int | None = None
@@ -164,24 +126,22 @@ class OpenLoop:
         """Let the node have a frame, and take what it answers."""
         time_s = frame.time_ns / NS_PER_S
         identifier = self._identifiers[frame.role]
-        self._feed.message = can.Message(time_s, identifier, False, data=frame.data)
-        with suppress(Interrupted):
-            self._node.serve(self._feed)
-        if self.first_tick is None and self._tape.sent and self._node.expected is not None:
+        self._node.take(can.Message(time_s, identifier, False, data=frame.data))
+        if self.first_tick is None and self._sent and self._node.expected is not None:
             tick = self._node.expected - 1
-            self.first_tick = self._open = absolute_tick(tick, time_s, self._tick_s)
+            self.first_tick = self._open = tick_at(tick, time_s, self._tick_s)
             self._past = self.first_tick - tick
         self._collect()
 
     def _collect(self) -> None:
-        if self._tape.sent:
-            assert len(self._tape.sent) == ANSWERS
-            self._answers[self._due - 1] = tuple(self._tape.sent)
-            self._tape.sent.clear()
+        if self._sent:
+            assert len(self._sent) == ANSWERS
+            self._answers[self._due - 1] = tuple(self._sent)
+            self._sent.clear()
 
     def _pass_over(self, frame: RigFrame, following: Iterable[RigFrame]) -> None:
         """Tell the node of ticks that went by without their feedback."""
-        ahead = signed(frame.tick - self._due)
+        ahead = ticks_ahead(frame.tick, self._due)
         if frame.intact and ahead > 0 and _confirmed(frame, following):
             for _ in range(ahead):
                 self._node.miss()
@@ -192,7 +152,7 @@ class OpenLoop:
         """Put a frame where it belongs, and have it judged."""
         due = self._due
         under_way = due if frame.role < INPUTS else due - 1
-        distance = signed(frame.tick - due)
+        distance = ticks_ahead(frame.tick, due)
         if not frame.intact:
             self.account.take(frame, self._row(under_way, frame), under_way)
         elif -NEAR <= distance <= (0 if frame.role < INPUTS else NEAR):
@@ -231,6 +191,6 @@ def _confirmed(frame: RigFrame, following: Iterable[RigFrame]) -> bool:
         other.role < INPUTS
         and other.intact
         and (other.role != frame.role or other.tick != frame.tick)
-        and (other.tick - frame.tick) % WIRE_TICKS <= 1
+        and 0 <= ticks_ahead(other.tick, frame.tick) <= 1
         for other in following
     )

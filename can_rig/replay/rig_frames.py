@@ -10,12 +10,11 @@ import numpy as np
 from can_rig.decoding import e2e_columns
 from can_rig.frames.network import Network
 from can_rig.frames.protection import FRAME_BYTES
+from can_rig.frames.wire_tick import ticks_on
 from can_rig.logs.frames import ERROR, EXTENDED, REMOTE, Frames
 
 INPUTS: Final = 2
 """The first roles, reference and feedback, are what the controller gets; the others its answer."""
-
-WIRE_TICKS: Final = 1 << 16
 
 
 class RigFrame(NamedTuple):
@@ -47,7 +46,7 @@ def rig_frames(chunks: Iterable[Frames], network: Network) -> Iterator[RigFrame]
             rows = role == at
             intact[rows] = e2e_columns.intact(frames.data[rows], frames.length[rows], data_id)
         data = frames.data
-        tick = data[:, 2].astype(np.int64) | data[:, 3].astype(np.int64) << 8
+        tick = ticks_on(data)
         whole = data[:, :FRAME_BYTES].tobytes()
         columns = (
             role.tolist(),
@@ -64,8 +63,3 @@ def rig_frames(chunks: Iterable[Frames], network: Network) -> Iterator[RigFrame]
             if length != FRAME_BYTES:
                 payload = data[at, :length].tobytes()
             yield RigFrame(which, time_ns, payload, says, counter, good)
-
-
-def signed(ticks: int) -> int:
-    """A difference of ticks from its 16 bits on the wire: half of them are the past."""
-    return (ticks + WIRE_TICKS // 2) % WIRE_TICKS - WIRE_TICKS // 2

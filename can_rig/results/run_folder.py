@@ -1,4 +1,4 @@
-"""The run folder: made once, never overwritten, finished from its ``bus.log``."""
+"""The run folder: made once, never overwritten unasked, completed from its ``bus.log``."""
 
 from __future__ import annotations
 
@@ -50,46 +50,95 @@ class Outcome:
         return self.ticks / self.wall_s if self.wall_s > 0.0 else 0.0
 
 
-def create(folder: Path | None, scenario: Scenario, force: bool) -> Path:
-    """Make the folder; without a name it is ``runs/SCENARIO-DATE-TIME``.
+class RunFolder:
+    """A run folder in the making: where it will stand, and where it is made until it is whole.
 
-    A run that it replaces is only set aside: ``finish`` removes it, ``give_up`` brings it back.
+    A new run is made in its place. One that replaces another is made beside it, as
+    ``NAME.unfinished``, and the other stands until ``publish``.
 
-    Raises:
-        RunFolderError: it is there already and ``force`` is not given, or cannot be made.
+    Attributes:
+        path: where it will stand.
+        making: where it is now.
     """
-    if folder is None:
-        folder = Path("runs") / f"{scenario.name}-{time.strftime('%Y%m%d-%H%M%S')}"
-    try:
-        if folder.exists():
-            if not force:
-                raise RunFolderError(
-                    f"{folder}: there already, and no run is overwritten; "
-                    "another --out, or --force to replace it, is right"
-                )
-            if not (folder / LOG).is_file():
-                raise RunFolderError(f"{folder}: not a run folder, so --force does not replace it")
-            folder.rename(_replaced(folder))
-        folder.mkdir(parents=True)
-    except OSError as error:
-        raise RunFolderError(f"{folder}: cannot be made: {error.strerror}") from None
-    return folder
+
+    def __init__(self, path: Path, making: Path) -> None:
+        self.path = path
+        self.making = making
+
+    @classmethod
+    def create(cls, path: Path | None, scenario: Scenario, force: bool) -> RunFolder:
+        """Make the folder; without a name it is ``runs/SCENARIO-DATE-TIME``.
+
+        Raises:
+            RunFolderError: it is there already and ``force`` is not given, or cannot be made.
+        """
+        if path is None:
+            path = Path("runs") / f"{scenario.name}-{time.strftime('%Y%m%d-%H%M%S')}"
+        making = path.with_name(f"{path.name}.unfinished") if path.exists() else path
+        if making != path:
+            _refuse_to_replace(path, making, force)
+        try:
+            making.mkdir(parents=True)
+        except OSError as error:
+            raise RunFolderError(f"{making}: cannot be made: {error.strerror}") from None
+        return cls(path, making)
+
+    def give_up(self) -> None:
+        """Take away the folder of a run that recorded nothing."""
+        shutil.rmtree(self.making, ignore_errors=True)
+
+    def publish(self) -> None:
+        """Put the folder, now whole, in its place, and take away the run that it replaces.
+
+        Raises:
+            RunFolderError: it cannot be renamed; both runs are still there.
+        """
+        if self.making == self.path:
+            return
+        old = self.path.with_name(f"{self.path.name}.replaced")
+        try:
+            self.path.rename(old)
+            self.making.rename(self.path)
+        except OSError as error:
+            if old.is_dir() and not self.path.exists():
+                old.rename(self.path)
+            raise RunFolderError(
+                f"{self.path}: cannot be replaced: {error.strerror}; the new run is {self.making}"
+            ) from None
+        self.making = self.path
+        shutil.rmtree(old, ignore_errors=True)
 
 
-def give_up(folder: Path) -> None:
-    """Take away the folder of a run that recorded nothing; the one that it replaced comes back."""
-    folder.rmdir()
-    if _replaced(folder).is_dir():
-        _replaced(folder).rename(folder)
+def _refuse_to_replace(path: Path, making: Path, force: bool) -> None:
+    if not force:
+        raise RunFolderError(
+            f"{path}: there already, and no run is overwritten; "
+            "choose another --out, or --force to replace it"
+        )
+    if not (path / LOG).is_file():
+        raise RunFolderError(f"{path}: not a run folder, so --force does not replace it")
+    if making.exists():
+        raise RunFolderError(
+            f"{making}: holds what an earlier run recorded and could not finish; "
+            "move it away, or choose another --out"
+        )
 
 
-def _replaced(folder: Path) -> Path:
-    """Where the run that ``--force`` replaces waits until there is another."""
-    return folder.with_name(f"{folder.name}.replaced")
-
-
-def finish(folder: Path, scenario: Scenario, network: Network, outcome: Outcome) -> Metrics:
+def finish(
+    folder: Path,
+    scenario: Scenario,
+    network: Network,
+    outcome: Outcome,
+    recorded: Scenario | None = None,
+) -> Metrics:
     """Write ``signals.csv``, ``run.json`` and ``report.png`` from the log, however it ended.
+
+    Args:
+        folder: has ``bus.log``.
+        scenario: what ran.
+        network: its frames.
+        outcome: how it went.
+        recorded: the scenario for ``run.json``, where its paths will be others; None: what ran.
 
     Raises:
         LogError: the log cannot be read.
@@ -101,7 +150,7 @@ def finish(folder: Path, scenario: Scenario, network: Network, outcome: Outcome)
     signals = read_signals(folder / LOG, network, scenario.tick_s, in_time_ticks)
     values = metrics(scenario, signals)
     summary: dict[str, Any] = {
-        "scenario": scenario.as_dict(),
+        "scenario": (recorded or scenario).as_dict(),
         "seed": scenario.seed,
         "metrics": values,
         **asdict(outcome),
@@ -124,5 +173,4 @@ def finish(folder: Path, scenario: Scenario, network: Network, outcome: Outcome)
             draw_report(part, scenario, network, signals, outcome.realtime)
     except LogError as error:
         raise RunFolderError(f"{error}; what was recorded is in {folder / LOG}") from None
-    shutil.rmtree(_replaced(folder), ignore_errors=True)
     return values

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from can_rig.frames.endpoints import Receiver
 from can_rig.frames.network import Network
+from can_rig.frames.wire_tick import tick_at, tick_on, ticks_ahead
 from can_rig.logs.frames import SENT
 from can_rig.logs.reading import read_log
 from firmware_model.target.structs import FloatArray
@@ -31,7 +32,6 @@ COLUMNS = (
 ROLE_COLUMNS: Final = 5  # one of each frame; mode and fault state follow
 OWN: Final = 2  # the first frames of a tick: the plant node's, which say what tick it is
 STATUS: Final = 4
-WIRE_TICKS: Final = 1 << 16
 MOST_GAPS: Final = 14  # lost frames after which every alive counter is tolerated
 
 
@@ -161,16 +161,14 @@ class _Table:
 
     def _age(self, message: Message) -> int:
         """How many ticks ago a command's tick was, if it is in time; 0 otherwise."""
-        age = (self._tick - int.from_bytes(message.data[2:4], "little")) % WIRE_TICKS
-        return age if age < min(self._in_time_ticks, len(self.rows)) else 0
+        age = -ticks_ahead(tick_on(message.data), self._tick)
+        return age if 0 <= age < min(self._in_time_ticks, len(self.rows)) else 0
 
     def _ticks_ahead(self, message: Message) -> int:
         """How far the frame says that time has gone on; 0: it is of this tick, or of an old one."""
         if not self.rows:
             return 1
-        tick = int.from_bytes(message.data[2:4], "little")
-        ahead = (tick - self._tick) % WIRE_TICKS
-        return ahead if ahead < WIRE_TICKS // 2 else 0
+        return max(0, ticks_ahead(tick_on(message.data), self._tick))
 
     def _begin(self, announced_by: int, wire_tick: int, timestamp_s: float, ahead: int) -> None:
         """Start the row of another tick, after rows of nan for those in between."""
@@ -180,7 +178,7 @@ class _Table:
                     self._end_ticks(at, ahead)
             self._tick += ahead
         else:
-            self._tick = self.first_tick = absolute_tick(wire_tick, timestamp_s, self._tick_s)
+            self._tick = self.first_tick = tick_at(wire_tick, timestamp_s, self._tick_s)
             ahead = 1
         for _ in range(ahead):
             self.rows.append([math.nan] * (ROLE_COLUMNS + 2))
@@ -189,9 +187,3 @@ class _Table:
         """Tell a receiver that this tick is over, and so many more without its frame."""
         for _ in range(min(ticks, MOST_GAPS)):
             self._receivers[at].end_tick()
-
-
-def absolute_tick(wire_tick: int, timestamp_s: float, tick_s: float) -> int:
-    """The tick of a frame from its 16 bits and its time stamp, if that is in virtual time."""
-    tick = round((timestamp_s / tick_s - wire_tick) / WIRE_TICKS) * WIRE_TICKS + wire_tick
-    return tick if abs(tick * tick_s - timestamp_s) < tick_s else wire_tick

@@ -16,9 +16,9 @@ from can_rig.drawing.names import CAR, Names, names_of, printed
 from can_rig.errors import LogError, ScenarioError
 from can_rig.frames.network import Network
 from can_rig.logs.reading import read_log
-from can_rig.replay.source import log_path
 from can_rig.results.run_folder import SIGNALS, SUMMARY
 from can_rig.results.signals import COLUMNS, Signals, cell, signals_of
+from can_rig.results.source import log_path
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import FaultSettings, Scenario
 from firmware_model.target.structs import FloatArray

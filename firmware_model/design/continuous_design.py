@@ -71,9 +71,8 @@ def design(plant: Plant, specification: DesignSpecification) -> ContinuousDesign
     | Q = q̂/G1 is stable | (3.32) | ``AxisZeroError``, ``NonMinimumPhaseError`` |
     | Q = q̂/G1 is proper | (3.33) | ``ImproperError`` |
     """
-    wanted = specification
-    estimator = fault_estimator(plant, wanted.q)
-    if wanted.compensation and estimator.one_plus_q.gain == 0:
+    estimator = fault_estimator(plant, specification.q)
+    if specification.compensation and estimator.one_plus_q.gain == 0:
         raise ZeroChannelError(
             "q = -1: the fault estimate is identically zero; compensation must have Q other than -1"
         )
@@ -83,9 +82,13 @@ def design(plant: Plant, specification: DesignSpecification) -> ContinuousDesign
         specification=specification,
         estimator=estimator,
         compensator=(
-            compensator(plant.g2, wanted.tau_s, wanted.alpha) if wanted.compensation else None
+            compensator(plant.g2, specification.tau_s, specification.alpha)
+            if specification.compensation
+            else None
         ),
-        tracking=tracking(plant.g1, wanted.tau_q_s, wanted.alpha_q) if wanted.feedback else None,
+        tracking=tracking(plant.g1, specification.tau_q_s, specification.alpha_q)
+        if specification.feedback
+        else None,
         inner=inner,
         outer=outer,
     )

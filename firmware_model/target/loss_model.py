@@ -122,10 +122,9 @@ def loss_output_in_estimate(table: Record, state: Record) -> float:
 @firmware
 def advance_loss_model(table: Record, state: Record) -> float:
     """Advance w by this tick's command, computed or held; returns w of this tick."""
-    w = loss_output(table, state)
     loss = state.loss_model
+    w: float = advance(table.estimator.channel_1, loss.channel_1, lost_command(state))
     loss.previous_output = w
-    advance(table.estimator.channel_1, loss.channel_1, lost_command(state))
     if table.estimator.latency_ticks > 0:
         loss.delay[state.estimator.delay_index] = w
     return w

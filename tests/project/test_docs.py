@@ -10,9 +10,9 @@ from pathlib import Path
 import click
 import pytest
 
+from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
 from can_rig.plant.protocol import PlantProtocol, load_plant
-from can_rig.scenario import loading as scenarios
 from can_rig.scenario.settings import PlantSettings
 from tests.project.pages import PAGES, ROOT, blocks, command_lines, prose, text_of
 
@@ -65,7 +65,7 @@ def test_a_command_parses_and_its_scenario_loads(line: str) -> None:
     assert command is not None
     context = command.make_context(name, list(arguments))
     if "scenario" in context.params:
-        scenarios.load(context.params["scenario"], context.params["settings"])
+        load(context.params["scenario"], context.params["settings"])
 
 
 @pytest.mark.parametrize(("page", "line"), LINES)
@@ -88,7 +88,7 @@ def test_every_scenario_loads(page: Path, tmp_path: Path) -> None:
         tomllib.loads(block)
         file = tmp_path / "my-car.toml"
         file.write_text(block, "utf-8")
-        assert scenarios.load(str(file)).fault.for_s == 2.0
+        assert load(str(file)).fault.for_s == 2.0
 
 
 @pytest.mark.parametrize("page", ["README.md", "docs/design.md", "docs/firmware.md"])

@@ -14,7 +14,7 @@ from can_rig.cli.output import note, table, wide
 from can_rig.replay.comparison import Place, SignalComparison
 from can_rig.replay.gaps import Gap, seconds
 from can_rig.replay.replay import OpenLoop
-from can_rig.replay.source import Source
+from can_rig.results.source import Source
 
 SHOWN: Final = 12
 """Gaps in the table; --gaps has all."""

@@ -7,7 +7,7 @@ from typing import Final
 
 from can_rig.errors import RigError
 from can_rig.frames.dbc import shipped_dbc
-from can_rig.replay.source import source_of
+from can_rig.results.source import source_of
 
 CAR: Final = "steer_by_wire.dbc"
 

@@ -15,9 +15,9 @@ from can_rig.cli.progress import reading
 from can_rig.errors import INTERRUPTED
 from can_rig.logs.frames import NS_PER_S
 from can_rig.logs.reading import read_log
-from can_rig.nodes.lockstep import StopRequest
+from can_rig.nodes.watchdog import StopRequest
 from can_rig.replay.pace import Paced, Pacer
-from can_rig.replay.source import log_path, only_channel
+from can_rig.results.source import log_path, only_channel
 
 CHUNK_FRAMES = 256
 """Small, so that the bar moves while a slow log is played."""

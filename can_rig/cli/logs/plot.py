@@ -19,7 +19,7 @@ from can_rig.decoding.message_columns import MessageColumns, joined
 from can_rig.errors import DbcError, LogError
 from can_rig.files import atomic
 from can_rig.logs.reading import read_log
-from can_rig.replay.source import log_path
+from can_rig.results.source import log_path
 from can_rig.views.plot_picture import plot_page
 from can_rig.views.signal_table import scenario_of
 

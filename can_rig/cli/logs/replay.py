@@ -20,11 +20,12 @@ from can_rig.cli.options import (
     set_option,
 )
 from can_rig.cli.output import json_line
+from can_rig.cli.progress import reading
 from can_rig.errors import LogError
 from can_rig.files import atomic, refuse_existing
 from can_rig.replay.gaps import Gap, in_order, write_gaps
 from can_rig.replay.replay import OpenLoop
-from can_rig.replay.source import Source, source_of
+from can_rig.results.source import Source, source_of
 from can_rig.scenario.build import network_of
 
 
@@ -103,7 +104,7 @@ def command(
     if speed is not None:
         raise click.UsageError("--speed is the pace of a replay onto a --bus; name one")
     if what_if:
-        from can_rig.replay.what_if import what_if_command  # noqa: PLC0415 (matplotlib)
+        from can_rig.cli.logs.what_if import what_if_command  # noqa: PLC0415 (matplotlib)
 
         _refuse_together("--what-if", gaps=gaps)
         sys.exit(
@@ -134,7 +135,7 @@ def _open_loop(source: Source, gaps: Path | None, force: bool, as_json: bool) ->
     found: list[Gap] = []
     with _all_gaps(gaps) as write:
         loop = OpenLoop(source.scenario, network_of(source.scenario), found.append)
-        loop.run(source.frames("replaying"))
+        loop.run(source.frames(lambda log: reading(log, "replaying")))
         listed = in_order(found)
         write(listed)
     if not any(signal.compared for signal in loop.comparison.signals):

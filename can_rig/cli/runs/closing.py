@@ -7,7 +7,7 @@ from pathlib import Path
 
 from can_rig.cli.output import say, show, table
 from can_rig.frames.network import Network
-from can_rig.nodes.realtime import deadlines
+from can_rig.nodes.realtime import timing
 from can_rig.results.metrics import Metrics, rows
 from can_rig.results.run_folder import Outcome
 from can_rig.scenario.settings import Scenario
@@ -26,7 +26,7 @@ def closing_table(
             closing.add_row(label, text)
         factor = outcome.ticks_per_s * scenario.tick_s
         closing.add_row("rate", f"{outcome.ticks_per_s:.0f} ticks/s, {factor:.1f} x real time")
-    for label, text in deadlines.rows(outcome.realtime or {}):
+    for label, text in timing.rows(outcome.realtime or {}):
         closing.add_row(label, text)
     rejected: Counter[str] = Counter()
     for counts in outcome.rejected_frames.values():
@@ -38,5 +38,5 @@ def closing_table(
     if closing.row_count:
         show(closing)
     say(*scenario.notes)
-    say(*deadlines.scheduling_lines(outcome.realtime or {}))
+    say(*timing.scheduling_lines(outcome.realtime or {}))
     say(f"run folder  {folder}")

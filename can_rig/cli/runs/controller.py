@@ -10,9 +10,9 @@ from can_rig.assessment.resolve import load
 from can_rig.cli.options import scenario_options
 from can_rig.cli.output import json_line
 from can_rig.cli.runs.node import end_of_node, node_options, node_progress
-from can_rig.nodes.lockstep import StopRequest, Waiting
-from can_rig.nodes.nodes import EveryNowAndThen, run_controller
-from can_rig.nodes.realtime import nodes as realtime_nodes
+from can_rig.nodes.progress import Throttled
+from can_rig.nodes.runner import run_controller
+from can_rig.nodes.watchdog import StopRequest, Timeouts
 
 
 @click.command("controller")
@@ -32,7 +32,7 @@ def command(
     In real time it may be started, or started again, while the car drives: it listens for 50 ms,
     then takes over without a bump.
     """
-    waiting = Waiting(first_s, Waiting.silence_s if silence_s is None else silence_s)
+    timeouts = Timeouts(first_s, Timeouts.silence_s if silence_s is None else silence_s)
     chosen = load(scenario, settings)
     stop = StopRequest().on_signals()
 
@@ -40,8 +40,16 @@ def command(
         if as_json:
             json_line(ready=True)
 
-    run_node = realtime_nodes.run_controller if real_time else run_controller
     with node_progress(chosen, as_json) as on_tick:
-        summary = run_node(chosen, bus, waiting, stop, on_ready, EveryNowAndThen(on_tick))
+        summary = run_controller(
+            chosen,
+            bus,
+            timeouts,
+            stop,
+            on_ready,
+            Throttled(on_tick),
+            real_time=real_time,
+            by_hand=True,
+        )
         on_tick(summary.ticks)
     sys.exit(end_of_node(chosen, summary, as_json))

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 
@@ -12,8 +12,9 @@ from can_rig.cli.options import Function, bus_option, json_option, realtime_opti
 from can_rig.cli.output import json_line, tell
 from can_rig.cli.progress import counting
 from can_rig.errors import INTERRUPTED, RigError
-from can_rig.nodes.nodes import NodeSummary
-from can_rig.nodes.realtime import deadlines
+from can_rig.nodes.progress import OnTick
+from can_rig.nodes.realtime import timing
+from can_rig.nodes.runner import NodeSummary
 from can_rig.scenario.settings import Scenario
 
 
@@ -55,7 +56,7 @@ def node_options(function: Function) -> Function:
 
 
 @contextmanager
-def node_progress(scenario: Scenario, as_json: bool) -> Iterator[Callable[[int], None]]:
+def node_progress(scenario: Scenario, as_json: bool) -> Iterator[OnTick]:
     """Progress of one node: a bar for a person, JSON lines for a program."""
     if not as_json:
         with counting(scenario.name, "ticks", scenario.ticks) as on_tick:
@@ -73,9 +74,8 @@ def end_of_node(scenario: Scenario, summary: NodeSummary, as_json: bool) -> int:
     if as_json:
         json_line(**asdict(summary))
         return 0
-    rate = summary.ticks / summary.wall_s if summary.wall_s else 0.0
-    tell(f"{summary.ticks} of {scenario.ticks} ticks, {rate:.0f} a second")
+    tell(f"{summary.ticks} of {scenario.ticks} ticks, {summary.ticks_per_s:.0f} a second")
     realtime = summary.realtime or {}
-    tell(*(f"{label}: {text}" for label, text in deadlines.rows(realtime)))
-    tell(*deadlines.scheduling_lines(realtime))
+    tell(*(f"{label}: {text}" for label, text in timing.rows(realtime)))
+    tell(*timing.scheduling_lines(realtime))
     return 0 if summary.ticks == scenario.ticks else INTERRUPTED

@@ -12,9 +12,9 @@ from can_rig.assessment.resolve import load
 from can_rig.cli.options import scenario_options
 from can_rig.cli.runs.node import end_of_node, node_options, node_progress
 from can_rig.errors import LogError
-from can_rig.nodes.lockstep import StopRequest, Waiting
-from can_rig.nodes.nodes import EveryNowAndThen, run_plant
-from can_rig.nodes.realtime import nodes as realtime_nodes
+from can_rig.nodes.progress import Throttled
+from can_rig.nodes.runner import run_plant
+from can_rig.nodes.watchdog import StopRequest, Timeouts
 
 OTHER_FORMATS = {".asc", ".blf", ".trc", ".mf4", ".gz"}
 """Of logs; a node writes candump lines as it goes."""
@@ -45,12 +45,20 @@ def command(
             f"{log}: must be FILE.log, a node records candump lines as it goes; "
             "can-rig run --log writes other formats"
         )
-    alone_s = math.inf if real_time else Waiting.silence_s
-    waiting = Waiting(first_s, alone_s if silence_s is None else silence_s)
+    alone_s = math.inf if real_time else Timeouts.silence_s
+    timeouts = Timeouts(first_s, alone_s if silence_s is None else silence_s)
     chosen = load(scenario, settings)
     stop = StopRequest().on_signals()
-    run_node = realtime_nodes.run_plant if real_time else run_plant
     with node_progress(chosen, as_json) as on_tick:
-        summary = run_node(chosen, bus, log, waiting, stop, EveryNowAndThen(on_tick))
+        summary = run_plant(
+            chosen,
+            bus,
+            log,
+            timeouts,
+            stop,
+            Throttled(on_tick),
+            real_time=real_time,
+            by_hand=True,
+        )
         on_tick(summary.ticks)
     sys.exit(end_of_node(chosen, summary, as_json))

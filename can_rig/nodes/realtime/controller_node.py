@@ -7,7 +7,7 @@ the actuators did without them, hold and then drop to zero, and tells F1, so tha
 what the car got and d̂ shows no fault that is none.
 
 A controller that comes late, because it was started again or stood still for longer than the
-actuators hold a command and ``takeover`` listens, takes over as ``takeover`` says. The first tick
+actuators hold a command and ``restart`` listens, takes over as ``restart`` says. The first tick
 that it hears says whether it is late: a run begins with tick 0. The wire carries 16 bits of the
 tick; started again after more than 65536 ticks the node takes them modulo that, so its
 ``frames-…`` faults come at the wrong time, and the run ends when the plant node falls silent.
@@ -16,28 +16,31 @@ tick; started again after more than 65536 ticks the node takes them modulo that,
 from __future__ import annotations
 
 import math
-import time
 from collections.abc import Callable
 from functools import partial
-from typing import NamedTuple
+from typing import Final, NamedTuple
 
 import can
 
 from can_rig.errors import BusError
+from can_rig.frames.codec import Record
 from can_rig.frames.network import Network
-from can_rig.nodes.controller_node import ControllerNode
-from can_rig.nodes.lockstep import Watchdog
+from can_rig.frames.wire_tick import tick_from, tick_on, ticks_ahead
+from can_rig.nodes.bus_access import NodeBus
+from can_rig.nodes.clock import Clock
+from can_rig.nodes.controller_end import ControllerEnd, started
 from can_rig.nodes.realtime.deadlines import require_causal
-from can_rig.nodes.realtime.takeover import LISTEN_S, TakeOver
+from can_rig.nodes.realtime.restart import LISTEN_S, BumplessRestart
+from can_rig.nodes.watchdog import Interrupted, Watchdog
 from can_rig.plant.simulated import Actuator
-from can_rig.scenario.build import controller_table
 from can_rig.scenario.settings import Scenario
-from firmware_model.firmware import Firmware
 from firmware_model.target.status import FaultState, Mode
 
-MOST_OTHERS = 30  # frames looked at behind a sample before it is answered: a flood never ends
-BEHIND = 1 << 15  # of 16 bits of a tick: half of them are the past
-SAME_CLOCK_S = 1.0  # time stamps further from ours are of another clock
+MOST_OTHERS: Final = 30
+"""Frames looked at behind a sample before it is answered: a flood never ends."""
+
+SAME_CLOCK_S: Final = 1.0
+"""Time stamps further from ours are of another clock."""
 
 
 class Sample(NamedTuple):
@@ -66,35 +69,31 @@ def warm_up(scenario: Scenario, network: Network) -> None:
     Raises:
         ScenarioError: a design that cannot be made.
     """
-    table = controller_table(scenario, network)
-    firmware = Firmware(table)
-    firmware.step(math.nan, math.nan)
-    firmware.reset(0.0)
-    TakeOver(scenario, table, network.feedback.lsb)
+    table, _ = started(scenario, network)
+    BumplessRestart(scenario, table, network.feedback.lsb)
 
 
-class RealTimeControllerNode(ControllerNode):
+class RealTimeControllerNode:
     """Answers each feedback frame that is not too old, and takes over where it comes late.
 
     Args:
         scenario: the run.
         network: its frames.
-        bus: where to send, and to look for what waits behind the frame that was received.
-        now_s: the clock of the bus's time stamps; where it is not, they say nothing.
+        bus: where to send, and to look for what waits behind the frame that was received; it never
+            raises ``can.CanError``.
+        clock: the time; where its time stamps are not those of the bus, they say nothing.
 
     Raises:
         ScenarioError: a latency of zero, a design that cannot be made.
     """
 
-    def __init__(
-        self,
-        scenario: Scenario,
-        network: Network,
-        bus: can.BusABC,
-        now_s: Callable[[], float] = time.time,
-    ) -> None:
+    def __init__(self, scenario: Scenario, network: Network, bus: NodeBus, clock: Clock) -> None:
         require_causal(scenario)
-        super().__init__(scenario, network, bus)
+        self.ticks: Final = scenario.ticks
+        self._end = ControllerEnd(scenario, network, bus.send)
+        table, self._firmware = started(scenario, network)
+        self._bus = bus
+        self._clock = clock
         self._latency_ticks = scenario.latency_ticks
         hold_ticks = round(scenario.actuator.hold_s / scenario.tick_s)
         self._actuators = (Actuator(hold_ticks), Actuator(hold_ticks))  # as the car's should be
@@ -102,12 +101,30 @@ class RealTimeControllerNode(ControllerNode):
         self._sent: list[Sent | None] = [None] * self._latency_ticks
         self._most_missed = hold_ticks + round(LISTEN_S / scenario.tick_s)
         self._missed = self._too_late = 0  # in a row: samples, commands
-        self._now_s = now_s
+        self._tick = 0  # the next one
+        self._expected: int | None = None  # the first contact says which tick it is
+        self._reference_now = Record(math.nan, -1)
         self._offered_s = 0.0  # the last reference's time stamp
         self._command_ids = {network.command_1.frame_id, network.command_2.frame_id}
-        self._new_take_over = partial(TakeOver, scenario, self._table, network.feedback.lsb)
-        self._take_over: TakeOver | None = self._new_take_over()
+        self._new_restart = partial(BumplessRestart, scenario, table, network.feedback.lsb)
+        self._restart: BumplessRestart | None = self._new_restart()
         self._waiting: list[Sample] = []
+
+    def run(self, watchdog: Watchdog, on_tick: Callable[[int], None]) -> int:
+        """Answer ticks to the end of the run or to a stop request; the tick that it has reached.
+
+        Raises:
+            SilentNodeError: the plant node is silent.
+            BusError: another controller node is at work.
+        """
+        while self._tick < self.ticks and not watchdog.stop.wanted:
+            try:
+                self.serve(watchdog)
+            except Interrupted:
+                break
+            if self._tick > 0:
+                on_tick(self._tick)
+        return self._tick
 
     def serve(self, watchdog: Watchdog) -> None:
         """Wait for frames and answer the samples among them.
@@ -141,10 +158,10 @@ class RealTimeControllerNode(ControllerNode):
 
     def _take_in(self, message: can.Message) -> None:
         number = message.arbitration_id
-        if number == self._reference.codec.frame_id:
-            self._reference_now = self._reference.accept(message) or self._reference_now
+        if number == self._end.reference.codec.frame_id:
+            self._reference_now = self._end.reference.accept(message) or self._reference_now
             self._offered_s = message.timestamp
-        elif number == self._feedback.codec.frame_id:
+        elif number == self._end.feedback.codec.frame_id:
             self._take_in_feedback(message)
         elif number in self._command_ids and self._listens:
             raise BusError(
@@ -152,19 +169,18 @@ class RealTimeControllerNode(ControllerNode):
             )
 
     def _take_in_feedback(self, message: can.Message) -> None:
-        due = self._expected or 0
-        ahead = (int.from_bytes(message.data[2:4], "little") - due) & 0xFFFF
-        if self._expected is not None and ahead >= BEHIND:
-            self._feedback.accept(message, due)  # an old one, which it counts
+        feedback, due = self._end.feedback, self._expected
+        if due is not None and ticks_ahead(tick_on(message.data), due) < 0:
+            feedback.accept(message, due)  # an old one, which it counts
             return
-        record = self._feedback.accept(message)
+        record = feedback.accept(message)
         if record is None:
             return
-        tick = due + ahead
+        tick = tick_from(record.tick, due or 0)
         if self._expected is None:
             self._tick = tick
             if tick == 0:
-                self._take_over = None  # the run begins with us
+                self._restart = None  # the run begins with us
         self._expected = tick + 1
         now = self._reference_now
         reference = now.value if now.tick == record.tick else math.nan
@@ -177,12 +193,12 @@ class RealTimeControllerNode(ControllerNode):
                 self._listen(math.nan)
                 continue
             self._look_back(tick, offered_s)
-            if self._take_over is not None:
-                self._take_over.miss()
+            if self._restart is not None:
+                self._restart.miss()
             self._firmware.step(math.nan, math.nan)
         self._missed += len(ticks)
         if self._missed > self._most_missed:
-            self._begin_take_over()
+            self._begin_restart()
 
     def _look_back(self, tick: int, offered_s: float) -> None:
         """What acts from ``tick`` on: the commands that were sent in time, or what actuators do."""
@@ -198,43 +214,47 @@ class RealTimeControllerNode(ControllerNode):
         self._firmware.act(*(actuator.hear(None) for actuator in self._actuators))
         self._too_late += 1
         if self._too_late > self._most_missed:
-            self._begin_take_over()
+            self._begin_restart()
 
     def _answer_sample(self, sample: Sample) -> None:
         tick, reference = sample.tick, sample.reference
         self._missed = 0
         if self._listens:
-            self.send(self._send_status.frame(0.0, tick, Mode.INIT, FaultState.CANNOT_TELL))
+            self._end.send_status(tick, 0.0, Mode.INIT, FaultState.CANNOT_TELL)
             self._listen(sample.measurement)
             return
         self._look_back(tick, sample.offered_s)
-        if self._take_over is not None:
-            reference = self._take_over.reference(reference)
-            if self._take_over.done:
-                self._take_over = None
-        self._send_answer(tick, reference, sample.measurement)
-
-    def _send_commands(self, tick: int, command_1: float, command_2: float) -> None:
-        super()._send_commands(tick, command_1, command_2)
-        self._sent[tick % self._latency_ticks] = Sent((command_1, command_2), self._now_s())
+        if self._restart is not None:
+            reference = self._restart.reference(reference)
+            if self._restart.done:
+                self._restart = None
+        answer = self._firmware.step(reference, sample.measurement)
+        commands = answer.command_1, answer.command_2
+        self._end.send_commands(tick, *commands)
+        self._sent[tick % self._latency_ticks] = Sent(commands, self._clock.stamp_s())
+        self._end.send_status(tick, answer.fault_estimate, answer.mode, answer.fault_state)
 
     @property
     def _listens(self) -> bool:
-        return self._take_over is not None and self._take_over.listens
+        return self._restart is not None and self._restart.listens
 
-    def _begin_take_over(self) -> None:
-        self._take_over = self._new_take_over()
+    def _begin_restart(self) -> None:
+        self._restart = self._new_restart()
         self._too_late = 0
 
     def _listen(self, measurement: float) -> None:
-        assert self._take_over is not None
-        self._take_over.hear(measurement)
-        if self._take_over.listens:
+        assert self._restart is not None
+        self._restart.hear(measurement)
+        if self._restart.listens:
             return
-        if not self._take_over.heard_enough:
-            self._begin_take_over()
+        if not self._restart.heard_enough:
+            self._begin_restart()
         else:
-            self._take_over.start(self._firmware)
+            self._restart.start(self._firmware)
             self._sent = [None] * self._latency_ticks
             for actuator, command in zip(self._actuators, self._firmware.commands, strict=True):
                 actuator.hear(command)
+
+    def rejected(self) -> dict[str, dict[str, int]]:
+        """Per message, how many frames were not used and why."""
+        return self._end.rejected()

@@ -1,4 +1,4 @@
-"""The wall clock of a real-time run: absolute deadlines, and how late they were met.
+"""The deadlines of a real-time run: absolute, each of its own.
 
 Deadline k is start + k·T in whole nanoseconds of CLOCK_MONOTONIC. None is computed from the one
 before, so a tick that is late makes no other late and the mean period is the clock's own.
@@ -11,12 +11,8 @@ from the other one where they share cores.
 
 from __future__ import annotations
 
-import time
-from dataclasses import dataclass, field
-from itertools import pairwise
-from typing import Any, Final, Protocol
-
-import numpy as np
+from dataclasses import dataclass
+from typing import Final
 
 from can_rig.errors import ScenarioError
 from can_rig.scenario.settings import Scenario
@@ -24,33 +20,6 @@ from can_rig.scenario.settings import Scenario
 CATCH_UP_TICKS: Final = 5
 """Missed ticks that are made up for at once; ten frames, the transmit queue of a SocketCAN
 interface (txqueuelen 10)."""
-
-LONGEST_US: Final = 100_000  # of a histogram; what took longer counts in its last bin
-EDGES_US: Final = (10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000)
-
-
-class Clock(Protocol):
-    """Where a real-time node takes time from."""
-
-    def now_ns(self) -> int:
-        """Nanoseconds since some moment; never goes back."""
-
-    def sleep_until(self, at_ns: int) -> None:
-        """Return at ``at_ns`` or later."""
-
-
-class MonotonicClock:
-    """CLOCK_MONOTONIC, which no setting of the date moves."""
-
-    def now_ns(self) -> int:
-        """Nanoseconds since the machine started."""
-        return time.monotonic_ns()
-
-    def sleep_until(self, at_ns: int) -> None:
-        """Sleep; a signal handler that runs meanwhile does not cut it short."""
-        left_ns = at_ns - time.monotonic_ns()
-        if left_ns > 0:
-            time.sleep(left_ns * 1e-9)
 
 
 @dataclass(frozen=True)
@@ -69,139 +38,6 @@ class Schedule:
         return (now_ns - self.start_ns) // self.tick_ns
 
 
-class Histogram:
-    """Durations in bins of 1 µs, so that a run of any length takes the same memory."""
-
-    def __init__(self) -> None:
-        self._counts = np.zeros(LONGEST_US + 1, np.int64)
-        self._longest_ns = 0
-
-    def add(self, duration_ns: int) -> None:
-        """Count one; a negative one as zero."""
-        us = duration_ns // 1000
-        self._counts[min(max(us, 0), LONGEST_US)] += 1
-        self._longest_ns = max(self._longest_ns, duration_ns)
-
-    def percentile_us(self, percent: float) -> float:
-        """What ``percent`` of the durations stay below, to 1 µs, rounded up; 0 of none."""
-        total = int(self._counts.sum())
-        if total == 0:
-            return 0.0
-        rank = max(1, -int(-total * percent // 100))
-        at = int(np.searchsorted(np.cumsum(self._counts), rank))
-        return min(at + 1.0, self.max_us) if at < LONGEST_US else self.max_us
-
-    @property
-    def max_us(self) -> float:
-        """The longest, exactly."""
-        return self._longest_ns / 1000
-
-    def as_dict(self) -> dict[str, Any]:
-        """Percentiles, and counts between ``edges_us``; the last one is open."""
-        edges = [0, *EDGES_US, LONGEST_US + 1]
-        return {
-            "p50": self.percentile_us(50.0),
-            "p99": self.percentile_us(99.0),
-            "p99.9": self.percentile_us(99.9),
-            "max": self.max_us,
-            "edges_us": [0, *EDGES_US],
-            "counts": [int(self._counts[low:high].sum()) for low, high in pairwise(edges)],
-        }
-
-
-@dataclass
-class Timing:
-    """How the deadlines of one run were met; nothing in it grows with the run.
-
-    ``missed_deadlines`` were met a tick or more late, or, ``skipped_ticks``, not at all: more than
-    ``CATCH_UP_TICKS`` late. ``unanswered_ticks`` had not both commands when they should have acted.
-    """
-
-    tick_ns: int
-    missed_deadlines: int = 0
-    skipped_ticks: int = 0
-    unanswered_ticks: int = 0
-    wake_up: Histogram = field(default_factory=Histogram)
-    answer: Histogram = field(default_factory=Histogram)
-    _met: int = 0
-    _first: tuple[int, int] = (0, 0)
-    _last: tuple[int, int] = (0, 0)
-    _sums: list[int] = field(default_factory=lambda: [0, 0, 0, 0])
-
-    def woke(self, tick: int, late_ns: int) -> None:
-        """Note that ``tick`` was begun ``late_ns`` after its deadline."""
-        self.wake_up.add(late_ns)
-        if late_ns >= self.tick_ns:
-            self.missed_deadlines += 1
-        if self._met == 0:
-            self._first = (tick, late_ns)
-        self._last = (tick, late_ns)
-        self._met += 1
-        for at, term in enumerate((tick, late_ns, tick * tick, tick * late_ns)):
-            self._sums[at] += term
-
-    def skipped(self, ticks: int) -> None:
-        """Note that after the last wake-up so many ticks were not sent at all."""
-        self.missed_deadlines += max(0, ticks - 1)  # the first one counted when the node woke
-        self.skipped_ticks += ticks
-
-    @property
-    def period_error_ppm(self) -> float | None:
-        """(last - first wake-up)/ticks against the tick; its ends jitter as every wake-up does."""
-        ticks = self._last[0] - self._first[0]
-        if ticks == 0:
-            return None
-        return (self._last[1] - self._first[1]) / (ticks * self.tick_ns) * 1e6
-
-    @property
-    def drift_ppm(self) -> float | None:
-        """Slope of the least-squares line through all wake-ups, against the tick."""
-        n, (ticks, late, squares, products) = self._met, self._sums
-        spread = n * squares - ticks * ticks
-        if spread == 0:
-            return None
-        return (n * products - ticks * late) / (spread * self.tick_ns) * 1e6
-
-    def as_dict(self) -> dict[str, Any]:
-        """What the section ``realtime`` of ``run.json`` says of them."""
-        return {
-            "period_error_ppm": self.period_error_ppm,
-            "drift_ppm": self.drift_ppm,
-            "missed_deadlines": self.missed_deadlines,
-            "skipped_ticks": self.skipped_ticks,
-            "unanswered_ticks": self.unanswered_ticks,
-            "wake_up_lateness_us": self.wake_up.as_dict(),
-            "answer_after_us": self.answer.as_dict(),
-        }
-
-
-def rows(realtime: dict[str, Any]) -> list[tuple[str, str]]:
-    """The closing table of a real-time run, label and text; none of a controller node's own."""
-    table: list[tuple[str, str]] = []
-    if "wake_up_lateness_us" not in realtime:
-        return table
-    for key, label in (
-        ("wake_up_lateness_us", "wake-up lateness, 50/99/99.9 %/max"),
-        ("answer_after_us", "answer after, 50/99/99.9 %/max"),
-    ):
-        figures = realtime[key]
-        values = " / ".join(f"{figures[name]:.0f}" for name in ("p50", "p99", "p99.9", "max"))
-        table.append((label, f"{values} µs"))
-    if realtime["period_error_ppm"] is not None:
-        error, drift = realtime["period_error_ppm"], realtime["drift_ppm"]
-        table.append(("mean period, drift", f"{error:+.3f} ppm, {drift:+.3f} ppm"))
-    missed, skipped = realtime["missed_deadlines"], realtime["skipped_ticks"]
-    table.append(("deadlines missed", f"{missed}, {skipped} ticks skipped"))
-    unanswered, late = realtime["unanswered_ticks"], realtime["late_frames"]
-    table.append(("ticks without a command in time", f"{unanswered}, {late} frames late"))
-    return table
-
-
-def scheduling_lines(realtime: dict[str, Any]) -> list[str]:
-    """What the operating system granted each node, one line a node."""
-    return [f"{node} node: {text}" for node, text in realtime.get("scheduling", {}).items()]
-
-
 def require_causal(scenario: Scenario) -> None:
     """Refuse a run that no wall clock can have.
 
@@ -211,5 +47,6 @@ def require_causal(scenario: Scenario) -> None:
     if scenario.latency_ticks == 0:
         raise ScenarioError(
             f"scenario {scenario.name}: latency_ticks = 0: in real time a command acts from the "
-            "next tick on at the earliest; --set latency_ticks=1, or the scenario default, is right"
+            "next tick on at the earliest; it must be 1 or more, as in the scenario default or "
+            "with --set latency_ticks=1"
         )

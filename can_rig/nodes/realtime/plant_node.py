@@ -22,29 +22,36 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
-from typing import Any
+from typing import Any, Final
 
 import can
 
 from can_rig.errors import SilentNodeError
 from can_rig.frames.network import Network
-from can_rig.nodes.lockstep import Interrupted, Watchdog
-from can_rig.nodes.plant_node import NOT_OURS, PlantNode
-from can_rig.nodes.realtime.deadlines import CATCH_UP_TICKS, Clock, Schedule, Timing, require_causal
-from can_rig.nodes.recorder import RealTimeRecorder
+from can_rig.frames.wire_tick import tick_on, ticks_ahead
+from can_rig.nodes.bus_access import NodeBus
+from can_rig.nodes.clock import NS_PER_S, Clock
+from can_rig.nodes.plant_end import COMMANDS, PlantEnd
+from can_rig.nodes.realtime.deadlines import CATCH_UP_TICKS, Schedule, require_causal
+from can_rig.nodes.realtime.recorder import RealTimeRecorder
+from can_rig.nodes.realtime.timing import Timing
+from can_rig.nodes.watchdog import Interrupted, Watchdog
 from can_rig.scenario.settings import Scenario
 
-GUARD_NS = 100_000  # before a deadline the node sleeps: waking from a bus is less exact
-MOST_AT_ONCE = 100  # frames taken in at a deadline, however many a third node floods the bus with
+GUARD_NS: Final = 100_000
+"""Before a deadline the node sleeps: waking from a bus is less exact."""
+
+MOST_AT_ONCE: Final = 100
+"""Frames taken in at a deadline, however many a third node floods the bus with."""
 
 
-class RealTimePlantNode(PlantNode):
+class RealTimePlantNode:
     """Sends reference and feedback at each deadline, applies the commands that are in time.
 
     Args:
         scenario: the run.
         network: its frames.
-        bus: where to send and receive.
+        bus: where to send and receive; it never raises ``can.CanError``.
         recorder: gets every frame sent or seen; None records nothing.
         clock: the time.
 
@@ -56,15 +63,18 @@ class RealTimePlantNode(PlantNode):
         self,
         scenario: Scenario,
         network: Network,
-        bus: can.BusABC,
+        bus: NodeBus,
         recorder: RealTimeRecorder | None,
         clock: Clock,
     ) -> None:
         require_causal(scenario)
-        # Commands wait in _inbox until their tick, so the simulated bus has nothing to delay.
-        super().__init__(replace(scenario, latency_ticks=0), network, bus, recorder)
+        self.ticks: Final = scenario.ticks
         self.timing = Timing(scenario.tick_ns)
-        self._log = recorder
+        # Commands wait in _inbox until their tick, so the simulated bus has nothing to delay.
+        self._end = PlantEnd(replace(scenario, latency_ticks=0), network, bus.send, recorder)
+        self._commands = (network.command_1.name, network.command_2.name)
+        self._bus = bus
+        self._recorder = recorder
         self._clock = clock
         self._latency_ticks = scenario.latency_ticks
         self._inbox: list[list[float | None]] = [[None, None] for _ in range(self._latency_ticks)]
@@ -100,9 +110,10 @@ class RealTimePlantNode(PlantNode):
             if watchdog.stop.wanted or tick + 1 == self.ticks:
                 return tick + 1
             due, tick = tick + 1, self._skip(tick + 1, now_ns)
-            if self._log is not None:
-                self._log.at(now_ns - self._schedule.start_ns)
-            self._send_sample()  # right after the last look at the bus: its time tells who was late
+            if self._recorder is not None:
+                self._recorder.at(now_ns - self._schedule.start_ns)
+            # Right after the last look at the bus: the time stamp tells who was late.
+            self._end.send_sample()
             self.timing.woke(due, now_ns - deadline_ns)
             self.timing.skipped(tick - due)
             self._latch(tick)
@@ -111,14 +122,23 @@ class RealTimePlantNode(PlantNode):
             self._watch(tick, now_ns, watchdog)
             on_tick(tick)
 
+    def repeat(self) -> None:
+        """Send the offer of tick 0 again, to a controller that was not there yet."""
+        self._end.repeat()
+
+    def rejected(self) -> dict[str, dict[str, int]]:
+        """Per message, how many frames were not used and why."""
+        return self._end.rejected()
+
     def realtime(self) -> dict[str, Any]:
         """How the deadlines were met, and how many commands came too late."""
-        commands = [receiver.rejected for receiver in self._commands]
-        late = sum(counts.get("wrong_tick", 0) for counts in commands)
+        rejected = self.rejected()
+        late = sum(rejected[name].get("wrong_tick", 0) for name in self._commands)
         return {**self.timing.as_dict(), "late_frames": late}
 
     def _meet(self, watchdog: Watchdog) -> None:
-        self.offer(0)
+        self._end.sample(0)
+        self._end.send_sample()
         while not self._answered:
             self._hear(watchdog.receive(0), 0)
             watchdog.go_on_waiting(0)
@@ -126,7 +146,7 @@ class RealTimePlantNode(PlantNode):
 
     def _receive_until(self, end_ns: int, tick: int) -> None:
         while (left_ns := end_ns - self._clock.now_ns()) > 0:
-            message = self._bus.recv(left_ns * 1e-9)
+            message = self._bus.recv(left_ns / NS_PER_S)
             if message is not None:
                 self._hear(message, tick)
 
@@ -141,22 +161,20 @@ class RealTimePlantNode(PlantNode):
     def _hear(self, message: can.Message, tick: int) -> None:
         """Take in a frame while ``tick`` is under way."""
         now_ns = self._clock.now_ns()
-        if self._log is not None:
+        if self._recorder is not None:
             if self._answered:
-                self._log.at(now_ns - self._schedule.start_ns)
-            self._log.record(message, sent=False)
-        index, receiver = self._by_id.get(message.arbitration_id, NOT_OURS)
-        if receiver is None:
+                self._recorder.at(now_ns - self._schedule.start_ns)
+            self._recorder.record(message, sent=False)
+        age = -ticks_ahead(tick_on(message.data), tick)
+        in_time = 0 <= age < self._latency_ticks
+        judged = self._end.judge(message, tick - age if in_time else tick)
+        if judged is None:
             return
-        age = (tick - int.from_bytes(message.data[2:4], "little")) & 0xFFFF
-        in_time = age < self._latency_ticks
-        record = receiver.accept(message, tick - age if in_time else tick)
-        if record is None:
-            return
+        at, record = judged
         slot = (tick - age) % self._latency_ticks
-        if index < len(self._commands):
+        if at < COMMANDS:
             if math.isfinite(record.value):
-                self._inbox[slot][index] = record.value
+                self._inbox[slot][at] = record.value
             return
         self._heard_ns = now_ns
         if self._answered:
@@ -170,10 +188,10 @@ class RealTimePlantNode(PlantNode):
             return tick
         for skipped in range(tick, newest):
             if skipped > tick:
-                self._plant.measure()  # noise belongs to its tick
+                self._end.plant.measure()  # noise belongs to its tick
             self._latch(skipped)
-            self._plant.advance(skipped, *self._acting)
-        self._sample(newest)
+            self._end.plant.advance(skipped, *self._acting)
+        self._end.sample(newest)
         return newest
 
     def _latch(self, tick: int) -> None:
@@ -183,20 +201,18 @@ class RealTimePlantNode(PlantNode):
         self._inbox[slot] = [None, None]
         if None in self._acting and tick >= self._latency_ticks:
             self.timing.unanswered_ticks += 1
-        for _, receiver in self._by_id.values():
-            if receiver is not None:
-                receiver.end_tick()
+        self._end.end_tick()
 
     def _follow(self, tick: int) -> None:
         """In the slack: D* of the next tick, its frames, and the log."""
-        self._plant.advance(tick, *self._acting)
+        self._end.plant.advance(tick, *self._acting)
         if tick + 1 < self.ticks:
-            self._sample(tick + 1)
-        if self._log is not None:
-            self._log.hand_over()
+            self._end.sample(tick + 1)
+        if self._recorder is not None:
+            self._recorder.flush()
 
     def _watch(self, tick: int, now_ns: int, watchdog: Watchdog) -> None:
-        if now_ns - self._heard_ns > watchdog.silence_s * 1e9:
+        if now_ns - self._heard_ns > watchdog.silence_s * NS_PER_S:
             raise SilentNodeError(
                 f"no frame from the controller node for {watchdog.silence_s:g} s at tick {tick}"
             )

@@ -17,10 +17,13 @@ SLOW = design(CAR, DesignSpecification(tau_s=0.01, tau_q_s=0.02))
 
 
 def loop_of(
-    wanted: ContinuousDesign, target: Target, left: tuple[float, float] = HEALTHY, late: float = 0.0
+    designed: ContinuousDesign,
+    target: Target,
+    left: tuple[float, float] = HEALTHY,
+    late: float = 0.0,
 ) -> SampledLoop:
-    law = linear_controller(build(wanted, target))
-    return sampled_loop(law, wanted.plant, target.tick_s, left, late)
+    law = linear_controller(build(designed, target))
+    return sampled_loop(law, designed.plant, target.tick_s, left, late)
 
 
 def scalar_loop(pole: float, feedback: float) -> SampledLoop:

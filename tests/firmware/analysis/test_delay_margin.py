@@ -34,8 +34,8 @@ def test_high_frequency_limit_of_an_estimator_that_ignores_the_delay(n: int) -> 
     limit = 2.0 * math.sin(math.pi / (2.0 * (2 * n + 1)))
     for factor in (0.97, 1.03):
         ratio = factor * limit
-        wanted = design(CAR, DesignSpecification(tau_s=tick_s / ratio, feedback=False))
-        loop = loop_of(wanted, Target(tick_s), late=n)
+        designed = design(CAR, DesignSpecification(tau_s=tick_s / ratio, feedback=False))
+        loop = loop_of(designed, Target(tick_s), late=n)
         polynomial = np.zeros(n + 2)
         polynomial[0], polynomial[1], polynomial[-1] = 1.0, -1.0, ratio - (n == 0)
         if n == 0:
@@ -113,13 +113,15 @@ def simulate_late(
 
 def test_the_edge_in_seconds_has_its_poles_on_the_circle() -> None:
     tick_s = 1e-3
-    for wanted, target in ((PUBLISHED, Target(tick_s)), (SLOW, Target(tick_s, 1, "zoh"))):
-        figures = margins(build(wanted, target), CAR, tick_s)
+    for designed, target in ((PUBLISHED, Target(tick_s)), (SLOW, Target(tick_s, 1, "zoh"))):
+        figures = margins(build(designed, target), CAR, tick_s)
         assert figures.delay_margin_s is not None
         edge = figures.delay_margin_s / tick_s
-        assert loop_of(wanted, target, late=edge).spectral_radius() < 1.0
-        assert loop_of(wanted, target, late=edge + 1e-3).spectral_radius() > 1.0
-        assert loop_of(wanted, target, late=edge).spectral_radius() == pytest.approx(1.0, abs=1e-6)
+        assert loop_of(designed, target, late=edge).spectral_radius() < 1.0
+        assert loop_of(designed, target, late=edge + 1e-3).spectral_radius() > 1.0
+        assert loop_of(designed, target, late=edge).spectral_radius() == pytest.approx(
+            1.0, abs=1e-6
+        )
 
 
 def test_delay_margin_of_a_fast_bus_is_that_of_its_crossovers() -> None:

@@ -57,19 +57,19 @@ def test_a_loop_that_needs_its_gain_has_a_lower_margin_too() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(("wanted", "latency"), [(PUBLISHED, 0), (SLOW, 2)])
+@pytest.mark.parametrize(("designed", "latency"), [(PUBLISHED, 0), (SLOW, 2)])
 def test_peak_sensitivity_is_what_a_sine_of_noise_becomes(
-    wanted: ContinuousDesign, latency: int
+    designed: ContinuousDesign, latency: int
 ) -> None:
     """A measured sine at that frequency settles at |S| times its size, by simulation."""
     tick_s, ticks = 1e-3, 3000
     target = Target(tick_s, latency, "zoh")
-    peak, at = peak_sensitivity(loop_of(wanted, target))
+    peak, at = peak_sensitivity(loop_of(designed, target))
     noise = np.cos(at * tick_s * np.arange(ticks))
-    trace = simulate(build(wanted, target), sample(CAR, tick_s), np.zeros(ticks), noise=noise)
+    trace = simulate(build(designed, target), sample(CAR, tick_s), np.zeros(ticks), noise=noise)
     assert np.abs((trace.measurement + noise)[-600:]).max() == pytest.approx(peak, rel=5e-3)
     grid = np.exp(1j * np.linspace(1e-4, math.pi, 20001))
-    size = np.abs(1.0 / (1.0 + loop_of(wanted, target).loop_gain(grid)))
+    size = np.abs(1.0 / (1.0 + loop_of(designed, target).loop_gain(grid)))
     assert peak == pytest.approx(size.max(), rel=1e-4)
     assert peak >= size.max() * (1.0 - 1e-9)
 
@@ -152,12 +152,12 @@ def test_compensation_on_confirmation_is_predicted_as_it_simulates(
     latency: int, tau_q_s: float, left: tuple[float, float]
 ) -> None:
     """After the decision the loop is another one; its growth is that of its spectral radius."""
-    wanted = design(CAR, DesignSpecification(tau_s=0.0005, tau_q_s=tau_q_s))
+    designed = design(CAR, DesignSpecification(tau_s=0.0005, tau_q_s=tau_q_s))
     threshold = math.inf if left == HEALTHY else 1e-9
     target = Target(
         1e-3, latency, "zoh", threshold=threshold, clear_ticks=10**9, on_confirmation=True
     )
-    table = build(wanted, target)
+    table = build(designed, target)
     radius = sampled_loop(law_in(table, left), CAR, 1e-3, left).spectral_radius()
     whole = np.tile(left, (500, 1))  # lost from the start, so decided at once
     error = simulate(table, sample(CAR, 1e-3), np.ones(500), effectiveness=whole).error

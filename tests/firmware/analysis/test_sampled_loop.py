@@ -73,13 +73,13 @@ def delay_line(ticks: int) -> Matrices:
 
 
 def by_hand(
-    wanted: ContinuousDesign, target: Target, plant: Plant, left: tuple[float, float], extra: int
+    designed: ContinuousDesign, target: Target, plant: Plant, left: tuple[float, float], extra: int
 ) -> NDArray[Any]:
     """Poles of the block diagram: all parts side by side, wired by a matrix of zeros and ones.
 
     With v = Kw the wiring, x⁺ = Ax + Bv, w = Cx + Dv closes to A + BK(I - DK)⁻¹C.
     """
-    filters = discretise(wanted, target)
+    filters = discretise(designed, target)
     phi, gamma, c, d, _ = signal.cont2discrete(
         (plant.a, plant.b * left, plant.c, np.zeros((1, 2))), target.tick_s
     )
@@ -99,7 +99,7 @@ def by_hand(
     a, b, c, d = (linalg.block_diag(*matrices) for matrices in zip(*parts, strict=True))
     k = np.zeros((11, 10))
     k[0, 8] = k[1, 9] = 1.0
-    k[2, 0] = -1.0 if wanted.tracking is not None else 0.0
+    k[2, 0] = -1.0 if designed.tracking is not None else 0.0
     k[3, 5] = 1.0
     k[4, 6] = k[5, 7] = 1.0
     k[6, 3] = k[6, 4] = 1.0
@@ -114,13 +114,13 @@ def by_hand(
 @pytest.mark.parametrize(
     ("latency", "rule"), [(0, "tustin"), (0, "zoh"), (1, "tustin-held"), (3, "zoh")]
 )
-@pytest.mark.parametrize("wanted", [PUBLISHED, SLOW, SHAPED, OPEN_LOOP])
+@pytest.mark.parametrize("designed", [PUBLISHED, SLOW, SHAPED, OPEN_LOOP])
 def test_poles_are_those_of_the_block_diagram(
-    wanted: ContinuousDesign, latency: int, rule: Any, left: tuple[float, float], extra: int
+    designed: ContinuousDesign, latency: int, rule: Any, left: tuple[float, float], extra: int
 ) -> None:
     target = Target(1e-3, latency, rule)
-    loop = loop_of(build(wanted, target), wanted.plant, 1e-3, left, extra)
-    expected = by_hand(wanted, target, wanted.plant, left, extra)
+    loop = loop_of(build(designed, target), designed.plant, 1e-3, left, extra)
+    expected = by_hand(designed, target, designed.plant, left, extra)
     assert loop.spectral_radius() == pytest.approx(np.abs(expected).max(), rel=1e-8)
     # poles far from zero one by one; those of delays that nobody hears are zero to a root of eps
     ours = loop.poles()
@@ -141,32 +141,32 @@ def test_poles_are_those_of_the_block_diagram(
 def test_spectral_radius_is_that_of_the_block_diagram(
     tick_s: float, tau_s: float, tau_q_s: float, latency: int, rule: Any, left: float
 ) -> None:
-    wanted = design(CAR, DesignSpecification(tau_s=tau_s, tau_q_s=tau_q_s))
+    designed = design(CAR, DesignSpecification(tau_s=tau_s, tau_q_s=tau_q_s))
     target = Target(tick_s, latency, rule)
-    loop = loop_of(build(wanted, target), CAR, tick_s, (left, 1.0))
-    expected = np.abs(by_hand(wanted, target, CAR, (left, 1.0), 0)).max()
+    loop = loop_of(build(designed, target), CAR, tick_s, (left, 1.0))
+    expected = np.abs(by_hand(designed, target, CAR, (left, 1.0), 0)).max()
     # by hand from sections in powers of 1/z, which keep seven digits at 0.1 ms
     assert loop.spectral_radius() == pytest.approx(expected, rel=1e-6)
 
 
 @pytest.mark.parametrize("left", [HEALTHY, (0.3, 0.8)])
 @pytest.mark.parametrize(("latency", "rule"), [(0, "tustin"), (1, "zoh"), (3, "tustin-held")])
-@pytest.mark.parametrize("wanted", [SLOW, SHAPED, OPEN_LOOP])
+@pytest.mark.parametrize("designed", [SLOW, SHAPED, OPEN_LOOP])
 def test_many_ticks_of_the_matrix_are_the_simulation(
-    wanted: ContinuousDesign, latency: int, rule: Any, left: tuple[float, float]
+    designed: ContinuousDesign, latency: int, rule: Any, left: tuple[float, float]
 ) -> None:
     """Measurement noise, reference, commands, d̂ and y, all signals of the loop, all inputs."""
     ticks = 300
     reference, noise = np.random.default_rng(8).standard_normal((2, ticks))
-    table = build(wanted, Target(1e-3, latency, rule))
+    table = build(designed, Target(1e-3, latency, rule))
     trace = simulate(
         table,
-        sample(wanted.plant, 1e-3),
+        sample(designed.plant, 1e-3),
         reference,
         effectiveness=np.tile(left, (ticks, 1)),
         noise=noise,
     )
-    loop = loop_of(table, wanted.plant, 1e-3, left)
+    loop = loop_of(table, designed.plant, 1e-3, left)
     xi, rows = np.zeros(len(loop.a)), []
     for r, v in zip(reference, noise, strict=True):
         y = loop.c @ xi
@@ -213,8 +213,8 @@ def test_memories_that_nothing_excites_are_left_out() -> None:
 def test_integrator_that_the_dead_channel_leaves_open_is_no_pole_of_the_loop() -> None:
     """C's own without compensation, d̂'s own when the force difference is lost; both harmless."""
     bare = design(CAR, DesignSpecification(compensation=False))
-    for wanted, left in ((bare, DEAD), (SLOW, (1.0, 0.0))):
-        loop = loop_of(build(wanted, Target(1e-3, 1, "zoh")), CAR, 1e-3, left)
+    for designed, left in ((bare, DEAD), (SLOW, (1.0, 0.0))):
+        loop = loop_of(build(designed, Target(1e-3, 1, "zoh")), CAR, 1e-3, left)
         everything = np.linalg.eigvals(loop.closed())
         assert (np.abs(everything - 1.0) < 1e-7).sum() == 1
         assert len(loop.poles()) == len(everything) - 1

@@ -162,7 +162,7 @@ def test_after_a_reset_a_loss_is_found_at_its_first_sample() -> None:
 
 
 @pytest.mark.long
-def test_where_little_is_at_stake_it_cannot_tell() -> None:
+def test_where_channel_1_does_little_it_cannot_tell() -> None:
     trace = drive(target(0.6), sample(CAR, TICK_S), np.where(np.arange(TICKS) < 6000, 1.0, 0.0))
     assert trace.fault_state[5999] == FaultState.CLEAR
     assert trace.fault_state[-1] == FaultState.CANNOT_TELL

@@ -135,7 +135,7 @@ def test_a_car_that_is_twenty_percent_off_is_not_taken_for_a_loss(
 
 
 @pytest.mark.long
-def test_without_a_suspicion_there_is_no_probe() -> None:
+def test_while_nothing_is_suspected_there_is_no_probe() -> None:
     with_probe, without = drive(target()), drive(target(probe=0.0))
     np.testing.assert_array_equal(with_probe.command_1, without.command_1)
 

@@ -20,10 +20,10 @@ from firmware_model.firmware import Firmware
 from firmware_model.target import controller
 from firmware_model.target.reference_shaper import shape_reference, start
 
-TICK_S, MOST = 1e-3, 0.25  # a power of two: sums of it are exact
+TICK_S, LARGEST = 1e-3, 0.25  # a power of two: sums of it are exact
 CAR = steer_by_wire()
 TABLE = build(
-    design(CAR, DesignSpecification()), Target(TICK_S, reference_acceleration=MOST / TICK_S**2)
+    design(CAR, DesignSpecification()), Target(TICK_S, reference_acceleration=LARGEST / TICK_S**2)
 )
 
 
@@ -59,8 +59,8 @@ def fewest_ticks(distance: float) -> int:
 def test_a_step_is_followed_in_minimum_time_and_not_beyond(
     distance: float, down: bool, at: float
 ) -> None:
-    to = at + math.copysign(distance * MOST, -1.0 if down else 1.0)
-    ticks = fewest_ticks(abs(to - at) / MOST * (1.0 - 1e-9))
+    to = at + math.copysign(distance * LARGEST, -1.0 if down else 1.0)
+    ticks = fewest_ticks(abs(to - at) / LARGEST * (1.0 - 1e-9))
     shaped = follow(np.full(ticks + 50, to), at)
     # One tick more than a double integrator: its first move of a tick is what the step itself
     # would have moved.
@@ -73,10 +73,10 @@ def test_a_step_is_followed_in_minimum_time_and_not_beyond(
 @given(st.lists(st.floats(-1e3, 1e3), min_size=1, max_size=60))
 def test_no_reference_makes_it_faster_than_its_limit(values: list[float]) -> None:
     reference = np.repeat(values, 7)
-    assert np.abs(changes_of_speed(follow(reference))).max() <= MOST + 1e-11
+    assert np.abs(changes_of_speed(follow(reference))).max() <= LARGEST + 1e-11
 
 
-@given(st.lists(st.floats(-MOST, MOST), min_size=1, max_size=300))
+@given(st.lists(st.floats(-LARGEST, LARGEST), min_size=1, max_size=300))
 def test_a_reference_within_the_limit_comes_through_exactly(accelerations: list[float]) -> None:
     reference = np.cumsum(np.cumsum(np.array(accelerations) * (1.0 - 1e-9)))
     np.testing.assert_array_equal(follow(reference), reference)
@@ -93,12 +93,12 @@ def test_comes_to_rest_wherever_it_is_sent(before: list[float], last: float) -> 
 def test_single_precision_runs_the_same_course(values: list[float]) -> None:
     single = build(
         design(CAR, DesignSpecification()),
-        Target(TICK_S, reference_acceleration=MOST / TICK_S**2, precision="float32"),
+        Target(TICK_S, reference_acceleration=LARGEST / TICK_S**2, precision="float32"),
     )
     reference = np.repeat(np.float32(values), 50)
     far = np.abs(reference).max() + 1.0
     np.testing.assert_allclose(
-        follow(reference, table=single), follow(reference), atol=2e-4 * far + 2 * MOST
+        follow(reference, table=single), follow(reference), atol=2e-4 * far + 2 * LARGEST
     )
 
 

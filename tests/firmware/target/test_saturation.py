@@ -34,9 +34,9 @@ def test_algebraic_loop_is_solved_under_saturation(y: list[float]) -> None:
     filters = discretise(DESIGN, target)
     n = len(y)
     _, u2, estimate = _drive(Firmware(build(DESIGN, target)), np.zeros(n), np.array(y)).T
-    wanted = signal.sosfilt(filters.compensator.sos, estimate)
+    asked = signal.sosfilt(filters.compensator.sos, estimate)
     np.testing.assert_allclose(
-        u2, np.clip(wanted, -limit, limit), atol=1e-7 * (1.0 + np.abs(wanted).max())
+        u2, np.clip(asked, -limit, limit), atol=1e-7 * (1.0 + np.abs(asked).max())
     )
 
 

@@ -10,8 +10,10 @@ from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus, open_for_node
 from can_rig.cli.main import main
 from can_rig.errors import BusLostError, SilentNodeError
-from can_rig.nodes.lockstep import Sender, StopRequest, Waiting, Watchdog
-from can_rig.nodes.nodes import run_in_process
+from can_rig.nodes.bus_access import PersistentSender
+from can_rig.nodes.clock import SYSTEM_CLOCK
+from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.watchdog import StopRequest, Timeouts, Watchdog
 from tests.helpers import record
 from tests.vcan import frame, on_two_buses, own_can, tool
 
@@ -163,7 +165,7 @@ def test_a_full_transmit_queue_is_waited_for_and_reported(shaped, own_can, tmp_p
 def test_a_transmit_queue_that_stays_full_ends_the_node_in_one_line(shaped, own_can):
     shaped("8bit")
     with open_bus(f"socketcan:{own_can}") as bus:
-        send = Sender(bus, within_s=0.2)
+        send = PersistentSender(bus, 0.2, SYSTEM_CLOCK)
         with pytest.raises(BusLostError) as caught:
             for number in range(20):
                 send(frame(0x100, bytes([number])))
@@ -227,7 +229,7 @@ def test_an_interface_that_stays_away_ends_the_run_in_one_line(
 def test_a_node_that_only_listens_says_that_the_interface_is_down(own_can):
     """Not that its partner is silent: it cannot know."""
     with open_bus(f"socketcan:{own_can}") as bus:
-        watchdog = Watchdog(bus, "plant", Waiting(0.3, 0.3), StopRequest())
+        watchdog = Watchdog(bus, "plant", Timeouts(0.3, 0.3), StopRequest())
         set_link("down", own_can)
         with pytest.raises(BusLostError, match=f"down for 0.3 s: sudo ip link set up {own_can}"):
             watchdog.receive(7)

@@ -90,6 +90,7 @@ def test_status_words_saturate_and_touch_nothing_else(mode, fault_state, good, o
     assert status.decode(data) == Record(1.5, 7, min(max(mode, 0), 3), min(max(fault_state, 0), 3))
     assert data[1] & 0x0F == 0
     assert status.decode(status.encode(0.0, 0, good, other))[2:] == (good, other)
+    assert status.decode(status.encode(0.0, 0))[2:] == (0, 0)
 
 
 def load_once():

@@ -21,6 +21,7 @@ def test_transmitter_and_receiver(codec, sequence):
         message = transmitter.frame(value, tick, 1, 2)
         assert (message.arbitration_id, message.is_extended_id) == (codec.frame_id, False)
         assert message.dlc == 8
+        assert message.timestamp == 0.0  # the node or the bus says when
         words = (1, 2) if codec.modes else (0, 0)
         assert receiver.accept(message) == (codec.quantise(value), tick % 65536, *words)
     counts = receiver.checker.counts
@@ -47,6 +48,50 @@ def test_receiver_refuses_and_counts():
         "INITIAL": 1, "REPEATED": 1, "WRONG_CRC": 1, "WRONG_LENGTH": 1, "OK_SOME_LOST": 1, "OK": 1,
     }  # fmt: skip
     assert receiver.rejected == {"repeated": 1, "wrong_crc": 1, "wrong_length": 1}
+
+
+def missing(receiver):
+    return receiver.checker.counts[CheckStatus.NO_NEW_DATA]
+
+
+def test_a_tick_without_a_frame_is_told_to_the_checker():
+    """So that the counter that follows is expected, and what was lost is counted."""
+    codec = load_network(STEER_BY_WIRE).command_1
+    transmitter, receiver = Transmitter(codec), Receiver(codec)
+    receiver.end_tick()
+    assert missing(receiver) == 1  # nothing has come yet
+    for tick in range(4):
+        assert receiver.accept(transmitter.frame(1.0, tick), tick) is not None
+        receiver.end_tick()
+        assert missing(receiver) == 1
+    for tick in range(4, 9):
+        transmitter.frame(1.0, tick)  # lost
+        receiver.end_tick()
+        assert missing(receiver) == tick - 2
+    assert receiver.accept(transmitter.frame(2.0, 9), 9) == Record(2.0, 9)
+
+
+def test_a_damaged_frame_was_there_but_one_of_another_tick_was_not():
+    codec = load_network(STEER_BY_WIRE).command_1
+    transmitter, receiver = Transmitter(codec), Receiver(codec)
+    damaged = transmitter.frame(1.0, 0)
+    damaged.data[5] ^= 1
+    assert receiver.accept(damaged, 0) is None
+    receiver.end_tick()
+    assert missing(receiver) == 0
+    assert receiver.accept(transmitter.frame(1.0, 9), 1) is None
+    receiver.end_tick()
+    assert missing(receiver) == 1
+
+
+def test_a_receiver_tolerates_one_lost_frame_that_it_has_not_noticed():
+    codec = load_network(STEER_BY_WIRE).command_1
+    for lost, usable in ((1, True), (2, False)):
+        transmitter, receiver = Transmitter(codec), Receiver(codec)
+        assert receiver.accept(transmitter.frame(1.0, 0)) is not None
+        for _ in range(lost):
+            transmitter.frame(1.0, 0)
+        assert (receiver.accept(transmitter.frame(1.0, 0)) is not None) is usable
 
 
 @pytest.mark.parametrize("kind", ["is_extended_id", "is_remote_frame", "is_error_frame"])

@@ -1,5 +1,7 @@
 """End-to-end protection against an independent CRC and an independent reading of the SWS."""
 
+import itertools
+
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
@@ -148,6 +150,38 @@ def test_counter_sequences_against_the_reference_model(max_delta_counter, sequen
         assert status.name == reference.check(event)
         seen[status] += 1
     assert checker.counts == seen
+
+
+STEPS = (1, 2, 3, 4, 0, None, "bad")
+"""Counter steps, no frame, a damaged one: what tells the statuses apart at the narrowest limit."""
+
+
+def test_every_short_sequence_against_the_reference_model():
+    """What chance finds late: where the tolerance is narrowed again, and by how much it widens."""
+    frames = [frame(counter) for counter in range(15)]
+    damaged = frame(3, data_id=DATA_ID ^ 0x0100)
+    for sequence in itertools.product(STEPS, repeat=5):
+        checker, reference, counter = Checker(DATA_ID), ReferenceChecker(1), 7
+        assert checker.check(frames[counter]).name == reference.check(counter)
+        for step in sequence:
+            if step is None:
+                status, expected = checker.no_new_data(), reference.check(None)
+            elif step == "bad":
+                status, expected = checker.check(damaged), reference.check("bad")
+            else:
+                counter = (counter + step) % 15
+                status, expected = checker.check(frames[counter]), reference.check(counter)
+            assert status.name == expected, sequence
+
+
+@pytest.mark.parametrize("last", range(15))
+def test_the_frame_that_confirms_is_not_used_whatever_its_counter(last):
+    for jump in range(3, 15):
+        checker, counter = Checker(DATA_ID), (last + jump) % 15
+        checker.check(frame(last))
+        assert checker.check(frame(counter)) is CheckStatus.WRONG_SEQUENCE
+        assert checker.check(frame((counter + 1) % 15)) is CheckStatus.SYNC
+        assert checker.check(frame((counter + 2) % 15)) is CheckStatus.OK
 
 
 @given(st.integers(1, 14), st.integers(0, 14), st.integers(0, 13))

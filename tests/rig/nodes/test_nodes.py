@@ -8,11 +8,11 @@ from scipy.signal import cont2discrete
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
 from can_rig.frames.endpoints import Transmitter
-from can_rig.nodes.controller_node import ControllerNode
-from can_rig.nodes.lockstep import StopRequest, Waiting, Watchdog
-from can_rig.nodes.nodes import run_in_process
-from can_rig.nodes.plant_node import PlantNode
+from can_rig.nodes.lockstep.controller_node import ControllerNode
+from can_rig.nodes.lockstep.plant_node import PlantNode
 from can_rig.nodes.recorder import Recorder
+from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.watchdog import StopRequest, Timeouts, Watchdog
 from can_rig.scenario.build import network_of
 from firmware_model.design.vehicle import VehicleParameters, vehicle_state_space
 from tests.helpers import NAMES, decoded, record
@@ -83,10 +83,10 @@ def test_the_tick_counts_on_where_its_sixteen_bits_wrap():
     scenario = load("thesis-step", ["duration_s=65.6"])
     network = network_of(scenario)
     with open_bus("virtual:wrap") as plant_bus, open_bus("virtual:wrap") as controller_bus:
-        plant = PlantNode(scenario, network, plant_bus, None)
-        controller = ControllerNode(scenario, network, controller_bus)
-        to_plant = Watchdog(plant_bus, "controller", Waiting(1, 1), StopRequest())
-        to_controller = Watchdog(controller_bus, "plant", Waiting(1, 1), StopRequest())
+        plant = PlantNode(scenario, network, plant_bus.send)
+        controller = ControllerNode(scenario, network, controller_bus.send)
+        to_plant = Watchdog(plant_bus, "controller", Timeouts(1, 1), StopRequest())
+        to_controller = Watchdog(controller_bus, "plant", Timeouts(1, 1), StopRequest())
         for tick in range(65_530, 65_545):
             plant.offer(tick)
             controller.serve(to_controller)
@@ -147,11 +147,11 @@ def test_intact_frames_of_another_tick_before_the_run_are_not_its_beginning(forg
             for name, message in frames.items():
                 if forged in {name, "both"}:
                     intruder.send(message)
-        plant = PlantNode(scenario, network, plant_bus, None)
-        controller = ControllerNode(scenario, network, controller_bus)
-        to_plant = Watchdog(plant_bus, "controller", Waiting(1, 1), StopRequest())
-        to_controller = Watchdog(controller_bus, "plant", Waiting(1, 1), StopRequest())
-        with Recorder(log, scenario.tick_ns) as plant._recorder:
+        controller = ControllerNode(scenario, network, controller_bus.send)
+        to_plant = Watchdog(plant_bus, "controller", Timeouts(1, 1), StopRequest())
+        to_controller = Watchdog(controller_bus, "plant", Timeouts(1, 1), StopRequest())
+        with Recorder(log, scenario.tick_ns) as recorder:
+            plant = PlantNode(scenario, network, plant_bus.send, recorder)
             for tick in range(scenario.ticks):
                 plant.offer(tick)
                 controller.serve(to_controller)

@@ -13,9 +13,15 @@ from can_rig.cli.main import main
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
 from tests.helpers import rig, start
-from tests.rig.nodes.test_run import FILES, alive, lines_of, nodes_of, one_line, wait_for
-
-LONG = ["--set", "duration_s=2000"]
+from tests.rig.nodes.running import (
+    LONG,
+    alive,
+    lines_of,
+    one_line,
+    running,
+    summary_of,
+    wait_for,
+)
 
 
 def signals_of(log) -> Signals:
@@ -23,9 +29,7 @@ def signals_of(log) -> Signals:
 
 
 def folder_is_complete(folder, outcome):
-    assert sorted(path.name for path in folder.iterdir()) == FILES
-    summary = json.loads((folder / "run.json").read_text())
-    assert outcome in summary["outcome"]
+    summary = summary_of(folder, outcome)
     assert "realtime" in summary
     assert len(signals_of(folder / "bus.log")) > 0
     return summary
@@ -73,24 +77,15 @@ def test_the_wall_clock_is_what_it_ran_by(finished):
 
 
 @pytest.fixture
-def running(tmp_path):
+def default(tmp_path):
     """A long real-time run past its first ticks, its log and its two nodes."""
-    log = tmp_path / "run" / "bus.log"
-    process = start("run", "default", "--realtime", *LONG, "--out", log.parent)
-    wait_for(lambda: lines_of(log) > 500 or process.poll() is not None)
-    nodes = nodes_of(process)
-    assert set(nodes) == {"plant", "controller"}
-    yield process, log, nodes
-    for pid in nodes.values():
-        if alive(pid):
-            os.kill(pid, signal.SIGKILL)
-    process.kill()
-    process.communicate()
+    with running(tmp_path, "default", "--realtime") as run:
+        yield run
 
 
 @pytest.mark.parametrize("victim", ["plant", "controller"])
-def test_a_run_ends_when_a_node_is_killed_and_keeps_its_ticks(victim, running):
-    process, log, nodes = running
+def test_a_run_ends_when_a_node_is_killed_and_keeps_its_ticks(victim, default):
+    process, log, nodes = default
     before = lines_of(log) // 5
     os.kill(nodes[victim], signal.SIGKILL)
     _, errors = process.communicate(timeout=60)
@@ -101,8 +96,8 @@ def test_a_run_ends_when_a_node_is_killed_and_keeps_its_ticks(victim, running):
     assert len(signals_of(log)) >= before
 
 
-def test_ctrl_c_ends_both_cleanly(running):
-    process, log, nodes = running
+def test_ctrl_c_ends_both_cleanly(default):
+    process, log, nodes = default
     process.send_signal(signal.SIGINT)
     output, errors = process.communicate(timeout=60)
     assert process.returncode == 130

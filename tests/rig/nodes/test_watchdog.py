@@ -6,31 +6,18 @@ import can
 import pytest
 
 from can_rig.errors import BusLostError, SilentNodeError
-from can_rig.nodes import lockstep
-from can_rig.nodes.lockstep import Sender, StopRequest, Waiting, Watchdog
+from can_rig.nodes.bus_access import PersistentSender
+from can_rig.nodes.watchdog import StopRequest, Timeouts, Watchdog
+from tests.clock import TurnedClock
 
 
 def refusal(code):
     return can.CanOperationError("Failed to transmit: no", code)
 
 
-class TurnedTime:
-    """A clock that only sleeping moves."""
-
-    now_s = 0.0
-
-    def monotonic(self):
-        return self.now_s
-
-    def sleep(self, seconds):
-        self.now_s += seconds
-
-
-@pytest.fixture(autouse=True)
-def clock(monkeypatch):
-    turned = TurnedTime()
-    monkeypatch.setattr(lockstep, "time", turned)
-    return turned
+@pytest.fixture
+def clock():
+    return TurnedClock()
 
 
 class Refusing(can.BusABC):
@@ -39,8 +26,9 @@ class Refusing(can.BusABC):
     channel_info = "socketcan channel 'can9'"
     channel = "can9"
 
-    def __init__(self, times, code=errno.ENOBUFS):
+    def __init__(self, clock, times, code=errno.ENOBUFS):
         super().__init__(channel=self.channel)
+        self.clock = clock
         self.times, self.code, self.asked, self.sent = times, code, 0, []
 
     def _refuse(self):
@@ -54,7 +42,7 @@ class Refusing(can.BusABC):
 
     def recv(self, timeout=None):
         self._refuse()
-        lockstep.time.sleep(0.001 if self.sent else timeout)
+        self.clock.pass_s(0.001 if self.sent else timeout)
         return self.sent[0] if self.sent else None
 
 
@@ -62,9 +50,9 @@ FRAME = can.Message(arbitration_id=0x300, is_extended_id=False)
 
 
 @pytest.mark.parametrize("times", [0, 1, 30])
-def test_a_refused_frame_is_sent_once_as_soon_as_there_is_room(times):
-    with Refusing(times) as bus:
-        send = Sender(bus, within_s=10.0)
+def test_a_refused_frame_is_sent_once_as_soon_as_there_is_room(times, clock):
+    with Refusing(clock, times) as bus:
+        send = PersistentSender(bus, 10.0, clock)
         send(FRAME)
         assert bus.sent == [FRAME]
         assert sum(send.errors.values()) == times  # reported, every one
@@ -80,33 +68,33 @@ def test_a_refused_frame_is_sent_once_as_soon_as_there_is_room(times):
         (None, "Failed to transmit: no"),
     ],
 )
-def test_the_bound_and_the_line(code, expected):
-    with Refusing(10**9, code) as bus, pytest.raises(BusLostError) as caught:
-        Sender(bus, within_s=0.05)(FRAME)
+def test_the_bound_and_the_line(code, expected, clock):
+    with Refusing(clock, 10**9, code) as bus, pytest.raises(BusLostError) as caught:
+        PersistentSender(bus, 0.05, clock)(FRAME)
     assert str(caught.value).startswith(f"socketcan channel 'can9': {expected}")
     assert 2 <= bus.asked <= 60  # neither once nor in a hot loop
     assert bus.sent == []
 
 
-def test_a_receive_error_that_passes_is_counted_and_nothing_else():
-    with Refusing(3, errno.ENETDOWN) as bus:
+def test_a_receive_error_that_passes_is_counted_and_nothing_else(clock):
+    with Refusing(clock, 3, errno.ENETDOWN) as bus:
         bus.sent.append(FRAME)
-        watchdog = Watchdog(bus, "plant", Waiting(10.0, 10.0), StopRequest())
+        watchdog = Watchdog(bus, "plant", Timeouts(10.0, 10.0), StopRequest(), clock=clock)
         assert watchdog.receive(0) is FRAME
         assert sum(watchdog.errors.values()) == 3
 
 
-def test_after_a_receive_error_the_silence_is_the_bus_s():
-    with Refusing(1, errno.ENETDOWN) as bus:
-        watchdog = Watchdog(bus, "plant", Waiting(0.05, 0.05), StopRequest())
+def test_after_a_receive_error_the_silence_is_the_bus_s(clock):
+    with Refusing(clock, 1, errno.ENETDOWN) as bus:
+        watchdog = Watchdog(bus, "plant", Timeouts(0.05, 0.05), StopRequest(), clock=clock)
         with pytest.raises(BusLostError, match="has been down"):
             watchdog.receive(0)
 
 
-def test_an_error_before_the_partner_was_heard_again_does_not_explain_a_later_silence():
-    with Refusing(1, errno.ENETDOWN) as bus:
+def test_an_error_before_the_partner_was_heard_again_does_not_explain_a_later_silence(clock):
+    with Refusing(clock, 1, errno.ENETDOWN) as bus:
         bus.sent.append(FRAME)
-        watchdog = Watchdog(bus, "plant", Waiting(0.05, 0.05), StopRequest())
+        watchdog = Watchdog(bus, "plant", Timeouts(0.05, 0.05), StopRequest(), clock=clock)
         watchdog.receive(0)
         watchdog.hear()
         bus.sent.clear()
@@ -114,13 +102,18 @@ def test_an_error_before_the_partner_was_heard_again_does_not_explain_a_later_si
             watchdog.receive(1)
 
 
-def test_a_node_alone_repeats_its_offer_though_others_talk_all_the_time():
+def test_a_node_alone_repeats_its_offer_though_others_talk_all_the_time(clock):
     """Or a node that comes late would wait for silence on a busy bus."""
     offers = []
-    with Refusing(0) as bus:
+    with Refusing(clock, 0) as bus:
         bus.sent.append(FRAME)
         watchdog = Watchdog(
-            bus, "plant", Waiting(1.6, 1.6), StopRequest(), while_alone=lambda: offers.append(1)
+            bus,
+            "plant",
+            Timeouts(1.6, 1.6),
+            StopRequest(),
+            while_alone=lambda: offers.append(1),
+            clock=clock,
         )
         with pytest.raises(SilentNodeError):
             while True:
@@ -131,12 +124,50 @@ def test_a_node_alone_repeats_its_offer_though_others_talk_all_the_time():
 
 def test_while_this_node_sleeps_itself_the_other_is_not_silent(clock):
     """A machine that is suspended, or stalls, wakes both; one second without a frame is left."""
-    with Refusing(0) as bus:
-        watchdog = Watchdog(bus, "plant", Waiting(1.0, 1.0), StopRequest())
+    with Refusing(clock, 0) as bus:
+        watchdog = Watchdog(bus, "plant", Timeouts(1.0, 1.0), StopRequest(), clock=clock)
         watchdog.go_on_waiting(0)
-        clock.sleep(3600.0)
+        clock.pass_s(3600.0)
         watchdog.go_on_waiting(0)
         woken_s = clock.now_s
         with pytest.raises(SilentNodeError):
             watchdog.receive(0)
     assert 0.85 < clock.now_s - woken_s <= 1.0
+
+
+@pytest.mark.parametrize("every_s", [0.001, 0.04, 0.09])
+def test_a_trickle_of_frames_that_are_not_the_partner_s_does_not_make_it_any_less_silent(
+    every_s, clock
+):
+    """Each short silence between them counts; only their sum is longer than the watchdog allows."""
+    with Refusing(clock, 0) as bus:
+        watchdog = Watchdog(bus, "plant", Timeouts(60.0, 1.0), StopRequest(), clock=clock)
+        watchdog.hear()
+        with pytest.raises(SilentNodeError, match="for 1 s"):
+            while True:
+                watchdog.go_on_waiting(0)
+                clock.pass_s(every_s)
+                assert clock.now_s < 1.5
+    assert clock.now_s == pytest.approx(1.0, abs=2 * every_s)
+
+
+def test_the_partner_s_frames_start_the_silence_anew(clock):
+    with Refusing(clock, 0) as bus:
+        watchdog = Watchdog(bus, "plant", Timeouts(1.0, 1.0), StopRequest(), clock=clock)
+        for _ in range(10):
+            for _ in range(9):
+                watchdog.go_on_waiting(0)
+                clock.pass_s(0.09)
+            watchdog.hear()
+    assert clock.now_s > 8.0
+
+
+def test_time_that_this_node_slept_through_is_not_silence_however_often(clock):
+    """It counts as the longest look between two polls, and no more."""
+    with Refusing(clock, 0) as bus:
+        watchdog = Watchdog(bus, "plant", Timeouts(1.0, 1.0), StopRequest(), clock=clock)
+        for _ in range(10):  # 0.1 s each at most: the eleventh look is one too many
+            watchdog.go_on_waiting(0)
+            clock.pass_s(30.0)
+        with pytest.raises(SilentNodeError):
+            watchdog.go_on_waiting(0)

@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from can_rig.buses.bus import open_bus
 from can_rig.errors import BusError
 from can_rig.logs.frames import Frames, from_messages
-from can_rig.nodes.lockstep import StopRequest
+from can_rig.nodes.watchdog import StopRequest
 from can_rig.replay.pace import Pacer
 from tests.helpers import asked, start
 
@@ -33,9 +33,12 @@ class TurnedClock:
     def now_ns(self) -> int:
         return self.time_ns
 
-    def sleep_ns(self, duration_ns: int) -> None:
-        assert duration_ns > 0
-        self.time_ns += duration_ns + self._oversleep_ns
+    def stamp_s(self) -> float:
+        return self.time_ns * 1e-9
+
+    def sleep_until(self, at_ns: int) -> None:
+        assert at_ns > self.time_ns
+        self.time_ns = max(self.time_ns, at_ns) + self._oversleep_ns
 
 
 class Probe(can.BusABC):
@@ -115,8 +118,8 @@ def test_no_frame_is_early_none_is_lost_and_the_order_stays(
 
 def test_what_others_send_is_taken_off_the_bus() -> None:
     class Busy(TurnedClock):
-        def sleep_ns(self, duration_ns: int) -> None:
-            super().sleep_ns(duration_ns)
+        def sleep_until(self, at_ns: int) -> None:
+            super().sleep_until(at_ns)
             bus.unread = max(bus.unread, 0) + 10
 
     clock = Busy()
@@ -136,8 +139,8 @@ def test_a_stop_request_ends_it_within_a_moment() -> None:
     stop = StopRequest()
 
     class Stopping(TurnedClock):
-        def sleep_ns(self, duration_ns: int) -> None:
-            super().sleep_ns(duration_ns)
+        def sleep_until(self, at_ns: int) -> None:
+            super().sleep_until(at_ns)
             stop.wanted = self.time_ns > 10**9
 
     clock = Stopping()

@@ -15,8 +15,8 @@ from can_rig.assessment.resolve import load
 from can_rig.errors import LogError
 from can_rig.frames.endpoints import Transmitter
 from can_rig.frames.network import Network
-from can_rig.nodes.lockstep import StopRequest
-from can_rig.nodes.nodes import run_in_process
+from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.watchdog import StopRequest
 from can_rig.results.signals import COLUMNS, Signals, plain_frames, read_signals
 from can_rig.scenario.build import network_of
 

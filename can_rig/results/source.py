@@ -1,9 +1,9 @@
-"""What a replay begins with: a log, and the scenario that it is of."""
+"""What a path names: a log or a run folder, and the scenario that goes with it."""
 
 from __future__ import annotations
 
 import json
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -11,13 +11,14 @@ from typing import Any
 import numpy as np
 
 from can_rig.assessment.resolve import load, load_run
-from can_rig.cli.progress import reading
 from can_rig.errors import LogError, ScenarioError
 from can_rig.logs.frames import Frames
 from can_rig.logs.log import Log
 from can_rig.logs.reading import read_log
 from can_rig.results.run_folder import LOG, SUMMARY
 from can_rig.scenario.settings import Scenario
+
+Reading = Callable[[Log], Iterator[Frames]]
 
 
 @dataclass(frozen=True)
@@ -31,13 +32,16 @@ class Source:
     in_time_ticks: int = 1
     """How many ticks a command may take, as that of `signals.read_signals`."""
 
-    def frames(self, what: str) -> Iterator[Frames]:
-        """The chunks of the log, behind a progress bar.
+    def frames(self, reading: Reading = iter) -> Iterator[Frames]:
+        """The chunks of the log.
+
+        Args:
+            reading: goes through the log, to show how far it is read.
 
         Raises:
             LogError: the log cannot be read, or has no such bus.
         """
-        return only_channel(reading(self.log, what), self.channel, self.log.path)
+        return only_channel(reading(self.log), self.channel, self.log.path)
 
 
 def only_channel(chunks: Iterable[Frames], channel: str | None, path: Path) -> Iterator[Frames]:
@@ -73,16 +77,16 @@ def source_of(
         channel: as that of `Source`.
 
     Raises:
-        LogError: the log cannot be told, or the folder is none of a run.
-        ScenarioError: no scenario, or not one.
+        LogError: no such log, or the folder is not that of a run.
+        ScenarioError: no scenario, or a bad one.
     """
     log = read_log(log_path(path))
     if name is not None:
         return Source(log, load(name, settings), channel)
     if not path.is_dir():
         raise ScenarioError(
-            f"{path}: a log file does not say which scenario it is of; --scenario NAME is right "
-            "(a run folder brings its own)"
+            f"{path}: a log file does not say which scenario it is of; name it with "
+            "--scenario NAME (a run folder brings its own)"
         )
     values, realtime = _recorded(path)
     scenario = load_run(values, settings)
@@ -114,4 +118,4 @@ def _recorded(folder: Path) -> tuple[dict[str, Any], bool]:
             return values, summary.get("realtime") is not None
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         pass
-    raise ScenarioError(f"{file}: has no scenario that can be read; --scenario NAME is right")
+    raise ScenarioError(f"{file}: has no scenario that can be read; name it with --scenario NAME")

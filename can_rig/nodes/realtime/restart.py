@@ -41,7 +41,7 @@ RETURN_S: Final = 0.4  # X_diff then keeps below 4000 N for 1 m/s², should the 
 FEWEST_SAMPLES: Final = 10  # of the free response, however long a tick is
 
 
-class TakeOver:
+class BumplessRestart:
     """One take-over, from the first sample that is heard to the last with r' in place of r.
 
     Args:
@@ -87,7 +87,7 @@ class TakeOver:
             self._level = finite[-1] if finite else 0.0
         else:
             free = np.array(self._heard[self._held_ticks :])
-            self._motion.explain(free, self._variance)
+            self._motion.fit(free, self._variance)
         firmware.reset(self._level)
         firmware.move(self._motion.sections)
         now, next_ = self._motion.ahead()
@@ -133,7 +133,7 @@ class FreeMotion:
         self._root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T  # W = rootᵀ root
         self._x = np.zeros(order)
 
-    def explain(self, heard: FloatArray, variance: float) -> None:
+    def fit(self, heard: FloatArray, variance: float) -> None:
         """Go to the state after ``heard``, shape (ticks,): D* of successive ticks, nan for none.
 
         Of the states x that it may have started from, the one that minimises

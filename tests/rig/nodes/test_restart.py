@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from can_rig.assessment.resolve import load
-from can_rig.nodes.realtime.takeover import LISTEN_S, RETURN_S, FreeMotion, TakeOver
+from can_rig.nodes.realtime.restart import LISTEN_S, RETURN_S, BumplessRestart, FreeMotion
 from can_rig.scenario.build import controller_table, network_of
 from firmware_model.design.vehicle import VehicleParameters, vehicle_state_space
 from firmware_model.firmware import Firmware
@@ -42,7 +42,7 @@ def test_what_follows_is_predicted_from_fifty_milliseconds(x0):
     """From D* on the grid of its frame; the threshold of the default decision is 1e-5."""
     dstar = free_dstar(scaled_to_one(x0), 550)
     motion = FreeMotion(table_of(load("default")))
-    motion.explain(np.rint(dstar[:50] / LSB) * LSB, LSB**2 / 12)
+    motion.fit(np.rint(dstar[:50] / LSB) * LSB, LSB**2 / 12)
     predicted = np.array([motion.advance() for _ in range(500)])
     assert np.abs(predicted - dstar[50:]).max() < 5e-6
 
@@ -52,14 +52,14 @@ def test_ticks_that_were_not_heard_are_left_out():
     heard = dstar[:50].copy()
     heard[10:20] = heard[45:] = np.nan
     motion = FreeMotion(table_of(load("default")))
-    motion.explain(heard, LSB**2 / 12)
+    motion.fit(heard, LSB**2 / 12)
     assert [motion.advance() for _ in range(100)] == pytest.approx(dstar[50:], abs=5e-6)
 
 
 @pytest.mark.parametrize("heard", [[], [np.nan] * 20, [0.0] * 20], ids=["none", "nan", "rest"])
 def test_of_nothing_heard_comes_a_car_at_rest(heard):
     motion = FreeMotion(table_of(load("default")))
-    motion.explain(np.array(heard), LSB**2 / 12)
+    motion.fit(np.array(heard), LSB**2 / 12)
     assert not motion.sections.any()
     assert motion.advance() == 0.0
 
@@ -69,7 +69,7 @@ def test_noise_alone_is_not_taken_for_a_motion():
     rms, motion = 0.005, FreeMotion(table_of(load("noisy")))
     for seed in range(20):
         noise = rms * np.random.default_rng(seed).standard_normal(40)
-        motion.explain(noise, rms**2)
+        motion.fit(noise, rms**2)
         assert max(abs(motion.advance()) for _ in range(500)) < 3 * rms
 
 
@@ -79,15 +79,15 @@ def test_the_estimate_starts_at_zero_on_a_car_that_moves(x0):
     """F1 with no command of its own predicts the car: d̂ stays below the default threshold."""
     scenario = load("default")
     table = table_of(scenario)
-    firmware, take_over = Firmware(table), TakeOver(scenario, table, LSB)
+    firmware, restart = Firmware(table), BumplessRestart(scenario, table, LSB)
     dstar = np.rint(free_dstar(scaled_to_one(x0), 60) / LSB) * LSB
     tick = 0
-    while take_over.listens:
-        take_over.hear(dstar[tick])
+    while restart.listens:
+        restart.hear(dstar[tick])
         tick += 1
-    take_over.start(firmware)
+    restart.start(firmware)
     # The first r' is the car's own motion, so C asks for next to nothing.
-    answer = firmware.step(take_over.reference(1.0), dstar[tick])
+    answer = firmware.step(restart.reference(1.0), dstar[tick])
     assert abs(answer.fault_estimate) < 1e-6
     assert abs(answer.command_1) < 0.1
     assert abs(answer.command_2) < 1.0
@@ -96,16 +96,16 @@ def test_the_estimate_starts_at_zero_on_a_car_that_moves(x0):
 @pytest.mark.parametrize("tick_s", [0.0005, 0.001, 0.005])
 def test_listening_and_returning_take_the_time_that_they_say(tick_s):
     scenario = load("default", [f"tick_s={tick_s}"])
-    take_over = TakeOver(scenario, table_of(scenario), LSB)
+    restart = BumplessRestart(scenario, table_of(scenario), LSB)
     ticks = 0
-    while take_over.listens:
-        take_over.hear(0.0)
+    while restart.listens:
+        restart.hear(0.0)
         ticks += 1
     assert ticks * tick_s == pytest.approx(LISTEN_S)
-    take_over.start(Firmware(table_of(scenario)))
+    restart.start(Firmware(table_of(scenario)))
     path = []
-    while not take_over.done:
-        path.append(take_over.reference(1.0))
+    while not restart.done:
+        path.append(restart.reference(1.0))
     assert len(path) * tick_s == pytest.approx(RETURN_S, abs=1.1 * tick_s)
     assert path[0] == 0.0
     assert path[-1] == 1.0

@@ -1,0 +1,72 @@
+"""The controller's end of the frames of a tick: it receives two of them and sends three."""
+
+from __future__ import annotations
+
+import math
+from typing import Final
+
+from can_rig.frames.endpoints import Receiver, Transmitter
+from can_rig.frames.network import Network
+from can_rig.nodes.bus_access import Send
+from can_rig.plant.faults import FrameFault
+from can_rig.scenario.build import controller_table
+from can_rig.scenario.settings import Scenario
+from firmware_model.firmware import Firmware
+from firmware_model.target.structs import Record
+
+
+class ControllerEnd:
+    """The receivers of reference and feedback, and the senders of the answer.
+
+    Args:
+        scenario: the run, whose faults of frames are those of the answer.
+        network: its frames.
+        send: sends a frame.
+    """
+
+    def __init__(self, scenario: Scenario, network: Network, send: Send) -> None:
+        self.reference: Final = Receiver(network.reference)
+        self.feedback: Final = Receiver(network.feedback)
+        self._send = send
+        self._commands = (Transmitter(network.command_1), Transmitter(network.command_2))
+        self._status = Transmitter(network.status)
+        self._fault = FrameFault(scenario)
+
+    def send_commands(self, tick: int, command_1: float, command_2: float) -> None:
+        """Both commands of ``tick``, as far as the scheduled fault leaves them."""
+        frames = [
+            self._fault.on_the_wire(transmitter.frame(command, tick), channel, tick)
+            for channel, (transmitter, command) in enumerate(
+                zip(self._commands, (command_1, command_2), strict=True)
+            )
+        ]
+        for frame in frames:
+            if frame is not None:
+                self._send(frame)
+
+    def send_status(self, tick: int, estimate: float, mode: int, fault_state: int) -> None:
+        """The status, which closes ``tick``."""
+        self._send(self._status.frame(estimate, tick, mode, fault_state))
+
+    def end_tick(self) -> None:
+        """No more of this tick comes."""
+        self.reference.end_tick()
+        self.feedback.end_tick()
+
+    def rejected(self) -> dict[str, dict[str, int]]:
+        """Per message, how many frames were not used and why."""
+        receivers = (self.reference, self.feedback)
+        return {receiver.codec.name: receiver.rejected for receiver in receivers}
+
+
+def started(scenario: Scenario, network: Network) -> tuple[Record, Firmware]:
+    """The controller's table and the firmware at rest, compiled before the first tick needs it.
+
+    Raises:
+        ScenarioError: a design that cannot be made.
+    """
+    table = controller_table(scenario, network)
+    firmware = Firmware(table)
+    firmware.step(math.nan, math.nan)
+    firmware.reset(0.0)
+    return table, firmware

@@ -1,0 +1,125 @@
+"""The controller node in lockstep: an I/O shell around ``controller.step``."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+import can
+
+from can_rig.frames.codec import Record
+from can_rig.frames.endpoints import Receiver
+from can_rig.frames.network import Network
+from can_rig.frames.wire_tick import WIRE_TICKS, tick_from
+from can_rig.nodes.bus_access import Send
+from can_rig.nodes.controller_end import ControllerEnd, started
+from can_rig.nodes.watchdog import Interrupted, Watchdog
+from can_rig.scenario.settings import Scenario
+
+
+class ControllerNode:
+    """Answers each feedback frame with two commands and a status.
+
+    Args:
+        scenario: the run.
+        network: its frames.
+        send: sends a frame.
+
+    Raises:
+        ScenarioError: a design that cannot be made.
+    """
+
+    def __init__(self, scenario: Scenario, network: Network, send: Send) -> None:
+        self.ticks: Final = scenario.ticks
+        self._end = ControllerEnd(scenario, network, send)
+        _, self._firmware = started(scenario, network)
+        self._reference_now = Record(math.nan, -1)
+        self._tick = 0  # the next one
+        self._expected: int | None = None  # the first contact says which tick it is
+        self._first_reference: can.Message | None = None
+
+    def run(self, watchdog: Watchdog, on_tick: Callable[[int], None]) -> int:
+        """Answer ticks to the end of the run or to a stop request; the number answered.
+
+        Raises:
+            SilentNodeError: the plant node is silent.
+            BusLostError: the bus carries nothing any more.
+        """
+        while self._tick < self.ticks and not watchdog.stop.wanted:
+            try:
+                self.serve(watchdog)
+            except Interrupted:
+                break
+            on_tick(self._tick)
+        return self._tick
+
+    def serve(self, watchdog: Watchdog) -> None:
+        """Wait for one tick's feedback and answer it.
+
+        Raises:
+            SilentNodeError, BusLostError, Interrupted: see ``Watchdog.receive``.
+        """
+        while not self.take(watchdog.receive(self._tick)):
+            watchdog.go_on_waiting(self._tick)
+        watchdog.hear()
+
+    def take(self, message: can.Message) -> bool:
+        """Take in a frame, and answer the tick that it completes; whether it did."""
+        if self._expected is None and not self._first_contact(message):
+            return False
+        if message.arbitration_id == self._end.reference.codec.frame_id:
+            record = self._end.reference.accept(message, self._expected)
+            self._reference_now = record or self._reference_now
+        elif message.arbitration_id == self._end.feedback.codec.frame_id:
+            record = self._end.feedback.accept(message, self._expected)
+            if record is not None:
+                self._answer(record.tick, record.value)
+                return True
+        return False
+
+    def _first_contact(self, message: can.Message) -> bool:
+        """Whether ``message`` is the first feedback: intact, and of the tick of the reference.
+
+        One frame of 256 that another sender makes up has the right CRC, and would do where the tick
+        is still anybody's guess. So two are wanted that agree; until then no checker sees any.
+        """
+        reference, feedback = self._end.reference, self._end.feedback
+        if message.arbitration_id == reference.codec.frame_id:
+            self._first_reference = message
+        elif message.arbitration_id == feedback.codec.frame_id and self._first_reference:
+            pair = ((reference, self._first_reference), (feedback, message))
+            one, other = (Receiver(receiver.codec).accept(frame) for receiver, frame in pair)
+            if one is not None and other is not None and one.tick == other.tick:
+                reference.accept(self._first_reference, one.tick)
+                self._reference_now, self._expected = one, one.tick
+                return True
+        return False
+
+    @property
+    def expected(self) -> int | None:
+        """The tick whose frames are wanted next; None before the first contact."""
+        return self._expected
+
+    def miss(self) -> None:
+        """Let the expected tick pass without its feedback: the firmware holds, and says so.
+
+        In lockstep time stands still until the feedback comes; who knows that it went on, says so
+        by this.
+        """
+        assert self._expected is not None
+        self._answer(self._expected % WIRE_TICKS, math.nan)
+
+    def _answer(self, wire_tick: int, measurement: float) -> None:
+        tick = tick_from(wire_tick, self._tick)
+        now = self._reference_now
+        reference = now.value if now.tick == wire_tick else math.nan  # none: hold, and say so
+        answer = self._firmware.step(reference, measurement)
+        self._end.send_commands(tick, answer.command_1, answer.command_2)
+        self._end.send_status(tick, answer.fault_estimate, answer.mode, answer.fault_state)
+        self._end.end_tick()
+        self._tick = self._expected = tick + 1
+
+    def rejected(self) -> dict[str, dict[str, int]]:
+        """Per message, how many frames were not used and why."""
+        return self._end.rejected()

@@ -1,0 +1,114 @@
+"""The plant node in lockstep: it owns virtual time, and writes the log."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from contextlib import suppress
+from typing import Final
+
+import can
+
+from can_rig.frames.network import Network
+from can_rig.nodes.bus_access import NodeBus, Send
+from can_rig.nodes.clock import NS_PER_S, Clock
+from can_rig.nodes.plant_end import COMMANDS, PlantEnd
+from can_rig.nodes.recorder import Recorder
+from can_rig.nodes.watchdog import Interrupted, Watchdog
+from can_rig.scenario.settings import Scenario
+
+QUIET_S: Final = 0.02
+"""When nothing has come for so long after the end, nothing is on its way."""
+
+UNREAD_S: Final = 2.0
+"""The longest wait for it, on a bus whose time stamps do not say what was sent before the end."""
+
+
+class PlantNode:
+    """Sends reference and feedback, waits for the status, applies the commands that came.
+
+    Args:
+        scenario: the run.
+        network: its frames.
+        send: sends a frame.
+        recorder: gets every frame sent or seen; None records nothing.
+
+    Raises:
+        ScenarioError: a reference that does not fit its frame, a plant that is none.
+    """
+
+    def __init__(
+        self, scenario: Scenario, network: Network, send: Send, recorder: Recorder | None = None
+    ) -> None:
+        self.ticks: Final = scenario.ticks
+        self._recorder = recorder
+        self._end = PlantEnd(scenario, network, send, recorder)
+
+    def run(self, watchdog: Watchdog, on_tick: Callable[[int], None]) -> int:
+        """Run to the end or to a stop request; the number of ticks completed.
+
+        Raises:
+            SilentNodeError: the controller node is silent.
+            BusLostError: the bus carries nothing any more.
+        """
+        for tick in range(self.ticks):
+            try:
+                if watchdog.stop.wanted:
+                    return tick
+                self.offer(tick)
+                self.collect(tick, watchdog)
+            except Interrupted:
+                return tick
+            on_tick(tick + 1)
+        return self.ticks
+
+    def offer(self, tick: int) -> None:
+        """Start ``tick``: sample D*, send the reference and the feedback."""
+        if self._recorder is not None:
+            self._recorder.begin_tick(tick)
+        self._end.sample(tick)
+        self._end.send_sample()
+
+    def repeat(self) -> None:
+        """Send the offer again, to a controller that was not there yet; the log has it once."""
+        self._end.repeat()
+
+    def collect(self, tick: int, watchdog: Watchdog) -> None:
+        """Finish ``tick``: take the commands up to its status frame and advance the plant.
+
+        Raises:
+            SilentNodeError, BusLostError, Interrupted: see ``Watchdog.receive``.
+        """
+        commands: list[float | None] = [None, None]
+        while True:
+            message = watchdog.receive(tick)
+            if self._recorder is not None:
+                self._recorder.record(message, sent=False)
+            judged = self._end.judge(message, tick)
+            if judged is None:
+                watchdog.go_on_waiting(tick)
+                continue
+            at, record = judged
+            if at == COMMANDS:
+                watchdog.hear()
+                break
+            if math.isfinite(record.value):
+                commands[at] = record.value
+        self._end.end_tick()
+        self._end.plant.advance(tick, *commands)
+
+    def record_the_rest(self, bus: NodeBus, clock: Clock) -> None:
+        """Put in the log what others had sent by the end and was not read yet."""
+        if self._recorder is None:
+            return
+        end_s, deadline_ns = clock.stamp_s(), clock.now_ns() + round(UNREAD_S * NS_PER_S)
+        with suppress(can.CanError):
+            while clock.now_ns() < deadline_ns:
+                message = bus.recv(QUIET_S)
+                if message is None or message.timestamp > end_s:
+                    return
+                self._recorder.record(message, sent=False)
+
+    def rejected(self) -> dict[str, dict[str, int]]:
+        """Per message, how many frames were not used and why."""
+        return self._end.rejected()

@@ -1,0 +1,82 @@
+"""The plant's end of the frames of a tick: it sends two of them and judges the other three."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import can
+
+from can_rig.frames.codec import Record
+from can_rig.frames.endpoints import Receiver, Transmitter
+from can_rig.frames.network import Network
+from can_rig.nodes.bus_access import Send
+from can_rig.nodes.recorder import Log
+from can_rig.plant.simulated import SimulatedPlant
+from can_rig.scenario.reference import on_the_bus
+from can_rig.scenario.settings import Scenario
+
+COMMANDS: Final = 2
+"""What is received is numbered: the commands first, then the status."""
+
+
+class PlantEnd:
+    """Samples the plant, sends reference and feedback, and judges commands and status.
+
+    Args:
+        scenario: the run; ``latency_ticks`` is the delay of the simulated plant's commands.
+        network: its frames.
+        send: sends a frame.
+        log: gets every frame that is sent; None records nothing.
+
+    Raises:
+        ScenarioError: a reference that does not fit its frame, a plant that is none.
+    """
+
+    def __init__(self, scenario: Scenario, network: Network, send: Send, log: Log | None) -> None:
+        self.plant: Final = SimulatedPlant(scenario)
+        self._reference = on_the_bus(scenario, network)
+        self._send = send
+        self._log = log
+        self._send_reference = Transmitter(network.reference)
+        self._send_feedback = Transmitter(network.feedback)
+        self._receivers = tuple(
+            Receiver(codec) for codec in (network.command_1, network.command_2, network.status)
+        )
+        self._by_id = {each.codec.frame_id: at for at, each in enumerate(self._receivers)}
+        self._offered: tuple[can.Message, ...] = ()
+
+    def sample(self, tick: int) -> None:
+        """Measure D* of ``tick`` and pack its frames."""
+        self._offered = (
+            self._send_reference.frame(self._reference[tick], tick),
+            self._send_feedback.frame(self.plant.measure(), tick),
+        )
+
+    def send_sample(self) -> None:
+        """Send what was sampled."""
+        for message in self._offered:
+            self._send(message)
+            if self._log is not None:
+                self._log.record(message, sent=True)
+
+    def repeat(self) -> None:
+        """Send it again, to a controller that was not there yet; the log has it once."""
+        for message in self._offered:
+            self._send(message)
+
+    def judge(self, message: can.Message, tick: int) -> tuple[int, Record] | None:
+        """Number and content of a frame of ``tick`` that may be used; None for any other."""
+        at = self._by_id.get(message.arbitration_id)
+        if at is None:
+            return None
+        record = self._receivers[at].accept(message, tick)
+        return None if record is None else (at, record)
+
+    def end_tick(self) -> None:
+        """No more of this tick comes."""
+        for receiver in self._receivers:
+            receiver.end_tick()
+
+    def rejected(self) -> dict[str, dict[str, int]]:
+        """Per message, how many frames were not used and why."""
+        return {receiver.codec.name: receiver.rejected for receiver in self._receivers}

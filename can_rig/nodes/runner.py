@@ -1,0 +1,289 @@
+"""A node from start to end: its bus, its log, its watchdog, and what it says when it is done."""
+
+from __future__ import annotations
+
+import gc
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager, suppress
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal, NamedTuple, Protocol
+
+from can_rig.buses.bus import open_for_node
+from can_rig.frames.agreement import SENDERS, ComparisonFrame
+from can_rig.nodes.agreement import Agreement
+from can_rig.nodes.bus_access import NodeBus, PersistentSender, Send, TolerantBus, bus_events
+from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock
+from can_rig.nodes.lockstep.controller_node import ControllerNode
+from can_rig.nodes.lockstep.plant_node import PlantNode
+from can_rig.nodes.progress import OnTick
+from can_rig.nodes.realtime.controller_node import RealTimeControllerNode, warm_up
+from can_rig.nodes.realtime.plant_node import RealTimePlantNode
+from can_rig.nodes.realtime.recorder import RealTimeRecorder
+from can_rig.nodes.realtime.scheduling import prefer, undisturbed
+from can_rig.nodes.recorder import Recorder
+from can_rig.nodes.watchdog import Interrupted, StopRequest, Timeouts, Watchdog
+from can_rig.scenario.build import network_of
+from can_rig.scenario.settings import Scenario
+
+NodeName = Literal["plant", "controller"]
+
+PLANT_CORE, CONTROLLER_CORE = 0, 1  # counted from the last: the first ones serve interrupts
+
+
+@dataclass
+class NodeSummary:
+    """What a node says when it ends."""
+
+    ticks: int
+    """The tick that it has reached: all of them, unless it was started later or stopped."""
+    wall_s: float
+    rejected_frames: dict[str, dict[str, int]]
+    """Of each message, how many were not used, by reason."""
+    bus_events: dict[str, dict[str, int]]
+    """Of each node, what its bus refused, failed or dropped, and how often; only what occurred."""
+    realtime: dict[str, Any] | None = None
+    """How deadlines were met and what the system permitted; None in lockstep."""
+    ticks_per_s: float = 0.0
+    """From its own first tick on, whichever that was."""
+
+
+class Pace:
+    """Ticks a second from the first one on: a node may wait long for it, or join late."""
+
+    def __init__(self, clock: Clock, on_tick: OnTick) -> None:
+        self._clock = clock
+        self._on_tick = on_tick
+        self._first: tuple[int, int] | None = None
+        self._last_tick = 0
+
+    def __call__(self, tick: int) -> None:
+        """Note that ``tick`` is reached, and hand it on."""
+        if self._first is None:
+            self._first = tick, self._clock.now_ns()
+        self._last_tick = tick
+        self._on_tick(tick)
+
+    @property
+    def ticks_per_s(self) -> float:
+        """Until now; 0 before two ticks are done."""
+        if self._first is None:
+            return 0.0
+        elapsed_ns = self._clock.now_ns() - self._first[1]
+        return (self._last_tick - self._first[0]) * NS_PER_S / elapsed_ns if elapsed_ns else 0.0
+
+
+def run_plant(
+    scenario: Scenario,
+    bus_name: str,
+    log: Path | None,
+    timeouts: Timeouts,
+    stop: StopRequest,
+    on_tick: OnTick,
+    *,
+    real_time: bool = False,
+    by_hand: bool = False,
+) -> NodeSummary:
+    """The plant node from start to end.
+
+    Args:
+        scenario: the run.
+        bus_name: as ``open_bus`` takes it.
+        log: where to record; None records nothing.
+        timeouts: how long the controller node may be silent.
+        stop: ends the node after a tick.
+        on_tick: called with the number of ticks completed.
+        real_time: by the wall clock; otherwise in lockstep.
+        by_hand: the other node was given its scenario by somebody else, so both compare theirs.
+
+    Raises:
+        ScenarioError: a scenario that cannot run, or another than the controller node's.
+        SilentNodeError, BusLostError: the other node, or the bus, has fallen silent.
+        RunFolderError: the log cannot be written.
+    """
+    network, clock = network_of(scenario), SYSTEM_CLOCK
+    with (
+        _open(bus_name, scenario, "plant", by_hand, log is not None) as opened,
+        ExitStack() as stack,
+    ):
+        access = _access(opened, real_time, timeouts, clock)
+        node: PlantNode | RealTimePlantNode
+        if real_time:
+            live = None if log is None else stack.enter_context(RealTimeRecorder(log))
+            node = RealTimePlantNode(scenario, network, access.bus, live, clock)
+        else:
+            recorder = None
+            if log is not None:
+                recorder = stack.enter_context(Recorder(log, scenario.tick_ns))
+            node = PlantNode(scenario, network, access.send, recorder)
+
+        def while_alone() -> None:
+            if isinstance(opened, Agreement):
+                opened.announce()
+            node.repeat()
+
+        def completed(tick: int) -> None:
+            if isinstance(opened, Agreement):
+                opened.settled = True  # from now on no controller ends this node
+            on_tick(tick)
+
+        watchdog = Watchdog(access.bus, "controller", timeouts, stop, while_alone, clock)
+        summary = _run("plant", node, watchdog, completed, access, PLANT_CORE, clock)
+        if isinstance(node, PlantNode):
+            node.record_the_rest(opened, clock)
+        else:
+            summary.realtime = {**node.realtime(), **(summary.realtime or {})}
+        summary.bus_events = bus_events("plant", opened, watchdog.errors, access.errors)
+    return summary
+
+
+def run_controller(
+    scenario: Scenario,
+    bus_name: str,
+    timeouts: Timeouts,
+    stop: StopRequest,
+    on_ready: Callable[[], None],
+    on_tick: OnTick,
+    *,
+    real_time: bool = False,
+    by_hand: bool = False,
+) -> NodeSummary:
+    """The controller node from start to end; ``on_ready`` is called once it listens.
+
+    The other arguments, and what it raises, are those of ``run_plant``.
+    """
+    network, clock = network_of(scenario), SYSTEM_CLOCK
+    if real_time:
+        warm_up(scenario, network)
+    with _open(bus_name, scenario, "controller", by_hand, overhear=False) as opened:
+        access = _access(opened, real_time, timeouts, clock)
+        node: ControllerNode | RealTimeControllerNode
+        if real_time:
+            node = RealTimeControllerNode(scenario, network, access.bus, clock)
+        else:
+            node = ControllerNode(scenario, network, access.send)
+        watchdog = Watchdog(access.bus, "plant", timeouts, stop, clock=clock)
+        on_ready()
+        summary = _run("controller", node, watchdog, on_tick, access, CONTROLLER_CORE, clock)
+        summary.bus_events = bus_events("controller", opened, watchdog.errors, access.errors)
+    return summary
+
+
+def run_in_process(
+    scenario: Scenario,
+    bus_name: str,
+    log: Path,
+    stop: StopRequest,
+    on_tick: OnTick,
+) -> NodeSummary:
+    """Both nodes on one thread, turn by turn; the log is that of two processes, byte for byte."""
+    network, clock, timeouts = network_of(scenario), SYSTEM_CLOCK, Timeouts()
+    with (
+        open_for_node(bus_name, network.identifiers, overhear=True) as plant_bus,
+        open_for_node(bus_name, network.identifiers, overhear=False) as controller_bus,
+        Recorder(log, scenario.tick_ns) as recorder,
+    ):
+        plant_access, controller_access = (
+            _access(bus, False, timeouts, clock) for bus in (plant_bus, controller_bus)
+        )
+        plant = PlantNode(scenario, network, plant_access.send, recorder)
+        controller = ControllerNode(scenario, network, controller_access.send)
+        to_plant = Watchdog(plant_bus, "controller", timeouts, stop, clock=clock)
+        to_controller = Watchdog(controller_bus, "plant", timeouts, stop, clock=clock)
+        with without_garbage_pauses():
+            start_ns = clock.now_ns()
+            tick = 0
+            with suppress(Interrupted):
+                while tick < scenario.ticks and not stop.wanted:
+                    plant.offer(tick)
+                    controller.serve(to_controller)
+                    plant.collect(tick, to_plant)
+                    tick += 1
+                    on_tick(tick)
+            wall_s = (clock.now_ns() - start_ns) / NS_PER_S
+        plant.record_the_rest(plant_bus, clock)
+        events = bus_events("plant", plant_bus, to_plant.errors, plant_access.errors)
+        events |= bus_events(
+            "controller", controller_bus, to_controller.errors, controller_access.errors
+        )
+    return NodeSummary(
+        tick, wall_s, plant.rejected() | controller.rejected(), events, ticks_per_s=tick / wall_s
+    )
+
+
+class Access(NamedTuple):
+    """A bus as a node uses it."""
+
+    bus: NodeBus
+    send: Send
+    errors: Counter[str]
+    """What it refused, and how often."""
+    real_time: bool
+
+
+def _access(opened: NodeBus, real_time: bool, timeouts: Timeouts, clock: Clock) -> Access:
+    """In lockstep frames are sent again until the bus takes them, in real time they are lost."""
+    if real_time:
+        tolerant = TolerantBus(opened, clock)
+        return Access(tolerant, tolerant.send, tolerant.errors, real_time)
+    sender = PersistentSender(opened, timeouts.silence_s, clock)
+    return Access(opened, sender, sender.errors, real_time)
+
+
+@contextmanager
+def _open(
+    bus_name: str, scenario: Scenario, node: NodeName, by_hand: bool, overhear: bool
+) -> Iterator[NodeBus]:
+    """The bus, and for a node that was started by hand the comparison of scenarios on it."""
+    identifiers = network_of(scenario).identifiers
+    compared = tuple(ComparisonFrame(each).frame_id for each in SENDERS) if by_hand else ()
+    with open_for_node(bus_name, (*identifiers, *compared), overhear) as bus:
+        if not by_hand:
+            yield bus
+            return
+        agreement = Agreement(scenario, node, bus, SYSTEM_CLOCK)
+        agreement.announce()
+        yield agreement
+
+
+class Node(Protocol):
+    """What both nodes have in common."""
+
+    def run(self, watchdog: Watchdog, on_tick: OnTick) -> int:
+        """To the end or to a stop request; the tick that was reached."""
+
+    def rejected(self) -> dict[str, dict[str, int]]:
+        """Per message, how many frames were not used and why."""
+
+
+def _run(
+    name: NodeName,
+    node: Node,
+    watchdog: Watchdog,
+    on_tick: OnTick,
+    access: Access,
+    core: int,
+    clock: Clock,
+) -> NodeSummary:
+    """The node's loop, in the surroundings that it needs."""
+    pace, realtime = Pace(clock, on_tick), None
+    if access.real_time:
+        realtime = {"scheduling": {name: prefer(core)}}
+    with undisturbed() if access.real_time else without_garbage_pauses():
+        start_ns = clock.now_ns()
+        ticks = node.run(watchdog, pace)
+        wall_s = (clock.now_ns() - start_ns) / NS_PER_S
+        rate = pace.ticks_per_s
+    return NodeSummary(ticks, wall_s, node.rejected(), {}, realtime, rate)
+
+
+@contextmanager
+def without_garbage_pauses() -> Iterator[None]:
+    """Keep the collector away from what was set up before the loop."""
+    gc.collect()
+    gc.freeze()
+    try:
+        yield
+    finally:
+        gc.unfreeze()

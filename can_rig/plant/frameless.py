@@ -1,0 +1,104 @@
+"""A scenario without frames: what both nodes and a bus make of it, in one loop of arithmetic.
+
+Bit for bit the signals of the run on a lockstep bus; thousands of times faster for a linear plant.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from can_rig.errors import RigError
+from can_rig.frames.codec import MessageCodec
+from can_rig.frames.endpoints import Receiver, Transmitter
+from can_rig.frames.network import Network
+from can_rig.plant.faults import ActuatorFault, FrameFault, SensorFault
+from can_rig.plant.protocol import PlantProtocol
+from can_rig.plant.simulated import plant_of
+from can_rig.scenario.build import continuous_plant, controller_table
+from can_rig.scenario.reference import reference
+from can_rig.scenario.settings import Scenario
+from firmware_model.analysis.sampled_plant import SampledPlant, sample
+from firmware_model.analysis.simulation import AnyPlant, BoolArray, Trace, simulate
+from firmware_model.target.structs import FloatArray
+
+
+def frameless(scenario: Scenario, network: Network) -> Trace:
+    """Run ``scenario`` without a bus; every signal as its frame on ``network`` would have it.
+
+    A plant of one's own may fail in mid-run: what is measured is not a number from there on.
+
+    Raises:
+        ScenarioError: a scenario that cannot run.
+    """
+    ticks = scenario.ticks
+    actuator, sensor = ActuatorFault(scenario), SensorFault(scenario)
+    return simulate(
+        controller_table(scenario, network),
+        _plant(scenario),
+        quantised(network.reference, reference(scenario)),
+        tick_s=scenario.tick_s,
+        effectiveness=np.array([actuator.effectiveness(tick) for tick in range(ticks)]),
+        noise=noise(scenario),
+        bias=np.array([sensor.bias(tick) for tick in range(ticks)]),
+        arrives=arrivals(scenario, network),
+        hold_ticks=round(scenario.actuator.hold_s / scenario.tick_s),
+        lsb=network.feedback.lsb,
+        maximum=network.feedback.maximum,
+    )
+
+
+def quantised(codec: MessageCodec, values: FloatArray) -> FloatArray:
+    """``values`` as their frame carries them: on its grid, within its range."""
+    on_the_grid = np.rint(values / codec.lsb) * codec.lsb
+    return np.clip(on_the_grid, codec.minimum, codec.maximum)
+
+
+def noise(scenario: Scenario) -> FloatArray:
+    """The sensor's noise at every tick, (ticks,), m/s²; as the simulated plant draws it."""
+    rms = scenario.noise.dstar_rms_mps2
+    if rms == 0.0:
+        return np.zeros(scenario.ticks)
+    return rms * np.random.Generator(np.random.PCG64(scenario.seed)).standard_normal(scenario.ticks)
+
+
+def arrivals(scenario: Scenario, network: Network) -> BoolArray:
+    """Whether the plant's receivers use the command frames of each tick, (ticks, 2).
+
+    Not what they say but that they were sent and when decides it: the receivers themselves are
+    asked, for the alive counter has its say when frames come again.
+    """
+    arrives = np.ones((scenario.ticks, 2), dtype=np.bool_)
+    fault = FrameFault(scenario)
+    for channel, codec in enumerate((network.command_1, network.command_2)):
+        if not fault.concerns(channel):
+            continue
+        transmitter, receiver = Transmitter(codec), Receiver(codec)
+        for tick in range(scenario.ticks):
+            frame = fault.on_the_wire(transmitter.frame(0.0, tick), channel, tick)
+            used = frame is not None and receiver.accept(frame, tick) is not None
+            arrives[tick, channel] = used
+            receiver.end_tick()
+    return arrives
+
+
+def _plant(scenario: Scenario) -> SampledPlant | AnyPlant:
+    if scenario.plant.is_class:
+        return _UntilItFails(plant_of(scenario.plant))
+    return sample(continuous_plant(scenario.plant), scenario.tick_s)
+
+
+class _UntilItFails:
+    """A plant whose output is not a number from its first error on."""
+
+    def __init__(self, plant: PlantProtocol) -> None:
+        self._plant = plant
+        self._failed = False
+
+    def advance(self, dt_s: float, command_1: float, command_2: float) -> float:
+        """See ``PlantProtocol``."""
+        if not self._failed:
+            try:
+                return self._plant.advance(dt_s, command_1, command_2)
+            except RigError:
+                self._failed = True
+        return np.nan

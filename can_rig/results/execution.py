@@ -1,0 +1,205 @@
+"""The one place that makes a run folder: for ``run``, for a what-if, for a campaign.
+
+An existing folder stands until the new one is whole, and nothing that was recorded is lost.
+"""
+
+from __future__ import annotations
+
+import os
+import time
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Final
+
+from can_rig.assessment.stability import refuse_unstable
+from can_rig.buses.bus import in_one_process
+from can_rig.errors import INTERRUPTED, BusError, RigError, RunFolderError
+from can_rig.frames.network import Network
+from can_rig.nodes.processes import run_processes
+from can_rig.nodes.progress import Progress, Throttled, no_progress
+from can_rig.nodes.realtime.deadlines import require_causal
+from can_rig.nodes.runner import NodeSummary, run_in_process
+from can_rig.nodes.watchdog import StopRequest
+from can_rig.plant.simulated import SimulatedPlant
+from can_rig.results.metrics import Metrics
+from can_rig.results.run_folder import LOG, Outcome, RunFolder, finish
+from can_rig.scenario.build import controller_table, network_of
+from can_rig.scenario.reference import on_the_bus
+from can_rig.scenario.settings import ReferenceSettings, Scenario
+
+REFERENCE: Final = "reference.csv"
+"""A reference that is the run's own, in its folder."""
+
+INTERRUPTED_RUN: Final = "interrupted"
+
+Runner = Callable[[Scenario, str, Path, StopRequest, Progress], NodeSummary]
+
+
+@dataclass(frozen=True)
+class Execution:
+    """A run that has ended, however, and left a complete folder."""
+
+    folder: Path
+    scenario: Scenario
+    network: Network
+    outcome: Outcome
+    metrics: Metrics
+    failure: RigError | None = None
+    """Why it ended early, where nobody stopped it."""
+
+    @property
+    def exit_status(self) -> int:
+        """Of the command that ran it."""
+        if self.failure is not None:
+            return self.failure.exit_status
+        return INTERRUPTED if self.outcome.outcome == INTERRUPTED_RUN else 0
+
+
+def in_process(
+    scenario: Scenario, bus: str, log: Path, stop: StopRequest, progress: Progress
+) -> NodeSummary:
+    """Both nodes in this process, turn by turn."""
+    with progress() as on_tick:
+        summary = run_in_process(scenario, bus, log, stop, Throttled(on_tick))
+        on_tick(summary.ticks)
+    return summary
+
+
+def two_processes(
+    scenario: Scenario, bus: str, log: Path, stop: StopRequest, progress: Progress
+) -> NodeSummary:
+    """Each node in a process of its own, in lockstep."""
+    return run_processes(scenario, bus, log, stop, progress)
+
+
+def real_time(
+    scenario: Scenario, bus: str, log: Path, stop: StopRequest, progress: Progress
+) -> NodeSummary:
+    """Each node in a process of its own, by the wall clock."""
+    return run_processes(scenario, bus, log, stop, progress, real_time=True)
+
+
+def refuse(scenario: Scenario, allow_unstable: bool = False) -> None:
+    """Refuse what cannot run before it starts.
+
+    Raises:
+        ScenarioError: no such design, plant or reference, or a loop that is not stable.
+    """
+    network = network_of(scenario)
+    controller_table(scenario, network)
+    on_the_bus(scenario, network)
+    SimulatedPlant(scenario)
+    if not allow_unstable:
+        refuse_unstable(scenario)
+
+
+def execute(
+    scenario: Scenario,
+    out: Path | None,
+    stop: StopRequest,
+    *,
+    force: bool = False,
+    bus: str | None = None,
+    runner: Runner = in_process,
+    progress: Progress = no_progress,
+    reference_csv: str | None = None,
+) -> Execution | None:
+    """Run a scenario that ``refuse`` has let pass, and leave its folder.
+
+    Args:
+        scenario: the run.
+        out: its folder; None: ``runs/SCENARIO-DATE-TIME``.
+        stop: ends it after a tick.
+        force: replace the run that is there.
+        bus: name of the bus; None: a local one of its own.
+        runner: ``in_process``, ``two_processes`` or ``real_time``.
+        progress: shows how far it is.
+        reference_csv: a reference in place of the scenario's, kept in the folder as ``REFERENCE``.
+
+    Returns:
+        How it went; ``failure`` says why it ended early. None if it was stopped before anything
+        was recorded: then there is no folder.
+
+    Raises:
+        RunFolderError: the folder is there already, or cannot be made or completed; what was
+            recorded stays, and the line says where.
+        RigError: it failed before anything was recorded: then there is no folder.
+    """
+    bus = bus or f"local:run-{os.getpid()}"
+    if runner is real_time:
+        require_causal(scenario)
+    if runner is not in_process:
+        _require_shared(bus)
+    network = network_of(scenario)
+    folder = RunFolder.create(out, scenario, force)
+    try:
+        made_here, final = _with_reference(scenario, folder, reference_csv)
+        on_the_bus(made_here, network)
+    except RigError:
+        folder.give_up()
+        raise
+    outcome = Outcome(bus, realtime={} if runner is real_time else None)
+    failure = _run(
+        lambda: runner(made_here, bus, folder.making / LOG, stop, progress), scenario, outcome
+    )
+    if not (folder.making / LOG).is_file():
+        folder.give_up()
+        if failure is not None:
+            raise failure
+        return None
+    try:
+        values = finish(folder.making, made_here, network, outcome, final)
+        folder.publish()
+    except RigError:
+        if failure is not None:  # came first, and may be why: a disk that was full already
+            raise failure from None
+        raise
+    return Execution(folder.path, final, network, outcome, values, failure)
+
+
+def _require_shared(bus: str) -> None:
+    """Refuse a bus on which both nodes would wait for each other in vain."""
+    if in_one_process(bus):
+        raise BusError(
+            f"bus {bus!r}: stays within one process, and the nodes are two; "
+            "it must be the bus 'local' or another that they share, or the run --in-process"
+        )
+
+
+def _with_reference(
+    scenario: Scenario, folder: RunFolder, csv: str | None
+) -> tuple[Scenario, Scenario]:
+    """The scenario as it runs while the folder is being made, and as it is recorded.
+
+    Raises:
+        RunFolderError: the reference cannot be written.
+    """
+    if csv is None:
+        return scenario, scenario
+    file = folder.making / REFERENCE
+    try:
+        file.write_text(csv, encoding="ascii")
+    except OSError as error:
+        raise RunFolderError(f"{file}: cannot be written: {error.strerror}") from None
+    made_here, final = (
+        replace(scenario, reference=ReferenceSettings(kind="csv", file=str(path / REFERENCE)))
+        for path in (folder.making, folder.path)
+    )
+    return made_here, final
+
+
+def _run(run: Callable[[], NodeSummary], scenario: Scenario, outcome: Outcome) -> RigError | None:
+    """Run, and note in ``outcome`` how it went; what made it fail."""
+    start_s = time.perf_counter()
+    try:
+        summary = run()
+    except RigError as error:
+        outcome.outcome, outcome.wall_s = str(error), time.perf_counter() - start_s
+        return error
+    outcome.ticks, outcome.wall_s = summary.ticks, summary.wall_s
+    outcome.rejected_frames, outcome.bus_events = summary.rejected_frames, summary.bus_events
+    outcome.realtime = summary.realtime
+    if summary.ticks < scenario.ticks:
+        outcome.outcome = INTERRUPTED_RUN
+    return None

@@ -1,0 +1,121 @@
+"""Runs of two processes as tests see them from outside: their log, their nodes, their folder."""
+
+from __future__ import annotations
+
+import json
+import os
+import signal
+import subprocess
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import can
+
+from tests.helpers import start
+
+FILES = ["bus.log", "report.png", "run.json", "signals.csv"]
+HEADER = (
+    "time_s,reference_mps2,dstar_mps2,error_mps2,torque_nm,force_difference_n,"
+    "fault_estimate_mps2,mode"
+)
+LONG = ["--set", "duration_s=2000"]
+
+
+class Running(NamedTuple):
+    """A run that has begun, and what to look at."""
+
+    process: subprocess.Popen[str]
+    log: Path
+    nodes: dict[str, int]
+    """Process ids by name."""
+
+
+@contextmanager
+def running(folder: Path, *arguments: object) -> Iterator[Running]:
+    """A long run past its first ticks; nothing of it is left afterwards."""
+    log = folder / "run" / "bus.log"
+    process = start("run", *arguments, *LONG, "--out", log.parent)
+    nodes: dict[str, int] = {}
+    try:
+        wait_for(lambda: lines_of(log) > 500 or process.poll() is not None)
+        nodes |= nodes_of(process)
+        assert set(nodes) == {"plant", "controller"}
+        yield Running(process, log, nodes)
+    finally:
+        for pid in nodes.values():
+            if alive(pid):
+                os.kill(pid, signal.SIGKILL)
+        process.kill()
+        process.communicate()
+
+
+def wait_for(condition: Callable[[], Any]) -> Any:
+    """The first true value of ``condition()``; never hangs."""
+    deadline = time.monotonic() + 60.0
+    while not (found := condition()):
+        assert time.monotonic() < deadline, "it did not happen"
+        time.sleep(0.02)
+    return found
+
+
+def lines_of(log: Path) -> int:
+    return log.read_text().count("\n") if log.exists() else 0
+
+
+def nodes_of(run: subprocess.Popen[str]) -> dict[str, int]:
+    """Process ids of the nodes that the run has forked, by the names that they have."""
+    found = {}
+    for task in Path(f"/proc/{run.pid}/task").iterdir():
+        for child in (task / "children").read_text().split():
+            name = Path(f"/proc/{child}/comm").read_text().strip()
+            if name.startswith("rig-"):
+                found[name.removeprefix("rig-")] = int(child)
+    return found
+
+
+def alive(pid: int) -> bool:
+    try:
+        return Path(f"/proc/{pid}/stat").read_text().rpartition(")")[2].split()[0] != "Z"
+    except FileNotFoundError:
+        return False
+
+
+def whole_ticks(log: Path) -> int:
+    """Ticks on disk, after checking that they are all there, in order and complete."""
+    frames = list(can.LogReader(log))
+    ticks = len(frames) // 5
+    ids = [0x100, 0x101, 0x110, 0x111, 0x120]
+    for at, frame in enumerate(frames[: 5 * ticks]):
+        assert frame.arbitration_id == ids[at % 5]
+        assert int.from_bytes(frame.data[2:4], "little") == (at // 5) & 0xFFFF
+    return ticks
+
+
+def summary_of(folder: Path, outcome: str) -> dict[str, Any]:
+    """``run.json`` of a folder that is complete and ended with ``outcome``."""
+    assert sorted(path.name for path in folder.iterdir()) == FILES
+    summary: dict[str, Any] = json.loads((folder / "run.json").read_text())
+    assert outcome in summary["outcome"]
+    assert (folder / "report.png").read_bytes().startswith(b"\x89PNG")
+    return summary
+
+
+def folder_is_complete(folder: Path, outcome: str) -> dict[str, Any]:
+    """The same of a lockstep run, with a row for every tick."""
+    summary = summary_of(folder, outcome)
+    ticks = whole_ticks(folder / "bus.log")
+    rows = (folder / "signals.csv").read_text().splitlines()
+    assert rows[0] == HEADER
+    assert len(rows) - 1 - ticks in (0, 1)  # a tick cut short has a row too
+    assert [row.split(",")[0] for row in rows[1:4]] == ["0", "0.001", "0.002"]
+    return summary
+
+
+def one_line(text: str) -> str:
+    """The error among what a run printed beside its progress."""
+    assert "Traceback" not in text
+    (line,) = [line for line in text.splitlines() if "error:" in line]
+    return line

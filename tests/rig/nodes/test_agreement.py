@@ -1,0 +1,252 @@
+"""Two nodes that were started by hand: the same scenario, or one line each that names the key."""
+
+import threading
+from contextlib import nullcontext
+from dataclasses import replace
+
+import can
+import pytest
+
+from can_rig.assessment.resolve import load
+from can_rig.buses.bus import open_bus
+from can_rig.errors import RigError, ScenarioError, SilentNodeError
+from can_rig.frames.agreement import Comparison, ComparisonFrame, digest
+from can_rig.nodes import runner
+from can_rig.nodes.agreement import Agreement, keys_of
+from can_rig.nodes.runner import run_controller, run_plant
+from can_rig.nodes.watchdog import StopRequest, Timeouts
+from can_rig.scenario.catalogue import shipped
+from tests.clock import TurnedClock
+from tests.helpers import DBC, NAMES, record, start
+from tests.rig.nodes.running import one_line
+
+SHORT = ["duration_s=0.3"]
+
+
+def both_by_hand(bus, plant, controller, log=None, real_time=False):
+    """What each of two nodes in this process ended with; the controller listens first."""
+    ended, ready = {}, threading.Event()
+    timeouts, options = Timeouts(20.0, 20.0), {"real_time": real_time, "by_hand": True}
+
+    def run(name, node):
+        try:
+            ended[name] = node()
+        except RigError as error:
+            ended[name] = error
+
+    def plant_node():
+        ready.wait()
+        stop = StopRequest()
+        return run_plant(plant, bus, log, timeouts, stop, lambda tick: None, **options)
+
+    thread = threading.Thread(target=run, args=("plant", plant_node))
+    thread.start()
+    run("controller", lambda: run_controller(
+        controller, bus, timeouts, StopRequest(), ready.set, lambda tick: None, **options
+    ))  # fmt: skip
+    ready.set()
+    thread.join(60.0)
+    return ended
+
+
+@pytest.mark.parametrize(
+    ("setting", "key"),
+    [
+        ("duration_s=0.4", "duration_s"),
+        ("seed=9", "seed"),
+        ("latency_ticks=1", "latency_ticks"),
+        ("plant.mass_kg=1500", "plant.mass_kg"),
+        ("model.mass_kg=1500", "model.mass_kg"),
+        ("design.tau_q_s=0.02", "design.tau_q_s"),
+        ("fault.at_s=0.2", "fault.at_s"),
+        ("noise.dstar_rms_mps2=0.001", "noise.dstar_rms_mps2"),
+        ("limits.torque_nm=300", "limits.torque_nm"),
+    ],
+)
+def test_both_end_and_name_the_first_key_that_differs(setting, key, tmp_path):
+    one, other = load("thesis-step", SHORT), load("thesis-step", [*SHORT, setting])
+    for plant, controller in ((one, other), (other, one)):
+        ended = both_by_hand(f"local:{tmp_path / 'bus'}", plant, controller)
+        for name, partner in (("plant", "controller"), ("controller", "plant")):
+            error = ended[name]
+            assert isinstance(error, ScenarioError)
+            assert error.exit_status == 2
+            assert str(error).startswith(f"{key} = ")
+            assert f"the {partner} node" in str(error)
+
+
+@pytest.mark.parametrize("real_time", [False, True])
+def test_in_real_time_too(real_time, tmp_path, monkeypatch):
+    # This process is to stay an ordinary one: no SCHED_FIFO, no core of its own, for good.
+    monkeypatch.setattr(runner, "prefer", lambda core: "nothing asked for")
+    monkeypatch.setattr(runner, "undisturbed", nullcontext)
+    ended = both_by_hand(
+        f"local:{tmp_path / 'bus'}",
+        load("default", SHORT),
+        load("default", [*SHORT, "actuator.hold_s=0.02"]),
+        real_time=real_time,
+    )
+    assert all(str(error).startswith("actuator.hold_s = ") for error in ended.values())
+
+
+def test_the_same_scenario_runs_and_its_log_knows_nothing_of_the_comparison(tmp_path):
+    scenario = load("thesis-step", SHORT)
+    renamed = replace(scenario, name="another", description="of the same run")
+    log = tmp_path / "by-hand.log"
+    ended = both_by_hand(f"local:{tmp_path / 'bus'}", scenario, renamed, log)
+    assert ended["plant"].ticks == ended["controller"].ticks == 300
+    (tmp_path / "other").mkdir()
+    assert log.read_bytes() == record(tmp_path / "other", *SHORT)[0].read_bytes()
+
+
+def test_every_two_shipped_scenarios_differ_in_a_key():
+    every = {name: tuple(keys_of(load(name).as_dict())) for name in shipped()}
+    assert len(set(every.values())) == len(every)
+
+
+@pytest.mark.parametrize("first", ["plant", "controller"])
+def test_from_the_command_line_whoever_is_there_first(first, tmp_path):
+    bus = ["--bus", f"local:{tmp_path / 'bus'}", "--wait", "60"]
+    words = {"plant": ["plant", "default", *bus], "controller": ["controller", "slow-bus", *bus]}
+    second = "controller" if first == "plant" else "plant"
+    nodes = {name: start(*words[name]) for name in (first, second)}
+    lines = {}
+    for name, process in nodes.items():
+        _, errors = process.communicate(timeout=120)
+        assert process.returncode == 2, errors
+        lines[name] = one_line(errors)
+    assert "tick_s = 0.001 is not what the controller node" in lines["plant"]
+    assert "tick_s = 0.002 is not what the plant node" in lines["controller"]
+
+
+# --- one end, by hand ----------------------------------------------------------------------------
+
+
+class Wire:
+    """A bus that gives what it is told to and keeps what is sent; time passes while it waits."""
+
+    def __init__(self, clock):
+        self.clock, self.sent, self.waiting = clock, [], []
+
+    def send(self, msg):
+        self.sent.append(msg)
+
+    def recv(self, timeout=None):
+        if self.waiting:
+            return self.waiting.pop(0)
+        self.clock.pass_s(timeout or 0.0)
+        return None
+
+
+class End:
+    """One node's end and what its partner says on the wire."""
+
+    def __init__(self, name="plant", *settings):
+        self.clock = TurnedClock()
+        self.wire = Wire(self.clock)
+        self.scenario = load("thesis-step", settings)
+        self.agreement = Agreement(self.scenario, name, self.wire, self.clock)
+        (self.other,) = {"plant", "controller"} - {name}
+        self.own_frame, self.partner = ComparisonFrame(name), ComparisonFrame(self.other)
+
+    def say(self, key, number):
+        self.wire.waiting.append(self.partner.message(Comparison(key, number)))
+
+    def said(self):
+        found = [self.own_frame.read(message) for message in self.wire.sent]
+        self.wire.sent.clear()
+        return found
+
+
+DATA = can.Message(arbitration_id=0x110, is_extended_id=False, data=bytes(8))
+
+
+def test_other_frames_pass_and_those_of_the_comparison_do_not():
+    end = End()
+    end.agreement.announce()
+    ((key, whole),) = end.said()
+    assert key == 0
+    end.say(0, whole)
+    end.wire.waiting.append(DATA)
+    assert end.agreement.recv(0.05) is DATA
+    assert end.agreement.recv(0.05) is None
+    assert end.clock.now_s == pytest.approx(0.05)
+    assert end.said() == []
+
+
+def test_once_the_scenarios_differ_nothing_else_gets_through_and_every_key_is_sent_in_order():
+    end = End()
+    end.say(0, 12345)
+    end.wire.waiting.append(DATA)
+    assert end.agreement.recv(0.05) is None
+    keys = list(keys_of(end.scenario.as_dict()))
+    expected = [Comparison(n, digest(*key)) for n, key in enumerate(keys, start=1)]
+    assert end.said() == expected
+    with pytest.raises(ScenarioError, match="the scenario is not what the controller node"):
+        for _ in range(100):  # a partner that never says which key
+            end.agreement.recv(0.05)
+    assert end.clock.now_s == pytest.approx(1.05, abs=0.06)
+
+
+def test_a_late_controller_is_told_and_the_run_goes_on():
+    end = End()
+    end.agreement.settled = True
+    end.say(0, 12345)
+    for key in range(1, 20):
+        end.say(key, 1)
+    end.wire.waiting.append(DATA)
+    assert end.agreement.recv(0.05) is DATA
+    assert [key for key, _ in end.said()] == [0, 1]  # the first that differs, once
+
+
+def test_a_controller_that_has_its_plant_does_not_end_because_of_another():
+    end = End("controller")
+    end.agreement.announce()
+    ((_, whole),) = end.said()
+    end.say(0, whole)
+    end.say(0, 12345)
+    end.say(1, 1)
+    end.wire.waiting.append(DATA)
+    assert end.agreement.recv(0.05) is DATA
+    assert end.said() == []
+
+
+@pytest.mark.parametrize("key", [0, 1, 200])
+def test_a_damaged_frame_and_an_unknown_key_say_nothing(key):
+    end = End()
+    end.say(key, 1)
+    if key < 100:
+        end.wire.waiting[0].data[5] ^= 1
+    end.wire.waiting.append(DATA)
+    assert end.agreement.recv(0.05) is DATA
+    assert end.said() == []
+
+
+def test_a_partner_that_says_nothing_is_taken_as_it_is():
+    end = End()
+    end.agreement.announce()
+    end.wire.waiting += [DATA, DATA]
+    assert [end.agreement.recv(0.05) for _ in range(3)] == [DATA, DATA, None]
+
+
+def test_the_frames_are_those_of_the_dbc():
+    import cantools
+
+    database = cantools.database.load_file(DBC / "agreement.dbc", strict=True)
+    for name, message in (("plant", "PLANT_SCENARIO"), ("controller", "CONTROLLER_SCENARIO")):
+        frame = ComparisonFrame(name)
+        sent = frame.message(Comparison(7, 0xDEADBEEF))
+        assert database.get_message_by_name(message).frame_id == sent.arbitration_id
+        said = database.decode_message(message, sent.data)
+        assert (said["Key"], said["Digest"], said["AliveCounter"]) == (7, 0xDEADBEEF, 0)
+        assert frame.read(sent) == Comparison(7, 0xDEADBEEF)
+        assert database.get_message_by_name(message).comment
+    assert not {*NAMES} & {message.name for message in database.messages}
+
+
+def test_a_node_that_is_alone_says_so_as_before(tmp_path):
+    with open_bus(f"local:{tmp_path / 'bus'}"), pytest.raises(SilentNodeError):
+        run_plant(
+            load("thesis-step", SHORT), f"local:{tmp_path / 'bus'}", None, Timeouts(0.3, 0.3),
+            StopRequest(), lambda tick: None, by_hand=True,
+        )  # fmt: skip

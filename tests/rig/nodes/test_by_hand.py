@@ -1,0 +1,69 @@
+"""The nodes by hand, in two terminals: who starts first, and how each ends."""
+
+import signal
+import time
+
+import pytest
+
+from tests.helpers import record, rig, start
+from tests.rig.nodes.running import LONG, lines_of, one_line, wait_for, whole_ticks
+
+
+@pytest.mark.parametrize("first", ["plant", "controller"])
+def test_either_node_can_be_started_first(first, tmp_path):
+    log = tmp_path / "bus.log"
+    common = ["thesis-step", "--set", "duration_s=0.3", "--bus", f"local:{tmp_path / 'bus'}"]
+    extra = {"plant": ["--log", log], "controller": []}
+    second = "controller" if first == "plant" else "plant"
+    early = start(first, *common, *extra[first])
+    wait_for(lambda: (tmp_path / "bus").is_dir() and list((tmp_path / "bus").glob("*.node")))
+    if first == "plant":
+        wait_for(lambda: lines_of(log) or log.exists())
+        time.sleep(0.3)  # it repeats its offer meanwhile
+    late = start(second, *common, *extra[second])
+    for process in (early, late):
+        _, errors = process.communicate(timeout=60)
+        assert process.returncode == 0, errors
+        assert "300 of 300 ticks" in errors
+    assert log.read_bytes() == record(tmp_path, "duration_s=0.3")[0].read_bytes()
+
+
+@pytest.mark.parametrize(("node", "other"), [("plant", "controller"), ("controller", "plant")])
+def test_a_node_that_stays_alone_says_whom_it_waited_for(node, other, tmp_path):
+    bus = f"local:{tmp_path / 'bus'}"
+    done = rig(node, "thesis-step", "--bus", bus, "--wait", "0.3")
+    assert done.returncode == 3
+    assert f"no frame from the {other} node for 0.3 s" in one_line(done.stderr)
+
+
+def test_by_hand_too_a_node_ends_after_its_partner_s_death(tmp_path):
+    victim, other = "controller", "plant"
+    log = tmp_path / "bus.log"
+    common = ["thesis-step", *LONG, "--bus", f"local:{tmp_path / 'bus'}"]
+    nodes = {"controller": start("controller", *common)}
+    nodes["plant"] = start("plant", *common, "--log", log)
+    wait_for(lambda: lines_of(log) > 500)
+    nodes[victim].kill()
+    _, errors = nodes[other].communicate(timeout=60)
+    assert nodes[other].returncode == 3
+    assert f"no frame from the {victim} node for 1 s" in one_line(errors)
+    assert whole_ticks(log) > 100
+    nodes[victim].communicate()
+
+
+def test_ctrl_c_on_each_node_by_hand(tmp_path):
+    log = tmp_path / "bus.log"
+    common = ["thesis-step", *LONG, "--bus", f"local:{tmp_path / 'bus'}"]
+    nodes = {"controller": start("controller", *common)}
+    nodes["plant"] = start("plant", *common, "--log", log)
+    try:
+        wait_for(lambda: lines_of(log) > 500)
+        for process in nodes.values():
+            process.send_signal(signal.SIGINT)
+            _, errors = process.communicate(timeout=60)
+            assert process.returncode == 130
+            assert "Traceback" not in errors
+    finally:
+        for process in nodes.values():
+            process.kill()
+            process.communicate()

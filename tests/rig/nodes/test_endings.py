@@ -1,0 +1,106 @@
+"""No way of ending a run of two processes loses a tick, hangs, or leaves a node behind."""
+
+import os
+import signal
+import time
+
+import pytest
+
+from tests.helpers import start
+from tests.rig.nodes.running import (
+    LONG,
+    alive,
+    folder_is_complete,
+    lines_of,
+    one_line,
+    running,
+    wait_for,
+    whole_ticks,
+)
+
+
+@pytest.fixture
+def thesis_step(tmp_path):
+    """A long run past its first ticks, its log and its two nodes."""
+    with running(tmp_path, "thesis-step") as run:
+        yield run
+
+
+@pytest.mark.parametrize(("victim", "left"), [("plant", "controller"), ("controller", "plant")])
+def test_after_sigkill_the_other_ends_the_line_names_it_and_no_tick_is_lost(
+    victim, left, thesis_step
+):
+    process, log, nodes = thesis_step
+    before = lines_of(log) // 5
+    os.kill(nodes[victim], signal.SIGKILL)
+    wait_for(lambda: not alive(nodes[left]))
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 3
+    line = one_line(errors)
+    assert f"the {victim} node was ended by SIGKILL" in line
+    assert f"the {left} node" not in line
+    folder_is_complete(log.parent, victim)
+    assert whole_ticks(log) >= before
+
+
+def test_a_node_that_hangs_is_named_and_does_not_stay(thesis_step):
+    process, log, nodes = thesis_step
+    victim = "controller"
+    os.kill(nodes[victim], signal.SIGSTOP)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 3
+    assert f"no frame from the {victim} node for 1 s" in one_line(errors)
+    assert not any(map(alive, nodes.values()))
+    folder_is_complete(log.parent, victim)
+
+
+def test_a_node_that_is_stopped_for_less_than_the_watchdog_goes_on(thesis_step):
+    process, log, nodes = thesis_step
+    os.kill(nodes["controller"], signal.SIGSTOP)
+    time.sleep(0.4)
+    before = lines_of(log)
+    os.kill(nodes["controller"], signal.SIGCONT)
+    wait_for(lambda: lines_of(log) > before + 500)
+    assert process.poll() is None
+
+
+@pytest.mark.parametrize("how", ["the run", "its group, thrice"])
+def test_ctrl_c_ends_both_cleanly_and_leaves_a_complete_folder(how, thesis_step):
+    process, log, nodes = thesis_step
+    if how == "the run":
+        process.send_signal(signal.SIGINT)
+    else:  # what a terminal does, and an impatient person
+        for _ in range(3):
+            os.killpg(process.pid, signal.SIGINT)
+            time.sleep(0.2)
+    output, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    for text in (output, errors):
+        assert "Traceback" not in text
+        assert "error" not in text.replace("|error|", "")
+    assert not any(map(alive, nodes.values()))
+    summary = folder_is_complete(log.parent, "interrupted")
+    assert lines_of(log) == 5 * summary["ticks"]  # between two ticks
+
+
+def test_ctrl_c_while_the_nodes_start_is_as_quiet_and_leaves_no_empty_folder(tmp_path):
+    process = start("run", "thesis-step", *LONG, "--out", tmp_path / "run")
+    wait_for((tmp_path / "run").is_dir)
+    os.killpg(process.pid, signal.SIGINT)
+    output, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in errors + output
+    assert "error" not in errors
+    assert not (tmp_path / "run").exists()
+
+
+def test_ctrl_c_in_one_process(tmp_path):
+    log = tmp_path / "run" / "bus.log"
+    process = start("run", "thesis-step", *LONG, "--out", log.parent, "--in-process")
+    wait_for(lambda: lines_of(log) > 500 or process.poll() is not None)
+    process.send_signal(signal.SIGINT)
+    _, errors = process.communicate(timeout=60)
+    assert process.returncode == 130
+    assert "Traceback" not in errors
+    summary = folder_is_complete(log.parent, "interrupted")
+    assert lines_of(log) == 5 * summary["ticks"]

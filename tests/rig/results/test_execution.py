@@ -1,0 +1,206 @@
+"""A run folder is whole or not there, the one that it replaces stands until then, and no way of
+failing loses what was recorded."""
+
+from __future__ import annotations
+
+import errno
+import json
+import os
+import shutil
+from collections import Counter
+from contextlib import nullcontext
+from pathlib import Path
+from typing import Any
+
+import pytest
+from matplotlib.figure import Figure
+
+from can_rig.assessment.resolve import load
+from can_rig.errors import INTERRUPTED, RigError, RunFolderError, SilentNodeError
+from can_rig.nodes.runner import NodeSummary
+from can_rig.nodes.watchdog import StopRequest
+from can_rig.results import execution
+from can_rig.results.execution import execute
+from tests.helpers import asked, record
+
+FILES = {"bus.log", "report.png", "run.json", "signals.csv"}
+SHORT = ["duration_s=0.02"]
+SCENARIO = load("thesis-step", SHORT)
+FAILING = """
+class Failing:
+    def __init__(self, settings): self.reset()
+    def reset(self): self.calls = 0
+    def advance(self, dt_s, torque_nm, force_difference_n):
+        self.calls += 1
+        if self.calls > 12: raise RuntimeError("stuck")
+        return 0.0
+"""
+
+
+@pytest.fixture
+def there(tmp_path: Path) -> Path:
+    """A run folder that is to be replaced."""
+    folder = tmp_path / "demo"
+    assert execute(SCENARIO, folder, StopRequest()) is not None
+    return folder
+
+
+def contents(folder: Path) -> dict[str, bytes]:
+    return {path.name: path.read_bytes() for path in folder.iterdir()}
+
+
+def summary_of(folder: Path) -> dict[str, Any]:
+    summary: dict[str, Any] = json.loads((folder / "run.json").read_text())
+    return summary
+
+
+def recorded(folder: Path, lines: int, summary: NodeSummary | RigError) -> execution.Runner:
+    """A runner that records the first lines of a real log and then ends so."""
+    source = record(folder, *SHORT, bus="virtual:source")[0].read_text().splitlines(keepends=True)
+
+    def run(_scenario: object, _bus: str, log: Path, *_: object) -> NodeSummary:
+        if lines:
+            log.write_text("".join(source[:lines]))
+        if isinstance(summary, RigError):
+            raise summary
+        return summary
+
+    return run
+
+
+def test_the_old_run_stands_until_the_new_one_is_whole(there: Path, tmp_path: Path) -> None:
+    before = contents(there)
+    seen: list[dict[str, bytes]] = []
+
+    def on_tick(_tick: int) -> None:
+        seen.append(contents(there))
+
+    stop = StopRequest()
+    done = execute(SCENARIO, there, stop, force=True, progress=lambda: nullcontext(on_tick))
+    assert done is not None
+    assert (done.folder, done.exit_status) == (there, 0)
+    assert seen[-1] == before
+    assert set(contents(there)) == FILES
+    assert summary_of(there)["outcome"] == "complete"
+    assert [path.name for path in tmp_path.iterdir()] == ["demo"]
+
+
+@pytest.mark.parametrize("writer", [(Path, "write_text"), (Figure, "savefig")], ids=str)
+def test_where_the_closing_files_cannot_be_written_both_runs_are_kept(
+    writer: tuple[type, str], there: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def full(*_: Any, **__: Any) -> None:
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    before = contents(there)
+    with monkeypatch.context() as patch:
+        patch.setattr(*writer, full)
+        with pytest.raises(RunFolderError, match="No space left on device") as caught:
+            execute(SCENARIO, there, StopRequest(), force=True)
+    unfinished = tmp_path / "demo.unfinished"
+    assert f"what was recorded is in {unfinished / 'bus.log'}" in str(caught.value)
+    assert contents(there) == before
+    assert (unfinished / "bus.log").read_bytes() == before["bus.log"]  # of the same scenario
+    assert {path.name for path in tmp_path.iterdir()} == {"demo", "demo.unfinished"}
+    with pytest.raises(RunFolderError, match=r"demo\.unfinished: holds what an earlier run"):
+        execute(SCENARIO, there, StopRequest(), force=True)
+    shutil.rmtree(unfinished)
+    assert execute(SCENARIO, there, StopRequest(), force=True) is not None
+
+
+@pytest.mark.parametrize("force", [False, True])
+def test_a_run_that_fails_keeps_what_it_recorded(force: bool, there: Path, tmp_path: Path) -> None:
+    out = there if force else tmp_path / "other"
+    (tmp_path / "source").mkdir()
+    runner = recorded(tmp_path / "source", 32, SilentNodeError("the plant node was ended"))
+    done = execute(SCENARIO, out, StopRequest(), force=force, runner=runner)
+    assert done is not None
+    assert done.exit_status == SilentNodeError.exit_status
+    assert str(done.failure) == "the plant node was ended"
+    assert set(contents(out)) == FILES
+    assert summary_of(out)["outcome"] == "the plant node was ended"
+    assert len((out / "bus.log").read_text().splitlines()) == 32
+    assert {path.name for path in tmp_path.iterdir()} == {"demo", "source", out.name}
+
+
+@pytest.mark.parametrize("ending", [RigError("refused"), NodeSummary(0, 0.0, {}, {})], ids=str)
+def test_a_run_that_records_nothing_replaces_nothing(
+    ending: NodeSummary | RigError, there: Path, tmp_path: Path
+) -> None:
+    before = contents(there)
+    (tmp_path / "source").mkdir()
+    runner = recorded(tmp_path / "source", 0, ending)
+    for out, force in ((there, True), (tmp_path / "new", False)):
+        if isinstance(ending, RigError):
+            with pytest.raises(RigError, match="refused"):
+                execute(SCENARIO, out, StopRequest(), force=force, runner=runner)
+        else:
+            assert execute(SCENARIO, out, StopRequest(), force=force, runner=runner) is None
+    assert contents(there) == before
+    assert {path.name for path in tmp_path.iterdir()} == {"demo", "source"}
+
+
+def test_what_the_nodes_say_is_in_the_summary(tmp_path: Path) -> None:
+    (tmp_path / "source").mkdir()
+    events, rejected = {"plant": {"no buffer space": 3}}, {"DSTAR_FEEDBACK": {"wrong_crc": 1}}
+    said = NodeSummary(20, 0.5, rejected, events)
+    done = execute(
+        SCENARIO, tmp_path / "r", StopRequest(), runner=recorded(tmp_path / "source", 100, said)
+    )
+    assert done is not None
+    assert done.exit_status == 0
+    summary = summary_of(tmp_path / "r")
+    assert (summary["bus_events"], summary["rejected_frames"]) == (events, rejected)
+    assert (summary["ticks"], summary["wall_s"], summary["ticks_per_s"]) == (20, 0.5, 40.0)
+
+
+def test_a_stopped_run_says_so(tmp_path: Path) -> None:
+    stop = StopRequest()
+    (tmp_path / "source").mkdir()
+    runner = recorded(tmp_path / "source", 25, NodeSummary(5, 0.1, {}, {}))
+    done = execute(SCENARIO, tmp_path / "r", stop, runner=runner)
+    assert done is not None
+    assert (done.exit_status, summary_of(tmp_path / "r")["outcome"]) == (INTERRUPTED, "interrupted")
+
+
+# --- what if -------------------------------------------------------------------------------------
+
+
+def what_if(log: Path, out: Path, *words: object) -> Any:
+    return asked("replay", log, "--what-if", "--scenario", "thesis-step", "--out", out, *words)
+
+
+def test_a_what_if_whose_plant_fails_leaves_a_complete_folder(there: Path, tmp_path: Path) -> None:
+    (tmp_path / "failing_car.py").write_text(FAILING)
+    log = tmp_path / "source.log"
+    shutil.copy(there / "bus.log", log)
+    done = what_if(log, there, "--force", "--set", "plant.kind=failing_car:Failing",
+                   "--allow-unstable")  # fmt: skip
+    assert done.returncode == 2
+    assert "advance failed at 0.012 s" in done.stderr
+    assert "Traceback" not in done.stderr
+    assert set(contents(there)) == {*FILES, "reference.csv", "what-if.png"}
+    assert "stuck" in summary_of(there)["outcome"]
+    assert Counter(path.name.partition(".")[0] for path in tmp_path.iterdir())["demo"] == 1
+
+
+def test_a_what_if_has_its_bus_events_and_a_reference_that_can_be_read_again(
+    there: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run = execution.run_in_process
+
+    def eventful(*arguments: Any) -> NodeSummary:
+        summary = run(*arguments)
+        summary.bus_events = {"plant": {"no buffer space": 2}}
+        return summary
+
+    monkeypatch.setattr(execution, "run_in_process", eventful)
+    log = tmp_path / "source.log"
+    shutil.copy(there / "bus.log", log)
+    done = what_if(log, there, "--force")
+    assert done.returncode == 0, done.stderr
+    assert summary_of(there)["bus_events"] == {"plant": {"no buffer space": 2}}
+    assert summary_of(there)["scenario"]["reference"]["file"] == str(there / "reference.csv")
+    assert (there / "bus.log").read_bytes() == log.read_bytes()
+    again = asked("replay", there, "--json")  # by the scenario of the folder
+    assert again.returncode == 0, again.stderr
