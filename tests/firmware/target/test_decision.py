@@ -15,7 +15,7 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import zoh
 from firmware_model.firmware import Firmware
 from firmware_model.target import controller
-from firmware_model.target.loss_model import (
+from firmware_model.target.fault_decision.loss_model import (
     initialise_loss_model,
     loss_output,
     loss_output_in_estimate,

@@ -19,20 +19,20 @@ not show, a small d̂ says nothing, and the state is CANNOT_TELL instead of CLEA
 from __future__ import annotations
 
 from firmware_model.compiled import firmware
-from firmware_model.target.adaptive_threshold import (
+from firmware_model.target.fault_decision.adaptive_threshold import (
     adapt,
     exceeds_threshold,
     would_exceed_threshold,
 )
-from firmware_model.target.bumpless_transfer import begin_transfer, release
-from firmware_model.target.loss_model import (
+from firmware_model.target.fault_decision.bumpless_transfer import begin_transfer, release
+from firmware_model.target.fault_decision.loss_model import (
     estimate_loss_share,
     initialise_loss_model,
     loss_output,
     loss_output_in_estimate,
 )
+from firmware_model.target.fault_decision.probe import begin_probe, correlate, end_probe
 from firmware_model.target.precision import real
-from firmware_model.target.probe import begin_probe, correlate, end_probe
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import Field, Record
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 
 from firmware_model.compiled import firmware
-from firmware_model.target import biquad
-from firmware_model.target.biquad import advance, output
+from firmware_model.target.filters import biquad
+from firmware_model.target.filters.biquad import advance, output
 from firmware_model.target.precision import real
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import MAX_LATENCY_TICKS, Field, Record

@@ -13,11 +13,11 @@ from can_rig.assessment.control_authority import control_authority
 from can_rig.drawing import scales, style
 from can_rig.drawing.names import Names, names_of
 from can_rig.frames.network import Network
-from can_rig.results import report_title
 from can_rig.results.applied import applied_commands
 from can_rig.results.counterfactual import fault_free, uncompensated
 from can_rig.results.metrics import sensor_bias, windows
-from can_rig.results.report_timing import draw_timing
+from can_rig.results.report import title as report_title
+from can_rig.results.report.timing import draw_timing
 from can_rig.results.signals import Signals
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import FloatArray
