@@ -1,1 +1,4 @@
-"""`report.png`: its title, its panels, and the timing of a run in real time."""
+"""``report.png``: its page, its title, and the panel that only a real-time run has.
+
+Imported by `results` alone, when a run is over: it loads matplotlib.
+"""

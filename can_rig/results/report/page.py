@@ -16,8 +16,8 @@ from can_rig.frames.network import Network
 from can_rig.results.applied import applied_commands
 from can_rig.results.counterfactual import fault_free, uncompensated
 from can_rig.results.metrics import sensor_bias, windows
-from can_rig.results.report import title as report_title
 from can_rig.results.report.timing import draw_timing
+from can_rig.results.report.title import loss_label, page_title
 from can_rig.results.signals import Signals
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import FloatArray
@@ -82,7 +82,7 @@ def page(
     axes[4].set_xlabel("time in s")
     _mark_loss(axes, scenario, names)
     signals_part.align_ylabels(axes)
-    signals_part.suptitle(report_title.title(scenario, names, signals), fontsize=11)
+    signals_part.suptitle(page_title(scenario, names, signals), fontsize=11)
     return figure
 
 
@@ -195,7 +195,7 @@ def _mark_loss(axes: list[Axes], scenario: Scenario, names: Names) -> None:
     low, high = axes[0].get_xlim()
     late = starts_s[0] > low + 0.8 * (high - low)
     axes[0].annotate(
-        report_title.loss(scenario.fault, names),
+        loss_label(scenario.fault, names),
         (starts_s[0], 1.0),
         (-4 if late else 4, 4),
         xycoords=("data", "axes fraction"),
