@@ -32,7 +32,7 @@ TREE: Final = Path(__file__).parents[1] / "build" / "mutation"
 OURS: Final = ("can_rig", "firmware_model", "tests")
 TIMEOUT: Final = "timeout"
 _SLOWER: Final = 10  # times the usual duration of a test, and then it hangs
-_SLOWER_S: Final = 5.0
+_SLOWER_S: Final = 2.0
 
 
 @dataclass
