@@ -27,7 +27,8 @@ from can_rig.decoding.decode import decode_log
 from can_rig.frames.dbc import shipped_dbc
 from can_rig.logs.frames import concatenate
 from can_rig.logs.reading import read_log
-from can_rig.logs.writing import candump_lines, write_log
+from can_rig.logs.writers.candump import candump_lines
+from can_rig.logs.writing import write_log
 from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.watchdog import StopRequest
 

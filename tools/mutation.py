@@ -11,6 +11,7 @@ from __future__ import annotations
 import argparse
 import hashlib
 import json
+import math
 import os
 import random
 import sys
@@ -90,14 +91,16 @@ def found() -> dict[str, str | None]:
     return {line["key"]: line["killer"] for line in lines}
 
 
-def run_room(entry: dict[str, Any], chosen: list[Site], workers: int, known: list[str]) -> None:
+def run_room(
+    entry: dict[str, Any], chosen: list[Site], asked: argparse.Namespace, known: list[str]
+) -> None:
     """Run the mutants of one room, in a process of its own."""
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     if entry.get("interpreted"):
         os.environ["NUMBA_DISABLE_JIT"] = "1"
-    sys.path.insert(0, str(CHECKOUT))
-    os.chdir(CHECKOUT)
-    from mutation_run import BaselineError, killers, measured  # noqa: PLC0415 (in this process)
+    from mutation_run import BaselineError, copy_tree, killers, measured  # noqa: PLC0415 (here)
+
+    copy_tree()
 
     columns = (
         TextColumn("{task.description}"),
@@ -113,12 +116,13 @@ def run_room(entry: dict[str, Any], chosen: list[Site], workers: int, known: lis
     except BaselineError as error:
         sys.exit(f"error: {error}")
     tests.kills.update(known)
+    tests.below_s = asked.tests_below
     jobs = {site.key: (Path(site.module), site.mutant.source) for site in chosen}
     # Without a thread of its own: this process forks.
     with Progress(*columns, console=console, auto_refresh=False) as bar, FOUND.open("a") as log:
         task = bar.add_task("mutants", total=len(jobs), survived=0)
         survived = 0
-        for key, killer in killers(tests, jobs, workers):
+        for key, killer in killers(tests, jobs, asked.workers):
             survived += killer is None
             print(json.dumps({"key": key, "killer": killer}), file=log, flush=True)
             bar.update(task, advance=1, survived=survived, refresh=True)
@@ -159,6 +163,10 @@ def main() -> int:
     parser.add_argument("--sample", type=int, metavar="N", help="so many mutants, by chance")
     parser.add_argument("--seed", type=int, default=0, help="of the sample (default: 0)")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1, metavar="N")
+    parser.add_argument(
+        "--tests-below", type=float, default=math.inf, metavar="S",
+        help="leave out tests that take longer [s of CPU]: a first pass over many mutants",
+    )  # fmt: skip
     parser.add_argument("--fresh", action="store_true", help="forget what was found before")
     parser.add_argument("--list", action="store_true", help="run nothing, report what was found")
     asked = parser.parse_args()
@@ -178,7 +186,7 @@ def main() -> int:
         if chosen and not asked.list:
             tests = [killer for site in here if (killer := known.get(site.key))]
             process = get_context("fork").Process(
-                target=run_room, args=(entry, chosen, asked.workers, tests)
+                target=run_room, args=(entry, chosen, asked, tests)
             )
             process.start()
             process.join()

@@ -6,7 +6,9 @@ The changed module exists in memory alone: no file is written, and the mutants d
 from __future__ import annotations
 
 import importlib
+import math
 import os
+import shutil
 import signal
 import sys
 import tempfile
@@ -24,11 +26,13 @@ from typing import Any, Final
 
 import pytest
 
-CHECKOUT: Final = Path(__file__).parents[1]
+TREE: Final = Path(__file__).parents[1] / "build" / "mutation"
+"""A copy of the checkout, so that work on that can go on meanwhile."""
+
 OURS: Final = ("can_rig", "firmware_model", "tests")
 TIMEOUT: Final = "timeout"
 _SLOWER: Final = 10  # times the usual duration of a test, and then it hangs
-_SLOWER_S: Final = 5.0
+_SLOWER_S: Final = 2.0
 
 
 @dataclass
@@ -38,6 +42,8 @@ class Tests:
     paths: Sequence[str]
     cpu_s: dict[str, float] = field(default_factory=dict)
     """CPU time of each test on the unchanged code [s]."""
+    below_s: float = math.inf
+    """Tests that take longer are left out."""
     kills: Counter[str] = field(default_factory=Counter)
     """Number of mutants that each test has noticed first."""
 
@@ -51,10 +57,12 @@ class Plugin:
         self.cpu_s: dict[str, float] = {}
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        """Set the order; files stay together, for the fixtures that their tests share."""
+        """Choose and order them; files stay together, for the fixtures that their tests share."""
+        cpu_s = self._tests.cpu_s
+        items[:] = [i for i in items if cpu_s.get(i.nodeid, 0.0) < self._tests.below_s]
         file_s: dict[str, float] = defaultdict(float)
-        for test, cpu_s in self._tests.cpu_s.items():
-            file_s[test.partition("::")[0]] += cpu_s
+        for test, test_s in cpu_s.items():
+            file_s[test.partition("::")[0]] += test_s
         kills = self._tests.kills
         items.sort(key=lambda i: (-kills[i.nodeid], file_s[i.nodeid.partition("::")[0]]))
 
@@ -80,7 +88,7 @@ class _InMemory(SourceFileLoader):
 
     def __init__(self, module: Path, source: str) -> None:
         name = ".".join(module.with_suffix("").parts).removesuffix(".__init__")
-        super().__init__(name, str(CHECKOUT / module))
+        super().__init__(name, str(TREE / module))
         self._source = source
 
     def get_code(self, fullname: str) -> Any:
@@ -109,6 +117,19 @@ def _in_process(
     theirs = [name for name in sys.modules if name.split(".")[0] not in OURS]
     to.send((failed, plugin.cpu_s, theirs))
     os._exit(0)  # whatever threads a mutant has left behind
+
+
+def copy_tree() -> None:
+    """Bring `TREE` up to date; what has not changed keeps its date, and so what is compiled."""
+    checkout = TREE.parents[1]
+    shutil.rmtree(TREE, ignore_errors=True)
+    for name in ("can_rig", "firmware_model", "dbc", "tests", "tools"):
+        without = shutil.ignore_patterns("__pycache__")
+        shutil.copytree(checkout / name, TREE / name, ignore=without)
+    for name in ("pyproject.toml", "README.md"):
+        shutil.copy2(checkout / name, TREE / name)
+    os.chdir(TREE)
+    sys.path.insert(0, str(TREE))
 
 
 class BaselineError(Exception):

@@ -61,21 +61,21 @@ class Mutant:
 
 
 def mutants(source: str) -> Iterator[Mutant]:
-    """Every mutant of a module, in the order of its lines; no two have the same syntax tree."""
+    """Every mutant of a module, in the order of its lines; no two are alike."""
     lines = source.splitlines(keepends=True)
-    tree = ast.parse(source)
-    seen = {ast.dump(tree)}
-    for node, replacement in sorted(_changes(tree), key=lambda change: change[0].lineno):
+    seen = set()
+    for node, replacement in sorted(_changes(ast.parse(source)), key=lambda c: c[0].lineno):
         first, last = node.lineno - 1, node.end_lineno
         old = "".join(lines[first:last])
         start = old.encode()[: node.col_offset].decode()  # columns count bytes
         end = lines[last - 1].encode()[node.end_col_offset :].decode()
         new = f"{start}{replacement}{end}"
-        whole = "".join([*lines[:first], new, *lines[last:]])
-        shape = ast.dump(ast.parse(whole))
-        if shape not in seen:
-            seen.add(shape)
-            yield Mutant(node.lineno, _plain(old), _plain(new), whole)
+        mutant = Mutant(
+            node.lineno, _plain(old), _plain(new), "".join([*lines[:first], new, *lines[last:]])
+        )
+        if mutant not in seen:
+            seen.add(mutant)
+            yield mutant
 
 
 def _plain(lines: str) -> str:

@@ -6,7 +6,7 @@ import pytest
 
 from can_rig.assessment.bus_timing.timing import latency_ticks
 from can_rig.assessment.resolve import load, load_run, resolve
-from can_rig.assessment.threshold_budget import budget
+from can_rig.assessment.threshold_budget import threshold_budget
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import FROM_BUDGET, FROM_BUS, draft, read
@@ -23,7 +23,7 @@ def test_loading_keeps_the_words_and_resolving_puts_in_what_the_assessment_says(
     found = resolve(written)
     network = network_of(found)
     assert found.latency_ticks == latency_ticks(network, 500_000, 0.002, found.bus.compute_s) > 0
-    needed = budget(found, network)
+    needed = threshold_budget(found, network)
     assert found.design.fault_threshold_mps2 == needed.threshold > 0.0
     assert found.design.fault_threshold_share == needed.share > 0.0
     assert found == load("thesis-step", [*BUS, *BUDGET])

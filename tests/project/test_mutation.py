@@ -1,0 +1,161 @@
+"""tools/mutation: the changes that it makes, and that it tells apart what tests notice."""
+
+from __future__ import annotations
+
+import ast
+import json
+import shutil
+import subprocess
+import sys
+import tomllib
+from pathlib import Path
+
+import pytest
+
+TOOLS = Path(__file__).parents[2] / "tools"
+
+
+@pytest.fixture(autouse=True)
+def as_scripts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(str(TOOLS))
+
+
+@pytest.mark.parametrize(
+    ("line", "expected"),
+    [
+        ("x = a + 1", {"x = (a - 1)", "x = a + (0)", "x = a + (2)"}),
+        ("x = -a", {"x = (a)"}),
+        ("x = a < b", {"x = (a <= b)", "x = (a >= b)"}),
+        ("x = a and b", {"x = (a or b)", "x = (a)", "x = (b)"}),
+        ("x = 2.5", {"x = (5.0)"}),
+        ("x = True", {"x = (False)"}),
+        ("x = max(a, b)", {"x = (min(a, b))"}),
+        ("x = math.expm1(a)", {"x = (math.exp(a) - 1.0)"}),
+        ("x = abs(a)", {"x = (a)"}),
+        ("x = a[0]", {"x = a[(1)]"}),
+        ("f(a)", {"pass"}),
+        ("a.b = c", {"pass"}),
+        ("raise ValueError(1 + 1)", {"pass"}),
+        ("while a: break", {"while (not (a)): break", "while a: continue"}),
+        ("x: int = 'text'", set()),
+        ("zip(a, strict=True)", {"pass"}),
+    ],
+)
+def test_what_a_line_becomes(line: str, expected: set[str]) -> None:
+    from mutation_sites import mutants
+
+    assert {mutant.after for mutant in mutants(line)} == expected
+
+
+def test_only_an_assignment_that_replaces_a_value_is_left_out() -> None:
+    from mutation_sites import mutants
+
+    source = "def f(a):\n    b = a\n    c = a\n    c = b\n    a = c\n    return a\n"
+    dropped = [m.line for m in mutants(source) if m.after == "pass"]
+    assert dropped == [3, 4, 5]  # without line 2 there would be no b at all
+
+
+def test_a_mutant_is_the_module_with_one_line_changed() -> None:
+    from mutation_sites import mutants
+
+    source = '"""µ."""\nx = "µ", 1 + a  # why\n\ny = (\n    2 *\n    a)\n'
+    for mutant in mutants(source):
+        before, after = source.splitlines(), mutant.source.splitlines()
+        assert sum(a != b for a, b in zip(before, after, strict=False)) <= 3
+        assert after[0] == before[0]
+    assert ("2 * a)", "(2 / a))") in {(m.before, m.after) for m in mutants(source)}
+
+
+def test_the_accepted_mutants_are_there_and_have_a_reason() -> None:
+    import mutation
+
+    settings = tomllib.loads((TOOLS / "mutation.toml").read_text("utf-8"))
+    every = list(mutation.sites(settings))
+    assert len(every) > 1000
+    assert len({site.key for site in every}) == len(every)
+    for site in every:
+        ast.parse(site.mutant.source)  # else it would be killed for nothing
+    mutation.accepted(settings, every)
+
+
+CODE = """\
+def clip(value):
+    while value > 9:
+        value -= 1
+    if value < 0:
+        value = 0
+    return value
+"""
+TESTS = """\
+from can_rig.clip import clip
+
+def test_below():
+    assert clip(-3) == 0
+
+def test_above():
+    assert clip(12) == 9
+
+def test_within():
+    assert clip(0.5) == 0.5
+"""
+ROOM = '[[room]]\nmodules = ["can_rig/*.py"]\ntests = ["tests"]\n'
+ACCEPTED = """
+[[accepted]]
+module = "can_rig/clip.py"
+before = "if value < 0:"
+after = "if (value <= 0):"
+reason = "zero is zero"
+"""
+
+
+@pytest.fixture
+def project(tmp_path: Path) -> Path:
+    """A checkout of one module, its tests and the tool."""
+    for name in ("can_rig", "firmware_model", "dbc", "tests"):
+        (tmp_path / name).mkdir()
+    shutil.copytree(TOOLS, tmp_path / "tools", ignore=shutil.ignore_patterns("__pycache__"))
+    (tmp_path / "can_rig" / "__init__.py").write_text("")
+    (tmp_path / "can_rig" / "clip.py").write_text(CODE)
+    (tmp_path / "tests" / "test_clip.py").write_text(TESTS)
+    (tmp_path / "pyproject.toml").write_text(
+        '[tool.pytest.ini_options]\npythonpath = ["."]\n'
+        'markers = ["vcan", "long"]\naddopts = "--import-mode=importlib"\n'
+    )
+    (tmp_path / "README.md").write_text("")
+    return tmp_path
+
+
+def run(project: Path, settings: str, *arguments: str) -> subprocess.CompletedProcess[str]:
+    (project / "tools" / "mutation.toml").write_text(settings)
+    return subprocess.run(
+        [sys.executable, "tools/mutation.py", *arguments],
+        cwd=project,
+        env={"COLUMNS": "200", "PATH": "/usr/bin:/bin"},
+        capture_output=True,
+        text=True,
+        timeout=280,
+        check=False,
+    )
+
+
+def test_what_survives_is_told_until_it_is_accepted(project: Path) -> None:
+    done = run(project, ROOM)
+    assert done.returncode == 1, done.stderr
+    (survivor,) = [line for line in done.stdout.splitlines() if line.startswith("survived")]
+    assert survivor == "survived: can_rig/clip.py:4: if value < 0:  →  if (value <= 0):"
+    known = [json.loads(line) for line in (project / "build/mutation.jsonl").open()]
+    assert {each["killer"] for each in known} >= {None, "timeout"}  # a loop without an end
+    assert (project / "can_rig" / "clip.py").read_text() == CODE
+    done = run(project, ROOM + ACCEPTED)
+    assert done.returncode == 0
+    assert "unchanged code" not in done.stderr  # all the others are known
+    done = run(project, ROOM + ACCEPTED.replace("< 0", "< 7"))
+    assert done.returncode == 1
+    assert done.stderr.startswith("error: mutation.toml: no such mutant: can_rig/clip.py")
+
+
+def test_tests_that_fail_anyway_prove_nothing(project: Path) -> None:
+    (project / "tests" / "test_clip.py").write_text("def test_no():\n    assert False\n")
+    done = run(project, ROOM)
+    assert done.returncode == 2
+    assert "error: tests/test_clip.py::test_no fails on the unchanged code" in done.stderr
