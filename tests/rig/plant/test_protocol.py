@@ -108,7 +108,7 @@ REFUSED = {
     "no method": (("def advance", "def move"), r"advance; must have reset\(\) and advance\("),
     "no methods": (("class Car:", EMPTY), "no method reset and no method advance;"),
     "no function": (("def reset(self):", "reset = 5; x = lambda self:"), "no method reset;"),
-    "too few": (("dt_s, torque_nm, ", "dt_s, "), r"\(dt_s, force_\w+\): must be advance\(dt_s, tor"),
+    "too few": (("dt_s, torque_nm, ", "dt_s, "), r"\(dt_s, force_\w+\): must be advance\(dt_s, "),
     "too many": ((ADVANCE, ADVANCE.replace(")", ", more)")), r"advance\(.*, more\): must be adv"),
     "reset wants more": (("reset(self)", "reset(self, state)"), r"\(state\): must be reset\(\)$"),
     "no settings": ((INIT, INIT.replace(")", ", x)")), r"settings, x\): must be Car\(settings\)$"),
