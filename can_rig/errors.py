@@ -1,5 +1,6 @@
 """What can go wrong where the user can put it right, and the exit status that says so."""
 
+from importlib.util import find_spec
 from typing import Final
 
 INTERRUPTED: Final = 130
@@ -47,3 +48,19 @@ class DbcError(RigError):
 
 class LogError(RigError):
     """A log that cannot be read or written, or is not what its name says; names file and place."""
+
+
+class MissingExtraError(RigError):
+    """A package that comes with an extra of this one and is not installed; names both."""
+
+
+def require(package: str, extra: str) -> None:
+    """Say clearly, before ``package`` is imported, that it takes ``extra`` to have it.
+
+    Raises:
+        MissingExtraError: it is not installed.
+    """
+    if find_spec(package) is None:
+        raise MissingExtraError(
+            f"{package} is not installed: pip install 'fault-tolerant-steering[{extra}]'"
+        )

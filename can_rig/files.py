@@ -1,4 +1,4 @@
-"""Files that are there whole or not at all, and replace nothing unasked."""
+"""Output files that exist whole or not at all, and replace nothing unasked."""
 
 from __future__ import annotations
 
@@ -7,36 +7,35 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
-from can_rig.errors import LogError
+from can_rig.errors import LogError, one_line
 
 
 def refuse_existing(path: Path, force: bool, option: str) -> None:
-    """Refuse an output that is there, unless it may be replaced.
+    """Refuse an output that exists, unless it may be replaced; or whose folder does not.
 
     Raises:
         LogError: the reason; ``option`` is the one that named it.
     """
     if path.exists() and not force:
-        raise LogError(
-            f"{path}: there already; another {option}, or --force to replace it, is right"
-        )
+        raise LogError(f"{path}: exists; choose another {option}, or --force to replace it")
+    if not path.parent.is_dir():
+        raise LogError(f"{path}: there is no folder {path.parent}; {option} makes none")
 
 
 @contextmanager
 def atomic(path: Path) -> Iterator[Path]:
-    """Where to write what becomes ``path`` when the context is left without an error.
+    """Where to write what becomes ``path`` once the context is left without an error.
 
     Raises:
         LogError: the operating system does not let it be written.
     """
     part = path.with_name(f".part-{path.name}")
     try:
-        path.parent.mkdir(parents=True, exist_ok=True)
         yield part
         _remove(path)
         part.rename(path)
     except OSError as error:
-        reason = error.strerror or " ".join(str(error).split())
+        reason = error.strerror or one_line(error)
         raise LogError(f"{path}: cannot be written: {reason}") from None
     finally:
         with suppress(OSError):  # a read-only file system refuses this too; the reason is known

@@ -33,7 +33,7 @@ def set_option(what: str) -> Callable[[Function], Function]:
 def bus_name(_context: click.Context, _option: click.Parameter, value: str | None) -> str | None:
     """Refuse a bus without a name, which a variable that is not set makes of --bus "$BUS"."""
     if value is not None and not value.strip():
-        raise click.BadParameter("a bus has a name, such as local or socketcan:vcan0")
+        raise click.BadParameter("must name a bus, such as local or socketcan:vcan0")
     return value
 
 

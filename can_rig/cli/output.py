@@ -36,6 +36,12 @@ def say(*lines: str) -> None:
     _print(Console(), lines)
 
 
+def explain(*lines: str) -> None:
+    """Sentences on standard output, broken where the terminal ends."""
+    for line in lines:
+        Console().print(line, markup=False, highlight=False)
+
+
 def tell(*lines: str) -> None:
     """Lines on standard error, beside a result that a program may read."""
     _print(Console(stderr=True), lines)

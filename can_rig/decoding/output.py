@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from can_rig.decoding.message_columns import MessageColumns
-from can_rig.errors import LogError
+from can_rig.errors import LogError, require
 from can_rig.files import atomic, refuse_existing
 
 TABLES: Final = (".csv", ".parquet")
@@ -38,6 +38,7 @@ def refuse_output(path: Path, force: bool) -> None:
             f"{path}: cannot be written as {path.suffix}; it must be .csv, .parquet or .mf4, or a "
             "folder, without a suffix"
         )
+    require("asammdf" if path.suffix == _MF4 else "pyarrow", extra="logs")
     refuse_existing(path, force, "--out")
     if not path.exists():
         return

@@ -17,7 +17,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from can_rig.errors import LogError
+from can_rig.errors import LogError, require
 from can_rig.files import atomic, refuse_existing
 from can_rig.logs.formats import format_of
 from can_rig.logs.log import Log
@@ -34,6 +34,8 @@ def refuse_log(path: Path, force: bool) -> None:
     """
     if format_of(path) != ".log" and path.suffix.lower() == ".gz":
         raise LogError(f"{path}: a compressed log can only be written as .log.gz")
+    if format_of(path) == ".mf4":
+        require("asammdf", extra="logs")
     refuse_existing(path, force, "--log")
 
 

@@ -32,6 +32,8 @@ class Question:
 
     recorded: Source
     logged: Signals
+    label: str
+    """The log or run folder, as it was named."""
     scenario: Scenario
     """The other one; as long as the log, unless something else was asked for."""
 
@@ -42,6 +44,7 @@ class WhatIf:
 
     execution: Execution
     before: SignalTable
+    """What was logged."""
     difference: Difference
 
 
@@ -74,7 +77,7 @@ def question(
     if not any(setting.startswith("duration_s") for setting in settings):
         last_s = float(logged.time_s[-1]) + recorded.scenario.tick_s
         scenario = replace(scenario, duration_s=max(last_s, scenario.tick_s))
-    return Question(recorded, logged, scenario)
+    return Question(recorded, logged, str(path), scenario)
 
 
 def what_if(
@@ -116,10 +119,9 @@ def what_if(
         return None
     network, scenario = execution.network, execution.scenario
     signals = read_signals(execution.folder / LOG, network, scenario.tick_s)
-    recorded = asked.recorded.scenario
-    same_reference = replace(scenario, reference=recorded.reference)  # the log's, as a file
-    before = table_of(asked.logged, str(log), recorded)
-    after = table_of(signals, str(execution.folder), same_reference)
+    before = table_of(asked.logged, asked.label, asked.recorded.scenario)
+    same_reference = replace(scenario, reference=asked.recorded.scenario.reference)
+    after = table_of(signals, str(execution.folder), same_reference)  # the log's, as a file
     difference = compare(before, after, {})
     draw_difference(execution.folder / PICTURE, before, after, difference)
     return WhatIf(execution, before, difference)

@@ -144,7 +144,7 @@ def finish(
         LogError: the log cannot be read.
         RunFolderError: one of them cannot be written; what was recorded stays.
     """
-    from can_rig.results.report import draw_report  # noqa: PLC0415 (matplotlib, when nodes are done)
+    from can_rig.results.report.page import draw_report  # noqa: PLC0415 (matplotlib, when nodes are done)
 
     in_time_ticks = 1 if outcome.realtime is None else scenario.latency_ticks
     signals = read_signals(folder / LOG, network, scenario.tick_s, in_time_ticks)

@@ -14,7 +14,6 @@ import math
 from collections.abc import Callable
 
 import numpy as np
-from scipy import optimize
 
 from firmware_model.analysis.sampled_loop import SampledLoop
 
@@ -70,7 +69,26 @@ def _least_critical_delay(loop: SampledLoop) -> float:
 
     critical = math.inf
     for i in np.flatnonzero((size[:-1] > 1.0) != (size[1:] > 1.0)):
-        theta = optimize.brentq(log_size, angle[i], angle[i + 1], xtol=1e-15)
+        theta = _zero(log_size, float(angle[i]), float(angle[i + 1]))
         gain = loop.loop_gain(np.exp(1j * np.array([theta])))[0]
         critical = min(critical, (cmath.phase(-gain) % (2.0 * math.pi)) / theta)
     return critical
+
+
+def _zero(function: Callable[[float], float], low: float, high: float) -> float:
+    """Where ``function`` changes sign between the two, to rounding, by the Illinois method.
+
+    scipy.optimize has many such methods, and takes as long to import as all of a check's margins.
+    """
+    at_low, at_high, middle = function(low), function(high), low
+    for _ in range(100):  # it takes some ten
+        middle = high - at_high * (high - low) / (at_high - at_low)
+        value = function(middle)
+        if value == 0.0 or abs(middle - high) <= 4.0 * math.ulp(middle):
+            break
+        if (value > 0.0) == (at_high > 0.0):
+            at_low *= 0.5  # the other end stays for the second time: let the chord move
+        else:
+            low, at_low = high, at_high
+        high, at_high = middle, value
+    return middle

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from firmware_model.analysis.sampled_plant import SampledPlant, follow_plant, measure_plant
 from firmware_model.compiled import firmware
 from firmware_model.target import controller
-from firmware_model.target.adaptive_threshold import least_model_share
+from firmware_model.target.fault_decision.adaptive_threshold import least_model_share
 from firmware_model.target.structs import FloatArray, Record, RecordArray
 
 BoolArray = NDArray[np.bool_]

@@ -26,24 +26,33 @@ import numpy as np
 
 from firmware_model.compiled import firmware
 from firmware_model.target.actuator import quantise, saturate, saturate_rate
-from firmware_model.target.adaptive_threshold import settle_threshold
-from firmware_model.target.biquad import advance, output, settle
-from firmware_model.target.bumpless_transfer import release, transfer
-from firmware_model.target.decision import CLEAR, decide, disengage_when_faded, engage
-from firmware_model.target.estimator import (
+from firmware_model.target.fault_decision.adaptive_threshold import settle_threshold
+from firmware_model.target.fault_decision.bumpless_transfer import release, transfer
+from firmware_model.target.fault_decision.decision import (
+    CLEAR,
+    decide,
+    disengage_when_faded,
+    engage,
+)
+from firmware_model.target.fault_decision.loss_model import (
+    advance_loss_model,
+    clear_loss_model,
+    loss_output,
+)
+from firmware_model.target.fault_decision.probe import probe_response, probe_torque
+from firmware_model.target.filters.biquad import advance, output, settle
+from firmware_model.target.filters.estimator import (
     advance_model,
     clear_estimator,
     model_output,
     settle_estimator,
 )
+from firmware_model.target.filters.tracking import settle_tracking, track
 from firmware_model.target.layout import precision_of, state_type
-from firmware_model.target.loss_model import advance_loss_model, clear_loss_model, loss_output
 from firmware_model.target.precision import real
-from firmware_model.target.probe import probe_response, probe_torque
 from firmware_model.target.reference_shaper import shape_reference, start
 from firmware_model.target.status import Mode
 from firmware_model.target.structs import Record, RecordArray
-from firmware_model.target.tracking import settle_tracking, track
 
 MODE_INIT, MODE_RUN, MODE_HOLD = int(Mode.INIT), int(Mode.RUN), int(Mode.HOLD)
 

@@ -8,19 +8,15 @@ from __future__ import annotations
 
 import numpy as np
 
-from firmware_model.target import (
-    actuator,
+from firmware_model.target import actuator, reference_shaper, status
+from firmware_model.target.fault_decision import (
     adaptive_threshold,
     bumpless_transfer,
-    compensator,
     decision,
-    estimator,
     loss_model,
     probe,
-    reference_shaper,
-    status,
-    tracking,
 )
+from firmware_model.target.filters import compensator, estimator, tracking
 from firmware_model.target.structs import Field, Precision, Record, record_type
 
 TABLE = (

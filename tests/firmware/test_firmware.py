@@ -9,7 +9,7 @@ from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
-from firmware_model.target.biquad import advance, at_rest
+from firmware_model.target.filters.biquad import advance, at_rest
 
 TICK_S = 0.001
 PLANT = sample(steer_by_wire(), TICK_S)

@@ -119,7 +119,7 @@ BROKEN = {
         "The rooms of can_rig BROKEN",
     ),
     "target": (
-        "firmware_model/target/biquad.py",
+        "firmware_model/target/filters/biquad.py",
         "from firmware_model.design import zpk",
         "The rooms of firmware_model BROKEN",
     ),

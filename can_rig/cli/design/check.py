@@ -10,7 +10,7 @@ from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import check_stability
 from can_rig.assessment.stability_table import table_rows
 from can_rig.cli.options import json_option, scenario_options
-from can_rig.cli.output import json_line, say, show, table
+from can_rig.cli.output import explain, json_line, say, show, table
 
 
 @click.command("check")
@@ -30,5 +30,6 @@ def command(scenario: str, settings: tuple[str, ...], as_json: bool) -> None:
         for row in rows:
             figures.add_row(*row)
         show(figures)
-        say(*result.notes, *result.scenario.notes, result.verdict)
+        explain(*result.notes, *result.scenario.notes)
+        say(result.verdict)
     sys.exit(0 if result.stable else 1)

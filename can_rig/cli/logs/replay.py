@@ -104,10 +104,14 @@ def command(
     if speed is not None:
         raise click.UsageError("--speed is the pace of a replay onto a --bus; name one")
     if what_if:
-        from can_rig.cli.logs.what_if import answer  # noqa: PLC0415 (matplotlib)
+        from can_rig.cli.logs.what_if import what_if_command  # noqa: PLC0415 (matplotlib)
 
         _refuse_together("--what-if", gaps=gaps)
-        sys.exit(answer(log, scenario_name, settings, channel, out, force, allow_unstable, as_json))
+        sys.exit(
+            what_if_command(
+                log, scenario_name, settings, channel, out, force, allow_unstable, as_json
+            )
+        )
     if out is not None:
         raise click.UsageError("--out is the run folder of a --what-if")
     sys.exit(_open_loop(source_of(log, scenario_name, settings, channel), gaps, force, as_json))

@@ -1,4 +1,4 @@
-"""What ``can-rig replay --what-if`` runs and prints."""
+"""``can-rig replay --what-if``: what is printed of it."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from can_rig.nodes.watchdog import StopRequest
 from can_rig.replay.what_if import LABELS, question, what_if
 
 
-def answer(
+def what_if_command(
     path: Path,
     name: str | None,
     settings: Sequence[str],
@@ -24,16 +24,15 @@ def answer(
     allow_unstable: bool,
     as_json: bool,
 ) -> int:
-    """Run the other scenario with the log's reference, and print what differs: the exit status."""
+    """Answer, and print what differs: the exit status."""
     asked = question(path, name, settings, channel, lambda log: reading(log, "reading"))
-    scenario = asked.scenario
     found = what_if(
         asked,
         out,
         StopRequest().on_signals(),
         force=force,
         allow_unstable=allow_unstable,
-        progress=lambda: counting(scenario.name, "ticks", scenario.ticks),
+        progress=lambda: counting(asked.scenario.name, "ticks", asked.scenario.ticks),
     )
     if found is None:
         return INTERRUPTED

@@ -41,9 +41,15 @@ def command(
             json_line(ready=True)
 
     with node_progress(chosen, as_json) as on_tick:
-        show = Throttled(on_tick)
         summary = run_controller(
-            chosen, bus, timeouts, stop, on_ready, show, real_time=real_time, by_hand=True
+            chosen,
+            bus,
+            timeouts,
+            stop,
+            on_ready,
+            Throttled(on_tick),
+            real_time=real_time,
+            by_hand=True,
         )
         on_tick(summary.ticks)
     sys.exit(end_of_node(chosen, summary, as_json))

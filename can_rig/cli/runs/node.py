@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import asdict
 
@@ -12,6 +12,7 @@ from can_rig.cli.options import Function, bus_option, json_option, realtime_opti
 from can_rig.cli.output import json_line, tell
 from can_rig.cli.progress import counting
 from can_rig.errors import INTERRUPTED, RigError
+from can_rig.nodes.progress import OnTick
 from can_rig.nodes.realtime import timing
 from can_rig.nodes.runner import NodeSummary
 from can_rig.scenario.settings import Scenario
@@ -55,7 +56,7 @@ def node_options(function: Function) -> Function:
 
 
 @contextmanager
-def node_progress(scenario: Scenario, as_json: bool) -> Iterator[Callable[[int], None]]:
+def node_progress(scenario: Scenario, as_json: bool) -> Iterator[OnTick]:
     """Progress of one node: a bar for a person, JSON lines for a program."""
     if not as_json:
         with counting(scenario.name, "ticks", scenario.ticks) as on_tick:

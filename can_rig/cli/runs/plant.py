@@ -50,9 +50,15 @@ def command(
     chosen = load(scenario, settings)
     stop = StopRequest().on_signals()
     with node_progress(chosen, as_json) as on_tick:
-        show = Throttled(on_tick)
         summary = run_plant(
-            chosen, bus, log, timeouts, stop, show, real_time=real_time, by_hand=True
+            chosen,
+            bus,
+            log,
+            timeouts,
+            stop,
+            Throttled(on_tick),
+            real_time=real_time,
+            by_hand=True,
         )
         on_tick(summary.ticks)
     sys.exit(end_of_node(chosen, summary, as_json))

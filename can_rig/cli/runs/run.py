@@ -15,9 +15,8 @@ from can_rig.errors import INTERRUPTED
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import refuse_log, write_log
 from can_rig.nodes.watchdog import StopRequest
-from can_rig.results.execution import execute, refuse, two_processes
-from can_rig.results.execution import in_process as in_one
-from can_rig.results.execution import real_time as in_real_time
+from can_rig.results import execution
+from can_rig.results.execution import refuse
 from can_rig.results.run_folder import LOG
 
 
@@ -59,13 +58,14 @@ def command(
     refuse(chosen, allow_unstable)
     for path in logs:
         refuse_log(path, force)
-    done = execute(
+    runner = execution.in_process if in_process else execution.two_processes
+    done = execution.execute(
         chosen,
         out,
         StopRequest().on_signals(),
         force=force,
         bus=bus,
-        runner=in_one if in_process else in_real_time if real_time else two_processes,
+        runner=execution.real_time if real_time else runner,
         progress=lambda: counting(chosen.name, "ticks", chosen.ticks),
     )
     if done is None:

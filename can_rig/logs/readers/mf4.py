@@ -18,7 +18,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig.errors import LogError, one_line
+from can_rig.errors import LogError, one_line, require
 from can_rig.logs.frames import (
     BITRATE_SWITCH,
     CLASSIC_BYTES,
@@ -59,6 +59,7 @@ def read_mf4(log: Log) -> Iterator[Frames]:
     Raises:
         LogError: asammdf cannot read it, or it has no CAN bus logging.
     """
+    require("asammdf", extra="logs")
     import asammdf  # noqa: PLC0415 (slow to import)
 
     logging.getLogger("asammdf").setLevel(logging.CRITICAL)  # its reason is in our error

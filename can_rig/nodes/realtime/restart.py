@@ -33,7 +33,7 @@ from scipy.linalg import solve_discrete_lyapunov
 
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
-from firmware_model.target.biquad import advance, at_rest
+from firmware_model.target.filters.biquad import advance, at_rest
 from firmware_model.target.structs import FloatArray, Record
 
 LISTEN_S: Final = 0.05

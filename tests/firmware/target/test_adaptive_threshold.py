@@ -18,7 +18,7 @@ from firmware_model.design.vehicle import VehicleParameters
 from firmware_model.discretisation.tables import CHANGE_MEMORY_S, PEAK_MEMORY_S, build
 from firmware_model.discretisation.targets import Target
 from firmware_model.target import controller
-from firmware_model.target.adaptive_threshold import (
+from firmware_model.target.fault_decision.adaptive_threshold import (
     adapt,
     settle_threshold,
     would_exceed_threshold,

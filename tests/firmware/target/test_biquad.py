@@ -13,7 +13,7 @@ from firmware_model.design.tracking import tracking
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.sections import Sections
 from firmware_model.discretisation.tustin import tustin, zoh
-from firmware_model.target.biquad import (
+from firmware_model.target.filters.biquad import (
     CONSTANTS,
     advance,
     at_rest,

@@ -17,7 +17,7 @@ from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.tables import LOSS_MEMORY_S, build
 from firmware_model.discretisation.targets import Target
 from firmware_model.target import controller
-from firmware_model.target.bumpless_transfer import begin_transfer, release, transfer
+from firmware_model.target.fault_decision.bumpless_transfer import begin_transfer, release, transfer
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import Record
 

@@ -15,7 +15,7 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import zoh
 from firmware_model.firmware import Firmware
 from firmware_model.target import controller
-from firmware_model.target.loss_model import (
+from firmware_model.target.fault_decision.loss_model import (
     initialise_loss_model,
     loss_output,
     loss_output_in_estimate,
@@ -70,6 +70,7 @@ def test_it_beats_waiting_for_the_estimate(latency: int) -> None:
     assert np.abs(early.error[LOST:]).max() < 0.95 * np.abs(always.error[LOST:]).max()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("latency", [0, 2])
 @pytest.mark.parametrize("estimator", ["zoh", "tustin-held"])
 def test_without_a_fault_it_never_acts(latency: int, estimator: str) -> None:
@@ -80,6 +81,7 @@ def test_without_a_fault_it_never_acts(latency: int, estimator: str) -> None:
     assert not np.isin(trace.fault_state, (FaultState.SUSPECTED, FaultState.CONFIRMED)).any()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("confirm_ticks", [1, 5, 20])
 def test_suspected_at_the_first_sample_and_confirmed_in_time(confirm_ticks: int) -> None:
     trace = drive(confirming(confirm_ticks=confirm_ticks), np.ones(TICKS))
@@ -108,7 +110,7 @@ def test_a_spike_is_suspected_and_forgotten() -> None:
     assert all(a.command_2 == 0.0 for a in answers)
 
 
-@pytest.mark.parametrize("latency", [0, 1, 3])
+@pytest.mark.parametrize("latency", [0, *(pytest.param(n, marks=pytest.mark.long) for n in (1, 3))])
 def test_a_channel_that_comes_back_is_cleared_without_a_bump(latency: int) -> None:
     target = confirming(latency, confirm_ticks=20, clear_ticks=300, threshold=0.01)
     trace = drive(target, np.ones(2 * TICKS), until=BACK, of=TAME)
@@ -130,6 +132,7 @@ def test_a_reference_through_zero_clears_nothing() -> None:
     assert (trace.fault_state[LOST + 100 :] == FaultState.CONFIRMED).all()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("left", [0.3, 0.5])
 def test_a_partial_loss_is_confirmed_and_settles(left: float) -> None:
     trace = drive(confirming(threshold=0.01), np.ones(TICKS), left=left, of=TAME)
@@ -137,11 +140,13 @@ def test_a_partial_loss_is_confirmed_and_settles(left: float) -> None:
     assert np.abs(trace.error[-100:]).max() < 1e-3
 
 
+@pytest.mark.long
 def test_without_excitation_it_cannot_tell() -> None:
     trace = drive(confirming(threshold=0.01), np.zeros(TICKS))
     assert (trace.fault_state == FaultState.CANNOT_TELL).all()
 
 
+@pytest.mark.long
 def test_a_biased_sensor_looks_the_same() -> None:
     """d̂ = -b: the decision says that something is lost, not what."""
     trace = simulate(

@@ -17,11 +17,11 @@ from firmware_model.target import controller
 from firmware_model.target.status import FaultState, Mode
 from firmware_model.target.structs import FloatArray, Record
 
-TICK_S, LOST, MISSING, MISSED = 1e-3, 400, 800, 40
+TICK_S, LOST, MISSING, MISSED = 1e-3, 200, 600, 40
 CAR = steer_by_wire()
 PLANT = sample(CAR, TICK_S)
 DESIGN = design(CAR, DesignSpecification(tau_s=0.002, tau_q_s=0.01))
-SINE = np.sin(0.01 * np.arange(1500))
+SINE = np.sin(0.01 * np.arange(1200))
 
 
 @dataclass(frozen=True)
@@ -64,6 +64,7 @@ def drive(table: Record, lost: int | None, missed: int = MISSED) -> Run:
     return run
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("latency", [0, 1, 3])
 def test_f1_goes_on_with_the_commands_that_are_held(latency: int) -> None:
     """In a turn, where a model that stood still would be wrong by what the car has moved on."""
@@ -73,6 +74,7 @@ def test_f1_goes_on_with_the_commands_that_are_held(latency: int) -> None:
     assert not np.isin(run.fault_state, (FaultState.SUSPECTED, FaultState.CONFIRMED)).any()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("latency", [1, 3])
 def test_so_does_the_model_of_the_loss(latency: int) -> None:
     """d̂ = w after a loss of all (2.9), before, while and after inputs are missing."""
@@ -83,7 +85,7 @@ def test_so_does_the_model_of_the_loss(latency: int) -> None:
     np.testing.assert_allclose(run.lost[known], run.estimate[known], atol=1e-12)
 
 
-@pytest.mark.parametrize("latency", [1, 3])
+@pytest.mark.parametrize("latency", [1, pytest.param(3, marks=pytest.mark.long)])
 def test_the_compensation_goes_on_without_a_bump(latency: int) -> None:
     """w moves by some 0.2 m/s² meanwhile: a jump there would ask for most of X_diff in a tick."""
     run = drive(table_of(latency), LOST)

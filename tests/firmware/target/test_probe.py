@@ -18,7 +18,12 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.errors import ParameterError
 from firmware_model.target import controller
-from firmware_model.target.probe import begin_probe, correlate, end_probe, probe_torque
+from firmware_model.target.fault_decision.probe import (
+    begin_probe,
+    correlate,
+    end_probe,
+    probe_torque,
+)
 from firmware_model.target.status import FaultState
 
 TICK_S, TICKS, LOST, PROBE_NM = 1e-3, 8000, 3000, 2.0

@@ -1,6 +1,7 @@
 """Two nodes that were started by hand: the same scenario, or one line each that names the key."""
 
 import threading
+from contextlib import nullcontext
 from dataclasses import replace
 
 import can
@@ -10,10 +11,11 @@ from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
 from can_rig.errors import RigError, ScenarioError, SilentNodeError
 from can_rig.frames.agreement import Comparison, ComparisonFrame, digest
+from can_rig.nodes import runner
 from can_rig.nodes.agreement import Agreement, keys_of
 from can_rig.nodes.runner import run_controller, run_plant
 from can_rig.nodes.watchdog import StopRequest, Timeouts
-from can_rig.scenario.loading import shipped
+from can_rig.scenario.catalogue import shipped
 from tests.clock import TurnedClock
 from tests.helpers import DBC, NAMES, record, start
 from tests.rig.nodes.running import one_line
@@ -74,7 +76,10 @@ def test_both_end_and_name_the_first_key_that_differs(setting, key, tmp_path):
 
 
 @pytest.mark.parametrize("real_time", [False, True])
-def test_in_real_time_too(real_time, tmp_path):
+def test_in_real_time_too(real_time, tmp_path, monkeypatch):
+    # This process is to stay an ordinary one: no SCHED_FIFO, no core of its own, for good.
+    monkeypatch.setattr(runner, "prefer", lambda core: "nothing asked for")
+    monkeypatch.setattr(runner, "undisturbed", nullcontext)
     ended = both_by_hand(
         f"local:{tmp_path / 'bus'}",
         load("default", SHORT),

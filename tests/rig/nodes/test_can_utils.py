@@ -193,7 +193,9 @@ def test_random_payloads_on_the_rigs_own_identifiers_are_rejected_and_counted(
     """From before the run until after it, on all five; run.json has how many, of each."""
     wanted = frames(record(tmp_path, LONGER)[0])
     folder = tmp_path / "run"
-    monkeypatch.setattr("can_rig.results.report.draw_report", lambda file, *_: file.touch())  # slow
+    monkeypatch.setattr(
+        "can_rig.results.report.page.draw_report", lambda file, *_: file.touch()
+    )  # slow
     with ExitStack() as stack:
         for identifier in ("100", "101", *COMMANDS):
             spray = ("cangen", "vcan0", "-I", identifier, "-L", 8, "-D", "r", "-g", 25)

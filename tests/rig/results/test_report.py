@@ -15,8 +15,8 @@ from can_rig.drawing.style import SHADE
 from can_rig.nodes.realtime.timing import Timing
 from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.watchdog import StopRequest
-from can_rig.results import report
 from can_rig.results.metrics import metrics, rows
+from can_rig.results.report import page as report
 from can_rig.results.run_folder import Outcome, finish
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of

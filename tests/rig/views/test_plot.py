@@ -52,9 +52,9 @@ def test_any_dbc_any_log(car: Path) -> None:
     assert (done.returncode, done.stderr) == (0, "")
     assert Path("car.png").read_bytes().startswith(b"\x89PNG")
     for arguments, words in (
-        (("State", "--dbc", "car.dbc"), "there already"),
+        (("State", "--dbc", "car.dbc"), "car.png: exists"),
         (("Temprature", "--dbc", "car.dbc", "--force"), "did you mean Temperature or"),
-        (("Speed", "--dbc", "car.dbc", "--force"), "ENGINE.Speed or WHEEL.Speed is right"),
+        (("Speed", "--dbc", "car.dbc", "--force"), "must be ENGINE.Speed or WHEEL.Speed"),
         (("State", "--dbc", "car.dbc", "--force", "--channel", "can9"), "the log has can0"),
         (("SteerTorque", "--force"), "no frame of STEER_TORQUE_CMD"),
         (("State", "--dbc", "away.dbc", "--force"), "cannot be read"),

@@ -7,8 +7,8 @@ whether it was computed or held: an actuator that hears nothing new goes on with
 from __future__ import annotations
 
 from firmware_model.compiled import firmware
-from firmware_model.target import biquad
-from firmware_model.target.biquad import advance, output, settle
+from firmware_model.target.filters import biquad
+from firmware_model.target.filters.biquad import advance, output, settle
 from firmware_model.target.precision import real
 from firmware_model.target.structs import MAX_LATENCY_TICKS, Field, Record
 

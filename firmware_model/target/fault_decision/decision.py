@@ -19,20 +19,20 @@ not show, a small d̂ says nothing, and the state is CANNOT_TELL instead of CLEA
 from __future__ import annotations
 
 from firmware_model.compiled import firmware
-from firmware_model.target.adaptive_threshold import (
+from firmware_model.target.fault_decision.adaptive_threshold import (
     adapt,
     exceeds_threshold,
     would_exceed_threshold,
 )
-from firmware_model.target.bumpless_transfer import begin_transfer, release
-from firmware_model.target.loss_model import (
+from firmware_model.target.fault_decision.bumpless_transfer import begin_transfer, release
+from firmware_model.target.fault_decision.loss_model import (
     estimate_loss_share,
     initialise_loss_model,
     loss_output,
     loss_output_in_estimate,
 )
+from firmware_model.target.fault_decision.probe import begin_probe, correlate, end_probe
 from firmware_model.target.precision import real
-from firmware_model.target.probe import begin_probe, correlate, end_probe
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import Field, Record
 
@@ -66,12 +66,12 @@ def decide(table: Record, state: Record, estimate: float, model_1: float, model_
         model_1: G1 u1 as d̂ contains it: what channel 1, if it works, adds to y.
         model_2: G2 u2 likewise.
     """
-    constants, decision = table.decision, state.decision
+    constants, decision, before = table.decision, state.decision, state.fault_state
+    threshold, adapted = table.adaptive_threshold, state.adaptive_threshold
+    confirmed, known = before == CONFIRMED, before in (SUSPECTED, CONFIRMED)
     watched = model_1 + model_2 if decision.engaged else model_1
-    confirmed = state.fault_state == CONFIRMED
-    adapt(table.adaptive_threshold, state.adaptive_threshold, estimate, watched, confirmed)
-    exceeds = exceeds_threshold(table.adaptive_threshold, state.adaptive_threshold, estimate)
-    known = state.fault_state in (SUSPECTED, CONFIRMED)
+    adapt(threshold, adapted, estimate, watched, confirmed)
+    exceeds = exceeds_threshold(threshold, adapted, estimate)
     if exceeds and not known:
         initialise_loss_model(table, state, estimate, model_1)
         if decision.engaged:  # the compensation of an earlier loss is still being released
@@ -92,7 +92,7 @@ def decide(table: Record, state: Record, estimate: float, model_1: float, model_
                 confirm(table, state)
     else:
         decision.ticks = 0
-        shows = would_exceed_threshold(table.adaptive_threshold, state.adaptive_threshold, model_1)
+        shows = would_exceed_threshold(threshold, adapted, model_1)
         state.fault_state = CLEAR if shows else CANNOT_TELL
 
 

@@ -11,8 +11,8 @@ from __future__ import annotations
 import math
 
 from firmware_model.compiled import firmware
-from firmware_model.target import biquad
-from firmware_model.target.biquad import advance, output
+from firmware_model.target.filters import biquad
+from firmware_model.target.filters.biquad import advance, output
 from firmware_model.target.precision import real
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import MAX_LATENCY_TICKS, Field, Record
@@ -122,10 +122,9 @@ def loss_output_in_estimate(table: Record, state: Record) -> float:
 @firmware
 def advance_loss_model(table: Record, state: Record) -> float:
     """Advance w by this tick's command, computed or held; returns w of this tick."""
-    w = loss_output(table, state)
     loss = state.loss_model
+    w: float = advance(table.estimator.channel_1, loss.channel_1, lost_command(state))
     loss.previous_output = w
-    advance(table.estimator.channel_1, loss.channel_1, lost_command(state))
     if table.estimator.latency_ticks > 0:
         loss.delay[state.estimator.delay_index] = w
     return w

@@ -9,7 +9,7 @@ of the saturated loop. With a held-input estimator, or any latency, the gain is 
 
 from __future__ import annotations
 
-from firmware_model.target import biquad
+from firmware_model.target.filters import biquad
 from firmware_model.target.structs import Field
 
 CONSTANTS = (

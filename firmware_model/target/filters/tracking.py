@@ -7,8 +7,8 @@ actuator can do (conditioning: Hanus, Kinnaert and Henrotte, Automatica 23 (1987
 from __future__ import annotations
 
 from firmware_model.compiled import firmware
-from firmware_model.target import biquad
-from firmware_model.target.biquad import advance, settle, settle_integrator
+from firmware_model.target.filters import biquad
+from firmware_model.target.filters.biquad import advance, settle, settle_integrator
 from firmware_model.target.structs import Field, Record
 
 CONSTANTS = (

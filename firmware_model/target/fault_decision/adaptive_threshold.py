@@ -56,18 +56,17 @@ def adapt(
         confirmed: whether a loss is: what that does, or its end, is no evidence of another.
     """
     memory, fading = constants.change_memory, constants.peak_memory
-    change = memory * state.change + (estimate - state.previous_estimate)
-    model_change = memory * state.model_change + (model_output - state.previous_model_output)
-    state.change = finite(change)
-    state.model_change = finite(model_change)
+    change = finite(memory * state.change + (estimate - state.previous_estimate))
+    model_change = finite(
+        memory * state.model_change + (model_output - state.previous_model_output)
+    )
+    peak_change = max(fading * state.peak_model_change, abs(model_change))
     state.previous_estimate = finite(estimate)
     state.previous_model_output = finite(model_output)
-    state.peak_model_output = max(
-        fading * state.peak_model_output, abs(state.previous_model_output)
-    )
-    state.peak_model_change = max(fading * state.peak_model_change, abs(state.model_change))
-    if confirmed:
-        state.peak_model_change = max(state.peak_model_change, abs(state.change))
+    state.peak_model_output = max(fading * state.peak_model_output, abs(finite(model_output)))
+    state.peak_model_change = max(peak_change, abs(change)) if confirmed else peak_change
+    state.change = change
+    state.model_change = model_change
 
 
 @firmware

@@ -8,7 +8,7 @@ from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import FaultSettings, Scenario
 
 
-def title(scenario: Scenario, names: Names, signals: Signals) -> str:
+def page_title(scenario: Scenario, names: Names, signals: Signals) -> str:
     """The scenario and its fault; the car, the bus and the compensation; an early end."""
     tick = f"tick {scenario.tick_s * 1e3:g} ms, latency {ticks_text(scenario.latency_ticks)}"
     compensation = scenario.design.compensation.replace("-", " ")
@@ -19,7 +19,7 @@ def title(scenario: Scenario, names: Names, signals: Signals) -> str:
     )
 
 
-def loss(fault: FaultSettings, names: Names) -> str:
+def loss_label(fault: FaultSettings, names: Names) -> str:
     """What is wrong while ``fault`` is active, in a few words."""
     name = names.lost_by(fault)
     if not fault.loses_a_channel:
@@ -39,7 +39,7 @@ def _fault(scenario: Scenario, names: Names, end_s: float) -> str:
         when += ", after the end of the run"
     if not fault.loses_a_channel:
         return f"{names.output} biased by {fault.bias_mps2:g} m/s² {when}"
-    return f"{loss(fault, names)} {when} ({fault.kind.replace('-', ' ')})"
+    return f"{loss_label(fault, names)} {when} ({fault.kind.replace('-', ' ')})"
 
 
 def _end_s(scenario: Scenario, signals: Signals) -> float:

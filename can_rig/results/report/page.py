@@ -13,16 +13,16 @@ from can_rig.assessment.control_authority import control_authority
 from can_rig.drawing import scales, style
 from can_rig.drawing.names import Names, names_of
 from can_rig.frames.network import Network
-from can_rig.results import report_title
 from can_rig.results.applied import applied_commands
 from can_rig.results.counterfactual import fault_free, uncompensated
 from can_rig.results.metrics import sensor_bias, windows
-from can_rig.results.report_timing import draw_timing
+from can_rig.results.report.timing import draw_timing
+from can_rig.results.report.title import loss_label, page_title
 from can_rig.results.signals import Signals
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import FloatArray
 
-HEIGHT_IN = 10.6
+HEIGHT_IN, HEIGHT_WITH_TIMING_IN = 10.6, 11.4
 
 
 def draw_report(
@@ -50,7 +50,7 @@ def page(
     applies beside what it is commanded. A real-time run has a sixth panel: how late the plant node
     woke and how long the answers took.
     """
-    figure = style.page(HEIGHT_IN)
+    figure = style.page(HEIGHT_WITH_TIMING_IN if realtime else HEIGHT_IN)
     signals_part: Figure | SubFigure = figure
     if realtime:
         parts: Any = figure.subfigures(2, 1, height_ratios=(5.25, 1.2))
@@ -78,11 +78,11 @@ def page(
         (network.feedback, network.feedback, network.command_1, network.command_2, network.status),
         strict=True,
     ):  # fmt: skip
-        axis.set_ylabel(style.labelled(name, codec.unit))
+        axis.set_ylabel(style.labelled(name, codec.unit), fontsize=9)
     axes[4].set_xlabel("time in s")
     _mark_loss(axes, scenario, names)
     signals_part.align_ylabels(axes)
-    signals_part.suptitle(report_title.title(scenario, names, signals), fontsize=11)
+    signals_part.suptitle(page_title(scenario, names, signals), fontsize=11)
     return figure
 
 
@@ -195,7 +195,7 @@ def _mark_loss(axes: list[Axes], scenario: Scenario, names: Names) -> None:
     low, high = axes[0].get_xlim()
     late = starts_s[0] > low + 0.8 * (high - low)
     axes[0].annotate(
-        report_title.loss(scenario.fault, names),
+        loss_label(scenario.fault, names),
         (starts_s[0], 1.0),
         (-4 if late else 4, 4),
         xycoords=("data", "axes fraction"),

@@ -1,0 +1,74 @@
+"""``from-bus`` and ``from-budget``: loading keeps the word, the assessment puts the number in."""
+
+import json
+
+import pytest
+
+from can_rig.assessment.bus_timing.timing import latency_ticks
+from can_rig.assessment.resolve import load, load_run, resolve
+from can_rig.assessment.threshold_budget import threshold_budget
+from can_rig.errors import ScenarioError
+from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import FROM_BUDGET, FROM_BUS, draft, read
+from tests.helpers import asked
+
+BUS = ("latency_ticks=from-bus", "tick_s=0.002", "bus.bitrate=500000")
+BUDGET = ("design.fault_threshold_mps2=from-budget", "budget.box=0.05", "duration_s=1")
+
+
+def test_loading_keeps_the_words_and_resolving_puts_in_what_the_assessment_says() -> None:
+    written = read("thesis-step", [*BUS, *BUDGET])
+    assert written.words == {FROM_BUS, FROM_BUDGET}
+    assert (written.scenario.latency_ticks, written.scenario.budget.box) == (0, 0.05)
+    found = resolve(written)
+    network = network_of(found)
+    assert found.latency_ticks == latency_ticks(network, 500_000, 0.002, found.bus.compute_s) > 0
+    needed = threshold_budget(found, network)
+    assert found.design.fault_threshold_mps2 == needed.threshold > 0.0
+    assert found.design.fault_threshold_share == needed.share > 0.0
+    assert found == load("thesis-step", [*BUS, *BUDGET])
+
+
+def test_a_draft_leaves_the_values_that_it_is_made_of_as_they_are() -> None:
+    values = {"latency_ticks": "from-bus", "design": {"fault_threshold_mps2": "from-budget"}}
+    before = json.dumps(values)
+    assert draft("x", values).words == {FROM_BUS, FROM_BUDGET}
+    assert json.dumps(values) == before
+
+
+def test_without_a_word_nothing_is_resolved() -> None:
+    written = read("thesis-step")
+    assert written.words == frozenset()
+    assert resolve(written) is written.scenario
+
+
+def test_a_run_folder_holds_numbers_and_a_word_may_change_them_again() -> None:
+    found = load("thesis-step", [*BUS, *BUDGET])
+    recorded = json.loads(json.dumps(found.as_dict()))
+    assert recorded["latency_ticks"] == found.latency_ticks
+    assert recorded["design"]["fault_threshold_mps2"] == found.design.fault_threshold_mps2
+    assert load_run(recorded) == found
+    late = load("thesis-step", ["latency_ticks=5"]).as_dict()
+    assert load_run(late, ["latency_ticks=from-bus"]).latency_ticks == 1
+
+
+@pytest.mark.parametrize(
+    ("setting", "line"),
+    [
+        ("latency_ticks=from-budget", "latency_ticks = 'from-budget': must be a valid integer"),
+        ("seed=from-bus", "seed = 'from-bus': must be a valid integer"),
+        ("design.fault_threshold_mps2=from-bus", "must be a valid number"),
+        ("model.fault_threshold_mps2=from-budget", "unknown key"),
+    ],
+)
+def test_a_word_stands_for_its_own_number_alone(setting: str, line: str) -> None:
+    with pytest.raises(ScenarioError, match=line):
+        load("thesis-step", [setting])
+
+
+def test_a_bus_that_is_too_slow_is_one_line_with_the_key() -> None:
+    with pytest.raises(ScenarioError, match=r'^scenario x: latency_ticks = "from-bus": 1000 bit/s'):
+        resolve(draft("x", {"latency_ticks": "from-bus", "bus": {"bitrate": 1000}}))
+    done = asked("bus", "--set", "latency_ticks=from-bus", "--set", "bus.bitrate=1000")
+    assert done.returncode == 1  # the latency is the question there, and no answer is an answer
+    assert "not schedulable" in done.stdout

@@ -1,0 +1,74 @@
+"""What a light command does without, and what --help says before a command is imported."""
+
+import json
+import subprocess
+import sys
+
+import click
+import pytest
+
+from can_rig.cli.main import COMMANDS, main
+from tests.helpers import asked
+
+MEASURE = """
+import json, sys
+sys.argv = ["can-rig", *json.loads(sys.argv[1])]
+from can_rig.__main__ import main
+try:
+    main()
+except SystemExit as end:
+    assert not end.code, end.code
+    print(json.dumps(sorted(sys.modules)), file=sys.stderr)
+"""
+TABLES = {"asammdf", "pandas", "pyarrow"}
+PICTURES = {"matplotlib", "control"}
+SOLVERS = {"scipy.signal", "scipy.optimize"}
+NUMBERS = {"numpy", "scipy", "numba", "pydantic", "can", "cantools"}
+
+
+def imported_by(*arguments: str) -> set[str]:
+    command = [sys.executable, "-c", MEASURE, json.dumps(arguments)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=True)
+    return set(json.loads(done.stderr.splitlines()[-1]))
+
+
+@pytest.mark.parametrize(
+    ("arguments", "without"),
+    [
+        (["--help"], TABLES | PICTURES | SOLVERS | NUMBERS | {"rich"}),
+        (["--version"], TABLES | PICTURES | SOLVERS | NUMBERS | {"rich"}),
+        (["scenarios"], TABLES | PICTURES | SOLVERS | NUMBERS),
+        (["check", "thesis-step"], TABLES | PICTURES | SOLVERS),
+        (["bus"], TABLES | PICTURES | SOLVERS),
+        (["controller", "--help"], TABLES | PICTURES | SOLVERS),
+        (["run", "--help"], TABLES | PICTURES | SOLVERS),
+    ],
+)
+def test_a_light_command_imports_nothing_heavy(arguments: list[str], without: set[str]) -> None:
+    imported = imported_by(*arguments)
+    assert "can_rig.cli.main" in imported
+    assert not without & imported
+
+
+def test_python_can_and_asammdf_still_work_together() -> None:
+    """``import can`` is light in a process of the rig; asammdf is there when it is asked for."""
+    code = "import can_rig, can, sys; assert 'pandas' not in sys.modules; import asammdf"
+    subprocess.run([sys.executable, "-c", code], check=True, timeout=300)
+
+
+@pytest.mark.parametrize("name", COMMANDS)
+def test_the_line_in_the_list_begins_like_the_command_s_own_help(name: str) -> None:
+    command = main.get_command(click.Context(main), name)
+    assert command is not None
+    assert command.name == name
+    line = COMMANDS[name][1]
+    assert line.endswith(".")
+    assert len(line) <= 68  # one line of a terminal of 80
+    assert line.split()[0] == (command.help or "").split()[0]
+    assert line in asked("--help").stdout
+
+
+def test_an_unknown_command_gets_a_suggestion_or_none_but_no_traceback() -> None:
+    done = asked("chekc")
+    assert done.returncode == 2
+    assert "No such command 'chekc'" in done.stderr

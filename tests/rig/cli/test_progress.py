@@ -1,0 +1,74 @@
+"""The bar for a person who waits: it ends at the end, and where nobody looks there is none."""
+
+import os
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from can_rig.cli import progress as progress_module
+from can_rig.cli.progress import counting, reading
+from can_rig.logs.reading import read_log
+
+TERMINAL = os.environ | {"TTY_COMPATIBLE": "1", "COLUMNS": "120"}
+
+
+def last_count(text: str) -> str:
+    """What the bar, which is drawn again and again, says at last."""
+    return re.findall(r"[\d,/]+ (?:ticks|frames)", text)[-1]
+
+
+@pytest.mark.parametrize("extra", [[], ["--in-process"]])
+def test_the_bar_of_a_complete_run_ends_at_its_last_tick(extra: list[str], tmp_path: Path) -> None:
+    words = ["run", "thesis-step", "--set", "duration_s=1", "--out", str(tmp_path / "r"), *extra]
+    done = subprocess.run(
+        [sys.executable, "-m", "can_rig", *words],
+        env=TERMINAL, capture_output=True, text=True, timeout=300, check=False,
+    )  # fmt: skip
+    assert done.returncode == 0, done.stderr
+    assert last_count(done.stderr) == "1,000/1,000 ticks"
+
+
+def test_where_standard_error_is_no_terminal_there_is_no_bar(
+    capsys: pytest.CaptureFixture[str],
+) -> None:
+    with counting("x", "ticks", 10) as on_tick:
+        on_tick(10)
+    assert capsys.readouterr().err == ""
+
+
+def test_the_bar_of_a_log_ends_at_its_last_frame(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    monkeypatch.setenv("COLUMNS", "120")
+    log = tmp_path / "a.log"
+    log.write_text("".join(f"({i}.000000) can0 101#00\n" for i in range(2500)))
+    frames = sum(len(chunk) for chunk in reading(read_log(log, 100), "reading"))
+    assert frames == 2500
+    assert last_count(capsys.readouterr().err) == "2,500 frames"
+
+
+def test_it_is_drawn_by_no_thread_and_seldom(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A process with a bar forks its nodes, and a node reports every tick."""
+    import threading
+
+    now_s = 0.0
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    monkeypatch.setattr(progress_module.time, "monotonic", lambda: now_s)
+    drawn = 0
+
+    def refresh(_: object) -> None:
+        nonlocal drawn
+        drawn += 1
+
+    before = threading.active_count()
+    with counting("x", "ticks", 1000) as on_tick:
+        monkeypatch.setattr(progress_module.Progress, "refresh", refresh)
+        for tick in range(1, 1001):
+            now_s = tick * 1e-3
+            on_tick(tick)
+        assert threading.active_count() == before
+        assert 8 <= drawn <= 11

@@ -1,0 +1,76 @@
+"""Options that name what is not there: one line, exit status 2, and nothing made of it."""
+
+from pathlib import Path
+
+import pytest
+
+from tests.helpers import asked
+
+FRAMES = "(0.000000) can0 101#0011223344556677\n(0.001000) vcan1 100#0011223344556677\n"
+
+
+@pytest.fixture(autouse=True)
+def log(tmp_path: Path) -> Path:
+    """A log of two buses, in the working directory."""
+    path = tmp_path / "a.log"
+    path.write_text(FRAMES)
+    return path
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("run", "thesis-step", "--in-process", "--log", "no/such/x.blf"),
+        ("decode", "a.log", "--out", "no/such/x.csv"),
+        ("decode", "a.log", "--out", "no/such/folder"),
+        ("replay", "a.log", "--scenario", "default", "--gaps", "no/such/x.csv"),
+        ("plot", "a.log", "DStar", "--out", "no/such/x.png"),
+    ],
+)  # fmt: skip
+def test_the_folder_of_an_output_must_exist(words: tuple[str, ...], tmp_path: Path) -> None:
+    done = asked(*words)
+    assert done.returncode == 2
+    assert f"error: {words[-1]}: there is no folder no/such" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["a.log"]
+
+
+def test_a_new_folder_of_decoded_messages_is_made(tmp_path: Path) -> None:
+    assert asked("decode", "a.log", "--out", "new").returncode == 0
+    assert (tmp_path / "new").is_dir()
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        ("run", "--bus", ""),
+        ("run", "--in-process", "--bus", " "),
+        ("plant", "--bus", ""),
+        ("controller", "--bus", ""),
+        ("replay", "a.log", "--bus", ""),
+    ],
+)
+def test_a_bus_has_a_name(words: tuple[str, ...], tmp_path: Path) -> None:
+    done = asked(*words)
+    assert done.returncode == 2
+    assert "must name a bus, such as local or socketcan:vcan0" in done.stderr
+    assert [path.name for path in tmp_path.iterdir()] == ["a.log"]
+
+
+@pytest.mark.parametrize("out", [(), ("--out", "x.csv"), ("--out", "x")])
+def test_a_bus_that_is_not_in_the_log_is_refused(out: tuple[str, ...], tmp_path: Path) -> None:
+    done = asked("decode", "a.log", "--channel", "can7", *out)
+    assert (done.returncode, done.stdout) == (2, "")
+    assert done.stderr == "error: a.log: no frame on bus can7; the log has can0, vcan1\n"
+    assert [path.name for path in tmp_path.iterdir()] == ["a.log"]
+    assert asked("decode", "a.log", "--channel", "can0").returncode == 0
+
+
+def test_a_fault_after_the_end_is_mentioned_in_one_line() -> None:
+    late = ("--set", "duration_s=0.05", "--set", "fault.at_s=0.05")
+    line = "note: the fault (actuator-dead at 0.05 s) never occurs: the run ends at 0.05 s"
+    for words in (("run", "--in-process", "thesis-step"), ("check", "thesis-step")):
+        assert asked(*words, *late).stdout.splitlines().count(line) == 1
+    in_time = ("--set", "duration_s=0.05", "--set", "fault.at_s=0.049")
+    assert "never occurs" not in asked("run", "--in-process", "thesis-step", *in_time).stdout
+    no_fault = (*late, "--set", "fault.kind=none")
+    assert "never occurs" not in asked("run", "--in-process", "thesis-step", *no_fault).stdout

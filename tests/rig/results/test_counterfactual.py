@@ -1,0 +1,74 @@
+"""The rig's own run without its fault, to the last bit."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from can_rig.assessment.resolve import load
+from can_rig.results.counterfactual import fault_free
+from can_rig.results.metrics import metrics
+from can_rig.results.signals import Signals
+from tests.rig.results.quiet import Run, quiet
+
+LSB_MPS2 = 1e-8
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        ("thesis-step", []),
+        ("thesis-sine", ["noise.dstar_rms_mps2=0.005", "seed=7"]),
+        ("chapter-2", []),
+        ("nonlinear-car", ["noise.dstar_rms_mps2=0.005"]),
+        ("thesis-sine", ["latency_ticks=1", "design.tau_s=0.01", "design.tau_q_s=0.02"]),
+        ("thesis-step", ["plant.mass_kg=1500", "model.mass_kg=1400", "limits.torque_nm=500"]),
+    ],
+)
+def test_fault_free_is_the_rig_s_own_run_without_the_fault(
+    run: Run, name: str, settings: list[str]
+) -> None:
+    """Same plant, limits, noise and latency, to the last bit of D*."""
+    short = ["duration_s=0.3", "fault.at_s=0.1", *settings]
+    _, signals = run(name, *short, "fault.kind=none")
+    found = fault_free(load(name, short), signals)
+    np.testing.assert_array_equal(found.dstar_mps2, signals.dstar_mps2)
+    np.testing.assert_array_equal(found.force_difference_n, signals.force_difference_n)
+
+
+FAILING = """
+class Failing:
+    def __init__(self, settings): self.reset()
+    def reset(self): self.calls, self.dstar_mps2 = 0, 0.0
+    def advance(self, dt_s, torque_nm, force_difference_n):
+        self.calls += 1
+        if self.calls > 70: raise RuntimeError("it broke")
+        self.dstar_mps2 += (0.02 * torque_nm - self.dstar_mps2) * dt_s
+        return self.dstar_mps2
+"""
+
+
+def test_fault_free_ends_where_a_plant_fails_by_itself(tmp_path: Path) -> None:
+    (tmp_path / "breaking_car.py").write_text(FAILING)
+    kind = "plant.kind=breaking_car:Failing"
+    scenario = load("thesis-step", ["duration_s=0.1", "fault.at_s=0.05", kind])
+    broken = fault_free(scenario, quiet(scenario))
+    assert np.isfinite(broken.dstar_mps2[:71]).all()
+    assert np.isnan(broken.dstar_mps2[71:]).all()
+    assert np.isnan(broken.force_difference_n[71:]).all()
+    assert np.abs(broken.dstar_mps2[:71]).max() > 0.0
+    # Where there is nothing to compare with there is no number.
+    assert metrics(scenario, quiet(scenario))["deviation_settled_after_fault_mps2"] is None
+
+
+def test_fault_free_of_a_log_that_starts_late() -> None:
+    scenario = load("thesis-sine", ["duration_s=0.2"])
+    signals = quiet(scenario)
+    late = Signals(*(getattr(signals, name)[150:] for name in Signals.__dataclass_fields__))
+    np.testing.assert_array_equal(
+        fault_free(scenario, late).dstar_mps2, fault_free(scenario, signals).dstar_mps2[150:]
+    )
+    empty = Signals(*(getattr(signals, name)[:0] for name in Signals.__dataclass_fields__))
+    assert fault_free(scenario, empty).dstar_mps2.shape == (0,)
