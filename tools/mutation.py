@@ -60,7 +60,7 @@ class Site:
 def sites(settings: dict[str, Any]) -> Iterator[Site]:
     """Every mutant of every room."""
     for room, entry in enumerate(settings["room"]):
-        paths = [path for glob in entry["modules"] for path in sorted({*CHECKOUT.glob(glob)})]
+        paths = [path for glob in entry["modules"] for path in sorted(CHECKOUT.glob(glob))]
         for path in paths:
             for mutant in mutants(path.read_text("utf-8")):
                 yield Site(str(path.relative_to(CHECKOUT)), mutant, room)
