@@ -16,6 +16,7 @@ import os
 import random
 import sys
 import tomllib
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from fnmatch import fnmatch
@@ -31,6 +32,7 @@ from rich.table import Table
 CHECKOUT: Final = Path(__file__).parents[1]
 SETTINGS: Final = Path(__file__).with_suffix(".toml")
 FOUND: Final = CHECKOUT / "build" / "mutation.jsonl"
+TIMES: Final = CHECKOUT / "build" / "mutation-times.json"
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,7 @@ def run_room(
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
     if entry.get("interpreted"):
         os.environ["NUMBA_DISABLE_JIT"] = "1"
-    from mutation_run import BaselineError, copy_tree, killers, measured  # noqa: PLC0415 (here)
+    from mutation_run import BaselineError, Tests, copy_tree, killers, measure  # noqa: PLC0415 (here)
 
     copy_tree()
 
@@ -111,12 +113,13 @@ def run_room(
     )
     console = Console(stderr=True)
     console.print(f"{', '.join(entry['modules'])}: the tests on the unchanged code ...")
+    times = json.loads(TIMES.read_text("utf-8")) if TIMES.exists() else {}
+    tests = Tests(entry["tests"], times, asked.tests_below, Counter(known))
     try:
-        tests = measured(entry["tests"])
+        measure(tests)
     except BaselineError as error:
         sys.exit(f"error: {error}")
-    tests.kills.update(known)
-    tests.below_s = asked.tests_below
+    TIMES.write_text(json.dumps(tests.cpu_s), "utf-8")
     jobs = {site.key: (Path(site.module), site.mutant.source) for site in chosen}
     # Without a thread of its own: this process forks.
     with Progress(*columns, console=console, auto_refresh=False) as bar, FOUND.open("a") as log:

@@ -33,6 +33,8 @@ OURS: Final = ("can_rig", "firmware_model", "tests")
 TIMEOUT: Final = "timeout"
 _SLOWER: Final = 10  # times the usual duration of a test, and then it hangs
 _SLOWER_S: Final = 2.0
+_WAITS_S: Final = 120  # of the clock on the wall, for a test that waits without computing
+_LONGEST_S: Final = 7200.0  # for all of them
 
 
 @dataclass
@@ -41,7 +43,7 @@ class Tests:
 
     paths: Sequence[str]
     cpu_s: dict[str, float] = field(default_factory=dict)
-    """CPU time of each test on the unchanged code [s]."""
+    """CPU time of each test on the unchanged code [s], as far as it is known."""
     below_s: float = math.inf
     """Tests that take longer are left out."""
     kills: Counter[str] = field(default_factory=Counter)
@@ -111,8 +113,9 @@ def _in_process(
     if mutant is not None:
         sys.meta_path.insert(0, _InMemory(*mutant))
     plugin = Plugin(tests)
-    options = ["-x", "-q", "-p", "no:cacheprovider", f"--basetemp={folder / 'tmp'}"]
-    status = pytest.main([*options, "-m", "not vcan and not long", *tests.paths], plugins=[plugin])
+    options = ["-x", "-q", "-p", "no:cacheprovider", f"--timeout={_WAITS_S}"]
+    options += [f"--basetemp={folder / 'tmp'}", "-m", "not vcan and not long"]
+    status = pytest.main([*options, *tests.paths], plugins=[plugin])
     failed = plugin.failed or (f"pytest: {status!r}" if status else None)  # it cannot be imported
     theirs = [name for name in sys.modules if name.split(".")[0] not in OURS]
     to.send((failed, plugin.cpu_s, theirs))
@@ -136,40 +139,36 @@ class BaselineError(Exception):
     """The tests fail on the unchanged code."""
 
 
-def measured(paths: Sequence[str]) -> Tests:
-    """The tests of a room on the unchanged code; imports here what they import of others.
+def measure(tests: Tests) -> None:
+    """Run the tests on the unchanged code; imports here what they import of others.
 
     Raises:
         BaselineError: one of them fails.
     """
-    tests = Tests(paths)
-    ((_, answer),) = _answers(tests, {"unchanged": None}, 1, 3600.0)
+    ((_, answer),) = _answers(tests, {"unchanged": None}, 1)
     if answer is None or answer[0]:
         raise BaselineError(
             f"{answer[0] if answer else 'a test'} fails on the unchanged code, or takes too long"
         )
-    _, tests.cpu_s, theirs = answer
+    _, cpu_s, theirs = answer
+    tests.cpu_s.update(cpu_s)
     for name in theirs:
         with suppress(Exception):
             importlib.import_module(name)
-    return tests
 
 
 def killers(
     tests: Tests, mutants: Mapping[str, tuple[Path, str]], workers: int
 ) -> Iterator[tuple[str, str | None]]:
     """For each key of ``mutants`` (module, source) the test that noticed; None: none did."""
-    limit_s = 120.0 + 4 * workers * sum(tests.cpu_s.values())  # for what waits without computing
-    for key, answer in _answers(tests, mutants, workers, limit_s):
+    for key, answer in _answers(tests, mutants, workers):
         killer = answer[0] if answer else TIMEOUT
         if killer:
             tests.kills[killer] += 1
         yield key, killer
 
 
-def _answers(
-    tests: Tests, mutants: Mapping[str, Any], workers: int, limit_s: float
-) -> Iterator[tuple[str, Any]]:
+def _answers(tests: Tests, mutants: Mapping[str, Any], workers: int) -> Iterator[tuple[str, Any]]:
     """Each key with the answer of its process; None where there was no answer."""
     fork = get_context("fork")
     waiting = list(mutants)[::-1]
@@ -186,7 +185,7 @@ def _answers(
                     )
                     process.start()
                     sender.close()
-                    running[process] = key, receiver, time.monotonic() + limit_s
+                    running[process] = key, receiver, time.monotonic() + _LONGEST_S
                 connection.wait([receiver for _, receiver, _ in running.values()], timeout=1.0)
                 for process, (key, receiver, deadline_s) in list(running.items()):
                     answer = None

@@ -73,7 +73,7 @@ def mutants(source: str) -> Iterator[Mutant]:
         mutant = Mutant(
             node.lineno, _plain(old), _plain(new), "".join([*lines[:first], new, *lines[last:]])
         )
-        if mutant not in seen:
+        if mutant.source != source and mutant not in seen:
             seen.add(mutant)
             yield mutant
 

@@ -38,6 +38,7 @@ def as_scripts(monkeypatch: pytest.MonkeyPatch) -> None:
         ("raise ValueError(1 + 1)", {"pass"}),
         ("while a: break", {"while (not (a)): break", "while a: continue"}),
         ("x: int = 'text'", set()),
+        ("return None", set()),
         ("zip(a, strict=True)", {"pass"}),
     ],
 )

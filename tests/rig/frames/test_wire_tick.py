@@ -1,11 +1,14 @@
 """The 16 bits of the tick on the wire, read in both directions and over hours."""
 
+import struct
+
+import numpy as np
 from hypothesis import given
 from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
 from can_rig.frames.endpoints import Transmitter
-from can_rig.frames.wire_tick import WIRE_TICKS, tick_at, tick_from, tick_on, ticks_ahead
+from can_rig.frames.wire_tick import WIRE_TICKS, tick_at, tick_from, tick_on, ticks_ahead, ticks_on
 from can_rig.scenario.build import network_of
 
 NETWORK = network_of(load("default"))
@@ -33,9 +36,23 @@ def test_a_time_stamp_in_virtual_time_says_which_65536(tick, tick_s, jitter):
     assert tick_at(tick % 65536, (tick + jitter) * tick_s, tick_s) == tick
 
 
-@given(st.integers(0, 65535), st.integers(2, 30_000))
-def test_a_time_stamp_of_another_clock_says_nothing(wire, off):
-    assert tick_at(wire, (wire + off) * 0.001, 0.001) == wire
+@given(
+    st.integers(0, 65535),
+    st.integers(0, 100),
+    st.one_of(st.integers(1, 30_000), st.integers(-30_000, -1)),
+)
+def test_a_time_stamp_of_another_clock_says_nothing(wire, turns, off):
+    """Not even one that is exactly one tick off: of a power of two there is no rounding."""
+    tick_s = 2.0**-10
+    assert tick_at(wire, (turns * 65536 + wire + off) * tick_s, tick_s) == wire
+
+
+@given(st.lists(st.binary(min_size=8, max_size=8), max_size=20))
+def test_the_ticks_of_many_frames_are_those_of_each(payloads):
+    """Whatever the bytes beside it are."""
+    data = np.frombuffer(b"".join(payloads), np.uint8).reshape(len(payloads), 8)
+    expected = [struct.unpack("<HHi", payload)[1] for payload in payloads]
+    assert ticks_on(data).tolist() == [tick_on(payload) for payload in payloads] == expected
 
 
 def test_a_short_frame_has_what_is_there():
