@@ -171,7 +171,7 @@ def test_a_transmit_queue_that_stays_full_ends_the_node_in_one_line(shaped, own_
                 send(frame(0x100, bytes([number])))
     assert str(caught.value) == (
         f"socketcan channel '{own_can}': the transmit queue has been full for 0.2 s; is there a "
-        f"node that acknowledges? a longer queue: sudo ip link set {own_can} txqueuelen 1000"
+        f"node that acknowledges? for a longer queue: sudo ip link set {own_can} txqueuelen 1000"
     )
     assert caught.value.exit_status == SilentNodeError.exit_status == 3
 

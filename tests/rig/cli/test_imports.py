@@ -50,9 +50,22 @@ def test_a_light_command_imports_nothing_heavy(arguments: list[str], without: se
     assert not without & imported
 
 
-def test_python_can_and_asammdf_still_work_together() -> None:
-    """``import can`` is light in a process of the rig; asammdf is there when it is asked for."""
-    code = "import can_rig, can, sys; assert 'pandas' not in sys.modules; import asammdf"
+HIDDEN = """
+import sys
+from can_rig.cli.light_python_can import hide_asammdf
+hide_asammdf()
+import can
+assert "pandas" not in sys.modules
+import asammdf
+"""
+
+
+def test_the_command_line_imports_python_can_without_asammdf_which_is_there_all_the_same() -> None:
+    subprocess.run([sys.executable, "-c", HIDDEN], check=True, timeout=300)
+
+
+def test_a_program_that_imports_can_rig_keeps_python_can_as_it_is() -> None:
+    code = "import can_rig, can; assert can.io.mf4.asammdf is not None"
     subprocess.run([sys.executable, "-c", code], check=True, timeout=300)
 
 

@@ -1,0 +1,73 @@
+"""The loop without frames: a plant class as the linear plant, the sensor, lost commands."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from firmware_model.analysis.sampled_plant import SampledPlant, follow_plant, sample
+from firmware_model.analysis.simulation import Trace, simulate
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Target
+from tests.firmware.analysis.loops import CAR, SLOW
+
+TICK_S = 0.001
+TICKS = 40
+LATENCY = 2
+LOST_AT = 10
+TABLE = build(SLOW, Target(TICK_S, latency_ticks=LATENCY, estimator="zoh"))
+REFERENCE = np.linspace(0.0, 0.02, TICKS)
+
+
+class Recorded:
+    """The linear car as a plant class, which notes what acted on it."""
+
+    def __init__(self) -> None:
+        self.sampled: SampledPlant = sample(CAR, TICK_S)
+        self.state = self.sampled.rest
+        self.acted: list[tuple[float, float]] = []
+
+    def advance(self, dt_s: float, command_1: float, command_2: float) -> float:
+        assert dt_s == TICK_S
+        self.acted.append((command_1, command_2))
+        plant = self.sampled
+        return float(
+            follow_plant(plant.phi, plant.gamma, plant.c, self.state, command_1, command_2)
+        )
+
+
+def test_a_plant_class_with_the_same_equations_gives_the_same_bits() -> None:
+    linear = simulate(TABLE, sample(CAR, TICK_S), REFERENCE)
+    own = simulate(TABLE, Recorded(), REFERENCE, tick_s=TICK_S)
+    for name in ("time_s", "measurement", "command_1", "command_2", "fault_estimate"):
+        np.testing.assert_array_equal(getattr(own, name), getattr(linear, name))
+    assert np.abs(linear.command_1).max() > 0.0
+
+
+def test_what_is_measured_lies_on_the_grid_and_within_its_ends() -> None:
+    noise = np.random.default_rng(1).normal(0.0, 0.01, TICKS)
+    trace = simulate(TABLE, sample(CAR, TICK_S), REFERENCE, noise=noise, lsb=0.005, maximum=0.01)
+    sensed = trace.measurement + noise
+    inside = np.abs(sensed) < 0.01
+    assert 0 < inside.sum() < TICKS  # some saturate
+    assert np.abs(trace.measured - sensed)[inside].max() <= 0.0025 + 1e-15
+    np.testing.assert_allclose(trace.measured / 0.005, np.rint(trace.measured / 0.005), atol=1e-12)
+    np.testing.assert_array_equal(np.abs(trace.measured[~inside]), 0.01)
+
+
+@pytest.mark.parametrize("hold_ticks", [0, 3])
+def test_an_actuator_holds_its_last_command_and_then_applies_zero(hold_ticks: int) -> None:
+    arrives = np.ones((TICKS, 2), dtype=np.bool_)
+    arrives[LOST_AT : LOST_AT + 8, 0] = False
+    plant = Recorded()
+    trace: Trace = simulate(
+        TABLE, plant, REFERENCE, tick_s=TICK_S, arrives=arrives, hold_ticks=hold_ticks
+    )
+    expected = trace.command_1.copy()
+    held = slice(LOST_AT, LOST_AT + hold_ticks)
+    expected[held] = trace.command_1[LOST_AT - 1]
+    expected[LOST_AT + hold_ticks : LOST_AT + 8] = 0.0
+    acted = np.array(plant.acted)
+    np.testing.assert_array_equal(acted[LATENCY:, 0], expected[: TICKS - LATENCY])
+    np.testing.assert_array_equal(acted[LATENCY:, 1], trace.command_2[: TICKS - LATENCY])
+    np.testing.assert_array_equal(acted[:LATENCY], 0.0)
