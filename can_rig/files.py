@@ -10,16 +10,23 @@ from pathlib import Path
 from can_rig.errors import LogError, one_line
 
 
-def refuse_existing(path: Path, force: bool, option: str) -> None:
+def refuse_existing(path: Path, force: bool, option: str, *, new_folder: bool = False) -> None:
     """Refuse an output that exists, unless it may be replaced; or whose folder does not.
 
+    Args:
+        path: the output.
+        force: replace it.
+        option: the one that named it.
+        new_folder: the option named the folder of the output, which is made where it is missing.
+
     Raises:
-        LogError: the reason; ``option`` is the one that named it.
+        LogError: the reason.
     """
     if path.exists() and not force:
         raise LogError(f"{path}: exists; choose another {option}, or --force to replace it")
-    if not path.parent.is_dir():
-        raise LogError(f"{path}: there is no folder {path.parent}; {option} makes none")
+    folder = path.parent.parent if new_folder else path.parent
+    if not folder.is_dir():
+        raise LogError(f"{path}: there is no folder {folder}; {option} makes none")
 
 
 @contextmanager
@@ -31,6 +38,7 @@ def atomic(path: Path) -> Iterator[Path]:
     """
     part = path.with_name(f".part-{path.name}")
     try:
+        path.parent.mkdir(exist_ok=True)
         yield part
         _remove(path)
         part.rename(path)

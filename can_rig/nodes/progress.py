@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, contextmanager
 from typing import Final
@@ -44,8 +43,3 @@ class Throttled:
         if now_ns - self._last_ns >= PROGRESS_EVERY_S * NS_PER_S:
             self._last_ns = now_ns
             self._report(tick)
-
-
-def json_line(**values: object) -> None:
-    """One line of JSON on standard output, at once."""
-    print(json.dumps(values), flush=True)

@@ -151,7 +151,7 @@ def _construct(kind: str, plant_class: type[object], settings: PlantSettings) ->
     if missing or not isinstance(plant, PlantProtocol):
         raise ScenarioError(
             f"plant.kind = {kind!r}: no method {' and no method '.join(missing)}; "
-            f"{' and '.join(METHODS.values())} are right"
+            f"must have {' and '.join(METHODS.values())}"
         )
     return plant
 
@@ -176,7 +176,7 @@ def _is_finite(answer: object) -> bool:
 
 
 def _not_finite(answer: object) -> str:
-    return f"gives {' '.join(repr(answer).split())}: D* as a finite float is right"
+    return f"gives {' '.join(repr(answer).split())}: D* must be a finite float"
 
 
 def _accepts(kind: str, function: Callable[..., object], name: str, *arguments: object) -> None:
@@ -189,7 +189,7 @@ def _accepts(kind: str, function: Callable[..., object], name: str, *arguments: 
         signature.bind(*arguments)
     except TypeError:
         right = METHODS.get(name, f"{name}(settings)")
-        raise ScenarioError(f"plant.kind = {kind!r}: {name}{signature}: {right} is right") from None
+        raise ScenarioError(f"plant.kind = {kind!r}: {name}{signature}: must be {right}") from None
 
 
 def _guard(

@@ -85,8 +85,8 @@ class OpenLoop:
         if self.first_tick is None:
             names = f"{self._network.reference.name} and {self._network.feedback.name}"
             raise LogError(
-                f"the log has no {names} of the same tick; a log of the rig, and the scenario "
-                "that it is of, are right"
+                f"the log has no {names} of the same tick; it must be a log of the rig, and "
+                "the scenario must be its own"
             )
         self._close(self._due, time_ns)
         for tick in sorted(self._rows):  # that the log ends with, or that no feedback came for

@@ -29,7 +29,7 @@ class RigFrame(NamedTuple):
     """What it says, modulo 65536; 0 if it is too short to say anything."""
     counter: int
     intact: bool
-    """Whether length, CRC and data identifier are right."""
+    """Whether length, CRC and data identifier are those of the frame."""
 
 
 def rig_frames(chunks: Iterable[Frames], network: Network) -> Iterator[RigFrame]:

@@ -26,8 +26,8 @@ def unavoidable_deviation(scenario: Scenario, signals: Signals) -> float | None:
 
         δ(k+1) = Φ δ(k) + Γ (left - 1) u(k - n),  max |C δ| over k+1 .. k+1+n
 
-    about ½ g1 |u1| ((n+1) T)² for the torque. None where no actuator dies in the log, or for a
-    plant of one's own, whose Φ nobody knows: there, of the linear car with its parameters.
+    about ½ g1 |u1| ((n+1) T)² for the torque. For a plant class, whose Φ is not known, it is that
+    of the linear car with the same parameters. None where no actuator dies in the log.
     """
     fault, n = scenario.fault, scenario.latency_ticks
     lost = round(fault.at_s / scenario.tick_s)

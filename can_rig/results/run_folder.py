@@ -6,8 +6,9 @@ import json
 import platform
 import shutil
 import time
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
-from importlib.metadata import version
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any
 
@@ -158,7 +159,7 @@ def finish(
         "real_time_factor": outcome.ticks_per_s * scenario.tick_s,
         "versions": {
             "python": platform.python_version(),
-            **{package: version(package) for package in PACKAGES},
+            **_versions(),
         },
     }
     if outcome.realtime is None:
@@ -174,3 +175,12 @@ def finish(
     except LogError as error:
         raise RunFolderError(f"{error}; what was recorded is in {folder / LOG}") from None
     return values
+
+
+def _versions() -> dict[str, str]:
+    """Of the packages that are installed: one that an extra brings may not be."""
+    found = {}
+    for package in PACKAGES:
+        with suppress(PackageNotFoundError):
+            found[package] = version(package)
+    return found

@@ -1,4 +1,4 @@
-"""The reference that D* shall follow, one value a tick."""
+"""The reference that D* is to follow, one value a tick."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ def on_the_bus(scenario: Scenario, network: Network) -> list[float]:
     largest = float(np.abs(values).max())
     if largest > frame.maximum:
         raise ScenarioError(
-            f"scenario {scenario.name}: reference: reaches {largest:g} {frame.unit}, more than "
-            f"{frame.name} carries: up to {frame.maximum:g} is right"
+            f"scenario {scenario.name}: reference: reaches {largest:g} {frame.unit}; must be "
+            f"at most {frame.maximum:g}, what {frame.name} carries"
         )
     return [float(value) for value in values]
 
@@ -76,13 +76,11 @@ def _from_csv(scenario: Scenario, time_s: FloatArray) -> FloatArray:
     if len(rows) > 1 and np.isnan(rows[0]).all():
         rows = rows[1:]  # the header
     if rows.size == 0 or rows.shape[1] != 2 or not np.isfinite(rows).all():
-        raise ScenarioError(
-            f"{where}: rows of two finite numbers, time_s,reference_mps2, are right"
-        )
+        raise ScenarioError(f"{where}: must have rows of two finite numbers, time_s,reference_mps2")
     if not (np.diff(rows[:, 0]) > 0).all():
-        raise ScenarioError(f"{where}: times that increase from row to row are right")
+        raise ScenarioError(f"{where}: times must increase from row to row")
     largest, most = float(np.abs(rows[:, 1]).max()), MAX_REFERENCE_MPS2
     if largest > most:
-        raise ScenarioError(f"{where}: |reference_mps2| = {largest:g}: up to {most:g} is right")
+        raise ScenarioError(f"{where}: |reference_mps2| = {largest:g}: must be at most {most:g}")
     values: FloatArray = np.interp(time_s, rows[:, 0], rows[:, 1]).astype(np.float64)
     return values

@@ -19,6 +19,7 @@ from firmware_model.analysis.simulation import simulate
 from firmware_model.target.structs import FloatArray
 
 START_S = 0.02  # of a closed loop, shown enlarged
+OPEN_LOOP = "chapter-2"  # the shipped scenario of Fig. 2.4
 #: keys that may change without making it another figure
 SETTINGS = ("tick_s", "duration_s", "latency_ticks", "design.", "limits.", "plant.", "fault.at_s")
 
@@ -138,20 +139,20 @@ def _compared(figure: str, caption: str, loop: _Loop, *curves: Curve) -> Compari
 
 
 def _fig_2_2(settings: Sequence[str]) -> Comparison:
-    loop = both(load("chapter-2", settings).healthy)
+    loop = both(load(OPEN_LOOP, settings).healthy)
     caption = "$\\hat d$ and $G_1 u_1$ while the plant is healthy"
     return _compared("2.2", caption, loop, *_estimate_and_channel(loop))
 
 
 def _fig_2_3(settings: Sequence[str]) -> Comparison:
-    scenario = load("chapter-2", settings)
+    scenario = load(OPEN_LOOP, settings)
     loop = both(replace(scenario, fault=replace(scenario.fault, at_s=0.0)))
     caption = "$\\hat d$ and $G_1 u_1$, channel 1 lost from the start"
     return _compared("2.3", caption, loop, *_estimate_and_channel(loop))
 
 
 def _fig_2_4(settings: Sequence[str]) -> Comparison:
-    loop = both(load("chapter-2", settings))
+    loop = both(load(OPEN_LOOP, settings))
     caption = f"$y$ and $G_2 u_2$, channel 1 lost at {loop.scenario.fault.at_s:g} s"
     y = loop.curve("y", lambda s: s.measurement)
     return _compared("2.4", caption, loop, y, loop.curve("G2 u2", lambda s: s.model_2))

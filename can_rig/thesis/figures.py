@@ -46,7 +46,8 @@ def refuse_existing(folder: Path, force: bool) -> None:
         LogError: the first that is there.
     """
     for figure in MAKERS:
-        files.refuse_existing(folder / f"fig-{figure}.png", force, "--out")
+        path = folder / f"fig-{figure}.png"
+        files.refuse_existing(path, force, "--out", new_folder=True)
 
 
 def _draw(path: Path, comparison: Comparison) -> None:

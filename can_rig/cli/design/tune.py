@@ -92,7 +92,7 @@ def command(
     one that it is designed for.  Exit status: 0 found, 1 none, or none within --noise-limit.
     """
     picture = out / PICTURE
-    refuse_existing(picture, force, "--out")
+    refuse_existing(picture, force, "--out", new_folder=True)
     chosen = load(scenario, settings)
     some = cars(chosen.model, parameter_ranges(chosen.model, box, box_settings))
     try:

@@ -97,7 +97,7 @@ class RealTimeControllerNode:
         self._latency_ticks = scenario.latency_ticks
         hold_ticks = round(scenario.actuator.hold_s / scenario.tick_s)
         self._actuators = (Actuator(hold_ticks), Actuator(hold_ticks))  # as the car's should be
-        # By tick, modulo; None: what F1 has there is right.
+        # By tick, modulo; None: F1 has it already.
         self._sent: list[Sent | None] = [None] * self._latency_ticks
         self._most_missed = hold_ticks + round(LISTEN_S / scenario.tick_s)
         self._missed = self._too_late = 0  # in a row: samples, commands
@@ -165,7 +165,7 @@ class RealTimeControllerNode:
             self._take_in_feedback(message)
         elif number in self._command_ids and self._listens:
             raise BusError(
-                "another controller node sends commands on this bus; one at a time is right"
+                "another controller node sends commands on this bus; there must be only one"
             )
 
     def _take_in_feedback(self, message: can.Message) -> None:

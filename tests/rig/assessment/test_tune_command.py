@@ -62,7 +62,7 @@ def test_the_command_writes_the_picture_the_table_and_the_options(
     assert image[..., :3].std() > 0.05
     again = asked(*arguments)
     assert again.returncode == 2
-    assert "there already" in again.stderr
+    assert "tuning.png: exists" in again.stderr
     done = asked(*arguments, "--force")
     assert done.returncode == 0
     shown = done.stdout

@@ -8,9 +8,15 @@ from pathlib import Path
 import pytest
 
 WITHOUT = """
-import json, sys
-for name in json.loads(sys.argv[1]):
-    sys.modules[name] = None
+import importlib.metadata, json, sys
+missing = json.loads(sys.argv[1])
+sys.modules.update(dict.fromkeys(missing))
+version = importlib.metadata.version
+def version_of_what_is_there(name):
+    if name in missing:
+        raise importlib.metadata.PackageNotFoundError(name)
+    return version(name)
+importlib.metadata.version = version_of_what_is_there
 sys.argv = ["can-rig", *json.loads(sys.argv[2])]
 from can_rig.__main__ import main
 main()
@@ -55,3 +61,4 @@ def test_a_run_and_a_decode_without_outputs_need_no_extra(tmp_path: Path) -> Non
     assert rig_without(none, "decode", str(tmp_path / "r")).returncode == 0
     versions = json.loads((tmp_path / "r" / "run.json").read_text("utf-8"))["versions"]
     assert {"numpy", "python-can", "fault-tolerant-steering"} <= set(versions)
+    assert "control" not in versions

@@ -37,7 +37,7 @@ MODULES = [
     "rich.console",
     "numpy",
     "numba",
-    "can_rig.assessment.check",
+    "can_rig.assessment.stability",
 ]
 
 

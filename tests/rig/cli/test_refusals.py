@@ -25,12 +25,15 @@ def log(tmp_path: Path) -> Path:
         ("decode", "a.log", "--out", "no/such/folder"),
         ("replay", "a.log", "--scenario", "default", "--gaps", "no/such/x.csv"),
         ("plot", "a.log", "DStar", "--out", "no/such/x.png"),
+        ("tune", "--out", "no/such/x"),
+        ("figures", "--out", "no/such/x"),
     ],
 )  # fmt: skip
 def test_the_folder_of_an_output_must_exist(words: tuple[str, ...], tmp_path: Path) -> None:
     done = asked(*words)
     assert done.returncode == 2
-    assert f"error: {words[-1]}: there is no folder no/such" in done.stderr
+    assert done.stderr.startswith(f"error: {words[-1]}")
+    assert ": there is no folder no/such; --" in done.stderr
     assert [path.name for path in tmp_path.iterdir()] == ["a.log"]
 
 

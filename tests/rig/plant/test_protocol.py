@@ -105,15 +105,15 @@ def test_any_finite_number_is_an_output(number):
 INIT, ADVANCE = "__init__(self, settings)", "advance(self, dt_s, torque_nm, force_difference_n)"
 EMPTY = "class Car:\n    def __init__(self, settings): pass\nclass Cat:"
 REFUSED = {
-    "no method": (("def advance", "def move"), r"no method advance; reset\(\) and advance\(dt_s"),
+    "no method": (("def advance", "def move"), r"advance; must have reset\(\) and advance\("),
     "no methods": (("class Car:", EMPTY), "no method reset and no method advance;"),
     "no function": (("def reset(self):", "reset = 5; x = lambda self:"), "no method reset;"),
-    "too few": (("dt_s, torque_nm, ", "dt_s, "), r"advance\(dt_s, force_\w+\): advance\(dt_s, tor"),
-    "too many": ((ADVANCE, ADVANCE.replace(")", ", more)")), r"advance\(.*, more\): advance"),
-    "reset wants more": (("reset(self)", "reset(self, state)"), r"reset\(state\): reset\(\) is"),
-    "no settings": ((INIT, INIT.replace(")", ", x)")), r"Car\(settings, x\): Car\(settings\) is"),
+    "too few": (("dt_s, torque_nm, ", "dt_s, "), r"\(dt_s, force_\w+\): must be advance\(dt_s, "),
+    "too many": ((ADVANCE, ADVANCE.replace(")", ", more)")), r"advance\(.*, more\): must be adv"),
+    "reset wants more": (("reset(self)", "reset(self, state)"), r"\(state\): must be reset\(\)$"),
+    "no settings": ((INIT, INIT.replace(")", ", x)")), r"settings, x\): must be Car\(settings\)$"),
     "nan": (("return 0.5", "return float('nan')"), r"advance\(0.001, 0, 0\) at rest gives nan"),
-    "infinity": (("return 0.5", "return 1e999"), r"gives inf: D\* as a finite float is right"),
+    "infinity": (("return 0.5", "return 1e999"), r"gives inf: D\* must be a finite float"),
     "text": (("return 0.5", "return '0.5'"), "gives '0.5': "),
     "nothing": (("return 0.5", "pass"), "gives None: "),
     "fails to advance": (("return 0.5", "return 1 / dt_s / 0"), r"0, 0\) at rest failed: ZeroDivi"),
@@ -121,7 +121,7 @@ REFUSED = {
     "fails to start": (("settings, []", "settings.sped"), r"Car\(settings\) failed: AttributeErr"),
     "many lines": (("return 0.5", "raise ValueError('a\\n b')"), "failed: ValueError: a b$"),
     "array": (("return 0.5", "return __import__('numpy').eye(2)"), r"array\(\[\[1., 0.\], \[0., 1"),
-    "huge": (("return 0.5", "return 10**400"), r"gives 10+: D\* as a finite float is right"),
+    "huge": (("return 0.5", "return 10**400"), r"gives 10+: D\* must be a finite float"),
     "exits": (("return 0.5", "raise SystemExit(3)"), "at rest failed: SystemExit: 3$"),
     "exits at once": (("settings, []", "exit(), []"), r"Car\(settings\) failed: SystemExit"),
     "exits to reset": (("self.calls.append(\"reset\")", "exit()"), r"reset\(\) failed: SystemE"),
@@ -207,7 +207,7 @@ def test_a_run_starts_from_rest_and_asks_tick_by_tick():
 
 FAILS = {
     "an exception": ("1 / 0", "ZeroDivisionError: division by zero$"),
-    "no number": ("None", r"gives None: D\* as a finite float is right$"),
+    "no number": ("None", r"gives None: D\* must be a finite float$"),
     "text": ("'0.5'", "gives '0.5': "),
     "nan": ("float('nan')", "gives nan: "),
     "infinity": ("-1e999", "gives -inf: "),

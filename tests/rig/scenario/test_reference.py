@@ -26,7 +26,7 @@ def test_step_and_sine(amplitude, frequency, ticks):
     )
 
 
-@given(st.floats(-5, 5), st.floats(0.5, 20.0))
+@given(st.floats(-5, 5, allow_subnormal=False), st.floats(0.5, 20.0))
 def test_a_double_lane_change_ends_on_its_lane(amplitude, omega):
     period = 2.0 * math.pi / omega
     time_s = np.linspace(0.0, LANE_CHANGE_S + 3.0 * period, 30_001)
@@ -112,12 +112,12 @@ BAD = {
     "infinite": (b"1,2\n2,inf\n", "rows of two finite numbers"),
     "a gap": (b"1,2\n2,\n", "rows of two finite numbers"),
     "semicolons": (b"1;2\n2;3\n", "rows of two finite numbers"),
-    "time stands still": (b"1,2\n1,3\n", "times that increase"),
+    "time stands still": (b"1,2\n1,3\n", "times must increase"),
     "beyond any frame": (
         b"1,2\n2,-1e300\n",
-        r"\|reference_mps2\| = 1e\+300: up to 1e\+06 is right",
+        r"\|reference_mps2\| = 1e\+300: must be at most 1e\+06",
     ),
-    "time runs back": (b"2,2\n1,3\n", "times that increase"),
+    "time runs back": (b"2,2\n1,3\n", "times must increase"),
     "not text": (b"\xff\xfe1,2", "codec can't decode"),
 }
 

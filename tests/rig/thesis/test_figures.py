@@ -153,7 +153,7 @@ def short() -> Sequence[Comparison]:
 
 @pytest.mark.filterwarnings("error")
 def test_every_figure_is_a_png_of_print_size(tmp_path: Path, short: Sequence[Comparison]) -> None:
-    paths = draw_figures(tmp_path / "new" / "folder", short, force=False)
+    paths = draw_figures(tmp_path / "new", short, force=False)
     assert [path.name for path in paths] == [
         f"fig-{figure}.png" for figure in ("2.2", "2.3", "2.4", "3.5", "3.6")
     ]
