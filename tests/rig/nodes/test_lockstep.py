@@ -10,6 +10,7 @@ import can
 import pytest
 
 from can_rig.assessment.resolve import load
+from can_rig.errors import SilentNodeError
 from can_rig.frames.wire_tick import tick_on
 from can_rig.nodes.lockstep.controller_node import ControllerNode
 from can_rig.nodes.lockstep.plant_node import QUIET_S, UNREAD_S, PlantNode
@@ -37,8 +38,12 @@ class Ends:
         self.offered = 0
         self.silent_from = TICKS
         """The tick from which the partner says nothing any more."""
-        self.stop_after = TICKS
+        self.stop_after = 0
         """The tick after which a stop is requested."""
+        self.stop_when_silent = True
+        self.clock = TurnedClock()
+        self.others: can.Message | None = None
+        """What comes again and again where the partner is silent."""
 
     def from_plant(self, message: can.Message) -> None:
         self.sent_by_plant.append(message)
@@ -70,16 +75,17 @@ class Ends:
 
         class Bus:
             def recv(self, timeout: float) -> can.Message | None:
-                waiting = queue()
-                if not waiting:
-                    ends.stop.wanted = True  # as by Ctrl-C while the node waits
-                return waiting.popleft() if waiting else None
+                if waiting := queue():
+                    return waiting.popleft()
+                ends.stop.wanted |= ends.stop_when_silent  # as by Ctrl-C while the node waits
+                ends.clock.pass_s(timeout / 2)
+                return ends.others
 
-        return Watchdog(Bus(), other, Timeouts(1.0, 1.0), self.stop, clock=TurnedClock())
+        return Watchdog(Bus(), other, Timeouts(60.0, 1.0), self.stop, clock=self.clock)
 
     def on_tick(self, tick: int) -> None:
         self.ticks.append(tick)
-        self.stop.wanted = tick == self.stop_after
+        self.stop.wanted |= tick == self.stop_after
 
 
 def order(messages: list[can.Message]) -> list[tuple[int, int]]:
@@ -92,6 +98,7 @@ def test_the_controller_answers_every_tick_and_ends() -> None:
     assert ends.ticks == list(range(1, TICKS + 1))
     assert order(ends.sent_by_controller) == [(i, tick) for tick in range(TICKS) for i in ANSWER]
     assert not ends.offers
+    assert not ends.stop.wanted  # it did not wait for more
 
 
 def test_the_plant_offers_every_tick_and_ends() -> None:
@@ -100,6 +107,7 @@ def test_the_plant_offers_every_tick_and_ends() -> None:
     assert ends.ticks == list(range(1, TICKS + 1))
     assert order(ends.sent_by_plant) == [(i, tick) for tick in range(TICKS) for i in OFFER]
     assert not ends.answers
+    assert not ends.stop.wanted
 
 
 @pytest.mark.parametrize("node", ["plant", "controller"])
@@ -117,6 +125,21 @@ def test_a_stop_request_ends_a_node_that_waits(node: str) -> None:
     ends.silent_from = 5
     assert getattr(ends, f"run_{node}")() == 5
     assert ends.ticks == [1, 2, 3, 4, 5]
+
+
+@pytest.mark.parametrize("others", [None, can.Message(arbitration_id=0x700, is_extended_id=False)])
+@pytest.mark.parametrize(("node", "other"), [("plant", "controller"), ("controller", "plant")])
+@pytest.mark.parametrize(("silent_from", "allowed_s"), [(0, 60.0), (3, 1.0)])
+def test_a_silent_partner_is_named_whatever_others_send(
+    node: str, other: str, silent_from: int, allowed_s: float, others: can.Message | None
+) -> None:
+    """Before it was heard first it is waited for, afterwards not."""
+    ends = Ends()
+    ends.silent_from, ends.stop_when_silent, ends.others = silent_from, False, others
+    with pytest.raises(SilentNodeError, match=rf"the {other} node .* at tick {silent_from}$"):
+        getattr(ends, f"run_{node}")()
+    assert len(ends.ticks) == silent_from
+    assert ends.clock.now_s == pytest.approx(allowed_s, abs=0.1)
 
 
 def test_an_offer_is_repeated_as_it_was() -> None:
@@ -213,5 +236,43 @@ def test_a_reference_of_another_tick_is_not_used() -> None:
     statuses = [m for m in ends.sent_by_controller if m.arbitration_id == ANSWER[-1]]
     words = [NETWORK.status.modes[NETWORK.status.decode(m.data).mode] for m in statuses]
     assert words == ["RUN", "HOLD"]
-    rejected = {"DSTAR_REFERENCE": {"no_new_data": 1}, "DSTAR_FEEDBACK": {}}
+    ends.plant.offer(2)
+    damaged, feedback = list(ends.offers)[-2:]
+    damaged.data[5] ^= 1
+    assert not ends.controller.take(damaged)
+    assert ends.controller.take(feedback)
+    ends.plant.offer(3)
+    assert [ends.controller.take(message) for message in list(ends.offers)[-2:]] == [False, True]
+    statuses = [m for m in ends.sent_by_controller if m.arbitration_id == ANSWER[-1]]
+    words = [NETWORK.status.modes[NETWORK.status.decode(m.data).mode] for m in statuses]
+    assert words == ["RUN", "HOLD", "HOLD", "RUN"]
+    rejected = {"DSTAR_REFERENCE": {"no_new_data": 1, "wrong_crc": 1}, "DSTAR_FEEDBACK": {}}
     assert ends.controller.rejected() == rejected
+
+
+def damaged(message: can.Message) -> can.Message:
+    changed = can.Message(
+        arbitration_id=message.arbitration_id, is_extended_id=False, data=bytes(message.data)
+    )
+    changed.data[5] ^= 1
+    return changed
+
+
+def elsewhere(message: can.Message) -> can.Message:
+    return can.Message(arbitration_id=0x700, is_extended_id=False, data=bytes(message.data))
+
+
+def test_only_two_intact_frames_of_their_own_identifiers_are_a_first_contact() -> None:
+    ends = Ends()
+    ends.plant.offer(0)
+    reference, feedback = ends.offers
+    for pair in (
+        (damaged(reference), feedback),
+        (reference, damaged(feedback)),
+        (reference, elsewhere(feedback)),
+        (elsewhere(reference), feedback),
+    ):
+        ends.controller = ControllerNode(SCENARIO, NETWORK, ends.from_controller)
+        assert [ends.controller.take(message) for message in pair] == [False, False]
+        assert ends.controller.expected is None
+    assert ends.sent_by_controller == []
