@@ -129,7 +129,7 @@ def _statements(node: ast.stmt, values: frozenset[str]) -> Iterator[str]:
             yield "continue"
         case ast.Continue():
             yield "break"
-        case ast.Return(value=ast.expr()):
+        case ast.Return(value=ast.expr() as value) if not isinstance(value, ast.Constant):
             yield "return None"
 
 

@@ -1,0 +1,79 @@
+"""What a target accepts, to the last value that means something, and what it is by default."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import pytest
+
+from firmware_model.discretisation.targets import Target
+from firmware_model.errors import ParameterError
+from firmware_model.target.structs import MAX_LATENCY_TICKS
+
+TINY = 5e-324
+POSITIVE = ("limit_1", "limit_2", "rate_1", "rate_2", "reference_acceleration", "threshold")
+EIGHTH = math.pi / 4 / 1e-3  # rad/s, of the sampling frequency of 1 kHz
+
+ACCEPTED: list[dict[str, Any]] = [
+    {"latency_ticks": 0},
+    {"latency_ticks": MAX_LATENCY_TICKS},
+    *({name: value} for name in POSITIVE for value in (TINY, 0.5, math.inf)),
+    *({name: value} for name in ("lsb_1", "lsb_2", "model_share") for value in (0.0, TINY, 1e300)),
+    {"clear_ratio": 0.0},
+    {"clear_ratio": math.nextafter(1.0, 0.0)},
+    {"confirm_ticks": 1},
+    {"clear_ticks": 1},
+    {"probe": TINY},
+    {"probe": 1e300},
+    {"probe": 0.0, "probe_rad_per_s": -1.0},  # there is none: its frequency does not matter
+    {"probe": 0.5, "probe_rad_per_s": 1e-300},
+    {"probe": 0.5, "probe_rad_per_s": EIGHTH},
+    *({"estimator": rule} for rule in ("tustin", "tustin-held", "zoh")),
+]
+REFUSED: list[tuple[dict[str, Any], str]] = [
+    ({"latency_ticks": -1}, f"latency_ticks = -1: must be 0 to {MAX_LATENCY_TICKS}"),
+    ({"latency_ticks": MAX_LATENCY_TICKS + 1}, f"must be 0 to {MAX_LATENCY_TICKS}"),
+    *(({name: value}, f"{name} = {value:g}: must be above 0")
+      for name in POSITIVE for value in (0.0, -TINY, -math.inf, math.nan)),
+    *(({name: value}, f"{name} = {value:g}: must be finite and 0 or above")
+      for name in ("lsb_1", "lsb_2", "model_share") for value in (-TINY, math.inf, math.nan)),
+    *(({"clear_ratio": value}, "must be 0 or above, below 1")
+      for value in (-TINY, 1.0, math.nan)),
+    *(({"probe": value}, "must be 0 (none) or above, and finite")
+      for value in (-TINY, math.inf, math.nan)),
+    *(({"probe": 0.5, "probe_rad_per_s": value}, f"at most an eighth of the sampling frequency, "
+       f"{EIGHTH:g} rad/s") for value in (0.0, -1.0, math.nextafter(EIGHTH, 1e4), math.nan)),
+    *(({name: 0}, f"{name} = 0: must be 1 or more") for name in ("confirm_ticks", "clear_ticks")),
+    ({"estimator": "euler"}, "estimator = 'euler': must be one of tustin, tustin-held, zoh"),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("change", ACCEPTED, ids=str)
+def test_the_last_value_that_means_something_is_accepted(change: dict[str, Any]) -> None:
+    target = Target(1e-3, **change)
+    assert {name: getattr(target, name) for name in change} == change
+
+
+@pytest.mark.parametrize(("change", "reason"), REFUSED, ids=str)
+def test_the_first_that_does_not_is_refused(change: dict[str, Any], reason: str) -> None:
+    with pytest.raises(ParameterError) as caught:
+        Target(1e-3, **change)
+    assert reason in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_by_default_it_is_the_thesis_s() -> None:
+    """No latency, no limits, no grid, no decision: d̂ is compensated as it is, always."""
+    target = Target(1e-3)
+    assert (target.latency_ticks, target.estimator) == (0, "tustin")
+    for name in POSITIVE:
+        assert getattr(target, name) == math.inf
+    for name in ("lsb_1", "lsb_2", "model_share", "probe"):
+        assert getattr(target, name) == 0.0
+    assert target.on_confirmation is False
+    assert target.prewarp_rad_per_s is None
+    assert target.precision == "float64"
+    # Of a decision that is asked for: at once, back at a quarter, probed at 10 rad/s.
+    assert (target.confirm_ticks, target.clear_ticks, target.clear_ratio) == (1, 1, 0.25)
+    assert target.probe_rad_per_s == 10.0
