@@ -5,7 +5,7 @@ from __future__ import annotations
 import gc
 from collections import Counter
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager, suppress
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, Literal, NamedTuple, Protocol
@@ -23,7 +23,7 @@ from can_rig.nodes.realtime.plant_node import RealTimePlantNode
 from can_rig.nodes.realtime.recorder import RealTimeRecorder
 from can_rig.nodes.realtime.scheduling import prefer, undisturbed
 from can_rig.nodes.recorder import Recorder
-from can_rig.nodes.watchdog import Interrupted, StopRequest, Timeouts, Watchdog
+from can_rig.nodes.watchdog import StopRequest, Timeouts, Watchdog
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 
@@ -178,7 +178,8 @@ def run_in_process(
     on_tick: OnTick,
 ) -> NodeSummary:
     """Both nodes on one thread, turn by turn; the log is that of two processes, byte for byte."""
-    network, clock, timeouts = network_of(scenario), SYSTEM_CLOCK, Timeouts()
+    network, clock = network_of(scenario), SYSTEM_CLOCK
+    timeouts = Timeouts(first_s=Timeouts.silence_s)  # the other node is there already
     with (
         open_for_node(bus_name, network.identifiers, overhear=True) as plant_bus,
         open_for_node(bus_name, network.identifiers, overhear=False) as controller_bus,
@@ -189,18 +190,18 @@ def run_in_process(
         )
         plant = PlantNode(scenario, network, plant_access.send, recorder)
         controller = ControllerNode(scenario, network, controller_access.send)
-        to_plant = Watchdog(plant_bus, "controller", timeouts, stop, clock=clock)
-        to_controller = Watchdog(controller_bus, "plant", timeouts, stop, clock=clock)
+        never = StopRequest()  # a stop is read between ticks here, so that none is cut short
+        to_plant = Watchdog(plant_bus, "controller", timeouts, never, clock=clock)
+        to_controller = Watchdog(controller_bus, "plant", timeouts, never, clock=clock)
         with without_garbage_pauses():
             start_ns = clock.now_ns()
             tick = 0
-            with suppress(Interrupted):
-                while tick < scenario.ticks and not stop.wanted:
-                    plant.offer(tick)
-                    controller.serve(to_controller)
-                    plant.collect(tick, to_plant)
-                    tick += 1
-                    on_tick(tick)
+            while tick < scenario.ticks and not stop.wanted:
+                plant.offer(tick)
+                controller.serve(to_controller)
+                plant.collect(tick, to_plant)
+                tick += 1
+                on_tick(tick)
             wall_s = (clock.now_ns() - start_ns) / NS_PER_S
         plant.record_the_rest(plant_bus, clock)
         events = bus_events("plant", plant_bus, to_plant.errors, plant_access.errors)
