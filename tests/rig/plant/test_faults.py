@@ -144,3 +144,11 @@ def test_damage_comes_from_the_seed_reaches_every_byte_and_every_bit_and_none_is
         assert receiver.accept(message, tick) is None
     assert reached == 2**64 - 1
     assert receiver.rejected == {"wrong_crc": len(pairs)}
+
+
+@pytest.mark.parametrize("kind", ["none", "actuator-dead", "frames-missing", "frames-corrupted"])
+@pytest.mark.parametrize("channel", CHANNELS)
+def test_only_a_fault_of_frames_concerns_the_frames_of_its_channel(kind, channel):
+    fault = FrameFault(load("thesis-step", [f"fault.kind={kind}", f"fault.channel={channel}"]))
+    expected = [kind.startswith("frames-") and channel == name for name in CHANNELS]
+    assert [fault.concerns(at) for at in range(2)] == expected

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.plant.frameless import arrivals, frameless
+from can_rig.plant.frameless import arrivals, frameless, noise
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from firmware_model.target.status import Mode
@@ -76,12 +76,30 @@ def test_every_kind_of_fault(kind, fault, tmp_path):
         ("partial-loss", ["fault.kind=actuator-dead"]),
         ("lane-change", ["latency_ticks=3", "fault.kind=frames-corrupted", "fault.for_s=0.02"]),
         ("chapter-2", ["fault.kind=actuator-dead"]),
+        ("default", ["fault.kind=frames-missing", "fault.for_s=0.06", "actuator.hold_s=0.043"]),
         ("thesis-step", ["reference.amplitude_mps2=21"]),  # D* reaches the end of its frame
         ("thesis-step", ["limits.torque_nm=30", "limits.torque_rate_nm_per_s=900"]),
     ],
 )
 def test_every_kind_of_scenario(name, settings, tmp_path):
     compared(tmp_path, name, *settings)
+
+
+def test_noise_is_drawn_in_units_of_its_rms():
+    quiet, loud = (load("noisy", [f"noise.dstar_rms_mps2={rms}"]) for rms in (0.5, 1.0))
+    np.testing.assert_array_equal(noise(loud), 2.0 * noise(quiet))
+    assert abs(np.std(noise(loud)) - 1.0) < 0.1
+    silent = load("noisy", ["noise.dstar_rms_mps2=0"])
+    assert not noise(silent).any()
+    assert noise(silent).shape == noise(loud).shape == (loud.ticks,)
+
+
+def test_both_commands_of_every_tick_arrive_or_not():
+    scenario = load("thesis-step", ["fault.kind=frames-missing", "fault.channel=force-difference"])
+    arrives = arrivals(scenario, network_of(scenario))
+    assert arrives.shape == (scenario.ticks, 2)
+    assert arrives[:, 0].all()
+    assert not arrives[:, 1].all()
 
 
 def test_a_class_of_one_s_own(tmp_path):
@@ -95,7 +113,7 @@ def test_a_plant_that_fails_is_held_from_then_on(tmp_path):
         LAG.replace("Lag", "Brief")
         .replace("self.dstar_mps2 = 0.0", "self.dstar_mps2 = 0.0; self.n = 0")
         .replace(
-            "        return", "        self.n += 1\n        assert self.n <= 30\n        return"
+            "        return", "        self.n += 1\n        assert self.n != 31\n        return"
         )
     )
     scenario = load("thesis-step", ["duration_s=0.1", "plant.kind=brief_car:Brief"])

@@ -122,3 +122,26 @@ def test_noise_is_on_the_sensor_alone_white_and_from_the_seed():
     again, other = outputs([*noisy, "seed=1"], sequence), outputs([*noisy, "seed=2"], sequence)
     assert (again - outputs(HEALTHY, sequence) == noise).all()
     assert (other != again).all()
+
+
+@pytest.mark.parametrize("hold_ticks", [43, 44])
+def test_the_hold_is_a_whole_number_of_ticks_though_its_quotient_is_not(hold_ticks):
+    """0.043 / 0.001 is 42.99999999999999: a command is held for 43 ticks all the same."""
+    settings = [*HEALTHY, f"actuator.hold_s={hold_ticks / 1000}"]
+    command, nothing, zero = (300.0, 900.0), (None, None), (0.0, 0.0)
+    held = outputs(settings, [command] + [nothing] * (hold_ticks + 5))
+    explicit = outputs(settings, [command] * (1 + hold_ticks) + [zero] * 5)
+    np.testing.assert_array_equal(held, explicit)
+
+
+def test_a_plant_may_be_asked_first_for_what_is_a_second_later():
+    """Whatever tick it begins with: the matrices are those of the time that is asked for."""
+    plant, twin = LinearPlant(PlantSettings()), LinearPlant(PlantSettings())
+    for _ in range(4):
+        twin.advance(0.25, 300.0, 0.0)
+    assert plant.advance(1.0, 300.0, 0.0) == pytest.approx(twin.advance(1e-12, 300.0, 0.0))
+
+
+def test_the_sensor_is_biased_from_its_first_sample_on():
+    bias = ["fault.kind=sensor-biased", "fault.bias_mps2=0.5", "fault.at_s=0", "fault.for_s=0.001"]
+    assert outputs(bias, [(0.0, 0.0)] * 2).tolist() == [0.5, 0.0, 0.0]
