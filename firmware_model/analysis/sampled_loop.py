@@ -136,7 +136,6 @@ def linear_controller(table: Record, confirmed: float = 0.0) -> LinearController
     if confirmed > 0.0:
         states["fault_state"] = FaultState.CONFIRMED
         states["loss_model"]["share"] = confirmed
-        states["decision"]["engaged"] = table.compensator.on_confirmation
     for j, (path, index) in enumerate(memories):
         _field(states, path)[(j, *index)] = 1.0
     inputs = np.zeros((2, k + 2))
@@ -259,7 +258,7 @@ def _without_limits(table: Record, n: int) -> RecordArray:
     for actuator in ("actuator_1", "actuator_2"):
         tables[actuator]["limit"] = tables[actuator]["slew"] = math.inf
         tables[actuator]["lsb"] = 0.0
-    tables["adaptive_threshold"]["threshold"] = math.inf
+    tables["decision"]["confirm"] = tables["decision"]["suspect"] = math.inf
     tables["reference_shaper"]["enabled"] = 0
     return tables
 

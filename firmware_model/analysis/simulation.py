@@ -18,14 +18,13 @@ from numpy.typing import NDArray
 from firmware_model.analysis.sampled_plant import SampledPlant, follow_plant, measure_plant
 from firmware_model.compiled import firmware
 from firmware_model.target import controller
-from firmware_model.target.fault_decision.adaptive_threshold import least_model_share
 from firmware_model.target.structs import FloatArray, Record, RecordArray
 
 BoolArray = NDArray[np.bool_]
 Vectors = tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]
 
 # Rows of the signals of a tick.
-_OUTPUT, _MEASURED, _COMMAND_1, _COMMAND_2, _ESTIMATE, _SHARE, _ACTING_1, _ACTING_2 = range(8)
+_OUTPUT, _MEASURED, _COMMAND_1, _COMMAND_2, _ESTIMATE, _EVIDENCE, _ACTING_1, _ACTING_2 = range(8)
 
 
 class AnyPlant(Protocol):
@@ -50,8 +49,8 @@ class Trace:
     fault_estimate: FloatArray
     fault_state: NDArray[np.int64]
     mode: NDArray[np.int64]
-    share_shown: FloatArray
-    """The least ``model_share`` for which d̂ stays below the adaptive threshold."""
+    evidence: FloatArray
+    """The log-likelihood ratio of a loss, or of the return of a lost channel."""
 
     @property
     def error(self) -> FloatArray:
@@ -121,7 +120,7 @@ def simulate(
         fault_estimate=signals[_ESTIMATE],
         fault_state=states[0],
         mode=states[1],
-        share_shown=signals[_SHARE],
+        evidence=signals[_EVIDENCE],
     )
 
 
@@ -164,7 +163,7 @@ def tick(
     signals[_COMMAND_1, k] = state.command_1
     signals[_COMMAND_2, k] = state.command_2
     signals[_ESTIMATE, k] = state.fault_estimate
-    signals[_SHARE, k] = least_model_share(table.adaptive_threshold, state.adaptive_threshold)
+    signals[_EVIDENCE, k] = state.sequential_test.evidence
     states[0, k] = state.fault_state
     states[1, k] = state.mode
     for channel in range(2):

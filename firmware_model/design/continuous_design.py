@@ -9,7 +9,7 @@ from firmware_model.design.compensator import compensator
 from firmware_model.design.estimator import FaultEstimator, fault_estimator
 from firmware_model.design.factorisation import inner_outer
 from firmware_model.design.plants import Plant
-from firmware_model.design.tracking import tracking
+from firmware_model.design.tracking import tracking, tracking_filter
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.errors import ZeroChannelError, require_order, require_positive
 
@@ -45,8 +45,8 @@ class DesignSpecification:
 class ContinuousDesign:
     """The controllers of Figs. 2.1 and 3.4 and the factors of G2; ``None`` where not asked for.
 
-    ``compensator`` is F̂2 from d̂ to u2, ``tracking`` is C from r - y to u1, ``inner`` and ``outer``
-    are G2i and G2o of (3.31).
+    ``compensator`` is F̂2 from d̂ to u2, ``tracking`` is C from r - y to u1 and ``tracking_filter``
+    the Q that it is made of; ``inner`` and ``outer`` are G2i and G2o of (3.31).
     """
 
     plant: Plant
@@ -54,6 +54,7 @@ class ContinuousDesign:
     estimator: FaultEstimator
     compensator: ZeroPoleGain | None
     tracking: ZeroPoleGain | None
+    tracking_filter: ZeroPoleGain | None
     inner: ZeroPoleGain
     outer: ZeroPoleGain
 
@@ -77,6 +78,7 @@ def design(plant: Plant, specification: DesignSpecification) -> ContinuousDesign
             "q = -1: the fault estimate is identically zero; compensation must have Q other than -1"
         )
     inner, outer = inner_outer(plant.g2)
+    follow = (plant.g1, specification.tau_q_s, specification.alpha_q)
     return ContinuousDesign(
         plant=plant,
         specification=specification,
@@ -86,9 +88,8 @@ def design(plant: Plant, specification: DesignSpecification) -> ContinuousDesign
             if specification.compensation
             else None
         ),
-        tracking=tracking(plant.g1, specification.tau_q_s, specification.alpha_q)
-        if specification.feedback
-        else None,
+        tracking=tracking(*follow) if specification.feedback else None,
+        tracking_filter=tracking_filter(*follow) if specification.feedback else None,
         inner=inner,
         outer=outer,
     )

@@ -47,6 +47,13 @@ def tracking(g1: ZeroPoleGain, tau_q_s: float, alpha_q: int) -> ZeroPoleGain:
     )
 
 
+def tracking_filter(g1: ZeroPoleGain, tau_q_s: float, alpha_q: int) -> ZeroPoleGain:
+    """Q = q̂/G1 of (3.33), from which C = Q/(1 - Q G1) (3.32); raises what ``tracking`` raises."""
+    tracking(g1, tau_q_s, alpha_q)  # refuses what has no Q
+    lag = ZeroPoleGain.lag(tau_q_s, alpha_q)
+    return ZeroPoleGain(g1.poles, (*g1.zeros, *lag.poles), lag.gain / g1.gain)
+
+
 def roots_of_one_less_one(order: int) -> Roots:
     """``exp(2πik/order) - 1`` for k = 0..order-1; real ones and conjugate pairs are exactly so."""
     real: Roots = (0j,) if order % 2 else (0j, -2 + 0j)

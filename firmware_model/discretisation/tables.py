@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from firmware_model.design.continuous_design import ContinuousDesign
+from firmware_model.design.mismatch import STEP
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.sections import Sections
 from firmware_model.discretisation.targets import EstimatorRule, Target
@@ -23,10 +24,21 @@ ESTIMATOR_RULES: dict[EstimatorRule, Callable[[ZeroPoleGain, float], Sections]] 
     "zoh": zoh,
 }
 
-LOSS_MEMORY_S = 0.05  # of the lost share: some time constants of w, 1/17.7 s for this car
-CHANGE_MEMORY_S = 0.02  # shorter: less of a motion is left; longer: more of a loss
-PEAK_MEMORY_S = 0.6  # other cars ring on for as long after the command
-CONFIRMED_MEMORY_S = 1.0  # of the confirmed share; a recovery is detected in half of that
+SLOWEST_TRANSFER_S = 0.05  # some time constants of w, 1/17.7 s for this car
+HASTE = 2.0  # of a transfer, against the time that its beginning took
+SHARE = 0.8  # of the torque whose loss is looked for: of all of it, a half still counts
+RESTART = -1.0
+HORIZON_S = 1.0  # a loss that would take longer to show cannot be told
+MISMATCH_S = 3.0  # in which a car changes
+MISMATCH_VARIANCE = 0.36  # of a parameter in a box of ±1: uniform, and some more
+BEYOND = 0.04  # share of other cars' d̂ that no direction explains, squared variance
+BEYOND_S = 1.0  # as long as other cars ring
+REMAINDER_S = 0.12  # in which what they show beyond the first order changes
+WHITE = 0.1  # of that, what differs from tick to tick
+RULE_ERROR = {"zoh": 0.0, "tustin": 1.0, "tustin-held": 1.0}  # of a tick's change of G1 u1
+NO_NOISE = 1e-9  # rms, in units of the measurement, that rounding leaves of a perfect sensor
+HOUR_S = 3600.0
+LEAST_EVIDENCE = 1.0  # log-likelihood ratio of about 3 to 1
 PROBE_PERIODS = 2  # the half phase of ``probe`` goes once around
 PROBE_SHARE = 0.4  # missing that confirms; a car that is 20 % off looks like 0.3 at 10 rad/s
 
@@ -53,7 +65,7 @@ def discretise(design: ContinuousDesign, target: Target) -> Filters:
     nothing, unity = ZeroPoleGain.constant(0.0), ZeroPoleGain.constant(1.0)
     g1, g2 = design.plant.g1, design.plant.g2
     filters = Filters(
-        tracking=tustin(design.tracking or unity, tick_s, prewarp),
+        tracking=tustin(design.tracking_filter or unity, tick_s, prewarp),
         estimator_1=rule(g1, tick_s),
         estimator_2=rule(g2, tick_s),
         one_plus_q=tustin(design.estimator.one_plus_q, tick_s),
@@ -79,6 +91,13 @@ def algebraic_loop_gain(filters: Filters, latency_ticks: int) -> float:
     )
 
 
+def tracking_loop_gain(filters: Filters, target: Target) -> float:
+    """Gain of the loop u1 → G1 u1 → u1 within one tick: Q and G1 at z → ∞."""
+    if target.latency_ticks > 0:
+        return 0.0
+    return filters.tracking.feedthrough * filters.estimator_1.feedthrough
+
+
 def build(design: ContinuousDesign, target: Target) -> Record:
     """The table of ``design`` on ``target``: a read-only record of ``layout.table_type``.
 
@@ -98,8 +117,9 @@ def build(design: ContinuousDesign, target: Target) -> Record:
     _fill_loop(table, design, target, filters)
     _fill_compensator(table, design, target, filters, loop_gain)
     _fill_decision(table, target)
+    _fill_mismatch(table, target)
     if target.probe > 0.0:
-        _fill_probe(table.probe, target, filters)
+        _fill_probe(table.probe, target)
     tables.flags.writeable = False
     return tables[0]
 
@@ -117,9 +137,7 @@ def _fill_loop(table: Record, design: ContinuousDesign, target: Target, filters:
     shaper.acceleration = target.reference_acceleration * target.tick_s**2
     _fill_filter(tracking.filter, filters.tracking)
     tracking.feedback = closed
-    tracking.integrates = closed
-    tracking.conditioning = 1.0 / filters.tracking.feedthrough
-    tracking.steady_command = 1.0 / design.plant.g1.dc_gain if closed else 1.0
+    tracking.loop_inverse = 1.0 / (1.0 - closed * tracking_loop_gain(filters, target))
     _fill_filter(estimator.channel_1, filters.estimator_1)
     _fill_filter(estimator.channel_2, filters.estimator_2)
     _fill_filter(estimator.one_plus_q, filters.one_plus_q)
@@ -144,34 +162,59 @@ def _fill_compensator(
     compensator.loop_inverse = 1.0 / (1.0 - loop_gain)
     compensator.reference_share = design.tracking is None
     compensator.on_confirmation = target.on_confirmation
-    memory = _memory(target, LOSS_MEMORY_S)
-    table.loss_model.memory = memory
-    least = float(np.finfo(np.float64).tiny)  # a tick of minutes leaves nothing
-    table.bumpless_transfer.slowest_pace = -math.log(max(memory, least))
+    table.bumpless_transfer.slowest_pace = target.tick_s / SLOWEST_TRANSFER_S
+    table.bumpless_transfer.haste = HASTE
 
 
 def _fill_decision(table: Record, target: Target) -> None:
     """When d̂ is a loss, and when it no longer is."""
-    threshold, decision = table.adaptive_threshold, table.decision
-    threshold.threshold = target.threshold
-    threshold.model_share = target.model_share
-    threshold.clear_ratio = target.clear_ratio
-    threshold.change_memory = _memory(target, CHANGE_MEMORY_S)
-    threshold.peak_memory = _memory(target, PEAK_MEMORY_S)
-    decision.confirm_ticks = target.confirm_ticks
-    decision.clear_ticks = target.clear_ticks
-    decision.share_memory = _memory(target, CONFIRMED_MEMORY_S)
+    decision, test = table.decision, table.sequential_test
+    ticks_per_hour = HOUR_S / target.tick_s
+    confirm = math.log(ticks_per_hour / target.false_alarms_per_hour)
+    decision.confirm = max(confirm, LEAST_EVIDENCE)
+    suspect = math.log(ticks_per_hour / target.suspicions_per_hour)
+    decision.suspect = min(max(suspect, LEAST_EVIDENCE), decision.confirm)
+    decision.horizon = HORIZON_S / target.tick_s
+    decision.pause_ticks = round(target.probe_pause_s / target.tick_s)
+    test.share = SHARE
+    test.restart = RESTART
 
 
-def _fill_probe(probe: Record, target: Target, filters: Filters) -> None:
-    """Whole ticks for two periods, so the frequency moves a little; G1 there, latency included."""
+def _fill_mismatch(table: Record, target: Target) -> None:
+    """What other cars and noise make of d̂."""
+    constants, cars = table.mismatch, target.mismatch.cars
+    constants.cars = len(cars)
+    rule = RULE_ERROR[target.estimator] ** 2
+    constants.n = len(cars) + 1 if cars or rule else 0
+    names = ("car_1", "car_2", "car_3")
+    for name, car in zip(names, cars, strict=False):
+        sections = ESTIMATOR_RULES[target.estimator](car, target.tick_s)
+        _fill_filter(getattr(constants, name), sections)
+    constants.scale = 1.0 / STEP
+    constants.prior = MISMATCH_VARIANCE
+    slow, fast = _memory(target, MISMATCH_S), _memory(target, REMAINDER_S)
+    constants.memory[: len(cars)] = slow
+    constants.growth[: len(cars)] = (1.0 - slow**2) * MISMATCH_VARIANCE
+    constants.memory[len(cars)], constants.growth[len(cars)] = fast, 1.0 - fast**2
+    constants.motion = (REMAINDER_S / target.tick_s) ** 2
+    constants.beyond = BEYOND * MISMATCH_VARIANCE
+    constants.white = WHITE
+    constants.rule = rule
+    constants.fading = _memory(target, BEYOND_S) ** 2
+    a = target.noise_pole
+    rounding = target.resolution**2 / 12.0
+    least = (NO_NOISE * max(target.resolution, 1.0)) ** 2
+    constants.noise = (1.0 - a * a) * target.noise_rms**2 + (1.0 + a * a) * rounding + least
+    constants.colour = a
+
+
+def _fill_probe(probe: Record, target: Target) -> None:
+    """Whole ticks for two periods, so the frequency moves a little."""
     ticks = round(PROBE_PERIODS * 2.0 * math.pi / (target.probe_rad_per_s * target.tick_s))
     half = np.exp(2j * math.pi / ticks)  # once around in a probe: two periods of the whole phase
-    response = filters.estimator_1(half**2) * half ** (-2 * target.latency_ticks)
     probe.ticks = ticks
     probe.amplitude = 0.5 * target.probe
     probe.least_share = PROBE_SHARE
-    probe.response = response.real, response.imag
     probe.rotation = half.real, half.imag
 
 

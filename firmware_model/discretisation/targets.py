@@ -6,6 +6,7 @@ import math
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from firmware_model.design.mismatch import TRUSTED, Mismatch
 from firmware_model.errors import ParameterError
 from firmware_model.target.structs import MAX_LATENCY_TICKS, Precision
 
@@ -26,13 +27,14 @@ class Target:
         reference_acceleration: largest second derivative of the reference that C follows; a faster
             reference is followed later (``reference_shaper``).
         lsb_1, lsb_2: grid of a command as its frame carries it; 0 for none.
-        threshold: |d̂| above it is a suspected fault.
-        model_share: of what channel 1 does, this share may show as d̂ without a fault, because the
-            car is not the model; 0 trusts the model (``adaptive_threshold``).
-        confirm_ticks: ticks in a row above the threshold that confirm it.
-        clear_ticks: ticks in a row in which the channel has to look well to be cleared.
-        clear_ratio: share of the d̂ of a loss that has to be above the threshold, with |d̂| below
-            it, for the channel to be taken to work again.
+        noise_rms: of the measurement without a fault, its resolution included; what is not white
+            noise of ``noise_pole`` counts as white.
+        noise_pole: a of coloured noise, n(k) = a n(k-1) + white; 0 for white noise.
+        resolution: step of what is measured, rounding included in the bus.
+        mismatch: cars that are not the model; by default the model is trusted.
+        false_alarms_per_hour: losses confirmed by chance, at most.
+        suspicions_per_hour: likewise those that are compensated for a few ticks only.
+        probe_pause_s: from a probe that found nothing to the next.
         on_confirmation: compensate from the confirmed loss on, with what the lost channel's own
             commands would have done, instead of always and with d̂ (the thesis).
         probe: amplitude of the sine, in the unit of command 1, that has to be missing in the
@@ -52,11 +54,13 @@ class Target:
     reference_acceleration: float = math.inf
     lsb_1: float = 0.0
     lsb_2: float = 0.0
-    threshold: float = math.inf
-    model_share: float = 0.0
-    confirm_ticks: int = 1
-    clear_ticks: int = 1
-    clear_ratio: float = 0.25
+    noise_rms: float = 0.0
+    noise_pole: float = 0.0
+    resolution: float = 0.0
+    mismatch: Mismatch = TRUSTED
+    false_alarms_per_hour: float = 0.001
+    suspicions_per_hour: float = 3600.0
+    probe_pause_s: float = 0.5
     on_confirmation: bool = False
     probe: float = 0.0
     probe_rad_per_s: float = 10.0
@@ -77,17 +81,18 @@ class Target:
             "rate_1",
             "rate_2",
             "reference_acceleration",
-            "threshold",
+            "false_alarms_per_hour",
+            "suspicions_per_hour",
         ):
             if not getattr(self, name) > 0.0:
                 raise ParameterError(f"{name} = {getattr(self, name):g}: must be above 0")
-        for name in ("lsb_1", "lsb_2", "model_share"):
+        for name in ("lsb_1", "lsb_2", "noise_rms", "resolution", "probe_pause_s"):
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise ParameterError(
                     f"{name} = {getattr(self, name):g}: must be finite and 0 or above"
                 )
-        if not 0.0 <= self.clear_ratio < 1.0:
-            raise ParameterError(f"clear_ratio = {self.clear_ratio:g}: must be 0 or above, below 1")
+        if not 0.0 <= self.noise_pole < 1.0:
+            raise ParameterError(f"noise_pole = {self.noise_pole:g}: must be 0 or above, below 1")
         if not 0.0 <= self.probe < math.inf:
             raise ParameterError(f"probe = {self.probe:g}: must be 0 (none) or above, and finite")
         if self.probe and not 0.0 < self.probe_rad_per_s * self.tick_s <= math.pi / 4:
@@ -95,6 +100,3 @@ class Target:
                 f"probe_rad_per_s = {self.probe_rad_per_s:g}: must be above 0 and at most an "
                 f"eighth of the sampling frequency, {math.pi / 4 / self.tick_s:g} rad/s"
             )
-        for name in ("confirm_ticks", "clear_ticks"):
-            if getattr(self, name) < 1:
-                raise ParameterError(f"{name} = {getattr(self, name)}: must be 1 or more")

@@ -12,9 +12,9 @@ known at once, so F̂ may work on s w = s G1 u1 instead, s the share that is los
 around the loop is halved.
 
 **Inputs that are missing.** The commands are held, and act on the plant for as long. So whatever
-models the plant goes on with them: F1, and w, which a channel that is lost owes from these commands
-too. What acts on the inputs (C, F̂, the reference shaper, the decision) waits; after that the input
-of F̂ goes over to where w has arrived by a bumpless transfer.
+models the plant goes on with them: F1, w, which a channel that is lost owes from these commands
+too, and F̂ where it works on w. What acts on the inputs (C, the reference shaper, the decision)
+waits.
 """
 
 from __future__ import annotations
@@ -26,20 +26,23 @@ import numpy as np
 
 from firmware_model.compiled import firmware
 from firmware_model.target.actuator import quantise, saturate, saturate_rate
-from firmware_model.target.fault_decision.adaptive_threshold import settle_threshold
 from firmware_model.target.fault_decision.bumpless_transfer import release, transfer
 from firmware_model.target.fault_decision.decision import (
     CLEAR,
+    compensated_output,
     decide,
-    disengage_when_faded,
-    engage,
 )
-from firmware_model.target.fault_decision.loss_model import (
-    advance_loss_model,
-    clear_loss_model,
-    loss_output,
+from firmware_model.target.fault_decision.loss_model import advance_loss_model, clear_loss_model
+from firmware_model.target.fault_decision.mismatch import (
+    advance_cars,
+    clear_mismatch,
+    settle_mismatch,
 )
-from firmware_model.target.fault_decision.probe import probe_response, probe_torque
+from firmware_model.target.fault_decision.probe import probe_torque
+from firmware_model.target.fault_decision.sequential_test import (
+    advance_candidate,
+    start_candidate,
+)
 from firmware_model.target.filters.biquad import advance, output, settle
 from firmware_model.target.filters.estimator import (
     advance_model,
@@ -47,7 +50,13 @@ from firmware_model.target.filters.estimator import (
     model_output,
     settle_estimator,
 )
-from firmware_model.target.filters.tracking import settle_tracking, track
+from firmware_model.target.filters.tracking import (
+    advance_shortfall,
+    asked_torque,
+    missing_output,
+    settle_tracking,
+    track,
+)
 from firmware_model.target.layout import precision_of, state_type
 from firmware_model.target.precision import real
 from firmware_model.target.reference_shaper import shape_reference, start
@@ -59,7 +68,10 @@ MODE_INIT, MODE_RUN, MODE_HOLD = int(Mode.INIT), int(Mode.RUN), int(Mode.HOLD)
 
 def init(table: Record, n: int = 1) -> RecordArray:
     """``n`` states at rest for ``table``, in its precision: every memory zero, mode INIT."""
-    return np.zeros(n, state_type(precision_of(table)))
+    states: RecordArray = np.zeros(n, state_type(precision_of(table)))
+    for state in states:
+        clear_mismatch(table.mismatch, state.mismatch)
+    return states
 
 
 @firmware
@@ -84,42 +96,38 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
     held_1, held_2 = state.command_1, state.command_2
     estimator, compensator = table.estimator, table.compensator
 
-    error = tracked_reference(table, state) - table.tracking.feedback * state.measurement
-    torque = output(table.tracking.filter, state.tracking.filter, error)
+    # Every filter's answer to a zero: what this tick's commands find already there.
+    zero = real(0.0, held_1)
+    rest_1, _ = model_output(estimator, state.estimator, zero, held_2)
+    wanted = tracked_reference(table, state) - table.tracking.feedback * (
+        state.measurement + missing_output(table, state)
+    )
+    torque = asked_torque(table.tracking, state.tracking, wanted + table.tracking.feedback * rest_1)
     if state.probe.tick > 0:
         torque = torque + probe_torque(table.probe, state.probe)
-    possible = saturate_rate(table.actuator_1, torque, held_1)
-    track(table.tracking, state.tracking, error, torque, possible)
-    state.command_1 = quantise(table.actuator_1, possible)
+    possible_1 = saturate_rate(table.actuator_1, torque, held_1)
+    state.command_1 = quantise(table.actuator_1, possible_1)
 
-    model_1, model_2 = model_output(estimator, state.estimator, state.command_1, real(0.0, held_2))
+    model_1, model_2 = model_output(estimator, state.estimator, state.command_1, zero)
+    track(table.tracking, state.tracking, wanted + table.tracking.feedback * model_1)
     known = model_1 + model_2 - state.measurement
-
-    # Every filter's answer to a zero: what this tick's u2 finds already there.
-    zero = real(0.0, error)
     q_rest = output(estimator.one_plus_q, state.estimator.one_plus_q, zero)
     rest_2 = output(compensator.filter, state.compensator.filter, zero)
     from_reference = compensator.reference_share * state.reference
 
-    # Without feedthrough of u2 this is already d̂; with it, all but what u2 changes in this tick.
-    before = known + estimator.feedthrough_2 * held_2
-    decide(table, state, q_rest + estimator.one_plus_q_feedthrough * before, model_1, model_2)
+    # Without feedthrough of u2 this is already the residual; with it, all but u2 of this tick.
+    decide(table, state, known + estimator.feedthrough_2 * held_2, model_1)
 
     if compensator.on_confirmation:  # u2 = r2 + F̂ s w, with the w of this tick's command
-        drive, force = zero, from_reference
-        if state.decision.engaged:
-            if state.mode == MODE_HOLD:
-                engage(table, state)
-            drive = transfer(
-                state.bumpless_transfer, state.loss_model.share * loss_output(table, state)
-            )
-            force = from_reference + rest_2 + compensator.feedthrough * drive
+        drive = transfer(state.bumpless_transfer, compensated_output(table, state))
+        force = from_reference + rest_2 + compensator.feedthrough * drive
     else:  # the thesis: u2 = r2 + rest + f(q_rest + q(known + g u2)), solved for u2
         estimate = q_rest + estimator.one_plus_q_feedthrough * known
         force = from_reference + rest_2 + compensator.feedthrough * estimate
         force = force * compensator.loop_inverse
         drive = zero
-    state.command_2 = quantise(table.actuator_2, saturate_rate(table.actuator_2, force, held_2))
+    possible_2 = saturate_rate(table.actuator_2, force, held_2)
+    state.command_2 = quantise(table.actuator_2, possible_2)
 
     residual = known + estimator.feedthrough_2 * state.command_2
     estimate = advance(estimator.one_plus_q, state.estimator.one_plus_q, residual)
@@ -127,50 +135,62 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
     advance(compensator.filter, state.compensator.filter, drive)
     if not (math.isfinite(torque) and math.isfinite(force)):
         state.command_1, state.command_2 = held_1, held_2
-        clear_memories(state)
+        clear_memories(table, state)
         hold(table, state)
         return
     state.fault_estimate = estimate
     state.mode = MODE_RUN
-    advance_models(table, state)
+    advance_models(table, state, force - possible_2)
 
 
 @firmware
 def hold(table: Record, state: Record) -> None:
     """A tick without inputs: the last commands are held, and the models follow them."""
     state.mode = MODE_HOLD
-    advance_models(table, state)
+    model_output(table.estimator, state.estimator, state.command_1, state.command_2)
+    short = real(0.0, state.command_2)
+    if table.compensator.on_confirmation:
+        drive = transfer(state.bumpless_transfer, compensated_output(table, state))
+        force = advance(table.compensator.filter, state.compensator.filter, drive)
+        short = force - state.command_2
+    advance_models(table, state, short)
 
 
 @firmware
-def advance_models(table: Record, state: Record) -> None:
-    """Advance everything that models the plant by the commands of this tick."""
-    w = advance_loss_model(table, state)
-    disengage_when_faded(table, state, w)
+def advance_models(table: Record, state: Record, short: float) -> None:
+    """Advance everything that models the plant by the commands of this tick.
+
+    ``short`` is what channel 2 was asked for and could not do.
+    """
+    advance_shortfall(table, state, short)
+    advance_loss_model(table, state)
+    advance_candidate(table, state)
+    advance_cars(table.mismatch, state.mismatch, state.estimator.showing_1)
     advance_model(table.estimator, state.estimator, state.command_1, state.command_2)
 
 
 @firmware
 def tracked_reference(table: Record, state: Record) -> float:
-    """What C tracks: the reference, shaped where the table says so, and the answer to a probe."""
+    """What C tracks: the reference, shaped where the table says so."""
     r: float = state.reference
     if table.reference_shaper.enabled:
         r = shape_reference(table.reference_shaper, state.reference_shaper, r)
-    if state.probe.tick > 0:
-        r = r + probe_response(table.probe, state.probe)
     return r
 
 
 @firmware
-def clear_memories(state: Record) -> None:
+def clear_memories(table: Record, state: Record) -> None:
     """Empty every memory after an overflow: a number that is lost must not stay lost."""
     start(state.reference_shaper, 0.0, 0.0)
     state.probe.tick = 0
     state.tracking.filter.accumulators[:] = 0.0
+    state.tracking.shortfall.accumulators[:] = 0.0
+    state.tracking.delay[:] = 0.0
     state.compensator.filter.accumulators[:] = 0.0
     clear_estimator(state.estimator)
     clear_loss_model(state)
-    settle_threshold(state.adaptive_threshold, 0.0)
+    clear_mismatch(table.mismatch, state.mismatch)
+    start_candidate(table, state)
     release(state.bumpless_transfer)
 
 
@@ -185,21 +205,19 @@ def reset(table: Record, state: Record, reference: float) -> None:
     target = state.reference
     zero = real(0.0, target)
     start(state.reference_shaper, target, zero)
-    asked_1 = table.tracking.steady_command * target
+    asked_1 = settle_tracking(table.tracking, state.tracking, target)
     asked_2 = table.compensator.reference_share * target
     torque = quantise(table.actuator_1, saturate(table.actuator_1, asked_1))
     force = quantise(table.actuator_2, saturate(table.actuator_2, asked_2))
     state.command_1, state.command_2, state.fault_estimate = torque, force, zero
-    settle_tracking(table.tracking, state.tracking, target, torque)
     settle_estimator(table.estimator, state.estimator, torque, force)
     settle(table.compensator.filter, state.compensator.filter, zero)
     model_1, _ = model_output(table.estimator, state.estimator, torque, zero)
-    settle_threshold(state.adaptive_threshold, model_1)
+    settle_mismatch(table.mismatch, state.mismatch, torque, model_1)
     clear_loss_model(state)
-    state.loss_model.delay[:] = zero
+    start_candidate(table, state)
     state.probe.tick = 0
-    state.decision.ticks = 0
-    state.decision.engaged = 0
+    state.decision.pause = 0
     release(state.bumpless_transfer)
     state.mode = MODE_INIT
     state.fault_state = CLEAR

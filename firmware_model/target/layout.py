@@ -10,11 +10,12 @@ import numpy as np
 
 from firmware_model.target import actuator, reference_shaper, status
 from firmware_model.target.fault_decision import (
-    adaptive_threshold,
     bumpless_transfer,
     decision,
     loss_model,
+    mismatch,
     probe,
+    sequential_test,
 )
 from firmware_model.target.filters import compensator, estimator, tracking
 from firmware_model.target.structs import Field, Precision, Record, record_type
@@ -26,9 +27,9 @@ TABLE = (
     Field("compensator", "1", "F̂", compensator.CONSTANTS),
     Field("actuator_1", "1", "what channel 1 can follow", actuator.CONSTANTS),
     Field("actuator_2", "1", "what channel 2 can follow", actuator.CONSTANTS),
-    Field("adaptive_threshold", "1", "of d̂", adaptive_threshold.CONSTANTS),
+    Field("mismatch", "1", "what other cars make of d̂", mismatch.CONSTANTS),
+    Field("sequential_test", "1", "for a loss or its end", sequential_test.CONSTANTS),
     Field("decision", "1", "on the fault state", decision.CONSTANTS),
-    Field("loss_model", "1", "w and s", loss_model.CONSTANTS),
     Field("bumpless_transfer", "1", "of F̂ to s w", bumpless_transfer.CONSTANTS),
     Field("probe", "1", "of the torque", probe.CONSTANTS),
 )  # fmt: skip
@@ -38,9 +39,10 @@ STATE = (
     Field("tracking", "1", "C", tracking.STATE),
     Field("estimator", "1", "F1 and 1 + Q", estimator.STATE),
     Field("compensator", "1", "F̂", compensator.STATE),
-    Field("adaptive_threshold", "1", "of d̂", adaptive_threshold.STATE),
+    Field("mismatch", "1", "what other cars make of d̂", mismatch.STATE),
+    Field("sequential_test", "1", "for a loss or its end", sequential_test.STATE),
+    Field("loss_model", "1", "what is lost", loss_model.STATE),
     Field("decision", "1", "on the fault state", decision.STATE),
-    Field("loss_model", "1", "w and s", loss_model.STATE),
     Field("bumpless_transfer", "1", "of F̂ to s w", bumpless_transfer.STATE),
     Field("probe", "1", "of the torque", probe.STATE),
 )

@@ -24,7 +24,10 @@ import numpy as np
 from firmware_model.compiled import firmware
 from firmware_model.target.structs import Field, Record
 
-CONSTANTS = (Field("slowest_pace", "1/tick", "least -ln p: the pace of the car"),)
+CONSTANTS = (
+    Field("slowest_pace", "1/tick", "least -ln p: the pace of the car"),
+    Field("haste", "1", "-ln p over the speed of s w by its value"),
+)
 STATE = (
     Field("missed", "y", "m, the part of s w that F̂ does not get yet"),
     Field("missed_growth", "y/tick", "b of m, as of this tick"),
@@ -52,7 +55,7 @@ def begin_transfer(constants: Record, state: Record, lost: float, speed: float) 
     pace = abs(missed_speed / missed)
     if not math.isfinite(pace):  # so little is missed that there is nothing to make up
         return
-    pace = max(pace, constants.slowest_pace)
+    pace = max(constants.haste * pace, constants.slowest_pace)
     state.missed = missed
     state.missed_growth = missed_speed + pace * missed
     # In double, once a transfer: single-precision exponentials differ from library to library.

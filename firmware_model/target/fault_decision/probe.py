@@ -3,14 +3,13 @@
 A biased D* sensor makes some d̂, a car that is not the model too. But only a torque that does not
 reach the wheels leaves its *own* effect in d̂. So before a suspected loss is confirmed the motor
 adds two periods of a windowed sine, a sin ωkT (1 - cos ½ωkT)/2, and d̂ is compared with w (what d̂
-is if the torque is lost; ``loss_model``) at its frequency, where over whole periods a constant
+is if the torque is lost; ``sequential_test``) at its frequency, where over whole periods a constant
 cancels:
 
     share = Re(D W*)/|W|²,  D = Σ d̂ exp(-jωk T),  W = Σ w exp(-jωk T)
 
-1 for a dead motor, 1 - left for one that has lost a part, 0 for a bias, ΔG1/G1 for another car. The
-reference of C is offset by the model's answer to the probe, G1 delayed by the latency, so that C
-lets the probe pass and does not fight it.
+1 for a dead motor, 1 - left for one that has lost a part, 0 for a bias, ΔG1/G1 for another car. C
+works on y less what the model makes of u1, the probe included, so it does not fight the probe.
 
 Only half of the phase, φ = ½ωkT, is kept: sin ωkT = 2 sin φ cos φ, cos ωkT = cos² φ - sin² φ.
 """
@@ -25,7 +24,6 @@ CONSTANTS = (
     Field("ticks", "tick", "duration of a probe; 0: none", "int32"),
     Field("amplitude", "u1", "half of a, the amplitude of the sine"),
     Field("least_share", "1", "part of the torque that has to be missing to confirm a loss"),
-    Field("response", "y/u1", "G1 at ω, latency included: real, imaginary part", shape=(2,)),
     Field("rotation", "1", "of φ in a tick: cosine, sine", shape=(2,)),
 )
 STATE = (
@@ -58,15 +56,6 @@ def probe_torque(constants: Record, state: Record) -> float:
     _, sin, window = phase(state)
     torque: float = constants.amplitude * window * sin
     return torque
-
-
-@firmware
-def probe_response(constants: Record, state: Record) -> float:
-    """What the probe adds to D* in this tick if the torque acts; the window is taken as slow."""
-    cos, sin, window = phase(state)
-    in_phase = constants.response[0] * sin + constants.response[1] * cos
-    response: float = constants.amplitude * window * in_phase
-    return response
 
 
 @firmware

@@ -29,7 +29,7 @@ STATE = (
     Field("delay_1", "u1", "ring of commands on their way to the plant", shape=RING),
     Field("delay_2", "u2", "ring of commands on their way to the plant", shape=RING),
     Field("delay_index", "1", "where the rings hold the command that acts next", "int32"),
-    Field("acting_1", "u1", "the command that acted in the last tick"),
+    Field("showing_1", "u1", "command 1 as the measurement of this tick begins to show it"),
 )  # fmt: skip
 
 
@@ -45,6 +45,7 @@ def model_output(
     if constants.latency_ticks > 0:
         u1 = state.delay_1[state.delay_index]
         u2 = state.delay_2[state.delay_index]
+    state.showing_1 = u1
     return (
         output(constants.channel_1, state.channel_1, u1),
         output(constants.channel_2, state.channel_2, u2),
@@ -62,7 +63,6 @@ def advance_model(constants: Record, state: Record, command_1: float, command_2:
         state.delay_1[index] = command_1
         state.delay_2[index] = command_2
         state.delay_index = (index + 1) % constants.latency_ticks
-    state.acting_1 = u1
     advance(constants.channel_1, state.channel_1, u1)
     advance(constants.channel_2, state.channel_2, u2)
 
@@ -76,7 +76,7 @@ def settle_estimator(constants: Record, state: Record, command_1: float, command
     state.delay_1[:] = command_1
     state.delay_2[:] = command_2
     state.delay_index = 0
-    state.acting_1 = command_1
+    state.showing_1 = command_1
 
 
 @firmware

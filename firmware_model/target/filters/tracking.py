@@ -1,37 +1,79 @@
-"""The tracking controller u1 = C(r - y) of (3.32), without wind-up.
+"""The tracking controller u1 = C (r - y) of (3.32), written so that no limit can make it swing.
 
-Where the actuator cannot follow, C goes on from the error that would have asked for what the
-actuator can do (conditioning: Hanus, Kinnaert and Henrotte, Automatica 23 (1987) 729).
+C = Q/(1 - Q G1) is the filter Q = q̂/G1 fed with what the model does not explain:
+
+    u1 = Q (r - y + G1 u1)
+
+G1 u1 is the estimator's own: of the command as it was limited and rounded, and as late as the bus
+makes it. So as long as the car is the model, y - G1 u1 is its disturbance, whatever the actuator
+could not follow: limits of magnitude and rate are outside the loop (internal model control:
+Garcia and Morari, Ind. Eng. Chem. Process Des. Dev. 21 (1982) 308). Another car closes the loop by
+its difference alone. The gain of Q G1 is 1 at zero frequency: that is the integrator.
+
+After a loss the loop is closed through channel 2. What that was asked for and could not do,
+G2 (asked - possible), is taken off the model's output: so its limits are outside the loop too.
 """
 
 from __future__ import annotations
 
 from firmware_model.compiled import firmware
 from firmware_model.target.filters import biquad
-from firmware_model.target.filters.biquad import advance, settle, settle_integrator
-from firmware_model.target.structs import Field, Record
+from firmware_model.target.filters.biquad import advance, output, settle
+from firmware_model.target.precision import real
+from firmware_model.target.structs import MAX_LATENCY_TICKS, Field, Record
 
 CONSTANTS = (
-    Field("filter", "u1/y", "C; 1 in the open loop", biquad.CONSTANTS),
-    Field("feedback", "1", "1: C works on r - y; 0, the open loop: on r"),
-    Field("conditioning", "y/u1", "1/C(z → ∞): the error for what saturation took off a command"),
-    Field("steady_command", "u1/y", "command 1 for a settled reference of 1"),
-    Field("integrates", "1", "1: C has an integrator", "int32"),
+    Field("filter", "u1/y", "Q; 1 in the open loop", biquad.CONSTANTS),
+    Field("feedback", "1", "1: Q works on r - y + G1 u1; 0, the open loop: on r"),
+    Field("loop_inverse", "1", "1/(1 - gain of the loop u1 → G1 u1 → u1 within a tick)"),
 )
-STATE = (Field("filter", "u1", "state of C", biquad.STATE),)
+STATE = (
+    Field("filter", "u1", "state of Q", biquad.STATE),
+    Field("shortfall", "y", "state of G2, driven by what channel 2 could not do", biquad.STATE),
+    Field("delay", "u2", "ring of asked - possible on its way", shape=(MAX_LATENCY_TICKS,)),
+)
 
 
 @firmware
-def track(constants: Record, state: Record, error: float, asked: float, possible: float) -> None:
-    """Advance C by the ``error`` for which it ``asked``, less what is not ``possible``."""
-    realisable = error + (possible - asked) * constants.conditioning
-    advance(constants.filter, state.filter, realisable)
+def missing_output(table: Record, state: Record) -> float:
+    """G2 (asked - possible) as the measurement of this tick shows it."""
+    tracking = state.tracking
+    short = real(0.0, state.command_2)
+    if table.estimator.latency_ticks > 0:
+        short = tracking.delay[state.estimator.delay_index]
+    missing: float = output(table.estimator.channel_2, tracking.shortfall, short)
+    return missing
 
 
 @firmware
-def settle_tracking(constants: Record, state: Record, reference: float, command: float) -> None:
-    """The steady state at ``reference``, where C answers ``command``."""
-    if constants.integrates:
-        settle_integrator(constants.filter, state.filter, command)
-    else:
-        settle(constants.filter, state.filter, reference)
+def asked_torque(constants: Record, state: Record, error: float) -> float:
+    """u1 for ``error`` = r - y + G1 u1, where G1 u1 is what it is without this tick's command."""
+    torque: float = output(constants.filter, state.filter, error) * constants.loop_inverse
+    return torque
+
+
+@firmware
+def track(constants: Record, state: Record, error: float) -> None:
+    """Advance Q by ``error`` = r - y + G1 u1, this tick's command included as it was limited."""
+    advance(constants.filter, state.filter, error)
+
+
+@firmware
+def advance_shortfall(table: Record, state: Record, short: float) -> None:
+    """Advance what channel 2 could not do by this tick's asked - possible."""
+    tracking = state.tracking
+    if table.estimator.latency_ticks > 0:
+        index = state.estimator.delay_index
+        now = tracking.delay[index]
+        tracking.delay[index] = short
+        short = now
+    advance(table.estimator.channel_2, tracking.shortfall, short)
+
+
+@firmware
+def settle_tracking(constants: Record, state: Record, reference: float) -> float:
+    """The steady state at ``reference`` of a plant that is the model; returns the command."""
+    state.shortfall.accumulators[:] = 0.0
+    state.delay[:] = 0.0
+    command: float = settle(constants.filter, state.filter, reference)
+    return command

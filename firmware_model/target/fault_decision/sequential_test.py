@@ -1,0 +1,118 @@
+"""The sequential test that finds the moment in which channel 1 is lost, or comes back.
+
+What a loss does is known but for its moment and its share: from then on d̂ = s w, w the answer of G1
+to the commands since. So one candidate runs along, started anew whenever the evidence speaks
+against it, and its log-likelihood ratio grows with every tick (Page's cumulative sum of a known
+signature: Basseville and Nikiforov, Detection of Abrupt Changes, 1993, 7.2.4):
+
+    g⁺ = g + (f ν - ½ f²)/S
+
+with ν the innovation of d̂ (``mismatch``), S its variance, and f what a loss of ``share`` would have
+added to ν: w, whitened as the noise is, less what the estimates of the car would have made of it.
+A g below -1 says: not from then on, and the candidate begins again at this tick. The chance that a
+healthy car takes one candidate beyond h is e^-h at most (Wald), and there is at most one a tick: so
+h is the logarithm of the ticks between two false alarms, whatever the drive, and needs no tuning.
+
+The test for the return of a lost channel is the same with the opposite sign.
+"""
+
+from __future__ import annotations
+
+from firmware_model.compiled import firmware
+from firmware_model.target.fault_decision.mismatch import MAX_STATES
+from firmware_model.target.filters import biquad
+from firmware_model.target.filters.biquad import advance, output
+from firmware_model.target.precision import real
+from firmware_model.target.structs import MAX_LATENCY_TICKS, Field, Record
+
+CONSTANTS = (
+    Field("share", "1", "of channel 1 whose loss is looked for"),
+    Field("restart", "1", "log-likelihood ratio below which the candidate begins again"),
+)
+STATE = (
+    Field("channel_1", "y", "state of G1 driven by the commands since the start", biquad.STATE),
+    Field("delay", "y", "ring of w on its way into d̂", shape=(MAX_LATENCY_TICKS,)),
+    Field("previous_output", "y", "w of the last tick"),
+    Field("previous_shown", "y", "w of the last tick as d̂ contains it"),
+    Field("explained", "1", "what w makes of θ", shape=(MAX_STATES,)),
+    Field("evidence", "1", "g, log-likelihood ratio"),
+    Field("correlation", "1", "Σ ν f/S for a share of 1"),
+    Field("information", "1", "Σ f²/S for a share of 1"),
+)
+
+
+@firmware
+def candidate_output(table: Record, state: Record) -> float:
+    """w of this tick, as this tick's command drives it."""
+    candidate = state.sequential_test.channel_1
+    w: float = output(table.estimator.channel_1, candidate, state.command_1)
+    return w
+
+
+@firmware
+def update_test(table: Record, state: Record, innovation: float, share: float) -> None:
+    """Take in a tick; ``share`` is signed: above 0 a loss is looked for, below 0 a return."""
+    test, mismatch = state.sequential_test, state.mismatch
+    shown = candidate_shown(table, state)
+    signature = shown - table.mismatch.colour * test.previous_shown
+    test.previous_shown = shown
+    for i in range(table.mismatch.n):
+        signature -= mismatch.regressor[i] * test.explained[i]
+    for i in range(table.mismatch.n):
+        test.explained[i] = table.mismatch.memory[i] * (
+            test.explained[i] + mismatch.gain[i] * signature
+        )
+    correlation = signature * innovation / mismatch.variance
+    information = signature * signature / mismatch.variance
+    half = real(0.5, share)
+    test.evidence += share * (correlation - half * share * information)
+    test.correlation += correlation
+    test.information += information
+    if not test.evidence > table.sequential_test.restart:
+        start_candidate(table, state)
+
+
+@firmware
+def candidate_shown(table: Record, state: Record) -> float:
+    """w as d̂ of this tick contains it, ``latency_ticks`` late."""
+    if table.estimator.latency_ticks > 0:
+        w: float = state.sequential_test.delay[state.estimator.delay_index]
+        return w
+    return candidate_output(table, state)
+
+
+@firmware
+def start_candidate(table: Record, state: Record) -> None:
+    """Begin again: no command that has acted so far is lost, those on their way are."""
+    test, acting = state.sequential_test, state.estimator
+    g1, latency = table.estimator.channel_1, table.estimator.latency_ticks
+    test.channel_1.accumulators[:] = 0.0
+    test.explained[:] = 0.0
+    test.evidence = test.correlation = test.information = 0.0
+    test.previous_output = test.previous_shown = 0.0
+    for i in range(latency):
+        index = (acting.delay_index + i) % latency
+        w = output(g1, test.channel_1, acting.delay_1[index])
+        test.delay[index] = w
+        test.previous_output = w
+        advance(g1, test.channel_1, acting.delay_1[index])
+
+
+@firmware
+def advance_candidate(table: Record, state: Record) -> None:
+    """Advance w by this tick's command, computed or held."""
+    test = state.sequential_test
+    w = advance(table.estimator.channel_1, test.channel_1, state.command_1)
+    test.previous_output = w
+    if table.estimator.latency_ticks > 0:
+        test.delay[state.estimator.delay_index] = w
+
+
+@firmware
+def lost_share(test: Record) -> float:
+    """The share of channel 1 that explains ``innovation`` best, 0..1, by least squares."""
+    zero, one = real(0.0, test.evidence), real(1.0, test.evidence)
+    if not test.information > zero:
+        return one
+    share: float = min(max(test.correlation / test.information, zero), one)
+    return share
