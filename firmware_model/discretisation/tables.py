@@ -193,9 +193,9 @@ def _fill_mismatch(table: Record, target: Target) -> None:
     constants.scale = 1.0 / STEP
     constants.prior = MISMATCH_VARIANCE
     slow, fast = _memory(target, MISMATCH_S), _memory(target, REMAINDER_S)
-    constants.memory[: len(cars)] = slow
+    constants.forgetting[: len(cars)] = 1.0 - slow
     constants.growth[: len(cars)] = (1.0 - slow**2) * MISMATCH_VARIANCE
-    constants.memory[len(cars)], constants.growth[len(cars)] = fast, 1.0 - fast**2
+    constants.forgetting[len(cars)], constants.growth[len(cars)] = 1.0 - fast, 1.0 - fast**2
     constants.motion = (REMAINDER_S / target.tick_s) ** 2
     constants.beyond = BEYOND * MISMATCH_VARIANCE
     constants.white = WHITE

@@ -45,7 +45,7 @@ CONSTANTS = (
     Field("car_3", "y/u1", "likewise the third", biquad.CONSTANTS),
     Field("scale", "1", "from one of these cars to the end of the box"),
     Field("prior", "1", "P0, variance of each θ before anything is known; of the remainder 1"),
-    Field("memory", "1", "φ, what a tick leaves of each θ", shape=SIZES),
+    Field("forgetting", "1", "1 - φ of each θ where the car moves", shape=SIZES),
     Field("growth", "1", "1 - φ², times the variance of θ", shape=SIZES),
     Field("motion", "1", "(time constant of the remainder/tick)², from changes to sizes"),
     Field("beyond", "1", "variance of the remainder, as a share of M"),
@@ -64,6 +64,7 @@ STATE = (
     Field("theta", "1", "θ", shape=SIZES),
     Field("covariance", "1", "P", shape=(MAX_STATES, MAX_STATES)),
     Field("gain", "1/y", "of the last update of θ", shape=SIZES),
+    Field("memory", "1", "φ, what that tick left of each θ", shape=SIZES),
     Field("size", "y²", "fading largest Σ x²"),
     Field("change", "y²", "M, fading largest Σ (time constant · dx/dt)²"),
     Field("remainder", "y²", "variance of the remainder"),
@@ -122,7 +123,7 @@ def innovation(constants: Record, state: Record, residual: float) -> float:
     Leaves the gain in ``state.gain`` and the innovation's variance in ``state.variance``.
     """
     n, x, p, gain = constants.n, state.regressor, state.covariance, state.gain
-    theta, memory = state.theta, constants.memory
+    theta, memory = state.theta, state.memory
     new: float = residual - constants.colour * state.previous_residual
     state.previous_residual = residual
     variance = constants.noise + constants.white * state.remainder
@@ -138,6 +139,7 @@ def innovation(constants: Record, state: Record, residual: float) -> float:
     one = real(1.0, new)
     wander = min(state.change / state.size, one) if state.size > real(0.0, new) else one
     for i in range(n):
+        memory[i] = one - wander * constants.forgetting[i]
         theta[i] = memory[i] * (theta[i] + gain[i] * new)
         for j in range(i + 1):
             p[i, j] = memory[i] * memory[j] * (p[i, j] - gain[i] * gain[j] * variance)

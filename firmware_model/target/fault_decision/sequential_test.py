@@ -59,9 +59,7 @@ def update_test(table: Record, state: Record, innovation: float, share: float) -
     for i in range(table.mismatch.n):
         signature -= mismatch.regressor[i] * test.explained[i]
     for i in range(table.mismatch.n):
-        test.explained[i] = table.mismatch.memory[i] * (
-            test.explained[i] + mismatch.gain[i] * signature
-        )
+        test.explained[i] = mismatch.memory[i] * (test.explained[i] + mismatch.gain[i] * signature)
     correlation = signature * innovation / mismatch.variance
     information = signature * signature / mismatch.variance
     half = real(0.5, share)
