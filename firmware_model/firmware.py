@@ -7,7 +7,6 @@ from typing import NamedTuple
 import numpy as np
 
 from firmware_model.target import controller
-from firmware_model.target.reference_shaper import start
 from firmware_model.target.structs import FloatArray, Record
 
 
@@ -54,10 +53,6 @@ class Firmware:
         """
         accumulators = self._states[0].estimator.channel_1.accumulators
         accumulators += sections.astype(accumulators.dtype)
-
-    def follow(self, reference: float, speed: float) -> None:
-        """Start the shaped reference at ``reference``, moving by ``speed`` a tick."""
-        start(self._states[0].reference_shaper, reference, speed)
 
     def act(self, command_1: float, command_2: float) -> None:
         """Tell F1 which commands act from the next ``step`` on, where those sent were lost.

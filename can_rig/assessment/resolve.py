@@ -1,13 +1,10 @@
 """The numbers that follow from the rest of a scenario, put in where a word stands for them.
 
-``latency_ticks = "from-bus"`` is the worst case of the bus timing, ``fault_threshold_mps2 =
-"from-budget"`` the threshold that the budget asks for. The budget comes second: it depends on the
-latency.
+``latency_ticks = "from-bus"`` is the worst case of the bus timing.
 """
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
 from typing import Any
@@ -15,10 +12,9 @@ from typing import Any
 from pydantic import ValidationError
 
 from can_rig.assessment.bus_timing.timing import latency_ticks
-from can_rig.assessment.threshold_budget import threshold_budget
 from can_rig.errors import RigError, ScenarioError
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import FROM_BUDGET, FROM_BUS, Draft, of_run, read
+from can_rig.scenario.loading import FROM_BUS, Draft, of_run, read
 from can_rig.scenario.refusal import refusal
 from can_rig.scenario.settings import Scenario
 
@@ -50,8 +46,6 @@ def resolve(draft: Draft) -> Scenario:
     scenario = draft.scenario
     if FROM_BUS in draft.words:
         scenario = _with_latency_of_bus(scenario)
-    if FROM_BUDGET in draft.words:
-        scenario = _with_threshold_of_threshold_budget(scenario)
     return scenario
 
 
@@ -66,14 +60,3 @@ def _with_latency_of_bus(scenario: Scenario) -> Scenario:
         raise ScenarioError(f"{where}: {refusal(error, Scenario)}") from None
     except RigError as error:
         raise ScenarioError(f"{where}: {error}") from None
-
-
-def _with_threshold_of_threshold_budget(scenario: Scenario) -> Scenario:
-    least = replace(scenario.design, fault_threshold_mps2=sys.float_info.min)
-    found = threshold_budget(replace(scenario, design=least), network_of(scenario))
-    chosen = replace(
-        scenario.design,
-        fault_threshold_mps2=found.threshold,
-        fault_threshold_share=max(scenario.design.fault_threshold_share, found.share),
-    )
-    return replace(scenario, design=chosen)

@@ -15,8 +15,8 @@ from itertools import product
 from typing import Any, get_args
 
 from can_rig.assessment.control_authority import ControlAuthority, control_authority
+from can_rig.assessment.decision import DecisionFigures, decision_figures
 from can_rig.assessment.stability_table import finite_or_null
-from can_rig.assessment.threshold_budget import ThresholdBudget, threshold_budget
 from can_rig.errors import ScenarioError
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import (
@@ -61,7 +61,7 @@ class StabilityCheck:
     faulted: Margins
     partly_lost: dict[float, Margins]
     false_alarm: Margins | None
-    budget: ThresholdBudget
+    decision: DecisionFigures
     control_authority: ControlAuthority | None
 
     @property
@@ -80,13 +80,12 @@ class StabilityCheck:
 
     @property
     def notes(self) -> Iterator[str]:
-        """A line each: whose margins, the threshold's budget, isolation, control authority."""
+        """A line each: whose margins, the decision, isolation, control authority."""
         scenario = self.scenario
         if scenario.plant.is_class:
             yield f"margins: of the linear car with its parameters, not of {scenario.plant.kind}"
         if self.healthy.stable:
-            gain = continuous_plant(scenario.model).g1.dc_gain
-            yield from self.budget.describe(scenario.design, scenario.budget.box, gain)
+            yield from self.decision.describe(scenario.budget)
             yield _isolation(scenario.design.probe_nm)
         if self.control_authority is not None:
             yield str(self.control_authority)
@@ -112,12 +111,7 @@ class StabilityCheck:
             "faulted": asdict(self.faulted),
             "partly_lost": {f"{left:g}": asdict(m) for left, m in self.partly_lost.items()},
             "false_alarm": None if self.false_alarm is None else asdict(self.false_alarm),
-            "decision": {
-                "threshold_mps2": self.scenario.design.fault_threshold_mps2,
-                "threshold_share": self.scenario.design.fault_threshold_share,
-                **asdict(self.budget),
-                "budget": self.budget.total,
-            },
+            "decision": asdict(self.decision),
             "control_authority": None
             if self.control_authority is None
             else self.control_authority.as_dict(),
@@ -126,7 +120,7 @@ class StabilityCheck:
 
 
 def check_stability(scenario: Scenario) -> StabilityCheck:
-    """The margins of the scenario's loop in every state, its threshold and control authority.
+    """The margins of the scenario's loop in every state, its decision and control authority.
 
     Raises:
         ScenarioError: a design that cannot be made or discretised, a class that is no plant.
@@ -149,7 +143,7 @@ def check_stability(scenario: Scenario) -> StabilityCheck:
             if table.compensator.on_confirmation
             else None
         ),
-        budget=threshold_budget(scenario, network),
+        decision=decision_figures(scenario, network),
         control_authority=control_authority(scenario, network),
     )
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig.assessment.threshold_budget import HOUR_S
+from can_rig.assessment.decision import HOUR_S
 from can_rig.plant.faults import CHANNELS
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import continuous_plant

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
+from typing import Final
 
 from can_rig.errors import ScenarioError
 from can_rig.frames.dbc import shipped_dbc
@@ -11,10 +13,12 @@ from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
 from firmware_model.design import plants
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
+from firmware_model.design.mismatch import TRUSTED, Mismatch, principal_mismatch
+from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.errors import DesignError
-from firmware_model.target.structs import Record
+from firmware_model.target.structs import FloatArray, Record
 
 GOVERNED = 0.5  # share of the motor's limit that may go into the second derivative of D*
 
@@ -89,14 +93,40 @@ def target(scenario: Scenario, network: Network | None) -> Target:
         reference_acceleration=reference_acceleration(scenario),
         lsb_1=lsb_1,
         lsb_2=lsb_2,
-        threshold=chosen.fault_threshold_mps2,
-        model_share=chosen.fault_threshold_share,
-        confirm_ticks=max(1, round(chosen.confirm_s / scenario.tick_s)),
-        clear_ticks=max(1, round(chosen.clear_s / scenario.tick_s)),
+        noise_rms=scenario.noise.dstar_rms_mps2,
+        resolution=0.0 if network is None else network.feedback.lsb,
+        mismatch=mismatch(scenario),
+        false_alarms_per_hour=scenario.budget.false_alarms_per_hour,
+        suspicions_per_hour=scenario.budget.suspicions_per_hour,
         probe=chosen.probe_nm,
         probe_rad_per_s=chosen.probe_rad_per_s,
         on_confirmation=chosen.compensation == "on-confirmation",
     )
+
+
+UNCERTAIN: Final = (
+    "mass_kg",
+    "front_cornering_stiffness_n_per_rad",
+    "rear_cornering_stiffness_n_per_rad",
+    "speed_mps",
+)
+"""Parameters that differ from car to car and from day to day; the rest of Table 3.1 is known."""
+
+
+def mismatch(scenario: Scenario) -> Mismatch:
+    """The cars that are not the model, along the principal directions of ``budget.box``."""
+    model, budget, chosen = scenario.model, scenario.budget, scenario.design
+    if not model.is_car or budget.box == 0.0:
+        return TRUSTED
+
+    def channel_1(place: FloatArray) -> ZeroPoleGain:
+        changed = {
+            key: getattr(model, key) * (1.0 + budget.box * float(x))
+            for key, x in zip(UNCERTAIN, place, strict=True)
+        }
+        return continuous_plant(replace(model, **changed)).g1
+
+    return principal_mismatch(channel_1, len(UNCERTAIN), chosen.tau_q_s * chosen.alpha_q)
 
 
 def reference_acceleration(scenario: Scenario) -> float:

@@ -1,9 +1,8 @@
 """TOML to a validated, frozen scenario: the one source of every default of a run.
 
-What keys there are is declared in ``settings``. Errors name the scenario and the key. Two numbers
-may be given as a word, ``latency_ticks = "from-bus"`` and
-``design.fault_threshold_mps2 = "from-budget"``: a ``Draft`` keeps it, and ``assessment.resolve``
-puts the number in, which follows from the rest of the scenario.
+What keys there are is declared in ``settings``. Errors name the scenario and the key. One number
+may be given as a word, ``latency_ticks = "from-bus"``: a ``Draft`` keeps it, and
+``assessment.resolve`` puts the number in, which follows from the rest of the scenario.
 """
 
 from __future__ import annotations
@@ -25,7 +24,6 @@ from can_rig.scenario.refusal import refusal
 from can_rig.scenario.settings import Scenario
 
 FROM_BUS: Final = ("latency_ticks", "from-bus")
-FROM_BUDGET: Final = ("design.fault_threshold_mps2", "from-budget")
 """A key, and the word that may stand there for its number."""
 
 _ADAPTER: Final = TypeAdapter(Scenario)
@@ -37,7 +35,7 @@ class Draft:
 
     scenario: Scenario
     words: frozenset[tuple[str, str]] = frozenset()
-    """Which of ``FROM_BUS`` and ``FROM_BUDGET`` are written."""
+    """Which are written: ``FROM_BUS`` or none."""
 
 
 def read(name: str, settings: Iterable[str] = ()) -> Draft:
@@ -103,7 +101,7 @@ def draft(name: str, values: Mapping[str, Any]) -> Draft:
     if isinstance(plant, Mapping) and isinstance(model, Mapping):
         linear = {"kind": CAR} if ":" in str(plant.get("kind")) else {}
         merged["model"] = {**plant, **linear, **model}
-    words = frozenset(pair for pair in (FROM_BUS, FROM_BUDGET) if _take(merged, *pair))
+    words = frozenset(pair for pair in (FROM_BUS,) if _take(merged, *pair))
     try:
         # As JSON, where strict still takes a table for a dataclass and a whole number for a float.
         scenario = _ADAPTER.validate_json(json.dumps({"name": name, **merged}, default=str))

@@ -41,24 +41,24 @@ class DesignSettings:
     alpha_q: Order = 2
     estimator: EstimatorRule = "tustin"
     compensation: Literal["always", "on-confirmation", "off"] = "always"
-    fault_threshold_mps2: PositiveFloat = 0.3
-    fault_threshold_share: NonNegativeFloat = 0.0
-    confirm_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 0.01
-    clear_s: Annotated[float, Field(ge=0.0, le=3600.0)] = 0.5
     probe_nm: NonNegativeFloat = 0.0
     probe_rad_per_s: Annotated[float, Field(ge=0.01)] = 10.0
 
 
 @dataclass(frozen=True, config=STRICT)
 class BudgetSettings:
-    """What ``design.fault_threshold_mps2 = "from-budget"`` has to allow for.
+    """What the decision on d̂ has to allow for.
 
     ``box`` is by how much mass, both cornering stiffnesses and speed of the car may be off, 0.2 for
-    ±20 %. See ``assessment.threshold_budget``.
+    ±20 %; ``actuator_box`` the same for the lags of both actuators. At most
+    ``false_alarms_per_hour`` losses are confirmed by chance, and ``suspicions_per_hour``
+    compensated for a few ticks.
     """
 
-    box: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    box: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.2
+    actuator_box: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
     false_alarms_per_hour: PositiveFloat = 0.001
+    suspicions_per_hour: PositiveFloat = 3600.0
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -1,10 +1,17 @@
-"""A command as its actuator can follow it and its frame can carry it."""
+"""A command as its actuator can follow it and its frame can carry it.
+
+What rounding to the frame takes off a command is added to the next one (first-order noise shaping),
+so that the mean of the commands is exact and no error settles below the resolution.
+"""
 
 from __future__ import annotations
+
+import math
 
 import numpy as np
 
 from firmware_model.compiled import firmware
+from firmware_model.target.precision import real
 from firmware_model.target.structs import Field, Record
 
 CONSTANTS = (
@@ -12,6 +19,7 @@ CONSTANTS = (
     Field("slew", "command/tick", "largest change of a command in a tick"),
     Field("lsb", "command", "resolution of the command's frame; 0: none"),
 )
+STATE = (Field("rounded_off", "command", "what rounding has left for the next command"),)
 
 
 @firmware
@@ -31,8 +39,12 @@ def saturate_rate(actuator: Record, command: float, previous: float) -> float:
 
 
 @firmware
-def quantise(actuator: Record, command: float) -> float:
-    """``command`` rounded to the resolution of its frame."""
-    if actuator.lsb > 0.0:
-        command = np.rint(command / actuator.lsb) * actuator.lsb
-    return command
+def quantise(actuator: Record, state: Record, command: float) -> float:
+    """``command``, and what was left of the last one, on the grid of its frame."""
+    if not actuator.lsb > 0.0:
+        return command
+    wanted = saturate(actuator, command + state.rounded_off)
+    rounded: float = np.rint(wanted / actuator.lsb) * actuator.lsb
+    left = wanted - rounded
+    state.rounded_off = left if math.isfinite(left) else real(0.0, left)
+    return rounded

@@ -106,7 +106,7 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
     if state.probe.tick > 0:
         torque = torque + probe_torque(table.probe, state.probe)
     possible_1 = saturate_rate(table.actuator_1, torque, held_1)
-    state.command_1 = quantise(table.actuator_1, possible_1)
+    state.command_1 = quantise(table.actuator_1, state.actuator_1, possible_1)
 
     model_1, model_2 = model_output(estimator, state.estimator, state.command_1, zero)
     track(table.tracking, state.tracking, wanted + table.tracking.feedback * model_1)
@@ -127,7 +127,7 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
         force = force * compensator.loop_inverse
         drive = zero
     possible_2 = saturate_rate(table.actuator_2, force, held_2)
-    state.command_2 = quantise(table.actuator_2, possible_2)
+    state.command_2 = quantise(table.actuator_2, state.actuator_2, possible_2)
 
     residual = known + estimator.feedthrough_2 * state.command_2
     estimate = advance(estimator.one_plus_q, state.estimator.one_plus_q, residual)
@@ -186,6 +186,7 @@ def clear_memories(table: Record, state: Record) -> None:
     state.tracking.filter.accumulators[:] = 0.0
     state.tracking.shortfall.accumulators[:] = 0.0
     state.tracking.delay[:] = 0.0
+    state.actuator_1.rounded_off = state.actuator_2.rounded_off = 0.0
     state.compensator.filter.accumulators[:] = 0.0
     clear_estimator(state.estimator)
     clear_loss_model(state)
@@ -207,8 +208,9 @@ def reset(table: Record, state: Record, reference: float) -> None:
     start(state.reference_shaper, target, zero)
     asked_1 = settle_tracking(table.tracking, state.tracking, target)
     asked_2 = table.compensator.reference_share * target
-    torque = quantise(table.actuator_1, saturate(table.actuator_1, asked_1))
-    force = quantise(table.actuator_2, saturate(table.actuator_2, asked_2))
+    state.actuator_1.rounded_off = state.actuator_2.rounded_off = zero
+    torque = quantise(table.actuator_1, state.actuator_1, saturate(table.actuator_1, asked_1))
+    force = quantise(table.actuator_2, state.actuator_2, saturate(table.actuator_2, asked_2))
     state.command_1, state.command_2, state.fault_estimate = torque, force, zero
     settle_estimator(table.estimator, state.estimator, torque, force)
     settle(table.compensator.filter, state.compensator.filter, zero)

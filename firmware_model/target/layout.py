@@ -39,6 +39,8 @@ STATE = (
     Field("tracking", "1", "C", tracking.STATE),
     Field("estimator", "1", "F1 and 1 + Q", estimator.STATE),
     Field("compensator", "1", "F̂", compensator.STATE),
+    Field("actuator_1", "1", "rounding of command 1", actuator.STATE),
+    Field("actuator_2", "1", "rounding of command 2", actuator.STATE),
     Field("mismatch", "1", "what other cars make of d̂", mismatch.STATE),
     Field("sequential_test", "1", "for a loss or its end", sequential_test.STATE),
     Field("loss_model", "1", "what is lost", loss_model.STATE),

@@ -17,7 +17,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from can_rig.errors import ScenarioError
-from can_rig.scenario.build import continuous_plant
+from can_rig.scenario.build import UNCERTAIN, continuous_plant
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.refusal import refusal
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD
@@ -33,13 +33,6 @@ from firmware_model.target.structs import Record
 
 Range = tuple[float, float]
 Law = tuple[LinearController, tuple[float, float]]  # and what is left of the actuators
-#: parameters that differ from car to car and from day to day; the rest of Table 3.1 is known
-UNCERTAIN = (
-    "mass_kg",
-    "front_cornering_stiffness_n_per_rad",
-    "rear_cornering_stiffness_n_per_rad",
-    "speed_mps",
-)
 KEYS = tuple(field.name for field in dataclasses.fields(VehicleParameters))
 MAX_KEYS = 8  # 256 vertices
 MAX_DELAY_TICKS = 8  # extra delay up to which a margin is counted

@@ -152,14 +152,10 @@ def loss_in_a_step(scenario: Scenario) -> tuple[int, FloatArray, FloatArray]:
 def frameless_table(scenario: Scenario, **changes: Any) -> Record:
     """The controller's table without frames, with ``changes`` of its ``Target``.
 
-    Its threshold trusts the model: when a loss is detected depends on the drive before it, how it
-    is met on the tuning. Cars that are not the model are then taken for faulty, and must be stable
-    with that.
-
     Raises:
         ScenarioError, DesignError: a design that cannot be made or discretised.
     """
-    place = replace(target(scenario, None), **{"model_share": 0.0, **changes})
+    place = replace(target(scenario, None), **changes)
     return build(continuous_design(scenario), place)
 
 

@@ -9,12 +9,14 @@ channel. So it
    free response of F1's own model of the car. Of all states that explain what was heard the one of
    least energy is taken (least squares, regularised in the norm of the observability Gramian by
    the noise that is to be expected), and F1 starts from it: d̂ starts at zero.
-2. starts C at rest, which is what acts, and follows in place of the reference r
+2. starts C at rest, which is what acts, and lets it follow, from where D* goes by itself,
 
-       r' = w r + (1 - w) y_free,    w = s³(10 - 15 s + 6 s²),  s = t / RETURN_S
+       r' = y_free + w (r - y_free),    w = s³(10 - 15 s + 6 s²),  s = t / RETURN_S
 
-   The error starts at zero, with zero slope and curvature, so the torque starts smoothly at zero;
-   w is the polynomial of least jerk (Flash and Hogan, J. Neurosci. 5 (1985) 1688). Then r' = r.
+   F1 has the motion y_free already, so C, which works on r' - y + G1 u1, is given r' - y_free: it
+   starts at zero, with zero slope and curvature, so the torque starts smoothly at zero; w is the
+   polynomial of least jerk (Flash and Hogan, J. Neurosci. 5 (1985) 1688). r' is r once w is 1 and
+   the motion has faded.
 
 A motor that died before the outage still is dead afterwards: d̂ then shows it within a few ticks, at
 the first small torques, and X_diff takes over as after any loss.
@@ -69,7 +71,8 @@ class BumplessRestart:
     @property
     def done(self) -> bool:
         """Whether r' is r from the next tick on."""
-        return self._since > self._return_ticks
+        faded = abs(self._motion.output) <= math.sqrt(self._variance)
+        return self._since > self._return_ticks and faded
 
     @property
     def heard_enough(self) -> bool:
@@ -90,19 +93,17 @@ class BumplessRestart:
             self._motion.fit(free, self._variance)
         firmware.reset(self._level)
         firmware.move(self._motion.sections)
-        now, next_ = self._motion.ahead()
-        firmware.follow(self._level + now - (next_ - now), next_ - now)
 
     def miss(self) -> None:
         """Let a tick pass without a command: the car moves on, r' comes no nearer to r."""
         self._motion.advance()
 
     def reference(self, reference: float) -> float:
-        """r' of the next tick: from where D* goes by itself to the ``reference``."""
+        """r' of the next tick, less what F1 has of the motion already."""
         s = min(self._since / self._return_ticks, 1.0)
         w = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
         self._since += 1
-        return w * reference + (1.0 - w) * (self._level + self._motion.advance())
+        return w * (reference - self._motion.advance()) + (1.0 - w) * self._level
 
 
 class FreeMotion:
@@ -158,12 +159,13 @@ class FreeMotion:
         for at, value in zip(self._index, x, strict=True):
             self.sections[at] = value
 
-    def ahead(self) -> tuple[float, float]:
-        """D* of this tick and of the next."""
-        return float(self._c @ self._x), float(self._c @ self._phi @ self._x)
+    @property
+    def output(self) -> float:
+        """D* of this tick."""
+        return float(self._c @ self._x)
 
     def advance(self) -> float:
         """D* of this tick, without anything that drives it."""
-        y = float(self._c @ self._x)
+        y = self.output
         self._x = self._phi @ self._x
         return y

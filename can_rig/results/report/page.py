@@ -20,6 +20,7 @@ from can_rig.results.report.timing import draw_timing
 from can_rig.results.report.title import loss_label, page_title
 from can_rig.results.signals import Signals
 from can_rig.scenario.settings import Scenario
+from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray
 
 HEIGHT_IN, HEIGHT_WITH_TIMING_IN = 10.6, 11.4
@@ -70,7 +71,7 @@ def page(
     _output(axes[0], scenario, names, signals, (beside, label))
     _distance(axes[1], time_s, beside - signals.dstar_mps2, network.feedback.lsb)
     _commands(axes[2:4], scenario, network, signals)
-    _estimate(axes[4], scenario, signals)
+    _estimate(axes[4], signals)
     for axis, name, codec in zip(
         axes,
         (_output_name(scenario, names), distance, names.command_1, names.command_2,
@@ -166,14 +167,14 @@ def _control_authority(axis: Axes, scenario: Scenario, network: Network, signals
     style.legend_above(axis)
 
 
-def _estimate(axis: Axes, scenario: Scenario, signals: Signals) -> None:
-    design = scenario.design
+def _estimate(axis: Axes, signals: Signals) -> None:
+    """d̂, and the moment in which the loss was confirmed."""
     axis.plot(signals.time_s, signals.fault_estimate_mps2, color=style.GREEN, lw=1.2)
-    label = "fixed part of the threshold" if design.fault_threshold_share else "fault threshold"
-    for side in (-1.0, 1.0):
-        level, text = side * design.fault_threshold_mps2, label if side > 0.0 else None
-        axis.axhline(level, color=style.INK, lw=0.7, ls=style.DOTTED, label=text)
-    style.legend_above(axis)
+    confirmed = np.flatnonzero(signals.fault_state == FaultState.CONFIRMED)
+    if len(confirmed):
+        at_s = float(signals.time_s[confirmed[0]])
+        axis.axvline(at_s, color=style.INK, lw=0.9, ls=style.DOTTED, label="loss confirmed")
+        style.legend_above(axis)
     scales.include_zero(axis, signals.fault_estimate_mps2)
 
 

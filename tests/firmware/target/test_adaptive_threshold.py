@@ -6,6 +6,11 @@ import dataclasses
 
 import numpy as np
 import pytest
+from firmware_model.target.fault_decision.adaptive_threshold import (
+    adapt,
+    settle_threshold,
+    would_exceed_threshold,
+)
 from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.signal import dlsim, lfilter
@@ -18,11 +23,6 @@ from firmware_model.design.vehicle import VehicleParameters
 from firmware_model.discretisation.tables import CHANGE_MEMORY_S, PEAK_MEMORY_S, build
 from firmware_model.discretisation.targets import Target
 from firmware_model.target import controller
-from firmware_model.target.fault_decision.adaptive_threshold import (
-    adapt,
-    settle_threshold,
-    would_exceed_threshold,
-)
 from firmware_model.target.status import FaultState, Mode
 from firmware_model.target.structs import FloatArray
 

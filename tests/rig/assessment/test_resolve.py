@@ -3,10 +3,10 @@
 import json
 
 import pytest
+from can_rig.assessment.threshold_budget import threshold_budget
 
 from can_rig.assessment.bus_timing.timing import latency_ticks
 from can_rig.assessment.resolve import load, load_run, resolve
-from can_rig.assessment.threshold_budget import threshold_budget
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import FROM_BUDGET, FROM_BUS, draft, read
