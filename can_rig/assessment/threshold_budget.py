@@ -122,14 +122,14 @@ def threshold_budget(scenario: Scenario, network: Network) -> ThresholdBudget:
         return simulate(table, sample(car.plant, scenario.tick_s), drive)
 
     sigmas = noise = 0.0
-    if scenario.noise.dstar_rms_mps2 > 0.0:
+    if scenario.model.sensor.noise_mps2 > 0.0:
         loop = sampled_loop(linear_controller(table), nominal.plant, scenario.tick_s, HEALTHY)
         sigmas = sigmas_for(
             scenario.budget.false_alarms_per_hour,
             scenario.tick_s,
             int(table.decision.confirm_ticks),
         )
-        noise = sigmas * noise_gain(loop, 2) * scenario.noise.dstar_rms_mps2
+        noise = sigmas * noise_gain(loop, 2) * scenario.model.sensor.noise_mps2
         if others:  # then Hd̂ counts too, and H amplifies white noise a little
             noise *= math.sqrt(2.0 / (1.0 + float(table.adaptive_threshold.change_memory)))
     found = ThresholdBudget(

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from can_rig.plant.actuators import Actuator
 from can_rig.plant.faults import ActuatorFault
-from can_rig.plant.simulated import Actuator
 from can_rig.results.signals import Signals
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import FloatArray

@@ -17,18 +17,9 @@ from can_rig.frames.network import Network
 from can_rig.frames.wire_tick import tick_at, tick_on, ticks_ahead
 from can_rig.logs.frames import SENT
 from can_rig.logs.reading import read_log
+from can_rig.plant.columns import ON_THE_BUS
 from firmware_model.target.structs import FloatArray
 
-COLUMNS = (
-    "time_s",
-    "reference_mps2",
-    "dstar_mps2",
-    "error_mps2",
-    "torque_nm",
-    "force_difference_n",
-    "fault_estimate_mps2",
-    "mode",
-)
 ROLE_COLUMNS: Final = 5  # one of each frame; mode and fault state follow
 OWN: Final = 2  # the first frames of a tick: the plant node's, which say what tick it is
 STATUS: Final = 4
@@ -61,9 +52,9 @@ class Signals:
 
     def write_csv(self, path: Path) -> None:
         """The contract's columns; an empty cell where no valid frame said anything."""
-        columns = [getattr(self, name).tolist() for name in COLUMNS]
+        columns = [getattr(self, name).tolist() for name in ON_THE_BUS]
         with path.open("w", encoding="ascii", newline="\n") as file:
-            file.write(",".join(COLUMNS) + "\n")
+            file.write(",".join(ON_THE_BUS) + "\n")
             for row in zip(*columns, strict=True):
                 file.write(",".join(map(cell, row)) + "\n")
 

@@ -10,6 +10,7 @@ from can_rig.frames.network import Network, load_network
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
 from firmware_model.design import plants
+from firmware_model.design.actuator_dynamics import behind
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
@@ -24,11 +25,11 @@ def network_of(scenario: Scenario) -> Network:
     return load_network(shipped_dbc(scenario.dbc))
 
 
-def continuous_plant(settings: PlantSettings) -> plants.Plant:
-    """The linear plant that ``settings`` describe, in continuous time.
+def continuous_car(settings: PlantSettings) -> plants.Plant:
+    """The linear plant that ``settings`` describe, without its actuators and its sensor.
 
     Of a plant that is a class, all that is known before it runs: the thesis's car with its
-    parameters. Designs and margins are of that car, runs are of the class (``plant.plant_of``).
+    parameters. Designs and margins are of that car, runs are of the class.
 
     Raises:
         ScenarioError: parameters with which the car is not stable.
@@ -37,6 +38,15 @@ def continuous_plant(settings: PlantSettings) -> plants.Plant:
         return settings.linear.make(settings, settings.variant)
     except DesignError as error:
         raise ScenarioError(f"plant: {error}") from None
+
+
+def continuous_plant(settings: PlantSettings) -> plants.Plant:
+    """``continuous_car`` behind its actuators and its sensor, as far as they are linear.
+
+    Raises:
+        ScenarioError: as ``continuous_car``.
+    """
+    return behind(continuous_car(settings), *settings.stages)
 
 
 def continuous_design(scenario: Scenario) -> ContinuousDesign:
@@ -55,10 +65,31 @@ def continuous_design(scenario: Scenario) -> ContinuousDesign:
         feedback=scenario.model.closed_loop,
     )
     plant = continuous_plant(scenario.model)
+    _refuse_slow_sensor(scenario)
     try:
         return design(plant, specification)
     except DesignError as error:
         raise ScenarioError(f"scenario {scenario.name}: design: {error}") from None
+
+
+def _refuse_slow_sensor(scenario: Scenario) -> None:
+    """C inverts the sensor's filter too, and must not ask the car for what that filter hides.
+
+    With q̂ faster than the filter, y follows the reference and D* overshoots it, by all that C adds
+    above the corner.
+    """
+    corner_hz, chosen = scenario.model.sensor.corner_hz, scenario.design
+    if corner_hz is None or not scenario.model.closed_loop:
+        return
+    bandwidth = math.sqrt(2.0 ** (1.0 / chosen.alpha_q) - 1.0) / (2.0 * math.pi)
+    least_hz = bandwidth / chosen.tau_q_s
+    if corner_hz < least_hz:
+        table = "plant" if scenario.plant.sensor == scenario.model.sensor else "model"
+        raise ScenarioError(
+            f"scenario {scenario.name}: {table}.sensor.corner_hz = {corner_hz:g}: must be at least "
+            f"{least_hz:.4g} Hz, the bandwidth of q̂, or design.tau_q_s at least "
+            f"{bandwidth / corner_hz:.4g}"
+        )
 
 
 def target(scenario: Scenario, network: Network | None) -> Target:
@@ -112,7 +143,7 @@ def reference_acceleration(scenario: Scenario) -> float:
     torque = math.inf if limits.torque_nm is None else limits.torque_nm
     if limits.torque_rate_nm_per_s is not None:
         torque = min(torque, limits.torque_rate_nm_per_s * scenario.design.tau_q_s)
-    return GOVERNED * torque * abs(continuous_plant(scenario.model).g1.gain)
+    return GOVERNED * torque * abs(continuous_car(scenario.model).g1.gain)
 
 
 def controller_table(scenario: Scenario, network: Network | None) -> Record:

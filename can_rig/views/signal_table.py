@@ -16,8 +16,9 @@ from can_rig.drawing.names import CAR, Names, names_of, printed
 from can_rig.errors import LogError, ScenarioError
 from can_rig.frames.network import Network
 from can_rig.logs.reading import read_log
+from can_rig.plant.columns import ON_THE_BUS
 from can_rig.results.run_folder import SIGNALS, SUMMARY
-from can_rig.results.signals import COLUMNS, Signals, cell, signals_of
+from can_rig.results.signals import Signals, cell, signals_of
 from can_rig.results.source import log_path
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import FaultSettings, Scenario
@@ -121,7 +122,7 @@ def table_of(signals: Signals, label: str, scenario: Scenario | None = None) -> 
     """The columns of a log that has been read, rounded as ``signals.csv`` would have them."""
     columns = {
         name: np.array([float(cell(x) or "nan") for x in getattr(signals, name).tolist()])
-        for name in COLUMNS
+        for name in ON_THE_BUS
         if name != TIME
     }
     return SignalTable(label, _whole_ns(signals.time_s), columns, scenario)

@@ -12,7 +12,6 @@ from scipy import stats
 from can_rig.assessment.resolve import load
 from can_rig.assessment.threshold_budget import sigmas_for, threshold_budget
 from can_rig.errors import ScenarioError
-from can_rig.plant.simulated import LinearPlant
 from can_rig.scenario.build import continuous_design, controller_table, network_of
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
@@ -22,6 +21,7 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Answer, Firmware
 from firmware_model.target.status import FaultState
+from tests.rig.plant.linear import LinearPlant
 
 STEP = ("duration_s=3.0", "fault.kind=none")
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.plant.frameless import arrivals, frameless, noise
+from can_rig.plant.frameless import arrivals, frameless
+from can_rig.plant.sensor import noise
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from firmware_model.target.status import Mode
@@ -86,10 +87,10 @@ def test_every_kind_of_scenario(name, settings, tmp_path):
 
 
 def test_noise_is_drawn_in_units_of_its_rms():
-    quiet, loud = (load("noisy", [f"noise.dstar_rms_mps2={rms}"]) for rms in (0.5, 1.0))
+    quiet, loud = (load("noisy", [f"plant.sensor.noise_mps2={rms}"]) for rms in (0.5, 1.0))
     np.testing.assert_array_equal(noise(loud), 2.0 * noise(quiet))
     assert abs(np.std(noise(loud)) - 1.0) < 0.1
-    silent = load("noisy", ["noise.dstar_rms_mps2=0"])
+    silent = load("noisy", ["plant.sensor.noise_mps2=0"])
     assert not noise(silent).any()
     assert noise(silent).shape == noise(loud).shape == (loud.ticks,)
 
