@@ -91,6 +91,9 @@ def of_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Draft:
     """
     changed: dict[str, Any] = json.loads(json.dumps(values))
     plant, model = changed.get("plant"), changed.get("model")
+    noise = changed.pop("noise", None)
+    if isinstance(noise, dict) and isinstance(plant, dict):  # of a run folder of version 0.1
+        plant["sensor"] = {"noise_mps2": noise.get("dstar_rms_mps2", 0.0)}
     if isinstance(plant, dict) and isinstance(model, dict):
         changed["model"] = _other_than(plant, model)
     for setting in settings:

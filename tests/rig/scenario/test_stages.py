@@ -121,3 +121,10 @@ def test_a_sensor_slower_than_the_tracking_is_refused(key, table):
 def test_ideal_is_the_default():
     assert Scenario("any").plant.stages == Scenario("any").model.stages
     assert all(stage.dead_time_s == stage.lag_s == 0.0 for stage in Scenario("any").plant.stages)
+
+
+def test_the_noise_of_a_run_folder_of_version_0_1_is_that_of_the_sensor():
+    values = load("noisy").as_dict()
+    del values["plant"]["sensor"], values["model"]["sensor"]
+    values["noise"] = {"dstar_rms_mps2": 0.005}
+    assert load_run(values) == load("noisy")
