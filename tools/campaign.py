@@ -71,7 +71,7 @@ def decision(name: str, settings: Sequence[str], hours: float, losses: int) -> N
             delays.append(delay_s * 1e3)
     table = Table(title=f"{name}, double lane changes", box=None, show_header=False)
     driven_h = drives * scenario.duration_s / 3600.0
-    rms = scenario.noise.dstar_rms_mps2
+    rms = scenario.plant.sensor.noise_mps2
     table.add_row("noise of D*, rms", f"{rms:g} m/s²")
     table.add_row("threshold, for", f"{scenario.design.fault_threshold_mps2:.3g} m/s²")
     table.add_row("driven", f"{driven_h:.3g} h")
@@ -95,7 +95,7 @@ def drive(scenario: Scenario, draw: np.random.Generator, lost: int | None = None
 
 def lose(scenario: Scenario, draw: np.random.Generator) -> float | None:
     """Delay from a loss at a random tick with |u1| >= 10 N m to its confirmation, s."""
-    silent = replace(scenario, noise=replace(scenario.noise, dstar_rms_mps2=0.0))
+    silent = scenario.noise_free
     torque = np.abs(drive(silent, draw).command_1)
     watched = round(AFTER_S / scenario.tick_s)
     excited = np.flatnonzero(torque[:-watched] >= EXCITED_NM)

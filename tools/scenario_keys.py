@@ -33,6 +33,7 @@ UNITS = {  # the longest suffix that fits counts
     "_n": "N",
     "_m": "m",
     "_s": "s",
+    "_hz": "Hz",
     "_ticks": "ticks",
     "bitrate": "bit/s",
 }
@@ -79,12 +80,19 @@ def page(schema: dict[str, Any]) -> str:
 
 
 def sections(schema: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
-    """The keys of the top level, then each table with its keys."""
+    """The keys of the top level, then each table with its keys, then the tables in it."""
     fields = {key: field for key, field in schema["properties"].items() if key != "name"}
-    yield "", {key: field for key, field in fields.items() if "$ref" not in field}
-    for section, field in fields.items():
-        if "$ref" in field:
-            yield section, schema["$defs"][field["$ref"].split("/")[-1]]["properties"]
+    yield from _tables("", fields, schema["$defs"])
+
+
+def _tables(
+    section: str, fields: dict[str, Any], definitions: dict[str, Any]
+) -> Iterator[tuple[str, dict[str, Any]]]:
+    yield section, {key: field for key, field in fields.items() if "$ref" not in field}
+    for key, field in fields.items():
+        if "$ref" in field and section != "model":  # whose keys are those of the plant
+            inner = definitions[field["$ref"].split("/")[-1]]["properties"]
+            yield from _tables(f"{section}.{key}".lstrip("."), inner, definitions)
 
 
 def one_meaning(key: str, field: dict[str, Any], explained: str | None) -> str:
@@ -128,7 +136,8 @@ def allowed(field: dict[str, Any]) -> str:
         )
         if name in field
     ]
-    kind = {"integer": "whole number", "string": "text"}.get(field["type"], field["type"])
+    words = {"integer": "whole number", "string": "text", "object": "table"}
+    kind = words.get(field["type"], field["type"])
     return ", ".join((kind, *bounds))
 
 

@@ -34,10 +34,13 @@ OWN: Final = ("name", "description", "reference.file")
 
 
 def keys_of(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Keys and values of a scenario in their order, with a dot between table and key."""
+    """Keys and values of a scenario in their order, with a dot between table and key.
+
+    They are the same keys in every scenario: a plant's own parameters count as one.
+    """
     for key, value in values.items():
         path = f"{prefix}{key}"
-        if isinstance(value, Mapping):
+        if isinstance(value, Mapping) and key != "parameters":
             yield from keys_of(value, f"{path}.")
         elif path not in OWN:
             yield path, value

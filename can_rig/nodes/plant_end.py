@@ -10,6 +10,7 @@ from can_rig.frames.codec import Record
 from can_rig.frames.endpoints import Receiver, Transmitter
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import Send
+from can_rig.nodes.plant_recorder import PlantRecorder
 from can_rig.nodes.recorder import Log
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.reference import on_the_bus
@@ -27,16 +28,25 @@ class PlantEnd:
         network: its frames.
         send: sends a frame.
         log: gets every frame that is sent; None records nothing.
+        reports: gets what the plant reports of every tick; None records nothing.
 
     Raises:
         ScenarioError: a reference that does not fit its frame, a plant that is none.
     """
 
-    def __init__(self, scenario: Scenario, network: Network, send: Send, log: Log | None) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        network: Network,
+        send: Send,
+        log: Log | None,
+        reports: PlantRecorder | None = None,
+    ) -> None:
         self.plant: Final = SimulatedPlant(scenario)
         self._reference = on_the_bus(scenario, network)
         self._send = send
         self._log = log
+        self._reports = reports
         self._send_reference = Transmitter(network.reference)
         self._send_feedback = Transmitter(network.feedback)
         self._receivers = tuple(
@@ -71,6 +81,12 @@ class PlantEnd:
             return None
         record = self._receivers[at].accept(message, tick)
         return None if record is None else (at, record)
+
+    def advance(self, tick: int, command_1: float | None, command_2: float | None) -> None:
+        """The plant one tick on, with the valid commands of ``tick`` (None: there was none)."""
+        reported = self.plant.advance(tick, command_1, command_2)
+        if self._reports is not None:
+            self._reports.record(tick, reported)
 
     def end_tick(self) -> None:
         """No more of this tick comes."""

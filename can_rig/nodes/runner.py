@@ -17,6 +17,7 @@ from can_rig.nodes.bus_access import NodeBus, PersistentSender, Send, TolerantBu
 from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock
 from can_rig.nodes.lockstep.controller_node import ControllerNode
 from can_rig.nodes.lockstep.plant_node import PlantNode
+from can_rig.nodes.plant_recorder import PlantRecorder
 from can_rig.nodes.progress import OnTick
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode, warm_up
 from can_rig.nodes.realtime.plant_node import RealTimePlantNode
@@ -108,15 +109,18 @@ def run_plant(
         ExitStack() as stack,
     ):
         access = _access(opened, real_time, timeouts, clock)
+        live, recorder, reports = None, None, None
+        if log is not None:
+            if real_time:
+                live = stack.enter_context(RealTimeRecorder(log))
+            else:
+                recorder = stack.enter_context(Recorder(log, scenario.tick_ns))
+            reports = stack.enter_context(PlantRecorder(log))
         node: PlantNode | RealTimePlantNode
         if real_time:
-            live = None if log is None else stack.enter_context(RealTimeRecorder(log))
-            node = RealTimePlantNode(scenario, network, access.bus, live, clock)
+            node = RealTimePlantNode(scenario, network, access.bus, live, clock, reports)
         else:
-            recorder = None
-            if log is not None:
-                recorder = stack.enter_context(Recorder(log, scenario.tick_ns))
-            node = PlantNode(scenario, network, access.send, recorder)
+            node = PlantNode(scenario, network, access.send, recorder, reports)
 
         def while_alone() -> None:
             if isinstance(opened, Agreement):
@@ -184,11 +188,12 @@ def run_in_process(
         open_for_node(bus_name, network.identifiers, overhear=True) as plant_bus,
         open_for_node(bus_name, network.identifiers, overhear=False) as controller_bus,
         Recorder(log, scenario.tick_ns) as recorder,
+        PlantRecorder(log) as reports,
     ):
         plant_access, controller_access = (
             _access(bus, False, timeouts, clock) for bus in (plant_bus, controller_bus)
         )
-        plant = PlantNode(scenario, network, plant_access.send, recorder)
+        plant = PlantNode(scenario, network, plant_access.send, recorder, reports)
         controller = ControllerNode(scenario, network, controller_access.send)
         never = StopRequest()  # a stop is read between ticks here, so that none is cut short
         to_plant = Watchdog(plant_bus, "controller", timeouts, never, clock=clock)

@@ -11,13 +11,14 @@ from can_rig.errors import RigError
 from can_rig.frames.codec import MessageCodec
 from can_rig.frames.endpoints import Receiver, Transmitter
 from can_rig.frames.network import Network
+from can_rig.plant.actuators import actuator_limits
+from can_rig.plant.behind import LinearBehind, PlantBehind, plant_behind
 from can_rig.plant.faults import ActuatorFault, FrameFault, SensorFault
-from can_rig.plant.protocol import PlantProtocol
-from can_rig.plant.simulated import plant_of
-from can_rig.scenario.build import continuous_plant, controller_table
+from can_rig.plant.sensor import noise
+from can_rig.scenario.build import controller_table
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
-from firmware_model.analysis.sampled_plant import SampledPlant, sample
+from firmware_model.analysis.sampled_plant import SampledPlant
 from firmware_model.analysis.simulation import AnyPlant, BoolArray, Trace, simulate
 from firmware_model.target.structs import FloatArray
 
@@ -42,6 +43,8 @@ def frameless(scenario: Scenario, network: Network) -> Trace:
         bias=np.array([sensor.bias(tick) for tick in range(ticks)]),
         arrives=arrivals(scenario, network),
         hold_ticks=round(scenario.actuator.hold_s / scenario.tick_s),
+        limits=actuator_limits(scenario.plant, scenario.tick_s),
+        resolution=scenario.plant.sensor.resolution_mps2,
         lsb=network.feedback.lsb,
         maximum=network.feedback.maximum,
     )
@@ -51,14 +54,6 @@ def quantised(codec: MessageCodec, values: FloatArray) -> FloatArray:
     """``values`` as their frame carries them: on its grid, within its range."""
     on_the_grid = np.rint(values / codec.lsb) * codec.lsb
     return np.clip(on_the_grid, codec.minimum, codec.maximum)
-
-
-def noise(scenario: Scenario) -> FloatArray:
-    """The sensor's noise at every tick, (ticks,), m/s²; as the simulated plant draws it."""
-    rms = scenario.noise.dstar_rms_mps2
-    if rms == 0.0:
-        return np.zeros(scenario.ticks)
-    return rms * np.random.Generator(np.random.PCG64(scenario.seed)).standard_normal(scenario.ticks)
 
 
 def arrivals(scenario: Scenario, network: Network) -> BoolArray:
@@ -82,23 +77,24 @@ def arrivals(scenario: Scenario, network: Network) -> BoolArray:
 
 
 def _plant(scenario: Scenario) -> SampledPlant | AnyPlant:
-    if scenario.plant.is_class:
-        return _UntilItFails(plant_of(scenario.plant))
-    return sample(continuous_plant(scenario.plant), scenario.tick_s)
+    plant = plant_behind(scenario.plant, scenario.tick_s)
+    return plant.sampled if isinstance(plant, LinearBehind) else _UntilItFails(plant)
 
 
 class _UntilItFails:
     """A plant whose output is not a number from its first error on."""
 
-    def __init__(self, plant: PlantProtocol) -> None:
+    def __init__(self, plant: PlantBehind) -> None:
         self._plant = plant
         self._failed = False
 
-    def advance(self, dt_s: float, command_1: float, command_2: float) -> float:
-        """See ``PlantProtocol``."""
+    def follow(
+        self, command_1: float, command_2: float, left_1: float, left_2: float
+    ) -> tuple[float, float]:
+        """See ``PlantBehind``."""
         if not self._failed:
             try:
-                return self._plant.advance(dt_s, command_1, command_2)
+                return self._plant.follow(command_1, command_2, left_1, left_2)
             except RigError:
                 self._failed = True
-        return np.nan
+        return np.nan, np.nan

@@ -97,6 +97,15 @@ class NonlinearCar:
         """Straight ahead."""
         self._state[:] = 0.0
 
+    def signals(self) -> dict[str, float]:
+        """β, γ and δ."""
+        beta, yaw_rate, _, steer = self.state
+        return {
+            "side_slip_rad": beta,
+            "yaw_rate_rad_per_s": yaw_rate,
+            "steering_angle_rad": steer,
+        }
+
     def advance(self, dt_s: float, torque_nm: float, force_difference_n: float) -> float:
         """D* [m/s²] ``dt_s`` seconds later, both commands [N m], [N] held until then."""
         steps = max(1, math.ceil(dt_s / self._step_s - 1e-9))

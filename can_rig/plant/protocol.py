@@ -22,12 +22,13 @@ import importlib
 import inspect
 import math
 import sys
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from numbers import Real
 from pathlib import Path
 from typing import Protocol, TypeVar, runtime_checkable
 
 from can_rig.errors import RigError, ScenarioError
+from can_rig.plant.columns import TAKEN
 from can_rig.scenario.plant_settings import PlantSettings
 
 METHODS = {
@@ -53,7 +54,19 @@ class PlantProtocol(Protocol):
         """D* [m/s²] ``dt_s`` seconds later, both commands held until then.
 
         ``torque_nm`` is the steering motor's torque T, ``force_difference_n`` the rear wheels'
-        X_diff, both of (3.11). Every call of a run has the same ``dt_s``, the tick.
+        X_diff, both of (3.11), as the actuators apply them. Every call of a run has the same
+        ``dt_s``: the tick, or an equal part of it where actuators or sensor lag.
+        """
+
+
+@runtime_checkable
+class ReportingPlant(PlantProtocol, Protocol):
+    """A plant that also says how the car moves; ``signals`` may be left out."""
+
+    def signals(self) -> Mapping[str, float]:
+        """Values of now by names that end in their unit, as ``yaw_rate_rad_per_s`` does.
+
+        The names are the same in every tick. They become columns of ``signals.csv``.
         """
 
 
@@ -117,6 +130,19 @@ class GuardedPlant:
         self._time_s += dt_s
         return float(answer)
 
+    def signals(self) -> dict[str, float]:
+        """What the plant reports besides D*; see ``ReportingPlant``.
+
+        Raises:
+            RigError: an exception in the class, a name or a value that is none.
+        """
+        plant = self._plant
+        if not isinstance(plant, ReportingPlant):
+            return {}
+        what = f"signals() at {self._time_s:.9g} s"
+        values = _guard(self._kind, f"{what} failed", plant.signals, RigError)
+        return _reported(self._kind, what, values)
+
 
 def _find(kind: str) -> type[object]:
     """The class that ``kind`` names."""
@@ -165,6 +191,23 @@ def _try(kind: str, plant: PlantProtocol) -> None:
     answer = _guard(kind, f"{trial} failed", lambda: plant.advance(TRIAL_S, 0.0, 0.0))
     if not _is_finite(answer):
         raise ScenarioError(f"plant.kind = {kind!r}: {trial} {_not_finite(answer)}")
+
+
+def _reported(kind: str, what: str, values: object) -> dict[str, float]:
+    """The signals of a plant, checked."""
+    if not isinstance(values, Mapping):
+        raise RigError(f"plant.kind = {kind!r}: {what} gives {values!r}: must be a dict")
+    for name, value in values.items():
+        if not (isinstance(name, str) and name.isidentifier() and name not in TAKEN):
+            raise RigError(
+                f"plant.kind = {kind!r}: {what} names {name!r}: must be a name that no other "
+                "column has, of letters, digits and _, and end in its unit"
+            )
+        if not isinstance(value, Real):
+            raise RigError(
+                f"plant.kind = {kind!r}: {what} gives {name} = {value!r}: must be a number"
+            )
+    return {name: float(value) for name, value in values.items()}
 
 
 def _is_finite(answer: object) -> bool:

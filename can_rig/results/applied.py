@@ -1,4 +1,4 @@
-"""What the actuators did with the commands of a run, as far as its log tells."""
+"""What the actuators did with the commands of a run: recorded, or as far as its log tells."""
 
 from __future__ import annotations
 
@@ -6,8 +6,9 @@ import math
 
 import numpy as np
 
+from can_rig.plant.actuators import Actuator
+from can_rig.plant.columns import APPLIED
 from can_rig.plant.faults import ActuatorFault
-from can_rig.plant.simulated import Actuator
 from can_rig.results.signals import Signals
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import FloatArray
@@ -16,10 +17,14 @@ from firmware_model.target.structs import FloatArray
 def applied_commands(scenario: Scenario, signals: Signals) -> tuple[FloatArray, FloatArray]:
     """Both inputs of the plant from each tick to the next, (ticks,) each, in the commands' units.
 
-    A command acts ``latency_ticks`` after its tick; one that is not on record is held for
+    The plant's own report where there is one. Of a log alone, for actuators that follow at once: a
+    command acts ``latency_ticks`` after its tick; one that is not on record is held for
     ``actuator.hold_s`` and is zero from then on; of a dead actuator's effect ``fault.left`` is
     left. nan at the start of a log that starts late, where the command that acts is not in it.
     """
+    if all(name in signals.plant for name in APPLIED):
+        torque_nm, force_difference_n = (signals.plant[name] for name in APPLIED)
+        return torque_nm, force_difference_n
     first = round(float(signals.time_s[0]) / scenario.tick_s) if len(signals) else 0
     hold_ticks = round(scenario.actuator.hold_s / scenario.tick_s)
     fault = ActuatorFault(scenario)

@@ -10,7 +10,7 @@ import numpy as np
 from can_rig.plant.frameless import frameless
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of
-from can_rig.scenario.settings import NoiseSettings, Scenario
+from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import FloatArray
 
 
@@ -29,7 +29,7 @@ def fault_free(scenario: Scenario, signals: Signals) -> Counterfactual:
 
 def noise_free(scenario: Scenario, signals: Signals) -> Counterfactual:
     """The same run without its fault and without the sensor's noise."""
-    return _instead(replace(scenario.healthy, noise=NoiseSettings()), signals)
+    return _instead(scenario.healthy.noise_free, signals)
 
 
 def uncompensated(scenario: Scenario, signals: Signals) -> Counterfactual:

@@ -119,7 +119,7 @@ def sensor_bias(scenario: Scenario, signals: Signals) -> FloatArray:
 
 def _noise_rms(scenario: Scenario, signals: Signals, settled: Mask) -> float | None:
     """Rms of what the sensor's noise alone adds to X_diff, N: the run less the run without it."""
-    if scenario.noise.dstar_rms_mps2 == 0.0 or not settled.any():
+    if scenario.plant.sensor.noise_mps2 == 0.0 or not settled.any():
         return None
     added = signals.force_difference_n - noise_free(scenario, signals).force_difference_n
     added = added[settled & np.isfinite(added)]

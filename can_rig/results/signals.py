@@ -1,10 +1,10 @@
-"""``bus.log`` → ``signals.csv``: what was on the bus, one row a tick."""
+"""``bus.log`` → ``signals.csv``: what was on the bus, and what the plant reported, a row a tick."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
@@ -16,19 +16,11 @@ from can_rig.frames.endpoints import Receiver
 from can_rig.frames.network import Network
 from can_rig.frames.wire_tick import tick_at, tick_on, ticks_ahead
 from can_rig.logs.frames import SENT
+from can_rig.logs.plant_signals import PlantSignals, read_plant_signals
 from can_rig.logs.reading import read_log
+from can_rig.plant.columns import ON_THE_BUS
 from firmware_model.target.structs import FloatArray
 
-COLUMNS = (
-    "time_s",
-    "reference_mps2",
-    "dstar_mps2",
-    "error_mps2",
-    "torque_nm",
-    "force_difference_n",
-    "fault_estimate_mps2",
-    "mode",
-)
 ROLE_COLUMNS: Final = 5  # one of each frame; mode and fault state follow
 OWN: Final = 2  # the first frames of a tick: the plant node's, which say what tick it is
 STATUS: Final = 4
@@ -50,6 +42,8 @@ class Signals:
     fault_estimate_mps2: FloatArray
     mode: FloatArray
     fault_state: FloatArray
+    plant: PlantSignals = field(default_factory=dict)
+    """What the plant reported besides, by name; nothing where there is only a log."""
 
     @property
     def error_mps2(self) -> FloatArray:
@@ -60,10 +54,11 @@ class Signals:
         return len(self.time_s)
 
     def write_csv(self, path: Path) -> None:
-        """The contract's columns; an empty cell where no valid frame said anything."""
-        columns = [getattr(self, name).tolist() for name in COLUMNS]
+        """The contract's columns, then the plant's; an empty cell where nothing was said."""
+        columns = [getattr(self, name).tolist() for name in ON_THE_BUS]
+        columns += [column.tolist() for column in self.plant.values()]
         with path.open("w", encoding="ascii", newline="\n") as file:
-            file.write(",".join(COLUMNS) + "\n")
+            file.write(",".join((*ON_THE_BUS, *self.plant)) + "\n")
             for row in zip(*columns, strict=True):
                 file.write(",".join(map(cell, row)) + "\n")
 
@@ -74,7 +69,7 @@ def cell(value: float) -> str:
 
 
 def read_signals(log: Path, network: Network, tick_s: float, in_time_ticks: int = 1) -> Signals:
-    """Decode a rig's log through the checks that the plant node makes.
+    """Decode a rig's log through the checks that the plant node makes, and what the plant reported.
 
     The plant node's frames, the reference and the feedback, say what tick is under way; a frame of
     another tick is not used, as it was not used in the run. A log that starts late starts at the
@@ -92,7 +87,18 @@ def read_signals(log: Path, network: Network, tick_s: float, in_time_ticks: int 
     Raises:
         LogError: the log cannot be read, or something in it is no frame.
     """
-    return signals_of(plain_frames(log), network, tick_s, in_time_ticks)
+    signals = signals_of(plain_frames(log), network, tick_s, in_time_ticks)
+    return with_plant_signals(signals, log, tick_s)
+
+
+def with_plant_signals(signals: Signals, log: Path, tick_s: float) -> Signals:
+    """``signals`` of ``log`` with what the plant reported, which stands beside it.
+
+    Raises:
+        LogError: that is there and cannot be read.
+    """
+    first_tick = round(float(signals.time_s[0]) / tick_s) if len(signals) else 0
+    return replace(signals, plant=read_plant_signals(log, first_tick, len(signals)))
 
 
 def signals_of(

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import Final
 
@@ -12,6 +13,7 @@ from can_rig.frames.network import Network, load_network
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
 from firmware_model.design import plants
+from firmware_model.design.actuator_dynamics import behind
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
 from firmware_model.design.mismatch import TRUSTED, Mismatch, principal_mismatch
 from firmware_model.design.zpk import ZeroPoleGain
@@ -28,11 +30,11 @@ def network_of(scenario: Scenario) -> Network:
     return load_network(shipped_dbc(scenario.dbc))
 
 
-def continuous_plant(settings: PlantSettings) -> plants.Plant:
-    """The linear plant that ``settings`` describe, in continuous time.
+def continuous_car(settings: PlantSettings) -> plants.Plant:
+    """The linear plant that ``settings`` describe, without its actuators and its sensor.
 
     Of a plant that is a class, all that is known before it runs: the thesis's car with its
-    parameters. Designs and margins are of that car, runs are of the class (``plant.plant_of``).
+    parameters. Designs and margins are of that car, runs are of the class.
 
     Raises:
         ScenarioError: parameters with which the car is not stable.
@@ -41,6 +43,15 @@ def continuous_plant(settings: PlantSettings) -> plants.Plant:
         return settings.linear.make(settings, settings.variant)
     except DesignError as error:
         raise ScenarioError(f"plant: {error}") from None
+
+
+def continuous_plant(settings: PlantSettings) -> plants.Plant:
+    """``continuous_car`` behind its actuators and its sensor, as far as they are linear.
+
+    Raises:
+        ScenarioError: as ``continuous_car``.
+    """
+    return behind(continuous_car(settings), *settings.stages)
 
 
 def continuous_design(scenario: Scenario) -> ContinuousDesign:
@@ -59,10 +70,31 @@ def continuous_design(scenario: Scenario) -> ContinuousDesign:
         feedback=scenario.model.closed_loop,
     )
     plant = continuous_plant(scenario.model)
+    _refuse_slow_sensor(scenario)
     try:
         return design(plant, specification)
     except DesignError as error:
         raise ScenarioError(f"scenario {scenario.name}: design: {error}") from None
+
+
+def _refuse_slow_sensor(scenario: Scenario) -> None:
+    """C inverts the sensor's filter too, and must not ask the car for what that filter hides.
+
+    With q̂ faster than the filter, y follows the reference and D* overshoots it, by all that C adds
+    above the corner.
+    """
+    corner_hz, chosen = scenario.model.sensor.corner_hz, scenario.design
+    if corner_hz is None or not scenario.model.closed_loop:
+        return
+    bandwidth = math.sqrt(2.0 ** (1.0 / chosen.alpha_q) - 1.0) / (2.0 * math.pi)
+    least_hz = bandwidth / chosen.tau_q_s
+    if corner_hz < least_hz:
+        table = "plant" if scenario.plant.sensor == scenario.model.sensor else "model"
+        raise ScenarioError(
+            f"scenario {scenario.name}: {table}.sensor.corner_hz = {corner_hz:g}: must be at least "
+            f"{least_hz:.4g} Hz, the bandwidth of q̂, or design.tau_q_s at least "
+            f"{bandwidth / corner_hz:.4g}"
+        )
 
 
 def target(scenario: Scenario, network: Network | None) -> Target:
@@ -77,11 +109,13 @@ def target(scenario: Scenario, network: Network | None) -> Target:
             limits.force_difference_rate_n_per_s,
         )
     )
-    lsb_1 = lsb_2 = 0.0
+    sensor = scenario.model.sensor
+    lsb = lsb_1 = lsb_2 = 0.0
     if network is not None:
         command_1, command_2 = network.command_1, network.command_2
         limit_1, limit_2 = min(limit_1, command_1.maximum), min(limit_2, command_2.maximum)
         lsb_1, lsb_2 = command_1.lsb, command_2.lsb
+        lsb = network.feedback.lsb
     return Target(
         tick_s=scenario.tick_s,
         latency_ticks=scenario.latency_ticks,
@@ -93,8 +127,9 @@ def target(scenario: Scenario, network: Network | None) -> Target:
         reference_acceleration=reference_acceleration(scenario),
         lsb_1=lsb_1,
         lsb_2=lsb_2,
-        noise_rms=scenario.noise.dstar_rms_mps2,
-        resolution=0.0 if network is None else network.feedback.lsb,
+        noise_rms=sensor.noise_mps2,
+        noise_pole=math.exp(-scenario.tick_s / sensor.lag_s) if sensor.lag_s > 0.0 else 0.0,
+        resolution=math.hypot(sensor.resolution_mps2, lsb),
         mismatch=mismatch(scenario),
         false_alarms_per_hour=scenario.budget.false_alarms_per_hour,
         suspicions_per_hour=scenario.budget.suspicions_per_hour,
@@ -114,19 +149,37 @@ UNCERTAIN: Final = (
 
 
 def mismatch(scenario: Scenario) -> Mismatch:
-    """The cars that are not the model, along the principal directions of ``budget.box``."""
+    """The cars that are not the model, along the principal directions of the budget's box."""
     model, budget, chosen = scenario.model, scenario.budget, scenario.design
-    if not model.is_car or budget.box == 0.0:
+    if not model.is_car:
         return TRUSTED
+    keys = UNCERTAIN if budget.box > 0.0 else ()
+    late = budget.actuator_box > 0.0 and model.torque_actuator.lags
 
     def channel_1(place: FloatArray) -> ZeroPoleGain:
-        changed = {
-            key: getattr(model, key) * (1.0 + budget.box * float(x))
-            for key, x in zip(UNCERTAIN, place, strict=True)
-        }
-        return continuous_plant(replace(model, **changed)).g1
+        car = in_box(
+            model, {key: budget.box * float(x) for key, x in zip(keys, place, strict=False)}
+        )
+        if late:
+            car = with_lags(car, 1.0 + budget.actuator_box * float(place[-1]))
+        return continuous_plant(car).g1
 
-    return principal_mismatch(channel_1, len(UNCERTAIN), chosen.tau_q_s * chosen.alpha_q)
+    return principal_mismatch(channel_1, len(keys) + late, chosen.tau_q_s * chosen.alpha_q)
+
+
+def in_box(model: PlantSettings, shares: Mapping[str, float]) -> PlantSettings:
+    """``model`` with parameters that are greater by these shares, 0.2 for 20 %."""
+    values = {key: getattr(model, key) * (1.0 + share) for key, share in shares.items()}
+    return replace(model, **values)
+
+
+def with_lags(model: PlantSettings, factor: float) -> PlantSettings:
+    """``model`` with actuators that are slower by ``factor``."""
+    return replace(
+        model,
+        torque_actuator=model.torque_actuator.slower(factor),
+        force_difference_actuator=model.force_difference_actuator.slower(factor),
+    )
 
 
 def reference_acceleration(scenario: Scenario) -> float:
@@ -142,7 +195,7 @@ def reference_acceleration(scenario: Scenario) -> float:
     torque = math.inf if limits.torque_nm is None else limits.torque_nm
     if limits.torque_rate_nm_per_s is not None:
         torque = min(torque, limits.torque_rate_nm_per_s * scenario.design.tau_q_s)
-    return GOVERNED * torque * abs(continuous_plant(scenario.model).g1.gain)
+    return GOVERNED * torque * abs(continuous_car(scenario.model).g1.gain)
 
 
 def controller_table(scenario: Scenario, network: Network | None) -> Record:

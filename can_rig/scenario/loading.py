@@ -26,6 +26,15 @@ from can_rig.scenario.settings import Scenario
 FROM_BUS: Final = ("latency_ticks", "from-bus")
 """A key, and the word that may stand there for its number."""
 
+ACTUATORS: Final = ("torque_actuator", "force_difference_actuator")
+LAGS: Final = (
+    ("lag_s", "natural_frequency_rad_per_s"),
+    ("natural_frequency_rad_per_s", "lag_s"),
+)
+"""A lag, and the one that it replaces."""
+LIMITS: Final = ("limit_", "rate_")
+"""Begins of the keys that an actuator has and a belief about it has not."""
+
 _ADAPTER: Final = TypeAdapter(Scenario)
 
 
@@ -80,8 +89,11 @@ def of_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Draft:
     """
     changed: dict[str, Any] = json.loads(json.dumps(values))
     plant, model = changed.get("plant"), changed.get("model")
+    noise = changed.pop("noise", None)
+    if isinstance(noise, dict) and isinstance(plant, dict):  # of a run folder of version 0.1
+        plant["sensor"] = {"noise_mps2": noise.get("dstar_rms_mps2", 0.0)}
     if isinstance(plant, dict) and isinstance(model, dict):
-        changed["model"] = {k: v for k, v in model.items() if k not in plant or plant[k] != v}
+        changed["model"] = _other_than(plant, model)
     for setting in settings:
         _change(changed, setting)
     return draft(str(changed.get("name", "run")), changed)
@@ -99,8 +111,7 @@ def draft(name: str, values: Mapping[str, Any]) -> Draft:
     merged = {key: value for key, value in values.items() if key != "name"}
     plant, model = merged.get("plant", {}), merged.get("model", {})
     if isinstance(plant, Mapping) and isinstance(model, Mapping):
-        linear = {"kind": CAR} if ":" in str(plant.get("kind")) else {}
-        merged["model"] = {**plant, **linear, **model}
+        merged["model"] = _believed(plant, model)
     words = frozenset(pair for pair in (FROM_BUS,) if _take(merged, *pair))
     try:
         # As JSON, where strict still takes a table for a dataclass and a whole number for a float.
@@ -108,6 +119,41 @@ def draft(name: str, values: Mapping[str, Any]) -> Draft:
     except ValidationError as error:
         raise ScenarioError(f"scenario {name}: {refusal(error, Scenario)}") from None
     return Draft(scenario, words)
+
+
+def _believed(plant: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str, Any]:
+    """``model`` with what it does not name as the plant has it, but nothing that is no belief.
+
+    A class and its parameters stand for the linear car; limits are believed in ``limits``. An
+    actuator's lag in ``model`` replaces any other of the plant's.
+    """
+    inherited = {key: value for key, value in plant.items() if key != "parameters"}
+    if ":" in str(plant.get("kind")):
+        inherited["kind"] = CAR
+    for key in ACTUATORS:
+        if isinstance(own := inherited.get(key), Mapping):
+            inherited[key] = {k: v for k, v in own.items() if not k.startswith(LIMITS)}
+    believed = {**inherited, **model}
+    for key in (*ACTUATORS, "sensor"):
+        ours, theirs = inherited.get(key), model.get(key)
+        if isinstance(ours, Mapping) and isinstance(theirs, Mapping):
+            replaced = {other for lag, other in LAGS if theirs.get(lag) is not None}
+            kept = {k: v for k, v in ours.items() if k not in replaced}
+            believed[key] = {**kept, **theirs}
+    return believed
+
+
+def _other_than(plant: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str, Any]:
+    """The keys of ``model`` that are not as the plant has them, table by table."""
+    other: dict[str, Any] = {}
+    for key, value in model.items():
+        of_plant = plant.get(key)
+        if isinstance(value, Mapping) and isinstance(of_plant, Mapping):
+            if inner := _other_than(of_plant, value):
+                other[key] = inner
+        elif key not in plant or of_plant != value:
+            other[key] = value
+    return other
 
 
 def _take(values: dict[str, Any], key: str, word: str) -> bool:

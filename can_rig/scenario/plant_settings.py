@@ -2,18 +2,23 @@
 
 from __future__ import annotations
 
+import dataclasses
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Annotated, Final, Literal
+from typing import Annotated, Any, Final, Literal
 
-from pydantic import ConfigDict, Field
+from pydantic import Field
 from pydantic.dataclasses import dataclass as validated
 
+from can_rig.scenario.stage_settings import (
+    STRICT,
+    ForceDifferenceActuator,
+    SensorSettings,
+    TorqueActuator,
+)
 from firmware_model.design import plants
+from firmware_model.design.actuator_dynamics import Stage
 from firmware_model.design.vehicle import TABLE_3_2, Variant, VehicleParameters
-
-STRICT: Final = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-"""Refuse unknown keys, text for numbers, and numbers that are not finite."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +51,7 @@ class PlantSettings(VehicleParameters):
     ``kind`` is built in or ``package.module:Class``, a plant of one's own (``plant.protocol``).
     ``friction`` μ is what tires can transmit at most, as a part of their load: the linear cars
     ignore it, a nonlinear one saturates with it. The bounds leave room for anything on wheels.
+    ``parameters`` are those that only a plant of one's own knows: numbers, text, true or false.
     """
 
     mass_kg: Annotated[float, Field(ge=10.0, le=1e6)] = TABLE_3_2.mass_kg
@@ -73,6 +79,12 @@ class PlantSettings(VehicleParameters):
     kind: str = CAR
     variant: Literal["physics", "published"] = "physics"
     friction: Annotated[float, Field(gt=0.0, le=10.0)] = 0.9
+    torque_actuator: TorqueActuator = dataclasses.field(default_factory=TorqueActuator)
+    force_difference_actuator: ForceDifferenceActuator = dataclasses.field(
+        default_factory=ForceDifferenceActuator
+    )
+    sensor: SensorSettings = dataclasses.field(default_factory=SensorSettings)
+    parameters: dict[str, Any] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
         super().__post_init__()
@@ -80,6 +92,16 @@ class PlantSettings(VehicleParameters):
             raise ValueError(
                 f"kind = {self.kind!r}: must be {', '.join(BUILT_IN)} or package.module:Class"
             )
+        for key, value in self.parameters.items():
+            if not isinstance(value, bool | int | float | str):
+                raise ValueError(
+                    f"parameters.{key} = {value!r}: must be a number, a text, true or false"
+                )
+            if not self.is_class:
+                raise ValueError(
+                    f"parameters.{key} = {value!r}: must not be set for kind = {self.kind!r}; only "
+                    "a plant of one's own, package.module:Class, has parameters of its own"
+                )
 
     @property
     def is_class(self) -> bool:
@@ -101,3 +123,8 @@ class PlantSettings(VehicleParameters):
     def is_car(self) -> bool:
         """Whether its parameters are those of a car; see ``BuiltIn``."""
         return self.linear.is_car
+
+    @property
+    def stages(self) -> tuple[Stage, Stage, Stage]:
+        """The linear parts of both actuators and of the sensor."""
+        return self.torque_actuator.stage, self.force_difference_actuator.stage, self.sensor.stage

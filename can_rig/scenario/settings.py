@@ -1,7 +1,8 @@
 """The settings of a scenario: every key, its unit, its default and its bounds.
 
-Those of the plant are in ``plant_settings``. Constructing one with a value out of bounds raises
-pydantic's ``ValidationError``, of which ``loading`` makes a line that names the key.
+Those of the plant are in ``plant_settings`` and ``stage_settings``. Constructing one with a value
+out of bounds raises pydantic's ``ValidationError``, of which ``loading`` makes a line that names
+the key.
 """
 
 from __future__ import annotations
@@ -13,7 +14,8 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat
 from pydantic.dataclasses import dataclass
 
-from can_rig.scenario.plant_settings import BUILT_IN, STRICT, PlantSettings
+from can_rig.scenario.plant_settings import BUILT_IN, PlantSettings
+from can_rig.scenario.stage_settings import STRICT
 from firmware_model.discretisation.targets import EstimatorRule
 from firmware_model.target.structs import MAX_LATENCY_TICKS
 
@@ -107,15 +109,12 @@ class FaultSettings:
 
 
 @dataclass(frozen=True, config=STRICT)
-class NoiseSettings:
-    """White noise on the measured D*, drawn from the scenario's seed."""
-
-    dstar_rms_mps2: NonNegativeFloat = 0.0
-
-
-@dataclass(frozen=True, config=STRICT)
 class LimitSettings:
-    """Largest commands and rates of commands; without one, the range of the frame limits it."""
+    """Largest commands and rates of commands that the controller sends.
+
+    It takes them for those of the actuators, whose own are ``plant.torque_actuator.limit_nm`` and
+    so on. Without one, the range of the frame limits the command.
+    """
 
     torque_nm: PositiveFloat | None = None
     torque_rate_nm_per_s: PositiveFloat | None = None
@@ -154,7 +153,6 @@ class Scenario:
     budget: BudgetSettings = dataclasses.field(default_factory=BudgetSettings)
     reference: ReferenceSettings = dataclasses.field(default_factory=ReferenceSettings)
     fault: FaultSettings = dataclasses.field(default_factory=FaultSettings)
-    noise: NoiseSettings = dataclasses.field(default_factory=NoiseSettings)
     limits: LimitSettings = dataclasses.field(default_factory=LimitSettings)
     actuator: ActuatorSettings = dataclasses.field(default_factory=ActuatorSettings)
     bus: BusSettings = dataclasses.field(default_factory=BusSettings)
@@ -176,6 +174,9 @@ class Scenario:
             raise ValueError(
                 f"model.kind = {self.model.kind!r}: must be linear, {' or '.join(BUILT_IN)}"
             )
+        _refuse_limits_of_the_model(self.model)
+        _refuse_long_dead_times("plant", self.plant, self.tick_s)
+        _refuse_long_dead_times("model", self.model, self.tick_s)
 
     @property
     def tick_ns(self) -> int:
@@ -198,6 +199,12 @@ class Scenario:
         return dataclasses.replace(self, fault=dataclasses.replace(self.fault, kind="none"))
 
     @property
+    def noise_free(self) -> Scenario:
+        """The same with a sensor that has no noise."""
+        sensor = dataclasses.replace(self.plant.sensor, noise_mps2=0.0)
+        return dataclasses.replace(self, plant=dataclasses.replace(self.plant, sensor=sensor))
+
+    @property
     def notes(self) -> list[str]:
         """What is allowed and yet may not be meant, a line each."""
         fault = self.fault
@@ -211,3 +218,39 @@ class Scenario:
     def as_dict(self) -> dict[str, Any]:
         """Every key and value, as a scenario file would have them."""
         return dataclasses.asdict(self)
+
+
+def _refuse_limits_of_the_model(model: PlantSettings) -> None:
+    """What the controller believes of limits stands in ``limits``, and there only."""
+    torque, force = model.torque_actuator, model.force_difference_actuator
+    for key, value, instead in (
+        ("torque_actuator.limit_nm", torque.limit_nm, "torque_nm"),
+        ("torque_actuator.rate_nm_per_s", torque.rate_nm_per_s, "torque_rate_nm_per_s"),
+        ("force_difference_actuator.limit_n", force.limit_n, "force_difference_n"),
+        (
+            "force_difference_actuator.rate_n_per_s",
+            force.rate_n_per_s,
+            "force_difference_rate_n_per_s",
+        ),
+    ):
+        if value is not None:
+            raise ValueError(
+                f"model.{key} = {value:g}: must be limits.{instead}, "
+                "which is what the controller believes of it"
+            )
+
+
+def _refuse_long_dead_times(table: str, plant: PlantSettings, tick_s: float) -> None:
+    """No more than the controller's own model can hold, for either channel with the sensor."""
+    sensor_s, longest_s = plant.sensor.dead_time_s, MAX_LATENCY_TICKS * tick_s
+    for key, dead_time_s, beside_s in (
+        ("sensor", sensor_s, 0.0),
+        ("torque_actuator", plant.torque_actuator.dead_time_s, sensor_s),
+        ("force_difference_actuator", plant.force_difference_actuator.dead_time_s, sensor_s),
+    ):
+        if dead_time_s + beside_s > longest_s * (1.0 + 1e-9):
+            beside = f" beside {table}.sensor.dead_time_s = {beside_s:g}" if beside_s else ""
+            raise ValueError(
+                f"{table}.{key}.dead_time_s = {dead_time_s:g}: must be at most "
+                f"{longest_s - beside_s:g} s{beside}, {MAX_LATENCY_TICKS} ticks in all"
+            )

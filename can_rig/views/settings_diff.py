@@ -31,8 +31,8 @@ def differing_settings(a: Scenario, b: Scenario) -> list[SettingDifference]:
     """
     values_a, values_b = _flat(a), _flat(b)
     found = []
-    for key, value in values_a.items():
-        other = values_b[key]
+    for key in {**values_a, **values_b}:  # a plant's own parameters may be named in one run only
+        value, other = values_a.get(key), values_b.get(key)
         plant_key = key.replace("model.", "plant.", 1)
         follows = key.startswith("model.") and (
             value == values_a[plant_key] and other == values_b[plant_key]

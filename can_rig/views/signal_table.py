@@ -16,8 +16,9 @@ from can_rig.drawing.names import CAR, Names, names_of, printed
 from can_rig.errors import LogError, ScenarioError
 from can_rig.frames.network import Network
 from can_rig.logs.reading import read_log
+from can_rig.plant.columns import ON_THE_BUS
 from can_rig.results.run_folder import SIGNALS, SUMMARY
-from can_rig.results.signals import COLUMNS, Signals, cell, signals_of
+from can_rig.results.signals import Signals, cell, signals_of, with_plant_signals
 from can_rig.results.source import log_path
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import FaultSettings, Scenario
@@ -26,7 +27,9 @@ from firmware_model.target.structs import FloatArray
 TIME: Final = "time_s"
 
 _UNITS: Final = (  # suffix of a column, longest first
+    ("_rad_per_s", "rad/s"),
     ("_mps2", "m/s²"),
+    ("_rad", "rad"),
     ("_nm", "N m"),
     ("_n", "N"),
 )
@@ -112,6 +115,7 @@ def read_table(path: Path, scenario: Scenario) -> SignalTable:
     log = read_log(log_path(path))
     messages = (message for frames in log for message in frames.messages())
     signals = signals_of(messages, network_of(scenario), scenario.tick_s)
+    signals = with_plant_signals(signals, log.path, scenario.tick_s)
     if not len(signals):
         raise LogError(f"{path}: has no usable frame of the rig")
     return table_of(signals, str(path))
@@ -121,8 +125,12 @@ def table_of(signals: Signals, label: str, scenario: Scenario | None = None) -> 
     """The columns of a log that has been read, rounded as ``signals.csv`` would have them."""
     columns = {
         name: np.array([float(cell(x) or "nan") for x in getattr(signals, name).tolist()])
-        for name in COLUMNS
+        for name in ON_THE_BUS
         if name != TIME
+    }
+    columns |= {
+        name: np.array([float(cell(x) or "nan") for x in column.tolist()])
+        for name, column in signals.plant.items()
     }
     return SignalTable(label, _whole_ns(signals.time_s), columns, scenario)
 

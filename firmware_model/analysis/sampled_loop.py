@@ -4,11 +4,12 @@ Without limits, grid and threshold a tick of ``controller.step`` is a linear map
 and its inputs. So column j of its matrix is one tick from unit memory j: no finite difference, no
 second copy of the control law, exact to rounding. Plant, hold and bus are linear algebra:
 
-    x⁺ = Φx + Γ_new Λ u(k - m) + Γ_old Λ u(k - m - 1),   y = cx
+    x⁺ = Φx + Γ Λ u(k - m) + Γ' Λ u(k - m - 1),   y = cx
 
-with m whole ticks of latency, Λ what the actuators have left, and a delay that is no whole number
-of ticks as a command that changes within the tick (Åström and Wittenmark, "Computer-Controlled
-Systems", section on systems with time delays).
+with m whole ticks of latency and dead time, for each channel its own, Λ what the actuators have
+left, and a delay that is no whole number of ticks as a command that changes within the tick (Åström
+and Wittenmark, "Computer-Controlled Systems", section on systems with time delays). From command to
+measurement the sensor's dead time counts as if it lay before both inputs.
 
 The loop is kept open at the measurement, y_m, and closed with y_m = gain · y when asked.
 """
@@ -22,7 +23,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
-from firmware_model.analysis.sampled_plant import sample
+from firmware_model.analysis.sampled_plant import held, split_ticks
 from firmware_model.design.plants import Plant
 from firmware_model.discretisation.sections import ComplexArray
 from firmware_model.errors import ParameterError
@@ -32,7 +33,12 @@ from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray, Record, RecordArray
 
 ANSWERS = ("command_1", "command_2", "fault_estimate")
-DELAYS = (("estimator", "delay_1"), ("estimator", "delay_2"))
+DELAYS = (  # rings of the estimator: where each turns, and how many ticks it holds
+    ("delay_1", "delay_index", "latency_ticks"),
+    ("delay_2", "delay_index", "latency_ticks"),
+    ("dead_1", "dead_index_1", "dead_ticks_1"),
+    ("dead_2", "dead_index_2", "dead_ticks_2"),
+)
 OPEN_INTEGRATOR = 1e-7  # |z - 1| below which a pole is an integrator
 Memory = tuple[tuple[str, ...], tuple[int, ...]]  # a path in the controller's state, an index
 
@@ -142,9 +148,10 @@ def linear_controller(table: Record, confirmed: float = 0.0) -> LinearController
     inputs[:, k:] = np.eye(2)
     controller.step_many(tables, states, inputs[1], inputs[0])
     latency = int(table.estimator.latency_ticks)
-    for line in DELAYS:  # the ring has turned by one: oldest first again
-        ring = _field(states, line)[:, :latency]
-        ring[:] = np.roll(ring, -states["estimator"]["delay_index"][0], axis=1)
+    estimator = states["estimator"]
+    for name, turned, length in DELAYS:  # the ring has turned by one: oldest first again
+        ring = estimator[name][:, : int(table.estimator[length])]
+        ring[:] = np.roll(ring, -estimator[turned][0], axis=1)
     after = np.array([_field(states, path)[(slice(None), *index)] for path, index in memories])
     after = after.reshape(k, k + 2)  # also when there is no memory at all
     answers = np.array([states[name] for name in ANSWERS])
@@ -178,10 +185,13 @@ def sampled_loop(
     for left in effectiveness:
         if not 0.0 <= left <= 1.0:
             raise ParameterError(f"effectiveness = {left:g}: must be 0 (dead) to 1 (healthy)")
-    m = law.latency_ticks + math.floor(extra_delay_ticks)
-    phi, gamma_new, gamma_old = _split_hold(plant, tick_s, extra_delay_ticks % 1.0)
+    delays = [
+        split_ticks(law.latency_ticks + extra_delay_ticks + dead_time_s / tick_s)
+        for dead_time_s in plant.path_dead_times_s
+    ]
+    phi, gamma_new, gamma_old = held(plant, tick_s, (delays[0][1], delays[1][1]))
     gamma_new, gamma_old = gamma_new * effectiveness, gamma_old * effectiveness
-    waiting = m + bool(gamma_old.any())
+    waiting = max(whole + bool(part) for whole, part in delays)
 
     n, k = len(phi), len(law.a)
     size = n + 2 * waiting + k
@@ -194,8 +204,10 @@ def sampled_loop(
 
     a, b = np.zeros((size, size)), np.zeros((size, 2))
     a[x, x] = phi
-    a[x] += gamma_new @ command[m] + gamma_old @ command[waiting]
-    b[x] = gamma_new @ direct[m] + gamma_old @ direct[waiting]
+    for channel, (whole, part) in enumerate(delays):
+        for gamma, late in ((gamma_new, whole), (gamma_old, whole + 1))[: 1 + bool(part)]:
+            a[x] += np.outer(gamma[:, channel], command[late, channel])
+            b[x] += np.outer(gamma[:, channel], direct[late, channel])
     a[queue], b[queue] = command[:-1].reshape(-1, size), direct[:-1].reshape(-1, 2)
     a[memory, memory], b[memory] = law.a, law.b
     h = np.zeros((3, size))
@@ -246,8 +258,8 @@ def _memories(table: Record) -> list[Memory]:
                 memories.append(((*path, "accumulators"), (i, 0)))
             if b2 or a2:
                 memories.append(((*path, "accumulators"), (i, 1)))
-    for line in DELAYS:
-        memories += [(line, (j,)) for j in range(estimator.latency_ticks)]
+    for name, _, length in DELAYS:
+        memories += [(("estimator", name), (j,)) for j in range(estimator[length])]
     return memories
 
 
@@ -261,14 +273,3 @@ def _without_limits(table: Record, n: int) -> RecordArray:
     tables["decision"]["confirm"] = tables["decision"]["suspect"] = math.inf
     tables["reference_shaper"]["enabled"] = 0
     return tables
-
-
-def _split_hold(
-    plant: Plant, tick_s: float, fraction: float
-) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """Φ (n, n), Γ_new, Γ_old (n, 2) of a command that changes ``fraction`` of a tick late."""
-    if fraction == 0.0:
-        whole = sample(plant, tick_s)
-        return whole.phi, whole.gamma, np.zeros_like(whole.gamma)
-    before, after = sample(plant, fraction * tick_s), sample(plant, (1.0 - fraction) * tick_s)
-    return after.phi @ before.phi, after.gamma, after.phi @ before.gamma

@@ -1,8 +1,19 @@
-"""A plant between two ticks: exact for commands that are held, as actuators on a bus hold them."""
+"""A plant between two ticks: exact for commands that are held, as actuators on a bus hold them.
+
+A dead time that is no whole number of ticks makes an input change within the interval, from the
+older of two commands to the newer, and a sensor look back into it. Both are exact: the interval is
+cut where something changes, and the pieces are put together into one step
+
+    x⁺ = Φx + Γ u(k - m) + Γ' u(k - m - 1)
+
+with m the whole ticks of the dead time, for each input its own.
+"""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -13,25 +24,52 @@ from firmware_model.design.plants import Plant
 from firmware_model.errors import ParameterError
 from firmware_model.target.structs import FloatArray
 
+WHOLE = 1e-9  # of a tick: a dead time that near to a whole number of ticks is one
+
 
 @dataclass(frozen=True)
 class SampledPlant:
-    """x⁺ = Φx + Γu, y = cx with Φ = e^{AT}, Γ = ∫e^{At}dt B over one tick.
+    """The step above, what the sensor reads at its end, and where the output is before the sensor.
 
     Attributes:
         phi: (n, n). gamma: (n, 2). c: (n,). Read-only, float64.
         tick_s: the tick, seconds.
+        gamma_old: (n, 2), Γ'; zero where dead times are whole ticks.
+        sensed: (n,), the output before the sensor.
+        dead_ticks: m of each input.
+        looks_back: (n + 4,), what the sensor reads within the interval, of the state at its begin,
+            u(k - m) and u(k - m - 1); zero where its dead time is whole ticks: then it reads ``c``
+            at the end.
+        sensor_dead_ticks: the whole ticks of the sensor's dead time.
     """
 
     phi: FloatArray
     gamma: FloatArray
     c: FloatArray
     tick_s: float
+    gamma_old: FloatArray
+    sensed: FloatArray
+    dead_ticks: tuple[int, int]
+    looks_back: FloatArray
+    sensor_dead_ticks: int
 
     @property
     def rest(self) -> FloatArray:
         """A state at rest, shape (n,)."""
         return np.zeros(len(self.c))
+
+    @property
+    def constants(self) -> Any:
+        """Everything that ``follow`` needs to know, for compiled code."""
+        inputs = (self.phi, self.gamma, self.gamma_old, bool(self.gamma_old.any()))
+        outputs = (self.sensed, self.c, self.looks_back, bool(self.looks_back.any()))
+        return inputs, outputs, np.array([*self.dead_ticks, self.sensor_dead_ticks], np.int64)
+
+    @property
+    def memory(self) -> Any:
+        """All that ``follow`` changes, at rest: the state, and rings of commands and of samples."""
+        length = max(self.dead_ticks) + 2
+        return self.rest, np.zeros((length, 2)), np.zeros(self.sensor_dead_ticks + 1)
 
 
 def sample(plant: Plant, tick_s: float) -> SampledPlant:
@@ -42,17 +80,74 @@ def sample(plant: Plant, tick_s: float) -> SampledPlant:
     """
     if not 0.0 < tick_s < float("inf"):
         raise ParameterError(f"tick_s = {tick_s:g}: must be finite and above 0 s")
-    n = len(plant.a)
-    augmented = np.zeros((n + 2, n + 2))
-    augmented[:n, :n] = plant.a
-    augmented[:n, n:] = plant.b
-    exponential = linalg.expm(augmented * tick_s)
-    phi = np.ascontiguousarray(exponential[:n, :n])
-    gamma = np.ascontiguousarray(exponential[:n, n:])
+    (whole_1, part_1), (whole_2, part_2), (whole, part) = (
+        split_ticks(dead_time_s / tick_s)
+        for dead_time_s in (*plant.dead_times_s, plant.sensor_dead_time_s)
+    )
+    phi, gamma, gamma_old = held(plant, tick_s, (part_1, part_2))
+    looks_back = np.zeros(len(phi) + 4)
+    if part > 0.0:
+        begin = held(plant, tick_s, (part_1, part_2), until=1.0 - part)
+        looks_back = np.concatenate([plant.c[0] @ matrix for matrix in begin])
     c = np.ascontiguousarray(plant.c[0])
-    for array in (phi, gamma, c):
+    sensed = c if plant.sensed is None else np.ascontiguousarray(plant.sensed[0])
+    for array in (phi, gamma, gamma_old, c, sensed, looks_back):
         array.flags.writeable = False
-    return SampledPlant(phi, gamma, c, tick_s)
+    return SampledPlant(
+        phi, gamma, c, tick_s, gamma_old, sensed, (whole_1, whole_2), looks_back, whole
+    )
+
+
+def split_ticks(ticks: float) -> tuple[int, float]:
+    """Whole ticks and the part of one that is left; a part within rounding is none."""
+    whole = math.floor(ticks + WHOLE)
+    part = ticks - whole
+    return whole, part if part > WHOLE else 0.0
+
+
+def held(
+    plant: Plant, tick_s: float, late: tuple[float, float], until: float = 1.0
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """``held_input`` for a plant, from the begin of a tick to the part ``until`` of it."""
+    return held_input(plant.a, plant.b, tick_s, late, until)
+
+
+def held_input(
+    a: FloatArray, b: FloatArray, tick_s: float, late: tuple[float, ...], until: float = 1.0
+) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Φ (n, n), Γ, Γ' (n, m) of x⁺ = Φx + Γu + Γ'u' over the part ``until`` of ``tick_s``.
+
+    Args:
+        a: (n, n).
+        b: (n, m).
+        tick_s: the tick, seconds.
+        late: after which part of the tick each input goes over from u' to u.
+        until: where it ends.
+    """
+    n, m = b.shape
+    phi, gamma, gamma_old = np.eye(n), np.zeros((n, m)), np.zeros((n, m))
+    cuts = sorted({0.0, until, *(part for part in late if part < until)})
+    for begin, end in pairwise(cuts):
+        step, drive = _exponential(a, b, (end - begin) * tick_s)
+        new = np.array([begin >= part for part in late])
+        if len(cuts) == 2:  # nothing changes within
+            return step, drive * new, drive * ~new
+        phi, gamma, gamma_old = (
+            step @ phi,
+            step @ gamma + drive * new,
+            step @ gamma_old + drive * ~new,
+        )
+    return phi, gamma, gamma_old
+
+
+def _exponential(a: FloatArray, b: FloatArray, duration_s: float) -> tuple[FloatArray, FloatArray]:
+    """e^{At} and ∫e^{At}dt B over ``duration_s``."""
+    n, m = b.shape
+    augmented = np.zeros((n + m, n + m))
+    augmented[:n, :n] = a
+    augmented[:n, n:] = b
+    exponential = linalg.expm(augmented * duration_s)
+    return np.ascontiguousarray(exponential[:n, :n]), np.ascontiguousarray(exponential[:n, n:])
 
 
 @firmware
@@ -83,3 +178,44 @@ def follow_plant(phi: Any, gamma: Any, c: Any, x: Any, u1: float, u2: float) -> 
     """Advance by one tick, in place, and measure."""
     advance_plant(phi, gamma, x, u1, u2)
     return measure_plant(c, x)
+
+
+@firmware
+def follow(
+    constants: Any, memory: Any, k: int, u1: float, u2: float, left_1: float, left_2: float
+) -> tuple[float, float]:
+    """Advance from tick ``k`` to the next: the output before the sensor, and what that reads.
+
+    Args:
+        constants: of a ``SampledPlant``.
+        memory: of the same; changed in place.
+        k: the tick, counted from rest.
+        u1: the command that reaches actuator 1 now, before its dead time.
+        u2: that of actuator 2.
+        left_1: the share of what is behind the dead time of actuator 1 that still acts.
+        left_2: that of actuator 2.
+    """
+    (phi, gamma, gamma_old, changes), (sensed, c, looks_back, within), dead = constants
+    x, commands, samples = memory
+    length = len(commands)
+    commands[k % length, 0] = u1
+    commands[k % length, 1] = u2
+    new_1 = left_1 * commands[(k - dead[0]) % length, 0]
+    new_2 = left_2 * commands[(k - dead[1]) % length, 1]
+    old_1 = left_1 * commands[(k - dead[0] - 1) % length, 0]
+    old_2 = left_2 * commands[(k - dead[1] - 1) % length, 1]
+    reading = 0.0
+    if within:
+        n = len(x)
+        reading = looks_back[n] * new_1 + looks_back[n + 1] * new_2
+        reading += looks_back[n + 2] * old_1 + looks_back[n + 3] * old_2
+        for j in range(n):
+            reading += looks_back[j] * x[j]
+    advance_plant(phi, gamma, x, new_1, new_2)
+    if changes:
+        for i in range(len(x)):
+            x[i] += gamma_old[i, 0] * old_1 + gamma_old[i, 1] * old_2
+    if not within:
+        reading = measure_plant(c, x)
+    samples[(k + 1) % len(samples)] = reading
+    return measure_plant(sensed, x), samples[(k + 1 - dead[2]) % len(samples)]

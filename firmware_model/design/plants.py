@@ -7,6 +7,7 @@ The state space simulates; the channels G1, G2 design. Numerators come from Fadd
 where a structural zero of A, B, C stays exactly zero, so a relative degree is never a rounding.
 """
 
+import math
 from dataclasses import dataclass
 from typing import Self
 
@@ -31,8 +32,13 @@ class Plant:
     transfer functions (3.18), (3.19) of its columns. Units are those of the inputs and the output:
     for the car [N m], [N] and [m/s²]. Two plants are equal only if they are the same object.
 
-    Raises ``ParameterError`` for shapes that do not fit, values that are not finite and channels
-    that are not those of the state space; ``UnstablePlantError``; ``ZeroChannelError``.
+    A plant behind actuators and a sensor (``actuator_dynamics``) has dead times that G1 and G2 do
+    not contain, s: ``dead_times_s`` from each input, ``sensor_dead_time_s`` to the output. Its
+    ``sensed`` (1, n) is the output before the sensor; by default that is ``c``.
+
+    Raises ``ParameterError`` for shapes that do not fit, values that are not finite, dead times
+    below zero and channels that are not those of the state space; ``UnstablePlantError``;
+    ``ZeroChannelError``.
     """
 
     name: str
@@ -41,16 +47,30 @@ class Plant:
     c: Matrix
     g1: ZeroPoleGain
     g2: ZeroPoleGain
+    sensed: Matrix | None = None
+    dead_times_s: tuple[float, float] = (0.0, 0.0)
+    sensor_dead_time_s: float = 0.0
 
     def __post_init__(self) -> None:
         matrices = _validated(self.name, self.a, self.b, self.c)
         for label, matrix in zip("abc", matrices, strict=True):
             object.__setattr__(self, label, matrix)
+        for dead_time_s in (*self.dead_times_s, self.sensor_dead_time_s):
+            if not 0.0 <= dead_time_s < math.inf:
+                raise ParameterError(
+                    f"{self.name}: dead time {dead_time_s:g} s: must be finite and 0 or above"
+                )
         _refuse_unstable(self.name, self.a)
         for label, channel in (("G1", self.g1), ("G2", self.g2)):
             if channel.gain == 0:
                 raise ZeroChannelError(f"{self.name}: {label}(s) is identically zero")
         _refuse_disagreement(self)
+
+    @property
+    def path_dead_times_s(self) -> tuple[float, float]:
+        """From each input to the measurement, s: that of its actuator and that of the sensor."""
+        first, second = self.dead_times_s
+        return first + self.sensor_dead_time_s, second + self.sensor_dead_time_s
 
     @classmethod
     def from_state_space(cls, name: str, a: ArrayLike, b: ArrayLike, c: ArrayLike) -> Self:

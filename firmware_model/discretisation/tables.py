@@ -16,7 +16,7 @@ from firmware_model.discretisation.targets import EstimatorRule, Target
 from firmware_model.discretisation.tustin import tustin, tustin_held, zoh
 from firmware_model.errors import DesignError, ParameterError
 from firmware_model.target.layout import table_type
-from firmware_model.target.structs import MAX_SECTIONS, Record
+from firmware_model.target.structs import MAX_LATENCY_TICKS, MAX_SECTIONS, Record
 
 ESTIMATOR_RULES: dict[EstimatorRule, Callable[[ZeroPoleGain, float], Sections]] = {
     "tustin": tustin,
@@ -80,9 +80,30 @@ def discretise(design: ContinuousDesign, target: Target) -> Filters:
     return filters
 
 
-def algebraic_loop_gain(filters: Filters, latency_ticks: int) -> float:
-    """Gain of the loop d̂ → u2 → d̂ within one tick: F̂, G2 and 1 + Q at z → ∞; T/(2τ+T) for α = 1."""
-    if latency_ticks > 0:
+def dead_ticks(design: ContinuousDesign, target: Target) -> tuple[int, int]:
+    """The dead times that the design knows of, from each command to the measurement, in ticks.
+
+    Raises:
+        ParameterError: more than the controller's rings hold.
+    """
+    first, second = (
+        round(dead_time_s / target.tick_s) for dead_time_s in design.plant.path_dead_times_s
+    )
+    for channel, ticks in ((1, first), (2, second)):
+        if ticks > MAX_LATENCY_TICKS:
+            raise ParameterError(
+                f"dead time of channel {channel}: {ticks} ticks; must be at most "
+                f"{MAX_LATENCY_TICKS}, {MAX_LATENCY_TICKS * target.tick_s:g} s"
+            )
+    return first, second
+
+
+def algebraic_loop_gain(filters: Filters, delay_ticks: int) -> float:
+    """Gain of the loop d̂ → u2 → d̂ within one tick: F̂, G2 and 1 + Q at z → ∞; T/(2τ+T) for α = 1.
+
+    With any delay of u2, by the bus or by a dead time, there is no such loop.
+    """
+    if delay_ticks > 0:
         return 0.0
     return (
         filters.compensator.feedthrough
@@ -91,9 +112,9 @@ def algebraic_loop_gain(filters: Filters, latency_ticks: int) -> float:
     )
 
 
-def tracking_loop_gain(filters: Filters, target: Target) -> float:
+def tracking_loop_gain(filters: Filters, target: Target, dead: tuple[int, int]) -> float:
     """Gain of the loop u1 → G1 u1 → u1 within one tick: Q and G1 at z → ∞."""
-    if target.latency_ticks > 0:
+    if target.latency_ticks + dead[0] > 0:
         return 0.0
     return filters.tracking.feedthrough * filters.estimator_1.feedthrough
 
@@ -106,7 +127,8 @@ def build(design: ContinuousDesign, target: Target) -> Record:
             which saturation has no one answer.
     """
     filters = discretise(design, target)
-    loop_gain = algebraic_loop_gain(filters, target.latency_ticks)
+    dead = dead_ticks(design, target)
+    loop_gain = algebraic_loop_gain(filters, target.latency_ticks + dead[1])
     if not loop_gain < 1.0:
         raise DesignError(
             f"the algebraic loop d̂ → u2 → d̂ has gain {loop_gain:.3g} at tick_s = "
@@ -114,7 +136,8 @@ def build(design: ContinuousDesign, target: Target) -> Record:
         )
     tables = np.zeros(1, table_type(target.precision))
     table = tables[0]
-    _fill_loop(table, design, target, filters)
+    _fill_loop(table, design, target, filters, dead)
+    _fill_estimator(table.estimator, target, filters, dead)
     _fill_compensator(table, design, target, filters, loop_gain)
     _fill_decision(table, target)
     _fill_mismatch(table, target)
@@ -129,27 +152,43 @@ def _fill_filter(cascade: Record, sections: Sections) -> None:
     cascade.coefficients[: cascade.n] = sections.coefficients
 
 
-def _fill_loop(table: Record, design: ContinuousDesign, target: Target, filters: Filters) -> None:
-    """Reference shaper, C, estimator, actuators."""
+def _fill_loop(
+    table: Record,
+    design: ContinuousDesign,
+    target: Target,
+    filters: Filters,
+    dead: tuple[int, int],
+) -> None:
+    """Reference shaper, C, actuators."""
     closed = design.tracking is not None
-    shaper, tracking, estimator = table.reference_shaper, table.tracking, table.estimator
+    shaper, tracking = table.reference_shaper, table.tracking
     shaper.enabled = closed and math.isfinite(target.reference_acceleration)
     shaper.acceleration = target.reference_acceleration * target.tick_s**2
     _fill_filter(tracking.filter, filters.tracking)
     tracking.feedback = closed
-    tracking.loop_inverse = 1.0 / (1.0 - closed * tracking_loop_gain(filters, target))
-    _fill_filter(estimator.channel_1, filters.estimator_1)
-    _fill_filter(estimator.channel_2, filters.estimator_2)
-    _fill_filter(estimator.one_plus_q, filters.one_plus_q)
-    if target.latency_ticks == 0:
-        estimator.feedthrough_2 = filters.estimator_2.feedthrough
-    estimator.one_plus_q_feedthrough = filters.one_plus_q.feedthrough
-    estimator.latency_ticks = target.latency_ticks
+    tracking.loop_inverse = 1.0 / (1.0 - closed * tracking_loop_gain(filters, target, dead))
     for actuator, limit, rate, lsb in (
         (table.actuator_1, target.limit_1, target.rate_1, target.lsb_1),
         (table.actuator_2, target.limit_2, target.rate_2, target.lsb_2),
     ):
         actuator.limit, actuator.slew, actuator.lsb = limit, rate * target.tick_s, lsb
+
+
+def _fill_estimator(
+    estimator: Record, target: Target, filters: Filters, dead: tuple[int, int]
+) -> None:
+    """F1 with its delays, 1 + Q."""
+    _fill_filter(estimator.channel_1, filters.estimator_1)
+    _fill_filter(estimator.channel_2, filters.estimator_2)
+    _fill_filter(estimator.one_plus_q, filters.one_plus_q)
+    if target.latency_ticks + dead[1] == 0:
+        estimator.feedthrough_2 = filters.estimator_2.feedthrough
+    estimator.one_plus_q_feedthrough = filters.one_plus_q.feedthrough
+    estimator.latency_ticks = target.latency_ticks
+    estimator.dead_ticks_1, estimator.dead_ticks_2 = dead
+    estimator.shown_ticks_1, estimator.shown_ticks_2 = (
+        target.latency_ticks + ticks for ticks in dead
+    )
 
 
 def _fill_compensator(

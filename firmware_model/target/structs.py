@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 MAX_SECTIONS = 8  # of each filter: order 16
 MAX_LATENCY_TICKS = 64
+MAX_SHOWN_TICKS = 2 * MAX_LATENCY_TICKS  # of the bus, and of a dead time
 
 Precision = Literal["float64", "float32"]
 FloatArray = NDArray[np.float64]

@@ -8,7 +8,7 @@ from typing import Any
 
 import pytest
 
-from can_rig.results.signals import COLUMNS
+from can_rig.plant.columns import ON_THE_BUS as COLUMNS
 from tests.project.pages import table, text_of
 from tools.scenario_keys import unit
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import copy
+from collections.abc import Iterator
 from typing import Any
 
 import pytest
@@ -25,14 +26,22 @@ def test_the_page_is_up_to_date() -> None:
     )
 
 
+def tables(section: str, values: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
+    """Each table by its heading, with its own keys; ``model`` is that of ``plant`` again."""
+    inner = {key: value for key, value in values.items() if isinstance(value, dict)}
+    free = inner.pop("parameters", {})
+    assert not free
+    yield section, {k: v for k, v in values.items() if k not in {*inner, "name", "parameters"}}
+    for key, table in inner.items():
+        if key != "model":
+            yield from tables(f"{section}.{key}".lstrip("."), table)
+
+
 def test_it_has_every_key_of_a_scenario_with_its_default() -> None:
     text = scenario_keys.PAGE.read_text(encoding="utf-8")
     parts = dict(part.split("\n", 1) for part in text.split("\n## ")[1:])
-    for section, values in Scenario("any").as_dict().items():
-        if section in {"name", "model"}:
-            continue
-        table = values if isinstance(values, dict) else {section: values}
-        part = parts[f"`[{section}]`" if isinstance(values, dict) else "Top level"]
+    for section, table in tables("", Scenario("any").as_dict()):
+        part = parts[f"`[{section}]`" if section else "Top level"]
         for key, value in table.items():
             shown = "not set" if value is None else f"`{value!r}`".replace("'", '"')
             (row,) = (line for line in part.splitlines() if line.startswith(f"| `{key}` |"))

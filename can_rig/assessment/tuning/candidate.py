@@ -123,7 +123,7 @@ def _lose_torque(scenario: Scenario, table: Record, noise: tuple[float, float]) 
     delay_s = (scenario.latency_ticks + 1) * tick_s
     torque, force = np.abs(lost.command_1), np.abs(lost.command_2)
     torque_after, force_after = float(torque[loss:].max()), float(force[loss:].max())
-    tail = NOISE_SIGMAS * scenario.noise.dstar_rms_mps2
+    tail = NOISE_SIGMAS * scenario.model.sensor.noise_mps2
     limits = target(scenario, None)
     room_1 = limits.limit_1 - tail * noise[0] - torque_after
     room_2 = limits.limit_2 - tail * noise[1] - force_after

@@ -62,7 +62,7 @@ def picture(found: Tunings) -> Figure:
         axis.axvline(
             found.noise_limit_n, color=style.INK, lw=1.0, ls=style.DOTTED, label="noise limit"
         )
-    per = "" if scenario.noise.dstar_rms_mps2 else " per m/s² of noise in D*"
+    per = "" if scenario.model.sensor.noise_mps2 else " per m/s² of noise in D*"
     axis.set_xlabel(f"noise in $X_{{diff}}$, rms in N{per}")
     axis.set_ylabel("deviation after the loss, peak in m/s²")
     axis.grid(alpha=0.35, lw=0.5)

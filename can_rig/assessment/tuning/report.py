@@ -53,7 +53,7 @@ def as_dict(found: Tunings) -> dict[str, Any]:
         "cars": found.cars,
         "spare_ticks": found.spare_ticks,
         "noise_limit_n": found.noise_limit_n,
-        "dstar_noise_rms_mps2": found.scenario.noise.dstar_rms_mps2,
+        "dstar_noise_rms_mps2": found.scenario.model.sensor.noise_mps2,
         "chosen": _values(found.chosen),
         "why": why(found),
         "options": options(found, found.chosen),
@@ -84,7 +84,7 @@ def rows(found: Tunings) -> Iterator[tuple[Tuning, tuple[str, ...]]]:
                 f"{tuning.peak_mps2:.2e}",
                 f"x {tuning.peak_ratio:.2f}",
                 f"{found.noise_n(tuning):.3g}",
-                f"{tuning.noise_to_torque * (found.scenario.noise.dstar_rms_mps2 or 1.0):.3g}",
+                f"{tuning.noise_to_torque * (found.scenario.model.sensor.noise_mps2 or 1.0):.3g}",
                 f"{tuning.torque_peak_nm:.4g}",
             ),
         )
@@ -92,7 +92,7 @@ def rows(found: Tunings) -> Iterator[tuple[Tuning, tuple[str, ...]]]:
 
 def noise_unit(found: Tunings) -> str:
     """The unit of ``Tunings.noise_n``."""
-    return "N" if found.scenario.noise.dstar_rms_mps2 else "N/(m/s²)"
+    return "N" if found.scenario.model.sensor.noise_mps2 else "N/(m/s²)"
 
 
 def _values(tuning: Tuning) -> dict[str, Any]:

@@ -66,12 +66,12 @@ class Tunings:
 
     def noise_n(self, tuning: Tuning) -> float:
         """Rms of X_diff in N at the scenario's noise; per m/s² of noise where it has none."""
-        return tuning.noise_to_force * (self.scenario.noise.dstar_rms_mps2 or 1.0)
+        return tuning.noise_to_force * (self.scenario.model.sensor.noise_mps2 or 1.0)
 
     def within_noise_limit(self, tuning: Tuning) -> bool:
         """Whether the noise in X_diff is within the limit, where there is one."""
         limit = math.inf if self.noise_limit_n is None else self.noise_limit_n
-        return tuning.noise_to_force * self.scenario.noise.dstar_rms_mps2 <= limit
+        return tuning.noise_to_force * self.scenario.model.sensor.noise_mps2 <= limit
 
 
 def tune(
@@ -90,7 +90,7 @@ def tune(
         cars: the nominal one first (``box.cars``).
         spare_ticks: additional ticks of delay, unknown to the controller, with which the loop must
             be stable.
-        noise_limit_n: largest rms of X_diff that ``noise.dstar_rms_mps2`` may cause, N.
+        noise_limit_n: largest rms of X_diff that ``plant.sensor.noise_mps2`` may cause, N.
         torque_noise_limit_nm: the same of the torque, N m; a tuning beyond it is refused.
         candidates: in place of ``grid``.
         on_progress: told how many tests are done, and of how many: those of the nominal car, and
@@ -120,7 +120,7 @@ def tune(
         tuning = assess(scenario, values, (cars[0], *own), spare_ticks)
         if isinstance(tuning, Refusal):
             refusals[tuning] += 1
-        elif tuning.noise_to_torque * scenario.noise.dstar_rms_mps2 > loudest:
+        elif tuning.noise_to_torque * scenario.model.sensor.noise_mps2 > loudest:
             refusals[Refusal.TORQUE_NOISE] += 1
         else:
             nominal.append(tuning)
@@ -192,7 +192,7 @@ def _refuse(scenario: Scenario, spare_ticks: int) -> None:
 
 
 def _refuse_limit(scenario: Scenario, option: str, limit: float | None) -> None:
-    if limit is not None and not (limit > 0.0 and scenario.noise.dstar_rms_mps2 > 0.0):
+    if limit is not None and not (limit > 0.0 and scenario.model.sensor.noise_mps2 > 0.0):
         raise ScenarioError(
-            f"{option} {limit:g}: must be above 0, and so must noise.dstar_rms_mps2"
+            f"{option} {limit:g}: must be above 0, and so must plant.sensor.noise_mps2"
         )

@@ -56,7 +56,7 @@ PICTURE = "tuning.png"
     "noise_limit_n",
     type=float,
     metavar="N",
-    help="Largest rms of X_diff that noise.dstar_rms_mps2 may cause, in N.  [default: any]",
+    help="Largest rms of X_diff that plant.sensor.noise_mps2 may cause, in N.  [default: any]",
 )
 @click.option(
     "--torque-noise-limit",

@@ -13,6 +13,7 @@ from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import NodeBus, Send
 from can_rig.nodes.clock import NS_PER_S, Clock
 from can_rig.nodes.plant_end import COMMANDS, PlantEnd
+from can_rig.nodes.plant_recorder import PlantRecorder
 from can_rig.nodes.recorder import Recorder
 from can_rig.nodes.watchdog import Interrupted, Watchdog
 from can_rig.scenario.settings import Scenario
@@ -32,17 +33,23 @@ class PlantNode:
         network: its frames.
         send: sends a frame.
         recorder: gets every frame sent or seen; None records nothing.
+        reports: gets what the plant reports of every tick; None records nothing.
 
     Raises:
         ScenarioError: a reference that does not fit its frame, a plant that is none.
     """
 
     def __init__(
-        self, scenario: Scenario, network: Network, send: Send, recorder: Recorder | None = None
+        self,
+        scenario: Scenario,
+        network: Network,
+        send: Send,
+        recorder: Recorder | None = None,
+        reports: PlantRecorder | None = None,
     ) -> None:
         self.ticks: Final = scenario.ticks
         self._recorder = recorder
-        self._end = PlantEnd(scenario, network, send, recorder)
+        self._end = PlantEnd(scenario, network, send, recorder, reports)
 
     def run(self, watchdog: Watchdog, on_tick: Callable[[int], None]) -> int:
         """Run to the end or to a stop request; the number of ticks completed.
@@ -95,7 +102,7 @@ class PlantNode:
             if math.isfinite(record.value):
                 commands[at] = record.value
         self._end.end_tick()
-        self._end.plant.advance(tick, *commands)
+        self._end.advance(tick, *commands)
 
     def record_the_rest(self, bus: NodeBus, clock: Clock) -> None:
         """Put in the log what others had sent by the end and was not read yet."""

@@ -32,7 +32,7 @@ from can_rig.nodes.controller_end import ControllerEnd, started
 from can_rig.nodes.realtime.deadlines import require_causal
 from can_rig.nodes.realtime.restart import LISTEN_S, BumplessRestart
 from can_rig.nodes.watchdog import Interrupted, Watchdog
-from can_rig.plant.simulated import Actuator
+from can_rig.plant.actuators import Actuator
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.status import FaultState, Mode
 

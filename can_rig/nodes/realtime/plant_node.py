@@ -32,6 +32,7 @@ from can_rig.frames.wire_tick import tick_on, ticks_ahead
 from can_rig.nodes.bus_access import NodeBus
 from can_rig.nodes.clock import NS_PER_S, Clock
 from can_rig.nodes.plant_end import COMMANDS, PlantEnd
+from can_rig.nodes.plant_recorder import PlantRecorder
 from can_rig.nodes.realtime.deadlines import CATCH_UP_TICKS, Schedule, require_causal
 from can_rig.nodes.realtime.recorder import RealTimeRecorder
 from can_rig.nodes.realtime.timing import Timing
@@ -53,6 +54,7 @@ class RealTimePlantNode:
         network: its frames.
         bus: where to send and receive; it never raises ``can.CanError``.
         recorder: gets every frame sent or seen; None records nothing.
+        reports: gets what the plant reports of every tick; None records nothing.
         clock: the time.
 
     Raises:
@@ -66,12 +68,14 @@ class RealTimePlantNode:
         bus: NodeBus,
         recorder: RealTimeRecorder | None,
         clock: Clock,
+        reports: PlantRecorder | None = None,
     ) -> None:
         require_causal(scenario)
         self.ticks: Final = scenario.ticks
         self.timing = Timing(scenario.tick_ns)
         # Commands wait in _inbox until their tick, so the simulated bus has nothing to delay.
-        self._end = PlantEnd(replace(scenario, latency_ticks=0), network, bus.send, recorder)
+        undelayed = replace(scenario, latency_ticks=0)
+        self._end = PlantEnd(undelayed, network, bus.send, recorder, reports)
         self._commands = (network.command_1.name, network.command_2.name)
         self._bus = bus
         self._recorder = recorder
@@ -190,7 +194,7 @@ class RealTimePlantNode:
             if skipped > tick:
                 self._end.plant.measure()  # noise belongs to its tick
             self._latch(skipped)
-            self._end.plant.advance(skipped, *self._acting)
+            self._end.advance(skipped, *self._acting)
         self._end.sample(newest)
         return newest
 
@@ -205,7 +209,7 @@ class RealTimePlantNode:
 
     def _follow(self, tick: int) -> None:
         """In the slack: D* of the next tick, its frames, and the log."""
-        self._end.plant.advance(tick, *self._acting)
+        self._end.advance(tick, *self._acting)
         if tick + 1 < self.ticks:
             self._end.sample(tick + 1)
         if self._recorder is not None:

@@ -57,7 +57,7 @@ class BumplessRestart:
         self._listen_ticks = max(round(LISTEN_S / scenario.tick_s), FEWEST_SAMPLES)
         self._held_ticks = held if held <= self._listen_ticks // 2 else None
         self._return_ticks = max(round(RETURN_S / scenario.tick_s), 1)
-        self._variance = scenario.noise.dstar_rms_mps2**2 + lsb**2 / 12.0
+        self._variance = scenario.model.sensor.noise_mps2**2 + lsb**2 / 12.0
         self._motion = FreeMotion(table)
         self._heard: list[float] = []
         self._level = 0.0

@@ -11,7 +11,7 @@ from firmware_model.target.filters import biquad
 from firmware_model.target.filters.biquad import advance, output
 from firmware_model.target.precision import real
 from firmware_model.target.status import FaultState
-from firmware_model.target.structs import MAX_LATENCY_TICKS, Field, Record
+from firmware_model.target.structs import MAX_SHOWN_TICKS, Field, Record
 
 CONFIRMED = int(FaultState.CONFIRMED)
 
@@ -19,7 +19,7 @@ STATE = (
     Field("channel_1", "y", "state of G1 driven by the commands that were lost", biquad.STATE),
     Field("share", "1", "s, the part of channel 1 that is lost"),
     Field("previous_output", "y", "w of the last tick"),
-    Field("delay", "y", "ring of w on its way into d̂", shape=(MAX_LATENCY_TICKS,)),
+    Field("delay", "y", "ring of w on its way into d̂", shape=(MAX_SHOWN_TICKS,)),
 )
 
 
@@ -33,9 +33,9 @@ def loss_output(table: Record, state: Record) -> float:
 
 @firmware
 def loss_shown(table: Record, state: Record) -> float:
-    """s w as d̂ of this tick contains it, ``latency_ticks`` late."""
-    if table.estimator.latency_ticks > 0:
-        w: float = state.loss_model.delay[state.estimator.delay_index] * state.loss_model.share
+    """s w as d̂ of this tick contains it, late by bus and dead time."""
+    if table.estimator.shown_ticks_1 > 0:
+        w: float = state.loss_model.delay[state.estimator.shown_index_1] * state.loss_model.share
         return w
     return loss_output(table, state)
 
@@ -55,8 +55,8 @@ def advance_loss_model(table: Record, state: Record) -> None:
     loss = state.loss_model
     w = advance(table.estimator.channel_1, loss.channel_1, lost_command(state))
     loss.previous_output = w
-    if table.estimator.latency_ticks > 0:
-        loss.delay[state.estimator.delay_index] = w
+    if table.estimator.shown_ticks_1 > 0:
+        loss.delay[state.estimator.shown_index_1] = w
 
 
 @firmware
@@ -75,7 +75,7 @@ def take_over_candidate(table: Record, state: Record, share: float, sign: float)
         for j in range(2):
             before = earlier * loss.channel_1.accumulators[i, j]
             loss.channel_1.accumulators[i, j] = before + sign * test.channel_1.accumulators[i, j]
-    for i in range(table.estimator.latency_ticks):
+    for i in range(table.estimator.shown_ticks_1):
         loss.delay[i] = earlier * loss.delay[i] + sign * test.delay[i]
     loss.previous_output = earlier * loss.previous_output + sign * test.previous_output
     loss.share = share

@@ -22,8 +22,9 @@ from firmware_model.compiled import firmware
 from firmware_model.target.fault_decision.mismatch import MAX_STATES
 from firmware_model.target.filters import biquad
 from firmware_model.target.filters.biquad import advance, output
+from firmware_model.target.filters.estimator import pending_command
 from firmware_model.target.precision import real
-from firmware_model.target.structs import MAX_LATENCY_TICKS, Field, Record
+from firmware_model.target.structs import MAX_SHOWN_TICKS, Field, Record
 
 CONSTANTS = (
     Field("share", "1", "of channel 1 whose loss is looked for"),
@@ -31,7 +32,7 @@ CONSTANTS = (
 )
 STATE = (
     Field("channel_1", "y", "state of G1 driven by the commands since the start", biquad.STATE),
-    Field("delay", "y", "ring of w on its way into d̂", shape=(MAX_LATENCY_TICKS,)),
+    Field("delay", "y", "ring of w on its way into d̂", shape=(MAX_SHOWN_TICKS,)),
     Field("previous_output", "y", "w of the last tick"),
     Field("previous_shown", "y", "w of the last tick as d̂ contains it"),
     Field("explained", "1", "what w makes of θ", shape=(MAX_STATES,)),
@@ -72,9 +73,9 @@ def update_test(table: Record, state: Record, innovation: float, share: float) -
 
 @firmware
 def candidate_shown(table: Record, state: Record) -> float:
-    """w as d̂ of this tick contains it, ``latency_ticks`` late."""
-    if table.estimator.latency_ticks > 0:
-        w: float = state.sequential_test.delay[state.estimator.delay_index]
+    """w as d̂ of this tick contains it, late by bus and dead time."""
+    if table.estimator.shown_ticks_1 > 0:
+        w: float = state.sequential_test.delay[state.estimator.shown_index_1]
         return w
     return candidate_output(table, state)
 
@@ -82,18 +83,18 @@ def candidate_shown(table: Record, state: Record) -> float:
 @firmware
 def start_candidate(table: Record, state: Record) -> None:
     """Begin again: no command that has acted so far is lost, those on their way are."""
-    test, acting = state.sequential_test, state.estimator
-    g1, latency = table.estimator.channel_1, table.estimator.latency_ticks
+    test, estimator = state.sequential_test, table.estimator
+    g1, shown = estimator.channel_1, estimator.shown_ticks_1
     test.channel_1.accumulators[:] = 0.0
     test.explained[:] = 0.0
     test.evidence = test.correlation = test.information = 0.0
     test.previous_output = test.previous_shown = 0.0
-    for i in range(latency):
-        index = (acting.delay_index + i) % latency
-        w = output(g1, test.channel_1, acting.delay_1[index])
-        test.delay[index] = w
+    for i in range(shown):
+        command = pending_command(estimator, state.estimator, i)
+        w = output(g1, test.channel_1, command)
+        test.delay[(state.estimator.shown_index_1 + i) % shown] = w
         test.previous_output = w
-        advance(g1, test.channel_1, acting.delay_1[index])
+        advance(g1, test.channel_1, command)
 
 
 @firmware
@@ -102,8 +103,8 @@ def advance_candidate(table: Record, state: Record) -> None:
     test = state.sequential_test
     w = advance(table.estimator.channel_1, test.channel_1, state.command_1)
     test.previous_output = w
-    if table.estimator.latency_ticks > 0:
-        test.delay[state.estimator.delay_index] = w
+    if table.estimator.shown_ticks_1 > 0:
+        test.delay[state.estimator.shown_index_1] = w
 
 
 @firmware

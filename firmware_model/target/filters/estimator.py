@@ -1,7 +1,8 @@
 """The fault estimator d̂ = (1 + Q)(G1 u1 + G2 u2 - y) of (2.1): the model of the plant, its bus.
 
 The model gets each command when the plant gets it, ``latency_ticks`` after it was computed, and
-whether it was computed or held: an actuator that hears nothing new goes on with what it has.
+whether it was computed or held: an actuator that hears nothing new goes on with what it has. What
+the bus has delivered then waits for the dead time of its channel, that of the sensor included.
 """
 
 from __future__ import annotations
@@ -18,9 +19,13 @@ CONSTANTS = (
     Field("channel_1", "y/u1", "G1", biquad.CONSTANTS),
     Field("channel_2", "y/u2", "G2", biquad.CONSTANTS),
     Field("one_plus_q", "1", "1 + Q", biquad.CONSTANTS),
-    Field("feedthrough_2", "y/u2", "of G2 to the same tick; 0 with any latency"),
+    Field("feedthrough_2", "y/u2", "of G2 to the same tick; 0 with any latency or dead time"),
     Field("one_plus_q_feedthrough", "1", "of 1 + Q to the same tick"),
-    Field("latency_ticks", "tick", "from a sample until its command acts", "int32"),
+    Field("latency_ticks", "tick", "from a sample until its command is at its actuator", "int32"),
+    Field("dead_ticks_1", "tick", "dead time of channel 1, from there until G1", "int32"),
+    Field("dead_ticks_2", "tick", "dead time of channel 2, from there until G2", "int32"),
+    Field("shown_ticks_1", "tick", "from a sample until its command 1 is at G1", "int32"),
+    Field("shown_ticks_2", "tick", "from a sample until its command 2 is at G2", "int32"),
 )
 STATE = (
     Field("channel_1", "y", "state of G1", biquad.STATE),
@@ -29,7 +34,13 @@ STATE = (
     Field("delay_1", "u1", "ring of commands on their way to the plant", shape=RING),
     Field("delay_2", "u2", "ring of commands on their way to the plant", shape=RING),
     Field("delay_index", "1", "where the rings hold the command that acts next", "int32"),
+    Field("dead_1", "u1", "ring of commands in the dead time of channel 1", shape=RING),
+    Field("dead_2", "u2", "ring of commands in the dead time of channel 2", shape=RING),
+    Field("dead_index_1", "1", "where its ring holds the command that G1 gets next", "int32"),
+    Field("dead_index_2", "1", "where its ring holds the command that G2 gets next", "int32"),
     Field("showing_1", "u1", "command 1 as the measurement of this tick begins to show it"),
+    Field("shown_index_1", "1", "where rings of outputs of G1 hold what shows next", "int32"),
+    Field("shown_index_2", "1", "where rings of outputs of G2 hold what shows next", "int32"),
 )  # fmt: skip
 
 
@@ -39,12 +50,17 @@ def model_output(
 ) -> tuple[float, float]:
     """G1 u1 and G2 u2 as the measurement of this tick shows them, by the model.
 
-    Without latency that is of this tick's commands, otherwise of the ones that act now.
+    Without latency and dead time that is of this tick's commands, otherwise of the ones that act
+    now.
     """
     u1, u2 = command_1, command_2
     if constants.latency_ticks > 0:
         u1 = state.delay_1[state.delay_index]
         u2 = state.delay_2[state.delay_index]
+    if constants.dead_ticks_1 > 0:
+        u1 = state.dead_1[state.dead_index_1]
+    if constants.dead_ticks_2 > 0:
+        u2 = state.dead_2[state.dead_index_2]
     state.showing_1 = u1
     return (
         output(constants.channel_1, state.channel_1, u1),
@@ -63,6 +79,22 @@ def advance_model(constants: Record, state: Record, command_1: float, command_2:
         state.delay_1[index] = command_1
         state.delay_2[index] = command_2
         state.delay_index = (index + 1) % constants.latency_ticks
+    if constants.dead_ticks_1 > 0:
+        index = state.dead_index_1
+        arrived = u1
+        u1 = state.dead_1[index]
+        state.dead_1[index] = arrived
+        state.dead_index_1 = (index + 1) % constants.dead_ticks_1
+    if constants.dead_ticks_2 > 0:
+        index = state.dead_index_2
+        arrived = u2
+        u2 = state.dead_2[index]
+        state.dead_2[index] = arrived
+        state.dead_index_2 = (index + 1) % constants.dead_ticks_2
+    if constants.shown_ticks_1 > 0:
+        state.shown_index_1 = (state.shown_index_1 + 1) % constants.shown_ticks_1
+    if constants.shown_ticks_2 > 0:
+        state.shown_index_2 = (state.shown_index_2 + 1) % constants.shown_ticks_2
     advance(constants.channel_1, state.channel_1, u1)
     advance(constants.channel_2, state.channel_2, u2)
 
@@ -76,7 +108,13 @@ def settle_estimator(constants: Record, state: Record, command_1: float, command
     state.delay_1[:] = command_1
     state.delay_2[:] = command_2
     state.delay_index = 0
+    state.dead_1[:] = command_1
+    state.dead_2[:] = command_2
+    state.dead_index_1 = 0
+    state.dead_index_2 = 0
     state.showing_1 = command_1
+    state.shown_index_1 = 0
+    state.shown_index_2 = 0
 
 
 @firmware
@@ -85,3 +123,14 @@ def clear_estimator(state: Record) -> None:
     state.channel_1.accumulators[:] = 0.0
     state.channel_2.accumulators[:] = 0.0
     state.one_plus_q.accumulators[:] = 0.0
+
+
+@firmware
+def pending_command(constants: Record, state: Record, i: int) -> float:
+    """The ``i``-th of the ``shown_ticks_1`` commands 1 on their way to G1, the next one first."""
+    dead, latency = constants.dead_ticks_1, constants.latency_ticks
+    if i < dead:
+        command: float = state.dead_1[(state.dead_index_1 + i) % dead]
+    else:
+        command = state.delay_1[(state.delay_index + i - dead) % latency]
+    return command

@@ -20,7 +20,7 @@ from firmware_model.compiled import firmware
 from firmware_model.target.filters import biquad
 from firmware_model.target.filters.biquad import advance, output, settle
 from firmware_model.target.precision import real
-from firmware_model.target.structs import MAX_LATENCY_TICKS, Field, Record
+from firmware_model.target.structs import MAX_SHOWN_TICKS, Field, Record
 
 CONSTANTS = (
     Field("filter", "u1/y", "Q; 1 in the open loop", biquad.CONSTANTS),
@@ -30,7 +30,7 @@ CONSTANTS = (
 STATE = (
     Field("filter", "u1", "state of Q", biquad.STATE),
     Field("shortfall", "y", "state of G2, driven by what channel 2 could not do", biquad.STATE),
-    Field("delay", "u2", "ring of asked - possible on its way", shape=(MAX_LATENCY_TICKS,)),
+    Field("delay", "u2", "ring of asked - possible on its way", shape=(MAX_SHOWN_TICKS,)),
 )
 
 
@@ -39,8 +39,8 @@ def missing_output(table: Record, state: Record) -> float:
     """G2 (asked - possible) as the measurement of this tick shows it."""
     tracking = state.tracking
     short = real(0.0, state.command_2)
-    if table.estimator.latency_ticks > 0:
-        short = tracking.delay[state.estimator.delay_index]
+    if table.estimator.shown_ticks_2 > 0:
+        short = tracking.delay[state.estimator.shown_index_2]
     missing: float = output(table.estimator.channel_2, tracking.shortfall, short)
     return missing
 
@@ -62,8 +62,8 @@ def track(constants: Record, state: Record, error: float) -> None:
 def advance_shortfall(table: Record, state: Record, short: float) -> None:
     """Advance what channel 2 could not do by this tick's asked - possible."""
     tracking = state.tracking
-    if table.estimator.latency_ticks > 0:
-        index = state.estimator.delay_index
+    if table.estimator.shown_ticks_2 > 0:
+        index = state.estimator.shown_index_2
         now = tracking.delay[index]
         tracking.delay[index] = short
         short = now

@@ -27,13 +27,14 @@ class Recorded:
         self.state = self.sampled.rest
         self.acted: list[tuple[float, float]] = []
 
-    def advance(self, dt_s: float, command_1: float, command_2: float) -> float:
-        assert dt_s == TICK_S
-        self.acted.append((command_1, command_2))
+    def follow(
+        self, command_1: float, command_2: float, left_1: float, left_2: float
+    ) -> tuple[float, float]:
+        u1, u2 = left_1 * command_1, left_2 * command_2
+        self.acted.append((u1, u2))
         plant = self.sampled
-        return float(
-            follow_plant(plant.phi, plant.gamma, plant.c, self.state, command_1, command_2)
-        )
+        y = float(follow_plant(plant.phi, plant.gamma, plant.c, self.state, u1, u2))
+        return y, y
 
 
 def test_a_plant_class_with_the_same_equations_gives_the_same_bits() -> None:

@@ -59,7 +59,7 @@ def refuse(text: str) -> None:
 
 
 def test_noise_beyond_all_numbers_is_null_in_json() -> None:
-    done = rig("check", "default", "--set", "noise.dstar_rms_mps2=1e308", "--json")
+    done = rig("check", "default", "--set", "plant.sensor.noise_mps2=1e308", "--json")
     assert done.stderr == ""
     values = json.loads(done.stdout, parse_constant=refuse)
     assert values["decision"]["noise"] is values["decision"]["budget"] is None

@@ -21,7 +21,7 @@ pytestmark = compiled_only
 
 
 def test_a_noise_limit_is_kept_or_said_to_be_impossible() -> None:
-    noisy = ("noise.dstar_rms_mps2=0.005", "design.fault_threshold_mps2=0.02")
+    noisy = ("plant.sensor.noise_mps2=0.005", "design.fault_threshold_mps2=0.02")
     free, limited = found_for(*noisy), found_for(*noisy, limit=20.0)
     assert limited.chosen.noise_to_force * 0.005 <= 20.0 < free.chosen.noise_to_force * 0.005
     assert limited.chosen.peak_mps2 > EQUAL_PEAKS * free.chosen.peak_mps2
@@ -33,7 +33,7 @@ def test_a_noise_limit_is_kept_or_said_to_be_impossible() -> None:
 
 
 def test_a_noise_limit_of_the_torque_is_kept() -> None:
-    noisy = ("noise.dstar_rms_mps2=0.005", "design.fault_threshold_mps2=0.02")
+    noisy = ("plant.sensor.noise_mps2=0.005", "design.fault_threshold_mps2=0.02")
     free, limited = found_for(*noisy), found_for(*noisy, torque_limit=20.0)
     assert all(t.noise_to_torque * 0.005 <= 20.0 for t in limited.front)
     assert free.chosen.noise_to_torque * 0.005 > 20.0
@@ -47,7 +47,7 @@ def test_designs_that_reach_a_limit_are_the_last_resort() -> None:
     tight = found_for("limits.torque_nm=46.0", share=0.0)
     assert all(t.within_limits and t.torque_after_nm < 46.0 for t in tight.front)
     assert any(not t.within_limits for t in tight.nominal)
-    noisy = found_for("limits.torque_nm=60.0", "noise.dstar_rms_mps2=0.001", share=0.0)
+    noisy = found_for("limits.torque_nm=60.0", "plant.sensor.noise_mps2=0.001", share=0.0)
     for tuning in noisy.front:
         assert tuning.torque_after_nm + 3.0 * 0.001 * tuning.noise_to_torque < 60.0
     over = found_for("limits.force_difference_n=3500.0", share=0.0)  # 3754 N at the peak

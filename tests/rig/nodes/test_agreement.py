@@ -59,7 +59,7 @@ def both_by_hand(bus, plant, controller, log=None, real_time=False):
         ("model.mass_kg=1500", "model.mass_kg"),
         ("design.tau_q_s=0.02", "design.tau_q_s"),
         ("fault.at_s=0.2", "fault.at_s"),
-        ("noise.dstar_rms_mps2=0.001", "noise.dstar_rms_mps2"),
+        ("plant.sensor.noise_mps2=0.001", "plant.sensor.noise_mps2"),
         ("limits.torque_nm=300", "limits.torque_nm"),
     ],
 )

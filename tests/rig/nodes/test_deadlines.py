@@ -68,7 +68,7 @@ def test_a_few_missed_ticks_are_made_up_for_at_once(ticks):
 def test_many_missed_ticks_are_skipped_and_the_car_drives_through_them(ticks, tmp_path):
     log = tmp_path / "bus.log"
     changes = ["reference.kind=sine", "reference.frequency_rad_per_s=20", "limits.torque_nm=9000"]
-    changes += ["noise.dstar_rms_mps2=0.001", "seed=7"]
+    changes += ["plant.sensor.noise_mps2=0.001", "seed=7"]
     world = World(scenario_of(*changes), wakes=late_once(100, ticks))
     done, plant = world.run(log)
     sent = [(tick_of(m), ns) for ns, m in world.sent if m.arbitration_id == FEEDBACK]

@@ -29,7 +29,7 @@ FAULT_TICK = 100
     "settings",
     [
         [],
-        ["noise.dstar_rms_mps2=0.01", "seed=5"],
+        ["plant.sensor.noise_mps2=0.01", "seed=5"],
         ["fault.kind=frames-corrupted", "fault.at_s=0.1"],
         ["latency_ticks=1", "tick_s=0.005"],
     ],
@@ -45,7 +45,7 @@ def test_the_log_is_the_same_on_every_run_and_every_bus(settings, tmp_path):
 
 
 def test_another_seed_is_another_log(tmp_path):
-    noise = "noise.dstar_rms_mps2=0.01"
+    noise = "plant.sensor.noise_mps2=0.01"
     logs = {record(tmp_path, *SHORT, noise, f"seed={s}")[0].read_bytes() for s in (1, 2)}
     assert len(logs) == 2
 

@@ -29,7 +29,7 @@ def test_where_nothing_is_late_commands_and_dstar_are_those_of_lockstep(
         f"latency_ticks={latency}",
         "duration_s=0.4",
         "fault.at_s=0.3",
-        "noise.dstar_rms_mps2=0.001",
+        "plant.sensor.noise_mps2=0.001",
     ]
     changes += ["design.tau_q_s=0.02"]
     log = tmp_path / "bus.log"

@@ -13,7 +13,7 @@ from tests.rig.nodes.running import FILES, folder_is_complete, one_line, whole_t
 def finished(tmp_path_factory):
     """One short run of two processes with a fault in it."""
     folder = tmp_path_factory.mktemp("finished") / "run"
-    settings = ["duration_s=0.5", "fault.at_s=0.3", "seed=3", "noise.dstar_rms_mps2=0.001"]
+    settings = ["duration_s=0.5", "fault.at_s=0.3", "seed=3", "plant.sensor.noise_mps2=0.001"]
     arguments = [word for setting in settings for word in ("--set", setting)]
     return rig("run", "thesis-step", *arguments, "--out", folder), folder, settings
 

@@ -4,7 +4,8 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.plant.frameless import arrivals, frameless, noise
+from can_rig.plant.frameless import arrivals, frameless
+from can_rig.plant.sensor import noise
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from firmware_model.target.status import Mode
@@ -86,10 +87,10 @@ def test_every_kind_of_scenario(name, settings, tmp_path):
 
 
 def test_noise_is_drawn_in_units_of_its_rms():
-    quiet, loud = (load("noisy", [f"noise.dstar_rms_mps2={rms}"]) for rms in (0.5, 1.0))
+    quiet, loud = (load("noisy", [f"plant.sensor.noise_mps2={rms}"]) for rms in (0.5, 1.0))
     np.testing.assert_array_equal(noise(loud), 2.0 * noise(quiet))
     assert abs(np.std(noise(loud)) - 1.0) < 0.1
-    silent = load("noisy", ["noise.dstar_rms_mps2=0"])
+    silent = load("noisy", ["plant.sensor.noise_mps2=0"])
     assert not noise(silent).any()
     assert noise(silent).shape == noise(loud).shape == (loud.ticks,)
 
@@ -122,3 +123,20 @@ def test_a_plant_that_fails_is_held_from_then_on(tmp_path):
     assert np.isnan(trace.measured[31:]).all()
     assert (trace.mode[31:] == Mode.HOLD).all()
     assert (trace.command_1[31:] == trace.command_1[30]).all()
+
+
+@pytest.mark.parametrize("kind", ["steer-by-wire", "tests.rig.plant.linear:LinearPlant"])
+def test_it_is_the_run_on_the_bus_behind_lags_limits_and_a_real_sensor(kind, tmp_path):
+    settings = [
+        f"plant.kind={kind}", "duration_s=0.6", "fault.at_s=0.3", "latency_ticks=2",
+        "design.alpha=3", "design.alpha_q=4", "design.tau_s=0.01", "design.tau_q_s=0.02",
+        "plant.torque_actuator.lag_s=0.005", "plant.torque_actuator.dead_time_s=0.0015",
+        "plant.torque_actuator.rate_nm_per_s=20000",
+        "plant.force_difference_actuator.lag_s=0.015",
+        "plant.force_difference_actuator.limit_n=1000",
+        "plant.sensor.corner_hz=50", "plant.sensor.dead_time_s=0.0012",
+        "plant.sensor.noise_mps2=0.01", "plant.sensor.resolution_mps2=0.005",
+    ]  # fmt: skip
+    trace = compared(tmp_path, "default", "fault.kind=actuator-dead", *settings)
+    assert np.abs(trace.command_2).max() > 100.0
+    assert np.abs(trace.measured - trace.measurement).max() > 0.01  # the sensor is not perfect

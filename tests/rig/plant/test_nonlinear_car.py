@@ -14,9 +14,9 @@ from scipy.optimize import root
 
 from can_rig.assessment.resolve import load
 from can_rig.plant.nonlinear_car import NonlinearCar, _advance, _rates, car_of
-from can_rig.plant.simulated import LinearPlant
 from can_rig.scenario.settings import PlantSettings
 from tests.helpers import decoded, record
+from tests.rig.plant.linear import LinearPlant
 from tests.rig.plant.single_track import (
     CAR,
     G,

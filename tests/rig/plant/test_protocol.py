@@ -14,8 +14,10 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.errors import RigError, ScenarioError
 from can_rig.plant import protocol as plant_protocol
+from can_rig.plant.behind import plant_behind
+from can_rig.plant.nonlinear_car import NonlinearCar
 from can_rig.plant.protocol import PlantProtocol, load_plant
-from can_rig.plant.simulated import LinearPlant, SimulatedPlant, plant_of
+from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.plant_settings import PlantSettings
 from tests.helpers import record, rig
 
@@ -175,18 +177,16 @@ def test_the_model_is_linear_and_has_the_parameters_of_the_plant():
 
 
 def test_the_linear_plant_through_the_protocol_writes_the_log_of_the_built_in_one(tmp_path):
-    short = ["duration_s=0.1", "fault.at_s=0.05", "noise.dstar_rms_mps2=0.001"]
+    short = ["duration_s=0.1", "fault.at_s=0.05", "plant.sensor.noise_mps2=0.001"]
     built_in = record(tmp_path, *short)[0].read_bytes()
-    own = record(tmp_path, *short, "plant.kind=can_rig.plant.simulated:LinearPlant")[0].read_bytes()
+    own = record(tmp_path, *short, "plant.kind=tests.rig.plant.linear:LinearPlant")[0].read_bytes()
     assert own == built_in
 
 
 def test_every_plant_of_this_package_is_one():
     for kind in ("steer-by-wire", "chapter-2", "can_rig.plant.nonlinear_car:NonlinearCar"):
-        plant = plant_of(PlantSettings(kind=kind))
-        assert isinstance(plant, PlantProtocol)
-        assert plant.advance(0.001, 0.0, 0.0) == 0.0
-    names = [name for name in inspect.signature(LinearPlant.advance).parameters if name != "self"]
+        assert plant_behind(PlantSettings(kind=kind), 0.001).follow(0.0, 0.0, 1.0, 1.0) == (0, 0)
+    names = [name for name in inspect.signature(NonlinearCar.advance).parameters if name != "self"]
     assert names == ["dt_s", "torque_nm", "force_difference_n"]
 
 

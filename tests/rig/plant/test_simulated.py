@@ -7,9 +7,9 @@ from hypothesis import strategies as st
 from scipy.integrate import solve_ivp
 
 from can_rig.assessment.resolve import load
-from can_rig.plant.simulated import Actuator, LinearPlant, SimulatedPlant
+from can_rig.plant.actuators import Actuator
+from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import continuous_plant
-from can_rig.scenario.plant_settings import PlantSettings
 
 HEALTHY = ["fault.kind=none"]
 commands = st.one_of(st.none(), st.floats(-1e3, 1e3))
@@ -54,17 +54,6 @@ def test_between_ticks_it_is_the_continuous_plant_under_held_commands(name, tick
         expected.append((plant.c @ state).item())
     measured = outputs(settings, sequence, name)
     assert np.abs(measured - expected).max() < 1e-8 * np.abs(expected).max()
-
-
-def test_the_time_between_two_outputs_may_change():
-    """Three ticks are one of three times the length, whatever came before."""
-    fine, coarse = LinearPlant(PlantSettings()), LinearPlant(PlantSettings())
-    for torque in (50.0, -70.0, 20.0):
-        outputs_of_three = [fine.advance(0.001, torque, 300.0) for _ in range(3)]
-        assert coarse.advance(0.003, torque, 300.0) == pytest.approx(outputs_of_three[-1], rel=1e-9)
-        assert coarse.advance(0.001, 0.0, 0.0) == pytest.approx(fine.advance(0.001, 0.0, 0.0))
-    fine.reset()
-    assert fine.advance(0.001, 0.0, 0.0) == 0.0
 
 
 def test_a_constant_command_settles_at_the_steady_state_gain():
@@ -114,7 +103,7 @@ def test_channels_are_held_one_by_one():
 
 def test_noise_is_on_the_sensor_alone_white_and_from_the_seed():
     sequence, rms, count = random_commands(4000), 0.02, 4001
-    noisy = [*HEALTHY, f"noise.dstar_rms_mps2={rms}"]
+    noisy = [*HEALTHY, f"plant.sensor.noise_mps2={rms}"]
     noise = outputs([*noisy, "seed=1"], sequence) - outputs(HEALTHY, sequence)
     assert abs(noise.mean()) < 4 * rms / np.sqrt(count)
     assert noise.std() == pytest.approx(rms, rel=4 / np.sqrt(2 * count))
@@ -132,14 +121,6 @@ def test_the_hold_is_a_whole_number_of_ticks_though_its_quotient_is_not(hold_tic
     held = outputs(settings, [command] + [nothing] * (hold_ticks + 5))
     explicit = outputs(settings, [command] * (1 + hold_ticks) + [zero] * 5)
     np.testing.assert_array_equal(held, explicit)
-
-
-def test_a_plant_may_be_asked_first_for_what_is_a_second_later():
-    """Whatever tick it begins with: the matrices are those of the time that is asked for."""
-    plant, twin = LinearPlant(PlantSettings()), LinearPlant(PlantSettings())
-    for _ in range(4):
-        twin.advance(0.25, 300.0, 0.0)
-    assert plant.advance(1.0, 300.0, 0.0) == pytest.approx(twin.advance(1e-12, 300.0, 0.0))
 
 
 def test_the_sensor_is_biased_from_its_first_sample_on():

@@ -20,9 +20,9 @@ LSB_MPS2 = 1e-8
     ("name", "settings"),
     [
         ("thesis-step", []),
-        ("thesis-sine", ["noise.dstar_rms_mps2=0.005", "seed=7"]),
+        ("thesis-sine", ["plant.sensor.noise_mps2=0.005", "seed=7"]),
         ("chapter-2", []),
-        ("nonlinear-car", ["noise.dstar_rms_mps2=0.005"]),
+        ("nonlinear-car", ["plant.sensor.noise_mps2=0.005"]),
         ("thesis-sine", ["latency_ticks=1", "design.tau_s=0.01", "design.tau_q_s=0.02"]),
         ("thesis-step", ["plant.mass_kg=1500", "model.mass_kg=1400", "limits.torque_nm=500"]),
     ],

@@ -119,7 +119,9 @@ CLEAR, SUSPECTED, CONFIRMED, CANNOT_TELL = 0.0, 1.0, 2.0, 3.0
 
 def test_noise_in_the_commands_is_that_of_the_exact_covariance(run: Run) -> None:
     scenario, signals = run("noisy", "duration_s=10.0", "fault.kind=none")
-    expected = check_stability(scenario).healthy.noise_to_command_2 * scenario.noise.dstar_rms_mps2
+    expected = (
+        check_stability(scenario).healthy.noise_to_command_2 * scenario.plant.sensor.noise_mps2
+    )
     found = metrics(scenario, signals)["force_difference_noise_rms_n"]
     assert found == pytest.approx(expected, rel=0.15)  # 2 s of noise that lasts for some ms
 

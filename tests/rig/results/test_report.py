@@ -96,7 +96,7 @@ def test_the_curves_differ_in_grey(tmp_path: Path) -> None:
 def noisy(
     request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory
 ) -> tuple[Scenario, list[str]]:
-    scenario = load(request.param, [*SHORT, "noise.dstar_rms_mps2=0.005"])
+    scenario = load(request.param, [*SHORT, "plant.sensor.noise_mps2=0.005"])
     log = tmp_path_factory.mktemp("noisy") / "bus.log"
     run_in_process(scenario, "local:noisy", log, StopRequest(), lambda tick: None)
     return scenario, log.read_text().splitlines(keepends=True)
@@ -159,7 +159,7 @@ def test_a_thin_line_is_the_run_without_compensation(tmp_path: Path) -> None:
     """From the fault on, and as a run through the bus has it."""
     for name in ("with", "without"):
         (tmp_path / name).mkdir()
-    kind = ("fault.kind=frames-missing", "noise.dstar_rms_mps2=0.001")
+    kind = ("fault.kind=frames-missing", "plant.sensor.noise_mps2=0.001")
     output = drawn(tmp_path / "with", "default", *kind).axes[0]
     thin = next(line for line in output.lines if line.get_label() == "D* without compensation")
     off = load("default", [*SHORT, *kind, "design.compensation=off"])

@@ -17,7 +17,8 @@ from can_rig.frames.endpoints import Transmitter
 from can_rig.frames.network import Network
 from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.watchdog import StopRequest
-from can_rig.results.signals import COLUMNS, Signals, plain_frames, read_signals
+from can_rig.plant.columns import ON_THE_BUS as COLUMNS
+from can_rig.results.signals import Signals, plain_frames, read_signals
 from can_rig.scenario.build import network_of
 
 SCENARIO = load(

@@ -65,7 +65,10 @@ def test_titles_are_as_long_as_tells_the_paths_apart() -> None:
 @pytest.fixture(scope="module")
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs")
-    for name, change in (("a", ()), ("later", ("fault.at_s=0.06", "noise.dstar_rms_mps2=0.001"))):
+    for name, change in (
+        ("a", ()),
+        ("later", ("fault.at_s=0.06", "plant.sensor.noise_mps2=0.001")),
+    ):
         scenario = load("chapter-2", ["duration_s=0.1", "fault.at_s=0.05", *change])
         (folder / name).mkdir()
         log = folder / name / "bus.log"
@@ -79,7 +82,7 @@ def test_diff_lists_them_in_the_table_and_in_json(runs: Path) -> None:
     assert done.returncode == 1
     rows = [line.split() for line in done.stdout.splitlines()]
     assert ["fault.at_s", "0.05", "0.06"] in rows
-    assert ["noise.dstar_rms_mps2", "0", "0.001"] in rows
+    assert ["plant.sensor.noise_mps2", "0", "0.001"] in rows
     values = json.loads(asked("diff", runs / "a", runs / "later", "--json").stdout)
     assert {"key": "fault.at_s", "a": 0.05, "b": 0.06} in values["settings"]
     assert len(values["settings"]) == 2
@@ -100,6 +103,6 @@ def test_the_picture_names_runs_settings_and_signals(runs: Path) -> None:
     ]
     assert legend.get_title().get_text().splitlines() == [
         "fault.at_s: 0.05 → 0.06",
-        "noise.dstar_rms_mps2: 0 → 0.001",
+        "plant.sensor.noise_mps2: 0 → 0.001",
     ]
     assert {"output y", "input 2"} <= {axis.get_ylabel() for axis in page.axes[::2]}

@@ -1,0 +1,103 @@
+"""Actuators between the bus and the car: what they hold, how far they go, how late they follow.
+
+A command that has come over the bus is held until the next one, then limited in magnitude and in
+its change from tick to tick, then it waits for the dead time, and what a fault leaves of it enters
+the lag. So a dead actuator fades with its lag and does not wait for its dead time.
+"""
+
+from __future__ import annotations
+
+from collections import deque
+
+import numpy as np
+
+from can_rig.scenario.plant_settings import PlantSettings
+from firmware_model.analysis.sampled_plant import held_input, split_ticks
+from firmware_model.design.actuator_dynamics import Stage
+from firmware_model.target.structs import FloatArray
+
+
+class Actuator:
+    """Holds the last valid command for ``hold_ticks`` ticks without one, then applies zero."""
+
+    def __init__(self, hold_ticks: int) -> None:
+        self._hold_ticks = hold_ticks
+        self._silent_ticks = 0
+        self._command = 0.0
+
+    def hear(self, command: float | None) -> float:
+        """The command that acts, given this tick's valid command or None."""
+        if command is not None:
+            self._silent_ticks = 0
+            self._command = command
+        else:
+            self._silent_ticks += 1
+            if self._silent_ticks > self._hold_ticks:
+                self._command = 0.0
+        return self._command
+
+
+def actuator_limits(settings: PlantSettings, tick_s: float) -> FloatArray:
+    """A row for each actuator: largest magnitude of a command, largest change in a tick."""
+    return np.array(
+        [
+            [largest, rate * tick_s]
+            for largest, rate in (
+                settings.torque_actuator.limits,
+                settings.force_difference_actuator.limits,
+            )
+        ]
+    )
+
+
+class FollowedCommand:
+    """What an actuator makes of its commands, as means over equal parts of a tick.
+
+    The car of a class takes commands that are held. With the mean of each part it gets the
+    actuator's impulse exactly.
+
+    Args:
+        stage: the actuator's lag and dead time.
+        tick_s: the tick, seconds.
+        parts: of a tick.
+    """
+
+    def __init__(self, stage: Stage, tick_s: float, parts: int) -> None:
+        whole, late = split_ticks(stage.dead_time_s / tick_s)
+        self._waiting = deque([0.0] * (whole + 1))
+        self._changes_late = late > 0.0
+        lag_a, lag_b, lag_c = stage.realisation
+        k = len(lag_a)
+        self._lags = k > 0
+        self._state = np.zeros(k + 1)  # the last one sums up the output
+        a, b = np.zeros((k + 1, k + 1)), np.zeros((k + 1, 1))
+        a[:k, :k], a[k, :k] = lag_a, lag_c
+        b[:k, 0], b[k, 0] = lag_b, 0.0 if k else 1.0
+        self._part_s = tick_s / parts
+        self._steps = [
+            held_input(a, b, self._part_s, (min(max(late * parts - part, 0.0), 1.0),))
+            for part in range(parts)
+        ]
+
+    def output(self, command: float, left: float) -> float:
+        """What acts right after ``command`` has come, with the share ``left``."""
+        if self._lags:
+            return float(self._state[0])
+        return left * self._entering(command)[1 if self._changes_late else 0]
+
+    def follow(self, command: float, left: float) -> list[float]:
+        """The means over the parts of the tick that begins as ``command`` comes."""
+        new, old = (left * each for each in self._entering(command))
+        self._waiting.append(command)
+        self._waiting.popleft()
+        means = []
+        for phi, gamma, gamma_old in self._steps:
+            self._state[-1] = 0.0
+            self._state = phi @ self._state + gamma[:, 0] * new + gamma_old[:, 0] * old
+            means.append(float(self._state[-1]) / self._part_s)
+        return means
+
+    def _entering(self, command: float) -> tuple[float, float]:
+        """The newer and the older of the commands between which it changes over in this tick."""
+        line = [*self._waiting, command]
+        return line[1], line[0]

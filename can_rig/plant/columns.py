@@ -1,0 +1,22 @@
+"""Names of the columns of ``signals.csv``, so that no plant of one's own takes one of them."""
+
+from __future__ import annotations
+
+from typing import Final
+
+ON_THE_BUS: Final = (
+    "time_s",
+    "reference_mps2",
+    "dstar_mps2",
+    "error_mps2",
+    "torque_nm",
+    "force_difference_n",
+    "fault_estimate_mps2",
+    "mode",
+)
+"""What frames carry."""
+
+TRUE_OUTPUT: Final = "true_dstar_mps2"
+APPLIED: Final = ("applied_torque_nm", "applied_force_difference_n")
+TAKEN: Final = (*ON_THE_BUS, TRUE_OUTPUT, *APPLIED)
+"""What every plant reports, or the frames."""

@@ -1,0 +1,85 @@
+"""The sensor of D*: a dead time, a filter of first order, noise, a resolution.
+
+A linear car has dead time and filter in its own matrices, exact; those here are for the car of a
+class, of which only samples are known.
+"""
+
+from __future__ import annotations
+
+import math
+from collections import deque
+
+import numpy as np
+
+from can_rig.scenario.settings import Scenario
+from firmware_model.analysis.sampled_plant import split_ticks
+from firmware_model.design.actuator_dynamics import Stage
+from firmware_model.target.structs import FloatArray
+
+
+class SensorNoise:
+    """Noise of the scenario's seed with the sensor's rms, tick by tick.
+
+    White, or as the sensor's filter colours it: n(k) = p n(k-1) + √(1 - p²) w(k), p = e^{-T/τ}, so
+    that the rms is that of what comes out.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        sensor = scenario.plant.sensor
+        self._rms = sensor.noise_mps2
+        self._memory = math.exp(-scenario.tick_s / sensor.lag_s) if sensor.lag_s > 0.0 else 0.0
+        self._random = np.random.Generator(np.random.PCG64(scenario.seed))
+        self._last: float | None = None
+
+    def next(self) -> float:
+        """m/s², of the next tick."""
+        if self._rms == 0.0:
+            return 0.0
+        drawn = self._rms * float(self._random.standard_normal())
+        if self._memory == 0.0:
+            return drawn
+        if self._last is None:  # as if it had always been there
+            self._last = drawn
+        else:
+            fresh = math.sqrt(1.0 - self._memory**2)
+            self._last = self._memory * self._last + fresh * drawn
+        return self._last
+
+
+def noise(scenario: Scenario) -> FloatArray:
+    """The noise of every tick of a run, (ticks,), m/s²."""
+    drawn = SensorNoise(scenario)
+    return np.array([drawn.next() for _ in range(scenario.ticks)])
+
+
+class FilteredSamples:
+    """What a dead time and a filter make of samples, with straight lines between them.
+
+    Args:
+        stage: the sensor's lag and dead time.
+        step_s: from sample to sample, seconds.
+    """
+
+    def __init__(self, stage: Stage, step_s: float) -> None:
+        whole, part = split_ticks(stage.dead_time_s / step_s)
+        self._samples = deque([0.0] * (whole + 2))
+        self._part = part
+        self._tau = stage.lag_s / step_s
+        self._delayed = self._filtered = 0.0
+
+    def next(self, sample: float) -> float:
+        """What the sensor reads now, at this ``sample``."""
+        self._samples.append(sample)
+        self._samples.popleft()
+        newer, older = self._samples[1], self._samples[0]
+        delayed = newer if self._part == 0.0 else newer + self._part * (older - newer)
+        if self._tau == 0.0:
+            self._filtered = delayed
+        else:  # exact for a straight line from one to the other
+            fade = math.exp(-1.0 / self._tau)
+            mean = self._tau * (1.0 - fade)
+            self._filtered = (
+                fade * self._filtered + (mean - fade) * self._delayed + (1.0 - mean) * delayed
+            )
+        self._delayed = delayed
+        return self._filtered

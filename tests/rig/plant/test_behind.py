@@ -1,0 +1,145 @@
+"""The car behind its actuators and its sensor: lags, dead times, limits, noise, resolution."""
+
+import numpy as np
+import pytest
+
+from can_rig.assessment.resolve import load
+from can_rig.plant.actuators import FollowedCommand
+from can_rig.plant.behind import plant_behind
+from can_rig.plant.sensor import FilteredSamples, SensorNoise, noise
+from can_rig.plant.simulated import SimulatedPlant
+from firmware_model.design.actuator_dynamics import Stage
+
+LINEAR = "tests.rig.plant.linear:LinearPlant"
+LAGS = [
+    "plant.torque_actuator.lag_s=0.005",
+    "plant.torque_actuator.dead_time_s=0.0014",
+    "plant.force_difference_actuator.natural_frequency_rad_per_s=80",
+    "plant.force_difference_actuator.damping=0.7",
+    "plant.force_difference_actuator.dead_time_s=0.0023",
+    "plant.sensor.corner_hz=18",
+    "plant.sensor.dead_time_s=0.0037",
+]
+
+
+NOISY = ("plant.sensor.noise_mps2=0.03", "plant.sensor.corner_hz=18")
+
+
+def settings(*changes, name="thesis-step"):
+    return load(name, ["fault.kind=none", *changes])
+
+
+def driven(scenario, commands, left=(1.0, 1.0)):
+    """D* of the car, what the sensor reads, and the reports, for a pair of commands a tick."""
+    plant = plant_behind(scenario.plant, scenario.tick_s)
+    found, reports = [], []
+    for pair in commands:
+        reports.append(plant.report(*pair, *left))
+        found.append(plant.follow(*pair, *left))
+    return np.array(found), reports
+
+
+def commands_of(ticks, hold=20, seed=5):
+    draw = np.random.default_rng(seed).normal(0.0, [40.0, 1500.0], (ticks // hold + 1, 2))
+    return np.repeat(draw, hold, axis=0)[:ticks].tolist()
+
+
+@pytest.mark.parametrize("tick_s", [0.001, 0.01])
+def test_a_class_behind_the_same_stages_is_the_linear_plant(tick_s):
+    """To the error of steps that are half a millisecond long."""
+    own = [*LAGS, f"tick_s={tick_s}"]
+    commands = commands_of(round(1.0 / tick_s), hold=round(0.02 / tick_s))
+    exact, said = driven(settings(*own), commands)
+    near, told = driven(settings(*own, f"plant.kind={LINEAR}"), commands)
+    assert np.abs(near - exact).max() < 2e-4 * np.abs(exact).max()
+    for name in ("applied_torque_nm", "applied_force_difference_n", "yaw_rate_rad_per_s"):
+        ours, theirs = ([report[name] for report in reports] for reports in (said, told))
+        assert np.abs(np.subtract(ours, theirs)).max() < 2e-4 * np.abs(ours).max(), name
+
+
+def test_what_acts_is_the_command_through_dead_time_and_lag():
+    """A step at t = 0: nothing until the dead time is over, then 1 - e^(-t/τ)."""
+    for kind in ("steer-by-wire", LINEAR):
+        _, reports = driven(settings(*LAGS, f"plant.kind={kind}"), [(10.0, 0.0)] * 40)
+        time_s = np.maximum(0.001 * np.arange(40) - 0.0014, 0.0)
+        torque = [report["applied_torque_nm"] for report in reports]
+        np.testing.assert_allclose(torque, 10.0 * (1.0 - np.exp(-time_s / 0.005)), atol=1e-12)
+
+
+def test_without_a_lag_a_dead_time_shows_as_it_is():
+    late = ["plant.torque_actuator.dead_time_s=0.0015"]
+    for kind in ("steer-by-wire", LINEAR):
+        pairs = [(1.0, 5.0), (2.0, 6.0), (3.0, 7.0), (4.0, 8.0)]
+        _, reports = driven(settings(*late, f"plant.kind={kind}"), pairs, left=(1.0, 0.5))
+        assert [report["applied_torque_nm"] for report in reports] == [0.0, 0.0, 1.0, 2.0]
+        forces = [report["applied_force_difference_n"] for report in reports]
+        assert forces == [2.5, 3.0, 3.5, 4.0]
+
+
+def test_a_dead_actuator_fades_with_its_lag_and_does_not_wait():
+    """What is still in its dead time is lost too."""
+    for kind in ("steer-by-wire", LINEAR):
+        scenario = settings(*LAGS, f"plant.kind={kind}")
+        plant = plant_behind(scenario.plant, scenario.tick_s)
+        for _ in range(200):
+            plant.follow(10.0, 0.0, 1.0, 1.0)
+        torque = []
+        for _ in range(20):
+            torque.append(plant.report(10.0, 0.0, 0.0, 1.0)["applied_torque_nm"])
+            plant.follow(10.0, 0.0, 0.0, 1.0)
+        expected = 10.0 * np.exp(-0.001 * np.arange(20) / 0.005)
+        np.testing.assert_allclose(torque, expected, rtol=1e-9)
+
+
+def test_limits_of_the_plant_take_off_what_is_too_much_or_too_fast():
+    own = ["plant.torque_actuator.limit_nm=25", "plant.torque_actuator.rate_nm_per_s=10000"]
+    own += ["plant.force_difference_actuator.limit_n=500"]
+    plant = SimulatedPlant(settings(*own))
+    signals = [plant.advance(tick, 100.0, -900.0) for tick in range(4)]
+    signals += [plant.advance(4 + tick, -100.0, 400.0) for tick in range(2)]
+    assert [s["applied_torque_nm"] for s in signals] == [10.0, 20.0, 25.0, 25.0, 15.0, 5.0]
+    assert [s["applied_force_difference_n"] for s in signals] == [-500.0] * 4 + [400.0] * 2
+
+
+def test_the_sensor_reads_in_steps_of_its_resolution():
+    plant = SimulatedPlant(settings("plant.sensor.resolution_mps2=0.05"))
+    fine = SimulatedPlant(settings())
+    coarse = set()
+    for tick in range(300):
+        for each in (plant, fine):
+            each.advance(tick, 40.0, 0.0)
+        coarse.add(plant.measure())
+        assert abs(plant.measure() - fine.measure()) <= 0.025 + 1e-12
+    assert len(coarse) > 3
+    np.testing.assert_allclose(np.array(sorted(coarse)) / 0.05 % 1.0 % 1.0, 0.0, atol=1e-9)
+
+
+def test_noise_is_as_coloured_as_the_filter_and_has_its_rms_behind_it():
+    drawn = noise(settings(*NOISY, "duration_s=200"))
+    p = np.exp(-2.0 * np.pi * 18.0 * 0.001)
+    assert drawn.std() == pytest.approx(0.03, rel=0.03)
+    for lag in (1, 5):
+        correlation = np.corrcoef(drawn[lag:], drawn[:-lag])[0, 1]
+        assert correlation == pytest.approx(p**lag, abs=0.02)
+    first = [SensorNoise(settings(*(f"seed={s}", *NOISY))).next() for s in range(400)]
+    assert np.std(first) == pytest.approx(0.03, rel=0.15)  # from the first tick on
+
+
+def test_means_of_a_followed_command_keep_its_impulse():
+    """Whatever the parts: their sum is the integral, here of a lag after one command."""
+    stage = Stage(0.004, dead_time_s=0.0003)
+    for parts in (1, 2, 7):
+        actuator = FollowedCommand(stage, 0.001, parts)
+        means = [np.mean(actuator.follow(5.0, 1.0)) for _ in range(10)]
+        until = 0.001 * np.arange(1, 11) - 0.0003
+        integral = 5.0 * (until - 0.004 * (1.0 - np.exp(-until / 0.004)))
+        np.testing.assert_allclose(np.cumsum(means) * 0.001, integral, rtol=1e-9)
+
+
+def test_filtered_samples_are_exact_for_a_straight_line():
+    """A ramp after a lag: t - τ (1 - e^(-t/τ)), and later by the dead time."""
+    stage, step_s = Stage(0.02, dead_time_s=0.002), 0.001
+    sensor = FilteredSamples(stage, step_s)
+    found = [sensor.next(step_s * k) for k in range(1, 60)]
+    time_s = np.maximum(step_s * np.arange(1, 60) - 0.002, 0.0)
+    np.testing.assert_allclose(found, time_s - 0.02 * (1.0 - np.exp(-time_s / 0.02)), atol=1e-12)
