@@ -1,8 +1,9 @@
 """``can-rig check``: whether a scenario's loop is stable, by how much, and what would make it so.
 
-The loop is taken as linear: limits, frames and the time of the fault do not count. It is checked
-before the fault and after it, that is healthy and with the channel dead, whether or not the
-scenario has a fault: the loss is what the controller is for. Missing and corrupted frames come to
+The margins are those of the linear loop: limits, frames and the time of the fault do not count. It
+is checked before the fault and after it, that is healthy and with the channel dead, whether or not
+the scenario has a fault: the loss is what the controller is for. What limits, noise and other cars
+make of it, ``drives`` looks for. Missing and corrupted frames come to
 the same as a dead actuator: nothing is applied. Of a plant that is a class, the loop is that of the
 linear car with its parameters.
 """
@@ -16,6 +17,7 @@ from typing import Any, get_args
 
 from can_rig.assessment.control_authority import ControlAuthority, control_authority
 from can_rig.assessment.decision import DecisionFigures, decision_figures
+from can_rig.assessment.drives import Finding, box_findings, own_findings
 from can_rig.assessment.stability_table import finite_or_null
 from can_rig.errors import ScenarioError
 from can_rig.plant.simulated import SimulatedPlant
@@ -63,11 +65,17 @@ class StabilityCheck:
     false_alarm: Margins | None
     decision: DecisionFigures
     control_authority: ControlAuthority | None
+    findings: list[Finding]
+
+    @property
+    def linear_stable(self) -> bool:
+        """Stable before the fault and after it, as far as the loop is linear."""
+        return self.healthy.stable and self.faulted.stable
 
     @property
     def stable(self) -> bool:
-        """Stable before the fault and after it."""
-        return self.healthy.stable and self.faulted.stable
+        """That, and every drive with limits, noise and other cars is calm."""
+        return self.linear_stable and not self.findings
 
     @property
     def states(self) -> Iterator[tuple[str, Margins]]:
@@ -94,10 +102,13 @@ class StabilityCheck:
     def verdict(self) -> str:
         """One line: stable, or what is not and what would be."""
         unstable = [(name, figures) for name, figures in self.states if not figures.stable]
+        if not unstable and self.findings:
+            more = f" (and {len(self.findings) - 1} more)" if len(self.findings) > 1 else ""
+            return f"not calm: {self.findings[0]}{more}"
         if not unstable:
-            return "stable: healthy, and with a channel dead or partly lost"
+            return "stable: healthy, and with a channel dead or partly lost; every drive is calm"
         names = ", ".join(name for name, _ in unstable)
-        if self.stable:
+        if self.linear_stable:
             return f"stable healthy and with {self.scenario.fault.channel} dead, but not: {names}"
         name, figures = unstable[0]
         return _reason(self.scenario, name, figures.spectral_radius)
@@ -107,6 +118,7 @@ class StabilityCheck:
         values = {
             "scenario": self.scenario.name,
             "stable": self.stable,
+            "findings": [asdict(finding) for finding in self.findings],
             "healthy": asdict(self.healthy),
             "faulted": asdict(self.faulted),
             "partly_lost": {f"{left:g}": asdict(m) for left, m in self.partly_lost.items()},
@@ -133,10 +145,14 @@ def check_stability(scenario: Scenario) -> StabilityCheck:
     def margins_with(effectiveness: Effectiveness) -> Margins:
         return margins(table, plant, scenario.tick_s, effectiveness)
 
+    healthy, faulted = margins_with(HEALTHY), margins_with(DEAD[scenario.fault.channel])
+    findings: list[Finding] = []
+    if healthy.stable and faulted.stable:
+        findings = own_findings(scenario, network) + box_findings(scenario, network)
     return StabilityCheck(
         scenario=scenario,
-        healthy=margins_with(HEALTHY),
-        faulted=margins_with(DEAD[scenario.fault.channel]),
+        healthy=healthy,
+        faulted=faulted,
         partly_lost={left: margins_with((left, 1.0)) for left in PARTLY_LOST},
         false_alarm=(
             margins(table, plant, scenario.tick_s, confirmed=1.0)
@@ -145,15 +161,16 @@ def check_stability(scenario: Scenario) -> StabilityCheck:
         ),
         decision=decision_figures(scenario, network),
         control_authority=control_authority(scenario, network),
+        findings=findings,
     )
 
 
 def refuse_unstable(scenario: Scenario) -> None:
-    """Raise unless the loop is stable before the fault and after it.
+    """Raise unless the loop is stable before the fault and after it, and bears its limits.
 
     Raises:
-        ScenarioError: names the unstable state and what would be stable; a design that cannot be
-            made.
+        ScenarioError: names the unstable state and what would be stable, or what D* does within
+            the limits; a design that cannot be made.
     """
     table, plant = controller_table(scenario, None), continuous_plant(scenario.plant)
     for name, left in _both_ends(scenario).items():
@@ -163,6 +180,12 @@ def refuse_unstable(scenario: Scenario) -> None:
             reason = _reason(scenario, name, radius)
             raise ScenarioError(
                 f"scenario {scenario.name}: {reason}; --allow-unstable runs it as it is"
+            )
+    for finding in own_findings(scenario, network_of(scenario)):
+        if not finding.false_alarm:
+            raise ScenarioError(
+                f"scenario {scenario.name}: not calm: {finding}; can-rig check says more, "
+                "--allow-unstable runs it as it is"
             )
 
 

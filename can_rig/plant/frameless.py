@@ -20,13 +20,14 @@ from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import SampledPlant
 from firmware_model.analysis.simulation import AnyPlant, BoolArray, Trace, simulate
-from firmware_model.target.structs import FloatArray
+from firmware_model.target.structs import FloatArray, Record
 
 
-def frameless(scenario: Scenario, network: Network) -> Trace:
+def frameless(scenario: Scenario, network: Network, table: Record | None = None) -> Trace:
     """Run ``scenario`` without a bus; every signal as its frame on ``network`` would have it.
 
     A plant of one's own may fail in mid-run: what is measured is not a number from there on.
+    ``table`` is that of the scenario's controller, for whoever has it already.
 
     Raises:
         ScenarioError: a scenario that cannot run.
@@ -34,7 +35,7 @@ def frameless(scenario: Scenario, network: Network) -> Trace:
     ticks = scenario.ticks
     actuator, sensor = ActuatorFault(scenario), SensorFault(scenario)
     return simulate(
-        controller_table(scenario, network),
+        controller_table(scenario, network) if table is None else table,
         _plant(scenario),
         quantised(network.reference, reference(scenario)),
         tick_s=scenario.tick_s,

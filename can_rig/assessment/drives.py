@@ -1,0 +1,172 @@
+"""Drives before a run: whether the loop bears its limits, its noise and other cars.
+
+A margin is of the linear loop. What a limited actuator, a noisy sensor or a car of the box makes of
+it shows only in a drive: so the scenario's own reference is driven, without frames but with
+everything else that a run has, healthy first and then with a channel lost. A drive fails where
+
+    a loss is confirmed that is none, or
+    D* stays away for more than ``RETURN_S`` from where the unlimited modelled car goes: the loop
+    swings between its limits, or rests far from a demand that is feasible.
+
+Other cars are the vertices of the budget's box and some drawn from its inside.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, replace
+from itertools import product
+from typing import Final
+
+import numpy as np
+
+from can_rig.frames.network import Network
+from can_rig.plant.frameless import frameless
+from can_rig.scenario.build import (
+    UNCERTAIN,
+    continuous_plant,
+    controller_table,
+    in_box,
+    target,
+    with_lags,
+)
+from can_rig.scenario.plant_settings import PlantSettings
+from can_rig.scenario.settings import Channel, LimitSettings, Scenario
+from firmware_model.target.status import FaultState
+from firmware_model.target.structs import FloatArray, Record
+
+HEALTHY_S, LOST_S = 4.0, 3.0  # of a drive
+FEWEST_TICKS = 400  # of either, where a tick is long
+RETURN_S = 2.0  # within which D* must be back
+TOGETHER_S = 0.5  # D* that passes where it should be for less is still away
+AWAY = 0.1  # of the largest reference, beside the noise
+NOISE_SIGMAS = 8.0
+DRAWN = 8  # cars from the inside of the box
+LOSSES: Final[Mapping[str, tuple[Channel, float]]] = {
+    "torque dead": ("torque", 0.0),
+    "torque 50%": ("torque", 0.5),
+    "force-difference dead": ("force-difference", 0.0),
+}
+"""The channel of each kind of loss, and what it leaves."""
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What is wrong in a drive.
+
+    Attributes:
+        car: which one, in words.
+        false_alarm: a loss is confirmed that is none; otherwise D* stays away.
+        text: what happens, and when.
+    """
+
+    car: str
+    false_alarm: bool
+    text: str
+
+    def __str__(self) -> str:
+        return f"{self.car}: {self.text}"
+
+
+class Drives:
+    """Drives of one scenario; the table and where D* should go are computed once."""
+
+    def __init__(self, scenario: Scenario, network: Network) -> None:
+        tick_s = scenario.tick_s
+        healthy, lost = (max(round(s / tick_s), FEWEST_TICKS) for s in (HEALTHY_S, LOST_S))
+        none = replace(scenario.fault, kind="none", at_s=healthy * tick_s, for_s=None)
+        self._scenario = replace(scenario, fault=none, duration_s=(healthy + lost) * tick_s)
+        self._network = network
+        self._lost = healthy
+        self._table: Record = controller_table(self._scenario, network)
+        free = replace(self._scenario, plant=scenario.model, limits=LimitSettings())
+        self._goal: FloatArray = frameless(free.noise_free, network).measurement
+        sensor = scenario.plant.sensor
+        self._away = AWAY * float(np.abs(self._goal).max()) + NOISE_SIGMAS * sensor.noise_mps2
+
+    def findings(self, car: str, plant: PlantSettings, loss: str) -> Iterator[Finding]:
+        """What is wrong with ``plant`` in a drive that ends with one of ``LOSSES``."""
+        scenario, tick_s = self._scenario, self._scenario.tick_s
+        channel, left = LOSSES[loss]
+        fault = replace(scenario.fault, kind="actuator-dead", channel=channel, left=left)
+        driven = replace(scenario, plant=plant, fault=fault)
+        trace = frameless(driven, self._network, self._table)
+        alarms = np.flatnonzero(trace.fault_state[: self._lost] == FaultState.CONFIRMED)
+        if len(alarms):
+            yield Finding(car, True, f"false alarm after {alarms[0] * tick_s:.3g} s")
+        distance = np.abs(trace.measurement - self._goal)
+        phases = [("healthy", slice(0, self._lost))]
+        if self._returns(plant, loss):
+            phases.append((loss, slice(self._lost, None)))
+        for state, phase in phases:
+            away = self._longest_away_s(distance[phase])
+            if away > RETURN_S:
+                last = distance[phase][-round(1.0 / tick_s) :]
+                yield Finding(
+                    car,
+                    False,
+                    f"{state}: D* is away from where it should be for {away:.3g} s, by up to "
+                    f"{float(np.nanmax(last, initial=0.0)):.3g} m/s² in the last second",
+                )
+                return
+
+    def _returns(self, plant: PlantSettings, loss: str) -> bool:
+        """Whether D* should come back after ``loss``."""
+        if self._scenario.design.compensation == "off":
+            return LOSSES[loss][0] != "torque"
+        gain = abs(continuous_plant(plant).g2.dc_gain)
+        demand = float(np.abs(self._goal[self._lost :]).max())
+        return demand <= gain * target(self._scenario, self._network).limit_2
+
+    def _longest_away_s(self, distance: FloatArray) -> float:
+        """The longest time in which D* is away, or not back for long."""
+        tick_s = self._scenario.tick_s
+        away = np.flatnonzero(~(distance <= self._away))
+        if len(away) == 0:
+            return 0.0
+        pieces = np.split(away, np.flatnonzero(np.diff(away) * tick_s > TOGETHER_S) + 1)
+        return max(float(piece[-1] - piece[0] + 1) for piece in pieces) * tick_s
+
+
+def own_findings(scenario: Scenario, network: Network) -> list[Finding]:
+    """What is wrong with the scenario's own plant, in every kind of loss."""
+    if not scenario.model.closed_loop:
+        return []
+    drives = Drives(scenario, network)
+    found = (drives.findings("this car", scenario.plant, loss) for loss in LOSSES)
+    return list({str(finding): finding for each in found for finding in each}.values())
+
+
+def box_findings(scenario: Scenario, network: Network) -> list[Finding]:
+    """What is wrong with other cars of the budget's box when the torque is lost."""
+    if not scenario.model.closed_loop or scenario.plant.is_class:
+        return []
+    drives = Drives(scenario, network)
+    return [
+        finding
+        for label, car in box_cars(scenario)
+        for finding in drives.findings(label, car, "torque dead")
+    ]
+
+
+def box_cars(scenario: Scenario) -> Iterator[tuple[str, PlantSettings]]:
+    """Vertices of the budget's box around the model, then cars from its inside, with labels.
+
+    They have the limits and the sensor of the scenario's own plant.
+    """
+    budget, plant = scenario.budget, scenario.plant
+    late = budget.actuator_box if scenario.model.torque_actuator.lags else 0.0
+    keys = UNCERTAIN if budget.box > 0.0 and scenario.model.is_car else ()
+    size = len(keys) + (late > 0.0)
+    if size == 0:
+        return
+    vertices = np.array(list(product((-1.0, 1.0), repeat=size)))
+    drawn = np.random.Generator(np.random.PCG64(scenario.seed)).uniform(-1.0, 1.0, (DRAWN, size))
+    for place in np.concatenate([vertices, drawn]):
+        shares = {key: budget.box * float(x) for key, x in zip(keys, place, strict=False)}
+        labels = [f"{key} {share:+.0%}" for key, share in shares.items()]
+        car = in_box(plant, shares)
+        if late > 0.0:
+            car = with_lags(car, 1.0 + late * float(place[-1]))
+            labels.append(f"lags {late * float(place[-1]):+.0%}")
+        yield ", ".join(labels), car
