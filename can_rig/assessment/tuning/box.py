@@ -17,7 +17,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from can_rig.errors import ScenarioError
-from can_rig.scenario.build import UNCERTAIN, continuous_plant
+from can_rig.scenario.build import UNCERTAIN, continuous_plant, with_lags
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.refusal import refusal
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD
@@ -40,10 +40,11 @@ MAX_DELAY_TICKS = 8  # extra delay up to which a margin is counted
 
 @dataclass(frozen=True)
 class Car:
-    """A stable plant, and in words how it differs from the nominal car."""
+    """A stable plant, its settings, and in words how it differs from the nominal car."""
 
     label: str
     plant: Plant
+    settings: PlantSettings
 
     def steady_commands(self, dstar_mps2: float) -> tuple[float, float]:
         """|Torque| in N m and |X_diff| in N that hold ``dstar_mps2``, each by itself."""
@@ -87,18 +88,29 @@ def parameter_ranges(
     return box
 
 
-def cars(nominal: PlantSettings, box: Mapping[str, Range]) -> list[Car]:
-    """The nominal car, then the 2^k vertices of ``box``.
+def cars(nominal: PlantSettings, box: Mapping[str, Range], lag_share: float = 0.0) -> list[Car]:
+    """The nominal car, then the vertices of ``box``.
+
+    Args:
+        nominal: the car in its middle.
+        box: from ``parameter_ranges``.
+        lag_share: by how much the lags of both actuators may differ, 0.3 for ±30 %.
 
     Raises:
         ScenarioError: one of them is not stable by itself, or is no car.
     """
-    found = [Car("the nominal car", continuous_plant(nominal))]
-    for corner in product(*box.values()) if box else ():
-        values: dict[str, Any] = dict(zip(box, corner, strict=True))
+    found = [Car("the nominal car", continuous_plant(nominal), nominal)]
+    lags = (lag_share,) if nominal.torque_actuator.lags and lag_share > 0.0 else ()
+    corners = product(*box.values(), *((1.0 - share, 1.0 + share) for share in lags))
+    for corner in corners if box or lags else ():
+        values: dict[str, Any] = dict(zip(box, corner, strict=False))
         label = ", ".join(f"{key} = {value:g}" for key, value in values.items())
         try:
-            found.append(Car(label, continuous_plant(dataclasses.replace(nominal, **values))))
+            settings = dataclasses.replace(nominal, **values)
+            if lags:
+                settings = with_lags(settings, corner[-1])
+                label += f", lags × {corner[-1]:g}"
+            found.append(Car(label, continuous_plant(settings), settings))
         except ValidationError as error:
             raise _no_car(label, refusal(error, PlantSettings)) from None
         except ScenarioError as error:

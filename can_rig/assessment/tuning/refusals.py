@@ -22,6 +22,8 @@ class Refusal(StrEnum):
     TRANSIENT = "the transient after the loss does not decay with the nominal car"
     BOX = "unstable with a car of the box"
     BOX_SPARE = "unstable with a car of the box, only because of the ticks to spare"
+    FALSE_ALARM = "a car of the box is taken for one that has lost its torque"
+    REST_SPARE = "a car of the box does not come to rest, only because of the ticks to spare"
     REST = "a car of the box does not come to rest"
     BOTH_LIMITS = "a car of the box does not come to rest because of the limits of both commands"
     TORQUE_LIMIT = "a car of the box does not come to rest because of the limit of the torque"
@@ -98,6 +100,8 @@ _ADVICE = {
     Refusal.TRANSIENT: "wider limits would help most: {torque}; {force}",
     Refusal.BOX: "a smaller --box would help most",
     Refusal.BOX_SPARE: "fewer --spare-ticks or a smaller --box would help most",
+    Refusal.FALSE_ALARM: "a larger budget.box, or a smaller --box, would help most",
+    Refusal.REST_SPARE: "fewer --spare-ticks or a smaller --box would help most",
     Refusal.REST: "a smaller --box would help most",
     Refusal.BOTH_LIMITS: "{torque}; {force}; " + _SMALLER,
     Refusal.TORQUE_LIMIT: "{torque}; " + _SMALLER,

@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
+from dataclasses import replace
 
-import numpy as np
-
+from can_rig.assessment.drives import Drives, Finding
 from can_rig.assessment.tuning.box import Car, is_stable
-from can_rig.assessment.tuning.candidate import AFTER_S, frameless_table, loss_in_a_step
 from can_rig.assessment.tuning.refusals import Refusal
-from can_rig.scenario.build import target
+from can_rig.scenario.build import network_of, target
+from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
-from firmware_model.analysis.sampled_plant import sample
-from firmware_model.analysis.simulation import simulate
 from firmware_model.target.structs import Record
 
 AT_REST = 0.05  # largest error that counts as rest, as a share of the step
@@ -21,29 +18,30 @@ AT_REST = 0.05  # largest error that counts as rest, as a share of the step
 
 def box_refusal(
     scenario: Scenario, table: Record, cars: Sequence[Car], spare_ticks: int
-) -> Refusal | None:
-    """The first test that ``scenario``'s tuning fails with one of ``cars``; None: it passes."""
-    if not is_stable(table, cars, scenario.tick_s, spare_ticks):
-        return Refusal.BOX_SPARE if is_stable(table, cars, scenario.tick_s, 0) else Refusal.BOX
-    refusals = (unrest(scenario, table, car) for car in cars)
-    return next((refusal for refusal in refusals if refusal is not None), None)
+) -> tuple[Refusal, Car] | None:
+    """The first test that ``scenario``'s tuning fails and a car with which it does; None: none.
 
-
-def unrest(scenario: Scenario, table: Record, car: Car) -> Refusal | None:
-    """Why D* of ``car`` does not come to rest at the step, before or after the loss; None: it does.
-
-    A limit is the reason if D* comes to rest without it.
+    The tests are the linear loop with each car, a drive of each with limits and noise, and such a
+    drive with the spare ticks.
     """
-    if _comes_to_rest(scenario, table, car):
-        return None
-    for refusal, without in (
-        (Refusal.FORCE_LIMIT, {"limit_2": math.inf}),
-        (Refusal.TORQUE_LIMIT, {"limit_1": math.inf}),
-        (Refusal.BOTH_LIMITS, {"limit_1": math.inf, "limit_2": math.inf}),
-    ):
-        if _comes_to_rest(scenario, frameless_table(scenario, **without), car):
-            return refusal
-    return Refusal.REST
+    for car in cars:
+        if not is_stable(table, [car], scenario.tick_s, spare_ticks):
+            stable = is_stable(table, [car], scenario.tick_s, 0)
+            return (Refusal.BOX_SPARE if stable else Refusal.BOX), car
+    stepped = replace(scenario, reference=replace(scenario.reference, kind="step"))
+    drives = Drives(stepped, network_of(scenario))
+    for car in cars:
+        plant = with_sensor_and_limits(car.settings, scenario.plant)
+        found = _finding(drives, plant)
+        if found is not None and found.false_alarm:
+            return Refusal.FALSE_ALARM, car
+        if found is not None:
+            return _limit_at_fault(stepped, plant), car
+        if spare_ticks > 0:
+            late = _finding(drives, _late(plant, spare_ticks * scenario.tick_s))
+            if late is not None and not late.false_alarm:
+                return Refusal.REST_SPARE, car
+    return None
 
 
 def has_control_authority(scenario: Scenario, car: Car) -> bool:
@@ -52,9 +50,44 @@ def has_control_authority(scenario: Scenario, car: Car) -> bool:
     return (1.0 - AT_REST) * force_n <= target(scenario, None).limit_2
 
 
-def _comes_to_rest(scenario: Scenario, table: Record, car: Car) -> bool:
-    loss, step, left = loss_in_a_step(scenario)
-    run = simulate(table, sample(car.plant, scenario.tick_s), step, effectiveness=left)
-    error, last = np.abs(run.error), round(0.25 * AFTER_S / scenario.tick_s)
-    largest = max(error[loss - last : loss].max(), error[-last:].max())
-    return bool(largest <= AT_REST * abs(step[0]))
+def with_sensor_and_limits(car: PlantSettings, own: PlantSettings) -> PlantSettings:
+    """``car``, which is near the model, with the sensor and the limits of the scenario's plant."""
+    torque, force = own.torque_actuator, own.force_difference_actuator
+    return replace(
+        car,
+        sensor=own.sensor,
+        torque_actuator=replace(
+            car.torque_actuator, limit_nm=torque.limit_nm, rate_nm_per_s=torque.rate_nm_per_s
+        ),
+        force_difference_actuator=replace(
+            car.force_difference_actuator, limit_n=force.limit_n, rate_n_per_s=force.rate_n_per_s
+        ),
+    )
+
+
+def _finding(drives: Drives, plant: PlantSettings) -> Finding | None:
+    return next(drives.findings("", plant, "torque dead"), None)
+
+
+def _limit_at_fault(scenario: Scenario, plant: PlantSettings) -> Refusal:
+    """The limit without which D* of ``plant`` comes to rest."""
+    for refusal, without in (
+        (Refusal.FORCE_LIMIT, ("force_difference_n",)),
+        (Refusal.TORQUE_LIMIT, ("torque_nm",)),
+        (Refusal.BOTH_LIMITS, ("force_difference_n", "torque_nm")),
+    ):
+        limits = replace(scenario.limits, **dict.fromkeys(without))
+        drives = Drives(replace(scenario, limits=limits), network_of(scenario))
+        if _finding(drives, plant) is None:
+            return refusal
+    return Refusal.REST
+
+
+def _late(plant: PlantSettings, delay_s: float) -> PlantSettings:
+    """``plant`` with actuators that begin later by ``delay_s``."""
+    torque, force = plant.torque_actuator, plant.force_difference_actuator
+    return replace(
+        plant,
+        torque_actuator=replace(torque, dead_time_s=torque.dead_time_s + delay_s),
+        force_difference_actuator=replace(force, dead_time_s=force.dead_time_s + delay_s),
+    )

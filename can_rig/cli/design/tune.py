@@ -94,7 +94,11 @@ def command(
     picture = out / PICTURE
     refuse_existing(picture, force, "--out", new_folder=True)
     chosen = load(scenario, settings)
-    some = cars(chosen.model, parameter_ranges(chosen.model, box, box_settings))
+    some = cars(
+        chosen.model,
+        parameter_ranges(chosen.model, box, box_settings),
+        chosen.budget.actuator_box,
+    )
     try:
         with progress(chosen.name, "tunings") as bar:
             found = tune(
