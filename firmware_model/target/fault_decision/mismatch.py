@@ -143,6 +143,8 @@ def innovation(constants: Record, state: Record, residual: float) -> float:
     for i in range(n):
         growth = state.remainder if i == n - 1 else wander
         grow(state.covariance, i, constants.growth[i] * growth)
+    if not (math.isfinite(new) and math.isfinite(state.variance)):
+        clear_mismatch(constants, state)
     return new
 
 
@@ -180,5 +182,5 @@ def settle_mismatch(constants: Record, state: Record, command_1: float, model_1:
     settle(constants.car_1, state.car_1, command_1)
     settle(constants.car_2, state.car_2, command_1)
     settle(constants.car_3, state.car_3, command_1)
-    state.previous_model_output = model_1
     predict_mismatch(constants, state, command_1, model_1)
+    state.change = state.remainder = 0.0  # it came there long ago
