@@ -217,6 +217,34 @@ def test_theta_finds_the_place_of_a_car(place: tuple[float, float]) -> None:
     assert deviation.max() < 0.05
 
 
+@pytest.mark.parametrize("colour", [0.0, 0.9])
+def test_innovations_of_coloured_noise_on_another_car_are_white_and_as_large_as_said(
+    colour: float,
+) -> None:
+    """A car within the box, that does not wander: S is what its innovations have in the mean."""
+    ticks, draw = 3000, np.random.default_rng(7)
+    of = Target(TICK_S, 0, "zoh", noise_rms=0.01, noise_pole=colour, mismatch=other_cars(2))
+    constants = np.array(build(DESIGN, of).mismatch)[()].copy()
+    constants["forgetting"] = constants["growth"] = constants["white"] = 0.0
+    u = 30.0 * np.sin(0.02 * np.arange(ticks))
+    modelled = signal.sosfilt(zoh(CAR.g1, TICK_S).sos, u)
+    noise = signal.lfilter(
+        [0.01 * math.sqrt(1.0 - colour**2)], [1.0, -colour], draw.standard_normal(ticks)
+    )
+    x = [(signal.sosfilt(zoh(g1, TICK_S).sos, u) - modelled) / 0.05 for g1 in other_cars(2).cars]
+    constants, state = begun(**{name: constants[name] for name in constants.dtype.names})
+    new = []
+    for k, residual in enumerate(noise + 0.6 * x[0] - 0.3 * x[1]):
+        predict_mismatch(constants, state, u[k], modelled[k])
+        value = innovation(constants, state, residual)
+        new.append(value / math.sqrt(state.variance))
+        advance_cars(constants, state, u[k])
+    normal = np.array(new[200:])
+    assert normal.var() == pytest.approx(1.0, abs=0.1)
+    for lag in (1, 2, 5):
+        assert abs(np.mean(normal[lag:] * normal[:-lag])) < 4.0 / math.sqrt(ticks)
+
+
 def test_settled_cars_stay_where_they_are() -> None:
     """In a steady bend: x is that of the steady state, and nothing moves."""
     table, *_ = predicted(2)
