@@ -203,8 +203,9 @@ def _front(
             else:
                 refusal, car = refused
                 refusals[refusal] += 1
-                order.remove(car)  # what fails with one tuning is the first to fail with the next
-                order.insert(0, car)
+                if car is not None:  # it will be the first to fail with the next tuning too
+                    order.remove(car)
+                    order.insert(0, car)
         on_tested()
     return front
 
