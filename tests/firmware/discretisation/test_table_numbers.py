@@ -101,11 +101,12 @@ def test_noise_is_that_of_the_sensor_and_of_its_steps_whitened(
     assert constants.colour == colour
 
 
-@pytest.mark.parametrize("resolution", [0.0, 1e3])
-def test_a_perfect_sensor_has_what_rounding_leaves(resolution: float) -> None:
-    least = build(CLOSED, Target(1e-3)).mismatch.noise
-    assert least == pytest.approx(1e-18)
-    assert build(CLOSED, Target(1e-3, resolution=resolution)).mismatch.noise >= least
+@pytest.mark.parametrize(("precision", "rms"), [("float64", 1e-9), ("float32", 1e-6)])
+def test_a_perfect_sensor_has_what_rounding_leaves(precision: Any, rms: float) -> None:
+    least = build(CLOSED, Target(1e-3, precision=precision)).mismatch.noise
+    assert least == pytest.approx(rms**2)
+    coarse = build(CLOSED, Target(1e-3, precision=precision, resolution=1e3)).mismatch.noise
+    assert coarse == pytest.approx(1e6 / 12.0)
 
 
 @pytest.mark.parametrize("tick_s", TICKS_S)

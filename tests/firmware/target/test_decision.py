@@ -72,7 +72,7 @@ def test_it_beats_waiting_for_the_estimate(latency: int) -> None:
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 @pytest.mark.parametrize("latency", [0, pytest.param(2, marks=pytest.mark.long)])
-@pytest.mark.parametrize("estimator", ["zoh", "tustin-held", "tustin"])
+@pytest.mark.parametrize("estimator", ["zoh", "tustin-held"])
 def test_without_a_fault_it_never_acts(latency: int, estimator: str, precision: str) -> None:
     """The rule's own error included, and single precision's."""
     reference = np.sin(np.arange(1200) * 0.02)
@@ -83,7 +83,7 @@ def test_without_a_fault_it_never_acts(latency: int, estimator: str, precision: 
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("rms", [1e-3, 5e-3, 2e-2])
+@pytest.mark.parametrize("rms", [5e-3, 2e-2])
 @pytest.mark.parametrize("latency", [0, 1, 3])
 def test_a_loss_in_noise_is_suspected_confirmed_and_compensated(latency: int, rms: float) -> None:
     """The more noise the later: g u1 t²/2 has to stand out of it."""
@@ -109,19 +109,21 @@ def test_suspicions_are_as_seldom_as_asked_for_and_end_with_their_candidate() ->
 
 
 def test_a_spike_is_suspected_compensated_and_forgotten() -> None:
-    """One sample that looks like a loss: F̂ begins, and is led back without a step."""
+    """Some samples that look like a loss: F̂ begins, and is led back without a step."""
+    spike = 1.0 - 0.0009 * np.arange(10) ** 2
     firmware = Firmware(build(TAME, confirming(noise_rms=0.01)))
     firmware.reset(1.0)
-    answers = [firmware.step(1.0, y) for y in (1.0, 1.0, 1.0, 0.93, 0.93, *[1.0] * 400)]
+    answers = [firmware.step(1.0, y) for y in (1.0, 1.0, 1.0, *spike, *[1.0] * 400)]
     states = [answer.fault_state for answer in answers]
-    assert SUSPECTED in states[:10]
+    assert SUSPECTED in states[:15]
+    assert max(abs(answer.command_2) for answer in answers[:15]) > 100.0
     assert CONFIRMED not in states
     assert states[-1] == CLEAR
     assert abs(answers[-1].command_2) < 1.0
 
 
 @pytest.mark.parametrize("latency", [0, *(pytest.param(n, marks=pytest.mark.long) for n in (1, 3))])
-@pytest.mark.parametrize("rms", [0.0, 5e-3])
+@pytest.mark.parametrize("rms", [0.0, 2e-2])
 def test_a_channel_that_comes_back_is_cleared_without_a_bump(latency: int, rms: float) -> None:
     target = confirming(latency, noise_rms=rms)
     trace = drive(target, np.ones(2 * TICKS), until=BACK, of=TAME, rms=rms)
@@ -143,9 +145,8 @@ def test_a_reference_through_zero_clears_nothing() -> None:
 
 @pytest.mark.long
 def test_without_excitation_it_cannot_tell() -> None:
-    trace = drive(confirming(noise_rms=1e-3), np.zeros(TICKS), rms=1e-3)
-    assert CONFIRMED not in trace.fault_state
-    assert (trace.fault_state == CANNOT_TELL).mean() > 0.95
+    trace = drive(confirming(noise_rms=1e-3), np.zeros(TICKS))
+    assert (trace.fault_state == CANNOT_TELL).all()
 
 
 def test_a_biased_sensor_looks_the_same() -> None:
@@ -168,7 +169,7 @@ def test_a_bias_that_no_command_explains_is_no_loss(value: float) -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("left", [0.0, 0.25, 0.5, 0.8])
+@pytest.mark.parametrize("left", [0.0, 0.25, 0.5])
 @pytest.mark.parametrize("latency", [1, 2])
 def test_as_much_is_compensated_as_is_lost(left: float, latency: int) -> None:
     """X_diff settles at the share that the torque lost of what carries the bend, and as fast."""
