@@ -223,15 +223,16 @@ def _fill_decision(table: Record, target: Target) -> None:
 
 def _fill_mismatch(table: Record, target: Target) -> None:
     """What other cars and noise make of d̂."""
-    constants, cars = table.mismatch, target.mismatch.cars
-    constants.cars = len(cars)
+    constants, other, cars = table.mismatch, table.other_cars, target.mismatch.cars
+    other.n = len(cars)
+    other.scale = 1.0 / STEP
     rule = RULE_ERROR[target.estimator] ** 2
     constants.n = len(cars) + 1 if cars or rule else 0
-    names = ("car_1", "car_2", "car_3")
-    for name, car in zip(names, cars, strict=False):
-        sections = ESTIMATOR_RULES[target.estimator](car, target.tick_s)
-        _fill_filter(getattr(constants, name), sections)
-    constants.scale = 1.0 / STEP
+    discretised = ESTIMATOR_RULES[target.estimator]
+    places = (other.car_1, other.car_2, other.car_3, other.car_4)
+    for place, (g1, g2) in zip(places, cars, strict=False):
+        _fill_filter(place.channel_1, discretised(g1, target.tick_s))
+        _fill_filter(place.channel_2, discretised(g2, target.tick_s))
     constants.prior = MISMATCH_VARIANCE
     slow, fast = _memory(target, MISMATCH_S), _memory(target, REMAINDER_S)
     constants.forgetting[: len(cars)] = min(1.0 - slow, MOST_FORGOTTEN)
