@@ -97,6 +97,7 @@ def test_a_loss_in_noise_is_suspected_confirmed_and_compensated(latency: int, rm
     assert trace.command_2[-1] == pytest.approx(1.0 / CAR.g2.dc_gain, rel=0.05)
 
 
+@pytest.mark.long
 def test_suspicions_are_as_seldom_as_asked_for_and_end_with_their_candidate() -> None:
     """Noise alone, one suspicion a second allowed: some, short ones, and none is confirmed."""
     rms, ticks = 0.01, 8000
