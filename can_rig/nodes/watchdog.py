@@ -41,6 +41,9 @@ class Timeouts:
     silence_s: float = 1.0
 
 
+DEFAULT_TIMEOUTS: Final = Timeouts()
+
+
 class StopRequest:
     """Set by a signal handler, read between ticks and while waiting."""
 

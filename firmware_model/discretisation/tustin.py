@@ -67,6 +67,7 @@ def zoh(g: ZeroPoleGain, tick_s: float) -> Sections:
     _refuse_feedthrough(g, "zoh")
     if g.gain == 0.0:
         return from_delta_zpk((), (), 0.0, tick_s)
+    g = g.cancelled()  # a state space of what is left has a state for each pole
     poles = np.array([_expm1(p * tick_s) for p in g.poles])
     system = sampled(g, tick_s)
     zeros = zeros_of(system, poles)

@@ -93,7 +93,10 @@ def test_every_scenario_loads(page: Path, tmp_path: Path) -> None:
         assert load(str(file)).fault.for_s == 2.0
 
 
-RUN = ("README.md", "docs/design.md", "docs/firmware.md", "docs/unit-test-a-filter.md")
+RUN = (
+    *("README.md", "docs/design.md", "docs/firmware.md"),
+    *("docs/python.md", "docs/unit-test-a-filter.md"),
+)
 
 
 @pytest.mark.parametrize("page", RUN)
