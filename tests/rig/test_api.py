@@ -19,6 +19,7 @@ from can_rig import api, errors
 from can_rig.api import RecordedRun
 from can_rig.decoding.decode import decode_log
 from can_rig.results.run_folder import LOG, REPORT, SIGNALS, SUMMARY
+from can_rig.scenario.build import continuous_plant
 from tests.helpers import DBC, asked, record
 
 SHORT = {"fault.at_s": 0.2, "duration_s": 0.4, "fault": {"kind": "actuator-dead"}}
@@ -111,7 +112,10 @@ def test_tune_asks_the_search_of_the_command(monkeypatch: pytest.MonkeyPatch) ->
     assert found == "found"
     scenario, cars, *limits = asked_for[0]
     assert scenario == can_rig.scenario("default", {"tick_s": 0.002})
-    assert {car.speed_mps for car in cars} == {scenario.plant.speed_mps, 9.0, 11.0}
+    assert {car.plant.g1.dc_gain for car in cars} == {
+        continuous_plant(can_rig.scenario(scenario, {"plant.speed_mps": speed}).plant).g1.dc_gain
+        for speed in (scenario.plant.speed_mps, 9.0, 11.0)
+    }
     assert limits == [1, 5.0, None]
 
 

@@ -65,8 +65,8 @@ def test_python_can_is_heard_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatc
 def test_the_shell_completes_names() -> None:
     complete = BashComplete(main, {}, "can-rig", "_CAN_RIG_COMPLETE")
     assert [item.value for item in complete.get_completions([], "re")] == ["replay"]
-    every = {item.value: item.help for item in complete.get_completions([], "")}
-    assert {name: every[name] for name in COMMANDS} == {
+    helps = {item.value: item.help for item in complete.get_completions([], "")}
+    assert {name: helps[name] for name in COMMANDS} == {
         n: line for n, (_, line) in COMMANDS.items()
     }
     assert "--verbose" in [item.value for item in complete.get_completions([], "--")]
