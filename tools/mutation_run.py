@@ -52,10 +52,14 @@ class Tests:
 
 
 class Plugin:
-    """Within pytest: the tests that noticed others first, none much longer than usual."""
+    """Within pytest: the module's own tests first, then those that noticed others.
 
-    def __init__(self, tests: Tests) -> None:
+    None may take much longer than usual.
+    """
+
+    def __init__(self, tests: Tests, module: str) -> None:
         self._tests = tests
+        self._own = f"test_{module}.py"
         self.failed: str | None = None
         self.cpu_s: dict[str, float] = {}
 
@@ -67,7 +71,12 @@ class Plugin:
         for test, test_s in cpu_s.items():
             file_s[test.partition("::")[0]] += test_s
         kills = self._tests.kills
-        items.sort(key=lambda i: (-kills[i.nodeid], file_s[i.nodeid.partition("::")[0]]))
+
+        def order(item: pytest.Item) -> tuple[bool, int, float]:
+            file = item.nodeid.partition("::")[0]
+            return not file.endswith(f"/{self._own}"), -kills[item.nodeid], file_s[file]
+
+        items.sort(key=order)
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
@@ -112,7 +121,7 @@ def _in_process(
     signal.signal(signal.SIGPROF, signal.SIG_DFL)  # ends the process
     if mutant is not None:
         sys.meta_path.insert(0, _InMemory(*mutant))
-    plugin = Plugin(tests)
+    plugin = Plugin(tests, mutant[0].stem if mutant else "")
     options = ["-x", "-q", "-p", "no:cacheprovider", f"--timeout={_WAITS_S}"]
     options += [f"--basetemp={folder / 'tmp'}", "-m", "not vcan and not long"]
     status = pytest.main([*options, *tests.paths], plugins=[plugin])

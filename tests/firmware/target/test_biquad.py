@@ -21,7 +21,7 @@ from firmware_model.target.filters.biquad import (
     settle,
     settle_integrator,
 )
-from firmware_model.target.structs import Record, record_type
+from firmware_model.target.structs import MAX_SECTIONS, Precision, Record, record_type
 
 CAR = steer_by_wire()
 FILTERS = {
@@ -116,3 +116,9 @@ def test_settle_leaves_an_integrator_at_rest() -> None:
     cascade, state = cascade_of(np.array([[0.2, 0.1, 0.0, 0.0, 0.0]])), at_rest()
     assert settle(cascade, state, 0.0) == 0.0
     np.testing.assert_array_equal(state.accumulators, 0.0)
+
+
+@pytest.mark.parametrize(("precision", "size"), [("float64", 8), ("float32", 4)])
+def test_a_section_needs_two_numbers_of_memory(precision: Precision, size: int) -> None:
+    assert at_rest(precision).nbytes == MAX_SECTIONS * 2 * size
+    assert not at_rest(precision).accumulators.any()
