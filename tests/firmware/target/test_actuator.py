@@ -12,7 +12,7 @@ from firmware_model.target.actuator import CONSTANTS, quantise, saturate, satura
 from firmware_model.target.structs import Record, record_type
 
 some = st.floats(-1e3, 1e3)
-size = st.floats(1e-3, 1e3)
+size = st.floats(1e-3, 1e3)  # of a limit
 
 
 def actuator(limit: float = math.inf, slew: float = math.inf, lsb: float = 0.0) -> Record:
