@@ -98,20 +98,21 @@ def test_settle_integrator_holds_its_output_at_zero_input(alpha_q: int) -> None:
 
 
 def test_settle_integrator_goes_backwards_through_every_kind_of_section() -> None:
-    """Integrator first, then sections of order 2, 1 (with δ/δ), after it."""
+    """Integrator first, then a section of order 2 and two of order 1 (with δ/δ) after it."""
     sections = np.array(
         [
             [0.2, 0.1, 0.0, 0.0, 0.0],  # 1/δ and a feedthrough
             [1.0, 0.3, 0.02, 0.3, 0.04],
             [0.5, 0.25, 0.0, 1.0, 0.0],
+            [1.0, 0.6, 0.0, 0.3, 0.0],
         ]
     )
     cascade, state = cascade_of(sections), at_rest()
     settle_integrator(cascade, state, 7.0)
-    # By hand: 7 behind the last, whose gain is 1/4, 28 behind the second, whose gain is 1/2. The
-    # δ/δ holds nothing, though it could for ever: what it held no feedback would take back.
-    expected = [[56.0, 0.0], [-28.0, -8.4], [-7.0, 0.0]]
-    np.testing.assert_allclose(state.accumulators[:3], expected, rtol=1e-15, atol=1e-15)
+    # By hand, backwards: 7 behind the gain of 2, 3.5 behind 1/4, 14 behind 1/2, 28 held. The δ/δ
+    # hold nothing, though they could for ever: what they held no feedback would take back.
+    expected = [[28.0, 0.0], [-14.0, -4.2], [-3.5, 0.0], [3.5, 0.0]]
+    np.testing.assert_allclose(state.accumulators[:4], expected, rtol=1e-15, atol=1e-15)
     answers = [advance(cascade, state, 0.0) for _ in range(50)]
     np.testing.assert_allclose(answers, 7.0, rtol=1e-12)
 
