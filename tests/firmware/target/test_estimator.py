@@ -8,6 +8,7 @@ from scipy import signal
 
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.plants import steer_by_wire
+from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import tustin
@@ -29,7 +30,9 @@ LATENCIES = (0, 1, 3, 64)
 
 def made(latency: int) -> tuple[Record, Record]:
     """Constants, and a state at rest."""
-    table = build(design(CAR, DesignSpecification()), Target(TICK_S, latency))
+    q = ZeroPoleGain((0.0,), (-20.0,), -1.0)  # 1 + Q is a lag, which has a memory
+    specification = DesignSpecification(compensation=False, q=q)
+    table = build(design(CAR, specification), Target(TICK_S, latency))
     return table.estimator, init(table)[0].estimator
 
 
@@ -66,6 +69,7 @@ def test_a_settled_model_stays_until_new_commands_act(latency: int) -> None:
     """Wherever the ring was, and whatever was on its way in it."""
     constants, state = made(latency)
     run(constants, state, COMMANDS[:, :5])
+    biquad.advance(constants.one_plus_q, state.one_plus_q, 1.0)
     settle_estimator(constants, state, 4.0, -2.5)
     assert state.acting_1 == 4.0
     settled = np.array([4.0 * CAR.g1.dc_gain, -2.5 * CAR.g2.dc_gain])
@@ -80,6 +84,7 @@ def test_a_cleared_model_starts_at_rest_with_what_is_on_its_way(latency: int) ->
     constants, state = made(latency)
     run(constants, state, COMMANDS)
     biquad.advance(constants.one_plus_q, state.one_plus_q, 1.0)
+    assert biquad.output(constants.one_plus_q, state.one_plus_q, 0.0) != 0.0
     clear_estimator(state)
     assert biquad.output(constants.one_plus_q, state.one_plus_q, 0.0) == 0.0
     outputs = run(constants, state, COMMANDS)
