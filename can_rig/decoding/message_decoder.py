@@ -118,7 +118,7 @@ class MessageDecoder:
         whole = ~remote & ~short
         usable: Rows = whole & e2e_columns.intact(frames.data, frames.length, self._data_id)
         counts.wrong_crc += int(whole.sum() - usable.sum())
-        counter = e2e_columns.counters(frames.data[usable])
+        counter = e2e_columns.counters(frames.data)[usable]
         steps = e2e_columns.steps(counter, self._counter)
         counts.repeated += int((steps == 0).sum())
         counts.gaps += int((steps > 1).sum())

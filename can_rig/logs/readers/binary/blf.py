@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import struct
-import zlib
 from collections.abc import Generator, Iterator
 from dataclasses import replace
 from datetime import UTC, datetime
@@ -15,6 +14,7 @@ from can_rig.errors import LogError
 from can_rig.logs.frames import CLASSIC_BYTES, FD_BYTES, Frames
 from can_rig.logs.log import Log
 from can_rig.logs.readers.binary.blf_objects import BAD_TIME, BASE_BYTES, NO_OBJECT, WIDER, parse
+from can_rig.logs.readers.binary.inflate import InflateError, inflated
 from can_rig.logs.readers.numbering import numbered
 
 SIGNATURE: Final = b"LOGG"
@@ -117,8 +117,8 @@ class _Reader:
         if method != _ZLIB:
             self._refuse(f"unknown compression {method}; it must be 0 or 2")
         try:
-            return zlib.decompressobj().decompress(packed, min(max(size, 1), _MOST_BYTES))
-        except zlib.error as error:
+            return inflated(packed, min(size, _MOST_BYTES))
+        except InflateError as error:
             self._refuse(str(error))
 
     def _objects(self, data: bytes) -> Generator[Frames, None, int]:

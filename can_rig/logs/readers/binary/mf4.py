@@ -1,4 +1,4 @@
-"""Bus logging in ASAM MDF 4 files → columns, through asammdf.
+"""Bus logging in ASAM MDF 4 files → columns.
 
 A file has one channel group for the data frames of a bus, one for its error frames, one for its
 remote frames; their channels have the names of ASAM's "MDF Bus Logging". Groups are read in pieces
@@ -7,18 +7,15 @@ and merged by time.
 
 from __future__ import annotations
 
-import gc
-import logging
-import sys
-import traceback
+import struct
 from collections.abc import Iterator, Sequence
-from contextlib import contextmanager
+from datetime import datetime, timedelta
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig.errors import LogError, one_line, require
+from can_rig.errors import LogError
 from can_rig.logs.frames import (
     BITRATE_SWITCH,
     CLASSIC_BYTES,
@@ -26,7 +23,6 @@ from can_rig.logs.frames import (
     ERROR_STATE,
     EXTENDED,
     FD,
-    FD_BYTES,
     REMOTE,
     SENT,
     Frames,
@@ -34,12 +30,25 @@ from can_rig.logs.frames import (
     concatenate,
 )
 from can_rig.logs.log import Log
+from can_rig.logs.readers.binary.mdf_blocks import (
+    FINISHED,
+    MASTER,
+    UNFINISHED,
+    VARIABLE,
+    VIRTUAL_MASTER,
+    Channel,
+    ChannelGroup,
+    DataGroup,
+    MdfError,
+    MdfFile,
+)
+from can_rig.logs.readers.binary.mdf_channels import numbers, payloads, raw, time_ns
+from can_rig.logs.readers.binary.mdf_data import records, stream
+from can_rig.logs.readers.binary.mdf_values import Values
+from can_rig.logs.readers.numbering import numbered
 
 KINDS: Final = {"CAN_DataFrame": 0, "CAN_ErrorFrame": ERROR, "CAN_RemoteFrame": REMOTE}
 """Channel groups by name, and the flag of their frames."""
-
-_MDF_4: Final = b"MDF     4."
-"""The first bytes of a file: what it is, and its version."""
 
 _ID_MASK: Final = (1 << 29) - 1
 _EXTENDED_BIT: Final = 1 << 31
@@ -51,176 +60,162 @@ _MEMBER_FLAGS: Final = {
     "Dir": SENT,
     "RTR": REMOTE,
 }
+_NS_PER_S: Final = 1_000_000_000
 
 
 def read_mf4(log: Log) -> Iterator[Frames]:
     """Chunks of the CAN frames of an MDF 4 file.
 
     Raises:
-        LogError: asammdf cannot read it, or it has no CAN bus logging.
+        LogError: it is not such a file, it is damaged, or it has no CAN bus logging.
     """
-    require("asammdf", extra="logs")
-    import asammdf  # noqa: PLC0415 (slow to import)
-
-    logging.getLogger("asammdf").setLevel(logging.CRITICAL)  # its reason is in our error
-    # asammdf's own survey of the identifiers would read and unpack the file once more.
-    with _one_line_errors(_reason_unreadable(log)):
-        file = asammdf.MDF(log.path, process_bus_logging=False)  # type: ignore[call-arg]
-    with file:
-        groups = [_Group(file, log, index) for index in _can_groups(file)]
-        if not groups:
-            raise LogError(f"{log.path}: holds no CAN frames (no channel group CAN_DataFrame)")
-        log.start_ns = _start_ns(file)
-        total = sum(group.frames for group in groups) or 1
-        done = 0
-        for frames in _merged(groups):
-            done += len(frames)
-            log.fraction = done / total
-            yield frames
-
-
-def _reason_unreadable(log: Log) -> str:
-    """What is wrong with a file that asammdf does not open."""
     try:
-        with log.path.open("rb") as file:
-            start = file.read(len(_MDF_4))
-    except OSError:
-        start = b""  # the reason is in the error of asammdf
-    if start == _MDF_4:
-        return (
-            f"{log.path}: an MDF 4 file that is cut off or damaged, so that no frame of it can be "
-            "read"
-        )
-    return f"{log.path}: not an MDF file that asammdf can read"
+        with log.path.open("rb") as opened:
+            if opened.read(len(FINISHED)) not in (FINISHED, UNFINISHED):
+                raise LogError(f"{log.path}: not an MDF 4 file: it must begin with 'MDF     4'")
+            file = MdfFile(opened, log.path.stat().st_size)
+            log.start_ns = _start_ns(file)
+            groups = [
+                _Group(file, log, data, group, kind)
+                for data in file.groups
+                for group in data.groups
+                for kind in KINDS
+                if any(channel.name == kind for channel in group.channels)
+            ]
+            if not groups:
+                raise LogError(f"{log.path}: holds no CAN frames (no channel group CAN_DataFrame)")
+            total = sum(group.expected for group in groups)
+            done = 0
+            for frames in _merged(groups):
+                done += len(frames)
+                log.fraction = done / max(total, done)
+                yield frames
+            log.fraction = 1.0
+    except OSError as error:
+        raise LogError(f"{log.path}: cannot be read: {error.strerror}") from None
+    except (MdfError, struct.error) as error:
+        raise LogError(f"{log.path}: an MDF 4 file that is cut off or damaged: {error}") from None
+    if done < total or any(group.cut_off for group in groups):
+        log.notice = f"{log.path}: is cut off: {done} of {max(total, done + 1)} frames are in it"
 
 
-def _can_groups(file: Any) -> list[int]:
-    if not file.version.startswith("4"):
-        return []
-    return [
-        index
-        for index, group in enumerate(file.groups)
-        if any(channel.name in KINDS for channel in group.channels)
-    ]
-
-
-def _start_ns(file: Any) -> int:
+def _start_ns(file: MdfFile) -> int:
     """Start of the recording [ns]; a local time is one of this machine's time zone."""
-    header = file.header
-    if header.start_time.tzinfo is not None:
-        return int(header.abs_time)
-    local_s: float = header.start_time.timestamp()
-    return int(local_s) * 10**9 + int(header.abs_time) % 10**9
+    if file.start_ns >= 1 << 62:
+        raise MdfError("a start after the year 2116")
+    if not file.is_local_time:
+        return file.start_ns
+    seconds, rest_ns = divmod(file.start_ns, _NS_PER_S)
+    local = datetime(1970, 1, 1) + timedelta(seconds=seconds)
+    return int(local.timestamp()) * _NS_PER_S + rest_ns
 
 
 class _Group:
     """The frames of one channel group, piece by piece."""
 
-    def __init__(self, file: Any, log: Log, index: int) -> None:
-        self._file, self._log, self._index = file, log, index
-        group = file.groups[index]
-        names = {channel.name for channel in group.channels}
-        self._kind = next(kind for kind in KINDS if kind in names)
-        self._members = {name.split(".")[1] for name in names if name.startswith(self._kind + ".")}
-        self.frames = int(group.channel_group.cycles_nr)
+    def __init__(
+        self, file: MdfFile, log: Log, data: DataGroup, group: ChannelGroup, kind: str
+    ) -> None:
+        self._file, self._log, self._data, self._group = file, log, data, group
+        self._kind = kind
+        prefix = f"{kind}."
+        self._members = {
+            channel.name.removeprefix(prefix): channel
+            for channel in group.channels
+            if channel.name.startswith(prefix)
+        }
+        masters = [c for c in group.channels if c.kind in (MASTER, VIRTUAL_MASTER)]
+        for name in ("ID", "DLC"):
+            if name not in self._members and kind != "CAN_ErrorFrame":
+                raise MdfError(f"group {kind} has no channel {prefix}{name}")
+        if not masters or not group.record_bytes:
+            raise MdfError(f"group {kind} has no time, or records of no bytes")
+        self._master = masters[0]
+        self.expected = group.records
+        """Frames by the file."""
+        self.cut_off = False
 
     def __iter__(self) -> Iterator[Frames]:
-        for first in range(0, self.frames, self._log.chunk_frames):
-            where = f"{self._log.path}: {self._kind} from record {first}"
-            with _one_line_errors(f"{where}: cannot be read by asammdf"):
-                piece = self._read(first, min(self._log.chunk_frames, self.frames - first))
-            yield piece
+        payload = self._members.get("DataBytes")
+        held, of_values = Values(iter(())), None
+        if payload is not None and payload.kind == VARIABLE:
+            of_values = next((g for g in self._data.groups if g.at == payload.data_at), None)
+            if of_values is None:
+                held = Values(stream(self._file, payload.data_at))
+        pieces = records(self._file, self._data, self._group, of_values, held)
+        first = 0
+        while True:
+            try:
+                piece = next(pieces)
+            except StopIteration as end:
+                self.cut_off = bool(end.value)
+                return
+            if self._file.is_finished:
+                piece = piece[: max(self.expected - first, 0)]
+            for begin in range(0, len(piece), self._log.chunk_frames):
+                part = piece[begin : begin + self._log.chunk_frames]
+                yield self._frames(np.ascontiguousarray(part), first, held)
+                first += len(part)
 
-    def _read(self, first: int, count: int) -> Frames:
-        piece = {"group": self._index, "record_offset": first, "record_count": count, "raw": True}
-        whole = self._file.get(self._kind, **piece)
-        time_s: NDArray[np.float64] = whole.timestamps
-        records: NDArray[Any] = whole.samples
-        if len(time_s) < count:
-            raise ValueError(f"{count - len(time_s)} of {count} records are missing")
+    def _frames(self, part: UInt8s, first: int, held: Values) -> Frames:
+        count = len(part)
 
         def member(name: str) -> NDArray[Any]:
-            path = f"{self._kind}.{name}"
-            if records.dtype.names and path in records.dtype.names:
-                found: NDArray[Any] = records[path]  # read once, and unpacked once, for all
-            elif name in self._members:
-                found = self._file.get(path, **piece, samples_only=True)[0]
-            else:
-                found = np.zeros(count, dtype=np.uint8)
-            return found
+            channel = self._members.get(name)
+            return np.zeros(count, np.uint8) if channel is None else numbers(channel, part, first)
 
         identifier = member("ID").astype(np.uint32)
         flags = np.full(count, KINDS[self._kind], dtype=np.uint8)
         for name, flag in _MEMBER_FLAGS.items():
-            values = member(name)
-            is_set = values.astype("U2") == "Tx" if values.dtype.kind in "SU" else values != 0
-            flags |= np.where(is_set, np.uint8(flag), np.uint8(0))
+            if name in self._members:
+                flags |= np.where(member(name) != 0, np.uint8(flag), np.uint8(0))
         flags |= np.where(identifier & np.uint32(_EXTENDED_BIT), np.uint8(EXTENDED), np.uint8(0))
+        remote = (flags & REMOTE) != 0
+        if remote.any():  # CAN FD has none
+            flags[remote] &= np.uint8(~(FD | BITRATE_SWITCH | ERROR_STATE) & 0xFF)
         has_length = "DataLength" in self._members and self._kind != "CAN_RemoteFrame"
-        length = member("DataLength" if has_length else "DLC").astype(np.uint8)
-        data = _payloads(member("DataBytes"), count, int(length.max(initial=0)))
-        bus = member("BusChannel").astype(np.int64)
-        one = bus.min(initial=0) == bus.max(initial=0) or (bus == bus[0]).all()
-        numbers, channel = (
-            (bus[:1], np.zeros(count)) if one else np.unique(bus, return_inverse=True)
-        )
-        return Frames(
-            np.round(time_s * 1e9).astype(np.int64) + _start_ns(self._file),
+        length = np.minimum(member("DataLength" if has_length else "DLC"), 64).astype(np.uint8)
+        if not (flags & FD).all():
+            plain = (flags & (FD | ERROR)) == 0
+            length[plain] = np.minimum(length[plain], CLASSIC_BYTES)
+        bus = member("BusChannel")
+        if count and not 0 <= int(bus.min()) <= int(bus.max()) <= 0xFFFF:
+            raise MdfError(f"bus {int(bus.max())}; it must be between 0 and 65535")
+        frames = Frames(
+            time_ns(self._master, part, first) + self._log.start_ns,
             identifier & np.uint32(_ID_MASK),
             flags,
-            channel.astype(np.uint8),
+            bus.astype(np.uint16),
             length,
-            data,
-            tuple(map(str, numbers.tolist())),
+            self._payload(part, first, length, held),
+            (),
         )
+        return numbered(frames) if count else frames
 
-
-def _payloads(data: NDArray[Any], count: int, longest: int) -> UInt8s:
-    """(n, 8) or, where frames are longer, (n, 64) bytes of whatever width asammdf gives."""
-    rows = np.zeros((count, CLASSIC_BYTES if longest <= CLASSIC_BYTES else FD_BYTES), np.uint8)
-    if data.ndim == 1 and data.dtype.kind == "S":  # of varying length
-        data = data.view(np.uint8).reshape(count, -1)
-    if data.ndim == 2:
-        used = min(data.shape[1], rows.shape[1])
-        rows[:, :used] = data[:, :used]
-    return rows
+    def _payload(self, part: UInt8s, first: int, length: UInt8s, held: Values) -> UInt8s:
+        channel: Channel | None = self._members.get("DataBytes")
+        if channel is None:
+            return np.zeros((len(part), CLASSIC_BYTES), np.uint8)
+        if channel.kind == VARIABLE:
+            return held.rows(raw(channel, part, first), length)
+        return payloads(channel, part, length)
 
 
 def _merged(groups: Sequence[_Group]) -> Iterator[Frames]:
     """The frames of all groups by time; at equal times in the order of the groups."""
-    sources = [iter(group) for group in groups if group.frames]
-    if len(sources) == 1:
-        yield from sources[0]
-        return
-    held = [next(source) for source in sources]
-    while held:
+    sources = [iter(group) for group in groups]
+    held: list[Frames | None] = [next(source, None) for source in sources]
+    while any(frames is not None for frames in held):
+        there = [frames for frames in held if frames is not None]
+        if len(there) == 1 and len(groups) == 1:
+            yield there[0]
+            held = [next(sources[0], None)]
+            continue
         # Up to the earliest last time stamp of all the pieces no older frame can follow.
-        safe = min(int(frames.time_ns[-1]) for frames in held)
-        ready = [frames[frames.time_ns <= safe] for frames in held]
-        whole = concatenate(ready)
+        safe = min(int(frames.time_ns[-1]) for frames in there)
+        whole = concatenate([frames[frames.time_ns <= safe] for frames in there])
         yield whole[np.argsort(whole.time_ns, kind="stable")]
-        left = [frames[frames.time_ns > safe] for frames in held]
-        held, going = [], []
-        for frames, source in zip(left, sources, strict=True):
-            more = frames if len(frames) else next(source, None)
-            if more is not None:
-                held.append(more)
-                going.append(source)
-        sources = going
-
-
-@contextmanager
-def _one_line_errors(what: str) -> Iterator[None]:
-    """Whatever asammdf raises about a damaged file, as one line.
-
-    Its half-built objects raise again when they are collected, which would be printed.
-    """
-    hook, sys.unraisablehook = sys.unraisablehook, lambda _: None
-    try:
-        yield
-    except Exception as error:
-        traceback.clear_frames(error.__traceback__)
-        gc.collect()
-        raise LogError(f"{what}: {one_line(error)}") from None
-    finally:
-        sys.unraisablehook = hook
+        for at, frames in enumerate(held):
+            if frames is not None:
+                left = frames[frames.time_ns > safe]
+                held[at] = left if len(left) else next(sources[at], None)

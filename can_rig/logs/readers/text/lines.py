@@ -16,6 +16,7 @@ from can_rig.logs.readers.text.scanning import BAD_LINE, NEW_CHANNEL, WIDER
 
 _MAX_LINE_BYTES: Final = 1 << 16
 _SHORTEST_FRAME: Final = len(b"(0) c 1#\n")
+_END_BYTES: Final = 1 << 10  # of a block in which its last lines are looked for
 _SHOWN: Final = 60  # characters of a bad line
 
 Parse = Callable[[UInt8s, int, Frames], tuple[int, int, int, int]]
@@ -105,9 +106,9 @@ class LineReader:
                 self.add_channel(text[at : text.index(b"\n", at)])
             if why == WIDER:
                 self._width = FD_BYTES
-        rest, _, last = text.rstrip().rpartition(b"\n")
+        *before, last = text[-_END_BYTES:].rstrip().splitlines() or [b""]
         if last:
-            self.before, self.last = rest.rstrip().rpartition(b"\n")[2] or self.last, last
+            self.before, self.last = before[-1] if before else self.last, last
 
     def _header_end(self, text: bytes) -> int:
         """Where the first frame begins, after the header has been taken."""
