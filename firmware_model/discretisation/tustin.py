@@ -92,11 +92,11 @@ def _bilinear(
     for pole in g.poles:
         if pole == kappa:
             raise ParameterError(f"a pole at {pole.real:g} rad/s is mapped to infinity; change T")
-    zeros = [2.0 * r / (kappa - r) for r in g.zeros] + [-2.0 + 0j] * g.relative_degree
+    zeros = [2.0 * r / (kappa - r) for r in g.zeros] + [complex(-2.0)] * g.relative_degree
     poles = [2.0 * r / (kappa - r) for r in g.poles]
     # By pairs, so that no product of many large factors overflows or loses digits.
-    factors = [kappa - r for r in g.zeros] + [1.0 + 0j] * g.relative_degree
-    gain = g.gain + 0j
+    factors = [kappa - r for r in g.zeros] + [complex(1.0)] * g.relative_degree
+    gain = complex(g.gain)
     for above, below in zip(factors, [kappa - r for r in g.poles], strict=True):
         gain *= above / below
     return zeros, poles, gain.real

@@ -17,7 +17,7 @@ from can_rig.cli.options import (
     silence_option,
 )
 from can_rig.cli.output import json_line
-from can_rig.cli.progress import counting
+from can_rig.cli.progress import budget_bar, counting
 from can_rig.cli.runs.closing import closing_table
 from can_rig.errors import INTERRUPTED
 from can_rig.logs.reading import read_log
@@ -68,7 +68,8 @@ def command(
         raise click.UsageError("--in-process and --realtime: real time needs two processes")
     if in_process and silence_s is not None:
         raise click.UsageError("--in-process and --silence: in one process no node waits")
-    chosen = load(scenario, settings)
+    with budget_bar() as on_car:
+        chosen = load(scenario, settings, on_car)
     refuse(chosen, allow_unstable)
     for path in logs:
         refuse_log(path, force)
