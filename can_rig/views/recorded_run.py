@@ -8,16 +8,17 @@ import io
 import itertools
 import json
 import shutil
+import weakref
 from functools import cached_property
 from pathlib import Path
-from tempfile import TemporaryDirectory
+from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Any, Final
 
 from can_rig.errors import LogError, RunFolderError, ScenarioError, require
 from can_rig.nodes.watchdog import StopRequest
 from can_rig.results.execution import execute, refuse
 from can_rig.results.metrics import Metrics, rows
-from can_rig.results.run_folder import LOG, REPORT, SUMMARY, RunFolder, signals_of_log
+from can_rig.results.run_folder import REPORT, SUMMARY, RunFolder, signals_of_log
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from can_rig.views.signal_table import read_table, scenario_of
@@ -39,13 +40,12 @@ class RecordedRun:
         summary: everything that ``run.json`` says.
     """
 
-    def __init__(
-        self, folder: Path, scenario: Scenario, temporary: TemporaryDirectory[str] | None = None
-    ) -> None:
+    def __init__(self, folder: Path, scenario: Scenario, temporary: Path | None = None) -> None:
         self.folder = folder
         self.scenario = scenario
         self.summary: dict[str, Any] = json.loads((folder / SUMMARY).read_text("utf-8"))
-        self._temporary = temporary  # taken away with this object
+        if temporary is not None:  # taken away with this object
+            weakref.finalize(self, shutil.rmtree, temporary, ignore_errors=True)
 
     @classmethod
     def load(cls, folder: Path) -> RecordedRun:
@@ -148,10 +148,13 @@ def record(scenario: Scenario, *, allow_unstable: bool = False) -> RecordedRun:
         RigError: it ended before its last tick.
     """
     refuse(scenario, allow_unstable)
-    temporary = TemporaryDirectory(prefix="can-rig-")
-    folder = Path(temporary.name) / scenario.name
+    temporary = Path(mkdtemp(prefix="can-rig-"))
     bus = f"virtual:can-rig-{next(_CHANNELS)}"  # python-can's, within this process
-    done = execute(scenario, folder, StopRequest(), bus=bus, report=False)
-    if done is None or done.failure is not None:
-        raise (done and done.failure) or LogError(f"{folder / LOG}: nothing was recorded")
-    return RecordedRun(folder, scenario, temporary)
+    try:
+        done = execute(scenario, temporary / "run", StopRequest(), bus=bus, report=False)
+        if done is None or done.failure is not None:
+            raise (done and done.failure) or LogError(f"{scenario.name}: nothing was recorded")
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise
+    return RecordedRun(done.folder, scenario, temporary)

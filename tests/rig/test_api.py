@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import gc
 import json
 import subprocess
 import sys
 from pathlib import Path
+from tempfile import mkdtemp
 from typing import Any
 
 import nbclient
@@ -20,6 +22,7 @@ from can_rig.api import RecordedRun
 from can_rig.decoding.decode import decode_log
 from can_rig.results.run_folder import LOG, REPORT, SIGNALS, SUMMARY
 from can_rig.scenario.build import continuous_plant
+from can_rig.views import recorded_run
 from tests.helpers import DBC, asked, record
 
 SHORT = {"fault.at_s": 0.2, "duration_s": 0.4, "fault": {"kind": "actuator-dead"}}
@@ -60,8 +63,40 @@ def test_nothing_is_left_on_disk_until_it_is_saved(tmp_path: Path) -> None:
     with pytest.raises(errors.RunFolderError, match="there already"):
         made.save(folder)
     assert made.save(folder, force=True) == folder
+
+
+def test_a_temporary_folder_goes_with_its_run() -> None:
+    made = can_rig.run("thesis-step", {"duration_s": 0.01})
+    folder = made.folder
+    assert folder.is_dir()
     del made
-    assert not temporary.exists()
+    gc.collect()
+    assert not folder.parent.exists()
+
+
+def test_a_run_that_fails_says_why_and_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[str] = []
+    monkeypatch.setattr(recorded_run, "mkdtemp", lambda prefix: made.append(mkdtemp()) or made[0])
+    settings = {"plant.kind": "tests.rig.test_api:Fails", "duration_s": 0.05}
+    with pytest.raises(errors.RigError, match="lateral"):
+        can_rig.run("thesis-step", settings, allow_unstable=True)
+    assert not Path(made[0]).exists()
+
+
+class Fails:
+    """A plant that does not get far."""
+
+    def __init__(self, settings: object) -> None:
+        self._ticks = 0
+
+    def reset(self) -> None:
+        self._ticks = 0
+
+    def advance(self, dt_s: float, command_1: float, command_2: float) -> float:
+        self._ticks += 1
+        if self._ticks > 20:
+            raise ArithmeticError("no lateral force left")
+        return 0.0
 
 
 def test_a_run_of_the_command_line_is_one_too(tmp_path: Path) -> None:
