@@ -25,7 +25,7 @@ from firmware_model.target.structs import FloatArray
 ROUNDINGS = 16
 """Roundings of each number on its way from the continuous filter to its section: more than any."""
 
-OF_ZOH = 1e-6
+OF_ZOH = 1e-5
 """Error of a zero-order hold's zeros, as a share of the largest response."""
 
 NOISE_TICKS = 4096

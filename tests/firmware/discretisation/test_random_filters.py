@@ -128,5 +128,5 @@ def test_every_assertion_of_the_testing_module_holds(seed: int, filters: int) ->
             testing.assert_dc_gain(made, g)
             testing.assert_stable(made)
             testing.assert_float32_follows(made)
-        testing.assert_step(discretise(g, tick_s, "zoh"), g, within=1e-8)
+        testing.assert_step(discretise(g, tick_s, "zoh"), g, within=testing.OF_ZOH)
         testing.assert_follows(discretise(g, tick_s, precision="float32"), g)
