@@ -83,3 +83,24 @@ def dbc_options(function: Function) -> Function:
     ):
         function = decorate(function)
     return function
+
+
+def above_zero(
+    _context: click.Context, _option: click.Parameter, value: float | None
+) -> float | None:
+    """Refuse a time in seconds that is not above 0."""
+    if value is not None and not value > 0.0:  # nan too
+        raise click.BadParameter(f"{value:g} s: must be above 0")
+    return value
+
+
+def silence_option(default: str) -> Callable[[Function], Function]:
+    """--silence, with what it is by ``default``."""
+    return click.option(
+        "--silence",
+        "silence_s",
+        type=float,
+        callback=above_zero,
+        metavar="S",
+        help=f"Seconds of silence after which the other node counts as gone.  [default: {default}]",
+    )

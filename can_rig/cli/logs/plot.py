@@ -32,8 +32,8 @@ from can_rig.views.signal_table import scenario_of
 @click.option(
     "--out",
     type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.png",
-    help="The picture.  [default: the log's name, .png]",
+    metavar="FILE",
+    help="The picture, FILE.png, .svg or .pdf.  [default: the log's name, .png]",
 )
 @force_option
 def command(
@@ -65,7 +65,7 @@ def command(
     run = scenario_of(log) if log.is_dir() else None
     page = plot_page(found, drawn, source.start_ns, run.fault if run else None)
     with atomic(out) as part:
-        page.savefig(part, dpi=150, format="png")
+        page.savefig(part, dpi=150)
     note(source.notice, f"no frame of {', '.join(absent)}" if absent else None)
     say(f"picture in {out}")
 

@@ -58,7 +58,7 @@ def test_any_dbc_any_log(car: Path) -> None:
         (("State", "--dbc", "car.dbc", "--force", "--channel", "can9"), "the log has can0"),
         (("SteerTorque", "--force"), "no frame of STEER_TORQUE_CMD"),
         (("State", "--dbc", "away.dbc", "--force"), "cannot be read"),
-        (("State", "--dbc", "car.dbc", "--out", "x.svg"), "FILE.png"),
+        (("State", "--dbc", "car.dbc", "--out", "x.jpg"), "FILE.png, FILE.svg or FILE.pdf"),
     ):
         refused = asked("plot", car, *arguments)
         assert refused.returncode == 2, arguments
