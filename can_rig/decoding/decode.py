@@ -21,6 +21,7 @@ from typing import Final
 
 import numpy as np
 from cantools.database.can import Database
+from cantools.database.can import Message as DbcMessage
 
 from can_rig.decoding.database import load_database
 from can_rig.decoding.message_columns import MessageColumns, joined
@@ -37,7 +38,8 @@ class Decoder:
 
     Args:
         database: any cantools CAN database.
-        messages: names of the messages to decode; None: all.
+        messages: names of the messages to decode; None: all. Where several have the same name,
+            each has its identifier after it, as in ``NAME_1A0``; the name alone means all of them.
         signals: the signals to decode, as ``Signal`` or ``Message.Signal``; None: all. Messages
             without any of them are not decoded.
         channel: the only bus to decode; None: all.
@@ -56,8 +58,8 @@ class Decoder:
         self._channel = channel
         self._decoders = _decoders(database, messages, signals)
         known = {
-            message.frame_id | message.is_extended_frame << _EXTENDED_BIT: message.name
-            for message in database.messages
+            message.frame_id | message.is_extended_frame << _EXTENDED_BIT: name
+            for name, message in _named(database).items()
         }
         keys = sorted(known)
         self._keys: Final = np.array(keys, dtype=np.uint32)
@@ -75,6 +77,11 @@ class Decoder:
     def counts(self) -> dict[str, Counts]:
         """What became of the frames of each message that was asked for."""
         return {name: decoder.counts for name, decoder in self._decoders.items()}
+
+    @property
+    def left_out(self) -> list[str]:
+        """Signals that do not lie within their messages, as ``Message.Signal``."""
+        return [name for decoder in self._decoders.values() for name in decoder.left_out]
 
     @property
     def messages(self) -> dict[str, MessageDecoder]:
@@ -179,29 +186,47 @@ def decode_log(
     return DecodedLog(whole, decoder, log.notice)
 
 
+def _named(database: Database) -> dict[str, DbcMessage]:
+    """The messages by name; where several have the same one, with their identifiers after it."""
+    every = Counter(message.name for message in database.messages)
+    return {
+        message.name
+        if every[message.name] == 1
+        else f"{message.name}_{message.frame_id:X}": message
+        for message in database.messages
+    }
+
+
 def _decoders(
     database: Database, messages: Collection[str] | None, signals: Collection[str] | None
 ) -> dict[str, MessageDecoder]:
-    names = [message.name for message in database.messages]
-    _require(messages or (), names, "message")
-    every = [f"{m.name}.{s.name}" for m in database.messages for s in m.signals]
-    _require(signals or (), [*every, *(name.split(".")[1] for name in every)], "signal")
+    named = _named(database)
+    _require(messages or (), [*named, *(m.name for m in named.values())], "message")
+    every = [f"{name}.{s.name}" for name, message in named.items() for s in message.signals]
+    every += [f"{m.name}.{s.name}" for m in named.values() for s in m.signals]
+    _require(signals or (), [*every, *(name.partition(".")[2] for name in every)], "signal")
     found = {}
-    for message in database.messages:
-        if (messages is not None and message.name not in messages) or message.is_container:
+    for name, message in named.items():
+        if message.is_container or not (
+            messages is None or name in messages or message.name in messages
+        ):
             continue
-        wanted = _of_message(message.name, [s.name for s in message.signals], signals)
+        wanted = _of_message((name, message.name), [s.name for s in message.signals], signals)
         if wanted is None or wanted:
-            found[message.name] = MessageDecoder(message, wanted)
+            found[name] = MessageDecoder(message, wanted, name)
     return found
 
 
 def _of_message(
-    message: str, names: Iterable[str], signals: Collection[str] | None
+    messages: Iterable[str], names: Iterable[str], signals: Collection[str] | None
 ) -> list[str] | None:
     if signals is None:
         return None
-    return [name for name in names if name in signals or f"{message}.{name}" in signals]
+    return [
+        name
+        for name in names
+        if name in signals or any(f"{message}.{name}" in signals for message in messages)
+    ]
 
 
 def _require(wanted: Collection[str], names: Collection[str], kind: str) -> None:

@@ -25,11 +25,11 @@ from typing import Final
 from can_rig.logs.formats import format_of
 from can_rig.logs.frames import Frames
 from can_rig.logs.log import Log
-from can_rig.logs.readers.asc import read_asc
-from can_rig.logs.readers.blf import read_blf
-from can_rig.logs.readers.candump import read_candump
-from can_rig.logs.readers.mf4 import read_mf4
-from can_rig.logs.readers.trc import read_trc
+from can_rig.logs.readers.binary.blf import read_blf
+from can_rig.logs.readers.binary.mf4 import read_mf4
+from can_rig.logs.readers.text.asc import read_asc
+from can_rig.logs.readers.text.candump import read_candump
+from can_rig.logs.readers.text.trc import read_trc
 
 _READERS: Final[Mapping[str, Callable[[Log], Iterator[Frames]]]] = {
     ".log": read_candump,

@@ -85,7 +85,7 @@ def command(
         json_line(**_summary(source, decoder, outputs))
     else:
         _print(decoder, outputs)
-    note(source.notice)
+    note(source.notice, *(f"{name} does not lie within its message" for name in decoder.left_out))
 
 
 def _summary(log: Log, decoder: Decoder, outputs: Sequence[Path]) -> dict[str, Any]:

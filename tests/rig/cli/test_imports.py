@@ -52,7 +52,7 @@ def test_a_light_command_imports_nothing_heavy(arguments: list[str], without: se
 
 HIDDEN = """
 import sys
-from can_rig.cli.light_python_can import hide_asammdf
+from can_rig.cli.libraries import hide_asammdf
 hide_asammdf()
 import can
 assert "pandas" not in sys.modules

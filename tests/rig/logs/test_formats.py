@@ -89,6 +89,6 @@ def test_a_peak_log_tells_its_own_name(tmp_path: Path) -> None:
 
 def test_a_peak_log_holds_only_data_frames(tmp_path: Path) -> None:
     by_python_can(tmp_path / "a.blf", kinds())
-    with pytest.raises(LogError, match=r"b.trc: .* 4 frames of .*a.blf are not; "):
+    with pytest.raises(LogError, match=r"b.trc: .* frames of .*a.blf are not; "):
         write_log(read_log(tmp_path / "a.blf"), tmp_path / "b.trc")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.blf"]
