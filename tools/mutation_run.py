@@ -34,7 +34,8 @@ OURS: Final = ("can_rig", "firmware_model", "tests")
 TIMEOUT: Final = "timeout"
 _SLOWER: Final = 10  # times the usual duration of a test, and then it hangs
 _SLOWER_S: Final = 2.0
-_WAITS_S: Final = 120  # of the clock on the wall, for a test that waits without computing
+_WAITS_S: Final = 120.0  # of the clock on the wall: a test that waits without computing hangs
+_STARVES: Final = 100  # times its CPU time: on a busy machine a test that computes takes so long
 _LONGEST_S: Final = 7200.0  # for all of them
 
 
@@ -67,6 +68,9 @@ class Plugin:
         """Choose and order them; files stay together, for the fixtures that their tests share."""
         cpu_s = self._tests.cpu_s
         items[:] = [i for i in items if cpu_s.get(i.nodeid, 0.0) < self._tests.below_s]
+        for item in items:
+            waits_s = _WAITS_S + _STARVES * cpu_s.get(item.nodeid, 60.0)
+            item.add_marker(pytest.mark.timeout(waits_s))
         file_s: dict[str, float] = defaultdict(float)
         for test, test_s in cpu_s.items():
             file_s[test.partition("::")[0]] += test_s
@@ -122,7 +126,7 @@ def _in_process(
     if mutant is not None:
         sys.meta_path.insert(0, _InMemory(*mutant))
     plugin = Plugin(tests, mutant[0].stem if mutant else "")
-    options = ["-x", "-q", "-p", "no:cacheprovider", f"--timeout={_WAITS_S}"]
+    options = ["-x", "-q", "-p", "no:cacheprovider"]
     options += [f"--basetemp={folder / 'tmp'}", "-m", "not vcan and not long"]
     status = pytest.main([*options, *tests.paths], plugins=[plugin])
     failed = plugin.failed or (f"pytest: {status!r}" if status else None)  # it cannot be imported

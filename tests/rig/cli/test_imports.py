@@ -89,12 +89,12 @@ def test_an_unknown_command_gets_a_suggestion_or_none_but_no_traceback() -> None
 
 COLLECTED = """
 import atexit, gc, sys
-atexit.register(lambda: print(gc.isenabled(), gc.get_freeze_count() > 100_000))
+atexit.register(lambda: print(gc.isenabled(), gc.get_freeze_count() > 10_000))
 from can_rig.cli.design import check
 from can_rig.assessment import resolve
 
 def seen(draft):
-    print(gc.isenabled(), gc.get_freeze_count() > 100_000)
+    print(gc.isenabled(), gc.get_freeze_count() > 10_000)
     gc.unfreeze()
     raise SystemExit(0)
 
