@@ -82,5 +82,6 @@ def _spliced(text: bytes, chance: random.Random, others: Sequence[bytes]) -> byt
 
 
 _CHANGES: Final[tuple[Callable[[bytes, random.Random, Sequence[bytes]], bytes], ...]] = (
-    _byte, _byte, _bit, _bit, _integer, _integer, _number, _number, _without, _twice, _cut, _spliced,
+    _byte, _byte, _bit, _bit, _integer, _integer, _number, _number, _without, _twice, _cut,
+    _spliced,
 )  # fmt: skip

@@ -52,14 +52,14 @@ def test_four_buses_and_three_databases(tmp_path: Path) -> None:
     out = tmp_path / "a.csv"
     each = [f"can{at}={path}" for at, path in enumerate(files)]
     done = asked("decode", log, "--dbc", each[0], "--dbc", each[1], "--dbc", each[2], "--out", out)
-    assert done.exit_code == 0, done.output
-    assert "frames not in the database: 11" in done.output  # those of can3
+    assert done.returncode == 0, done.stdout
+    assert "frames not in the database: 11" in done.stdout  # those of can3
     head, *found = (line.split(",") for line in out.read_text("utf-8").splitlines())
     assert [name.strip('"') for name in head[2:]] == [f"can{at}.SAME.X" for at in range(3)]
     assert [float(row[2 + at % 3]) for at, row in enumerate(found)] == [
         (at % 3 + 1) * (at // 3 * 4 + at % 3) for at in range(30)
     ]
-    assert asked("decode", log, "--dbc", f"can9={files[0]}").exit_code == 2
+    assert asked("decode", log, "--dbc", f"can9={files[0]}").returncode == 2
 
 
 def test_a_database_of_one_bus_beside_one_of_all(tmp_path: Path) -> None:

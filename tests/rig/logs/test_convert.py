@@ -28,7 +28,7 @@ def test_every_format_into_every_other(tmp_path: Path, first: str, second: str) 
         (tmp_path / f"b{first}", tmp_path / f"c{second}"),
     ):
         done = asked("convert", a, b)
-        assert done.exit_code == 0, done.output
+        assert done.returncode == 0, done.stdout
     assert content(whole(tmp_path / f"c{second}")) == content(whole(source))
 
 
@@ -40,10 +40,10 @@ def test_a_part_of_the_recording(tmp_path: Path) -> None:
     out = tmp_path / "b.log"
     arguments = ("convert", path, out, "--from", 2, "--to", "3.5", "--channel", "can1", "--json")
     done = asked(*arguments)
-    assert json.loads(done.output)["frames"] == 7
+    assert json.loads(done.stdout)["frames"] == 7
     assert [row[5][0] for row in rows(whole(out))] == list(range(21, 35, 2))
     for bounds in (("--from", "3", "--to", "2"), ("--from", "nan"), ("--to", "1e300")):
-        assert asked("convert", path, tmp_path / "c.log", *bounds).exit_code == 2
+        assert asked("convert", path, tmp_path / "c.log", *bounds).returncode == 2
 
 
 @pytest.mark.parametrize(
@@ -79,7 +79,7 @@ def test_what_is_in_a_log(tmp_path: Path) -> None:
     text = "".join(f"({time:.6f}) {frame}\n" for time, frame in sorted(lines))
     path = written(tmp_path, text)
     done = asked("stats", path, "--json", "--out", tmp_path / "load.png")
-    found = json.loads(done.output)
+    found = json.loads(done.stdout)
     one, other = found["identifiers"]
     assert (one["bus"], one["identifier"], one["frames"], one["bytes"]) == (
         "can0",
@@ -93,5 +93,5 @@ def test_what_is_in_a_log(tmp_path: Path) -> None:
     # 111 bits and 24 stuff bits at most (Davis et al. 2007, Table 1: 135 bits of 8 bytes).
     assert found["load"]["can0"]["most"] == pytest.approx(100 * 135 / 500_000)
     assert (tmp_path / "load.png").stat().st_size > 10_000
-    assert "can1  12345678" in asked("stats", path).output
-    assert asked("stats", path, "--bitrate", 0).exit_code == 2
+    assert "can1  12345678" in asked("stats", path).stdout
+    assert asked("stats", path, "--bitrate", 0).returncode == 2
