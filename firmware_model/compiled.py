@@ -25,7 +25,7 @@ def _cache_folder(caller: str) -> str:
     """Where compiled code is kept: a folder of its own for each state of the files it is made of.
 
     Numba looks only at the file of the function that it has cached, and would go on with an old
-    copy of what that function calls in another file: of this package, or of package ``caller``.
+    copy of what that function calls in another file: of this package, or of the room ``caller``.
     """
     here = Path(__file__).parent
     other = getattr(sys.modules.get(caller), "__file__", None)
@@ -47,7 +47,7 @@ _folder = cache(_cache_folder)
 def compiled(function: Function) -> Function:
     """Compile, cached on disk so that a second process starts at once."""
     settings: Any = config
-    package = function.__module__.partition(".")[0]
+    package = ".".join(function.__module__.split(".")[:2])  # a room, or the package
     before, settings.CACHE_DIR = settings.CACHE_DIR, _folder(package)
     try:
         return cast(Function, njit(cache=True, error_model="numpy")(function))

@@ -23,6 +23,8 @@ COMMANDS: Final = {
     "tune": ("design.tune", "Choose the tuning with the least peak after a loss of the torque."),
     "figures": ("design.figures", "Draw the thesis's figures: firmware over continuous loop."),
     "decode": ("logs.decode", "Decode LOG through a DBC into tables."),
+    "convert": ("logs.convert", "Write LOG in another format."),
+    "stats": ("logs.stats", "Say what is in LOG: identifiers, rates, jitter, gaps, bus load."),
     "replay": ("logs.replay", "Drive today's controller with LOG, and compare."),
     "plot": ("logs.plot", "Draw SIGNALs of LOG."),
     "diff": ("logs.diff", "Compare two runs, signal by signal."),

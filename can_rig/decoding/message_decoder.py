@@ -86,6 +86,11 @@ class MessageDecoder:
         self._data_id = protected_by(message)
         self._counter: int | None = None
 
+    @property
+    def signals(self) -> list[str]:
+        """Names of the signals that are decoded."""
+        return self._wanted
+
     def decode(self, frames: Frames, row: NDArray[np.int64]) -> MessageColumns:
         """The columns of the usable ``frames``; all have the identifier of this message."""
         self.counts.frames += len(frames)
