@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import math
 from collections.abc import Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -41,8 +42,7 @@ class PlantRecorder:
             if not self._names:
                 self._names = tuple(signals)
                 self._rows.writerow(("tick", *self._names))
-            values = (f"{signals.get(name, float('nan')):.10g}" for name in self._names)
-            self._rows.writerow((tick, *values))
+            self._rows.writerow((tick, *(signals.get(name, math.nan) for name in self._names)))
         except OSError as error:
             raise RunFolderError(f"{self._path}: cannot be written: {error.strerror}") from None
 

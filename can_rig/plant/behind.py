@@ -16,7 +16,7 @@ from can_rig.plant.protocol import GuardedPlant, load_plant
 from can_rig.plant.sensor import FilteredSamples
 from can_rig.scenario.build import continuous_car, continuous_plant
 from can_rig.scenario.plant_settings import PlantSettings
-from firmware_model.analysis.sampled_plant import SampledPlant, follow, measure_plant, sample
+from firmware_model.analysis.sampled_plant import SampledPlant, follow, sample
 from firmware_model.design.actuator_dynamics import IDEAL
 
 LONGEST_STEP_S = 5e-4
@@ -62,6 +62,7 @@ class LinearBehind:
         self.sampled: SampledPlant = sample(continuous_plant(settings), tick_s)
         self._constants, self._memory = self.sampled.constants, self.sampled.memory
         self._tick = 0
+        self._output = 0.0
         self._names = CAR_STATES if settings.is_car else ()
         at = len(continuous_car(settings).a)
         self._actuators: list[int | None] = []  # where the output of each lag is in the state
@@ -69,25 +70,31 @@ class LinearBehind:
             order = len(stage.realisation[0])
             self._actuators.append(at if order else None)
             at += order
+        self._ago = [  # ticks before which the command came that enters a lag right after a tick
+            dead + bool(late.any())
+            for dead, late in zip(self.sampled.dead_ticks, self.sampled.gamma_old.T, strict=True)
+        ]
 
     def report(
         self, command_1: float, command_2: float, left_1: float, left_2: float
     ) -> Mapping[str, float]:
         """See ``PlantBehind``."""
-        x, commands, _ = self._memory
-        values = {TRUE_OUTPUT: float(measure_plant(self.sampled.sensed, x))}
-        values |= {name: float(x[i]) for i, name in enumerate(self._names) if name}
+        commands = self._memory[1]
+        x = self._memory[0].tolist()
+        values = {TRUE_OUTPUT: self._output}
+        for name, state in zip(self._names, x, strict=False):
+            if name:
+                values[name] = state
         given = ((command_1, left_1), (command_2, left_2))
-        for channel, name in enumerate(APPLIED):
-            at, (command, left) = self._actuators[channel], given[channel]
-            changes_late = bool(self.sampled.gamma_old[:, channel].any())
-            ago = self.sampled.dead_ticks[channel] + changes_late
+        for channel, (command, left) in enumerate(given):
+            at, ago = self._actuators[channel], self._ago[channel]
             if at is not None:
-                values[name] = float(x[at])
+                applied = x[at]
             elif ago == 0:
-                values[name] = left * command
+                applied = left * command
             else:
-                values[name] = left * float(commands[(self._tick - ago) % len(commands), channel])
+                applied = left * float(commands[(self._tick - ago) % len(commands), channel])
+            values[APPLIED[channel]] = applied
         return values
 
     def follow(
@@ -98,7 +105,8 @@ class LinearBehind:
             self._constants, self._memory, self._tick, command_1, command_2, left_1, left_2
         )
         self._tick += 1
-        return float(output), float(read)
+        self._output = output
+        return output, read
 
 
 class ClassBehind:

@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections import deque
 from collections.abc import Mapping
 
+import numpy as np
+
 from can_rig.plant.actuators import Actuator, actuator_limits
 from can_rig.plant.behind import plant_behind
 from can_rig.plant.faults import ActuatorFault, SensorFault
@@ -29,8 +31,10 @@ class SimulatedPlant:
         self._sensor = SensorFault(scenario)
         self._actuators = (Actuator(hold_ticks), Actuator(hold_ticks))
         self._on_the_way = deque([(0.0, 0.0)] * scenario.latency_ticks)
-        self._limits = actuator_limits(scenario.plant, scenario.tick_s).tolist()
-        self._reached = [0.0, 0.0]
+        limits = actuator_limits(scenario.plant, scenario.tick_s)
+        self._limits = limits.tolist()
+        self._is_limited = bool(np.isfinite(limits).any())
+        self._reached = (0.0, 0.0)
         self._noise = SensorNoise(scenario)
         self._resolution = scenario.plant.sensor.resolution_mps2
 
@@ -54,11 +58,11 @@ class SimulatedPlant:
         left = self._fault.effectiveness(tick)
         acting = (self._actuators[0].hear(command_1), self._actuators[1].hear(command_2))
         self._on_the_way.append(acting)
-        for channel, command in enumerate(self._on_the_way.popleft()):
-            self._reached[channel] = float(
-                limited(command, self._reached[channel], *self._limits[channel])
-            )
-        reached_1, reached_2 = self._reached
+        reached_1, reached_2 = self._on_the_way.popleft()
+        if self._is_limited:
+            reached_1 = float(limited(reached_1, self._reached[0], *self._limits[0]))
+            reached_2 = float(limited(reached_2, self._reached[1], *self._limits[1]))
+            self._reached = reached_1, reached_2
         signals = self._plant.report(reached_1, reached_2, *left)
         _, self._read = self._plant.follow(reached_1, reached_2, *left)
         return signals

@@ -63,7 +63,8 @@ class SampledPlant:
         """Everything that ``follow`` needs to know, for compiled code."""
         inputs = (self.phi, self.gamma, self.gamma_old, bool(self.gamma_old.any()))
         outputs = (self.sensed, self.c, self.looks_back, bool(self.looks_back.any()))
-        return inputs, outputs, np.array([*self.dead_ticks, self.sensor_dead_ticks], np.int64)
+        dead = np.array([*self.dead_ticks, self.sensor_dead_ticks], np.int64)
+        return inputs, outputs, dead, not (dead.any() or inputs[3] or outputs[3])
 
     @property
     def memory(self) -> Any:
@@ -195,8 +196,11 @@ def follow(
         left_1: the share of what is behind the dead time of actuator 1 that still acts.
         left_2: that of actuator 2.
     """
-    (phi, gamma, gamma_old, changes), (sensed, c, looks_back, within), dead = constants
+    (phi, gamma, gamma_old, changes), (sensed, c, looks_back, within), dead, immediate = constants
     x, commands, samples = memory
+    if immediate:  # no dead time: nothing waits
+        advance_plant(phi, gamma, x, left_1 * u1, left_2 * u2)
+        return measure_plant(sensed, x), measure_plant(c, x)
     length = len(commands)
     commands[k % length, 0] = u1
     commands[k % length, 1] = u2

@@ -8,7 +8,9 @@ from typing import Any
 
 import pytest
 
+from can_rig.plant.behind import plant_behind
 from can_rig.plant.columns import ON_THE_BUS as COLUMNS
+from can_rig.scenario.plant_settings import PlantSettings
 from tests.project.pages import table, text_of
 from tools.scenario_keys import unit
 
@@ -36,7 +38,9 @@ def names(heading: str) -> list[str]:
 
 
 def test_columns_of_signals() -> None:
-    assert names("column") == list(COLUMNS)
+    car = plant_behind(PlantSettings(), 0.001)
+    reported = car.report(0.0, 0.0, 1.0, 1.0)
+    assert names("column") == [*COLUMNS, *reported]
 
 
 def test_keys_of_run_json(summary: dict[str, Any]) -> None:
