@@ -6,28 +6,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig.assessment.decision import HOUR_S
+from can_rig.assessment.unavoidable import Unavoidable, unavoidable
 from can_rig.plant.faults import CHANNELS
 from can_rig.results.signals import Signals
-from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.settings import Scenario
-from firmware_model.analysis.sampled_plant import sample
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray
 
 Mask = NDArray[np.bool_]
 
 
-def unavoidable_deviation(scenario: Scenario, signals: Signals) -> float | None:
-    """The deviation of D* before the first corrected sample, m/s²; no controller comes below it.
+def unavoidable_deviation(scenario: Scenario, signals: Signals) -> Unavoidable | None:
+    """What no controller can avoid, with the command that acted at the loss.
 
-    An actuator that dies at tick k shows at k + 1, what is done about it acts from k + 1 + n on and
-    shows at k + 2 + n. Until then the plant has missed the commands that were on their way, which
-    the log has, so it is not assumed but computed:
-
-        δ(k+1) = Φ δ(k) + Γ (left - 1) u(k - n),  max |C δ| over k+1 .. k+1+n
-
-    about ½ g1 |u1| ((n+1) T)² for the torque. For a plant class, whose Φ is not known, it is that
-    of the linear car with the same parameters. None where no actuator dies in the log.
+    None where no actuator dies in the log, and where its loss never shows.
     """
     fault, n = scenario.fault, scenario.latency_ticks
     lost = round(fault.at_s / scenario.tick_s)
@@ -35,15 +27,8 @@ def unavoidable_deviation(scenario: Scenario, signals: Signals) -> float | None:
     at = lost - first
     if fault.kind != "actuator-dead" or not n <= at < len(signals):
         return None
-    plant = sample(continuous_plant(scenario.plant), scenario.tick_s)
-    channel = CHANNELS.index(fault.channel)
-    command = (signals.torque_nm, signals.force_difference_n)[channel]
-    acting = command[at - n : at + 1]
-    missing, largest = np.zeros(len(plant.phi)), 0.0
-    for u in np.nan_to_num(acting):
-        missing = plant.phi @ missing + plant.gamma[:, channel] * (fault.left - 1.0) * u
-        largest = max(largest, abs(float(plant.c @ missing)))
-    return largest
+    command = (signals.torque_nm, signals.force_difference_n)[CHANNELS.index(fault.channel)]
+    return unavoidable(scenario, float(np.nan_to_num(command[at - n])))
 
 
 def decision_metrics(

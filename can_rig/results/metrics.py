@@ -83,7 +83,8 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
     settled = window.settled_after if window.after.any() else window.settled_before
     torque_lost = scenario.fault.channel == "torque" and window.lost.any()
     authority = control_authority(scenario, network_of(scenario)) if torque_lost else None
-    unavoidable = unavoidable_deviation(scenario, signals)
+    bound = unavoidable_deviation(scenario, signals)
+    unavoidable = None if bound is None else bound.deviation_mps2
     peak = _peak(deviation[window.after])
     return {
         "error_before_fault_mps2": _peak(error[window.settled_before]),
@@ -93,6 +94,9 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
         "error_integral_after_fault_mps": _integral(error[window.after], scenario.tick_s),
         "deviation_peak_after_fault_mps2": peak,
         "unavoidable_deviation_mps2": unavoidable,
+        "unavoidable_detection_delay_s": (
+            None if bound is None else round(bound.detection_ticks * scenario.tick_s, 9)
+        ),
         "deviation_over_unavoidable": peak / unavoidable if peak and unavoidable else None,
         "deviation_settled_after_fault_mps2": _peak(deviation[window.settled_after]),
         "fault_estimate_peak_before_fault_mps2": _peak(estimate[window.before]),

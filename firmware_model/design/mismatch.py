@@ -13,7 +13,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.target.fault_decision.mismatch import MAX_DIRECTIONS
+from firmware_model.target.fault_decision.covariance import MAX_DIRECTIONS
 from firmware_model.target.structs import FloatArray
 
 STEP = 0.05  # of the box, for a difference that is still linear

@@ -81,11 +81,14 @@ class Target:
             "rate_1",
             "rate_2",
             "reference_acceleration",
-            "false_alarms_per_hour",
-            "suspicions_per_hour",
         ):
             if not getattr(self, name) > 0.0:
                 raise ParameterError(f"{name} = {getattr(self, name):g}: must be above 0")
+        for name in ("false_alarms_per_hour", "suspicions_per_hour"):
+            if not 0.0 < getattr(self, name) < math.inf:
+                raise ParameterError(
+                    f"{name} = {getattr(self, name):g}: must be finite and above 0"
+                )
         for name in ("lsb_1", "lsb_2", "noise_rms", "resolution", "probe_pause_s"):
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise ParameterError(

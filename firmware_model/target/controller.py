@@ -193,6 +193,7 @@ def clear_memories(table: Record, state: Record) -> None:
     clear_mismatch(table.mismatch, state.mismatch)
     start_candidate(table, state)
     release(state.bumpless_transfer)
+    state.fault_state = CLEAR
 
 
 @firmware

@@ -11,6 +11,7 @@ import numpy as np
 
 from can_rig.assessment.tuning.box import Car, is_stable, loops
 from can_rig.assessment.tuning.refusals import Refusal
+from can_rig.assessment.unavoidable import unavoidable
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_design, continuous_plant, target
 from can_rig.scenario.settings import DesignSettings, Scenario
@@ -41,7 +42,7 @@ class Tuning:
     Attributes:
         design: its keys, the rest of them the scenario's.
         peak_mps2: largest deviation from the fault-free run after the loss.
-        unavoidable_mps2: the deviation before the first corrected sample, ½ g1 |u1| ((n+1) T)².
+        unavoidable_mps2: what no controller avoids; see ``unavoidable``.
         noise_to_torque: rms of the torque command for D* noise of rms 1 m/s², N m per m/s².
         noise_to_force: the same for X_diff, N per m/s²; each in the worse of the two states.
         torque_peak_nm: over the whole run, the first step of the reference included.
@@ -122,7 +123,7 @@ def _lose_torque(scenario: Scenario, table: Record, noise: tuple[float, float]) 
     peak = float(deviation.max())
     if not (math.isfinite(peak) and deviation[-len(deviation) // 4 :].max() <= DECAYED * peak):
         return Refusal.TRANSIENT
-    delay_s = (scenario.latency_ticks + 1) * tick_s
+    bound = unavoidable(scenario, float(healthy.command_1[loss - 1]))
     torque, force = np.abs(lost.command_1), np.abs(lost.command_2)
     torque_after, force_after = float(torque[loss:].max()), float(force[loss:].max())
     tail = NOISE_SIGMAS * scenario.model.sensor.noise_mps2
@@ -132,7 +133,7 @@ def _lose_torque(scenario: Scenario, table: Record, noise: tuple[float, float]) 
     return Tuning(
         design=scenario.design,
         peak_mps2=peak,
-        unavoidable_mps2=0.5 * abs(car.g1.gain * healthy.command_1[loss - 1]) * delay_s**2,
+        unavoidable_mps2=math.inf if bound is None else bound.deviation_mps2,
         noise_to_torque=noise[0],
         noise_to_force=noise[1],
         torque_peak_nm=float(torque.max()),

@@ -18,7 +18,7 @@ Control 21 (1976) 108).
 What other cars show beyond the first order is a remainder that changes as slowly as the car does:
 one more θ, whose x is 1. Both wander only where the car moves: the steady state of a bend is the
 same for any time, so what d̂ is there is soon known, and a loss is told from it at once. The measure
-of motion is the fading largest change of the x_i, M, against their fading largest size: the
+of motion is the fading largest change of the x_i, M, against their fading largest extent: the
 remainder's variance is a share of the first, and θ wanders at the ratio of both. A model that is
 trusted has no x.
 """
@@ -28,14 +28,18 @@ from __future__ import annotations
 import math
 
 from firmware_model.compiled import firmware
+from firmware_model.target.fault_decision import covariance
+from firmware_model.target.fault_decision.covariance import (
+    SIZES,
+    clear_covariance,
+    fade,
+    grow,
+    measure,
+)
 from firmware_model.target.filters import biquad
 from firmware_model.target.filters.biquad import advance, output, settle
 from firmware_model.target.precision import real
 from firmware_model.target.structs import Field, Record
-
-MAX_DIRECTIONS = 3
-MAX_STATES = MAX_DIRECTIONS + 1  # the last is the remainder
-SIZES = (MAX_STATES,)
 
 CONSTANTS = (
     Field("cars", "1", "principal directions in use", "int32"),
@@ -47,11 +51,11 @@ CONSTANTS = (
     Field("prior", "1", "P0, variance of each θ before anything is known; of the remainder 1"),
     Field("forgetting", "1", "1 - φ of each θ where the car moves", shape=SIZES),
     Field("growth", "1", "1 - φ², times the variance of θ", shape=SIZES),
-    Field("motion", "1", "(time constant of the remainder/tick)², from changes to sizes"),
+    Field("motion", "1", "(time constant of the remainder/tick)², from changes to extents"),
     Field("beyond", "1", "variance of the remainder, as a share of M"),
     Field("rule", "1", "the same for what F1's discretisation leaves, of the change of G1 u1"),
     Field("white", "1", "share of the remainder's variance that differs from tick to tick"),
-    Field("fading", "1", "what a tick leaves of M and of the largest size"),
+    Field("fading", "1", "what a tick leaves of M and of the largest extent"),
     Field("noise", "y²", "variance of the whitened noise of a tick"),
     Field("colour", "1", "a of the noise, n(k) = a n(k-1) + white"),
 )
@@ -62,10 +66,10 @@ STATE = (
     Field("x", "y", "x of the last tick", shape=SIZES),
     Field("regressor", "y", "x of this tick, whitened", shape=SIZES),
     Field("theta", "1", "θ", shape=SIZES),
-    Field("covariance", "1", "P", shape=(MAX_STATES, MAX_STATES)),
+    Field("covariance", "1", "P", covariance.STATE),
     Field("gain", "1/y", "of the last update of θ", shape=SIZES),
     Field("memory", "1", "φ, what that tick left of each θ", shape=SIZES),
-    Field("size", "y²", "fading largest Σ x²"),
+    Field("extent", "y²", "fading largest Σ x²"),
     Field("change", "y²", "M, fading largest Σ (time constant · dx/dt)²"),
     Field("remainder", "y²", "variance of the remainder"),
     Field("previous_model_output", "y", "G1 u1 of the last tick"),
@@ -85,7 +89,7 @@ def predict_mismatch(constants: Record, state: Record, command_1: float, model_1
         model_1: G1 u1 likewise.
     """
     a, x, previous = constants.colour, state.regressor, state.x
-    size = change = real(0.0, model_1)
+    extent = change = real(0.0, model_1)
     for i in range(constants.cars):
         if i == 0:
             other = output(constants.car_1, state.car_1, command_1)
@@ -97,14 +101,14 @@ def predict_mismatch(constants: Record, state: Record, command_1: float, model_1
         x[i] = now - a * previous[i]
         moved = now - previous[i]
         previous[i] = now
-        size += now * now
+        extent += now * now
         change += moved * moved
     if constants.n > 0:
         x[constants.n - 1] = real(1.0, model_1) - a
     moved = model_1 - state.previous_model_output
     state.previous_model_output = model_1
     fading, motion = constants.fading, constants.motion
-    state.size = max(fading * state.size, finite(size))
+    state.extent = max(fading * state.extent, finite(extent))
     state.change = max(fading * state.change, finite(motion * change))
     rule = finite(constants.rule * moved * moved)
     state.remainder = max(fading * state.remainder, constants.beyond * state.change, rule)
@@ -122,30 +126,25 @@ def innovation(constants: Record, state: Record, residual: float) -> float:
 
     Leaves the gain in ``state.gain`` and the innovation's variance in ``state.variance``.
     """
-    n, x, p, gain = constants.n, state.regressor, state.covariance, state.gain
+    n, x, gain = constants.n, state.regressor, state.gain
     theta, memory = state.theta, state.memory
     new: float = residual - constants.colour * state.previous_residual
     state.previous_residual = residual
-    variance = constants.noise + constants.white * state.remainder
     for i in range(n):
-        gain[i] = real(0.0, new)
-        for j in range(n):
-            gain[i] += p[i, j] * x[j]
-        variance += x[i] * gain[i]
         new -= x[i] * theta[i]
-    state.variance = variance
-    for i in range(n):
-        gain[i] /= variance
+    noise = constants.noise + constants.white * state.remainder
+    state.variance = measure(state.covariance, n, x, noise, gain)
     one = real(1.0, new)
-    wander = min(state.change / state.size, one) if state.size > real(0.0, new) else one
+    wander = min(state.change / state.extent, one) if state.extent > real(0.0, new) else one
     for i in range(n):
         memory[i] = one - wander * constants.forgetting[i]
         theta[i] = memory[i] * (theta[i] + gain[i] * new)
-        for j in range(i + 1):
-            p[i, j] = memory[i] * memory[j] * (p[i, j] - gain[i] * gain[j] * variance)
-            p[j, i] = p[i, j]
-        grown = constants.growth[i] * (state.remainder if i == n - 1 else wander)
-        p[i, i] = max(p[i, i], real(0.0, new)) + grown
+    fade(state.covariance, n, memory)
+    for i in range(n):
+        growth = state.remainder if i == n - 1 else wander
+        grow(state.covariance, i, constants.growth[i] * growth)
+    if not (math.isfinite(new) and math.isfinite(state.variance)):
+        clear_mismatch(constants, state)
     return new
 
 
@@ -168,10 +167,10 @@ def clear_mismatch(constants: Record, state: Record) -> None:
     state.car_3.accumulators[:] = 0.0
     state.x[:] = 0.0
     state.theta[:] = 0.0
-    state.covariance[:] = 0.0
+    clear_covariance(state.covariance)
     for i in range(constants.cars):
-        state.covariance[i, i] = constants.prior
-    state.size = state.change = state.remainder = 0.0
+        state.covariance.variances[i] = constants.prior
+    state.extent = state.change = state.remainder = 0.0
     state.previous_model_output = 0.0
     state.previous_residual = 0.0
 
@@ -183,5 +182,5 @@ def settle_mismatch(constants: Record, state: Record, command_1: float, model_1:
     settle(constants.car_1, state.car_1, command_1)
     settle(constants.car_2, state.car_2, command_1)
     settle(constants.car_3, state.car_3, command_1)
-    state.previous_model_output = model_1
     predict_mismatch(constants, state, command_1, model_1)
+    state.change = state.remainder = 0.0  # it came there long ago

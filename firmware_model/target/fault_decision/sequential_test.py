@@ -19,7 +19,7 @@ The test for the return of a lost channel is the same with the opposite sign.
 from __future__ import annotations
 
 from firmware_model.compiled import firmware
-from firmware_model.target.fault_decision.mismatch import MAX_STATES
+from firmware_model.target.fault_decision.covariance import MAX_STATES
 from firmware_model.target.filters import biquad
 from firmware_model.target.filters.biquad import advance, output
 from firmware_model.target.filters.estimator import pending_command

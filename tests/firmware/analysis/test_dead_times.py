@@ -23,6 +23,7 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import zoh
 from firmware_model.errors import ParameterError
+from firmware_model.firmware import Firmware
 from firmware_model.target.structs import FloatArray
 
 CAR = steer_by_wire()
@@ -168,3 +169,16 @@ def test_the_loop_s_matrix_is_the_simulation(plant: Plant, left: tuple[float, fl
     assert_allclose(trace.measured, expected, rtol=1e-6, atol=1e-9)
     grows = np.abs(expected[-1]) > 100.0
     assert (loop.spectral_radius() > 1.0) == grows
+
+
+def test_a_reset_fills_what_is_in_the_dead_times() -> None:
+    """From the settled loop on, nothing moves and nothing looks like a loss."""
+    late = behind(CAR, Stage(0.01, dead_time_s=0.003), Stage(dead_time_s=0.005), IDEAL)
+    firmware = Firmware(build(design(late, SLOW), Target(TICK_S, latency_ticks=2, estimator="zoh")))
+    firmware.reset(1.0)
+    torque, _ = firmware.commands
+    for _ in range(20):
+        answer = firmware.step(1.0, 1.0)
+        assert answer.fault_estimate == pytest.approx(0.0, abs=1e-9)
+        assert answer.command_1 == pytest.approx(torque, rel=1e-6)
+    assert torque == pytest.approx(1.0 / CAR.g1.dc_gain)

@@ -86,7 +86,7 @@ def by_hand(
     n = target.latency_ticks
     parts = [
         (phi, gamma, c, d),  # inputs 0, 1 -> y = w0
-        cascade(filters.tracking),  # input 2 -> u1 = w1
+        cascade(filters.tracking),  # Q: input 2 -> u1 = w1
         cascade(filters.compensator),  # input 3 -> u2 = w2
         cascade(filters.estimator_1),  # input 4 -> w3
         cascade(filters.estimator_2),  # input 5 -> w4
@@ -99,7 +99,8 @@ def by_hand(
     a, b, c, d = (linalg.block_diag(*matrices) for matrices in zip(*parts, strict=True))
     k = np.zeros((11, 10))
     k[0, 8] = k[1, 9] = 1.0
-    k[2, 0] = -1.0 if designed.tracking is not None else 0.0
+    if designed.tracking is not None:  # Q (r - y + G1 u1)
+        k[2, 0], k[2, 3] = -1.0, 1.0
     k[3, 5] = 1.0
     k[4, 6] = k[5, 7] = 1.0
     k[6, 3] = k[6, 4] = 1.0
@@ -191,7 +192,7 @@ def test_limits_and_grid_and_precision_do_not_enter() -> None:
         rate_2=1.0,
         lsb_1=0.5,
         lsb_2=0.5,
-        threshold=1e-9,
+        noise_rms=1e-9,
     )
     smooth = Target(1e-3, 2, "zoh")
     ours, plain = (linear_controller(build(SLOW, target)) for target in (rough, smooth))
@@ -231,7 +232,7 @@ def test_a_loop_that_only_the_controller_sees_still_counts() -> None:
 @pytest.mark.parametrize("latency", [0, 1])
 def test_loop_gain_is_its_definition(latency: int) -> None:
     loop = loop_of(build(PUBLISHED, Target(1e-3, latency)), CAR, 1e-3)
-    z = np.exp(1j * np.array([1e-3, 0.3, 3.0]))
+    z = np.exp(1j * np.array([1e-2, 0.3, 3.0]))
     direct = [
         -loop.c @ np.linalg.solve(point * np.eye(len(loop.a)) - loop.a, loop.b[:, 0]) for point in z
     ]

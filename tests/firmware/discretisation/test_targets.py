@@ -12,18 +12,19 @@ from firmware_model.errors import ParameterError
 from firmware_model.target.structs import MAX_LATENCY_TICKS
 
 TINY = 5e-324
-POSITIVE = ("limit_1", "limit_2", "rate_1", "rate_2", "reference_acceleration", "threshold")
+POSITIVE = ("limit_1", "limit_2", "rate_1", "rate_2", "reference_acceleration")
+RATES = ("false_alarms_per_hour", "suspicions_per_hour")
+SIZES = ("lsb_1", "lsb_2", "noise_rms", "resolution", "probe_pause_s")
 EIGHTH = math.pi / 4 / 1e-3  # rad/s, of the sampling frequency of 1 kHz
 
 ACCEPTED: list[dict[str, Any]] = [
     {"latency_ticks": 0},
     {"latency_ticks": MAX_LATENCY_TICKS},
     *({name: value} for name in POSITIVE for value in (TINY, 0.5, math.inf)),
-    *({name: value} for name in ("lsb_1", "lsb_2", "model_share") for value in (0.0, TINY, 1e300)),
-    {"clear_ratio": 0.0},
-    {"clear_ratio": math.nextafter(1.0, 0.0)},
-    {"confirm_ticks": 1},
-    {"clear_ticks": 1},
+    *({name: value} for name in RATES for value in (TINY, 0.5, 1e300)),
+    *({name: value} for name in SIZES for value in (0.0, TINY, 1e300)),
+    {"noise_pole": 0.0},
+    {"noise_pole": math.nextafter(1.0, 0.0)},
     {"probe": TINY},
     {"probe": 1e300},
     {"probe": 0.0, "probe_rad_per_s": -1.0},  # there is none: its frequency does not matter
@@ -36,15 +37,15 @@ REFUSED: list[tuple[dict[str, Any], str]] = [
     ({"latency_ticks": MAX_LATENCY_TICKS + 1}, f"must be 0 to {MAX_LATENCY_TICKS}"),
     *(({name: value}, f"{name} = {value:g}: must be above 0")
       for name in POSITIVE for value in (0.0, -TINY, -math.inf, math.nan)),
+    *(({name: value}, f"{name} = {value:g}: must be finite and above 0")
+      for name in RATES for value in (0.0, -TINY, math.inf, math.nan)),
     *(({name: value}, f"{name} = {value:g}: must be finite and 0 or above")
-      for name in ("lsb_1", "lsb_2", "model_share") for value in (-TINY, math.inf, math.nan)),
-    *(({"clear_ratio": value}, "must be 0 or above, below 1")
-      for value in (-TINY, 1.0, math.nan)),
+      for name in SIZES for value in (-TINY, math.inf, math.nan)),
+    *(({"noise_pole": value}, "must be 0 or above, below 1") for value in (-TINY, 1.0, math.nan)),
     *(({"probe": value}, "must be 0 (none) or above, and finite")
       for value in (-TINY, math.inf, math.nan)),
     *(({"probe": 0.5, "probe_rad_per_s": value}, f"at most an eighth of the sampling frequency, "
        f"{EIGHTH:g} rad/s") for value in (0.0, -1.0, math.nextafter(EIGHTH, 1e4), math.nan)),
-    *(({name: 0}, f"{name} = 0: must be 1 or more") for name in ("confirm_ticks", "clear_ticks")),
     ({"estimator": "euler"}, "estimator = 'euler': must be one of tustin, tustin-held, zoh"),
 ]  # fmt: skip
 
@@ -64,16 +65,18 @@ def test_the_first_that_does_not_is_refused(change: dict[str, Any], reason: str)
 
 
 def test_by_default_it_is_the_thesis_s() -> None:
-    """No latency, no limits, no grid, no decision: d̂ is compensated as it is, always."""
+    """No latency, no limits, no grid: d̂ is compensated as it is, always."""
     target = Target(1e-3)
     assert (target.latency_ticks, target.estimator) == (0, "tustin")
     for name in POSITIVE:
         assert getattr(target, name) == math.inf
-    for name in ("lsb_1", "lsb_2", "model_share", "probe"):
+    for name in ("lsb_1", "lsb_2", "probe"):
         assert getattr(target, name) == 0.0
     assert target.on_confirmation is False
     assert target.prewarp_rad_per_s is None
     assert target.precision == "float64"
-    # Of a decision that is asked for: at once, back at a quarter, probed at 10 rad/s.
-    assert (target.confirm_ticks, target.clear_ticks, target.clear_ratio) == (1, 1, 0.25)
-    assert target.probe_rad_per_s == 10.0
+    # What is decided meanwhile: by a perfect sensor on a car that is the model.
+    assert (target.noise_rms, target.noise_pole, target.resolution) == (0.0, 0.0, 0.0)
+    assert target.mismatch.cars == ()
+    assert (target.false_alarms_per_hour, target.suspicions_per_hour) == (1e-3, 3600.0)
+    assert (target.probe_rad_per_s, target.probe_pause_s) == (10.0, 0.5)

@@ -14,7 +14,7 @@ from firmware_model.design.plants import chapter_2, steer_by_wire
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
-from firmware_model.target.status import Mode
+from firmware_model.target.status import FaultState, Mode
 
 CAR = steer_by_wire()
 DESIGN = design(CAR, DesignSpecification())
@@ -58,6 +58,23 @@ def test_an_overflow_is_forgotten_and_not_kept() -> None:
         after = firmware.step(0.0, 0.0)
     assert after.mode == Mode.RUN
     assert np.isfinite(after[:3]).all()
+
+
+@pytest.mark.parametrize("overflow", [1.7e308, -1.7e308])
+def test_after_an_overflow_a_confirmed_loss_is_found_again(overflow: float) -> None:
+    """Its share is forgotten too: it must not stay CONFIRMED with nothing to compensate."""
+    target = Target(1e-3, 1, "zoh", limit_1=400.0, limit_2=1e4, on_confirmation=True)
+    tame = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
+    left, noise = np.ones((3000, 2)), np.zeros(3000)
+    left[300:, 0] = 0.0
+    noise[1000] = overflow
+    plant, table = sample(CAR, 1e-3), build(tame, target)
+    trace = simulate(table, plant, np.ones(3000), effectiveness=left, noise=noise)
+    assert trace.fault_state[999] == FaultState.CONFIRMED
+    assert trace.mode[1000] == Mode.HOLD
+    assert trace.fault_state[-1] == FaultState.CONFIRMED
+    assert abs(trace.error[-1]) < 0.05
+    assert trace.command_2[-1] == pytest.approx(1.0 / CAR.g2.dc_gain, rel=0.05)
 
 
 @pytest.mark.parametrize("reference", [1.0, -0.4, 0.0])

@@ -1,0 +1,75 @@
+"""The least deviation of D* that a loss can cause, whatever the controller does about it.
+
+A loss has to show before anything can be done about it. What it takes off D* grows as
+
+    δ(k+1) = Φ δ(k) + Γ (left - 1) u
+
+and is known to be a loss after the first tick on a sensor without noise, otherwise once the best
+test can tell: when the expected log-likelihood ratio Σ δ²/(2 σ²) has reached that of the false
+alarms that are allowed (Basseville and Nikiforov 1993, 8.2; the moment of the loss is taken as
+known, which favours nobody). What is done about it acts n + 1 ticks later. So the least deviation
+is the largest |δ| until then, with the commands that acted before the loss.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from can_rig.plant.faults import CHANNELS
+from can_rig.scenario.build import continuous_plant, target
+from can_rig.scenario.settings import Scenario
+from firmware_model.analysis.sampled_plant import sample
+
+HOUR_S = 3600.0
+LONGEST_S = 60.0  # a loss that shows later does not show
+
+
+@dataclass(frozen=True)
+class Unavoidable:
+    """What no controller can avoid.
+
+    Attributes:
+        detection_ticks: from the loss until it can be known.
+        deviation_mps2: largest |deviation| of D* by then and by the delay of the commands.
+    """
+
+    detection_ticks: int
+    deviation_mps2: float
+
+
+def unavoidable(scenario: Scenario, command: float) -> Unavoidable | None:
+    """For the scenario's fault while ``command`` of its channel acts; None where it never shows.
+
+    For a plant that is a class, whose Φ is not known, it is that of the linear car with the same
+    parameters.
+    """
+    tick_s, fault = scenario.tick_s, scenario.fault
+    immediate = replace(
+        scenario.plant,
+        torque_actuator=replace(scenario.plant.torque_actuator, dead_time_s=0.0),
+        force_difference_actuator=replace(
+            scenario.plant.force_difference_actuator, dead_time_s=0.0
+        ),
+        sensor=replace(scenario.plant.sensor, dead_time_s=0.0),
+    )  # a loss comes behind the dead time of its actuator
+    plant = sample(continuous_plant(immediate), tick_s)
+    gamma = plant.gamma[:, CHANNELS.index(fault.channel)] * (fault.left - 1.0) * command
+    place = target(scenario, None)
+    per_tick = 2.0 * (place.noise_rms**2 * (1.0 - place.noise_pole**2) + place.resolution**2 / 12.0)
+    needed = math.log(HOUR_S / (tick_s * place.false_alarms_per_hour)) * per_tick
+    missing, largest, shown, before = np.zeros(len(plant.phi)), 0.0, 0.0, 0.0
+    found: int | None = None
+    for k in range(1, round(LONGEST_S / tick_s) + 1):
+        missing = plant.phi @ missing + gamma
+        now = abs(float(plant.c @ missing))
+        largest = max(largest, now)
+        shown += (now - place.noise_pole * before) ** 2
+        before = now
+        if found is None and shown > needed:
+            found = k
+        if found is not None and k >= found + scenario.latency_ticks:
+            return Unavoidable(found, largest)
+    return None
