@@ -21,7 +21,7 @@ from typing import Final
 import numpy as np
 
 from can_rig.frames.network import Network
-from can_rig.plant.frameless import frameless
+from can_rig.plant.frameless import Inputs, frameless, inputs_of
 from can_rig.scenario.build import (
     UNCERTAIN,
     continuous_plant,
@@ -78,6 +78,7 @@ class Drives:
         self._scenario = replace(scenario, fault=none, duration_s=(healthy + lost) * tick_s)
         self._network = network
         self._lost = healthy
+        self._known: dict[str, Inputs] = {}
         self._table: Record = controller_table(self._scenario, network)
         free = replace(self._scenario, plant=scenario.model, limits=LimitSettings())
         self._goal: FloatArray = frameless(free.noise_free, network).measurement
@@ -87,10 +88,8 @@ class Drives:
     def findings(self, car: str, plant: PlantSettings, loss: str) -> Iterator[Finding]:
         """What is wrong with ``plant`` in a drive that ends with one of ``LOSSES``."""
         scenario, tick_s = self._scenario, self._scenario.tick_s
-        channel, left = LOSSES[loss]
-        fault = replace(scenario.fault, kind="actuator-dead", channel=channel, left=left)
-        driven = replace(scenario, plant=plant, fault=fault)
-        trace = frameless(driven, self._network, self._table)
+        driven = replace(scenario, plant=plant)
+        trace = frameless(driven, self._network, self._table, self._inputs(loss))
         alarms = np.flatnonzero(trace.fault_state[: self._lost] == FaultState.CONFIRMED)
         if len(alarms):
             yield Finding(car, True, f"false alarm after {alarms[0] * tick_s:.3g} s")
@@ -109,6 +108,14 @@ class Drives:
                     f"{float(np.nanmax(last, initial=0.0)):.3g} m/s² in the last second",
                 )
                 return
+
+    def _inputs(self, loss: str) -> Inputs:
+        """Of a drive that ends with ``loss``; the sensor is that of the scenario's own plant."""
+        if loss not in self._known:
+            channel, left = LOSSES[loss]
+            fault = replace(self._scenario.fault, kind="actuator-dead", channel=channel, left=left)
+            self._known[loss] = inputs_of(replace(self._scenario, fault=fault), self._network)
+        return self._known[loss]
 
     def _returns(self, plant: PlantSettings, loss: str) -> bool:
         """Whether D* should come back after ``loss``."""

@@ -2,13 +2,14 @@
 
 A loss has to show before anything can be done about it. What it takes off D* grows as
 
-    δ(k+1) = Φ δ(k) + Γ (left - 1) u
+    δ(k+1) = Φ δ(k) + Γ (left - 1) u(k)
 
 and is known to be a loss after the first tick on a sensor without noise, otherwise once the best
 test can tell: when the expected log-likelihood ratio Σ δ²/(2 σ²) has reached that of the false
 alarms that are allowed (Basseville and Nikiforov 1993, 8.2; the moment of the loss is taken as
 known, which favours nobody). What is done about it acts n + 1 ticks later. So the least deviation
-is the largest |δ| until then, with the commands that acted before the loss.
+is the largest |δ| until then, with the commands u that were sent: a controller that reacts to the
+loss with a larger command makes it show sooner.
 """
 
 from __future__ import annotations
@@ -22,9 +23,9 @@ from can_rig.plant.faults import CHANNELS
 from can_rig.scenario.build import continuous_plant, target
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import sample
+from firmware_model.target.structs import FloatArray
 
 HOUR_S = 3600.0
-LONGEST_S = 60.0  # a loss that shows later does not show
 
 
 @dataclass(frozen=True)
@@ -40,11 +41,11 @@ class Unavoidable:
     deviation_mps2: float
 
 
-def unavoidable(scenario: Scenario, command: float) -> Unavoidable | None:
-    """For the scenario's fault while ``command`` of its channel acts; None where it never shows.
+def unavoidable(scenario: Scenario, commands: FloatArray) -> Unavoidable | None:
+    """For the scenario's fault; None where it never shows.
 
-    For a plant that is a class, whose Φ is not known, it is that of the linear car with the same
-    parameters.
+    ``commands`` are those that reach the lost channel from the loss on, shape (ticks,). For a plant
+    that is a class, whose Φ is not known, it is that of the linear car with the same parameters.
     """
     tick_s, fault = scenario.tick_s, scenario.fault
     immediate = replace(
@@ -56,14 +57,14 @@ def unavoidable(scenario: Scenario, command: float) -> Unavoidable | None:
         sensor=replace(scenario.plant.sensor, dead_time_s=0.0),
     )  # a loss comes behind the dead time of its actuator
     plant = sample(continuous_plant(immediate), tick_s)
-    gamma = plant.gamma[:, CHANNELS.index(fault.channel)] * (fault.left - 1.0) * command
+    gamma = plant.gamma[:, CHANNELS.index(fault.channel)] * (fault.left - 1.0)
     place = target(scenario, None)
     per_tick = 2.0 * (place.noise_rms**2 * (1.0 - place.noise_pole**2) + place.resolution**2 / 12.0)
     needed = math.log(HOUR_S / (tick_s * place.false_alarms_per_hour)) * per_tick
     missing, largest, shown, before = np.zeros(len(plant.phi)), 0.0, 0.0, 0.0
     found: int | None = None
-    for k in range(1, round(LONGEST_S / tick_s) + 1):
-        missing = plant.phi @ missing + gamma
+    for k, command in enumerate(np.nan_to_num(commands), 1):
+        missing = plant.phi @ missing + gamma * command
         now = abs(float(plant.c @ missing))
         largest = max(largest, now)
         shown += (now - place.noise_pole * before) ** 2

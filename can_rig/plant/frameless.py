@@ -5,6 +5,8 @@ Bit for bit the signals of the run on a lockstep bus; thousands of times faster 
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from can_rig.errors import RigError
@@ -23,26 +25,54 @@ from firmware_model.analysis.simulation import AnyPlant, BoolArray, Trace, simul
 from firmware_model.target.structs import FloatArray, Record
 
 
-def frameless(scenario: Scenario, network: Network, table: Record | None = None) -> Trace:
-    """Run ``scenario`` without a bus; every signal as its frame on ``network`` would have it.
+@dataclass(frozen=True)
+class Inputs:
+    """What happens to the loop from outside, tick by tick; see ``simulate``."""
 
-    A plant of one's own may fail in mid-run: what is measured is not a number from there on.
-    ``table`` is that of the scenario's controller, for whoever has it already.
+    reference: FloatArray
+    effectiveness: FloatArray
+    noise: FloatArray
+    bias: FloatArray
+    arrives: BoolArray
 
-    Raises:
-        ScenarioError: a scenario that cannot run.
-    """
+
+def inputs_of(scenario: Scenario, network: Network) -> Inputs:
+    """The inputs of ``scenario``, which do not depend on its car."""
     ticks = scenario.ticks
     actuator, sensor = ActuatorFault(scenario), SensorFault(scenario)
-    return simulate(
-        controller_table(scenario, network) if table is None else table,
-        _plant(scenario),
-        quantised(network.reference, reference(scenario)),
-        tick_s=scenario.tick_s,
+    return Inputs(
+        reference=quantised(network.reference, reference(scenario)),
         effectiveness=np.array([actuator.effectiveness(tick) for tick in range(ticks)]),
         noise=noise(scenario),
         bias=np.array([sensor.bias(tick) for tick in range(ticks)]),
         arrives=arrivals(scenario, network),
+    )
+
+
+def frameless(
+    scenario: Scenario,
+    network: Network,
+    table: Record | None = None,
+    inputs: Inputs | None = None,
+) -> Trace:
+    """Run ``scenario`` without a bus; every signal as its frame on ``network`` would have it.
+
+    A plant of one's own may fail in mid-run: what is measured is not a number from there on.
+    ``table`` is that of the scenario's controller and ``inputs`` are its own, for whoever has them.
+
+    Raises:
+        ScenarioError: a scenario that cannot run.
+    """
+    inputs = inputs_of(scenario, network) if inputs is None else inputs
+    return simulate(
+        controller_table(scenario, network) if table is None else table,
+        _plant(scenario),
+        inputs.reference,
+        tick_s=scenario.tick_s,
+        effectiveness=inputs.effectiveness,
+        noise=inputs.noise,
+        bias=inputs.bias,
+        arrives=inputs.arrives,
         hold_ticks=round(scenario.actuator.hold_s / scenario.tick_s),
         limits=actuator_limits(scenario.plant, scenario.tick_s),
         resolution=scenario.plant.sensor.resolution_mps2,

@@ -17,7 +17,7 @@ Mask = NDArray[np.bool_]
 
 
 def unavoidable_deviation(scenario: Scenario, signals: Signals) -> Unavoidable | None:
-    """What no controller can avoid, with the command that acted at the loss.
+    """What no controller can avoid, with the commands of the log.
 
     None where no actuator dies in the log, and where its loss never shows.
     """
@@ -28,7 +28,7 @@ def unavoidable_deviation(scenario: Scenario, signals: Signals) -> Unavoidable |
     if fault.kind != "actuator-dead" or not n <= at < len(signals):
         return None
     command = (signals.torque_nm, signals.force_difference_n)[CHANNELS.index(fault.channel)]
-    return unavoidable(scenario, float(np.nan_to_num(command[at - n])))
+    return unavoidable(scenario, command[at - n :])
 
 
 def decision_metrics(

@@ -98,7 +98,10 @@ def _refuse_slow_sensor(scenario: Scenario) -> None:
 
 
 def target(scenario: Scenario, network: Network | None) -> Target:
-    """Where the design runs; without a network, commands are neither limited nor rounded by it."""
+    """Where the design runs, trusting the model; see ``mismatch`` for the cars that are not it.
+
+    Without a network, commands are neither limited nor rounded by it.
+    """
     chosen, limits = scenario.design, scenario.limits
     limit_1, limit_2, rate_1, rate_2 = (
         math.inf if limit is None else limit
@@ -130,7 +133,6 @@ def target(scenario: Scenario, network: Network | None) -> Target:
         noise_rms=sensor.noise_mps2,
         noise_pole=math.exp(-scenario.tick_s / sensor.lag_s) if sensor.lag_s > 0.0 else 0.0,
         resolution=math.hypot(sensor.resolution_mps2, lsb),
-        mismatch=mismatch(scenario),
         false_alarms_per_hour=scenario.budget.false_alarms_per_hour,
         suspicions_per_hour=scenario.budget.suspicions_per_hour,
         probe=chosen.probe_nm,
@@ -205,6 +207,7 @@ def controller_table(scenario: Scenario, network: Network | None) -> Record:
         ScenarioError: a design that cannot be made or discretised.
     """
     try:
-        return build(continuous_design(scenario), target(scenario, network))
+        place = replace(target(scenario, network), mismatch=mismatch(scenario))
+        return build(continuous_design(scenario), place)
     except DesignError as error:
         raise ScenarioError(f"scenario {scenario.name}: {error}") from None

@@ -18,7 +18,6 @@ from can_rig.scenario.settings import DesignSettings, Scenario
 from firmware_model.analysis.margins import noise_gain
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
-from firmware_model.design.mismatch import TRUSTED
 from firmware_model.discretisation.tables import build
 from firmware_model.errors import DesignError
 from firmware_model.target.structs import FloatArray, Record
@@ -27,7 +26,11 @@ Values = tuple[float, int, float, int]  # τ, α, τ_q, α_q
 
 E6 = (1.0, 1.5, 2.2, 3.3, 4.7, 6.8)  # preferred numbers, a factor of about 1.5 apart
 E12 = (1.0, 1.2, 1.5, 1.8, 2.2, 2.7, 3.3, 3.9, 4.7, 5.6, 6.8, 8.2)
-TAU_TICKS, TAU_Q_TICKS = (0.1, 20.0), (1.0, 100.0)  # smallest and largest of the grid, in ticks
+TAU_TICKS = (0.1, 10.0)  # smallest and largest of the grid, in ticks
+RESPONSE_TICKS, RESPONSE_S = (
+    20.0,
+    0.05,
+)  # largest lag of D* behind the reference, α_q τ_q: the longer
 ORDERS, TRACKING_ORDERS = 2, 3  # from the least that the car allows upwards
 
 BEFORE_S, AFTER_S = 2.0, 2.0  # the loss; the slowest mode of F̂ decays with 3.5 rad/s
@@ -72,11 +75,12 @@ def grid(scenario: Scenario) -> list[Values]:
     """τ, α, τ_q, α_q of every candidate; round numbers between multiples of the tick."""
     car, tick_s = continuous_plant(scenario.model), scenario.tick_s
     least, least_q = car.g2.relative_degree, car.g1.relative_degree
+    slowest_s = max(RESPONSE_TICKS * tick_s, RESPONSE_S)
     return [
         (tau_s, alpha, tau_q_s, alpha_q)
-        for tau_q_s, alpha_q, tau_s, alpha in product(
-            _round_numbers(E12, *(n * tick_s for n in TAU_Q_TICKS)),
-            range(least_q, least_q + TRACKING_ORDERS),
+        for alpha_q in range(least_q, least_q + TRACKING_ORDERS)
+        for tau_q_s, tau_s, alpha in product(
+            _round_numbers(E12, tick_s, slowest_s / alpha_q),
             _round_numbers(E6, *(n * tick_s for n in TAU_TICKS)),
             range(least, least + ORDERS),
         )
@@ -123,7 +127,7 @@ def _lose_torque(scenario: Scenario, table: Record, noise: tuple[float, float]) 
     peak = float(deviation.max())
     if not (math.isfinite(peak) and deviation[-len(deviation) // 4 :].max() <= DECAYED * peak):
         return Refusal.TRANSIENT
-    bound = unavoidable(scenario, float(healthy.command_1[loss - 1]))
+    bound = unavoidable(scenario, lost.command_1[loss - scenario.latency_ticks :])
     torque, force = np.abs(lost.command_1), np.abs(lost.command_2)
     torque_after, force_after = float(torque[loss:].max()), float(force[loss:].max())
     tail = NOISE_SIGMAS * scenario.model.sensor.noise_mps2
@@ -161,7 +165,7 @@ def trusting_table(scenario: Scenario) -> Record:
     Raises:
         ScenarioError, DesignError: a design that cannot be made or discretised.
     """
-    return build(continuous_design(scenario), replace(target(scenario, None), mismatch=TRUSTED))
+    return build(continuous_design(scenario), target(scenario, None))
 
 
 def _round_numbers(series: Iterable[float], low: float, high: float) -> list[float]:

@@ -19,6 +19,7 @@ class Refusal(StrEnum):
     NOMINAL_SPARE = "unstable with the nominal car, only because of the ticks to spare"
     NOISE = "noise in a command without bound"
     TORQUE_NOISE = "torque noise above --torque-noise-limit"
+    FORCE_NOISE = "X_diff noise above --noise-limit"
     TRANSIENT = "the transient after the loss does not decay with the nominal car"
     BOX = "unstable with a car of the box"
     BOX_SPARE = "unstable with a car of the box, only because of the ticks to spare"
@@ -97,6 +98,7 @@ _ADVICE = {
     Refusal.NOMINAL_SPARE: "fewer --spare-ticks would help most",
     Refusal.NOISE: _FASTER,
     Refusal.TORQUE_NOISE: "a larger --torque-noise-limit would help most",
+    Refusal.FORCE_NOISE: "a larger --noise-limit would help most",
     Refusal.TRANSIENT: "wider limits would help most: {torque}; {force}",
     Refusal.BOX: "a smaller --box would help most",
     Refusal.BOX_SPARE: "fewer --spare-ticks or a smaller --box would help most",

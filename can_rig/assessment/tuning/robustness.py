@@ -18,16 +18,17 @@ AT_REST = 0.05  # largest error that counts as rest, as a share of the step
 
 def box_refusal(
     scenario: Scenario, table: Record, cars: Sequence[Car], spare_ticks: int
-) -> tuple[Refusal, Car] | None:
-    """The first test that ``scenario``'s tuning fails and a car with which it does; None: none.
+) -> tuple[Refusal, Car | None] | None:
+    """The first test that ``scenario``'s tuning fails, and the car that a drive fails with.
+
+    None: it fails none.
 
     The tests are the linear loop with each car, a drive of each with limits and noise, and such a
     drive with the spare ticks.
     """
-    for car in cars:
-        if not is_stable(table, [car], scenario.tick_s, spare_ticks):
-            stable = is_stable(table, [car], scenario.tick_s, 0)
-            return (Refusal.BOX_SPARE if stable else Refusal.BOX), car
+    if not is_stable(table, cars, scenario.tick_s, spare_ticks):
+        stable = is_stable(table, cars, scenario.tick_s, 0)
+        return (Refusal.BOX_SPARE if stable else Refusal.BOX), None
     stepped = replace(scenario, reference=replace(scenario.reference, kind="step"))
     drives = Drives(stepped, network_of(scenario))
     for car in cars:

@@ -40,6 +40,7 @@ from can_rig.scenario.plant_settings import CAR
 from can_rig.scenario.settings import Scenario
 
 FEWEST_A_WORKER = 16  # candidates, of which one takes some 20 ms
+LONGEST_FRONT = 6  # from the least peak on
 EQUAL_PEAKS = 1.05  # of peaks within this factor the one with the least noise is chosen
 
 
@@ -111,6 +112,7 @@ def tune(
     ):
         _refuse_limit(scenario, option, limit)
     loudest = math.inf if torque_noise_limit_nm is None else torque_noise_limit_nm
+    loudest_force = math.inf if noise_limit_n is None else noise_limit_n
     candidates = grid(scenario) if candidates is None else candidates
     own = (
         []
@@ -128,6 +130,8 @@ def tune(
             refusals[tuning] += 1
         elif tuning.noise_to_torque * scenario.model.sensor.noise_mps2 > loudest:
             refusals[Refusal.TORQUE_NOISE] += 1
+        elif tuning.noise_to_force * scenario.model.sensor.noise_mps2 > loudest_force:
+            refusals[Refusal.FORCE_NOISE] += 1
         else:
             nominal.append(tuning)
         on_progress(done, len(candidates) + len(nominal))
@@ -186,6 +190,9 @@ def _front(
     order = list(cars)
     by_peak = sorted(some, key=lambda tuning: (tuning.peak_mps2, tuning.noise_to_force))
     for tuning in by_peak:
+        if len(front) == LONGEST_FRONT:
+            on_tested()
+            continue
         if not front or tuning.noise_to_force < front[-1].noise_to_force:
             tuned = replace(scenario, design=tuning.design)
             table = trusting_table(tuned)
@@ -196,8 +203,9 @@ def _front(
             else:
                 refusal, car = refused
                 refusals[refusal] += 1
-                order.remove(car)  # what fails with one tuning is the first to fail with the next
-                order.insert(0, car)
+                if car is not None:  # it will be the first to fail with the next tuning too
+                    order.remove(car)
+                    order.insert(0, car)
         on_tested()
     return front
 
