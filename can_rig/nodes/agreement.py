@@ -40,7 +40,9 @@ def keys_of(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
     """
     for key, value in values.items():
         path = f"{prefix}{key}"
-        if isinstance(value, Mapping) and key != "parameters":
+        if key == "parameters":
+            yield path, str(dict(sorted(value.items())))
+        elif isinstance(value, Mapping):
             yield from keys_of(value, f"{path}.")
         elif path not in OWN:
             yield path, value

@@ -158,15 +158,16 @@ def mismatch(scenario: Scenario) -> Mismatch:
     keys = UNCERTAIN if budget.box > 0.0 else ()
     late = budget.actuator_box > 0.0 and model.torque_actuator.lags
 
-    def channel_1(place: FloatArray) -> ZeroPoleGain:
+    def channels(place: FloatArray) -> tuple[ZeroPoleGain, ZeroPoleGain]:
         car = in_box(
             model, {key: budget.box * float(x) for key, x in zip(keys, place, strict=False)}
         )
         if late:
             car = with_lags(car, 1.0 + budget.actuator_box * float(place[-1]))
-        return continuous_plant(car).g1
+        plant = continuous_plant(car)
+        return plant.g1, plant.g2
 
-    return principal_mismatch(channel_1, len(keys) + late, chosen.tau_q_s * chosen.alpha_q)
+    return principal_mismatch(channels, len(keys) + late, chosen.tau_q_s * chosen.alpha_q)
 
 
 def in_box(model: PlantSettings, shares: Mapping[str, float]) -> PlantSettings:

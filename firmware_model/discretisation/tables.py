@@ -16,7 +16,7 @@ from firmware_model.discretisation.targets import EstimatorRule, Target
 from firmware_model.discretisation.tustin import tustin, tustin_held, zoh
 from firmware_model.errors import DesignError, ParameterError
 from firmware_model.target.layout import table_type
-from firmware_model.target.structs import MAX_LATENCY_TICKS, MAX_SECTIONS, Record
+from firmware_model.target.structs import MAX_LATENCY_TICKS, MAX_SECTIONS, Precision, Record
 
 ESTIMATOR_RULES: dict[EstimatorRule, Callable[[ZeroPoleGain, float], Sections]] = {
     "tustin": tustin,
@@ -37,7 +37,8 @@ MOST_FORGOTTEN = 0.99  # in a tick: the factors of P are divided by what is left
 REMAINDER_S = 0.12  # in which what they show beyond the first order changes
 WHITE = 0.1  # of that, what differs from tick to tick
 RULE_ERROR = {"zoh": 0.0, "tustin": 1.0, "tustin-held": 1.0}  # of a tick's change of G1 u1
-NO_NOISE = 1e-9  # rms, in units of the measurement, that rounding leaves of a perfect sensor
+# rms, in units of the measurement, that rounding leaves of a perfect sensor
+NO_NOISE: dict[Precision, float] = {"float64": 1e-9, "float32": 1e-6}
 HOUR_S = 3600.0
 LEAST_EVIDENCE = 1.0  # log-likelihood ratio of about 3 to 1
 PROBE_PERIODS = 2  # the half phase of ``probe`` goes once around
@@ -222,15 +223,16 @@ def _fill_decision(table: Record, target: Target) -> None:
 
 def _fill_mismatch(table: Record, target: Target) -> None:
     """What other cars and noise make of d̂."""
-    constants, cars = table.mismatch, target.mismatch.cars
-    constants.cars = len(cars)
+    constants, other, cars = table.mismatch, table.other_cars, target.mismatch.cars
+    other.n = len(cars)
+    other.scale = 1.0 / STEP
     rule = RULE_ERROR[target.estimator] ** 2
     constants.n = len(cars) + 1 if cars or rule else 0
-    names = ("car_1", "car_2", "car_3")
-    for name, car in zip(names, cars, strict=False):
-        sections = ESTIMATOR_RULES[target.estimator](car, target.tick_s)
-        _fill_filter(getattr(constants, name), sections)
-    constants.scale = 1.0 / STEP
+    discretised = ESTIMATOR_RULES[target.estimator]
+    places = (other.car_1, other.car_2, other.car_3, other.car_4)
+    for place, (g1, g2) in zip(places, cars, strict=False):
+        _fill_filter(place.channel_1, discretised(g1, target.tick_s))
+        _fill_filter(place.channel_2, discretised(g2, target.tick_s))
     constants.prior = MISMATCH_VARIANCE
     slow, fast = _memory(target, MISMATCH_S), _memory(target, REMAINDER_S)
     constants.forgetting[: len(cars)] = min(1.0 - slow, MOST_FORGOTTEN)
@@ -244,7 +246,7 @@ def _fill_mismatch(table: Record, target: Target) -> None:
     constants.fading = _memory(target, BEYOND_S) ** 2
     a = target.noise_pole
     rounding = target.resolution**2 / 12.0
-    least = (NO_NOISE * max(target.resolution, 1.0)) ** 2
+    least = (NO_NOISE[target.precision] * max(target.resolution, 1.0)) ** 2
     constants.noise = (1.0 - a * a) * target.noise_rms**2 + (1.0 + a * a) * rounding + least
     constants.colour = a
 

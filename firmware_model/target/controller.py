@@ -29,14 +29,17 @@ from firmware_model.target.actuator import quantise, saturate, saturate_rate
 from firmware_model.target.fault_decision.bumpless_transfer import release, transfer
 from firmware_model.target.fault_decision.decision import (
     CLEAR,
+    acting_share,
     compensated_output,
     decide,
 )
 from firmware_model.target.fault_decision.loss_model import advance_loss_model, clear_loss_model
-from firmware_model.target.fault_decision.mismatch import (
-    advance_cars,
-    clear_mismatch,
-    settle_mismatch,
+from firmware_model.target.fault_decision.mismatch import clear_mismatch, settle_mismatch
+from firmware_model.target.fault_decision.other_cars import (
+    advance_other_cars,
+    clear_other_cars,
+    settle_other_cars,
+    show_other_cars,
 )
 from firmware_model.target.fault_decision.probe import probe_torque
 from firmware_model.target.fault_decision.sequential_test import (
@@ -116,7 +119,7 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
     from_reference = compensator.reference_share * state.reference
 
     # Without feedthrough of u2 this is already the residual; with it, all but u2 of this tick.
-    decide(table, state, known + estimator.feedthrough_2 * held_2, model_1)
+    decide(table, state, known + estimator.feedthrough_2 * held_2, model_1, model_2)
 
     if compensator.on_confirmation:  # u2 = r2 + F̂ s w, with the w of this tick's command
         drive = transfer(state.bumpless_transfer, compensated_output(table, state))
@@ -148,6 +151,8 @@ def hold(table: Record, state: Record) -> None:
     """A tick without inputs: the last commands are held, and the models follow them."""
     state.mode = MODE_HOLD
     model_output(table.estimator, state.estimator, state.command_1, state.command_2)
+    acting = state.estimator.showing_1 * acting_share(state)
+    show_other_cars(table, state, acting, state.estimator.showing_2)
     short = real(0.0, state.command_2)
     if table.compensator.on_confirmation:
         drive = transfer(state.bumpless_transfer, compensated_output(table, state))
@@ -165,7 +170,7 @@ def advance_models(table: Record, state: Record, short: float) -> None:
     advance_shortfall(table, state, short)
     advance_loss_model(table, state)
     advance_candidate(table, state)
-    advance_cars(table.mismatch, state.mismatch, state.estimator.showing_1)
+    advance_other_cars(table, state)
     advance_model(table.estimator, state.estimator, state.command_1, state.command_2)
 
 
@@ -190,6 +195,7 @@ def clear_memories(table: Record, state: Record) -> None:
     state.compensator.filter.accumulators[:] = 0.0
     clear_estimator(state.estimator)
     clear_loss_model(state)
+    clear_other_cars(state)
     clear_mismatch(table.mismatch, state.mismatch)
     start_candidate(table, state)
     release(state.bumpless_transfer)
@@ -215,8 +221,9 @@ def reset(table: Record, state: Record, reference: float) -> None:
     state.command_1, state.command_2, state.fault_estimate = torque, force, zero
     settle_estimator(table.estimator, state.estimator, torque, force)
     settle(table.compensator.filter, state.compensator.filter, zero)
-    model_1, _ = model_output(table.estimator, state.estimator, torque, zero)
-    settle_mismatch(table.mismatch, state.mismatch, torque, model_1)
+    model_1, model_2 = model_output(table.estimator, state.estimator, torque, force)
+    settle_other_cars(table, state, torque, force)
+    settle_mismatch(table, state, model_1 + model_2)
     clear_loss_model(state)
     start_candidate(table, state)
     state.probe.tick = 0

@@ -8,9 +8,9 @@ twice, they would ask for all that channel 2 has, one way and then the other. So
 
 with m0 = s w of then, and the speed of m that of s w: the input of F̂ begins at zero with a speed of
 zero (or, where an earlier loss is still being released or inputs were missing, with what it had),
-and m fades as a critically damped motion does. Its pace, -ln p, is the speed over the value: d̂
-grows with the square of time, so what took n ticks to detect is made up in about as many, with a
-few times the force that carries the load anyway; m rises to 1.21 m0 meanwhile. A loss that is
+and m fades as a critically damped motion does. Its pace, -ln p, is twice the speed over the value:
+d̂ grows with the square of time, so what took n ticks to detect is made up in about as many, with a
+few times the force that carries the load anyway; m rises to 1.08 m0 meanwhile. A loss that is
 detected at its first sample is made up almost at once; one whose w has settled since, with the pace
 of the car.
 """

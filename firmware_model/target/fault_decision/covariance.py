@@ -15,7 +15,7 @@ from firmware_model.compiled import firmware
 from firmware_model.target.precision import real
 from firmware_model.target.structs import Field, Record
 
-MAX_DIRECTIONS = 3
+MAX_DIRECTIONS = 4
 MAX_STATES = MAX_DIRECTIONS + 1  # the last is the remainder
 SIZES = (MAX_STATES,)
 

@@ -25,6 +25,7 @@ from firmware_model.target.fault_decision.loss_model import (
     take_over_candidate,
 )
 from firmware_model.target.fault_decision.mismatch import innovation, predict_mismatch
+from firmware_model.target.fault_decision.other_cars import show_other_cars
 from firmware_model.target.fault_decision.probe import begin_probe, correlate, end_probe
 from firmware_model.target.fault_decision.sequential_test import (
     candidate_output,
@@ -59,7 +60,7 @@ STATE = (
 
 
 @firmware
-def decide(table: Record, state: Record, residual: float, model_1: float) -> None:
+def decide(table: Record, state: Record, residual: float, model_1: float, model_2: float) -> None:
     """The fault state of this tick.
 
     Args:
@@ -67,9 +68,12 @@ def decide(table: Record, state: Record, residual: float, model_1: float) -> Non
         state: changed in place.
         residual: G1 u1 + G2 u2 - y of this tick.
         model_1: G1 u1 as that contains it: what channel 1, if it works, adds to y.
+        model_2: G2 u2 likewise.
     """
     constants, test = table.decision, state.sequential_test
-    predict_mismatch(table.mismatch, state.mismatch, state.estimator.showing_1, model_1)
+    acting = state.estimator.showing_1 * acting_share(state)
+    show_other_cars(table, state, acting, state.estimator.showing_2)
+    predict_mismatch(table, state, model_1 + model_2)
     new = innovation(table.mismatch, state.mismatch, residual - loss_shown(table, state))
     if state.probe.tick > 0:
         evaluate_probe(table, state, residual)
@@ -101,6 +105,14 @@ def decide(table: Record, state: Record, residual: float, model_1: float) -> Non
             state.fault_state = CANNOT_TELL
         if before == SUSPECTED and not probing:
             transfer_to_losses(table, state, real(0.0, new))
+
+
+@firmware
+def acting_share(state: Record) -> float:
+    """The part of command 1 that is known to act."""
+    one = real(1.0, state.command_1)
+    share: float = one - state.loss_model.share if state.fault_state == CONFIRMED else one
+    return share
 
 
 @firmware

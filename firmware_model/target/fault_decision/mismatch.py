@@ -1,13 +1,11 @@
-"""Cars that are not the model: what they make of d̂, learnt tick by tick.
+"""How a car differs from the model, learnt from d̂ tick by tick, and what of d̂ is new.
 
-A car whose mass, tires, speed or actuators are not the model's shows d̂ = (G1 - G1') u1 without a
-fault. To first order in its differences that is a sum
+To first order in its differences a car without a fault shows
 
-    d̂ = Σ θ_i x_i,   x_i = (G1_i - G1) u1,
+    d̂ = Σ θ_i x_i
 
-where G1_i is the model of another car along the i-th principal direction of the box of cars that
-the design allows for, scaled to one box (``design.mismatch``). A Kalman filter learns θ, which
-starts at zero and wanders about it slowly,
+with x_i what the cars along the principal directions of the box show (``other_cars``). A Kalman
+filter learns θ, which starts at zero and wanders about it slowly,
 
     θ⁺ = φ θ + ...,  covariance P0 at rest,
 
@@ -36,33 +34,23 @@ from firmware_model.target.fault_decision.covariance import (
     grow,
     measure,
 )
-from firmware_model.target.filters import biquad
-from firmware_model.target.filters.biquad import advance, output, settle
 from firmware_model.target.precision import real
 from firmware_model.target.structs import Field, Record
 
 CONSTANTS = (
-    Field("cars", "1", "principal directions in use", "int32"),
-    Field("n", "1", "these and the remainder; 0: the model is trusted", "int32"),
-    Field("car_1", "y/u1", "G1 of the car along the first direction", biquad.CONSTANTS),
-    Field("car_2", "y/u1", "likewise the second", biquad.CONSTANTS),
-    Field("car_3", "y/u1", "likewise the third", biquad.CONSTANTS),
-    Field("scale", "1", "from one of these cars to the end of the box"),
+    Field("n", "1", "other cars and the remainder; 0: the model is trusted", "int32"),
     Field("prior", "1", "P0, variance of each θ before anything is known; of the remainder 1"),
     Field("forgetting", "1", "1 - φ of each θ where the car moves", shape=SIZES),
     Field("growth", "1", "1 - φ², times the variance of θ", shape=SIZES),
     Field("motion", "1", "(time constant of the remainder/tick)², from changes to extents"),
     Field("beyond", "1", "variance of the remainder, as a share of M"),
-    Field("rule", "1", "the same for what F1's discretisation leaves, of the change of G1 u1"),
+    Field("rule", "1", "the same for what F1's rule leaves, of the change of G1 u1 + G2 u2"),
     Field("white", "1", "share of the remainder's variance that differs from tick to tick"),
     Field("fading", "1", "what a tick leaves of M and of the largest extent"),
     Field("noise", "y²", "variance of the whitened noise of a tick"),
     Field("colour", "1", "a of the noise, n(k) = a n(k-1) + white"),
 )
 STATE = (
-    Field("car_1", "y", "its state", biquad.STATE),
-    Field("car_2", "y", "its state", biquad.STATE),
-    Field("car_3", "y", "its state", biquad.STATE),
     Field("x", "y", "x of the last tick", shape=SIZES),
     Field("regressor", "y", "x of this tick, whitened", shape=SIZES),
     Field("theta", "1", "θ", shape=SIZES),
@@ -72,46 +60,40 @@ STATE = (
     Field("extent", "y²", "fading largest Σ x²"),
     Field("change", "y²", "M, fading largest Σ (time constant · dx/dt)²"),
     Field("remainder", "y²", "variance of the remainder"),
-    Field("previous_model_output", "y", "G1 u1 of the last tick"),
+    Field("previous_model_output", "y", "G1 u1 + G2 u2 of the last tick"),
     Field("previous_residual", "y", "d̂ of the last tick, less the known loss"),
     Field("variance", "y²", "S, of the innovation"),
 )
 
 
 @firmware
-def predict_mismatch(constants: Record, state: Record, command_1: float, model_1: float) -> None:
+def predict_mismatch(table: Record, state: Record, model_output: float) -> None:
     """x of this tick, and its part in the variance of the noise.
 
     Args:
-        constants: of this module.
-        state: of this module; changed in place.
-        command_1: the command that acts, as d̂ of this tick shows it.
-        model_1: G1 u1 likewise.
+        table: the constant table.
+        state: changed in place; ``other_cars`` shows this tick.
+        model_output: G1 u1 + G2 u2 as d̂ contains it.
     """
-    a, x, previous = constants.colour, state.regressor, state.x
-    extent = change = real(0.0, model_1)
-    for i in range(constants.cars):
-        if i == 0:
-            other = output(constants.car_1, state.car_1, command_1)
-        elif i == 1:
-            other = output(constants.car_2, state.car_2, command_1)
-        else:
-            other = output(constants.car_3, state.car_3, command_1)
-        now = (other - model_1) * constants.scale
+    constants, mismatch, shown = table.mismatch, state.mismatch, state.other_cars.shown
+    a, x, previous = constants.colour, mismatch.regressor, mismatch.x
+    extent = change = real(0.0, model_output)
+    for i in range(table.other_cars.n):
+        now = shown[i]
         x[i] = now - a * previous[i]
         moved = now - previous[i]
         previous[i] = now
         extent += now * now
         change += moved * moved
     if constants.n > 0:
-        x[constants.n - 1] = real(1.0, model_1) - a
-    moved = model_1 - state.previous_model_output
-    state.previous_model_output = model_1
+        x[constants.n - 1] = real(1.0, model_output) - a
+    moved = model_output - mismatch.previous_model_output
+    mismatch.previous_model_output = model_output
     fading, motion = constants.fading, constants.motion
-    state.extent = max(fading * state.extent, finite(extent))
-    state.change = max(fading * state.change, finite(motion * change))
-    rule = finite(constants.rule * moved * moved)
-    state.remainder = max(fading * state.remainder, constants.beyond * state.change, rule)
+    mismatch.extent = max(fading * mismatch.extent, finite(extent))
+    mismatch.change = max(fading * mismatch.change, finite(motion * change))
+    beyond, rule = constants.beyond * mismatch.change, finite(constants.rule * moved * moved)
+    mismatch.remainder = max(fading * mismatch.remainder, beyond, rule)
 
 
 @firmware
@@ -149,26 +131,12 @@ def innovation(constants: Record, state: Record, residual: float) -> float:
 
 
 @firmware
-def advance_cars(constants: Record, state: Record, command_1: float) -> None:
-    """Advance the other cars by the command that acts."""
-    if constants.cars > 0:
-        advance(constants.car_1, state.car_1, command_1)
-    if constants.cars > 1:
-        advance(constants.car_2, state.car_2, command_1)
-    if constants.cars > 2:
-        advance(constants.car_3, state.car_3, command_1)
-
-
-@firmware
 def clear_mismatch(constants: Record, state: Record) -> None:
     """Nothing is known of the car, which is at rest."""
-    state.car_1.accumulators[:] = 0.0
-    state.car_2.accumulators[:] = 0.0
-    state.car_3.accumulators[:] = 0.0
     state.x[:] = 0.0
     state.theta[:] = 0.0
     clear_covariance(state.covariance)
-    for i in range(constants.cars):
+    for i in range(constants.n - 1):
         state.covariance.variances[i] = constants.prior
     state.extent = state.change = state.remainder = 0.0
     state.previous_model_output = 0.0
@@ -176,11 +144,8 @@ def clear_mismatch(constants: Record, state: Record) -> None:
 
 
 @firmware
-def settle_mismatch(constants: Record, state: Record, command_1: float, model_1: float) -> None:
-    """The steady state for a constant command; nothing is known of the car."""
-    clear_mismatch(constants, state)
-    settle(constants.car_1, state.car_1, command_1)
-    settle(constants.car_2, state.car_2, command_1)
-    settle(constants.car_3, state.car_3, command_1)
-    predict_mismatch(constants, state, command_1, model_1)
-    state.change = state.remainder = 0.0  # it came there long ago
+def settle_mismatch(table: Record, state: Record, model_output: float) -> None:
+    """The steady state that ``other_cars`` shows; nothing is known of the car."""
+    clear_mismatch(table.mismatch, state.mismatch)
+    predict_mismatch(table, state, model_output)
+    state.mismatch.change = state.mismatch.remainder = 0.0  # it came there long ago

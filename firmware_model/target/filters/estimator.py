@@ -39,6 +39,7 @@ STATE = (
     Field("dead_index_1", "1", "where its ring holds the command that G1 gets next", "int32"),
     Field("dead_index_2", "1", "where its ring holds the command that G2 gets next", "int32"),
     Field("showing_1", "u1", "command 1 as the measurement of this tick begins to show it"),
+    Field("showing_2", "u2", "command 2 likewise"),
     Field("shown_index_1", "1", "where rings of outputs of G1 hold what shows next", "int32"),
     Field("shown_index_2", "1", "where rings of outputs of G2 hold what shows next", "int32"),
 )  # fmt: skip
@@ -61,7 +62,7 @@ def model_output(
         u1 = state.dead_1[state.dead_index_1]
     if constants.dead_ticks_2 > 0:
         u2 = state.dead_2[state.dead_index_2]
-    state.showing_1 = u1
+    state.showing_1, state.showing_2 = u1, u2
     return (
         output(constants.channel_1, state.channel_1, u1),
         output(constants.channel_2, state.channel_2, u2),
@@ -112,7 +113,7 @@ def settle_estimator(constants: Record, state: Record, command_1: float, command
     state.dead_2[:] = command_2
     state.dead_index_1 = 0
     state.dead_index_2 = 0
-    state.showing_1 = command_1
+    state.showing_1, state.showing_2 = command_1, command_2
     state.shown_index_1 = 0
     state.shown_index_2 = 0
 

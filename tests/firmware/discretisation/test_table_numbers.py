@@ -8,6 +8,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
 from firmware_model.design.plants import chapter_2, steer_by_wire
@@ -15,11 +16,14 @@ from firmware_model.discretisation import tables
 from firmware_model.discretisation.sections import Sections
 from firmware_model.discretisation.tables import build, discretise
 from firmware_model.discretisation.targets import Target
+from firmware_model.discretisation.tustin import tustin, tustin_held, zoh
 from firmware_model.errors import DesignError, ParameterError
 from firmware_model.target.structs import MAX_SECTIONS
+from tests.firmware.target.cases import other_cars
 
 CLOSED = design(steer_by_wire(), DesignSpecification())
 OPEN = design(chapter_2(), DesignSpecification(feedback=False))
+OTHERS = other_cars()
 TICKS_S = (5e-4, 1e-3, 5e-3)
 FAR = np.array([1e9 + 0j])  # z → ∞
 
@@ -30,22 +34,79 @@ def at_infinity(sections: Sections) -> float:
 
 @pytest.mark.parametrize("tick_s", TICKS_S)
 def test_memories_keep_a_part_in_e_over_their_time_constants(tick_s: float) -> None:
+    """θ of three cars over 3 s, of the remainder over 0.12 s; squares over half of 1 s."""
+    constants = build(CLOSED, Target(tick_s, mismatch=OTHERS)).mismatch
+    assert (constants.cars, constants.n) == (3, 4)
+    memories = 1.0 - constants.forgetting
+    for memory, time_constant_s in (*((m, 3.0) for m in memories[:3]), (memories[3], 0.12)):
+        assert memory ** (time_constant_s / tick_s) == pytest.approx(math.exp(-1.0), rel=1e-10)
+    assert constants.fading ** (0.5 / tick_s) == pytest.approx(math.exp(-1.0), rel=1e-10)
+    assert constants.motion == pytest.approx((0.12 / tick_s) ** 2, rel=1e-12)
     table = build(CLOSED, Target(tick_s))
-    for memory, time_constant_s in (
-        (table.loss_model.memory, 0.05),
-        (table.adaptive_threshold.change_memory, 0.02),
-        (table.adaptive_threshold.peak_memory, 0.6),
-        (table.decision.share_memory, 1.0),
-    ):
-        assert memory ** (time_constant_s / tick_s) == pytest.approx(math.exp(-1.0), rel=1e-12)
     assert table.bumpless_transfer.slowest_pace == pytest.approx(tick_s / 0.05, rel=1e-12)
+    assert table.bumpless_transfer.haste == 2.0
 
 
-def test_a_tick_that_leaves_no_memory_still_has_a_pace() -> None:
-    """exp(-T/0.05 s) is 0 for a tick of a minute, and its logarithm no number."""
-    table = build(OPEN, Target(60.0))
-    assert table.loss_model.memory == 0.0
-    assert 700.0 < table.bumpless_transfer.slowest_pace < 710.0
+def test_a_tick_of_a_minute_leaves_something_of_every_memory() -> None:
+    """exp(-60 s/0.12 s) is nothing: but the factors of P are divided by it."""
+    table = build(OPEN, Target(60.0, mismatch=OTHERS))
+    assert (table.mismatch.forgetting <= 0.99).all()
+    assert table.bumpless_transfer.slowest_pace == pytest.approx(1200.0)
+
+
+def test_what_wanders_keeps_its_variance() -> None:
+    """φ² P + growth = P for the P of a θ at rest: 0.36 of a box of ±1; of the remainder 1."""
+    constants = build(CLOSED, Target(1e-3, mismatch=OTHERS)).mismatch
+    left = (1.0 - constants.forgetting) ** 2
+    np.testing.assert_allclose(constants.growth / (1.0 - left), [0.36] * 3 + [1.0], rtol=1e-9)
+    assert constants.prior == 0.36
+    assert constants.beyond == pytest.approx(0.04 * 0.36)
+    assert constants.white == 0.1
+
+
+@pytest.mark.parametrize("rule", ["zoh", "tustin", "tustin-held"])
+def test_other_cars_are_those_of_the_box_by_the_rule_of_the_estimator(rule: Any) -> None:
+    target = Target(1e-3, estimator=rule, mismatch=OTHERS)
+    constants = build(CLOSED, target).mismatch
+    assert constants.scale == pytest.approx(20.0)
+    assert constants.rule == (0.0 if rule == "zoh" else 1.0)
+    for stored, car in zip((constants.car_1, constants.car_2), OTHERS.cars, strict=False):
+        sections = {"zoh": zoh, "tustin": tustin, "tustin-held": tustin_held}[rule](car, 1e-3)
+        n = len(sections.coefficients)
+        assert stored.n == n
+        np.testing.assert_array_equal(stored.coefficients[:n], sections.coefficients)
+
+
+@pytest.mark.parametrize(("rule", "states"), [("zoh", 0), ("tustin", 1), ("tustin-held", 1)])
+def test_a_trusted_model_has_what_its_rule_leaves_alone(rule: Any, states: int) -> None:
+    constants = build(CLOSED, Target(1e-3, estimator=rule)).mismatch
+    assert (constants.cars, constants.n) == (0, states)
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.7])
+@pytest.mark.parametrize("resolution", [0.0, 0.05, 3.0])
+def test_noise_is_that_of_the_sensor_and_of_its_steps_whitened(
+    resolution: float, colour: float
+) -> None:
+    """Variance of n(k) - a n(k-1), by a large sample of each."""
+    constants = build(
+        CLOSED, Target(1e-3, noise_rms=0.02, noise_pole=colour, resolution=resolution)
+    ).mismatch
+    draw, size = np.random.default_rng(1), 400_000
+    white = 0.02 * math.sqrt(1.0 - colour**2) * draw.standard_normal(size)
+    steps = resolution * draw.uniform(-0.5, 0.5, size)
+    noise = signal.lfilter([1.0], [1.0, -colour], white) + steps
+    whitened = noise[1:] - colour * noise[:-1]
+    assert constants.noise == pytest.approx(whitened.var(), rel=0.02)
+    assert constants.colour == colour
+
+
+@pytest.mark.parametrize(("precision", "rms"), [("float64", 1e-9), ("float32", 1e-6)])
+def test_a_perfect_sensor_has_what_rounding_leaves(precision: Any, rms: float) -> None:
+    least = build(CLOSED, Target(1e-3, precision=precision)).mismatch.noise
+    assert least == pytest.approx(rms**2)
+    coarse = build(CLOSED, Target(1e-3, precision=precision, resolution=1e3)).mismatch.noise
+    assert coarse == pytest.approx(1e6 / 12.0)
 
 
 @pytest.mark.parametrize("tick_s", TICKS_S)
@@ -65,21 +126,23 @@ def test_the_reference_shaper_belongs_to_a_loop_and_a_limit(
         assert shaper.acceleration == pytest.approx(np.diff(parabola, 2)[0], rel=1e-9)
 
 
+@pytest.mark.parametrize("latency", [0, 2])
 @pytest.mark.parametrize("tick_s", TICKS_S)
-def test_tracking_of_the_closed_loop(tick_s: float) -> None:
-    tracking = build(CLOSED, Target(tick_s)).tracking
-    assert (tracking.feedback, tracking.integrates) == (1.0, 1)
-    c = discretise(CLOSED, Target(tick_s)).tracking
-    assert tracking.conditioning * at_infinity(c) == pytest.approx(1.0, rel=1e-6)
-    # The command that holds y = 1 with G1(0): what the car at rest in a bend needs.
-    g1_at_rest = CLOSED.plant.g1(np.array([0j]))[0].real
-    assert tracking.steady_command * g1_at_rest == pytest.approx(1.0, rel=1e-9)
+def test_tracking_of_the_closed_loop(tick_s: float, latency: int) -> None:
+    table = build(CLOSED, Target(tick_s, latency))
+    filters = discretise(CLOSED, Target(tick_s, latency))
+    assert table.tracking.feedback == 1.0
+    # u1 = Q (… + G1 u1): within the tick once around is Q and G1 at z → ∞.
+    within = at_infinity(filters.tracking) * at_infinity(filters.estimator_1)
+    expected = 1.0 / (1.0 - within) if latency == 0 else 1.0
+    assert table.tracking.loop_inverse == pytest.approx(expected, rel=1e-6)
+    at_rest = np.array([1.0 + 0j])
+    assert (filters.tracking(at_rest) * filters.estimator_1(at_rest))[0] == pytest.approx(1.0)
 
 
 def test_in_open_loop_the_reference_is_the_command() -> None:
     table = build(OPEN, Target(1e-3))
-    assert (table.tracking.feedback, table.tracking.integrates) == (0.0, 0)
-    assert (table.tracking.conditioning, table.tracking.steady_command) == (1.0, 1.0)
+    assert (table.tracking.feedback, table.tracking.loop_inverse) == (0.0, 1.0)
     assert table.tracking.filter.n == 1
     assert table.tracking.filter.coefficients[0].tolist() == [1.0, 0.0, 0.0, 0.0, 0.0]
     assert table.compensator.reference_share == 1.0
@@ -119,16 +182,29 @@ def test_limits_of_a_second_become_those_of_a_tick() -> None:
         assert (actuator.slew, actuator.limit, actuator.lsb) == (pytest.approx(slew), limit, lsb)
 
 
+@pytest.mark.parametrize("tick_s", TICKS_S)
+def test_evidence_asked_for_is_the_logarithm_of_the_ticks_between_two_alarms(tick_s: float) -> None:
+    """Wald: e^-h of the candidates, one a tick, get beyond h by chance."""
+    target = Target(tick_s, false_alarms_per_hour=0.02, suspicions_per_hour=30.0)
+    decision = build(CLOSED, target).decision
+    for h, an_hour in ((decision.confirm, 0.02), (decision.suspect, 30.0)):
+        assert math.exp(-h) * 3600.0 / tick_s == pytest.approx(an_hour, rel=1e-9)
+    assert decision.horizon == pytest.approx(1.0 / tick_s)
+
+
+def test_no_evidence_is_none_and_a_suspicion_comes_first() -> None:
+    lax = Target(1e-3, false_alarms_per_hour=1e9, suspicions_per_hour=1e12)
+    assert (build(CLOSED, lax).decision.confirm, build(CLOSED, lax).decision.suspect) == (1.0, 1.0)
+    strict = Target(1e-3, false_alarms_per_hour=10.0, suspicions_per_hour=1e-3)
+    decision = build(CLOSED, strict).decision
+    assert decision.suspect == decision.confirm
+
+
 def test_what_is_asked_for_the_decision() -> None:
-    target = Target(
-        1e-3, threshold=0.3, model_share=0.2, clear_ratio=0.15, confirm_ticks=7, clear_ticks=11,
-        on_confirmation=True,
-    )  # fmt: skip
-    table = build(CLOSED, target)
-    threshold, decision = table.adaptive_threshold, table.decision
-    assert (threshold.threshold, threshold.model_share, threshold.clear_ratio) == (0.3, 0.2, 0.15)
-    assert (decision.confirm_ticks, decision.clear_ticks) == (7, 11)
+    table = build(CLOSED, Target(2e-3, probe_pause_s=0.3, on_confirmation=True))
+    assert table.decision.pause_ticks == 150
     assert table.compensator.on_confirmation == 1
+    assert (table.sequential_test.share, table.sequential_test.restart) == (0.8, -1.0)
     assert build(CLOSED, Target(1e-3)).compensator.on_confirmation == 0
 
 
@@ -144,25 +220,6 @@ def test_the_probe_is_two_whole_periods_of_its_sine(probe_rad_per_s: float, late
     rotation = complex(*probe.rotation)
     assert rotation**probe.ticks == pytest.approx(1.0)
     assert cmath.phase(rotation) == pytest.approx(2 * math.pi / probe.ticks)
-    # What G1 answers to the sine of that frequency, computed by running it until it has settled.
-    omega = 2 * 2 * math.pi / probe.ticks
-    n = np.arange(40_000)
-    command = np.exp(1j * omega * (n - latency))
-    answer = run(discretise(CLOSED, target).estimator_1, command)
-    assert complex(*probe.response) == pytest.approx(answer[-1] / np.exp(1j * omega * n[-1]))
-
-
-def run(sections: Sections, signal: Any) -> Any:
-    for b0, b1, b2, a1, a2 in sections.coefficients:
-        out, first, second = np.empty_like(signal), 0j, 0j
-        for k, u in enumerate(signal):  # y = (b0 δ² + b1 δ + b2) / (δ² + a1 δ + a2) u
-            out[k] = b0 * u + first
-            first, second = (
-                first + (b1 * u - a1 * out[k]) + second,
-                second + (b2 * u - a2 * out[k]),
-            )
-        signal = out
-    return signal
 
 
 @pytest.mark.parametrize("amplitude", [0.0, 0.5])

@@ -20,6 +20,7 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.target import controller
 from firmware_model.target.status import FaultState, Mode
+from tests.firmware.target.cases import other_cars
 
 ROOT = str(Path(__file__).parents[3])
 TICK_S, TICKS, LOST, BACK = 1e-3, 420, 120, 250
@@ -27,16 +28,20 @@ CAR = steer_by_wire()
 PLANT = sample(CAR, TICK_S)
 DESIGN = design(CAR, DesignSpecification(tau_s=0.002, tau_q_s=0.01))
 LIMITED = {"limit_1": 300.0, "limit_2": 3000.0, "lsb_1": 1e-3, "lsb_2": 1e-2}
-COMPENSATING = {"on_confirmation": True, "threshold": 2e-3, "confirm_ticks": 3, "clear_ticks": 40}
+NOISE_RMS = 2e-4
+COMPENSATING = {"on_confirmation": True, "noise_rms": 1e-3}
 TARGETS: dict[str, dict[str, Any]] = {
-    "thesis": {"estimator": "tustin", "threshold": 0.01, **LIMITED},
+    "thesis": {"estimator": "tustin", **LIMITED},
     "rates": {"latency_ticks": 2, "rate_1": 2000.0, "rate_2": 5e4, **LIMITED},
     "shaped reference": {"latency_ticks": 1, "reference_acceleration": 60.0, **LIMITED},
     "on confirmation": {"latency_ticks": 1, **COMPENSATING, **LIMITED},
-    "another car": {"latency_ticks": 1, "model_share": 0.3, **COMPENSATING},
+    "other cars": {"latency_ticks": 1, "mismatch": other_cars(3), **COMPENSATING},
+    "coloured noise": {"latency_ticks": 1, "mismatch": other_cars(1), "noise_pole": 0.5,
+                       "resolution": 1e-3, **COMPENSATING},
     "all": {
         "latency_ticks": 2, "reference_acceleration": 60.0, "rate_1": 5000.0, "rate_2": 1e5,
-        "model_share": 0.1, "probe": 2.0, "probe_rad_per_s": 300.0, **COMPENSATING, **LIMITED,
+        "mismatch": other_cars(2), "probe": 2.0, "probe_rad_per_s": 300.0, **COMPENSATING,
+        **LIMITED,
     },
 }  # fmt: skip
 
@@ -51,16 +56,16 @@ def records(name: str, precision: Any) -> list[bytes]:
     controller.reset(table, state, 0.25)
     for k in range(TICKS):
         reference = 0.25 if k < 40 else math.copysign(1.0, math.sin(0.03 * k))
-        noise = 2e-4 * rng.standard_normal()
+        noise = NOISE_RMS * rng.standard_normal()
         missing = k in (60, 180, 181, 182)
         controller.step(table, state, math.nan if missing else reference, y + noise)
         after.append(states.tobytes())
         modes.add((int(state.mode), int(state.fault_state)))
         left = 0.0 if LOST <= k < BACK else 1.0
         u1, u2 = left * float(state.command_1), float(state.command_2)
-        y = 0.98 * follow_plant(PLANT.phi, PLANT.gamma, PLANT.c, x, u1, u2)
+        y = follow_plant(PLANT.phi, PLANT.gamma, PLANT.c, x, u1, u2)
     assert {mode for mode, _ in modes} == {Mode.RUN, Mode.HOLD}
-    if "threshold" in TARGETS[name]:
+    if "on_confirmation" in TARGETS[name]:
         assert FaultState.CONFIRMED in {fault for _, fault in modes}
     return after
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import dataclasses
 import math
 
 import numpy as np
@@ -11,10 +10,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_model.analysis.sampled_plant import sample
-from firmware_model.analysis.simulation import Trace, simulate
+from firmware_model.analysis.simulation import simulate
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.plants import steer_by_wire
-from firmware_model.discretisation.tables import LOSS_MEMORY_S, build
+from firmware_model.discretisation.tables import HASTE, SLOWEST_TRANSFER_S, build
 from firmware_model.discretisation.targets import Target
 from firmware_model.target import controller
 from firmware_model.target.fault_decision.bumpless_transfer import begin_transfer, release, transfer
@@ -24,18 +23,16 @@ from firmware_model.target.structs import Record
 TICK_S, LOST = 1e-3, 600
 CAR = steer_by_wire()
 DESIGN = design(CAR, DesignSpecification(tau_s=0.0001, tau_q_s=0.0027))
-SLOWEST = TICK_S / LOSS_MEMORY_S  # pace a tick
+SLOWEST = TICK_S / SLOWEST_TRANSFER_S  # pace a tick
 
 
-def late(confirm_ticks: int) -> Target:
-    return Target(
-        TICK_S, 1, "zoh", limit_2=1e5, threshold=1e-6, confirm_ticks=confirm_ticks,
-        on_confirmation=True,
-    )  # fmt: skip
+def late(noise_rms: float = 0.0) -> Target:
+    """A target that finds the loss the later the more noise it reckons with."""
+    return Target(TICK_S, 1, "zoh", limit_2=1e5, noise_rms=noise_rms, on_confirmation=True)
 
 
 def begun(missed: float, speed: float) -> tuple[Record, Record]:
-    table = build(DESIGN, late(1))
+    table = build(DESIGN, late())
     state = controller.init(table)[0]
     begin_transfer(table.bumpless_transfer, state.bumpless_transfer, missed, speed)
     return table, state.bumpless_transfer
@@ -49,7 +46,7 @@ def test_it_fades_as_a_critically_damped_motion_of_that_value_and_speed(
     missed: float, speed: float
 ) -> None:
     """m'' + 2λm' + λ²m = 0 in k: (m0 + (m0' + λ m0) k) exp(-λk)."""
-    pace = max(abs(speed / missed), SLOWEST)
+    pace = max(HASTE * abs(speed / missed), SLOWEST)
     _, state = begun(missed, speed)
     left = [-transfer(state, 0.0) for _ in range(50)]
     k = np.arange(1, 51)
@@ -57,12 +54,12 @@ def test_it_fades_as_a_critically_damped_motion_of_that_value_and_speed(
     np.testing.assert_allclose(left, expected, rtol=1e-9, atol=1e-12)
 
 
-@given(missed=st.floats(1e-6, 1.0), ticks=st.integers(2, 40))
-def test_of_a_square_of_time_no_more_is_missed_than_a_fifth_more(missed: float, ticks: int) -> None:
-    """max of (1 + 2x) exp(-x) at x = 1/2: 2 exp(-1/2) = 1.213."""
+@given(missed=st.floats(1e-6, 1.0), ticks=st.integers(4, 40))
+def test_of_a_square_of_time_hardly_more_is_missed(missed: float, ticks: int) -> None:
+    """Speed 2/n, pace 4/n: max of (1 + 6x) exp(-4x) at x = 1/12, 3/2 exp(-1/3) = 1.075."""
     _, state = begun(missed, 2.0 * missed / ticks)
-    left = [-transfer(state, 0.0) for _ in range(10 * ticks)]
-    assert max(left) <= 2.0 * math.exp(-0.5) * missed * (1.0 + 1e-9)
+    left = [-transfer(state, 0.0) for _ in range(4 * ticks)]
+    assert max(left) <= 1.5 * math.exp(-1.0 / 3.0) * missed * (1.0 + 1e-9)
     assert left[-1] < 0.01 * missed
 
 
@@ -80,16 +77,15 @@ def test_what_has_settled_is_made_up_with_the_pace_of_the_car() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("ticks", [1, 5])
+@pytest.mark.parametrize("noise_rms", [0.0, 1e-3])
 @pytest.mark.parametrize("period", [1300, 1900, 2600])
 def test_a_loose_connection_asks_for_no_more_than_the_load_in_a_tick(
-    ticks: int, period: int
+    noise_rms: float, period: int
 ) -> None:
     """Lost again while the last loss is released: 18 times the load, were F̂ to jump to it."""
-    target = dataclasses.replace(late(ticks), model_share=0.6, clear_ticks=300)
     left = np.ones((12_000, 2))
     left[6000:, 0] = (np.arange(6000) // (period // 2)) % 2
-    plant, table = sample(CAR, TICK_S), build(DESIGN, target)
+    plant, table = sample(CAR, TICK_S), build(DESIGN, late(noise_rms))
     trace = simulate(table, plant, np.ones(12_000), effectiveness=left)
     again = np.diff((trace.fault_state == FaultState.CONFIRMED).astype(int)) == 1
     assert again.sum() > 2
@@ -98,7 +94,7 @@ def test_a_loose_connection_asks_for_no_more_than_the_load_in_a_tick(
 
 
 def test_a_loss_that_comes_back_while_the_last_is_released_makes_no_bump() -> None:
-    table = build(DESIGN, dataclasses.replace(late(1), threshold=0.05, clear_ticks=30))
+    table = build(DESIGN, late(1e-3))
     plant, left = sample(CAR, TICK_S), np.ones((2500, 2))
     left[LOST : LOST + 200, 0] = 0.0
     once = simulate(table, plant, np.ones(2500), effectiveness=left).fault_state
@@ -108,30 +104,26 @@ def test_a_loss_that_comes_back_while_the_last_is_released_makes_no_bump() -> No
     assert again.fault_state[cleared + 40] == FaultState.CLEAR
     assert again.fault_state[-1] == FaultState.CONFIRMED
     assert np.abs(np.diff(again.command_2[cleared:])).max() < 1.0 / CAR.g2.dc_gain
-    assert np.abs(again.error[-100:]).max() < 1e-3
-
-
-def confirmed_after(ticks: int) -> Trace:
-    left = np.ones((1500, 2))
-    left[LOST:, 0] = 0.0
-    return simulate(
-        build(DESIGN, late(ticks)), sample(CAR, TICK_S), np.ones(1500), effectiveness=left
-    )
+    assert np.abs(again.error[-100:]).max() < 5e-3
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("ticks", [2, 5, 15, 30])
+@pytest.mark.parametrize("noise_rms", [1e-4, 1e-3, 5e-3])
 def test_compensation_that_engages_late_needs_no_more_than_the_load_and_makes_up_all(
-    ticks: int,
+    noise_rms: float,
 ) -> None:
     """Given w as it is, F̂ would ask for w/(g T²): 2e4 N after 15 ticks, and as much back."""
-    trace = confirmed_after(ticks)
+    left = np.ones((2500, 2))
+    left[LOST:, 0] = 0.0
+    table, plant = build(DESIGN, late(noise_rms)), sample(CAR, TICK_S)
+    trace = simulate(table, plant, np.ones(2500), effectiveness=left)
+    acts = int(np.argmax(trace.fault_state[LOST:] > FaultState.CLEAR))
+    assert 1 < acts < 40
     load = 1.0 / CAR.g2.dc_gain
-    assert np.abs(trace.command_2).max() < 2.0 * load
-    assert np.abs(np.diff(trace.command_2)).max() < 0.4 * load
-    at_confirmation = np.abs(trace.error[LOST : LOST + ticks + 2]).max()
-    assert np.abs(trace.error[LOST:]).max() < 1.5 * at_confirmation
-    assert np.abs(trace.error[-100:]).max() < 1e-4
+    assert np.abs(trace.command_2).max() < 2.5 * load
+    assert np.abs(np.diff(trace.command_2)).max() < load
+    assert np.abs(trace.error[LOST:]).max() < 0.03
+    assert np.abs(trace.error[-100:]).max() < 2e-3
 
 
 def test_a_transfer_that_was_released_is_forgotten() -> None:

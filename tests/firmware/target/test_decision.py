@@ -4,31 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from scipy import signal
 
-from firmware_model.analysis.sampled_plant import follow_plant, sample
+from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import Trace, simulate
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.plants import chapter_2, steer_by_wire
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
-from firmware_model.discretisation.tustin import zoh
 from firmware_model.firmware import Firmware
-from firmware_model.target import controller
-from firmware_model.target.fault_decision.loss_model import (
-    initialise_loss_model,
-    loss_output,
-    loss_output_in_estimate,
-)
-from firmware_model.target.status import FaultState, Mode
+from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray
+from tests.firmware.target.cases import CAR, TICK_S, car_at, other_cars
 
-CAR = steer_by_wire()
-TICK_S = 1e-3
 PLANT = sample(CAR, TICK_S)
 FAST = design(CAR, DesignSpecification(tau_s=0.0002, tau_q_s=0.002))
 TAME = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 LOST, BACK, TICKS = 600, 1200, 2400
+CLEAR, SUSPECTED, CONFIRMED, CANNOT_TELL = FaultState
 
 
 def unavoidable(latency: int, torque_nm: float) -> float:
@@ -36,18 +28,26 @@ def unavoidable(latency: int, torque_nm: float) -> float:
     return 0.5 * CAR.g1.gain * abs(torque_nm) * ((latency + 1) * TICK_S) ** 2
 
 
-def drive(
-    target: Target, reference: FloatArray, left: float = 0.0, until: int = TICKS, of=FAST
-) -> Trace:  # type: ignore[no-untyped-def]
+def drive(  # type: ignore[no-untyped-def]
+    target: Target,
+    reference: FloatArray,
+    left: float = 0.0,
+    until: int | None = None,
+    of=FAST,
+    plant=PLANT,
+    rms: float = 0.0,
+) -> Trace:
     """A run whose torque channel has ``left`` of its effect from LOST to ``until``."""
     effectiveness = np.ones((len(reference), 2))
     effectiveness[LOST:until, 0] = left
-    return simulate(build(of, target), PLANT, reference, effectiveness=effectiveness)
+    noise = rms * np.random.default_rng(9).standard_normal(len(reference))
+    table = build(of, target)
+    return simulate(table, plant, reference, effectiveness=effectiveness, noise=noise)
 
 
 def confirming(latency: int = 1, **changes: object) -> Target:
-    """A target that compensates on confirmation, at once."""
-    settings = {"estimator": "zoh", "threshold": 1e-6, "on_confirmation": True, **changes}
+    """A target that compensates on confirmation, at once: for a sensor without noise."""
+    settings = {"estimator": "zoh", "on_confirmation": True, **changes}
     return Target(TICK_S, latency, **settings)  # type: ignore[arg-type]
 
 
@@ -58,7 +58,7 @@ def test_post_fault_peak_is_at_most_twice_the_unavoidable(latency: int) -> None:
     bound = unavoidable(latency, 1.0 / CAR.g1.dc_gain)
     peak = np.abs(trace.error[LOST:]).max()
     assert 0.9 * bound < peak < 2.0 * bound
-    assert np.abs(trace.error[-200:]).max() < 1e-6
+    assert np.abs(trace.error[-200:]).max() < 1e-4
 
 
 @pytest.mark.long
@@ -70,107 +70,106 @@ def test_it_beats_waiting_for_the_estimate(latency: int) -> None:
     assert np.abs(early.error[LOST:]).max() < 0.95 * np.abs(always.error[LOST:]).max()
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("latency", [0, 2])
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@pytest.mark.parametrize("latency", [0, pytest.param(2, marks=pytest.mark.long)])
 @pytest.mark.parametrize("estimator", ["zoh", "tustin-held"])
-def test_without_a_fault_it_never_acts(latency: int, estimator: str) -> None:
-    reference = np.sin(np.arange(TICKS) * 0.02)
-    target = confirming(latency, estimator=estimator, threshold=1e-2)
+def test_without_a_fault_it_never_acts(latency: int, estimator: str, precision: str) -> None:
+    """The rule's own error included, and single precision's."""
+    reference = np.sin(np.arange(1200) * 0.02)
+    target = confirming(latency, estimator=estimator, precision=precision)
     trace = drive(target, reference, left=1.0)
     np.testing.assert_array_equal(trace.command_2, 0.0)
-    assert not np.isin(trace.fault_state, (FaultState.SUSPECTED, FaultState.CONFIRMED)).any()
+    assert not np.isin(trace.fault_state, (SUSPECTED, CONFIRMED)).any()
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("confirm_ticks", [1, 5, 20])
-def test_suspected_at_the_first_sample_and_confirmed_in_time(confirm_ticks: int) -> None:
-    trace = drive(confirming(confirm_ticks=confirm_ticks), np.ones(TICKS))
+@pytest.mark.parametrize("rms", [5e-3, 2e-2])
+@pytest.mark.parametrize("latency", [0, 1, 3])
+def test_a_loss_in_noise_is_suspected_confirmed_and_compensated(latency: int, rms: float) -> None:
+    """The more noise the later: g u1 t²/2 has to stand out of it."""
+    trace = drive(confirming(latency, noise_rms=rms), np.ones(4000), of=TAME, rms=rms)
     states = trace.fault_state
-    # The tick of the loss is the last whose sample is still whole.
-    assert (states[300 : LOST + 1] == FaultState.CLEAR).all()
-    confirmed = LOST + confirm_ticks
-    assert (states[LOST + 1 : confirmed] == FaultState.SUSPECTED).all()
-    assert (states[confirmed:] == FaultState.CONFIRMED).all()
-    np.testing.assert_array_equal(trace.command_2[:confirmed], 0.0)
-    assert abs(trace.command_2[confirmed]) > 0.0
+    assert not np.isin(states[:LOST], CONFIRMED).any()
+    found = LOST + int(np.argmax(states[LOST:] == CONFIRMED))
+    shown = np.sqrt(2.0 * 5.0 * rms * CAR.g1.dc_gain / CAR.g1.gain) / TICK_S
+    assert 1 <= found - LOST < shown + 3
+    assert (states[found:] == CONFIRMED).all()
+    assert trace.command_2[-1] == pytest.approx(1.0 / CAR.g2.dc_gain, rel=0.05)
 
 
-def test_a_spike_is_suspected_and_forgotten() -> None:
-    firmware = Firmware(build(FAST, confirming(confirm_ticks=3, threshold=0.01)))
+def test_suspicions_are_as_seldom_as_asked_for_and_end_with_their_candidate() -> None:
+    """Noise alone, one suspicion a second allowed: some, short ones, and none is confirmed."""
+    rms, ticks = 0.01, 8000
+    target = confirming(1, noise_rms=rms, suspicions_per_hour=3600.0)
+    trace = drive(target, np.sin(np.arange(ticks) * 0.01), left=1.0, of=TAME, rms=rms)
+    begin = np.flatnonzero(np.diff((trace.fault_state == SUSPECTED).astype(int)) == 1)
+    assert len(begin) <= 8 + 3 * np.sqrt(8)
+    assert CONFIRMED not in trace.fault_state
+    assert (trace.fault_state == SUSPECTED).sum() < 0.02 * ticks
+
+
+def test_a_spike_is_suspected_compensated_and_forgotten() -> None:
+    """Some samples that look like a loss: F̂ begins, and is led back without a step."""
+    spike = 1.0 - 0.0009 * np.arange(10) ** 2
+    firmware = Firmware(build(TAME, confirming(noise_rms=0.01)))
     firmware.reset(1.0)
-    y = [1.0, 1.0, 0.95, 1.0, 1.0]
-    answers = [firmware.step(1.0, value) for value in y]
-    assert [a.fault_state for a in answers] == [
-        FaultState.CLEAR,
-        FaultState.CLEAR,
-        FaultState.SUSPECTED,
-        FaultState.CLEAR,
-        FaultState.CLEAR,
-    ]
-    assert all(a.command_2 == 0.0 for a in answers)
+    answers = [firmware.step(1.0, y) for y in (1.0, 1.0, 1.0, *spike, *[1.0] * 400)]
+    states = [answer.fault_state for answer in answers]
+    assert SUSPECTED in states[:15]
+    assert max(abs(answer.command_2) for answer in answers[:15]) > 100.0
+    assert CONFIRMED not in states
+    assert states[-1] == CLEAR
+    assert abs(answers[-1].command_2) < 1.0
 
 
 @pytest.mark.parametrize("latency", [0, *(pytest.param(n, marks=pytest.mark.long) for n in (1, 3))])
-def test_a_channel_that_comes_back_is_cleared_without_a_bump(latency: int) -> None:
-    target = confirming(latency, confirm_ticks=20, clear_ticks=300, threshold=0.01)
-    trace = drive(target, np.ones(2 * TICKS), until=BACK, of=TAME)
+@pytest.mark.parametrize("rms", [0.0, 2e-2])
+def test_a_channel_that_comes_back_is_cleared_without_a_bump(latency: int, rms: float) -> None:
+    target = confirming(latency, noise_rms=rms)
+    trace = drive(target, np.ones(2 * TICKS), until=BACK, of=TAME, rms=rms)
     states = trace.fault_state
-    assert (states[LOST + 40 : BACK] == FaultState.CONFIRMED).all()
-    assert (states[BACK + 1500 :] == FaultState.CLEAR).all()
-    assert np.abs(trace.error[-100:]).max() < 1e-3
-    # No step in the released command: no larger than what a tick of the fault's own rise asks.
-    largest = np.abs(np.diff(trace.command_2[LOST:BACK])).max()
-    assert np.abs(np.diff(trace.command_2[BACK:])).max() < largest
+    assert (states[LOST + 60 : BACK] == CONFIRMED).all()
+    assert CONFIRMED not in states[BACK + 100 :]
+    assert np.abs(trace.error[-100:]).max() < 1e-3 + 5.0 * rms
+    # No step in the released command: no larger than what carries the bend.
+    assert np.abs(np.diff(trace.command_2[BACK:])).max() < 1.0 / CAR.g2.dc_gain
 
 
 def test_a_reference_through_zero_clears_nothing() -> None:
     """d̂ goes through zero with the command; the loss stays confirmed."""
     reference = np.cos(np.arange(TICKS) * 0.02)
-    trace = drive(confirming(confirm_ticks=5, threshold=0.01), reference)
-    crossings = np.abs(trace.fault_estimate[LOST + 100 :]) < 0.01
-    assert crossings.any()
-    assert (trace.fault_state[LOST + 100 :] == FaultState.CONFIRMED).all()
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("left", [0.3, 0.5])
-def test_a_partial_loss_is_confirmed_and_settles(left: float) -> None:
-    trace = drive(confirming(threshold=0.01), np.ones(TICKS), left=left, of=TAME)
-    assert trace.fault_state[-1] == FaultState.CONFIRMED
-    assert np.abs(trace.error[-100:]).max() < 1e-3
+    trace = drive(confirming(), reference, of=TAME)
+    assert (np.abs(trace.fault_estimate[LOST + 100 :]) < 0.01).any()
+    assert (trace.fault_state[LOST + 100 :] == CONFIRMED).all()
 
 
 @pytest.mark.long
 def test_without_excitation_it_cannot_tell() -> None:
-    trace = drive(confirming(threshold=0.01), np.zeros(TICKS))
-    assert (trace.fault_state == FaultState.CANNOT_TELL).all()
+    trace = drive(confirming(noise_rms=1e-3), np.zeros(TICKS))
+    assert (trace.fault_state == CANNOT_TELL).all()
 
 
-@pytest.mark.long
 def test_a_biased_sensor_looks_the_same() -> None:
     """d̂ = -b: the decision says that something is lost, not what."""
-    trace = simulate(
-        build(TAME, confirming(threshold=0.05, on_confirmation=False)),
-        PLANT,
-        np.ones(TICKS),
-        noise=np.where(np.arange(TICKS) < LOST, 0.0, 0.1),
-    )
-    assert trace.fault_state[LOST] == FaultState.SUSPECTED or (
-        trace.fault_state[LOST] == FaultState.CONFIRMED
-    )
-    assert trace.fault_estimate[LOST] == pytest.approx(-0.1, abs=1e-9)
+    bias = np.where(np.arange(1200) < LOST, 0.0, -0.1)
+    target = confirming(noise_rms=1e-2, on_confirmation=False)
+    trace = simulate(build(TAME, target), PLANT, np.ones(1200), bias=bias)
+    assert trace.fault_estimate[LOST] == pytest.approx(0.1, abs=1e-9)
+    assert CONFIRMED in trace.fault_state[LOST : LOST + 50]
 
 
-def test_a_bias_that_no_command_explains_ends_the_search() -> None:
-    """D* jumps while nothing was commanded: no loss in the last ticks makes that d̂."""
+@pytest.mark.parametrize("value", [1.0, -1.0])
+def test_a_bias_that_no_command_explains_is_no_loss(value: float) -> None:
+    """D* jumps while nothing was commanded: no channel that was lost makes that d̂."""
     firmware = Firmware(build(FAST, confirming(0)))
-    answer = firmware.step(0.0, 1.0)
-    assert answer.fault_state == FaultState.CONFIRMED
-    assert answer.fault_estimate == -1.0
+    answer = firmware.step(0.0, value)
+    assert answer.fault_state == CANNOT_TELL
+    assert answer.fault_estimate == -value
+    assert answer.command_2 == 0.0
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("left", [0.0, 0.25, 0.5, 0.9])
+@pytest.mark.parametrize("left", [0.0, 0.25, 0.5])
 @pytest.mark.parametrize("latency", [1, 2])
 def test_as_much_is_compensated_as_is_lost(left: float, latency: int) -> None:
     """X_diff settles at the share that the torque lost of what carries the bend, and as fast."""
@@ -181,33 +180,22 @@ def test_as_much_is_compensated_as_is_lost(left: float, latency: int) -> None:
     assert np.abs(trace.error[LOST:]).max() < 4.0 * unavoidable(latency, missing)
 
 
-def test_the_share_is_that_of_a_loss_within_some_ticks_of_noise() -> None:
-    """Least squares over a memory of 50 ticks: noise of 5 % of w leaves some 1 % of the share."""
-    table = build(TAME, confirming(threshold=0.02, confirm_ticks=3))
-    state = controller.init(table)[0]
-    draw, x = np.random.default_rng(1), PLANT.rest.copy()
-    y, late, shares = 0.0, (0.0, 0.0), []
-    for k in range(1500):
-        controller.step(table, state, 1.0, y + 0.005 * draw.standard_normal())
-        left = 1.0 if k < LOST else 0.4
-        y = follow_plant(PLANT.phi, PLANT.gamma, PLANT.c, x, left * late[0], late[1])
-        late = float(state.command_1), float(state.command_2)
-        shares.append(float(state.loss_model.share))
-    settled = np.array(shares[LOST + 300 :])
-    assert settled.mean() == pytest.approx(0.6, abs=0.01)
-    assert settled.std() < 0.01
-
-
-@pytest.mark.parametrize("precision", ["float32", "float64"])
-def test_an_overflow_of_the_share_is_forgotten(precision: str) -> None:
-    """Squares of d̂ and w that leave the numbers must not leave the compensation without one."""
-    huge = 1e25 if precision == "float32" else 1e200
-    table = build(TAME, confirming(precision=precision, threshold=1e-3))
-    state = controller.init(table)[0]
-    for y in (0.0, huge, -huge, huge, *[0.0] * 400):
-        controller.step(table, state, huge if abs(y) > 0.0 else 0.0, y)
-        assert np.isfinite([state.loss_model.share, *state.loss_model.sums]).all()
-    assert state.mode == Mode.RUN
+@pytest.mark.long
+@pytest.mark.parametrize("place", [(1.0, 0, 0), (-1.0, 0, 0), (0, 1.0, 0), (0, -1.0, 1.0)])
+def test_another_car_of_the_box_is_no_loss_and_its_loss_is_found(
+    place: tuple[float, float, float],
+) -> None:
+    """Mass, speed, front tires up to 20 % off, on a reference that turns and steps."""
+    plant = sample(steer_by_wire(car_at(np.array(place))), TICK_S)
+    reference = np.where(np.arange(6000) < 3000, np.sin(np.arange(6000) * 0.003), 1.0)
+    target = confirming(noise_rms=2e-3, mismatch=other_cars(), reference_acceleration=40.0)
+    healthy = drive(target, reference, left=1.0, of=TAME, plant=plant, rms=2e-3)
+    assert CONFIRMED not in healthy.fault_state
+    lost = drive(target, reference, of=TAME, plant=plant, rms=2e-3)
+    assert CONFIRMED in lost.fault_state[LOST : LOST + 400]
+    trusting = confirming(noise_rms=2e-3, reference_acceleration=40.0)
+    believed = drive(trusting, reference, left=1.0, of=TAME, plant=plant, rms=2e-3)
+    assert SUSPECTED in believed.fault_state or CONFIRMED in believed.fault_state
 
 
 def test_a_command_that_acts_within_the_tick_is_no_fault() -> None:
@@ -215,40 +203,21 @@ def test_a_command_that_acts_within_the_tick_is_no_fault() -> None:
     plant = chapter_2()
     table = build(
         design(plant, DesignSpecification(tau_s=0.01, feedback=False)),
-        Target(TICK_S, threshold=1e-6),
+        Target(TICK_S, noise_rms=1e-6),
     )
     firmware, y = Firmware(table), 2.0 * (plant.g1.dc_gain + plant.g2.dc_gain)
-    assert table.estimator.feedthrough_2 * 2.0 > 100.0 * table.adaptive_threshold.threshold
+    assert table.estimator.feedthrough_2 * 2.0 > 100.0 * 1e-6
     firmware.reset(2.0)
-    assert [firmware.step(2.0, y).fault_state for _ in range(5)] == [FaultState.CLEAR] * 5
+    assert [firmware.step(2.0, y).fault_state for _ in range(5)] == [CLEAR] * 5
 
 
-def test_after_a_reset_a_loss_takes_all_its_ticks_to_be_confirmed() -> None:
-    """Reset while SUSPECTED: the ticks from before it count no more."""
-    firmware = Firmware(build(FAST, confirming(confirm_ticks=4, threshold=0.01)))
-    whole, lost = 1.0, 0.9
+def test_after_a_reset_the_evidence_begins_again() -> None:
+    """Reset while SUSPECTED: what was seen before counts no more."""
+    firmware = Firmware(build(TAME, confirming(noise_rms=0.01)))
+    falling = 1.0 - 0.004 * np.arange(1, 40) ** 1.5
     firmware.reset(1.0)
-    for y in (whole, lost, lost):
-        before = firmware.step(1.0, y)
-    assert before.fault_state == FaultState.SUSPECTED
+    states = [firmware.step(1.0, y).fault_state for y in falling.tolist()]
+    first = states.index(SUSPECTED)
+    assert first > 1
     firmware.reset(1.0)
-    states = [firmware.step(1.0, y).fault_state for y in (lost, lost, lost, lost)]
-    assert states == [FaultState.SUSPECTED] * 3 + [FaultState.CONFIRMED]
-
-
-@pytest.mark.parametrize("ticks", [1, 4])
-@pytest.mark.parametrize("latency", [0, 1, 3])
-def test_the_loss_model_starts_with_the_value_and_the_speed_that_w_has(
-    latency: int, ticks: int
-) -> None:
-    """A loss of all in a steady bend: w is G1's step response, by scipy, from the loss on."""
-    torque_nm = 1.0 / CAR.g1.dc_gain
-    w = torque_nm * signal.sosfilt(zoh(CAR.g1, TICK_S).sos, np.ones(20))
-    table = build(FAST, confirming(latency))
-    state = controller.init(table)[0]
-    controller.reset(table, state, 1.0)
-    initialise_loss_model(table, state, w[ticks], 1.0)
-    state.fault_state = FaultState.SUSPECTED
-    assert loss_output_in_estimate(table, state) == pytest.approx(w[ticks])
-    assert loss_output(table, state) == pytest.approx(w[ticks + latency])
-    assert state.loss_model.previous_output == pytest.approx(w[ticks + latency - 1], abs=1e-15)
+    assert [firmware.step(1.0, y).fault_state for y in falling.tolist()] == states

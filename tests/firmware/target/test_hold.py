@@ -7,12 +7,14 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from scipy import signal
 
 from firmware_model.analysis.sampled_plant import follow_plant, sample
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
+from firmware_model.discretisation.tustin import tustin, zoh
 from firmware_model.target import controller
 from firmware_model.target.status import FaultState, Mode
 from firmware_model.target.structs import FloatArray, Record
@@ -26,18 +28,19 @@ SINE = np.sin(0.01 * np.arange(1200))
 
 @dataclass(frozen=True)
 class Run:
-    """By tick, shape (ticks,): w as d̂ of that tick contains it is ``lost``."""
+    """By tick, shape (ticks,): s w as d̂ of that tick contains it is ``lost``."""
 
     error: FloatArray
     estimate: FloatArray
     lost: FloatArray
+    command_1: FloatArray
     command_2: FloatArray
     mode: FloatArray
     fault_state: FloatArray
 
 
 def table_of(latency: int, **changes: object) -> Record:
-    chosen = {"estimator": "zoh", "threshold": 1e-6, "on_confirmation": True, **changes}
+    chosen = {"estimator": "zoh", "on_confirmation": True, **changes}
     return build(DESIGN, Target(TICK_S, latency, **chosen))  # type: ignore[arg-type]
 
 
@@ -49,10 +52,19 @@ def drive(table: Record, lost: int | None, missed: int = MISSED) -> Run:
     rows = []
     for k, reference in enumerate(SINE.tolist()):
         missing = MISSING <= k < MISSING + missed
-        w = float(state.loss_model.delay[state.estimator.delay_index])
+        loss = state.loss_model
+        w = float(loss.share * loss.delay[state.estimator.delay_index])
         controller.step(table, state, reference, math.nan if missing else y)
         rows.append(
-            (reference - y, state.fault_estimate, w, state.command_2, state.mode, state.fault_state)
+            (
+                reference - y,
+                state.fault_estimate,
+                w,
+                state.command_1,
+                state.command_2,
+                state.mode,
+                state.fault_state,
+            )
         )
         late.append((float(state.command_1), float(state.command_2)))
         u1, u2 = late.pop(0)
@@ -77,7 +89,7 @@ def test_f1_goes_on_with_the_commands_that_are_held(latency: int) -> None:
 @pytest.mark.long
 @pytest.mark.parametrize("latency", [1, 3])
 def test_so_does_the_model_of_the_loss(latency: int) -> None:
-    """d̂ = w after a loss of all (2.9), before, while and after inputs are missing."""
+    """d̂ = s w after a loss of all (2.9), before, while and after inputs are missing."""
     run = drive(table_of(latency), LOST)
     known = (np.arange(len(SINE)) > LOST + latency) & (run.mode == Mode.RUN)
     assert run.fault_state[-1] == FaultState.CONFIRMED
@@ -86,13 +98,17 @@ def test_so_does_the_model_of_the_loss(latency: int) -> None:
 
 
 @pytest.mark.parametrize("latency", [1, pytest.param(3, marks=pytest.mark.long)])
-def test_the_compensation_goes_on_without_a_bump(latency: int) -> None:
-    """w moves by some 0.2 m/s² meanwhile: a jump there would ask for most of X_diff in a tick."""
+def test_the_compensation_goes_on(latency: int) -> None:
+    """u2 = F̂ w of all commands since the loss, by scipy: of those that were held too."""
     run = drive(table_of(latency), LOST)
+    sent = np.where(np.arange(len(SINE)) < LOST - latency, 0.0, run.command_1)
+    w = signal.sosfilt(zoh(CAR.g1, TICK_S).sos, sent)
+    expected = signal.sosfilt(tustin(DESIGN.compensator, TICK_S).sos, w)
+    load = np.abs(run.command_2).max()
     first = MISSING + MISSED
-    steps, load = np.abs(np.diff(run.command_2)), np.abs(run.command_2).max()
-    assert steps[first - 1] < 0.1 * load
-    assert steps[first:].max() < 0.2 * load
+    difference = np.abs(run.command_2 - expected) / load
+    assert difference[MISSING - 100 : MISSING].max() < 1e-5
+    assert difference[first:].max() < 1e-5
     healthy = drive(table_of(latency), None)
     later = slice(first + 300, None)
     np.testing.assert_allclose(run.error[later], healthy.error[later], atol=0.01)

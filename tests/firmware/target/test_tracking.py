@@ -90,6 +90,7 @@ def test_on_the_car_that_is_the_model_limits_are_outside_the_loop(
     late = np.concatenate([np.zeros(latency), trace.command_1])[: len(reference)]
     response = signal.sosfilt(zoh(CAR.g1, TICK_S).sos, late)
     np.testing.assert_allclose(trace.measurement, response, atol=1e-9)
+    assert np.abs(trace.fault_estimate).max() < 1e-9
     np.testing.assert_array_equal(trace.command_2, 0.0)
 
 

@@ -218,7 +218,7 @@ def test_csv_has_the_contract_s_columns_and_empty_cells(tmp_path: Path, lines: l
     signals = read(tmp_path, lines)
     signals.write_csv(tmp_path / "signals.csv")
     back = np.genfromtxt(tmp_path / "signals.csv", delimiter=",", names=True)
-    assert back.dtype.names == COLUMNS
+    assert back.dtype.names == (*COLUMNS, *signals.plant)
     for name in COLUMNS:
         np.testing.assert_allclose(back[name], getattr(signals, name), rtol=1e-9, atol=1e-12)
     assert (tmp_path / "signals.csv").read_text().splitlines()[31].split(",")[4] == ""

@@ -1,0 +1,131 @@
+"""What cars that are not the model show in d̂ without a fault.
+
+    x_i = (G1_i - G1) u1 + (G2_i - G2) u2
+
+with G1_i, G2_i the models of another car, along the i-th principal direction of the box of cars
+that the design allows for and scaled to the end of it (``design.mismatch``). A command that is
+known to be lost drives none of them.
+"""
+
+from __future__ import annotations
+
+from firmware_model.compiled import firmware
+from firmware_model.target.fault_decision.covariance import MAX_DIRECTIONS
+from firmware_model.target.filters import biquad
+from firmware_model.target.filters.biquad import advance, output, settle
+from firmware_model.target.structs import Field, Record
+
+CAR = (
+    Field("channel_1", "y/u1", "G1 of this car", biquad.CONSTANTS),
+    Field("channel_2", "y/u2", "G2 of this car", biquad.CONSTANTS),
+)
+CAR_STATE = (
+    Field("channel_1", "y", "its state", biquad.STATE),
+    Field("channel_2", "y", "its state", biquad.STATE),
+)
+CONSTANTS = (
+    Field("n", "1", "principal directions in use", "int32"),
+    Field("scale", "1", "from one of these cars to the end of the box"),
+    Field("car_1", "1", "the car along the first direction", CAR),
+    Field("car_2", "1", "likewise the second", CAR),
+    Field("car_3", "1", "likewise the third", CAR),
+    Field("car_4", "1", "likewise the fourth", CAR),
+)
+STATE = (
+    Field("model", "y", "the model, driven by the same commands", CAR_STATE),
+    Field("car_1", "y", "the first car", CAR_STATE),
+    Field("car_2", "y", "the second car", CAR_STATE),
+    Field("car_3", "y", "the third car", CAR_STATE),
+    Field("car_4", "y", "the fourth car", CAR_STATE),
+    Field("shown", "y", "x_i of this tick", shape=(MAX_DIRECTIONS,)),
+    Field("command_1", "u1", "command 1 as it acts in what is measured, what is lost left out"),
+    Field("command_2", "u2", "command 2 likewise"),
+)
+
+
+@firmware
+def show_other_cars(table: Record, state: Record, command_1: float, command_2: float) -> None:
+    """x of this tick, where these commands begin to show in what is measured."""
+    cars, own, shown = table.other_cars, state.other_cars, state.other_cars.shown
+    own.command_1, own.command_2 = command_1, command_2
+    model = output(table.estimator.channel_1, own.model.channel_1, command_1)
+    model += output(table.estimator.channel_2, own.model.channel_2, command_2)
+    if cars.n > 0:
+        shown[0] = (car_output(cars.car_1, own.car_1, command_1, command_2) - model) * cars.scale
+    if cars.n > 1:
+        shown[1] = (car_output(cars.car_2, own.car_2, command_1, command_2) - model) * cars.scale
+    if cars.n > 2:
+        shown[2] = (car_output(cars.car_3, own.car_3, command_1, command_2) - model) * cars.scale
+    if cars.n > 3:
+        shown[3] = (car_output(cars.car_4, own.car_4, command_1, command_2) - model) * cars.scale
+
+
+@firmware
+def advance_other_cars(table: Record, state: Record) -> None:
+    """Advance every car by the commands of ``show_other_cars``."""
+    cars, own = table.other_cars, state.other_cars
+    if cars.n > 0:
+        advance(table.estimator.channel_1, own.model.channel_1, own.command_1)
+        advance(table.estimator.channel_2, own.model.channel_2, own.command_2)
+        advance_car(cars.car_1, own.car_1, own.command_1, own.command_2)
+    if cars.n > 1:
+        advance_car(cars.car_2, own.car_2, own.command_1, own.command_2)
+    if cars.n > 2:
+        advance_car(cars.car_3, own.car_3, own.command_1, own.command_2)
+    if cars.n > 3:
+        advance_car(cars.car_4, own.car_4, own.command_1, own.command_2)
+
+
+@firmware
+def settle_other_cars(table: Record, state: Record, command_1: float, command_2: float) -> None:
+    """The steady state for constant commands."""
+    cars, own = table.other_cars, state.other_cars
+    settle(table.estimator.channel_1, own.model.channel_1, command_1)
+    settle(table.estimator.channel_2, own.model.channel_2, command_2)
+    settle_car(cars.car_1, own.car_1, command_1, command_2)
+    settle_car(cars.car_2, own.car_2, command_1, command_2)
+    settle_car(cars.car_3, own.car_3, command_1, command_2)
+    settle_car(cars.car_4, own.car_4, command_1, command_2)
+    show_other_cars(table, state, command_1, command_2)
+
+
+@firmware
+def clear_other_cars(state: Record) -> None:
+    """Every car is at rest."""
+    own = state.other_cars
+    clear_car(own.model)
+    clear_car(own.car_1)
+    clear_car(own.car_2)
+    clear_car(own.car_3)
+    clear_car(own.car_4)
+    own.shown[:] = 0.0
+    own.command_1 = own.command_2 = 0.0
+
+
+@firmware
+def car_output(car: Record, state: Record, command_1: float, command_2: float) -> float:
+    """y of a car."""
+    y: float = output(car.channel_1, state.channel_1, command_1)
+    y += output(car.channel_2, state.channel_2, command_2)
+    return y
+
+
+@firmware
+def advance_car(car: Record, state: Record, command_1: float, command_2: float) -> None:
+    """A tick on."""
+    advance(car.channel_1, state.channel_1, command_1)
+    advance(car.channel_2, state.channel_2, command_2)
+
+
+@firmware
+def settle_car(car: Record, state: Record, command_1: float, command_2: float) -> None:
+    """Its steady state."""
+    settle(car.channel_1, state.channel_1, command_1)
+    settle(car.channel_2, state.channel_2, command_2)
+
+
+@firmware
+def clear_car(state: Record) -> None:
+    """At rest."""
+    state.channel_1.accumulators[:] = 0.0
+    state.channel_2.accumulators[:] = 0.0
