@@ -24,11 +24,11 @@ class FaultState(IntEnum):
     """What ``decision`` makes of d̂. It isolates nothing: a biased D* sensor looks the same."""
 
     CLEAR = 0
-    """d̂ is below the threshold, and the loss of all of channel 1 would take it above."""
+    """Nothing speaks for a loss, and the loss of all of channel 1 would show."""
     SUSPECTED = 1
-    """d̂ exceeds the threshold, not yet for long enough."""
+    """d̂ speaks for a loss, not yet clearly enough."""
     CONFIRMED = 2
-    """It did for long enough, and channel 1 has not been seen to work since."""
+    """It did clearly enough, and channel 1 has not been seen to work since."""
     CANNOT_TELL = 3
     """Channel 1 contributes so little at present that its loss would not show."""
 

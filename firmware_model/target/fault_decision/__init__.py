@@ -1,4 +1,4 @@
-"""Is channel 1 lost? Adaptive threshold, model of the loss, torque probe, and the way over to F̂.
+"""Is channel 1 lost? Other cars, sequential test, model of the loss, torque probe, transfer to F̂.
 
 Imports `filters`, `status`, `structs` and `precision`; the controller and the layout import it.
 """

@@ -65,6 +65,7 @@ def test_what_fades_and_what_is_added_is_that_of_full_matrices(
     np.testing.assert_allclose(matrix(state), faded + np.diag(added), atol=1e-12)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 @given(seed=st.integers(0, 2**32 - 1), noise=st.sampled_from([1e-18, 1e-6, 1e-2]),
        size=st.sampled_from([1e-2, 1.0, 1e2]), grows=st.sampled_from([0.0, 1e-6]))  # fmt: skip
@@ -87,6 +88,7 @@ def test_it_stays_positive_semidefinite_and_the_innovation_s_variance_above_its_
         assert np.linalg.eigvalsh(p).min() >= -1e-14 * np.abs(p).max()
 
 
+@pytest.mark.long
 def test_single_precision_keeps_what_plain_matrices_lose() -> None:
     """Steady x of 10 and noise of 1e-3 rms: P - K Kᵀ S in single precision has S < 0 soon."""
     x = np.array([10.0, 20.0, -30.0, 1.0], np.float32)

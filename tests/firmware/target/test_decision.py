@@ -97,6 +97,7 @@ def test_a_loss_in_noise_is_suspected_confirmed_and_compensated(latency: int, rm
     assert trace.command_2[-1] == pytest.approx(1.0 / CAR.g2.dc_gain, rel=0.05)
 
 
+@pytest.mark.long
 def test_suspicions_are_as_seldom_as_asked_for_and_end_with_their_candidate() -> None:
     """Noise alone, one suspicion a second allowed: some, short ones, and none is confirmed."""
     rms, ticks = 0.01, 8000
@@ -109,17 +110,19 @@ def test_suspicions_are_as_seldom_as_asked_for_and_end_with_their_candidate() ->
 
 
 def test_a_spike_is_suspected_compensated_and_forgotten() -> None:
-    """Some samples that look like a loss: F̂ begins, and is led back without a step."""
-    spike = 1.0 - 0.0009 * np.arange(10) ** 2
-    firmware = Firmware(build(TAME, confirming(noise_rms=0.01)))
-    firmware.reset(1.0)
-    answers = [firmware.step(1.0, y) for y in (1.0, 1.0, 1.0, *spike, *[1.0] * 400)]
-    states = [answer.fault_state for answer in answers]
-    assert SUSPECTED in states[:15]
-    assert max(abs(answer.command_2) for answer in answers[:15]) > 100.0
-    assert CONFIRMED not in states
-    assert states[-1] == CLEAR
-    assert abs(answers[-1].command_2) < 1.0
+    """Eleven samples that look like a loss: F̂ begins, and is led back without a step."""
+    spike = np.zeros(1600)
+    spike[LOST : LOST + 11] = -7e-4 * np.arange(11) ** 2
+    table = build(TAME, confirming(noise_rms=0.01))
+    trace = simulate(table, PLANT, np.ones(1600), noise=spike)
+    suspected = np.flatnonzero(trace.fault_state == SUSPECTED)
+    assert LOST < suspected[0] <= suspected[-1] < LOST + 30
+    assert len(suspected) == suspected[-1] - suspected[0] + 1
+    assert (trace.fault_state[LOST + 30 :] == CLEAR).all()
+    load = 1.0 / CAR.g2.dc_gain
+    assert 0.1 * load < np.abs(trace.command_2).max() < 0.5 * load
+    assert np.abs(np.diff(trace.command_2)).max() < 0.1 * load
+    assert abs(trace.command_2[-1]) < 1e-3 * load
 
 
 @pytest.mark.parametrize("latency", [0, *(pytest.param(n, marks=pytest.mark.long) for n in (1, 3))])

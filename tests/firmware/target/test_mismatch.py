@@ -88,6 +88,7 @@ def test_it_is_the_kalman_filter_of_full_matrices(seed: int) -> None:
         np.testing.assert_allclose(state.theta, theirs.theta, atol=1e-9)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 @given(seed=st.integers(0, 2**32 - 1), noise=st.sampled_from([1e-18, 1e-8, 1e-2]),
        moves=st.sampled_from([0.0, 1e-4, 1.0]))  # fmt: skip
