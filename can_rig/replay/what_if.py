@@ -14,7 +14,7 @@ from can_rig.nodes.progress import Progress, no_progress
 from can_rig.nodes.watchdog import StopRequest
 from can_rig.results.execution import Execution, execute, refuse
 from can_rig.results.run_folder import LOG
-from can_rig.results.signals import Signals, read_signals, signals_of
+from can_rig.results.signals import Signals, read_signals, signals_of, with_plant_signals
 from can_rig.results.source import Reading, Source, source_of
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import ReferenceSettings, Scenario
@@ -119,6 +119,8 @@ def what_if(
         return None
     network, scenario = execution.network, execution.scenario
     signals = read_signals(execution.folder / LOG, network, scenario.tick_s)
+    if not asked.logged.plant:  # a log alone has nothing that it could be compared with
+        signals = replace(signals, plant={})
     before = table_of(asked.logged, asked.label, asked.recorded.scenario)
     same_reference = replace(scenario, reference=asked.recorded.scenario.reference)
     after = table_of(signals, str(execution.folder), same_reference)  # the log's, as a file
@@ -135,7 +137,7 @@ def _logged(source: Source, reading: Reading) -> Signals:
     signals = signals_of(messages, network, scenario.tick_s, source.in_time_ticks)
     if not np.isfinite(signals.reference_mps2).any():
         raise LogError(f"{source.log.path}: has no reference of the rig; it must be a log of it")
-    return signals
+    return with_plant_signals(signals, source.log.path, scenario.tick_s)
 
 
 def _reference_csv(logged: Signals) -> str:

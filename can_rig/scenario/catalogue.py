@@ -9,4 +9,5 @@ FOLDER = Path(__file__).parent / "shipped"
 
 def shipped() -> dict[str, Path]:
     """Name → file, sorted."""
-    return {path.stem: path for path in sorted(FOLDER.glob("*.toml"))}
+    files = {path.stem: path for path in FOLDER.glob("*.toml")}
+    return dict(sorted(files.items()))  # by name: "a-b.toml" comes before "a.toml"

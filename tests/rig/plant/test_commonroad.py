@@ -29,31 +29,34 @@ def believed():
     return [f"plant.{key}={value}" for key, value in values.items()]
 
 
-def scenario(model, *changes):
+def scenario(model, *changes, base="ideal"):
     own = [
         *believed(), "plant.kind=tests.rig.plant.commonroad:CommonRoadCar",
         f"plant.parameters.model={model}", "plant.parameters.vehicle=2",
         "reference.amplitude_mps2=0.5", f"fault.at_s={LOST_S}", "duration_s=4",
     ]  # fmt: skip
-    return load("default", [*own, *changes])
+    return load(base, [*own, *changes])
 
 
 @pytest.mark.parametrize(
-    ("model", "changes"),
+    ("model", "base"),
     [
-        ("st", ()),
-        # The tires of the drift model pull to one side a little, 3 mm/s² at rest: a bias.
-        ("std", ("design.fault_threshold_mps2=0.01",)),
+        ("st", "ideal"),
+        ("st", "default"),
+        # The tires of the drift model pull to one side a little, 3 mm/s² at rest: a bias, which
+        # a sensor that is said to be perfect shows at once.
+        ("std", "default"),
     ],
 )
-def test_a_loss_is_confirmed_and_compensated_without_an_alarm_before(model, changes):
-    chosen = scenario(model, *changes)
+def test_a_loss_is_confirmed_and_compensated_without_an_alarm_before(model, base):
+    chosen = scenario(model, base=base)
     trace = frameless(chosen, network_of(chosen))
     lost = trace.time_s >= LOST_S
     assert not np.isin(trace.fault_state[~lost], (FaultState.SUSPECTED, FaultState.CONFIRMED)).any()
     assert trace.time_s[lost][trace.fault_state[lost] == FaultState.CONFIRMED][0] < LOST_S + 0.05
     settled = trace.time_s >= 3.5
-    assert np.abs(trace.error[settled]).max() < 1e-4
+    noise_mps2 = chosen.plant.sensor.noise_mps2  # D* itself is quieter than what measures it
+    assert np.abs(trace.error[settled]).max() < 1e-4 + noise_mps2
     assert np.abs(trace.command_2[settled]).min() > 500.0
 
 

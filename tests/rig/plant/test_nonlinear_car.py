@@ -13,8 +13,11 @@ from scipy.integrate import solve_ivp
 from scipy.optimize import root
 
 from can_rig.assessment.resolve import load
+from can_rig.plant.frameless import frameless
 from can_rig.plant.nonlinear_car import NonlinearCar, _advance, _rates, car_of
+from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import PlantSettings
+from firmware_model.target.status import FaultState
 from tests.helpers import decoded, record
 from tests.rig.plant.linear import LinearPlant
 from tests.rig.plant.single_track import (
@@ -199,7 +202,10 @@ def test_the_design_that_has_not_seen_it_survives_the_loss_of_its_motor(tmp_path
     assert 0.05 < error[3000:].max() < 0.08
     assert error[-500:].max() < 1e-3
     estimate = signals["CONTROLLER_STATUS"]
-    assert 1e-3 < np.abs(estimate[:3000]).max() < scenario.design.fault_threshold_mps2
+    assert np.abs(estimate[:3000]).max() > 1e-3  # another car, and no suspicion all the same
+    state = frameless(scenario, network_of(scenario)).fault_state
+    assert not np.isin(state[:3000], (FaultState.SUSPECTED, FaultState.CONFIRMED)).any()
+    assert (state[-500:] == FaultState.CONFIRMED).all()
     assert signals["FORCE_DIFF_CMD"][-1] == pytest.approx(2989.0, rel=0.01)
 
 

@@ -84,14 +84,14 @@ def test_what_the_force_difference_can_carry_is_said_where_the_torque_is_lost() 
 def test_a_biased_sensor_leaves_the_error_of_the_car(run: Run, bias: float) -> None:
     """The loop holds the measured D*, so the car settles off by the bias, and comes back."""
     biased = ["fault.kind=sensor-biased", f"fault.bias_mps2={bias}", "fault.at_s=1.5"]
-    for name in ("default", "thesis-step"):
+    for name in ("ideal", "thesis-step"):
         scenario, signals = run(name, *biased, "duration_s=5.0")
         assert np.abs(signals.error_mps2[-1000:]).max() < 1e-3 * abs(bias)  # as measured
         values = metrics(scenario, signals)
         for key in ("error_settled_after_fault_mps2", "deviation_settled_after_fault_mps2"):
             assert values[key] == pytest.approx(abs(bias), rel=1e-2)
         assert values["error_before_fault_mps2"] == pytest.approx(0.0, abs=1e-3)
-    scenario, signals = run("default", *biased, "fault.for_s=1.0", "duration_s=5.0")
+    scenario, signals = run("ideal", *biased, "fault.for_s=1.0", "duration_s=5.0")
     values = metrics(scenario, signals)
     for key in ("error_settled_after_fault_mps2", "deviation_settled_after_fault_mps2"):
         assert values[key] == pytest.approx(0.0, abs=0.1 * abs(bias))
@@ -99,7 +99,7 @@ def test_a_biased_sensor_leaves_the_error_of_the_car(run: Run, bias: float) -> N
 
 def test_the_tick_at_which_a_bias_comes_is_no_jump_of_the_car(run: Run) -> None:
     scenario, signals = run(
-        "default", "fault.kind=sensor-biased", "fault.at_s=0.05", "duration_s=0.051"
+        "ideal", "fault.kind=sensor-biased", "fault.at_s=0.05", "duration_s=0.051"
     )
     peak = metrics(scenario, signals)["deviation_peak_after_fault_mps2"]
     assert signals.dstar_mps2[-1] - signals.dstar_mps2[-2] > 0.09

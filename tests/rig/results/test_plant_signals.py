@@ -26,7 +26,7 @@ REPORTED = [
 ]
 
 
-def signals_of(folder, *settings, name="default"):
+def signals_of(folder, *settings, name="ideal"):
     log, _, scenario = record(folder, *SHORT, *settings, name=name)
     network = network_of(scenario)
     return log, scenario, read_signals(log, network, scenario.tick_s)

@@ -40,9 +40,9 @@ OTHER = {
     "plant.friction": 0.5,
     "design.tau_s": 0.002, "design.alpha": 2, "design.tau_q_s": 0.002, "design.alpha_q": 3,
     "design.estimator": "zoh", "design.compensation": "off",
-    "design.fault_threshold_mps2": 0.5, "design.confirm_s": 0.02, "design.clear_s": 0.3,
-    "design.fault_threshold_share": 0.4, "design.probe_nm": 1.0, "design.probe_rad_per_s": 30.0,
-    "budget.box": 0.1, "budget.false_alarms_per_hour": 1.0,
+    "design.probe_nm": 1.0, "design.probe_rad_per_s": 30.0,
+    "budget.box": 0.1, "budget.actuator_box": 0.3, "budget.false_alarms_per_hour": 1.0,
+    "budget.suspicions_per_hour": 60.0,
     "reference.kind": "sine", "reference.amplitude_mps2": 2.0,
     "reference.frequency_rad_per_s": 3.0, "reference.file": "r.csv",
     "fault.kind": "frames-missing", "fault.channel": "force-difference", "fault.at_s": 1.5,
@@ -76,6 +76,7 @@ def test_every_shipped_scenario_loads_and_its_controller_can_be_built():
     assert {"default", "noisy", "slow-bus", "lane-change", "highway", "partial-loss"} <= set(
         shipped()
     )
+    assert {"ideal", "chassis-can", "chassis-can-coarse"} <= set(shipped())
     for name in shipped():
         scenario = load(name)
         assert scenario.name == name
@@ -97,9 +98,18 @@ def test_the_defaults_are_the_thesis_s():
 def test_the_scenarios_of_use_are_what_their_names_say():
     default = load("default")
     assert (default.tick_s, default.latency_ticks, default.bus.bitrate) == (0.001, 1, 1_000_000)
-    assert (default.plant.variant, default.plant.sensor.noise_mps2) == ("physics", 0.0)
+    assert (default.plant.variant, default.plant.sensor.noise_mps2) == ("physics", 0.005)
+    assert default.plant.torque_actuator.lag_s == default.model.torque_actuator.lag_s == 0.005
+    assert default.plant.force_difference_actuator.lag_s == 0.015
+    assert (default.budget.box, default.budget.actuator_box) == (0.2, 0.3)
     assert default.limits.torque_nm is not None
     assert default.limits.force_difference_n is not None
+    ideal = load("ideal").plant
+    assert ideal.torque_actuator == ideal.torque_actuator.__class__()
+    assert ideal.sensor.noise_mps2 == 0.0
+    chassis, coarse = load("chassis-can"), load("chassis-can-coarse")
+    assert (chassis.tick_s, coarse.tick_s, chassis.bus.bitrate) == (0.01, 0.02, 500_000)
+    assert (coarse.plant.sensor.resolution_mps2, coarse.plant.sensor.corner_hz) == (0.05, 18.0)
     slow = load("slow-bus")
     assert (slow.tick_s, slow.latency_ticks, slow.bus.bitrate) == (0.002, 2, 500_000)
     assert load("slow-bus", ["latency_ticks=from-bus"]).latency_ticks <= slow.latency_ticks
@@ -190,7 +200,14 @@ BAD = [
     ("plant={a=1}", "plant.a: unknown key"), ("plant=5", "plant"), ("plant=fast", "plant"),
     ("model=5", "model"), ("design.tau_s=0", "design.tau_s"), ("design.alpha=0", "design.alpha"),
     ("design.alpha=9", "design.alpha"), ("design.alpha_q=0", "design.alpha_q"),
-    ("design.confirm_s=-1", "confirm_s"), ("design.fault_threshold_mps2=0", "threshold"),
+    ("budget.box=1", "budget.box = 1: must be less than 1"), ("budget.box=-0.1", "budget.box"),
+    ("budget.actuator_box=1", "budget.actuator_box = 1: must be less than 1"),
+    ("budget.false_alarms_per_hour=0", "budget.false_alarms_per_hour = 0: must be greater than 0"),
+    ("budget.suspicions_per_hour=-1", "budget.suspicions_per_hour = -1: must be greater than 0"),
+    ("budget.false_alarms_per_hour=inf", "budget.false_alarms_per_hour"),
+    ("budget.falsealarms_per_hour=1", "unknown key; did you mean false_alarms_per_hour?"),
+    ("budget.boxes=0.2", "budget.boxes: unknown key; did you mean box?"),
+    ("design.fault_threshold_mps2=0.02", "design.fault_threshold_mps2: unknown key"),
     ("design.compensation=maybe", "design.compensation"), ("design.estimator=euler", "estimator"),
     ("reference=5", "reference"), ("reference=step", "reference"),
     ("reference.file=5", "reference.file"), ("reference.kind=csv", "reference.file"),
@@ -202,8 +219,6 @@ BAD = [
     ("plant.sensor.noise_mps2=-0.1", "plant.sensor.noise_mps2"),
     ("limits.torque_nm=0", "torque_nm"),
     ("limits.force_difference_n=-5", "force_difference_n"), ("actuator.hold_s=-1", "hold_s"),
-    ("design.confirm_s=1e300", "design.confirm_s = 1e+300: must be at most 3600"),
-    ("design.clear_s=3601", "design.clear_s = 3601: must be at most 3600"),
     ("design.probe_rad_per_s=1e-300", "design.probe_rad_per_s = 1e-300: must be at least 0.01"),
     ("reference.amplitude_mps2=1e300", "amplitude_mps2 = 1e+300: must be at most 1000000"),
     ("reference.amplitude_mps2=-1000001", "reference.amplitude_mps2"),
@@ -228,8 +243,9 @@ def test_a_bad_value_is_one_line_that_names_the_key(setting, named):
 
 
 LIMITS = [
-    "design.confirm_s=3600", "design.clear_s=3600", "reference.amplitude_mps2=-1e6",
-    "plant.friction=10", "fault.at_s=1e6", "fault.for_s=1e6", "actuator.hold_s=1e6",
+    "budget.false_alarms_per_hour=1e300", "budget.suspicions_per_hour=1e300", "budget.box=0.999",
+    "budget.actuator_box=0.999", "reference.amplitude_mps2=-1e6", "plant.friction=10",
+    "fault.at_s=1e6", "fault.for_s=1e6", "actuator.hold_s=1e6",
 ]  # fmt: skip
 
 

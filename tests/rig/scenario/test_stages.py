@@ -39,7 +39,7 @@ def test_one_key_of_the_model_leaves_its_others_to_the_plant():
 )
 def test_another_lag_of_the_model_takes_the_place_of_the_plant_s(plant, model):
     given = [f"plant.torque_actuator.{plant}", f"model.torque_actuator.{model}"]
-    scenario = load("default", given)
+    scenario = load("ideal", given)
     key, value = model.split("=")
     assert getattr(scenario.model.torque_actuator, key) == float(value)
     again = load_run(scenario.as_dict())

@@ -185,9 +185,13 @@ def test_what_if_takes_its_reference_from_the_log(runs: Path) -> None:
 
 
 def test_what_if_refuses_what_makes_no_sense(runs: Path) -> None:
+    unknown_delay = (
+        "--set", "plant.force_difference_actuator.dead_time_s=0.002",
+        "--set", "model.force_difference_actuator.dead_time_s=0",
+    )  # fmt: skip
     for arguments, words in (
         (("--set", "reference.kind=step"), "that of the log"),
-        (("--set", "latency_ticks=1"), "unstable"),
+        (unknown_delay, "unstable"),
         (("--out", runs / "a", "--force"), "is the log itself"),
     ):
         refused = asked("replay", runs / "a", "--what-if", *arguments)

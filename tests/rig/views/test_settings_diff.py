@@ -28,8 +28,8 @@ def keys(a: list[str], b: list[str]) -> dict[str, tuple[object, object]]:
 def test_every_key_that_differs_is_listed_once_with_both_values() -> None:
     assert keys([], []) == {}
     assert keys(["tick_s=0.002"], []) == {"tick_s": (0.002, 0.001)}
-    assert keys(["fault.for_s=2.0", "design.alpha=2"], ["fault.kind=none"]) == {
-        "design.alpha": (2, 1),
+    assert keys(["fault.for_s=2.0", "design.alpha=3"], ["fault.kind=none"]) == {
+        "design.alpha": (3, 2),
         "fault.kind": ("actuator-dead", "none"),
         "fault.for_s": (2.0, None),
     }
@@ -102,7 +102,7 @@ def test_the_picture_names_runs_settings_and_signals(runs: Path) -> None:
         "later (chapter-2)",
     ]
     assert legend.get_title().get_text().splitlines() == [
-        "fault.at_s: 0.05 → 0.06",
         "plant.sensor.noise_mps2: 0 → 0.001",
+        "fault.at_s: 0.05 → 0.06",
     ]
     assert {"output y", "input 2"} <= {axis.get_ylabel() for axis in page.axes[::2]}

@@ -1,0 +1,95 @@
+"""What ``check`` says of the decision, against drives with noise and closed forms."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from can_rig.assessment.decision import decision_figures
+from can_rig.assessment.resolve import load
+from can_rig.plant.frameless import frameless
+from can_rig.scenario.build import network_of
+from can_rig.scenario.settings import BudgetSettings, Scenario
+from firmware_model.target.status import FaultState
+
+STEADY_NM = 42.5  # for 1 m/s², docs/design.md
+SEEDS = 31
+
+
+def figures(scenario: Scenario):
+    return decision_figures(scenario, network_of(scenario))
+
+
+def delays_s(scenario: Scenario) -> np.ndarray:
+    at = round(scenario.fault.at_s / scenario.tick_s)
+    found = []
+    for seed in range(SEEDS):
+        state = frameless(replace(scenario, seed=seed), network_of(scenario)).fault_state[at:]
+        found.append(float(np.flatnonzero(state == FaultState.CONFIRMED)[0]) * scenario.tick_s)
+    return np.array(found)
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        ("default", ["duration_s=3.3", "fault.at_s=3"]),
+        ("default", ["duration_s=3.3", "fault.at_s=3", "budget.box=0"]),
+        ("noisy", ["duration_s=3.3", "fault.at_s=3"]),
+        ("chassis-can", ["duration_s=6.6", "fault.at_s=6"]),
+    ],
+)
+def test_the_expected_delay_is_the_median_of_noisy_drives(name: str, settings: list[str]) -> None:
+    scenario = load(name, settings)
+    expected_s = figures(scenario).expected_delay_s
+    assert expected_s is not None
+    drives_s = delays_s(scenario)
+    # The median of so few is off by a few ticks itself; a quarter more is 1.25^5 = 3 times Λ.
+    assert float(np.median(drives_s)) == pytest.approx(expected_s, rel=0.1, abs=2 * scenario.tick_s)
+    assert drives_s.max() < 1.25 * expected_s + 2 * scenario.tick_s
+
+
+def test_fewer_alarms_take_longer_and_a_loss_that_does_nothing_is_never_found() -> None:
+    short = ["duration_s=3.5", "fault.at_s=3"]
+    strict, lax = (
+        figures(load("default", [*short, f"budget.false_alarms_per_hour={rate}"])).expected_delay_s
+        for rate in (1e-6, 10.0)
+    )
+    assert strict is not None and lax is not None
+    assert strict > lax
+    for change in ("reference.amplitude_mps2=0", "fault.at_s=5"):
+        nothing = figures(load("default", [*short, change]))
+        assert nothing.expected_delay_s is None
+        assert "is not found on average" in next(nothing.describe(BudgetSettings()))
+
+
+def test_noise_and_rounding_add_up() -> None:
+    """Uniform rounding to 2^-k has the variance of a step squared over twelve."""
+    coarse = load("default", ["plant.sensor.resolution_mps2=0.02"])
+    assert figures(coarse).noise_mps2 == pytest.approx(
+        math.hypot(0.005, 0.02 / math.sqrt(12.0)), rel=1e-3
+    )
+    assert figures(load("default")).noise_mps2 == pytest.approx(0.005, rel=1e-3)
+
+
+def test_the_least_torque_is_the_one_below_which_the_state_is_cannot_tell() -> None:
+    """A second of a constant d of white noise σ has the evidence d²/σ² · 1 s/T: Λ there."""
+    scenario = load("default", ["duration_s=12", "fault.kind=none"])
+    least_nm = figures(scenario).least_torque_nm
+    evidence = math.log(3600.0 / (scenario.tick_s * 0.001))
+    assert least_nm == pytest.approx(0.005 * math.sqrt(evidence / 1000.0) * STEADY_NM, rel=0.01)
+    quiet = scenario.noise_free
+    for times, state in ((0.5, FaultState.CANNOT_TELL), (2.0, FaultState.CLEAR)):
+        reference = replace(quiet.reference, amplitude_mps2=times * least_nm / STEADY_NM)
+        driven = replace(quiet, model=scenario.model, reference=reference)
+        assert frameless(driven, network_of(driven)).fault_state[-1] == state
+
+
+def test_the_words_say_the_box() -> None:
+    lines = list(figures(load("default")).describe(load("default").budget))
+    assert "confirmed after" in lines[0] and "at most 0.001 false alarms an hour" in lines[0]
+    assert lines[1] == "other cars: within ±20% of the model are not taken for a loss"
+    none = list(figures(load("thesis-step")).describe(load("thesis-step").budget))
+    assert "none: budget.box says by how much" in none[1]

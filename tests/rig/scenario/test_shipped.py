@@ -1,0 +1,58 @@
+"""The shipped scenarios, driven: nothing is lost that is not, and what is lost is found."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from can_rig.assessment.resolve import load
+from can_rig.plant.frameless import frameless
+from can_rig.scenario.build import UNCERTAIN, in_box, network_of
+from can_rig.scenario.catalogue import shipped
+from can_rig.scenario.settings import Scenario
+from firmware_model.target.status import FaultState
+
+LATEST_S = 0.15  # of a confirmation: a third of what a driver takes to react
+L9 = ("0000", "0112", "0221", "1011", "1120", "1202", "2022", "2101", "2210")
+"""Taguchi's orthogonal array: each pair of levels of any two of four factors, once."""
+
+
+def alarms(scenario: Scenario) -> int:
+    state = frameless(scenario.healthy, network_of(scenario)).fault_state
+    return int((state == FaultState.CONFIRMED).sum())
+
+
+def confirmed_after_s(scenario: Scenario) -> float:
+    state = frameless(scenario, network_of(scenario)).fault_state
+    at = round(scenario.fault.at_s / scenario.tick_s)
+    assert not (state[:at] == FaultState.CONFIRMED).any()
+    return float(np.flatnonzero(state[at:] == FaultState.CONFIRMED)[0]) * scenario.tick_s
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_its_loss_is_found_and_its_healthy_drive_raises_no_alarm(name: str) -> None:
+    scenario = load(name)
+    assert alarms(scenario) == 0
+    assert confirmed_after_s(scenario) <= LATEST_S
+
+
+def test_the_array_is_orthogonal() -> None:
+    for i in range(4):
+        for j in range(i):
+            assert len({(row[i], row[j]) for row in L9}) == 9
+
+
+@pytest.mark.parametrize("levels", L9)
+@pytest.mark.parametrize("name", ["default", "noisy", "lane-change"])
+def test_cars_that_are_20_percent_off_raise_no_alarm(name: str, levels: str) -> None:
+    """All 81 of them: ``tools/campaign cars``."""
+    scenario = load(name, [] if name == "lane-change" else ["duration_s=11"])
+    shares = {
+        key: 0.2 * (int(level) - 1) for key, level in zip(UNCERTAIN, levels, strict=True)
+    }
+    car = replace(scenario, plant=in_box(scenario.plant, shares))
+    assert car.model == scenario.model
+    assert alarms(car) == 0
+    assert confirmed_after_s(car) <= LATEST_S
