@@ -15,6 +15,7 @@ from firmware_model.discretisation.sections import Sections
 from firmware_model.discretisation.targets import EstimatorRule, Target
 from firmware_model.discretisation.tustin import tustin, tustin_held, zoh
 from firmware_model.errors import DesignError, ParameterError
+from firmware_model.target.fault_decision.covariance import MAX_DIRECTIONS
 from firmware_model.target.layout import table_type
 from firmware_model.target.structs import MAX_LATENCY_TICKS, MAX_SECTIONS, Precision, Record
 
@@ -230,6 +231,8 @@ def _fill_decision(table: Record, target: Target) -> None:
 def _fill_mismatch(table: Record, target: Target) -> None:
     """What other cars and noise make of d̂."""
     constants, other, cars = table.mismatch, table.other_cars, target.mismatch.cars
+    if len(cars) > MAX_DIRECTIONS:
+        raise ParameterError(f"mismatch: {len(cars)} other cars; must be at most {MAX_DIRECTIONS}")
     other.n = len(cars)
     other.scale = 1.0 / STEP
     rule = RULE_ERROR[target.estimator] ** 2
