@@ -218,7 +218,7 @@ class LogStatistics:
 
 def _fd_length(kind: int) -> int:
     """The payload length of a kind; of FD the next one that a frame can have."""
-    length = kind & 0xFF
+    length = int(kind & 0xFF)
     if not kind >> 8 & FD:
         return length
     return next(size for size in FD_LENGTHS if size >= length)

@@ -271,6 +271,7 @@ def _without_limits(table: Record, n: int) -> RecordArray:
     for actuator in ("actuator_1", "actuator_2"):
         tables[actuator]["limit"] = tables[actuator]["slew"] = math.inf
         tables[actuator]["lsb"] = 0.0
-    tables["decision"]["confirm"] = tables["decision"]["suspect"] = math.inf
+    for name in ("confirm", "recover", "suspect"):
+        tables["decision"][name] = math.inf
     tables["reference_shaper"]["enabled"] = 0
     return tables

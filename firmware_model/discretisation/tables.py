@@ -30,6 +30,7 @@ HASTE = 2.0  # of a transfer, against the time that its beginning took
 SHARE = 0.8  # of the torque whose loss is looked for: of all of it, a half still counts
 RESTART = -1.0
 SHARE_VARIANCE = 0.09  # of the share of a loss when that is confirmed, at most
+RECOVER = 5.0  # evidence that ends a loss, over that which confirms it
 MOMENT = 0.5  # deviation of the moment of a loss, as a part of the time to its confirmation
 DOUBT = 9.0  # over 1, as the moment of the loss is not known either
 FOLLOW_S, FOLLOW_TICKS = 0.01, 3.0  # of each of the two lags by which F̂ gets it
@@ -218,6 +219,7 @@ def _fill_decision(table: Record, target: Target) -> None:
     ticks_per_hour = HOUR_S / target.tick_s
     confirm = math.log(ticks_per_hour / target.false_alarms_per_hour)
     decision.confirm = max(confirm, LEAST_EVIDENCE)
+    decision.recover = RECOVER * decision.confirm
     suspect = math.log(ticks_per_hour / target.suspicions_per_hour)
     decision.suspect = min(max(suspect, LEAST_EVIDENCE), decision.confirm)
     decision.horizon = HORIZON_S / target.tick_s

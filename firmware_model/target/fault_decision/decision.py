@@ -7,7 +7,8 @@ channel. The evidence g makes a loss
     SUSPECTED   from ``suspect`` on: the compensation begins, at the pace of a bumpless transfer
     CONFIRMED   from ``confirm`` on, which happens once in a given number of hours by chance
 
-and clears a confirmed one from ``confirm`` on for the return. A suspicion ends with its candidate.
+and clears a confirmed one from ``recover`` on for the return: to take a loss for gone that is not
+costs more than to be late. A suspicion ends with its candidate.
 
 None of this isolates the torque channel: a bias b of the D* sensor gives d̂ = -b. A table with a
 ``probe`` tests the motor before it confirms, and compensates only then: a d̂ that does not answer
@@ -51,7 +52,8 @@ CLEAR, SUSPECTED, CONFIRMED, CANNOT_TELL = (
 LEAST_SHARE = 0.01  # of a confirmed loss: no division by nothing
 
 CONSTANTS = (
-    Field("confirm", "1", "evidence that confirms a loss, or its end"),
+    Field("confirm", "1", "evidence that confirms a loss"),
+    Field("recover", "1", "evidence that ends it: more, for a return is not urgent"),
     Field("suspect", "1", "evidence from which a loss is compensated provisionally"),
     Field("horizon", "tick", "within which a loss of now has to show"),
     Field("pause_ticks", "tick", "from a probe that found nothing to the next", "int32"),
@@ -89,7 +91,7 @@ def decide(table: Record, state: Record, residual: float, model_1: float, model_
     update_test(table, state, new, -known_share(state) if before == CONFIRMED else share)
     proven = test.evidence > constants.confirm
     if before == CONFIRMED:
-        if proven:
+        if test.evidence > constants.recover:
             recover(table, state)
         return
     probing = table.probe.ticks > 0
