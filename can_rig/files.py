@@ -29,6 +29,17 @@ def refuse_existing(path: Path, force: bool, option: str, *, new_folder: bool = 
         raise LogError(f"{path}: there is no folder {folder}; {option} makes none")
 
 
+def refuse_picture(path: Path, force: bool) -> None:
+    """Refuse a picture of --out that cannot be one, or exists.
+
+    Raises:
+        LogError: the reason.
+    """
+    if path.suffix.lower() != ".png":
+        raise LogError(f"{path}: a picture must be FILE.png")
+    refuse_existing(path, force, "--out")
+
+
 @contextmanager
 def atomic(path: Path) -> Iterator[Path]:
     """Where to write what becomes ``path`` once the context is left without an error.

@@ -221,4 +221,4 @@ def _fd_length(kind: int) -> int:
     length = kind & 0xFF
     if not kind >> 8 & FD:
         return length
-    return next(size for size in FD_LENGTHS if size >= length)
+    return int(next(size for size in FD_LENGTHS if size >= length))
