@@ -36,6 +36,7 @@ _SIZES: Final = {  # places and lengths, and the most that cantools deals with i
         (rb"^\s*BO_\s+\d+\s+\w+\s*:\s*(\d+)", 1),
         (rb"^\s*SG_\s[^:\n]*:\s*(\d+)", 8),
         (rb"^\s*SG_\s[^:\n]*:\s*\d+\s*\|\s*(\d+)", 8),
+        (rb"(?<=[0-9])-([0-9]+)\s*[,;]", 1),  # values of a multiplexer, each of which is listed
     ),
 }
 _MOST_IDENTIFIER: Final = (1 << 29) - 1
@@ -93,7 +94,7 @@ def _format_of(path: Path) -> str:
             if len(size[1]) > 9 or int(size[1]) > units * _MOST_BYTES:
                 line = text.count(b"\n", 0, size.start(1)) + 1
                 raise DbcError(
-                    f"{path}: line {line}: a place or length of {size[1][:20].decode()}; it must "
-                    f"be at most {units * _MOST_BYTES} {'bits' if units > 1 else 'bytes'}"
+                    f"{path}: line {line}: a place, length or range of {size[1][:20].decode()}; it "
+                    f"must be at most {units * _MOST_BYTES}"
                 )
     return found

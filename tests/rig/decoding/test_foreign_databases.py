@@ -108,7 +108,7 @@ def test_a_length_beyond_any_frame_takes_no_memory(
 ) -> None:
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(
-        DbcError, match=rf"a.dbc: line {line}: a place or length of (2147483648|65536); "
+        DbcError, match=rf"a.dbc: line {line}: a place, length or range of (2147483648|65536); "
     ):
         load_database(written(tmp_path, TWICE.replace(old, new)), strict)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 1 << 18
