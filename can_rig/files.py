@@ -9,6 +9,9 @@ from pathlib import Path
 
 from can_rig.errors import LogError, one_line
 
+PICTURES = {".png", ".svg", ".pdf"}
+"""Suffixes of pictures; matplotlib knows the format by it."""
+
 
 def refuse_existing(path: Path, force: bool, option: str, *, new_folder: bool = False) -> None:
     """Refuse an output that exists, unless it may be replaced; or whose folder does not.
@@ -27,6 +30,17 @@ def refuse_existing(path: Path, force: bool, option: str, *, new_folder: bool = 
     folder = path.parent.parent if new_folder else path.parent
     if not folder.is_dir():
         raise LogError(f"{path}: there is no folder {folder}; {option} makes none")
+
+
+def refuse_picture(path: Path, force: bool) -> None:
+    """Refuse a picture of --out that cannot be one, or exists.
+
+    Raises:
+        LogError: the reason.
+    """
+    if path.suffix.lower() not in PICTURES:
+        raise LogError(f"{path}: a picture must be FILE.png, FILE.svg or FILE.pdf")
+    refuse_existing(path, force, "--out")
 
 
 @contextmanager

@@ -7,6 +7,7 @@ its own, which a watch ends when they take too long; what they were at is kept.
 from __future__ import annotations
 
 import argparse
+import logging
 import multiprocessing
 import resource
 import sys
@@ -127,9 +128,12 @@ def attempt(path: Path, text: bytes) -> str | None:
 def work(names: list[str], numbers: range, pipe: Connection) -> None:
     """Try every number on every file; say where it is, and what is found."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    logging.disable(logging.CRITICAL)
     texts = {name: (CORPUS / name).read_bytes() for name in names}
     alike = {n: [t for m, t in texts.items() if Path(m).suffix == Path(n).suffix] for n in names}
     with tempfile.TemporaryDirectory() as folder:
+        for name in names:
+            attempt(Path(folder) / name, texts[name])  # compiles
         for done, number in enumerate(numbers):
             for name in names:
                 pipe.send(("at", name, number))

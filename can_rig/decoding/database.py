@@ -20,14 +20,26 @@ _LOOKS_LIKE: Final = {  # what the beginning of a file has in it, in the order o
     "dbc": re.compile(rb"^\s*(VERSION|NS_|BS_|BU_|BO_|CM_)\b", re.M),
 }
 _BY_SUFFIX: Final = {".arxml": "arxml", ".kcd": "kcd", ".sym": "sym"}
-_TOO_LARGE: Final = {  # places and lengths of six digits and more, for which cantools takes memory
-    "arxml": re.compile(rb"<(?:LENGTH|FRAME-LENGTH|START-POSITION|BASE-TYPE-SIZE)>\s*(\d{6,})"),
-    "kcd": re.compile(rb"(?:length|offset)\s*=\s*[\"'](\d{6,})"),
-    "sym": re.compile(rb"(?:^(?:Len|DLC)\s*=|^(?:Var|Sig)\s*=[^\n]*?[\s,])(\d{6,})", re.M),
-    "dbc": re.compile(
-        rb"^\s*(?:SG_\s[^:\n]*:\s*(?:\d+\s*\|\s*)?|BO_\s+\d+\s+\w+\s*:\s*)(\d{6,})", re.M
+_MOST_BYTES: Final = 4096  # of a message: a container; J1939 has 1785
+_SIZES: Final = {  # places and lengths, and the most that cantools deals with in bounded time
+    "arxml": ((rb"<FRAME-LENGTH>\s*(\d+)", 1), (rb"<(?:LENGTH|START-POSITION)>\s*(\d+)", 8)),
+    "kcd": (
+        (rb"<Message\b[^>]*?\blength\s*=\s*[\"'](\d+)", 1),
+        (rb"\b(?:length|offset)\s*=\s*[\"'](\d+)", 8),
+    ),
+    "sym": (
+        (rb"^(?:Len|DLC)\s*=\s*(\d+)", 1),
+        (rb"^Var\s*=\s*\S+\s+\w+\s+(\d+)", 8),
+        (rb"^(?:Var\s*=\s*\S+\s+\w+\s+\d+,|Sig\s*=\s*\S+\s+\w+\s+)(\d+)", 8),
+    ),
+    "dbc": (
+        (rb"^\s*BO_\s+\d+\s+\w+\s*:\s*(\d+)", 1),
+        (rb"^\s*SG_\s[^:\n]*:\s*(\d+)", 8),
+        (rb"^\s*SG_\s[^:\n]*:\s*\d+\s*\|\s*(\d+)", 8),
+        (rb"(?<=[0-9])-([0-9]+)\s*[,;]", 1),  # values of a multiplexer, each of which is listed
     ),
 }
+_MOST_IDENTIFIER: Final = (1 << 29) - 1
 
 
 def load_database(path: str | Path, strict: bool = True) -> Database:
@@ -41,8 +53,17 @@ def load_database(path: str | Path, strict: bool = True) -> Database:
         DbcError: it cannot be read or loaded.
     """
     kind = _format_of(Path(path))
-    if kind == "dbc":
-        return load_dbc(path, strict)
+    loaded = load_dbc(path, strict) if kind == "dbc" else _load(path, kind, strict)
+    for message in loaded.messages:
+        names = [message.name, *(signal.name for signal in message.signals)]
+        if not all(isinstance(name, str) for name in names):
+            raise DbcError(f"{path}: message 0x{message.frame_id:X} or a signal of it has no name")
+        if not 0 <= message.frame_id <= _MOST_IDENTIFIER:
+            raise DbcError(f"{path}: message {message.name} must have 11 or 29 bits of identifier")
+    return loaded
+
+
+def _load(path: str | Path, kind: str, strict: bool) -> Database:
     try:
         encoding = "cp1252" if kind == "sym" else "utf-8"
         loaded = cantools.database.load_file(path, kind, encoding, strict=strict)
@@ -68,10 +89,12 @@ def _format_of(path: Path) -> str:
     head = text[:_HEAD_BYTES]
     by_suffix = _BY_SUFFIX.get(path.suffix.lower(), "dbc")
     found = next((kind for kind, mark in _LOOKS_LIKE.items() if mark.search(head)), by_suffix)
-    if large := _TOO_LARGE[found].search(text):
-        line = text.count(b"\n", 0, large.start(1)) + 1
-        raise DbcError(
-            f"{path}: line {line}: a place or length of {large[1][:20].decode()}; "
-            "it must be below 100000"
-        )
+    for pattern, units in _SIZES[found]:
+        for size in re.finditer(pattern, text, re.M):
+            if len(size[1]) > 9 or int(size[1]) > units * _MOST_BYTES:
+                line = text.count(b"\n", 0, size.start(1)) + 1
+                raise DbcError(
+                    f"{path}: line {line}: a place, length or range of {size[1][:20].decode()}; it "
+                    f"must be at most {units * _MOST_BYTES}"
+                )
     return found

@@ -12,7 +12,7 @@ import numpy as np
 
 from can_rig.decoding.decode import Databases, Decoder
 from can_rig.decoding.message_columns import MessageColumns
-from can_rig.decoding.output import TABLES, Output, output
+from can_rig.decoding.outputs.output import TABLES, Output, output
 from can_rig.errors import LogError
 from can_rig.logs.frames import Frames, concatenate
 from can_rig.logs.log import Log

@@ -72,7 +72,11 @@ class MessageDecoder:
         self._name = name or message.name
         where = f"message {self._name}"
         columns = [signal_column(signal, where) for signal in message.signals]
-        inside = [c for c in columns if c.first_bit + c.length <= 8 * message.length]
+        inside = [
+            c
+            for c in columns
+            if c.first_bit >= 0 < c.length and c.first_bit + c.length <= 8 * message.length
+        ]
         self._layout = {column.name: column for column in inside}
         self._wanted = [name for name in self._layout if wanted is None or name in wanted]
         outside = [signal for signal in message.signals if signal.name not in self._layout]
@@ -108,7 +112,8 @@ class MessageDecoder:
         self.counts.longer += int((frames.length > self.message.length).sum())
         signals, codes = {}, {}
         for name in self._wanted:
-            raw, signals[name] = self._column(name, data, present[name])
+            there = present.get(name, np.zeros(len(frames), bool))  # behind no multiplexer's value
+            raw, signals[name] = self._column(name, data, there)
             if self._layout[name].choices:
                 codes[name] = raw
         layout = {name: self._layout[name] for name in self._wanted}

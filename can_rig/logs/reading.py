@@ -3,17 +3,16 @@
     for frames in read_log(Path("drive.log")):
         print(len(frames), frames.time_ns[0])
 
-| suffix            | format                     | read by                                  |
-|-------------------|----------------------------|------------------------------------------|
-| `.log`, `.log.gz` | candump -L, candump -l     | `readers.candump`, exact to 1 ns         |
-| `.asc`, `.asc.gz` | Vector ASCII               | python-can                               |
-| `.blf`            | Vector binary logging      | python-can                               |
-| `.trc`, `.trc.gz` | PEAK trace                 | python-can                               |
-| `.mf4`            | ASAM MDF 4, bus logging    | asammdf                                  |
+| suffix            | format                     |
+|-------------------|----------------------------|
+| `.log`, `.log.gz` | candump -L, candump -l     |
+| `.asc`, `.asc.gz` | Vector ASCII               |
+| `.blf`            | Vector binary logging      |
+| `.trc`, `.trc.gz` | PEAK trace                 |
+| `.mf4`            | ASAM MDF 4, bus logging    |
 
-Time stamps are integers in nanoseconds. Those of a candump log are read digit by digit; the other
-readers give float seconds since the start of the recording, which are rounded to the nearest
-nanosecond and added to the start.
+Time stamps are integers in nanoseconds, read digit by digit; only an `.mf4` may have them in float
+seconds since the start of the recording, which are rounded to the nearest nanosecond.
 """
 
 from __future__ import annotations

@@ -9,10 +9,9 @@ from pathlib import Path
 import click
 from rich.table import Table
 
-from can_rig.cli.logs.picture import refuse_picture
 from can_rig.cli.options import force_option, json_option
 from can_rig.cli.output import json_line, table, wide
-from can_rig.files import atomic
+from can_rig.files import atomic, refuse_picture
 from can_rig.scenario.loading import read
 from can_rig.views.run_diff import Difference, compare, tolerances_of
 from can_rig.views.settings_diff import SettingDifference, written

@@ -37,7 +37,7 @@ def rig_without(packages: list[str], *words: str) -> subprocess.CompletedProcess
         (LOGS, ["decode", "a.log", "--out", "x.csv"], "pyarrow is not installed"),
         (LOGS, ["decode", "a.log", "--out", "x"], "pyarrow is not installed"),
         (LOGS, ["decode", "a.log", "--out", "x.mf4"], "asammdf is not installed"),
-        (LOGS, ["decode", "a.mf4"], "asammdf is not installed"),
+        (LOGS, ["convert", "a.log", "x.mf4"], "asammdf is not installed"),
         (["control"], ["figures"], "control is not installed"),
     ],
 )  # fmt: skip

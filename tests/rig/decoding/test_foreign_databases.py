@@ -99,6 +99,7 @@ def test_a_signal_outside_its_message_is_left_out_alone(tmp_path: Path) -> None:
         ("0|8@1+ (1,0)", "0|2147483648@1+ (1,0)", 4),
         ("0|8@1+ (1,0)", "2147483648|8@1+ (1,0)", 4),
         ("257 SAME: 2", "257 SAME: 2147483648", 5),
+        ("257 SAME: 2", "257 SAME: 65536", 5),  # took half a minute
     ],
 )
 @pytest.mark.parametrize("strict", [True, False])
@@ -106,9 +107,25 @@ def test_a_length_beyond_any_frame_takes_no_memory(
     tmp_path: Path, old: str, new: str, line: int, strict: bool
 ) -> None:
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    with pytest.raises(DbcError, match=rf"a.dbc: line {line}: a place or length of 2147483648"):
+    with pytest.raises(
+        DbcError, match=rf"a.dbc: line {line}: a place, length or range of (2147483648|65536); "
+    ):
         load_database(written(tmp_path, TWICE.replace(old, new)), strict)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 1 << 18
+
+
+def test_signals_without_a_place_or_a_name(tmp_path: Path) -> None:
+    """Found by tools/fuzz: a signal behind no multiplexer, one without a name, and others."""
+    text = TWICE.replace(" SG_ Z : 0|8", " SG_ Z m3 : 0|8")
+    decoder = Decoder(load_database(written(tmp_path, text), strict=False))
+    decoder.decode(from_messages([frame(258, b"\1")]))
+    kcd = (
+        '<NetworkDefinition xmlns="http://kayak.2codeornot2code.org/1.0"><Document/><Bus name="B">'
+        '<Message id="0x100" name="One" length="8"><Signal offset="0" length="8"/></Message></Bus>'
+        "</NetworkDefinition>"
+    )
+    with pytest.raises(DbcError, match="message 0x100 or a signal of it has no name"):
+        load_database(written(tmp_path, kcd, "a.kcd"))
 
 
 def test_a_database_is_known_by_what_is_in_it(tmp_path: Path) -> None:

@@ -136,6 +136,12 @@ def test_kinds_of_frames_of_a_vector_log(
     assert found[3] == "2"
 
 
+@pytest.mark.parametrize("year", ["0001", "9999", "99999"])
+def test_a_date_that_is_none_of_a_recording_is_passed_over(tmp_path: Path, year: str) -> None:
+    text = ASC.replace("2015", year) + "1.0 1 123 Rx d 1 05\n"
+    assert rows(whole(written(tmp_path, text, "a.asc"))) == [(10**9, 0x123, 0, "0", 1, b"\5")]
+
+
 def test_decimal_numbers_of_a_vector_log(tmp_path: Path) -> None:
     text = "base dec  timestamps absolute\n1.0 1 300x Rx d 3 10 255 0\n"
     (found,) = rows(whole(written(tmp_path, text, "a.asc")))

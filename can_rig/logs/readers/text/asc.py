@@ -18,6 +18,7 @@ from can_rig.logs.readers.text.scanning import DECIMAL, HEXADECIMAL
 _HEADER: Final = re.compile(r"date\s|base\s|//|begin\s+triggerblock|(no\s+)?internal\s", re.I)
 _BASE: Final = re.compile(r"base\s+(hex|dec)(\s+timestamps\s+(absolute|relative))?", re.I)
 _DATE: Final = re.compile(r"(?:date|begin\s+triggerblock)\s+\w+\s+(.+)", re.I)
+_MOST_NS: Final = 1 << 62  # in the year 2116: as int64 it leaves room for time stamps
 _BEGIN: Final = re.compile(r"begin\s+triggerblock", re.I)
 _END: Final = re.compile(rb"\s*end\s+triggerblock\s*", re.I)
 
@@ -95,4 +96,4 @@ def _start_ns(header: Sequence[str]) -> int:
                 start_ns = round(ASCReader._datetime_to_timestamp(found[1]) * 1e6) * 1000
             except (ValueError, OverflowError, OSError):
                 start_ns = 0
-    return start_ns
+    return start_ns if abs(start_ns) <= _MOST_NS else 0

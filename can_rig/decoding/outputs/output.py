@@ -74,10 +74,10 @@ def output(
 
 def _writer(path: Path, layout: Mapping[str, MessageColumns], start_ns: int, names: bool) -> Output:
     if path.suffix == _MF4:
-        from can_rig.decoding.mf4 import DecodedMf4  # noqa: PLC0415 (slow to import)
+        from can_rig.decoding.outputs.mf4 import DecodedMf4  # noqa: PLC0415 (slow to import)
 
         return DecodedMf4(path, start_ns)
-    from can_rig.decoding.tables import FolderOfTables, WideTable  # noqa: PLC0415 (slow to import)
+    from can_rig.decoding.outputs.tables import FolderOfTables, WideTable  # noqa: PLC0415 (slow to import)
 
     if path.suffix in TABLES:
         return WideTable(path, layout, start_ns, names)
