@@ -19,7 +19,8 @@ from tests.helpers import start
 FILES = ["bus.log", "bus.plant.csv", "report.png", "run.json", "signals.csv"]
 HEADER = (
     "time_s,reference_mps2,dstar_mps2,error_mps2,torque_nm,force_difference_n,"
-    "fault_estimate_mps2,mode"
+    "fault_estimate_mps2,mode,true_dstar_mps2,side_slip_rad,yaw_rate_rad_per_s,"
+    "steering_angle_rad,applied_torque_nm,applied_force_difference_n"
 )
 LONG = ["--set", "duration_s=2000"]
 

@@ -9,6 +9,7 @@ from can_rig.errors import BusError
 from can_rig.results.signals import read_signals
 from firmware_model.target.status import FaultState, Mode
 from tests.rig.nodes.world import (
+    PACE,
     TICK_NS,
     TORQUE,
     World,
@@ -65,8 +66,8 @@ def test_a_restarted_controller_takes_over_without_a_bump(outage, tmp_path):
 
 
 def test_a_restart_after_the_motor_died_gives_the_load_to_the_other_channel(tmp_path):
-    settings = ["fault.at_s=0.3", "duration_s=3.0"]
-    scenario = load("default", settings)
+    settings = ["fault.at_s=0.3", "duration_s=3.0", PACE]
+    scenario = load("ideal", settings)
     run = Restart(scenario, 900, 1900, tmp_path / "bus.log")
     signals, first = run.signals, run.first
     assert np.abs(np.diff(run.torque[first - 1 :])).max() < 10.0
