@@ -2,4 +2,21 @@
 
 Nothing here opens a file, reads a clock or knows a bus: every function is arithmetic on its
 arguments, so what is tested here is what runs on the target.
+
+``discretise`` makes a ``Filter`` of any continuous one; ``testing`` compares it with theory.
 """
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from firmware_model.discretisation.filters import Filter, discretise
+
+__all__ = ["Filter", "discretise"]
+
+
+def __getattr__(name: str) -> Any:
+    """Load a public name when it is first asked for: importing the package alone costs nothing."""
+    if name not in __all__:
+        raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
+    return getattr(import_module("firmware_model.discretisation.filters"), name)

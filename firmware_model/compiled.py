@@ -9,7 +9,9 @@ from __future__ import annotations
 
 import hashlib
 import os
+import sys
 from collections.abc import Callable
+from functools import cache
 from pathlib import Path
 from typing import Any, TypeVar, cast
 
@@ -19,29 +21,34 @@ from numba.core import config
 Function = TypeVar("Function", bound=Callable[..., object])
 
 
-def _cache_folder() -> str:
-    """Where compiled code is kept: a folder of its own for each state of this package's files.
+def _cache_folder(caller: str) -> str:
+    """Where compiled code is kept: a folder of its own for each state of the files it is made of.
 
     Numba looks only at the file of the function that it has cached, and would go on with an old
-    copy of what that function calls in another file.
+    copy of what that function calls in another file: of this package, or of the room ``caller``.
     """
-    package = Path(__file__).parent
+    here = Path(__file__).parent
+    other = getattr(sys.modules.get(caller), "__file__", None)
+    folders = {here, Path(other).parent if other else here}
     states = (
-        (str(file.relative_to(package)), file.stat()) for file in sorted(package.rglob("*.py"))
+        (str(file), file.stat())
+        for folder in sorted(folders)
+        for file in sorted(folder.rglob("*.py"))
     )
     text = repr([(name, state.st_mtime_ns, state.st_size) for name, state in states])
     home = os.environ.get("XDG_CACHE_HOME") or str(Path("~/.cache").expanduser())
-    digest = hashlib.sha256(f"{package}{text}".encode()).hexdigest()[:16]
+    digest = hashlib.sha256(f"{here}{text}".encode()).hexdigest()[:16]
     return str(Path(home) / "fault-tolerant-steering" / digest)
 
 
-_CACHE_FOLDER = _cache_folder()
+_folder = cache(_cache_folder)
 
 
 def compiled(function: Function) -> Function:
     """Compile, cached on disk so that a second process starts at once."""
     settings: Any = config
-    before, settings.CACHE_DIR = settings.CACHE_DIR, _CACHE_FOLDER
+    package = ".".join(function.__module__.split(".")[:2])  # a room, or the package
+    before, settings.CACHE_DIR = settings.CACHE_DIR, _folder(package)
     try:
         return cast(Function, njit(cache=True, error_model="numpy")(function))
     except RuntimeError:  # there is no folder to keep it in

@@ -13,7 +13,7 @@ Other cars are the vertices of the budget's box and some drawn from its inside.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from itertools import product
 from typing import Final
@@ -144,16 +144,21 @@ def own_findings(scenario: Scenario, network: Network) -> list[Finding]:
     return list({str(finding): finding for each in found for finding in each}.values())
 
 
-def box_findings(scenario: Scenario, network: Network) -> list[Finding]:
+def box_findings(
+    scenario: Scenario,
+    network: Network,
+    on_car: Callable[[int, int], None] = lambda done, of: None,
+) -> list[Finding]:
     """What is wrong with other cars of the budget's box when the torque is lost."""
     if not scenario.model.closed_loop or scenario.plant.is_class:
         return []
     drives = Drives(scenario, network)
-    return [
-        finding
-        for label, car in box_cars(scenario)
-        for finding in drives.findings(label, car, "torque dead")
-    ]
+    found: list[Finding] = []
+    some = list(box_cars(scenario))
+    for done, (label, car) in enumerate(some, 1):
+        found += drives.findings(label, car, "torque dead")
+        on_car(done, len(some))
+    return found
 
 
 def box_cars(scenario: Scenario) -> Iterator[tuple[str, PlantSettings]]:

@@ -10,7 +10,7 @@ linear car with its parameters.
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from itertools import product
 from typing import Any, get_args
@@ -131,8 +131,12 @@ class StabilityCheck:
         return {key: finite_or_null(value) for key, value in values.items()}
 
 
-def check_stability(scenario: Scenario) -> StabilityCheck:
+def check_stability(
+    scenario: Scenario, on_car: Callable[[int, int], None] = lambda done, of: None
+) -> StabilityCheck:
     """The margins of the scenario's loop in every state, its decision and control authority.
+
+    ``on_car`` is told how many cars have been driven, and of how many.
 
     Raises:
         ScenarioError: a design that cannot be made or discretised, a class that is no plant.
@@ -148,7 +152,7 @@ def check_stability(scenario: Scenario) -> StabilityCheck:
     healthy, faulted = margins_with(HEALTHY), margins_with(DEAD[scenario.fault.channel])
     findings: list[Finding] = []
     if healthy.stable and faulted.stable:
-        findings = own_findings(scenario, network) + box_findings(scenario, network)
+        findings = own_findings(scenario, network) + box_findings(scenario, network, on_car)
     return StabilityCheck(
         scenario=scenario,
         healthy=healthy,
@@ -232,7 +236,7 @@ def _isolation(probe_nm: float) -> str:
             "unanswered; a biased D* stays suspected"
         )
     return (
-        "isolation: none: a D* biased by more than the threshold is taken for a loss; a small "
+        "isolation: none: a D* that is suddenly biased may be taken for a loss; a small "
         "torque probe, design.probe_nm, would tell the two apart"
     )
 

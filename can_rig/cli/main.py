@@ -7,7 +7,9 @@ from importlib import import_module
 from typing import Any, Final
 
 import click
+from click.shell_completion import CompletionItem
 
+from can_rig.cli.garbage import collect_again
 from can_rig.cli.interrupts import raise_again
 from can_rig.errors import INTERRUPTED, RigError
 
@@ -21,6 +23,8 @@ COMMANDS: Final = {
     "tune": ("design.tune", "Choose the tuning with the least peak after a loss of the torque."),
     "figures": ("design.figures", "Draw the thesis's figures: firmware over continuous loop."),
     "decode": ("logs.decode", "Decode LOG through a DBC into tables."),
+    "convert": ("logs.convert", "Write LOG in another format."),
+    "stats": ("logs.stats", "Say what is in LOG: identifiers, rates, jitter, gaps, bus load."),
     "replay": ("logs.replay", "Drive today's controller with LOG, and compare."),
     "plot": ("logs.plot", "Draw SIGNALs of LOG."),
     "diff": ("logs.diff", "Compare two runs, signal by signal."),
@@ -40,6 +44,7 @@ class Commands(click.Group):
         if cmd_name not in COMMANDS:
             return None
         module = import_module(f"can_rig.cli.{COMMANDS[cmd_name][0]}")
+        collect_again()
         raise_again()
         command: click.Command = module.command
         return command
@@ -48,6 +53,12 @@ class Commands(click.Group):
         """The names and their lines, without importing one."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, line) for name, (_, line) in COMMANDS.items()])
+
+    def shell_complete(self, ctx: click.Context, incomplete: str) -> list[CompletionItem]:
+        """Names and lines for a shell, without importing a command."""
+        options = click.Command.shell_complete(self, ctx, incomplete)
+        found = {name: line for name, (_, line) in COMMANDS.items() if name.startswith(incomplete)}
+        return [*(CompletionItem(name, help=line) for name, line in found.items()), *options]
 
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command; bad input never reaches the user as a traceback."""
@@ -64,9 +75,18 @@ class Commands(click.Group):
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})
 @click.version_option(package_name="fault-tolerant-steering", prog_name="can-rig")
-def main() -> None:
+@click.option("-v", "--verbose", is_flag=True, help="Show what python-can logs, on standard error.")
+def main(verbose: bool) -> None:
     """A fault-tolerant steering controller and a simulated car, over CAN.
 
     Exit status: 0 done, 1 the answer is no, 2 bad input, 3 a node or the bus fell silent,
     130 stopped by Ctrl-C.
     """
+    if verbose:
+        import logging  # noqa: PLC0415 (not needed for --help)
+
+        handler = logging.StreamHandler()
+        handler.setFormatter(logging.Formatter("%(name)s: %(message)s"))
+        logger = logging.getLogger("can")
+        logger.addHandler(handler)  # its own, which is heard while a bus is being opened too
+        logger.setLevel(logging.DEBUG)

@@ -4,9 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import Any, Final, TypeVar
 
 import click
+
+from can_rig.logs.frames import NS_PER_S
+from can_rig.logs.log import ALL, Window
+
+_MOST_S: Final = 9e9
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -63,6 +68,36 @@ channel_option = click.option(
     "--channel", metavar="NAME", help="Only frames of this bus, as the log names it."
 )
 
+
+def window_options(function: Function) -> Function:
+    """--from and --to, of every command that reads a log."""
+    for name, what in (("to", "before"), ("from", "from")):
+        function = click.option(
+            f"--{name}",
+            f"{name}_s",
+            type=float,
+            metavar="S",
+            help=f"Only frames {what} so many seconds after the start of the recording"
+            f"{' on' if name == 'from' else ''}.",
+        )(function)
+    return function
+
+
+def window_of(from_s: float | None, to_s: float | None) -> Window:
+    """The part of a recording between --from and --to.
+
+    Raises:
+        click.UsageError: it is none.
+    """
+    begin_ns, end_ns = (
+        default if value is None else round(value * NS_PER_S) if abs(value) < _MOST_S else None
+        for value, default in ((from_s, ALL.begin_ns), (to_s, ALL.end_ns))
+    )
+    if begin_ns is None or end_ns is None or begin_ns >= end_ns:
+        raise click.UsageError(f"--from {from_s} --to {to_s}: must be seconds, the first smaller")
+    return Window(begin_ns, end_ns)
+
+
 force_option = click.option("--force", is_flag=True, help="Replace outputs that exist.")
 
 
@@ -77,9 +112,32 @@ def dbc_options(function: Function) -> Function:
         click.option("--no-strict", is_flag=True, help="Accept a DBC whose signals overlap."),
         click.option(
             "--dbc",
-            type=click.Path(path_type=Path, dir_okay=False),
-            help="A DBC, or another database that cantools reads.  [default: the rig's own]",
+            multiple=True,
+            metavar="[BUS=]FILE",
+            help="A DBC, or another database that cantools reads; of one bus alone with its name "
+            "before it, as in can0=car.dbc.  Repeatable.  [default: the rig's own]",
         ),
     ):
         function = decorate(function)
     return function
+
+
+def above_zero(
+    _context: click.Context, _option: click.Parameter, value: float | None
+) -> float | None:
+    """Refuse a time in seconds that is not above 0."""
+    if value is not None and not value > 0.0:  # nan too
+        raise click.BadParameter(f"{value:g} s: must be above 0")
+    return value
+
+
+def silence_option(default: str) -> Callable[[Function], Function]:
+    """--silence, with what it is by ``default``."""
+    return click.option(
+        "--silence",
+        "silence_s",
+        type=float,
+        callback=above_zero,
+        metavar="S",
+        help=f"Seconds of silence after which the other node counts as gone.  [default: {default}]",
+    )

@@ -14,30 +14,33 @@ database.
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable
-from difflib import get_close_matches
+from collections.abc import Collection, Sequence
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 from cantools.database.can import Database
+from numpy.typing import NDArray
 
 from can_rig.decoding.database import load_database
+from can_rig.decoding.database_decoder import DatabaseDecoder, message_decoders, require_names
 from can_rig.decoding.message_columns import MessageColumns, joined
-from can_rig.decoding.message_decoder import Counts, MessageDecoder
-from can_rig.errors import DbcError
+from can_rig.decoding.message_decoder import Counts
 from can_rig.logs.frames import ERROR, EXTENDED, Frames
 from can_rig.logs.reading import read_log
 
-_EXTENDED_BIT: Final = 31  # above the identifier, as in a DBC
+Databases = Database | Sequence[tuple[str | None, Database]]
+"""One for all buses; or several, each for the bus of this name or, where it is None, for all."""
 
 
 class Decoder:
     """Decodes chunk after chunk of a log.
 
     Args:
-        database: any cantools CAN database.
-        messages: names of the messages to decode; None: all.
+        databases: cantools CAN databases. Messages of one that is for a bus have its name before
+            theirs, as in ``can0.MESSAGE``.
+        messages: names of the messages to decode; None: all. Where several have the same name,
+            each has its identifier after it, as in ``NAME_1A0``; the name alone means all of them.
         signals: the signals to decode, as ``Signal`` or ``Message.Signal``; None: all. Messages
             without any of them are not decoded.
         channel: the only bus to decode; None: all.
@@ -48,45 +51,61 @@ class Decoder:
 
     def __init__(
         self,
-        database: Database,
+        databases: Databases,
         messages: Collection[str] | None = None,
         signals: Collection[str] | None = None,
         channel: str | None = None,
     ) -> None:
         self._channel = channel
-        self._decoders = _decoders(database, messages, signals)
-        known = {
-            message.frame_id | message.is_extended_frame << _EXTENDED_BIT: message.name
-            for message in database.messages
+        of_bus = [(None, databases)] if isinstance(databases, Database) else list(databases)
+        prefixed = [("" if bus is None else f"{bus}.", database) for bus, database in of_bus]
+        require_names(prefixed, messages, signals)
+        self._parts = [
+            (bus, DatabaseDecoder(one, prefix, message_decoders(one, prefix, messages, signals)))
+            for (bus, one), (prefix, _) in zip(of_bus, prefixed, strict=True)
+        ]
+        self.messages: Final = {
+            name: decoder for _, part in self._parts for name, decoder in part.decoders.items()
         }
-        keys = sorted(known)
-        self._keys: Final = np.array(keys, dtype=np.uint32)
-        self._names: Final = [known[key] for key in keys]
+        """The messages to decode, in the order of the databases."""
         self.frames = 0
         """Number of all frames so far."""
         self.error_frames = 0
         self.unknown: Counter[str] = Counter()
         """Number of frames by identifier, ``123`` or ``12345678``, that is not in the database."""
-        self.not_wanted = 0
-        """Number of frames of messages and buses that were not asked for."""
+        self._other_buses = 0
         self._channels: dict[str, None] = {}  # an ordered set
+
+    @property
+    def not_wanted(self) -> int:
+        """Number of frames of messages and buses that were not asked for."""
+        return self._other_buses + sum(part.not_wanted for _, part in self._parts)
 
     @property
     def counts(self) -> dict[str, Counts]:
         """What became of the frames of each message that was asked for."""
-        return {name: decoder.counts for name, decoder in self._decoders.items()}
+        return {name: decoder.counts for name, decoder in self.messages.items()}
 
     @property
-    def messages(self) -> dict[str, MessageDecoder]:
-        """The messages to decode, in the order of the database."""
-        return self._decoders
+    def left_out(self) -> list[str]:
+        """Signals that do not lie within their messages, as ``Message.Signal``."""
+        return [name for decoder in self.messages.values() for name in decoder.left_out]
 
     @property
     def nothing_on_channel(self) -> str | None:
-        """One line if the bus asked for is not in the log."""
-        if self._channel is None or self._channel in self._channels:
+        """One line if a bus that was asked for is not in the log."""
+        asked = [self._channel, *(bus for bus, _ in self._parts)]
+        missing = [bus for bus in asked if bus is not None and bus not in self._channels]
+        if not missing:
             return None
-        return f"no frame on bus {self._channel}; the log has {', '.join(self._channels)}"
+        return f"no frame on bus {missing[0]}; the log has {', '.join(self._channels)}"
+
+    def names(self) -> dict[tuple[int, bool], str]:
+        """The names of the messages by identifier, and whether that is an extended one."""
+        return {
+            (decoder.message.frame_id, decoder.message.is_extended_frame): name
+            for name, decoder in self.messages.items()
+        }
 
     def decode(self, frames: Frames) -> dict[str, MessageColumns]:
         """The columns of a chunk, by message; only messages with a frame in it."""
@@ -95,42 +114,41 @@ class Decoder:
         self._channels.update(dict.fromkeys(frames.channels))
         keep = np.ones(len(frames), dtype=bool)
         if self._channel is not None and len(frames):
-            keep = np.array([name == self._channel for name in frames.channels])[frames.channel]
-            self.not_wanted += int((~keep).sum())
+            keep = _on(frames, self._channel)
+            self._other_buses += int((~keep).sum())
         errors = keep & frames.has(ERROR)
         self.error_frames += int(errors.sum())
         keep = keep & ~errors
         if not keep.all():
             frames, rows = frames[keep], rows[keep]
-        places = self._places(frames)
-        order = np.argsort(places, kind="stable")
-        ends = np.cumsum(np.bincount(places, minlength=len(self._names) + 1))
-        self._count_unknown(frames[order[ends[len(self._names) - 1] if self._names else 0 :]])
-        found = {}
-        for place, name in enumerate(self._names):
-            chosen = order[ends[place - 1] if place else 0 : ends[place]]
-            decoder = self._decoders.get(name)
-            if decoder is None:
-                self.not_wanted += len(chosen)
-            elif len(chosen):
-                found[name] = decoder.decode(frames[chosen], rows[chosen])
-        return {name: found[name] for name in self._decoders if name in found}
-
-    def _places(self, frames: Frames) -> np.ndarray[tuple[int], np.dtype[np.int16]]:
-        """(n,) index of each frame's message in the sorted ones; their number for none of them."""
-        if not len(self._keys):
-            return np.zeros(len(frames), dtype=np.int16)
-        keys = frames.arbitration_id | frames.has(EXTENDED).astype(np.uint32) << _EXTENDED_BIT
-        places = np.searchsorted(self._keys, keys)
-        places[places == len(self._keys)] = 0
-        places[self._keys[places] != keys] = len(self._keys)
-        return places.astype(np.int16)  # of 16 bits, which sort by radix
+        found: dict[str, MessageColumns] = {}
+        known = np.zeros(len(frames), dtype=bool)
+        for bus, part in self._parts:
+            if bus is None:
+                columns, knows = part.decode(frames, rows)
+                known |= knows
+            else:
+                here = np.flatnonzero(_on(frames, bus))
+                columns, knows = part.decode(frames[here], rows[here])
+                known[here] |= knows
+            found |= columns
+        if not known.all():
+            self._count_unknown(frames[~known])
+        return {name: found[name] for name in self.messages if name in found}
 
     def _count_unknown(self, frames: Frames) -> None:
         for extended, digits in ((False, 3), (True, 8)):
             chosen = frames.arbitration_id[frames.has(EXTENDED) == extended]
             for identifier, count in zip(*np.unique(chosen, return_counts=True), strict=True):
                 self.unknown[f"{identifier:0{digits}X}"] += int(count)
+
+
+def _on(frames: Frames, bus: str) -> NDArray[np.bool_]:
+    """(n,) whether a frame is of this bus."""
+    if not len(frames):
+        return np.zeros(0, dtype=bool)
+    here: NDArray[np.bool_] = np.array([name == bus for name in frames.channels])[frames.channel]
+    return here
 
 
 class DecodedLog(dict[str, MessageColumns]):
@@ -149,7 +167,7 @@ class DecodedLog(dict[str, MessageColumns]):
 
 def decode_log(
     path: str | Path,
-    database: Database | str | Path,
+    database: Databases | str | Path,
     messages: Collection[str] | None = None,
     signals: Collection[str] | None = None,
     channel: str | None = None,
@@ -158,7 +176,7 @@ def decode_log(
 
     Args:
         path: a log of any format that `read_log` reads.
-        database: a cantools database, or a file of one.
+        database: a cantools database, a file of one, or several as `Decoder` has them.
         messages: see `Decoder`.
         signals: see `Decoder`.
         channel: see `Decoder`.
@@ -167,7 +185,7 @@ def decode_log(
         LogError: the log cannot be read.
         DbcError: the database cannot be read, or has no such message or signal.
     """
-    if not isinstance(database, Database):
+    if isinstance(database, str | Path):
         database = load_database(database)
     decoder = Decoder(database, messages, signals, channel)
     log = read_log(path)
@@ -177,36 +195,3 @@ def decode_log(
             parts.setdefault(name, []).append(columns)
     whole = {name: joined(parts[name]) for name in decoder.messages if name in parts}
     return DecodedLog(whole, decoder, log.notice)
-
-
-def _decoders(
-    database: Database, messages: Collection[str] | None, signals: Collection[str] | None
-) -> dict[str, MessageDecoder]:
-    names = [message.name for message in database.messages]
-    _require(messages or (), names, "message")
-    every = [f"{m.name}.{s.name}" for m in database.messages for s in m.signals]
-    _require(signals or (), [*every, *(name.split(".")[1] for name in every)], "signal")
-    found = {}
-    for message in database.messages:
-        if (messages is not None and message.name not in messages) or message.is_container:
-            continue
-        wanted = _of_message(message.name, [s.name for s in message.signals], signals)
-        if wanted is None or wanted:
-            found[message.name] = MessageDecoder(message, wanted)
-    return found
-
-
-def _of_message(
-    message: str, names: Iterable[str], signals: Collection[str] | None
-) -> list[str] | None:
-    if signals is None:
-        return None
-    return [name for name in names if name in signals or f"{message}.{name}" in signals]
-
-
-def _require(wanted: Collection[str], names: Collection[str], kind: str) -> None:
-    """Refuse a wanted name that is not one of ``names``."""
-    for name in wanted:
-        if name not in names:
-            near = get_close_matches(name, names, 3, 0.5) or sorted(set(names))[:5]
-            raise DbcError(f"no {kind} {name} in the database; it has {', '.join(near)}, …")

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from can_rig.frames.protection import FRAME_BYTES
 from can_rig.logs.frames import UInt8s
+from firmware_model.compiled import compiled
 
 COUNTERS: Final = 15
 """Counters are 0..14; 15 is never sent."""
@@ -25,11 +26,19 @@ Rows = NDArray[np.bool_]
 
 def intact(data: UInt8s, length: UInt8s, data_id: int) -> Rows:
     """(n,) result of e2e_p01_check for payloads (n, 8 or more) of these lengths."""
-    crc = np.full(len(data), _crc(bytearray(FRAME_BYTES), data_id), dtype=np.uint8)
-    for byte, table in enumerate(_tables(), start=1):
-        crc ^= table[data[:, byte]]
-    whole: Rows = (crc == data[:, 0]) & (counters(data) < COUNTERS) & (length == FRAME_BYTES)
+    whole: Rows = np.empty(len(data), dtype=np.bool_)
+    _check(data, length, np.uint8(_crc(bytearray(FRAME_BYTES), data_id)), _tables(), whole)
     return whole
+
+
+@compiled
+def _check(data: UInt8s, length: UInt8s, crc_of_id: Any, tables: Any, whole: Rows) -> None:
+    for row in range(len(data)):
+        crc = crc_of_id
+        for byte in range(1, FRAME_BYTES):
+            crc ^= tables[byte - 1, data[row, byte]]
+        is_counted = (data[row, 1] & 0x0F) < COUNTERS
+        whole[row] = crc == data[row, 0] and is_counted and length[row] == FRAME_BYTES
 
 
 def counters(data: UInt8s) -> UInt8s:

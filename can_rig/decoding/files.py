@@ -9,13 +9,11 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
-from cantools.database.can import Database
 
-from can_rig.decoding.decode import Decoder
+from can_rig.decoding.decode import Databases, Decoder
 from can_rig.decoding.message_columns import MessageColumns
 from can_rig.decoding.output import TABLES, Output, output
 from can_rig.errors import LogError
-from can_rig.logs.formats import format_of
 from can_rig.logs.frames import Frames, concatenate
 from can_rig.logs.log import Log
 
@@ -34,9 +32,9 @@ class Selection:
     signals: Collection[str] | None = None
     channel: str | None = None
 
-    def decoder(self, database: Database) -> Decoder:
+    def decoder(self, databases: Databases) -> Decoder:
         """A new one."""
-        return Decoder(database, self.messages, self.signals, self.channel)
+        return Decoder(databases, self.messages, self.signals, self.channel)
 
 
 @dataclass(frozen=True)
@@ -51,7 +49,7 @@ class Form:
 
 def decode_to_files(
     log: Log,
-    database: Database,
+    databases: Databases,
     selection: Selection,
     outputs: Sequence[Path],
     form: Form,
@@ -66,10 +64,10 @@ def decode_to_files(
             cannot be written.
         DbcError: the database has no such message or signal.
     """
-    decoder = selection.decoder(database)
+    decoder = selection.decoder(databases)
     layout = {}
     if any(path.suffix in TABLES for path in outputs):
-        layout = _survey(log, selection.decoder(database), reading)
+        layout = _survey(log, selection.decoder(databases), reading)
         columns = sum(len(message.signals) for message in layout.values()) + 2
         log.chunk_frames = min(log.chunk_frames, max(_CELLS // columns, _LEAST_ROWS))
     with ExitStack() as stack:
@@ -88,7 +86,7 @@ def decode_to_files(
             for writer in writers:
                 writer.write(chunk)
         if writers is None:
-            if format_of(log.path) == ".log":  # without a header, nothing says that it is a log
+            if log.format == ".log":  # without a header, nothing says that it is a log
                 raise LogError(
                     f"{log.path}: has no frame in it; must be a log as candump -L writes it"
                 )

@@ -13,7 +13,6 @@ from numpy.typing import NDArray
 from can_rig.decoding import e2e_columns
 from can_rig.decoding.message_columns import MessageColumns
 from can_rig.decoding.signal_columns import Column, signal_column
-from can_rig.errors import DbcError
 from can_rig.frames.dbc import attribute
 from can_rig.frames.layout import ROLES
 from can_rig.logs.frames import CLASSIC_BYTES, REMOTE, Frames, UInt8s
@@ -59,26 +58,38 @@ class MessageDecoder:
     Args:
         message: from any cantools database.
         wanted: the signals to decode; None: all.
+        name: what the message is called in the result; None: as in the database.
 
     Raises:
-        DbcError: a signal does not fit into the message, or is a float of an odd length.
+        DbcError: a signal is a float of an odd length.
     """
 
-    def __init__(self, message: DbcMessage, wanted: Collection[str] | None = None) -> None:
+    def __init__(
+        self, message: DbcMessage, wanted: Collection[str] | None = None, name: str | None = None
+    ) -> None:
         self.message = message
         self.counts = Counts()
-        where = f"message {message.name}"
-        self._layout = {s.name: signal_column(s, where) for s in message.signals}
+        self._name = name or message.name
+        where = f"message {self._name}"
+        columns = [signal_column(signal, where) for signal in message.signals]
+        inside = [c for c in columns if c.first_bit + c.length <= 8 * message.length]
+        self._layout = {column.name: column for column in inside}
         self._wanted = [name for name in self._layout if wanted is None or name in wanted]
-        for column in self._layout.values():
-            if column.first_bit + column.length > 8 * message.length:
-                raise DbcError(
-                    f"{where}: signal {column.name} must end within the {message.length} bytes"
-                )
+        outside = [signal for signal in message.signals if signal.name not in self._layout]
+        self._tree = message.signal_tree
+        if any(signal.is_multiplexer for signal in outside):
+            outside, self._wanted, self._tree = message.signals, [], []
+        self.left_out = [f"{self._name}.{signal.name}" for signal in outside]
+        """Signals that do not lie within the message, or whose multiplexer does not."""
         # The signals in every frame: those at the root of the tree, including multiplexers.
-        self._always = {n if isinstance(n, str) else next(iter(n)) for n in message.signal_tree}
+        self._always = {n if isinstance(n, str) else next(iter(n)) for n in self._tree}
         self._data_id = protected_by(message)
         self._counter: int | None = None
+
+    @property
+    def signals(self) -> list[str]:
+        """Names of the signals that are decoded."""
+        return self._wanted
 
     def decode(self, frames: Frames, row: NDArray[np.int64]) -> MessageColumns:
         """The columns of the usable ``frames``; all have the identifier of this message."""
@@ -88,7 +99,7 @@ class MessageDecoder:
             frames, row = frames[usable], row[usable]
         data = _at_least(frames.data, max(self.message.length, CLASSIC_BYTES))
         present: dict[str, Rows] = {}
-        known = self._find(self.message.signal_tree, data, np.ones(len(frames), bool), present)
+        known = self._find(self._tree, data, np.ones(len(frames), bool), present)
         if not known.all():
             frames, row, data = frames[known], row[known], data[known]
             present = {name: mask[known] for name, mask in present.items()}
@@ -101,7 +112,7 @@ class MessageDecoder:
             if self._layout[name].choices:
                 codes[name] = raw
         layout = {name: self._layout[name] for name in self._wanted}
-        return MessageColumns(self.message.name, frames.time_ns, row, signals, codes, layout)
+        return MessageColumns(self._name, frames.time_ns, row, signals, codes, layout)
 
     def _usable(self, frames: Frames) -> Rows:
         """(n,) whether a frame is long enough and, if protected, intact and not repeated."""
@@ -118,7 +129,7 @@ class MessageDecoder:
         whole = ~remote & ~short
         usable: Rows = whole & e2e_columns.intact(frames.data, frames.length, self._data_id)
         counts.wrong_crc += int(whole.sum() - usable.sum())
-        counter = e2e_columns.counters(frames.data[usable])
+        counter = e2e_columns.counters(frames.data)[usable]
         steps = e2e_columns.steps(counter, self._counter)
         counts.repeated += int((steps == 0).sum())
         counts.gaps += int((steps > 1).sum())

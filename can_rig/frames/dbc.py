@@ -7,7 +7,6 @@ from pathlib import Path
 
 import cantools
 from cantools.database.can import Database, Message
-from cantools.database.errors import Error
 
 from can_rig.errors import DbcError, one_line
 
@@ -33,7 +32,7 @@ def load_dbc(path: str | Path, strict: bool = True) -> Database:
         loaded = cantools.database.load_file(path, database_format="dbc", strict=strict)
     except OSError as error:
         raise DbcError(f"{path}: cannot be read: {error.strerror}") from error
-    except (Error, ValueError, KeyError) as error:
+    except Exception as error:  # whatever a damaged file leads cantools to
         raise DbcError(f"{path}: not a DBC that can be loaded: {one_line(error)}") from error
     if not isinstance(loaded, Database):
         raise DbcError(f"{path}: holds no CAN messages; it must be a DBC")

@@ -1,7 +1,9 @@
-"""The formats of logs, by the suffixes of their files."""
+"""The formats of logs: by the suffix of what is written, by the content of what is read."""
 
 from __future__ import annotations
 
+import re
+import zlib
 from pathlib import Path
 from typing import Final
 
@@ -11,9 +13,20 @@ SUFFIXES: Final = (".log", ".asc", ".blf", ".trc", ".mf4")
 COMPRESSED: Final = (".log", ".asc", ".trc")
 """The formats that may also be gzipped, with ``.gz`` after their suffix."""
 
+_HEAD_BYTES: Final = 1 << 14
+_GZIP: Final = 16 + zlib.MAX_WBITS
+_BINARY: Final = {b"LOGG": ".blf", b"MDF     ": ".mf4", b"UnFinMF ": ".mf4"}
+_TEXT: Final = {
+    ".log": re.compile(rb"\s*\(\d+(\.\d*)?\)[ \t]+\S+[ \t]+[0-9A-Fa-f]+#"),
+    ".trc": re.compile(rb"\s*;(\$FILEVERSION|#{8})|(\s*;[^\n]*\n)*\s*1\)[ \t]+\d"),
+    ".asc": re.compile(
+        rb"\s*(//[^\n]*\s*)*(date[ \t]+\w|base[ \t]+(hex|dec)|begin[ \t]+triggerblock)", re.I
+    ),
+}
+
 
 def format_of(path: Path) -> str:
-    """The format of ``path``: its suffix in lower case, without ``.gz``.
+    """The format of ``path`` by its name: its suffix in lower case, without ``.gz``.
 
     Raises:
         LogError: the suffix is not one of a log.
@@ -29,3 +42,26 @@ def format_of(path: Path) -> str:
             f"({', '.join(COMPRESSED)} may be followed by .gz)"
         )
     return suffixes[-1]
+
+
+def format_in(path: Path) -> str:
+    """The format of a log by what it begins with, or else by its name.
+
+    Raises:
+        LogError: neither tells.
+    """
+    return _content_format(path) or format_of(path)
+
+
+def _content_format(path: Path) -> str | None:
+    if not path.is_file():  # a pipe is read once
+        return None
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD_BYTES)
+        if head[:2] == b"\x1f\x8b":
+            head = zlib.decompressobj(_GZIP).decompress(head, _HEAD_BYTES)
+    except (OSError, zlib.error):
+        return None  # which whoever reads it says
+    binary = next((kind for mark, kind in _BINARY.items() if head.startswith(mark)), None)
+    return binary or next((kind for kind, mark in _TEXT.items() if mark.match(head)), None)

@@ -116,9 +116,9 @@ def from_messages(messages: Sequence[Message], start_ns: int = 0) -> Frames:
 def _flags(message: Message) -> int:
     return (
         EXTENDED * message.is_extended_id
-        | REMOTE * (message.is_remote_frame and not message.is_fd)  # FD has none
+        | REMOTE * message.is_remote_frame
         | ERROR * message.is_error_frame
-        | FD * message.is_fd
+        | FD * (message.is_fd and not message.is_remote_frame)  # FD has no remote frames
         | BITRATE_SWITCH * message.bitrate_switch
         | ERROR_STATE * message.error_state_indicator
         | SENT * (not message.is_rx)

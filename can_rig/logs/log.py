@@ -5,9 +5,20 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
+from typing import Final, NamedTuple
 
 from can_rig.errors import LogError
 from can_rig.logs.frames import Frames
+
+
+class Window(NamedTuple):
+    """A part of a recording, its end not included; since the recording began."""
+
+    begin_ns: int
+    end_ns: int
+
+
+ALL: Final = Window(-(1 << 63), (1 << 63) - 1)
 
 
 @dataclass
@@ -24,6 +35,10 @@ class Log:
     """Reads the format of the file."""
     chunk_frames: int
     """Largest number of frames in a chunk."""
+    format: str
+    """As a suffix: what the file is, whatever it is called."""
+    window: Window = ALL
+    """The part of the recording that is read."""
     start_ns: int = field(default=0, init=False)
     """Start of the recording on the clock of ``Frames.time_ns`` [ns]: since 1970 (UTC) if the file
     gives a date, else 0. Known once the first chunk is. For a candump log, which has no header, the
@@ -40,4 +55,15 @@ class Log:
             raise LogError(f"{self.path}: there is no such file")
         if self.path.is_dir():
             raise LogError(f"{self.path}: is a folder; it must be a log file")
-        return self.reader(self)
+        return self._within(self.reader(self))
+
+    def _within(self, chunks: Iterator[Frames]) -> Iterator[Frames]:
+        """The frames within the window; chunks without any are passed over."""
+        if self.window == ALL:
+            yield from chunks
+            return
+        for frames in chunks:
+            since_ns = frames.time_ns - self.start_ns
+            inside = (since_ns >= self.window.begin_ns) & (since_ns < self.window.end_ns)
+            if inside.any():
+                yield frames if inside.all() else frames[inside]

@@ -22,14 +22,14 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
-from can_rig.logs.formats import format_of
+from can_rig.logs.formats import format_in
 from can_rig.logs.frames import Frames
-from can_rig.logs.log import Log
-from can_rig.logs.readers.asc import read_asc
-from can_rig.logs.readers.blf import read_blf
-from can_rig.logs.readers.candump import read_candump
-from can_rig.logs.readers.mf4 import read_mf4
-from can_rig.logs.readers.trc import read_trc
+from can_rig.logs.log import ALL, Log, Window
+from can_rig.logs.readers.binary.blf import read_blf
+from can_rig.logs.readers.binary.mf4 import read_mf4
+from can_rig.logs.readers.text.asc import read_asc
+from can_rig.logs.readers.text.candump import read_candump
+from can_rig.logs.readers.text.trc import read_trc
 
 _READERS: Final[Mapping[str, Callable[[Log], Iterator[Frames]]]] = {
     ".log": read_candump,
@@ -40,15 +40,18 @@ _READERS: Final[Mapping[str, Callable[[Log], Iterator[Frames]]]] = {
 }
 
 
-def read_log(path: str | Path, chunk_frames: int = 1 << 18) -> Log:
-    """The log at ``path``, in the format of its suffix; iterating over it reads the file.
+def read_log(path: str | Path, chunk_frames: int = 1 << 18, window: Window = ALL) -> Log:
+    """The log at ``path``; iterating over it reads the file.
 
     Args:
-        path: ``.log``, ``.asc``, ``.blf``, ``.trc`` or ``.mf4``; text formats also with ``.gz``.
+        path: a log of any of these formats, text also gzipped. What it begins with says which, or
+            else its suffix.
         chunk_frames: largest number of frames in a chunk, which bounds the memory.
+        window: the part of the recording that is read.
 
     Raises:
-        LogError: the suffix is not one of a log.
+        LogError: neither its beginning nor its suffix is one of a log.
     """
     path = Path(path)
-    return Log(path, _READERS[format_of(path)], chunk_frames)
+    kind = format_in(path)
+    return Log(path, _READERS[kind], chunk_frames, kind, window)

@@ -8,26 +8,37 @@
 | `.blf`            | time to 1 ns; only the payload of error frames; buses by number            |
 | `.mf4`            | everything, time to 1 ns; buses by number                                  |
 | `.asc`            | time to 1 µs, its start to 1 ms; no content of error frames; buses by number |
-| `.trc`            | time to 1 µs; only classic data frames, others are an error; buses by number |
+| `.trc`            | time to 1 µs; error frames are refused; buses by number                    |
 
 The number of a bus is the one at the end of its name, as in python-can: 0 for vcan0.
 """
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
 from can_rig.errors import LogError, require
 from can_rig.files import atomic, refuse_existing
 from can_rig.logs.formats import format_of
+from can_rig.logs.frames import Frames
 from can_rig.logs.log import Log
 from can_rig.logs.writers.candump import write_candump
 from can_rig.logs.writers.mf4 import write_mf4
-from can_rig.logs.writers.python_can import write_asc, write_blf, write_trc
+from can_rig.logs.writers.python_can import write_asc, write_blf
+from can_rig.logs.writers.trc import write_trc
+
+Reading = Callable[[Log], Iterable[Frames]]
+"""Goes through the chunks of a log."""
 
 
-def refuse_log(path: Path, force: bool) -> None:
+def refuse_log(path: Path, force: bool, option: str = "--log") -> None:
     """Refuse a log that exists already, or whose format cannot be written.
+
+    Args:
+        path: the log.
+        force: replace it.
+        option: the one that named it.
 
     Raises:
         LogError: the reason.
@@ -36,27 +47,41 @@ def refuse_log(path: Path, force: bool) -> None:
         raise LogError(f"{path}: a compressed log can only be written as .log.gz")
     if format_of(path) == ".mf4":
         require("asammdf", extra="logs")
-    refuse_existing(path, force, "--log")
+    refuse_existing(path, force, option)
 
 
-def write_log(log: Log, path: Path) -> None:
-    """Write the frames of ``log`` to ``path``, in the format of its suffix.
+def write_log(log: Log, path: Path, reading: Reading = iter) -> int:
+    """Write the frames of ``log`` to ``path``, in the format of its suffix; how many they are.
 
     ``path`` exists, complete, when this returns, and not before.
+
+    Args:
+        log: what is written.
+        path: the log to write.
+        reading: goes through the frames, to choose among them or to show how far it is.
 
     Raises:
         LogError: the format is unknown or cannot hold a frame; a file cannot be read or written.
     """
     refuse_log(path, force=True)
+    counted = 0
+
+    def chunks() -> Iterator[Frames]:
+        nonlocal counted
+        for frames in reading(log):
+            counted += len(frames)
+            yield frames
+
     with atomic(path) as part:
         match format_of(path):
             case ".log":
-                write_candump(log, part)
+                write_candump(chunks(), part)
             case ".asc":
-                write_asc(log, part)
+                write_asc(chunks(), part)
             case ".blf":
-                write_blf(log, part)
+                write_blf(chunks(), part)
             case ".trc":
-                write_trc(log, part, final=path)
+                write_trc(log, chunks(), part, final=path)
             case _:
-                write_mf4(log, part)
+                write_mf4(log, chunks(), part)
+    return counted

@@ -26,7 +26,7 @@ from typing import Any, Final
 from can_rig.errors import RigError, SilentNodeError
 from can_rig.nodes.progress import OnTick, Progress, Throttled, no_progress
 from can_rig.nodes.runner import NodeName, NodeSummary, run_controller, run_plant
-from can_rig.nodes.watchdog import StopRequest, Timeouts
+from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Timeouts
 from can_rig.scenario.settings import Scenario
 
 ENDS_WITHIN_S: Final = 4.0
@@ -139,6 +139,7 @@ def run_processes(
     stop: StopRequest,
     progress: Progress = no_progress,
     real_time: bool = False,
+    timeouts: Timeouts = DEFAULT_TIMEOUTS,
 ) -> NodeSummary:
     """Run the plant and the controller as two processes, in lockstep on one core where possible.
 
@@ -149,6 +150,7 @@ def run_processes(
         stop: ends the run after a tick.
         progress: entered when both nodes have been forked.
         real_time: by the wall clock, each on a core of its own where possible.
+        timeouts: how long each may be silent for the other.
 
     Returns:
         The summary; fewer ticks than the scenario's where the run was stopped.
@@ -160,12 +162,12 @@ def run_processes(
     processes: list[NodeProcess] = []
     try:
         with nullcontext() if real_time else _one_core(), _frozen_garbage():
-            controller_node = partial(_controller, scenario, bus, real_time)
+            controller_node = partial(_controller, scenario, bus, real_time, timeouts)
             controller = NodeProcess.fork("controller", controller_node, processes)
             processes.append(controller)  # first: a plant that waits repeats its offer on the bus
             _watch(processes, stop, until=lambda: "ready" in controller.said)
             if "ready" in controller.said and not stop.wanted:
-                plant_node = partial(_plant, scenario, bus, real_time, log)
+                plant_node = partial(_plant, scenario, bus, real_time, timeouts, log)
                 processes.append(NodeProcess.fork("plant", plant_node, processes))
         with progress() as on_tick:
             _watch(processes, stop, on_tick=on_tick)
@@ -176,18 +178,29 @@ def run_processes(
 
 
 def _controller(
-    scenario: Scenario, bus: str, real_time: bool, stop: StopRequest, report: Report
+    scenario: Scenario,
+    bus: str,
+    real_time: bool,
+    timeouts: Timeouts,
+    stop: StopRequest,
+    report: Report,
 ) -> NodeSummary:
     on_tick = Throttled(lambda tick: report(ticks=tick))
     on_ready = partial(report, ready=True)
-    return run_controller(scenario, bus, Timeouts(), stop, on_ready, on_tick, real_time=real_time)
+    return run_controller(scenario, bus, timeouts, stop, on_ready, on_tick, real_time=real_time)
 
 
 def _plant(
-    scenario: Scenario, bus: str, real_time: bool, log: Path, stop: StopRequest, report: Report
+    scenario: Scenario,
+    bus: str,
+    real_time: bool,
+    timeouts: Timeouts,
+    log: Path,
+    stop: StopRequest,
+    report: Report,
 ) -> NodeSummary:
     on_tick = Throttled(lambda tick: report(ticks=tick))
-    return run_plant(scenario, bus, log, Timeouts(), stop, on_tick, real_time=real_time)
+    return run_plant(scenario, bus, log, timeouts, stop, on_tick, real_time=real_time)
 
 
 def _watch(

@@ -25,6 +25,7 @@ from can_rig.logs.frames import NS_PER_S, Frames
 from can_rig.nodes.lockstep.controller_node import ControllerNode
 from can_rig.replay.comparison import ANSWERS, Comparison
 from can_rig.replay.gaps import NEAR, Account, Gap, Row
+from can_rig.replay.in_real_time import Recorded
 from can_rig.replay.rig_frames import INPUTS, RigFrame, rig_frames
 from can_rig.scenario.settings import Scenario
 
@@ -39,18 +40,28 @@ class OpenLoop:
         scenario: the controller's. Faults of frames are not scheduled: the log has had its own.
         network: the frames.
         on_gap: gets what is wrong with the log; see `gaps`.
+        recorded: what a run in real time left unanswered; None: a run in lockstep.
 
     Raises:
         ScenarioError: a design that cannot be made.
     """
 
-    def __init__(self, scenario: Scenario, network: Network, on_gap: Callable[[Gap], None]) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        network: Network,
+        on_gap: Callable[[Gap], None],
+        recorded: Recorded | None = None,
+    ) -> None:
         self._tick_s = scenario.tick_s
         self._network = network
         self._identifiers = [codec.frame_id for codec in network]
         self._sent: list[bytes] = []
         self._node = ControllerNode(
-            scenario.healthy, network, lambda message: self._sent.append(bytes(message.data))
+            scenario.healthy,
+            network,
+            lambda message: self._sent.append(bytes(message.data)),
+            recorded,
         )
         self.account: Final = Account(network, scenario.tick_ns, on_gap)
         self.comparison: Final = Comparison(network)

@@ -20,7 +20,7 @@ from can_rig.nodes.processes import run_processes
 from can_rig.nodes.progress import Progress, Throttled, no_progress
 from can_rig.nodes.realtime.deadlines import require_causal
 from can_rig.nodes.runner import NodeSummary, run_in_process
-from can_rig.nodes.watchdog import StopRequest
+from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Timeouts
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.results.metrics import Metrics
 from can_rig.results.run_folder import LOG, Outcome, RunFolder, finish
@@ -33,7 +33,7 @@ REFERENCE: Final = "reference.csv"
 
 INTERRUPTED_RUN: Final = "interrupted"
 
-Runner = Callable[[Scenario, str, Path, StopRequest, Progress], NodeSummary]
+Runner = Callable[[Scenario, str, Path, StopRequest, Progress, Timeouts], NodeSummary]
 
 
 @dataclass(frozen=True)
@@ -57,9 +57,14 @@ class Execution:
 
 
 def in_process(
-    scenario: Scenario, bus: str, log: Path, stop: StopRequest, progress: Progress
+    scenario: Scenario,
+    bus: str,
+    log: Path,
+    stop: StopRequest,
+    progress: Progress,
+    _timeouts: Timeouts,
 ) -> NodeSummary:
-    """Both nodes in this process, turn by turn."""
+    """Both nodes in this process, turn by turn: neither waits for the other."""
     with progress() as on_tick:
         summary = run_in_process(scenario, bus, log, stop, Throttled(on_tick))
         on_tick(summary.ticks)
@@ -67,17 +72,27 @@ def in_process(
 
 
 def two_processes(
-    scenario: Scenario, bus: str, log: Path, stop: StopRequest, progress: Progress
+    scenario: Scenario,
+    bus: str,
+    log: Path,
+    stop: StopRequest,
+    progress: Progress,
+    timeouts: Timeouts,
 ) -> NodeSummary:
     """Each node in a process of its own, in lockstep."""
-    return run_processes(scenario, bus, log, stop, progress)
+    return run_processes(scenario, bus, log, stop, progress, timeouts=timeouts)
 
 
 def real_time(
-    scenario: Scenario, bus: str, log: Path, stop: StopRequest, progress: Progress
+    scenario: Scenario,
+    bus: str,
+    log: Path,
+    stop: StopRequest,
+    progress: Progress,
+    timeouts: Timeouts,
 ) -> NodeSummary:
     """Each node in a process of its own, by the wall clock."""
-    return run_processes(scenario, bus, log, stop, progress, real_time=True)
+    return run_processes(scenario, bus, log, stop, progress, real_time=True, timeouts=timeouts)
 
 
 def refuse(scenario: Scenario, allow_unstable: bool = False) -> None:
@@ -104,6 +119,8 @@ def execute(
     runner: Runner = in_process,
     progress: Progress = no_progress,
     reference_csv: str | None = None,
+    report: bool = True,
+    timeouts: Timeouts = DEFAULT_TIMEOUTS,
 ) -> Execution | None:
     """Run a scenario that ``refuse`` has let pass, and leave its folder.
 
@@ -116,6 +133,8 @@ def execute(
         runner: ``in_process``, ``two_processes`` or ``real_time``.
         progress: shows how far it is.
         reference_csv: a reference in place of the scenario's, kept in the folder as ``REFERENCE``.
+        report: draw ``report.png`` too.
+        timeouts: how long a node may be silent for the other.
 
     Returns:
         How it went; ``failure`` says why it ended early. None if it was stopped before anything
@@ -141,7 +160,9 @@ def execute(
         raise
     outcome = Outcome(bus, realtime={} if runner is real_time else None)
     failure = _run(
-        lambda: runner(made_here, bus, folder.making / LOG, stop, progress), scenario, outcome
+        lambda: runner(made_here, bus, folder.making / LOG, stop, progress, timeouts),
+        scenario,
+        outcome,
     )
     if not (folder.making / LOG).is_file():
         folder.give_up()
@@ -149,7 +170,7 @@ def execute(
             raise failure
         return None
     try:
-        values = finish(folder.making, made_here, network, outcome, final)
+        values = finish(folder.making, made_here, network, outcome, final, report)
         folder.publish()
     except RigError:
         if failure is not None:  # came first, and may be why: a disk that was full already

@@ -16,7 +16,7 @@ from can_rig.errors import LogError, RunFolderError
 from can_rig.files import atomic
 from can_rig.frames.network import Network
 from can_rig.results.metrics import Metrics, metrics
-from can_rig.results.signals import read_signals
+from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.settings import Scenario
 
 LOG, SIGNALS, SUMMARY, REPORT = "bus.log", "signals.csv", "run.json", "report.png"
@@ -131,6 +131,7 @@ def finish(
     network: Network,
     outcome: Outcome,
     recorded: Scenario | None = None,
+    report: bool = True,
 ) -> Metrics:
     """Write ``signals.csv``, ``run.json`` and ``report.png`` from the log, however it ended.
 
@@ -140,15 +141,13 @@ def finish(
         network: its frames.
         outcome: how it went.
         recorded: the scenario for ``run.json``, where its paths will be others; None: what ran.
+        report: draw ``report.png``.
 
     Raises:
         LogError: the log cannot be read.
         RunFolderError: one of them cannot be written; what was recorded stays.
     """
-    from can_rig.results.report.page import draw_report  # noqa: PLC0415 (matplotlib, when nodes are done)
-
-    in_time_ticks = 1 if outcome.realtime is None else scenario.latency_ticks
-    signals = read_signals(folder / LOG, network, scenario.tick_s, in_time_ticks)
+    signals = signals_of_log(folder, scenario, network, outcome.realtime)
     values = metrics(scenario, signals)
     summary: dict[str, Any] = {
         "scenario": (recorded or scenario).as_dict(),
@@ -170,11 +169,22 @@ def finish(
             part.write_text(text + "\n", encoding="utf-8")
         with atomic(folder / SIGNALS) as part:
             signals.write_csv(part)
-        with atomic(folder / REPORT) as part:
-            draw_report(part, scenario, network, signals, outcome.realtime)
+        if report:
+            from can_rig.results.report.page import draw_report  # noqa: PLC0415 (matplotlib, when nodes are done)
+
+            with atomic(folder / REPORT) as part:
+                draw_report(part, scenario, network, signals, outcome.realtime)
     except LogError as error:
         raise RunFolderError(f"{error}; what was recorded is in {folder / LOG}") from None
     return values
+
+
+def signals_of_log(
+    folder: Path, scenario: Scenario, network: Network, realtime: dict[str, Any] | None
+) -> Signals:
+    """What was on the bus of a run, read from its log; a real-time run has its own idea of late."""
+    in_time_ticks = 1 if realtime is None else scenario.latency_ticks
+    return read_signals(folder / LOG, network, scenario.tick_s, in_time_ticks)
 
 
 def _versions() -> dict[str, str]:

@@ -29,8 +29,13 @@ class Source:
     scenario: Scenario
     channel: str | None = None
     """The only bus that is looked at; None: all."""
-    in_time_ticks: int = 1
-    """How many ticks a command may take, as that of `signals.read_signals`."""
+    is_realtime: bool = False
+    """Whether it was recorded in real time, by the run folder."""
+
+    @property
+    def in_time_ticks(self) -> int:
+        """How many ticks a command may take, as that of `signals.read_signals`."""
+        return self.scenario.latency_ticks if self.is_realtime else 1
 
     def frames(self, reading: Reading = iter) -> Iterator[Frames]:
         """The chunks of the log.
@@ -90,7 +95,7 @@ def source_of(
         )
     values, realtime = _recorded(path)
     scenario = load_run(values, settings)
-    return Source(log, scenario, channel, scenario.latency_ticks if realtime else 1)
+    return Source(log, scenario, channel, realtime)
 
 
 def log_path(path: Path) -> Path:

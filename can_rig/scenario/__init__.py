@@ -2,3 +2,18 @@
 
 `shipped/` holds the scenarios that come with the package. It imports `frames` and `firmware_model`.
 """
+
+import sys
+from importlib import import_module
+from types import ModuleType
+from typing import Any
+
+
+class _Callable(ModuleType):
+    """A room that can be called, as ``can_rig.scenario(…)``: the function in ``can_rig.api``."""
+
+    def __call__(self, *arguments: Any, **options: Any) -> Any:
+        return import_module("can_rig.api").scenario(*arguments, **options)
+
+
+sys.modules[__name__].__class__ = _Callable

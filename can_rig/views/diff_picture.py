@@ -22,8 +22,8 @@ CURVES: Final[tuple[dict[str, Any], ...]] = (
 
 
 def draw_difference(path: Path, a: SignalTable, b: SignalTable, difference: Difference) -> None:
-    """Write ``difference_page`` as a PNG."""
-    difference_page(a, b, difference).savefig(path, dpi=150, format="png")
+    """Write ``difference_page`` in the format of the suffix."""
+    difference_page(a, b, difference).savefig(path, dpi=150)
 
 
 def difference_page(a: SignalTable, b: SignalTable, difference: Difference) -> Figure:

@@ -141,7 +141,8 @@ def linear_controller(table: Record, confirmed: float = 0.0) -> LinearController
     states = controller.init(tables[0], k + 2)
     if confirmed > 0.0:
         states["fault_state"] = FaultState.CONFIRMED
-        states["loss_model"]["share"] = confirmed
+        for name in ("share", "between", "followed"):
+            states["loss_model"][name] = confirmed
     for j, (path, index) in enumerate(memories):
         _field(states, path)[(j, *index)] = 1.0
     inputs = np.zeros((2, k + 2))

@@ -42,7 +42,10 @@ class Sections:
 
     def __call__(self, z: ComplexArray) -> ComplexArray:
         """Transfer function at ``z``, any shape; z = e^{jωT} gives the frequency response."""
-        delta = np.asarray(z, dtype=np.complex128) - 1.0
+        return self.at_delta(np.asarray(z, dtype=np.complex128) - 1.0)
+
+    def at_delta(self, delta: ComplexArray) -> ComplexArray:
+        """Transfer function at δ = z - 1, any shape; near z = 1, δ has digits that z has not."""
         response = np.ones_like(delta)
         for b0, b1, b2, a1, a2 in self.coefficients:
             if a2 == 0.0 and b2 == 0.0:  # δ/δ cancels, also at δ = 0
@@ -65,10 +68,15 @@ class Sections:
 
     @property
     def sos(self) -> FloatArray:
-        """The same cascade as scipy's ``sos``, shape (n, 6): b0 b1 b2 1 a1 a2 in powers of 1/z."""
+        """The same cascade as scipy's ``sos``, shape (n, 6): b0 b1 b2 1 a1 a2 in powers of 1/z.
+
+        A first-order section stays one; its δ/δ would be 0/0 at z = 1.
+        """
         b0, b1, b2, a1, a2 = self.coefficients.T
-        one = np.ones_like(b0)
-        return np.stack([b0, b1 - 2 * b0, b0 - b1 + b2, one, a1 - 2, 1 - a1 + a2], axis=1)
+        first = (b2 == 0.0) & (a2 == 0.0)
+        above = [b0, b1 - np.where(first, 1.0, 2.0) * b0, np.where(first, 0.0, b0 - b1 + b2)]
+        below = [a1 - np.where(first, 1.0, 2.0), np.where(first, 0.0, 1.0 - a1 + a2)]
+        return np.stack([*above, np.ones_like(b0), *below], axis=1)
 
 
 def from_delta_zpk(

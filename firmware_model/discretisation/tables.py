@@ -28,6 +28,9 @@ SLOWEST_TRANSFER_S = 0.05  # some time constants of w, 1/17.7 s for this car
 HASTE = 2.0  # of a transfer, against the time that its beginning took
 SHARE = 0.8  # of the torque whose loss is looked for: of all of it, a half still counts
 RESTART = -1.0
+SHARE_VARIANCE = 0.09  # of the share of a loss when that is confirmed, at most
+DOUBT = 9.0  # over 1, as the moment of the loss is not known either
+FOLLOW_S, FOLLOW_TICKS = 0.01, 3.0  # of each of the two lags by which F̂ gets it
 HORIZON_S = 1.0  # a loss that would take longer to show cannot be told
 MISMATCH_S = 3.0  # in which a car changes
 MISMATCH_VARIANCE = 0.36  # of a parameter in a box of ±1: uniform, and some more
@@ -217,6 +220,9 @@ def _fill_decision(table: Record, target: Target) -> None:
     decision.suspect = min(max(suspect, LEAST_EVIDENCE), decision.confirm)
     decision.horizon = HORIZON_S / target.tick_s
     decision.pause_ticks = round(target.probe_pause_s / target.tick_s)
+    table.loss_model.share_variance = SHARE_VARIANCE
+    table.loss_model.doubt = DOUBT
+    table.loss_model.follow = target.tick_s / max(FOLLOW_S, FOLLOW_TICKS * target.tick_s)
     test.share = SHARE
     test.restart = RESTART
 
@@ -227,7 +233,7 @@ def _fill_mismatch(table: Record, target: Target) -> None:
     other.n = len(cars)
     other.scale = 1.0 / STEP
     rule = RULE_ERROR[target.estimator] ** 2
-    constants.n = len(cars) + 1 if cars or rule else 0
+    constants.n = 1 + (len(cars) + 1 if cars or rule else 0)
     discretised = ESTIMATOR_RULES[target.estimator]
     places = (other.car_1, other.car_2, other.car_3, other.car_4)
     for place, (g1, g2) in zip(places, cars, strict=False):
@@ -235,10 +241,11 @@ def _fill_mismatch(table: Record, target: Target) -> None:
         _fill_filter(place.channel_2, discretised(g2, target.tick_s))
     constants.prior = MISMATCH_VARIANCE
     slow, fast = _memory(target, MISMATCH_S), _memory(target, REMAINDER_S)
-    constants.forgetting[: len(cars)] = min(1.0 - slow, MOST_FORGOTTEN)
-    constants.growth[: len(cars)] = (1.0 - slow**2) * MISMATCH_VARIANCE
-    constants.forgetting[len(cars)] = min(1.0 - fast, MOST_FORGOTTEN)
-    constants.growth[len(cars)] = 1.0 - fast**2
+    for i in range(1, 1 + len(cars)):
+        constants.forgetting[i] = min(1.0 - slow, MOST_FORGOTTEN)
+        constants.growth[i] = (1.0 - slow**2) * MISMATCH_VARIANCE
+    constants.forgetting[1 + len(cars)] = min(1.0 - fast, MOST_FORGOTTEN)
+    constants.growth[1 + len(cars)] = 1.0 - fast**2
     constants.motion = (REMAINDER_S / target.tick_s) ** 2
     constants.beyond = BEYOND * MISMATCH_VARIANCE
     constants.white = WHITE

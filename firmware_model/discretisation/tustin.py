@@ -16,12 +16,11 @@ import cmath
 import math
 
 import numpy as np
-from scipy import linalg
 
 from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.discretisation.held_input import response, sampled, zeros_of
 from firmware_model.discretisation.sections import Sections, from_delta_zpk
 from firmware_model.errors import ImproperError, ParameterError
-from firmware_model.target.structs import FloatArray
 
 
 def tustin(g: ZeroPoleGain, tick_s: float, prewarp_rad_per_s: float | None = None) -> Sections:
@@ -57,8 +56,8 @@ def tustin_held(g: ZeroPoleGain, tick_s: float) -> Sections:
 def zoh(g: ZeroPoleGain, tick_s: float) -> Sections:
     """The exact discretisation of ``g`` for an input held over each tick.
 
-    Poles are e^{pT}. Zeros are the finite transmission zeros of the sampled state space, found in
-    δ, where they are well conditioned at any tick.
+    Poles are e^{pT}. Zeros are those of the sampled state space, and so is the gain, read off in
+    the middle of the filter's band.
 
     Raises:
         ImproperError: ``g`` has feedthrough.
@@ -68,21 +67,15 @@ def zoh(g: ZeroPoleGain, tick_s: float) -> Sections:
     _refuse_feedthrough(g, "zoh")
     if g.gain == 0.0:
         return from_delta_zpk((), (), 0.0, tick_s)
-    a, b, c = _cascade(g)
-    n = len(b)
-    # e^{MT} - I without losing the small numbers: MT φ1(MT), read off a larger exponential.
-    augmented = np.zeros((2 * n + 1, 2 * n + 1))
-    augmented[:n, :n] = a
-    augmented[:n, n:-1] = np.eye(n)
-    augmented[:n, -1:] = 0.0
-    integral = linalg.expm(augmented * tick_s)[:n, n : 2 * n]  # ∫e^{At}dt over a tick
-    a_delta, b_delta = a @ integral, integral @ b
-    zeros = _transmission_zeros(a_delta, b_delta, c)
-    poles = [_expm1(p * tick_s) for p in g.poles]
-    probe = 1.0  # any point away from the roots gives the gain
-    response = (c @ np.linalg.solve(probe * np.eye(n) - a_delta, b_delta)).item()
+    g = g.cancelled()  # a state space of what is left has a state for each pole
+    poles = np.array([_expm1(p * tick_s) for p in g.poles])
+    system = sampled(g, tick_s)
+    zeros = zeros_of(system, poles)
+    middle = np.abs(poles[poles != 0.0])
+    probe = float(np.exp(np.log(middle).mean())) if middle.size else 1.0  # right of all poles
     scale = np.prod([probe - p for p in poles]) / np.prod([probe - q for q in zeros])
-    return from_delta_zpk(zeros, poles, float((response * scale).real), tick_s)
+    gain = (response(system, np.array([probe + 0j])).item() * scale).real
+    return from_delta_zpk(zeros, poles, float(gain), tick_s)
 
 
 def _bilinear(
@@ -95,21 +88,21 @@ def _bilinear(
             f"a transfer function with {len(g.zeros)} zeros and {len(g.poles)} poles is improper: "
             "must have at least as many poles as zeros"
         )
-    kappa = _kappa(tick_s, prewarp_rad_per_s)
+    kappa = image_of_infinity(tick_s, prewarp_rad_per_s)
     for pole in g.poles:
         if pole == kappa:
             raise ParameterError(f"a pole at {pole.real:g} rad/s is mapped to infinity; change T")
-    zeros = [2.0 * r / (kappa - r) for r in g.zeros] + [-2.0 + 0j] * g.relative_degree
+    zeros = [2.0 * r / (kappa - r) for r in g.zeros] + [complex(-2.0)] * g.relative_degree
     poles = [2.0 * r / (kappa - r) for r in g.poles]
     # By pairs, so that no product of many large factors overflows or loses digits.
-    factors = [kappa - r for r in g.zeros] + [1.0 + 0j] * g.relative_degree
-    gain = g.gain + 0j
+    factors = [kappa - r for r in g.zeros] + [complex(1.0)] * g.relative_degree
+    gain = complex(g.gain)
     for above, below in zip(factors, [kappa - r for r in g.poles], strict=True):
         gain *= above / below
     return zeros, poles, gain.real
 
 
-def _kappa(tick_s: float, prewarp_rad_per_s: float | None) -> float:
+def image_of_infinity(tick_s: float, prewarp_rad_per_s: float | None) -> float:
     """2/T, or with prewarp ω/tan(ωT/2)."""
     if prewarp_rad_per_s is None:
         return 2.0 / tick_s
@@ -138,35 +131,3 @@ def _expm1(x: complex) -> complex:
     """e^x - 1 to full relative precision for small complex x (Python's expm1 takes reals)."""
     half = cmath.exp(x / 2.0)
     return 2.0 * half * cmath.sinh(x / 2.0)
-
-
-def _cascade(g: ZeroPoleGain) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A state space (A, b, c) of strictly proper ``g`` as a cascade of sections in s."""
-    sections = from_delta_zpk(g.zeros, g.poles, g.gain, 1.0).coefficients  # pairing knows no z
-    a = np.zeros((0, 0))
-    b = np.zeros((0, 1))
-    c = np.zeros((1, 0))
-    d = 1.0
-    for b0, b1, b2, a1, a2 in sections:
-        # controllable form; the δ/δ of a first-order section is a state that is never excited
-        if a2 == 0.0 and b2 == 0.0:
-            ai, bi, ci = np.array([[-a1]]), np.array([[1.0]]), np.array([[b1 - a1 * b0]])
-        else:
-            ai = np.array([[-a1, -a2], [1.0, 0.0]])
-            bi, ci = np.array([[1.0], [0.0]]), np.array([[b1 - a1 * b0, b2 - a2 * b0]])
-        a = np.block([[a, np.zeros((len(a), len(ai)))], [bi @ c, ai]])
-        b = np.vstack([b, bi * d])
-        c = np.hstack([b0 * c, ci])
-        d *= float(b0)
-    return a, b, c
-
-
-def _transmission_zeros(a: FloatArray, b: FloatArray, c: FloatArray) -> list[complex]:
-    """Finite zeros of c(δI - A)⁻¹b: n - 1 of them, since a sampled first sample answers."""
-    n = len(a)
-    pencil = np.block([[a, b], [c, np.zeros((1, 1))]])
-    mass = np.zeros((n + 1, n + 1))
-    mass[:n, :n] = np.eye(n)
-    roots = linalg.eigvals(pencil, mass)
-    finite = sorted(roots[np.isfinite(roots)], key=abs)[: n - 1]
-    return [complex(root) for root in finite]

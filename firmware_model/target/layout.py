@@ -31,6 +31,7 @@ TABLE = (
     Field("other_cars", "1", "what they show", other_cars.CONSTANTS),
     Field("mismatch", "1", "how this car differs", mismatch.CONSTANTS),
     Field("sequential_test", "1", "for a loss or its end", sequential_test.CONSTANTS),
+    Field("loss_model", "1", "what is lost", loss_model.CONSTANTS),
     Field("decision", "1", "on the fault state", decision.CONSTANTS),
     Field("bumpless_transfer", "1", "of F̂ to s w", bumpless_transfer.CONSTANTS),
     Field("probe", "1", "of the torque", probe.CONSTANTS),

@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import os
+import sys
 from pathlib import Path
+from types import ModuleType
 
 import pytest
 
@@ -14,12 +16,19 @@ def test_another_state_of_the_package_has_another_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Numba looks at the file of the cached function alone, not at what that calls."""
-    (tmp_path / "a.py").write_text("1")
-    monkeypatch.setattr(compiled, "__file__", str(tmp_path / "compiled.py"))
-    before = compiled._cache_folder()
-    assert compiled._cache_folder() == before
-    os.utime(tmp_path / "a.py", ns=(0, 0))
-    assert compiled._cache_folder() != before
+    for package in ("here", "caller"):
+        (tmp_path / package).mkdir()
+        (tmp_path / package / "a.py").write_text("1")
+    monkeypatch.setattr(compiled, "__file__", str(tmp_path / "here" / "compiled.py"))
+    caller = ModuleType("caller")
+    caller.__file__ = str(tmp_path / "caller" / "__init__.py")
+    monkeypatch.setitem(sys.modules, "caller", caller)
+    found = [compiled._cache_folder("caller")]
+    assert compiled._cache_folder("caller") == found[0]
+    for package in ("here", "caller"):
+        os.utime(tmp_path / package / "a.py", ns=(0, 0))
+        found.append(compiled._cache_folder("caller"))
+    assert len(set(found)) == 3
 
 
 def test_refusal_to_cache_is_no_refusal_to_compile(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import re
 import shlex
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 
@@ -20,7 +22,7 @@ from tests.project.pages import PAGES, ROOT, blocks, command_lines, prose, text_
 COMMANDS = main.list_commands(click.Context(main))
 LINES = [(page.name, line) for page in PAGES for line in command_lines(page.read_text("utf-8"))]
 RIG = [line for _, line in LINES if line.startswith("can-rig ")]
-OTHERS = {"cantools", "python", "sudo"}  # programs that are not ours
+OTHERS = {"cantools", "nice", "python", "sudo"}  # programs that are not ours
 PLACES = "can_rig|dbc|docs|firmware_model|tests|tools"
 
 
@@ -93,17 +95,36 @@ def test_every_scenario_loads(page: Path, tmp_path: Path) -> None:
         controller_table(scenario, network_of(scenario))
 
 
-@pytest.mark.parametrize("page", ["README.md", "docs/design.md", "docs/firmware.md"])
+RUN = (
+    *("README.md", "docs/design.md", "docs/firmware.md"),
+    *("docs/python.md", "docs/unit-test-a-filter.md"),
+)
+
+
+@pytest.mark.parametrize("page", RUN)
 def test_its_python_runs(page: str, capsys: pytest.CaptureFixture[str]) -> None:
     code = "\n".join(blocks(text_of(page), "python"))
     assert code
-    exec(code, {})
+    names: dict[str, object] = {}
+    exec(code, names)
+    for name, test in names.items():
+        if name.startswith("test_") and callable(test):
+            test()
+
+
+def test_the_test_of_a_filter_is_short_and_runs_by_pytest_alone(tmp_path: Path) -> None:
+    code = blocks(text_of("docs/unit-test-a-filter.md"), "python")[0]
+    assert len(code.splitlines()) <= 6
+    (tmp_path / "test_of_the_docs.py").write_text(code, "utf-8")
+    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(tmp_path)]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
+    assert "1 passed" in done.stdout, done.stdout
 
 
 def test_every_python_block_is_run_by_some_test() -> None:
     with_python = {ids(page) for page in PAGES if blocks(page.read_text("utf-8"), "python")}
     assert with_python == {
-        *("README.md", "docs/design.md", "docs/firmware.md"),  # above
+        *RUN,  # above
         *("docs/logs.md", "docs/scenarios.md"),  # below, and in test_docs_logs
     }
 

@@ -8,17 +8,18 @@ from typing import Any, Final
 
 import click
 
-from can_rig.cli.logs.own_dbc import own_dbc
+from can_rig.cli.logs.own_dbc import databases_of
 from can_rig.cli.options import (
     channel_option,
     dbc_options,
     force_option,
     json_option,
     log_argument,
+    window_of,
+    window_options,
 )
 from can_rig.cli.output import json_line, note, say, show, table
 from can_rig.cli.progress import reading
-from can_rig.decoding.database import load_database
 from can_rig.decoding.decode import Decoder
 from can_rig.decoding.files import Form, Selection, decode_to_files
 from can_rig.decoding.output import refuse_output
@@ -52,18 +53,21 @@ _SHOWN: Final = 5  # unknown identifiers in the table
     help="Only this signal, as Signal or Message.Signal; repeatable.",
 )
 @channel_option
+@window_options
 @click.option("--relative", is_flag=True, help="Count time from the start of the recording.")
 @click.option("--names", is_flag=True, help="Write the words of value tables, not their codes.")
 @force_option
 @json_option("The counts as one JSON object.")
 def command(
     log: Path,
-    dbc: Path | None,
+    dbc: tuple[str, ...],
     no_strict: bool,
     outputs: tuple[Path, ...],
     messages: tuple[str, ...],
     signals: tuple[str, ...],
     channel: str | None,
+    from_s: float | None,
+    to_s: float | None,
     relative: bool,
     names: bool,
     force: bool,
@@ -74,18 +78,18 @@ def command(
     Prints for every message how many frames there were and what became of them: too short,
     repeated, damaged, unknown.
     """
-    source = read_log(log / LOG if log.is_dir() else log)
-    database = load_database(dbc or own_dbc(log), not no_strict)
+    source = read_log(log / LOG if log.is_dir() else log, window=window_of(from_s, to_s))
+    databases = databases_of(log, dbc, not no_strict)
     for path in outputs:
         refuse_output(path, force)
     selection = Selection(messages or None, signals or None, channel)
     form = Form(relative, names)
-    decoder = decode_to_files(source, database, selection, outputs, form, reading)
+    decoder = decode_to_files(source, databases, selection, outputs, form, reading)
     if as_json:
         json_line(**_summary(source, decoder, outputs))
     else:
         _print(decoder, outputs)
-    note(source.notice)
+    note(source.notice, *(f"{name} does not lie within its message" for name in decoder.left_out))
 
 
 def _summary(log: Log, decoder: Decoder, outputs: Sequence[Path]) -> dict[str, Any]:

@@ -41,8 +41,8 @@ from can_rig.views.signal_table import SignalTable, read_table
 @click.option(
     "--out",
     type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.png",
-    help="Draw where they part.",
+    metavar="FILE",
+    help="Draw where they part: FILE.png, .svg or .pdf.",
 )
 @json_option()
 @force_option

@@ -1,15 +1,38 @@
-"""The DBC of a log that names none."""
+"""The databases of a log: those that are named, or its own."""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
+from cantools.database.can import Database
+
+from can_rig.decoding.database import load_database
+from can_rig.decoding.decode import Databases
 from can_rig.errors import RigError
 from can_rig.frames.dbc import shipped_dbc
 from can_rig.results.source import source_of
 
 CAR: Final = "steer_by_wire.dbc"
+
+
+def databases_of(source: Path, named: Sequence[str], strict: bool) -> Databases:
+    """The databases of --dbc, ``FILE`` or ``BUS=FILE``; the log's own without any.
+
+    Raises:
+        DbcError: one cannot be loaded.
+    """
+    if not named:
+        return load_database(own_dbc(source), strict)
+    found: list[tuple[str | None, Database]] = []
+    for name in named:
+        bus, equals, file = name.partition("=")
+        if equals and not Path(name).exists():
+            found.append((bus, load_database(file, strict)))
+        else:
+            found.append((None, load_database(name, strict)))
+    return found
 
 
 def own_dbc(source: Path) -> Path:

@@ -3,19 +3,26 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Mapping
 from pathlib import Path
 
 import click
-from cantools.database.can import Database
 
-from can_rig.cli.logs.own_dbc import own_dbc
+from can_rig.cli.logs.own_dbc import databases_of
 from can_rig.cli.logs.picture import refuse_picture
-from can_rig.cli.options import channel_option, dbc_options, force_option, log_argument
+from can_rig.cli.options import (
+    channel_option,
+    dbc_options,
+    force_option,
+    log_argument,
+    window_of,
+    window_options,
+)
 from can_rig.cli.output import note, say
 from can_rig.cli.progress import reading
-from can_rig.decoding.database import load_database
 from can_rig.decoding.decode import Decoder
 from can_rig.decoding.message_columns import MessageColumns, joined
+from can_rig.decoding.message_decoder import MessageDecoder
 from can_rig.errors import DbcError, LogError
 from can_rig.files import atomic
 from can_rig.logs.reading import read_log
@@ -29,29 +36,33 @@ from can_rig.views.signal_table import scenario_of
 @click.argument("signals", nargs=-1, required=True, metavar="SIGNAL...")
 @dbc_options
 @channel_option
+@window_options
 @click.option(
     "--out",
     type=click.Path(path_type=Path, dir_okay=False),
-    metavar="FILE.png",
-    help="The picture.  [default: the log's name, .png]",
+    metavar="FILE",
+    help="The picture, FILE.png, .svg or .pdf.  [default: the log's name, .png]",
 )
 @force_option
 def command(
     log: Path,
     signals: tuple[str, ...],
-    dbc: Path | None,
+    dbc: tuple[str, ...],
     no_strict: bool,
     channel: str | None,
+    from_s: float | None,
+    to_s: float | None,
     out: Path | None,
     force: bool,
 ) -> None:
     """Draw SIGNALs of LOG: MESSAGE.Signal, or Signal where only one message has it."""
     out = out or Path(f"{_bare(log)}.png")
     refuse_picture(out, force)
-    database = load_database(dbc or own_dbc(log), not no_strict)
-    wanted = [resolve(database, name) for name in signals]
-    decoder = Decoder(database, None, {f"{m}.{s}" for m, s in wanted}, channel)
-    source = read_log(log_path(log))
+    databases = databases_of(log, dbc, not no_strict)
+    every = Decoder(databases).messages
+    wanted = [resolve(every, name) for name in signals]
+    decoder = Decoder(databases, None, {f"{m}.{s}" for m, s in wanted}, channel)
+    source = read_log(log_path(log), window=window_of(from_s, to_s))
     parts: dict[str, list[MessageColumns]] = {}
     for frames in reading(source, "reading"):
         for name, columns in decoder.decode(frames).items():
@@ -65,20 +76,18 @@ def command(
     run = scenario_of(log) if log.is_dir() else None
     page = plot_page(found, drawn, source.start_ns, run.fault if run else None)
     with atomic(out) as part:
-        page.savefig(part, dpi=150, format="png")
+        page.savefig(part, dpi=150)
     note(source.notice, f"no frame of {', '.join(absent)}" if absent else None)
     say(f"picture in {out}")
 
 
-def resolve(database: Database, name: str) -> tuple[str, str]:
+def resolve(messages: Mapping[str, MessageDecoder], name: str) -> tuple[str, str]:
     """Message and signal of ``MESSAGE.Signal``, or of ``Signal`` where only one message has it.
 
     Raises:
         DbcError: there is none, or more than one.
     """
-    every = [
-        (message.name, signal.name) for message in database.messages for signal in message.signals
-    ]
+    every = [(message, signal) for message in messages for signal in messages[message].signals]
     found = [pair for pair in every if name in (pair[1], ".".join(pair))]
     if len(found) == 1:
         return found[0]

@@ -24,6 +24,7 @@ from can_rig.cli.progress import reading
 from can_rig.errors import LogError
 from can_rig.files import atomic, refuse_existing
 from can_rig.replay.gaps import Gap, in_order, write_gaps
+from can_rig.replay.in_real_time import recorded
 from can_rig.replay.replay import OpenLoop
 from can_rig.results.source import Source, source_of
 from can_rig.scenario.build import network_of
@@ -134,7 +135,11 @@ def _open_loop(source: Source, gaps: Path | None, force: bool, as_json: bool) ->
         refuse_existing(gaps, force, "--gaps")
     found: list[Gap] = []
     with _all_gaps(gaps) as write:
-        loop = OpenLoop(source.scenario, network_of(source.scenario), found.append)
+        network, answers = network_of(source.scenario), None
+        if source.is_realtime:
+            looking = source.frames(lambda log: reading(log, "looking through"))
+            answers = recorded(looking, network, source.scenario)
+        loop = OpenLoop(source.scenario, network, found.append, answers)
         loop.run(source.frames(lambda log: reading(log, "replaying")))
         listed = in_order(found)
         write(listed)

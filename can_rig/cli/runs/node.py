@@ -8,7 +8,14 @@ from dataclasses import asdict
 
 import click
 
-from can_rig.cli.options import Function, bus_option, json_option, realtime_option
+from can_rig.cli.options import (
+    Function,
+    above_zero,
+    bus_option,
+    json_option,
+    realtime_option,
+    silence_option,
+)
 from can_rig.cli.output import json_line, tell
 from can_rig.cli.progress import counting
 from can_rig.errors import INTERRUPTED, RigError
@@ -18,33 +25,17 @@ from can_rig.nodes.runner import NodeSummary
 from can_rig.scenario.settings import Scenario
 
 
-def _above_zero(
-    _context: click.Context, _option: click.Parameter, value: float | None
-) -> float | None:
-    if value is not None and not value > 0.0:  # nan too
-        raise click.BadParameter(f"{value:g} s: must be above 0")
-    return value
-
-
 def node_options(function: Function) -> Function:
     """What both nodes take beside the scenario."""
     for decorate in (
         bus_option("local", "local"),
         json_option("Progress and summary as JSON lines."),
-        click.option(
-            "--silence",
-            "silence_s",
-            type=float,
-            callback=_above_zero,
-            metavar="S",
-            help="Seconds of silence after which the other node counts as gone.  [default: 1.0; "
-            "plant --realtime drives on alone]",
-        ),
+        silence_option("1.0; plant --realtime drives on alone"),
         click.option(
             "--wait",
             "first_s",
             default=60.0,
-            callback=_above_zero,
+            callback=above_zero,
             show_default=True,
             metavar="S",
             help="Seconds to wait for the other node to appear.",

@@ -3,18 +3,26 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import asdict
 from pathlib import Path
 
 import click
 
 from can_rig.assessment.resolve import load
-from can_rig.cli.options import bus_option, realtime_option, scenario_options
+from can_rig.cli.options import (
+    bus_option,
+    json_option,
+    realtime_option,
+    scenario_options,
+    silence_option,
+)
+from can_rig.cli.output import json_line
 from can_rig.cli.progress import counting
 from can_rig.cli.runs.closing import closing_table
 from can_rig.errors import INTERRUPTED
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import refuse_log, write_log
-from can_rig.nodes.watchdog import StopRequest
+from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Timeouts
 from can_rig.results import execution
 from can_rig.results.execution import refuse
 from can_rig.results.run_folder import LOG
@@ -36,6 +44,8 @@ from can_rig.results.run_folder import LOG
 )
 @click.option("--in-process", is_flag=True, help="Both nodes in this process; the same log.")
 @click.option("--allow-unstable", is_flag=True, help="Run a loop that `can-rig check` refuses.")
+@silence_option("1.0")
+@json_option("The metrics and how it went as one JSON object.")
 @realtime_option
 def command(
     scenario: str,
@@ -46,6 +56,8 @@ def command(
     logs: tuple[Path, ...],
     in_process: bool,
     allow_unstable: bool,
+    silence_s: float | None,
+    as_json: bool,
     real_time: bool,
 ) -> None:
     """Run both nodes through SCENARIO and collect the run folder.
@@ -54,6 +66,8 @@ def command(
     """
     if in_process and real_time:
         raise click.UsageError("--in-process and --realtime: real time needs two processes")
+    if in_process and silence_s is not None:
+        raise click.UsageError("--in-process and --silence: in one process no node waits")
     chosen = load(scenario, settings)
     refuse(chosen, allow_unstable)
     for path in logs:
@@ -67,10 +81,14 @@ def command(
         bus=bus,
         runner=execution.real_time if real_time else runner,
         progress=lambda: counting(chosen.name, "ticks", chosen.ticks),
+        timeouts=DEFAULT_TIMEOUTS if silence_s is None else Timeouts(silence_s=silence_s),
     )
     if done is None:
         sys.exit(INTERRUPTED)
-    closing_table(done.scenario, done.network, done.metrics, done.outcome, done.folder)
+    if as_json:
+        json_line(folder=str(done.folder), metrics=done.metrics, **asdict(done.outcome))
+    else:
+        closing_table(done.scenario, done.network, done.metrics, done.outcome, done.folder)
     for path in logs:
         write_log(read_log(done.folder / LOG), path)
     if done.failure is not None:

@@ -3,22 +3,21 @@
 from __future__ import annotations
 
 import gzip
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
 from can_rig.logs.frames import ERROR, EXTENDED, FD, REMOTE, SENT, Frames
-from can_rig.logs.log import Log
 
 _ERROR_BIT: Final = 1 << 29
 _FD_FLAGS_SHIFT: Final = 4  # of BITRATE_SWITCH and ERROR_STATE, in candump's order
 
 
-def write_candump(log: Log, path: Path) -> None:
+def write_candump(chunks: Iterable[Frames], path: Path) -> None:
     """Write a log; gzipped, without a date of its own, if the name ends in ``.gz``."""
     compressed = path.suffix.lower() == ".gz"
     with gzip.GzipFile(path, "wb", mtime=0) if compressed else path.open("wb") as file:
-        for frames in log:
+        for frames in chunks:
             file.write("".join(candump_lines(frames)).encode("ascii"))
 
 

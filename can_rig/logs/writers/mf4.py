@@ -6,6 +6,7 @@ file starts when the log does, and its time stamps are exact to the nanosecond.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any, Final
@@ -33,7 +34,7 @@ _DLC: Final = np.array([*range(9), *np.repeat(range(9, 16), [4, 4, 4, 4, 8, 16, 
 """DLC by payload length: 9 for 9 to 12 bytes, …, 15 for 49 to 64."""
 
 
-def write_mf4(log: Log, path: Path) -> None:
+def write_mf4(log: Log, chunks: Iterable[Frames], path: Path) -> None:
     """Write a log; a channel group for each kind of frame and width of payload that occurs."""
     from asammdf import MDF, Signal, Source  # noqa: PLC0415 (slow to import)
 
@@ -41,7 +42,7 @@ def write_mf4(log: Log, path: Path) -> None:
     with MDF(version="4.10") as file:
         start_ns: int | None = None
         groups: dict[tuple[str, int], int] = {}
-        for frames in log:
+        for frames in chunks:
             if start_ns is None:
                 start_ns = log.start_ns
                 file.header.start_time = datetime.fromtimestamp(start_ns // NS_PER_S, UTC)

@@ -1,53 +1,32 @@
-"""Logs of Vector and PEAK, through python-can's writers."""
+"""Logs of Vector, through python-can's writers."""
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path
 from typing import Final
 
-from can.io import ASCWriter, BLFWriter, TRCWriter
+from can.io import ASCWriter, BLFWriter
 
-from can_rig.errors import LogError
-from can_rig.logs.frames import ERROR, FD, NS_PER_S, REMOTE
-from can_rig.logs.log import Log
+from can_rig.logs.frames import NS_PER_S, Frames
 
 _HALF_NS: Final = 5e-10
 _BLF_SINCE_NS: Final = 631_152_000 * NS_PER_S  # 1990: python-can writes no earlier date
 
 
-def write_asc(log: Log, path: Path) -> None:
+def write_asc(chunks: Iterable[Frames], path: Path) -> None:
     """Write a Vector ASCII log."""
     with ASCWriter(path) as writer:
-        for frames in log:
+        for frames in chunks:
             for message in frames.messages():
                 writer.on_message_received(message)
 
 
-def write_trc(log: Log, path: Path, final: Path) -> None:
-    """Write a PEAK trace that says in its header that it is called ``final``.
-
-    Raises:
-        LogError: a frame is not a classic data frame.
-    """
-    with TRCWriter(path) as writer:
-        writer.filepath = str(final.absolute())
-        for frames in log:
-            other = frames.has(FD | REMOTE | ERROR)
-            if other.any():
-                raise LogError(
-                    f"{final}: python-can writes only classic data frames to PEAK traces, and "
-                    f"{int(other.sum())} frames of {log.path} are not; the format must be .log, "
-                    ".blf or .mf4"
-                )
-            for message in frames.messages():
-                writer.on_message_received(message)
-
-
-def write_blf(log: Log, path: Path) -> None:
+def write_blf(source: Iterable[Frames], path: Path) -> None:
     """Write a Vector binary log."""
     with BLFWriter(path) as writer:
-        chunks = iter(log)
+        chunks = iter(source)
         first = next(chunks, None)
         if first is None:
             return

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from typing import Final
+from typing import Final, Protocol
 
 import can
 
@@ -16,6 +16,17 @@ from can_rig.nodes.bus_access import Send
 from can_rig.nodes.controller_end import ControllerEnd, started
 from can_rig.nodes.watchdog import Interrupted, Watchdog
 from can_rig.scenario.settings import Scenario
+from firmware_model.firmware import Firmware
+
+
+class Actuation(Protocol):
+    """What a replay knows of the commands that were recorded."""
+
+    def begin(self, tick: int, firmware: Firmware) -> bool:
+        """Tell the firmware what acts from ``tick`` on; whether its sample was answered."""
+
+    def send(self, tick: int, commands: tuple[float, float]) -> None:
+        """Note the commands of a tick."""
 
 
 class ControllerNode:
@@ -25,12 +36,16 @@ class ControllerNode:
         scenario: the run.
         network: its frames.
         send: sends a frame.
+        actuation: of a run in real time that is replayed; None: every answer is in time.
 
     Raises:
         ScenarioError: a design that cannot be made.
     """
 
-    def __init__(self, scenario: Scenario, network: Network, send: Send) -> None:
+    def __init__(
+        self, scenario: Scenario, network: Network, send: Send, actuation: Actuation | None = None
+    ) -> None:
+        self._actuation = actuation
         self.ticks: Final = scenario.ticks
         self._end = ControllerEnd(scenario, network, send)
         _, self._firmware = started(scenario, network)
@@ -114,7 +129,11 @@ class ControllerNode:
         tick = tick_from(wire_tick, self._tick)
         now = self._reference_now
         reference = now.value if now.tick == wire_tick else math.nan  # none: hold, and say so
+        if self._actuation is not None and not self._actuation.begin(tick, self._firmware):
+            reference = measurement = math.nan
         answer = self._firmware.step(reference, measurement)
+        if self._actuation is not None:
+            self._actuation.send(tick, (answer.command_1, answer.command_2))
         self._end.send_commands(tick, answer.command_1, answer.command_2)
         self._end.send_status(tick, answer.fault_estimate, answer.mode, answer.fault_state)
         self._end.end_tick()

@@ -16,7 +16,7 @@ from firmware_model.target.precision import real
 from firmware_model.target.structs import Field, Record
 
 MAX_DIRECTIONS = 4
-MAX_STATES = MAX_DIRECTIONS + 1  # the last is the remainder
+MAX_STATES = 1 + MAX_DIRECTIONS + 1  # the share of a loss, directions, the remainder
 SIZES = (MAX_STATES,)
 
 STATE = (
@@ -89,6 +89,13 @@ def grow(state: Record, which: int, variance: float) -> None:
         for i in range(j):
             added[i] -= added[j] * upper[i, j]
             upper[i, j] += share * added[i]
+
+
+@firmware
+def replace_first(state: Record, variance: float) -> None:
+    """P with a new first state of ``variance`` in place of the old one; the others stay."""
+    state.upper[0, 1:] = 0.0
+    state.variances[0] = variance
 
 
 @firmware

@@ -20,16 +20,19 @@ from __future__ import annotations
 from firmware_model.compiled import firmware
 from firmware_model.target.fault_decision.bumpless_transfer import begin_transfer
 from firmware_model.target.fault_decision.loss_model import (
+    follow_share,
+    known_share,
     loss_output,
     loss_shown,
     take_over_candidate,
 )
-from firmware_model.target.fault_decision.mismatch import innovation, predict_mismatch
+from firmware_model.target.fault_decision.mismatch import innovation, learn_share, predict_mismatch
 from firmware_model.target.fault_decision.other_cars import show_other_cars
 from firmware_model.target.fault_decision.probe import begin_probe, correlate, end_probe
 from firmware_model.target.fault_decision.sequential_test import (
     candidate_output,
     candidate_shown,
+    forget_candidate,
     lost_share,
     start_candidate,
     update_test,
@@ -73,15 +76,17 @@ def decide(table: Record, state: Record, residual: float, model_1: float, model_
     constants, test = table.decision, state.sequential_test
     acting = state.estimator.showing_1 * acting_share(state)
     show_other_cars(table, state, acting, state.estimator.showing_2)
-    predict_mismatch(table, state, model_1 + model_2)
-    new = innovation(table.mismatch, state.mismatch, residual - loss_shown(table, state))
+    before, w = state.fault_state, loss_shown(table, state)
+    lost = w if before == CONFIRMED else real(0.0, w)
+    predict_mismatch(table, state, model_1 + model_2, lost)
+    new = innovation(table.mismatch, state.mismatch, residual - state.loss_model.share * w)
+    follow_share(table.loss_model, state)
     if state.probe.tick > 0:
         evaluate_probe(table, state, residual)
         return
     state.decision.pause = max(state.decision.pause - 1, 0)
-    before = state.fault_state
     share = table.sequential_test.share
-    update_test(table, state, new, -state.loss_model.share if before == CONFIRMED else share)
+    update_test(table, state, new, -known_share(state) if before == CONFIRMED else share)
     proven = test.evidence > constants.confirm
     if before == CONFIRMED:
         if proven:
@@ -111,7 +116,7 @@ def decide(table: Record, state: Record, residual: float, model_1: float, model_
 def acting_share(state: Record) -> float:
     """The part of command 1 that is known to act."""
     one = real(1.0, state.command_1)
-    share: float = one - state.loss_model.share if state.fault_state == CONFIRMED else one
+    share: float = one - known_share(state) if state.fault_state == CONFIRMED else one
     return share
 
 
@@ -131,19 +136,24 @@ def evaluate_probe(table: Record, state: Record, residual: float) -> None:
 def confirm(table: Record, state: Record) -> None:
     """Take channel 1 for lost since the start of the candidate."""
     share = max(lost_share(state.sequential_test), real(LEAST_SHARE, state.command_1))
+    doubt = table.loss_model.doubt / max(state.sequential_test.information, table.decision.suspect)
     transfer_to_losses(table, state, share)
     take_over_candidate(table, state, share, real(1.0, share))
     state.fault_state = CONFIRMED
+    forget_candidate(table, state, share)
+    learn_share(state.mismatch, min(table.loss_model.share_variance, doubt))
     start_candidate(table, state)
 
 
 @firmware
 def recover(table: Record, state: Record) -> None:
     """Channel 1 works again, since the start of the candidate."""
-    share = state.loss_model.share
+    share = max(known_share(state), real(LEAST_SHARE, state.command_1))
     transfer_to_losses(table, state, -share)
     take_over_candidate(table, state, share, -real(1.0, share))
     state.fault_state = CLEAR
+    forget_candidate(table, state, -share)
+    learn_share(state.mismatch, real(0.0, share))
     start_candidate(table, state)
 
 
@@ -151,15 +161,15 @@ def recover(table: Record, state: Record) -> None:
 def transfer_to_losses(table: Record, state: Record, share: float) -> None:
     """Begin a bumpless transfer of F̂ to the known loss and ``share`` of the candidate."""
     loss, test = state.loss_model, state.sequential_test
-    lost = loss.share * loss.previous_output + share * test.previous_output
-    now = loss_output(table, state) + share * candidate_output(table, state)
+    lost = loss.followed * loss.previous_output + share * test.previous_output
+    now = loss.followed * loss_output(table, state) + share * candidate_output(table, state)
     begin_transfer(table.bumpless_transfer, state.bumpless_transfer, lost, now - lost)
 
 
 @firmware
 def compensated_output(table: Record, state: Record) -> float:
     """What F̂ makes up for: what is known to be lost, and what is suspected to be."""
-    lost = loss_output(table, state)
+    lost: float = state.loss_model.followed * loss_output(table, state)
     if state.fault_state == SUSPECTED and table.probe.ticks == 0:
         lost = lost + state.decision.suspected_share * candidate_output(table, state)
     return lost

@@ -2,6 +2,9 @@
 
 The thesis's (2.9) for a loss of all: what channel 1 would have added to y. Once the channel works
 again no more commands are lost, and w fades as the motion does that they would have caused.
+
+At first s is known but roughly: how far it is off, ``mismatch`` learns from the ticks that follow.
+F̂ differentiates, so it gets s as two lags in a row follow it.
 """
 
 from __future__ import annotations
@@ -15,9 +18,16 @@ from firmware_model.target.structs import MAX_SHOWN_TICKS, Field, Record
 
 CONFIRMED = int(FaultState.CONFIRMED)
 
+CONSTANTS = (
+    Field("share_variance", "1", "largest of s, when a loss is confirmed"),
+    Field("doubt", "1", "variance of s then, times the information on it"),
+    Field("follow", "1", "part of the distance to s that a lag covers in a tick"),
+)
 STATE = (
     Field("channel_1", "y", "state of G1 driven by the commands that were lost", biquad.STATE),
-    Field("share", "1", "s, the part of channel 1 that is lost"),
+    Field("share", "1", "s, the part of channel 1 that is lost, as of its confirmation"),
+    Field("between", "1", "s behind the first lag"),
+    Field("followed", "1", "s behind the second lag"),
     Field("previous_output", "y", "w of the last tick"),
     Field("delay", "y", "ring of w on its way into d̂", shape=(MAX_SHOWN_TICKS,)),
 )
@@ -25,19 +35,34 @@ STATE = (
 
 @firmware
 def loss_output(table: Record, state: Record) -> float:
-    """s w of this tick, as this tick's command drives it."""
-    loss = state.loss_model
-    w: float = output(table.estimator.channel_1, loss.channel_1, lost_command(state)) * loss.share
+    """w of this tick, as this tick's command drives it."""
+    w: float = output(table.estimator.channel_1, state.loss_model.channel_1, lost_command(state))
     return w
 
 
 @firmware
 def loss_shown(table: Record, state: Record) -> float:
-    """s w as d̂ of this tick contains it, late by bus and dead time."""
+    """w as d̂ of this tick contains it, late by bus and dead time."""
     if table.estimator.shown_ticks_1 > 0:
-        w: float = state.loss_model.delay[state.estimator.shown_index_1] * state.loss_model.share
+        w: float = state.loss_model.delay[state.estimator.shown_index_1]
         return w
     return loss_output(table, state)
+
+
+@firmware
+def known_share(state: Record) -> float:
+    """s as far as it is known now, 0..1."""
+    share = state.loss_model.share + state.mismatch.theta[0]
+    known: float = min(max(share, real(0.0, share)), real(1.0, share))
+    return known
+
+
+@firmware
+def follow_share(constants: Record, state: Record) -> None:
+    """What F̂ gets of s, a tick later."""
+    loss = state.loss_model
+    loss.between += constants.follow * (known_share(state) - loss.between)
+    loss.followed += constants.follow * (loss.between - loss.followed)
 
 
 @firmware
@@ -70,7 +95,7 @@ def take_over_candidate(table: Record, state: Record, share: float, sign: float)
         sign: 1 or -1.
     """
     loss, test = state.loss_model, state.sequential_test
-    earlier = loss.share / share
+    earlier = known_share(state) / share
     for i in range(table.estimator.channel_1.n):
         for j in range(2):
             before = earlier * loss.channel_1.accumulators[i, j]
@@ -78,7 +103,7 @@ def take_over_candidate(table: Record, state: Record, share: float, sign: float)
     for i in range(table.estimator.shown_ticks_1):
         loss.delay[i] = earlier * loss.delay[i] + sign * test.delay[i]
     loss.previous_output = earlier * loss.previous_output + sign * test.previous_output
-    loss.share = share
+    loss.share = loss.between = loss.followed = share
 
 
 @firmware
@@ -87,4 +112,4 @@ def clear_loss_model(state: Record) -> None:
     loss = state.loss_model
     loss.channel_1.accumulators[:] = 0.0
     loss.delay[:] = 0.0
-    loss.share = loss.previous_output = 0.0
+    loss.share = loss.between = loss.followed = loss.previous_output = 0.0

@@ -13,6 +13,9 @@ from d̂ itself. What a loss would show is put through the same gains (``sequent
 the part of it that no other car explains counts as evidence (Willsky and Jones, IEEE Trans. Autom.
 Control 21 (1976) 108).
 
+After a confirmed loss one more state learns how far its share was off, whose x is the lost w: then
+the moment and the share of the loss are only roughly known.
+
 What other cars show beyond the first order is a remainder that changes as slowly as the car does:
 one more θ, whose x is 1. Both wander only where the car moves: the steady state of a bend is the
 same for any time, so what d̂ is there is soon known, and a loss is told from it at once. The measure
@@ -33,12 +36,13 @@ from firmware_model.target.fault_decision.covariance import (
     fade,
     grow,
     measure,
+    replace_first,
 )
 from firmware_model.target.precision import real
 from firmware_model.target.structs import Field, Record
 
 CONSTANTS = (
-    Field("n", "1", "other cars and the remainder; 0: the model is trusted", "int32"),
+    Field("n", "1", "states: the share of a loss, other cars, the remainder", "int32"),
     Field("prior", "1", "P0, variance of each θ before anything is known; of the remainder 1"),
     Field("forgetting", "1", "1 - φ of each θ where the car moves", shape=SIZES),
     Field("growth", "1", "1 - φ², times the variance of θ", shape=SIZES),
@@ -67,25 +71,28 @@ STATE = (
 
 
 @firmware
-def predict_mismatch(table: Record, state: Record, model_output: float) -> None:
+def predict_mismatch(table: Record, state: Record, model_output: float, lost: float) -> None:
     """x of this tick, and its part in the variance of the noise.
 
     Args:
         table: the constant table.
         state: changed in place; ``other_cars`` shows this tick.
         model_output: G1 u1 + G2 u2 as d̂ contains it.
+        lost: w of a confirmed loss likewise; 0 without one.
     """
     constants, mismatch, shown = table.mismatch, state.mismatch, state.other_cars.shown
     a, x, previous = constants.colour, mismatch.regressor, mismatch.x
     extent = change = real(0.0, model_output)
+    x[0] = lost - a * previous[0]
+    previous[0] = lost
     for i in range(table.other_cars.n):
         now = shown[i]
-        x[i] = now - a * previous[i]
-        moved = now - previous[i]
-        previous[i] = now
+        x[i + 1] = now - a * previous[i + 1]
+        moved = now - previous[i + 1]
+        previous[i + 1] = now
         extent += now * now
         change += moved * moved
-    if constants.n > 0:
+    if constants.n > 1:
         x[constants.n - 1] = real(1.0, model_output) - a
     moved = model_output - mismatch.previous_model_output
     mismatch.previous_model_output = model_output
@@ -122,7 +129,7 @@ def innovation(constants: Record, state: Record, residual: float) -> float:
         memory[i] = one - wander * constants.forgetting[i]
         theta[i] = memory[i] * (theta[i] + gain[i] * new)
     fade(state.covariance, n, memory)
-    for i in range(n):
+    for i in range(1, n):
         growth = state.remainder if i == n - 1 else wander
         grow(state.covariance, i, constants.growth[i] * growth)
     if not (math.isfinite(new) and math.isfinite(state.variance)):
@@ -136,7 +143,7 @@ def clear_mismatch(constants: Record, state: Record) -> None:
     state.x[:] = 0.0
     state.theta[:] = 0.0
     clear_covariance(state.covariance)
-    for i in range(constants.n - 1):
+    for i in range(1, constants.n - 1):
         state.covariance.variances[i] = constants.prior
     state.extent = state.change = state.remainder = 0.0
     state.previous_model_output = 0.0
@@ -147,5 +154,13 @@ def clear_mismatch(constants: Record, state: Record) -> None:
 def settle_mismatch(table: Record, state: Record, model_output: float) -> None:
     """The steady state that ``other_cars`` shows; nothing is known of the car."""
     clear_mismatch(table.mismatch, state.mismatch)
-    predict_mismatch(table, state, model_output)
+    predict_mismatch(table, state, model_output, real(0.0, model_output))
     state.mismatch.change = state.mismatch.remainder = 0.0  # it came there long ago
+
+
+@firmware
+def learn_share(state: Record, variance: float) -> None:
+    """From now on learn how far the share of a loss is off; nothing with a ``variance`` of 0."""
+    state.theta[0] = 0.0
+    state.x[0] = 0.0
+    replace_first(state.covariance, variance)

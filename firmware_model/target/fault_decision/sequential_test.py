@@ -108,6 +108,14 @@ def advance_candidate(table: Record, state: Record) -> None:
 
 
 @firmware
+def forget_candidate(table: Record, state: Record, share: float) -> None:
+    """Take back what θ has learnt from ``share`` of w, taken for another car until now."""
+    theta, explained = state.mismatch.theta, state.sequential_test.explained
+    for i in range(table.mismatch.n):
+        theta[i] -= share * explained[i]
+
+
+@firmware
 def lost_share(test: Record) -> float:
     """The share of channel 1 that explains ``innovation`` best, 0..1, by least squares."""
     zero, one = real(0.0, test.evidence), real(1.0, test.evidence)

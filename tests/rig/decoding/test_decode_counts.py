@@ -139,8 +139,12 @@ def test_only_what_is_wanted() -> None:
         Decoder(database, messages=["BIGG"])
 
 
-def test_a_signal_that_does_not_fit_is_refused() -> None:
+def test_a_signal_that_does_not_fit_is_left_out() -> None:
     text = FEATURES.replace("Temp : 36|7@0-", "Temp : 60|16@0-")
     database = cantools.database.load_string(text, "dbc", strict=False)
-    with pytest.raises(DbcError, match="message BIG: signal Temp must end within the 8 bytes"):
-        Decoder(database)
+    decoder = Decoder(database)
+    assert decoder.left_out == ["BIG.Temp"]
+    frame = Message(arbitration_id=1024, is_extended_id=False, data=bytes(8))
+    columns = decoder.decode(from_messages([frame]))["BIG"]
+    others = {s.name for s in database.get_message_by_name("BIG").signals} - {"Temp"}
+    assert set(columns.signals) == others

@@ -24,7 +24,7 @@ from can_rig.logs.frames import (
     concatenate,
     from_messages,
 )
-from can_rig.logs.readers import candump_lines
+from can_rig.logs.readers.text import candump_lines
 from can_rig.logs.reading import read_log
 from can_rig.logs.writers.candump import candump_lines as lines_of
 from tests.rig.logs.candump_samples import DIRECTED, GOOD, rows, whole, written
@@ -121,7 +121,7 @@ def test_time_stamps_are_exact(tmp_path: Path) -> None:
 def test_blocks_of_any_size(tmp_path: Path, monkeypatch, block: int) -> None:
     plain, packed = (written(tmp_path, DIRECTED * 2), gzip.compress((DIRECTED * 2).encode()))
     every = rows(whole(plain))
-    monkeypatch.setattr("can_rig.logs.readers.blocks.BLOCK_BYTES", block)
+    monkeypatch.setattr("can_rig.logs.readers.text.blocks.BLOCK_BYTES", block)
     assert rows(whole(plain)) == every
     assert rows(whole(written(tmp_path, packed, "a.log.gz"))) == every
 
@@ -145,5 +145,5 @@ def test_the_compiled_lines_are_those_that_run_interpreted(tmp_path: Path, monke
     for name, value in vars(candump_lines).items():
         if hasattr(value, "py_func"):
             monkeypatch.setattr(candump_lines, name, value.py_func)
-    monkeypatch.setattr("can_rig.logs.readers.candump.parse", candump_lines.parse)
+    monkeypatch.setattr("can_rig.logs.readers.text.candump.parse", candump_lines.parse)
     assert rows(whole(tmp_path / "a.log")) == compiled

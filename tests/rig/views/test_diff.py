@@ -112,7 +112,7 @@ def test_bad_words_are_one_line(runs: Path) -> None:
         ((a, a, "--tolerance", "torqe_nm=1"), "did you mean torque_nm?"),
         ((a, a, "--tolerance", "torque_nm=-1"), "0 or above"),
         ((a, a, "--tolerance", "torque_nm"), "SIGNAL=VALUE"),
-        ((a, a, "--out", "x.pdf"), "FILE.png"),
+        ((a, a, "--out", "x.gif"), "FILE.png, FILE.svg or FILE.pdf"),
         ((a, runs), "has no signals.csv"),
         ((a, "gone.log"), "there is no such file"),
         ((a, "bad.csv"), "not a table of numbers"),

@@ -12,7 +12,7 @@ from hypothesis.extra.numpy import arrays
 
 from can_rig.cli.logs.plot import resolve
 from can_rig.decoding.database import load_database
-from can_rig.decoding.decode import decode_log
+from can_rig.decoding.decode import Decoder, decode_log
 from can_rig.errors import DbcError
 from can_rig.scenario.settings import FaultSettings
 from can_rig.views.plot_picture import MAX_POINTS, plot_page, thinned
@@ -58,7 +58,7 @@ def test_any_dbc_any_log(car: Path) -> None:
         (("State", "--dbc", "car.dbc", "--force", "--channel", "can9"), "the log has can0"),
         (("SteerTorque", "--force"), "no frame of STEER_TORQUE_CMD"),
         (("State", "--dbc", "away.dbc", "--force"), "cannot be read"),
-        (("State", "--dbc", "car.dbc", "--out", "x.svg"), "FILE.png"),
+        (("State", "--dbc", "car.dbc", "--out", "x.jpg"), "FILE.png, FILE.svg or FILE.pdf"),
     ):
         refused = asked("plot", car, *arguments)
         assert refused.returncode == 2, arguments
@@ -115,12 +115,12 @@ def test_a_long_signal_keeps_every_peak(values: np.ndarray) -> None:
 
 
 def test_names() -> None:
-    database = load_database(DBC / "steer_by_wire.dbc")
-    assert resolve(database, "DStar") == ("DSTAR_FEEDBACK", "DStar")
-    assert resolve(database, "CONTROLLER_STATUS.Tick") == ("CONTROLLER_STATUS", "Tick")
+    messages = Decoder(load_database(DBC / "steer_by_wire.dbc")).messages
+    assert resolve(messages, "DStar") == ("DSTAR_FEEDBACK", "DStar")
+    assert resolve(messages, "CONTROLLER_STATUS.Tick") == ("CONTROLLER_STATUS", "Tick")
     with pytest.raises(DbcError, match="more than one message"):
-        resolve(database, "Tick")
+        resolve(messages, "Tick")
     with pytest.raises(DbcError, match="did you mean DStar"):
-        resolve(database, "dstar")
+        resolve(messages, "dstar")
     with pytest.raises(DbcError, match="it has Checksum"):
-        resolve(database, "qqqq")
+        resolve(messages, "qqqq")

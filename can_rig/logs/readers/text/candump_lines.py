@@ -14,8 +14,6 @@ from __future__ import annotations
 
 from typing import Any
 
-import numpy as np
-
 from can_rig.logs.frames import (
     BITRATE_SWITCH,
     CLASSIC_BYTES,
@@ -28,23 +26,27 @@ from can_rig.logs.frames import (
     SENT,
     UInt8s,
 )
+from can_rig.logs.readers.text.scanning import (
+    BAD_LINE,
+    DIGIT,
+    DONE,
+    LOWER,
+    NEW_CHANNEL,
+    NEWLINE,
+    NOT_A_DIGIT,
+    WIDER,
+    blanks,
+    fixed_point,
+    is_blank,
+    next_word,
+    word_end,
+)
 from firmware_model.compiled import compiled
 
-DONE, BAD_LINE, NEW_CHANNEL, WIDER = 0, 1, 2, 3
-"""Why `parse` returned: no text or no room is left, or what the next line contains."""
-
 _ERROR_BIT, _REMOTE_BIT, _ID_MASK = 1 << 29, 1 << 30, (1 << 29) - 1
-_NOT_HEX = 255
-_HEX = np.full(256, _NOT_HEX, dtype=np.uint8)
-_HEX[list(b"0123456789")] = range(10)
-_HEX[list(b"abcdef")] = range(10, 16)
-_HEX[list(b"ABCDEF")] = range(10, 16)
-_NEWLINE, _RETURN, _TAB, _SPACE = 10, 13, 9, 32
-_ZERO, _NINE, _POINT, _HASH, _UNDERSCORE = 48, 57, 46, 35, 95
-_OPEN, _CLOSE = 40, 41
-_R, _T, _LOWER = 114, 116, 32  # in either case
-_LAST_SECOND = (1 << 63) // 10**9 - 1  # in the year 2262
 _NS_DIGITS = 9
+_HASH, _UNDERSCORE, _OPEN, _CLOSE = 35, 95, 40, 41
+_R, _T = 114, 116
 
 
 @compiled
@@ -70,8 +72,8 @@ def parse(
     end = len(text)
     while frames < room and at < end:
         line = at
-        at = _blanks(text, at)
-        if text[at] == _NEWLINE:
+        at = blanks(text, at)
+        if text[at] == NEWLINE:
             at += 1
             lines += 1
             continue
@@ -80,20 +82,20 @@ def parse(
         if at < 0:
             return frames, lines, line, BAD_LINE
         known = _find(text, name, at, names, name_ends)
-        bits, identifier, at = _identifier(text, _blanks(text, at))
+        bits, identifier, at = _identifier(text, blanks(text, at))
         if at < 0:
             return frames, lines, line, BAD_LINE
         bits, size, at = _payload(text, at, bits, data[frames])
         if at < 0:
             return frames, lines, line, WIDER if size > width else BAD_LINE
-        if _is_blank(text[at]):
-            at = _blanks(text, at)
-            if text[at] | _LOWER == _T:
+        if is_blank(text[at]):
+            at = blanks(text, at)
+            if text[at] | LOWER == _T:
                 bits |= SENT
-                at = _blanks(text, at + 1)
-            elif text[at] | _LOWER == _R:
-                at = _blanks(text, at + 1)
-        if text[at] != _NEWLINE:
+                at = blanks(text, at + 1)
+            elif text[at] | LOWER == _R:
+                at = blanks(text, at + 1)
+        if text[at] != NEWLINE:
             return frames, lines, line, BAD_LINE
         if known < 0:
             return frames, lines, line, NEW_CHANNEL
@@ -109,53 +111,24 @@ def parse(
 
 
 @compiled
-def _is_blank(byte: int) -> bool:
-    return byte in (_SPACE, _TAB, _RETURN)
-
-
-@compiled
-def _blanks(text: UInt8s, at: int) -> int:
-    """The position after the blanks at ``at``."""
-    while _is_blank(text[at]):
-        at += 1
-    return at
-
-
-@compiled
 def _stamp(text: UInt8s, at: int) -> tuple[int, int]:
     """``(seconds.fraction)`` in ns, finer digits cut off, and the position after it; -1: none."""
     if text[at] != _OPEN:
         return 0, -1
-    at += 1
-    first = at
-    value = 0
-    while _ZERO <= text[at] <= _NINE:
-        value = value * 10 + (int(text[at]) - _ZERO)
-        at += 1
-    if not 0 < at - first <= _NS_DIGITS + 1 or value > _LAST_SECOND:
+    value, at = fixed_point(text, at + 1, _NS_DIGITS)
+    if at < 0 or value < 0 or text[at] != _CLOSE:
         return 0, -1
-    digits = 0
-    if text[at] == _POINT:
-        at += 1
-        while _ZERO <= text[at] <= _NINE:
-            if digits < _NS_DIGITS:
-                value = value * 10 + (int(text[at]) - _ZERO)
-                digits += 1
-            at += 1
-    for _ in range(_NS_DIGITS - digits):
-        value *= 10
-    return value, at + 1 if text[at] == _CLOSE else -1
+    return value, at + 1
 
 
 @compiled
 def _word(text: UInt8s, at: int) -> tuple[int, int]:
     """Begin and end of the word after some blanks; an end of -1: no blanks or no word."""
-    if at < 0 or not _is_blank(text[at]):
+    start = next_word(text, at)
+    if start < 0:
         return 0, -1
-    start = at = _blanks(text, at)
-    while text[at] > _SPACE:
-        at += 1
-    return start, at if at > start and _is_blank(text[at]) else -1
+    end = word_end(text, start)
+    return start, end if is_blank(text[end]) else -1
 
 
 @compiled
@@ -179,8 +152,8 @@ def _identifier(text: UInt8s, at: int) -> tuple[int, int, int]:
     """``123#`` or ``12345678#``: flags, identifier, and the position after it; -1: not one."""
     first = at
     value = 0
-    while _HEX[text[at]] != _NOT_HEX and at - first < 9:
-        value = value << 4 | int(_HEX[text[at]])
+    while DIGIT[text[at]] != NOT_A_DIGIT and at - first < 9:
+        value = value << 4 | int(DIGIT[text[at]])
         at += 1
     digits = at - first
     if text[at] != _HASH or not 0 < digits <= 8 or (digits <= 3 and value > 0x7FF):
@@ -203,30 +176,30 @@ def _payload(text: UInt8s, at: int, bits: int, row: UInt8s) -> tuple[int, int, i
     """
     max_bytes = CLASSIC_BYTES
     if text[at] == _HASH:
-        kind = _HEX[text[at + 1]]
-        if kind == _NOT_HEX:
+        kind = DIGIT[text[at + 1]]
+        if kind == NOT_A_DIGIT:
             return 0, 0, -1
         max_bytes = FD_BYTES
         bits |= FD | BITRATE_SWITCH * (int(kind) & 1) | ERROR_STATE * (int(kind) >> 1 & 1)
         at += 2
-    elif text[at] | _LOWER == _R:
+    elif text[at] | LOWER == _R:
         bits |= REMOTE
         row[:] = 0
         at += 1
         size = 0
-        if _HEX[text[at]] != _NOT_HEX:
-            size = int(_HEX[text[at]])
+        if DIGIT[text[at]] != NOT_A_DIGIT:
+            size = int(DIGIT[text[at]])
             at += 1
         if size > CLASSIC_BYTES:
             return 0, 0, -1
         return bits, size, _raw_dlc(text, at, size)
     size = 0
-    while _HEX[text[at]] != _NOT_HEX:
-        low = _HEX[text[at + 1]]
-        if low == _NOT_HEX or size == max_bytes:
+    while DIGIT[text[at]] != NOT_A_DIGIT:
+        low = DIGIT[text[at + 1]]
+        if low == NOT_A_DIGIT or size == max_bytes:
             return 0, 0, -1
         if size < len(row):
-            row[size] = _HEX[text[at]] << 4 | low
+            row[size] = DIGIT[text[at]] << 4 | low
         size += 1
         at += 2
     if size > len(row):
@@ -240,5 +213,5 @@ def _raw_dlc(text: UInt8s, at: int, size: int) -> int:
     """The position after ``_9`` to ``_F``, which only a frame of 8 bytes may have; -1: refused."""
     if text[at] != _UNDERSCORE:
         return at
-    dlc = _HEX[text[at + 1]]
-    return at + 2 if size == CLASSIC_BYTES and CLASSIC_BYTES < dlc != _NOT_HEX else -1
+    dlc = DIGIT[text[at + 1]]
+    return at + 2 if size == CLASSIC_BYTES and CLASSIC_BYTES < dlc != NOT_A_DIGIT else -1

@@ -1,6 +1,8 @@
-"""``import can`` without asammdf, for the command line, which asks asammdf itself where it must."""
+"""Libraries as the command line wants them: python-can without asammdf, and none that prints."""
 
+import logging
 import sys
+import warnings
 
 
 class _WithoutAsammdf:
@@ -16,6 +18,13 @@ class _WithoutAsammdf:
         importer = sys.modules.get("can.io.mf4")
         if name == "asammdf" and importer is not None and not hasattr(importer, "MF4Writer"):
             raise ModuleNotFoundError(f"{name} is left to can_rig.logs", name=name)
+
+
+def silence() -> None:
+    """What a library has to say about bad input is in the command's own line, or of no use."""
+    logging.getLogger().addHandler(logging.NullHandler())
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")
 
 
 def hide_asammdf() -> None:

@@ -4,17 +4,19 @@ from __future__ import annotations
 
 import zlib
 from collections.abc import Iterator
+from itertools import chain
 from typing import Final
 
 from can_rig.errors import LogError
 from can_rig.logs.log import Log
 
 BLOCK_BYTES: Final = 1 << 22
+_MAGIC: Final = b"\x1f\x8b"  # which every gzipped file begins with
 _GZIP: Final = 16 + zlib.MAX_WBITS
 
 
 def blocks(log: Log) -> Iterator[bytes]:
-    """The text of ``log``, decompressed if its name ends in ``.gz``; keeps ``log.fraction``.
+    """The text of ``log``, decompressed if it is gzipped; keeps ``log.fraction``.
 
     A gzipped file that is cut off gives all that it holds, and a notice.
 
@@ -22,7 +24,10 @@ def blocks(log: Log) -> Iterator[bytes]:
         LogError: the file cannot be read or decompressed.
     """
     packed = _file_blocks(log)
-    return _decompressed(log, packed) if log.path.suffix.lower() == ".gz" else packed
+    first = next(packed, b"")
+    whole = chain([first], packed)
+    is_packed = first.startswith(_MAGIC) or log.path.suffix.lower() == ".gz"
+    return _decompressed(log, whole) if is_packed else whole
 
 
 def _file_blocks(log: Log) -> Iterator[bytes]:

@@ -1,0 +1,186 @@
+"""The rig from Python, in a notebook or a script: ``import can_rig``.
+
+    run = can_rig.run("default", {"fault.at_s": 5.0})
+    run.metrics["dstar_peak_mps2"]
+    run.signals["error_mps2"].plot()
+    run.save("runs/early-loss")
+
+A scenario is the name of a shipped one, a TOML file, or a ``Scenario``; changes are a mapping of
+its keys, as ``--set`` of the command line has them. What the caller can put right is raised as a
+``can_rig.errors.RigError`` of one line.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from can_rig.assessment.resolve import load as load_scenario
+from can_rig.assessment.resolve import load_run
+from can_rig.assessment.stability import StabilityCheck, check_stability
+from can_rig.assessment.tuning.box import cars, parameter_ranges
+from can_rig.assessment.tuning.search import Tunings
+from can_rig.assessment.tuning.search import tune as search
+from can_rig.decoding.decode import decode_log
+from can_rig.errors import ScenarioError, require
+from can_rig.scenario.settings import Scenario
+from can_rig.views.recorded_run import RecordedRun, record
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+Changes = Mapping[str, Any]
+
+__all__ = ["RecordedRun", "Scenario", "check", "decode", "load", "run", "scenario", "tune"]
+
+
+def scenario(name: str | Path | Scenario = "default", changes: Changes | None = None) -> Scenario:
+    """A scenario with some keys changed, every default filled in.
+
+    Args:
+        name: of a shipped one, a path to a TOML file, or a scenario to change.
+        changes: key → value, as in ``{"plant.speed_mps": 20.0, "fault.kind": "none"}``.
+
+    Raises:
+        ScenarioError: no such scenario, an unknown key, a bad value.
+    """
+    settings = [f"{key}={_toml(key, value)}" for key, value in _flat(changes or {})]
+    if isinstance(name, Scenario):
+        return load_run(name.as_dict(), settings) if settings else name
+    return load_scenario(str(name), settings)
+
+
+def run(
+    name: str | Path | Scenario = "default",
+    changes: Changes | None = None,
+    *,
+    allow_unstable: bool = False,
+) -> RecordedRun:
+    """Both nodes through a scenario, in lockstep and in this process.
+
+    No bus is needed, and nothing is left on disk until ``save``. The log is that of
+    ``can-rig run``, byte for byte.
+
+    Args:
+        name: as that of ``scenario``.
+        changes: as those of ``scenario``.
+        allow_unstable: also run a loop that ``check`` finds unstable.
+
+    Raises:
+        ScenarioError: a scenario that cannot run, or a loop that is not stable.
+        RigError: it ended before its last tick.
+    """
+    return record(scenario(name, changes), allow_unstable=allow_unstable)
+
+
+def load(folder: str | Path) -> RecordedRun:
+    """A run folder, of ``can-rig run`` or of ``save``.
+
+    Raises:
+        LogError: it is not a finished run folder.
+        ScenarioError: its ``run.json`` has no scenario that can be read.
+    """
+    return RecordedRun.load(Path(folder))
+
+
+def check(
+    name: str | Path | Scenario = "default", changes: Changes | None = None
+) -> StabilityCheck:
+    """Whether the sampled loop is stable, healthy and after the fault, and by what margin.
+
+    ``stable``, ``verdict``, ``healthy`` and ``faulted`` say it; ``as_dict()`` has every figure.
+
+    Raises:
+        ScenarioError: as ``scenario``, or no such design.
+    """
+    return check_stability(scenario(name, changes))
+
+
+def tune(
+    name: str | Path | Scenario = "default",
+    changes: Changes | None = None,
+    *,
+    box: float = 0.2,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+    spare_ticks: int = 1,
+    noise_limit_n: float | None = None,
+    torque_noise_limit_nm: float | None = None,
+) -> Tunings:
+    """The tuning of least peak after the loss of the torque, for a box of cars.
+
+    ``chosen`` is it, ``front`` the whole trade-off.
+
+    Args:
+        name: as that of ``scenario``.
+        changes: as those of ``scenario``.
+        box: by what share mass, cornering stiffnesses and speed may differ.
+        ranges: of single parameters, as in ``{"plant.speed_mps": (8.0, 12.0)}``.
+        spare_ticks: delay beyond the scenario's own with which the loop must be stable.
+        noise_limit_n: largest rms of the force difference that the sensor's noise may cause;
+            None: any.
+        torque_noise_limit_nm: the same of the torque.
+
+    Raises:
+        NoTuningError: no tuning passes.
+        ScenarioError: as ``scenario``, or a range that is none.
+    """
+    chosen = scenario(name, changes)
+    limits = [f"{key}={low}..{high}" for key, (low, high) in (ranges or {}).items()]
+    some = cars(chosen.model, parameter_ranges(chosen.model, box, limits))
+    return search(chosen, some, spare_ticks, noise_limit_n, torque_noise_limit_nm)
+
+
+def decode(
+    log: str | Path,
+    dbc: str | Path,
+    *,
+    messages: Sequence[str] | None = None,
+    signals: Sequence[str] | None = None,
+) -> dict[str, pd.DataFrame]:
+    """Any log through any database that cantools reads: a table for each message.
+
+    A row is a frame, a column a signal, the index ``time_s``; ``attrs["units"]`` has the units.
+
+    Args:
+        log: of any format that ``can-rig decode`` reads.
+        dbc: the database.
+        messages: only these; None: all.
+        signals: only these, as ``Signal`` or ``Message.Signal``; None: all.
+
+    Raises:
+        LogError: the log cannot be read.
+        DbcError: nor the database, or a name is not in it.
+        MissingExtraError: pandas is not installed.
+    """
+    require("pandas", extra="logs")
+    tables = {}
+    for name, columns in decode_log(log, dbc, messages, signals).items():
+        tables[name] = table = columns.to_pandas()
+        units = {signal: layout.unit for signal, layout in columns.layout.items()}
+        table.attrs["units"] = {signal: unit or "" for signal, unit in units.items()}
+    return tables
+
+
+def _flat(changes: Changes, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Keys with dots, also of tables within tables."""
+    for key, value in changes.items():
+        if isinstance(value, Mapping):
+            yield from _flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def _toml(key: str, value: Any) -> str:
+    """A value as TOML has it."""
+    plain = value.item() if hasattr(value, "item") else value  # a number of numpy's
+    if isinstance(plain, bool):
+        return str(plain).lower()
+    if isinstance(plain, int | float):
+        return repr(plain)
+    if isinstance(plain, str | Path):
+        return json.dumps(str(plain))
+    if isinstance(plain, list | tuple):
+        return f"[{', '.join(_toml(key, each) for each in plain)}]"
+    raise ScenarioError(f"{key} = {value!r}: must be a number, a string, true or false, or a list")

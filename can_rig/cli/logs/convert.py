@@ -1,0 +1,53 @@
+"""``can-rig convert``: a log in another format."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from can_rig.cli.options import (
+    channel_option,
+    force_option,
+    json_option,
+    log_argument,
+    window_of,
+    window_options,
+)
+from can_rig.cli.output import json_line, note, say
+from can_rig.cli.progress import reading
+from can_rig.logs.reading import read_log
+from can_rig.logs.writing import refuse_log, write_log
+from can_rig.results.source import log_path, only_channel
+
+
+@click.command("convert")
+@log_argument
+@click.argument("out", type=click.Path(path_type=Path, dir_okay=False))
+@window_options
+@channel_option
+@force_option
+@json_option()
+def command(
+    log: Path,
+    out: Path,
+    from_s: float | None,
+    to_s: float | None,
+    channel: str | None,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Write LOG, a log of any format or a run folder, as OUT in the format of its suffix.
+
+    What a format cannot hold is refused with a line that says so.
+    """
+    source = read_log(log_path(log), window=window_of(from_s, to_s))
+    refuse_log(out, force, "OUT")
+    frames = write_log(
+        source, out, lambda log: only_channel(reading(log, "converting"), channel, log.path)
+    )
+    if as_json:
+        json_line(log=str(source.path), out=str(out), frames=frames, notice=source.notice)
+    else:
+        say(f"{frames} frames in {out}")
+        note(source.notice)

@@ -1,0 +1,189 @@
+"""Decodes the frames that one database knows: by identifier or, for J1939, by parameter group.
+
+A J1939 identifier holds priority, parameter group number (PGN) and addresses; a database has one
+message for the group, whoever sends it. Its frames get one more signal, ``SourceAddress``.
+Source: SAE J1939-21, section 5.2.
+"""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Collection, Iterable
+from dataclasses import replace
+from difflib import get_close_matches
+from typing import Any, Final
+
+import numpy as np
+from cantools.database.can import Database
+from cantools.database.can import Message as DbcMessage
+from numpy.typing import NDArray
+
+from can_rig.decoding.message_columns import MessageColumns
+from can_rig.decoding.message_decoder import MessageDecoder
+from can_rig.decoding.signal_columns import unsigned_column
+from can_rig.errors import DbcError
+from can_rig.logs.frames import EXTENDED, Frames
+
+SOURCE_ADDRESS: Final = "SourceAddress"
+
+_EXTENDED_BIT: Final = 31  # above the identifier, as in a DBC
+_GROUP_BIT: Final = 1 << 30  # of a key that is a parameter group
+_PEER_TO_PEER: Final = 0xF0  # PDU format below which the next byte is a destination address
+
+
+def named(database: Database) -> dict[str, DbcMessage]:
+    """The messages by name; where several have the same one, with their identifiers after it."""
+    every = Counter(message.name for message in database.messages)
+    return {
+        message.name
+        if every[message.name] == 1
+        else f"{message.name}_{message.frame_id:X}": message
+        for message in database.messages
+    }
+
+
+class DatabaseDecoder:
+    """Decodes chunk after chunk of frames of a database.
+
+    Args:
+        database: any cantools CAN database.
+        prefix: before the names of its messages in the result.
+        wanted: the message decoders by name, as `message_decoders` makes them.
+    """
+
+    def __init__(self, database: Database, prefix: str, wanted: dict[str, MessageDecoder]) -> None:
+        self.decoders: Final = {f"{prefix}{name}": found for name, found in wanted.items()}
+        """The messages to decode, in the order of the database."""
+        by_key = {}
+        for name, message in named(database).items():
+            by_key[message.frame_id | message.is_extended_frame << _EXTENDED_BIT] = prefix + name
+        for name, message in named(database).items():
+            if message.is_extended_frame and message.protocol == "j1939":
+                by_key[group_key(message.frame_id)] = prefix + name
+        keys = sorted(by_key)
+        self._keys: Final = np.array(keys, dtype=np.uint32)
+        self._groups: Final = [bool(key & _GROUP_BIT and not key >> _EXTENDED_BIT) for key in keys]
+        self._names: Final = [by_key[key] for key in keys]
+        self.not_wanted = 0
+        """Number of frames of messages that were not asked for."""
+
+    def decode(
+        self, frames: Frames, rows: NDArray[np.int64]
+    ) -> tuple[dict[str, MessageColumns], NDArray[np.bool_]]:
+        """The columns of a chunk by message, and (n,) which frames the database knows."""
+        places = self._places(frames)
+        order = np.argsort(places, kind="stable")
+        ends = np.cumsum(np.bincount(places, minlength=len(self._names) + 1))
+        chosen: dict[str, NDArray[np.int64]] = {}
+        for place, name in enumerate(self._names):
+            here = order[ends[place - 1] if place else 0 : ends[place]]
+            if name not in self.decoders:
+                self.not_wanted += len(here)
+            elif len(here) and name in chosen:  # by its identifier, and by its group
+                chosen[name] = np.sort(np.concatenate([chosen[name], here]))
+            elif len(here):
+                chosen[name] = here
+        is_group = {name for name, group in zip(self._names, self._groups, strict=True) if group}
+        found = {}
+        for name, decoder in self.decoders.items():
+            if name in chosen:
+                of_message = frames[chosen[name]]
+                columns = decoder.decode(of_message, rows[chosen[name]])
+                found[name] = (
+                    _with_source(columns, of_message, rows[chosen[name]])
+                    if name in is_group
+                    else columns
+                )
+        return found, places < len(self._names)
+
+    def _places(self, frames: Frames) -> NDArray[np.int16]:
+        """(n,) index of each frame's message in the sorted ones; their number for none of them."""
+        if not len(self._keys):
+            return np.zeros(len(frames), dtype=np.int16)
+        extended = frames.has(EXTENDED)
+        extended_bit = extended.astype(np.uint32) << np.uint32(_EXTENDED_BIT)
+        places = self._find(frames.arbitration_id | extended_bit)
+        if any(self._groups):
+            left = np.flatnonzero(extended & (places == len(self._keys)))
+            places[left] = self._find(group_keys(frames.arbitration_id[left]))
+        return places.astype(np.int16)  # of 16 bits, which sort by radix
+
+    def _find(self, keys: NDArray[np.uint32]) -> NDArray[np.int64]:
+        places = np.searchsorted(self._keys, keys)
+        places[places == len(self._keys)] = 0
+        places[self._keys[places] != keys] = len(self._keys)
+        return places
+
+
+def group_key(identifier: int) -> int:
+    """What identifies a parameter group: the PGN, without addresses and priority."""
+    return int(group_keys(np.array([identifier], np.uint32))[0])
+
+
+def group_keys(identifier: NDArray[np.uint32]) -> NDArray[np.uint32]:
+    """(n,) the same of many identifiers."""
+    group = identifier >> np.uint32(8) & np.uint32(0x3FFFF)
+    to_one = (group >> np.uint32(8) & np.uint32(0xFF)) < _PEER_TO_PEER
+    group[to_one] &= np.uint32(0x3FF00)
+    return group | np.uint32(_GROUP_BIT)
+
+
+def _with_source(
+    columns: MessageColumns, frames: Frames, rows: NDArray[np.int64]
+) -> MessageColumns:
+    """With the address of each sender."""
+    source = (frames.arbitration_id & np.uint32(0xFF)).astype(np.int64)
+    source = source[np.searchsorted(rows, columns.row)]
+    layout: dict[str, Any] = {**columns.layout, SOURCE_ADDRESS: unsigned_column(SOURCE_ADDRESS, 8)}
+    return replace(columns, signals={**columns.signals, SOURCE_ADDRESS: source}, layout=layout)
+
+
+def message_decoders(
+    database: Database,
+    prefix: str,
+    messages: Collection[str] | None,
+    signals: Collection[str] | None,
+) -> dict[str, MessageDecoder]:
+    """A decoder for each message that is asked for, by name without the prefix.
+
+    Raises:
+        DbcError: one of the messages cannot be decoded.
+    """
+    found = {}
+    for name, message in named(database).items():
+        names = {name, message.name, prefix + name, prefix + message.name}
+        if message.is_container or not (messages is None or names & set(messages)):
+            continue
+        wanted = None
+        if signals is not None:
+            every = [signal.name for signal in message.signals]
+            wanted = [s for s in every if {s, *(f"{one}.{s}" for one in names)} & set(signals)]
+            if not wanted:
+                continue
+        found[name] = MessageDecoder(message, wanted, prefix + name)
+    return found
+
+
+def require_names(
+    databases: Iterable[tuple[str, Database]],
+    messages: Collection[str] | None,
+    signals: Collection[str] | None,
+) -> None:
+    """Refuse the names of messages and signals that no database (prefix, database) has.
+
+    Raises:
+        DbcError: the first one.
+    """
+    known: list[str] = []
+    inside: list[str] = []
+    for prefix, database in databases:
+        for name, message in named(database).items():
+            names = dict.fromkeys([name, message.name, prefix + name, prefix + message.name])
+            known += names
+            inside += [f"{one}.{signal.name}" for one in names for signal in message.signals]
+            inside += [signal.name for signal in message.signals]
+    for wanted, there, kind in ((messages, known, "message"), (signals, inside, "signal")):
+        for name in wanted or ():
+            if name not in there:
+                near = get_close_matches(name, there, 3, 0.5) or sorted(set(there))[:5]
+                raise DbcError(f"no {kind} {name} in the database; it has {', '.join(near)}, …")

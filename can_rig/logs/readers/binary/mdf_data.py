@@ -1,0 +1,192 @@
+"""The data of an MDF 4 file: blocks of it, plain or compressed, and records among other records."""
+
+from __future__ import annotations
+
+import struct
+from collections.abc import Generator, Iterator
+from typing import Any, Final
+
+import numpy as np
+
+from can_rig.logs.frames import UInt8s
+from can_rig.logs.readers.binary.inflate import InflateError, inflated
+from can_rig.logs.readers.binary.mdf_blocks import ChannelGroup, DataGroup, MdfError, MdfFile
+from can_rig.logs.readers.binary.mdf_values import Values
+from firmware_model.compiled import compiled
+
+_PIECE_BYTES: Final = 1 << 22
+_MOST_BYTES: Final = 1 << 28
+_DATA: Final = (b"DT", b"SD", b"RD", b"DV")
+_DEFLATE, _TRANSPOSED = 0, 1
+_HEADER_BYTES: Final = 24
+_VARIABLE: Final = -1  # in place of a record's size: four bytes say it
+
+
+def stream(file: MdfFile, at: int) -> Iterator[bytes]:
+    """The data that a link leads to, whatever lists and compression there are between.
+
+    Ends where the file ends.
+
+    Raises:
+        MdfError: a block is damaged, or of a kind that is not read.
+    """
+    seen: set[int] = set()
+    waiting = [at] if at else []
+    while waiting:
+        at = waiting.pop()
+        if at in seen:
+            raise MdfError(f"byte {at}: data blocks lead in a circle")
+        seen.add(at)
+        kind, length, _ = file.header(at)
+        if kind in _DATA:
+            end = at + length
+            if file.last_data_open and not waiting:
+                end = file.size
+            yield from _plain(file, at + _HEADER_BYTES, end)
+        elif kind == b"DZ":
+            yield _unpacked(file, at, length)
+        elif kind == b"HL":
+            waiting.append(file.block(at, b"HL", 1).links[0])
+        elif kind in (b"DL", b"LD"):
+            waiting += [link for link in reversed(_listed(file, at, kind)) if link]
+        else:
+            raise MdfError(f"byte {at}: data in a block {kind!r}, which is not read")
+
+
+def _listed(file: MdfFile, at: int, kind: bytes) -> list[int]:
+    """The data blocks of a list, and the list that follows."""
+    block = file.block(at, kind, 1, 8)
+    flags = block.data[0] if kind == b"DL" else struct.unpack_from("<I", block.data)[0]
+    blocks = list(block.links[1:])
+    if kind == b"LD" and flags >> 31:  # every second one holds invalidation bits
+        blocks = blocks[::2]
+    return [*blocks, block.links[0]]
+
+
+def _plain(file: MdfFile, at: int, end: int) -> Iterator[bytes]:
+    while at < end:
+        piece = file.piece(at, min(_PIECE_BYTES, end - at))
+        if not piece:
+            return
+        yield piece
+        at += len(piece)
+
+
+def _unpacked(file: MdfFile, at: int, length: int) -> bytes:
+    head = file.piece(at + _HEADER_BYTES, 24)
+    if len(head) < 24:
+        return b""  # cut off
+    _, how, columns, size, packed = struct.unpack("<2sBxIQQ", head)
+    if how not in (_DEFLATE, _TRANSPOSED) or max(size, length) > _MOST_BYTES:
+        raise MdfError(f"byte {at}: data compressed in a way that is not read (type {how})")
+    content = file.piece(at + _HEADER_BYTES + 24, min(packed, length))
+    try:
+        data = inflated(content, size)
+    except InflateError as error:
+        raise MdfError(f"byte {at}: {error}") from None
+    if how == _TRANSPOSED and columns:
+        rows = len(data) // columns
+        table = np.frombuffer(data, np.uint8, rows * columns).reshape(columns, rows)
+        return table.T.tobytes() + data[rows * columns :]
+    return data
+
+
+def records(
+    file: MdfFile, data: DataGroup, group: ChannelGroup, values: ChannelGroup | None, held: Values
+) -> Generator[UInt8s, None, bool]:
+    """(n, bytes of a record) of one group, piece by piece; returns whether the end is cut off.
+
+    Args:
+        file: the file.
+        data: where the group's records are, perhaps among others.
+        group: the group.
+        values: the group among them that has its values of varying length; None: there is none.
+        held: gets those values before the records that need them are given.
+
+    Raises:
+        MdfError: the data are damaged.
+    """
+    size = group.record_bytes
+    rest = b""
+    waiting = np.zeros(0, np.uint8)
+    for piece in stream(file, data.data_at):
+        text = rest + piece
+        if data.id_bytes:
+            found, used = _split(text, data, group, values, held)
+        else:
+            used = len(text) // size * size
+            found = np.frombuffer(text, np.uint8, used)
+        rest = text[used:]
+        if values is not None:  # a value may come a little later than its record
+            found, waiting = waiting, found
+        if len(found):
+            yield found.reshape(-1, size)
+    if len(waiting):
+        yield waiting.reshape(-1, size)
+    return bool(rest)
+
+
+def _split(
+    data: bytes, among: DataGroup, group: ChannelGroup, values: ChannelGroup | None, held: Values
+) -> tuple[UInt8s, int]:
+    """One group's records among others; and how much of ``data`` is used."""
+    groups = among.groups
+    numbers = np.array([one.record_id for one in groups], np.uint64)
+    sizes = np.array([_VARIABLE if g.is_variable else g.record_bytes for g in groups], np.int64)
+    codes = np.frombuffer(data, np.uint8)
+    own, varying = np.empty(len(data), np.uint8), np.empty(len(data), np.uint8)
+    wanted, of_values = groups.index(group), groups.index(values) if values else -1
+    used, count, found = split(
+        codes, among.id_bytes, numbers, sizes, wanted, of_values, own, varying
+    )
+    if count < 0:
+        raise MdfError(f"a record of group {found}, which the file does not have")
+    held.add(varying[:found].tobytes())
+    return own[:count], used
+
+
+@compiled
+def split(
+    data: UInt8s,
+    id_bytes: int,
+    numbers: Any,
+    sizes: Any,
+    wanted: int,
+    values: int,
+    records: UInt8s,
+    varying: UInt8s,
+) -> tuple[int, int, int]:
+    """Copy the records of group ``wanted``, and with their lengths those of group ``values``.
+
+    Returns how much of ``data`` is used, how much of ``records`` and of ``varying`` is filled; or
+    for the last two -1 and the number of a group that is unknown.
+    """
+    at = count = found = 0
+    end = len(data)
+    while at + id_bytes <= end:
+        number = np.uint64(0)
+        for byte in range(id_bytes):
+            number |= np.uint64(data[at + byte]) << np.uint64(8 * byte)
+        which = 0
+        while which < len(numbers) and numbers[which] != number:
+            which += 1
+        if which == len(numbers):
+            return at, -1, int(np.int64(number))
+        begin = at + id_bytes
+        size = sizes[which]
+        if size < 0:
+            if begin + 4 > end:
+                break
+            size = 4
+            for byte in range(4):
+                size += np.int64(data[begin + byte]) << np.int64(8 * byte)
+        if begin + size > end:
+            break
+        if which == wanted:
+            records[count : count + size] = data[begin : begin + size]
+            count += size
+        elif which == values:
+            varying[found : found + size] = data[begin : begin + size]
+            found += size
+        at = begin + size
+    return at, count, found

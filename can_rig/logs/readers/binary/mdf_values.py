@@ -1,0 +1,83 @@
+"""Payloads of varying length in an MDF 4 file, and rows for payloads."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any, Final
+
+import numpy as np
+
+from can_rig.logs.frames import CLASSIC_BYTES, FD_BYTES, UInt8s
+from can_rig.logs.readers.binary.mdf_blocks import MdfError
+from firmware_model.compiled import compiled
+
+_KEPT_BYTES: Final = 1 << 24
+"""Before the last one that was asked for: records of the same moment may ask in any order."""
+_LENGTH_BYTES: Final = 4
+
+
+class Values:
+    """Values one after another: for each its length in four bytes, then its bytes.
+
+    Args:
+        source: gives them as they are needed; they may also be added by hand.
+    """
+
+    def __init__(self, source: Iterator[bytes]) -> None:
+        self._source = source
+        self._held = bytearray()
+        self._begin = 0  # of what is held, among all
+
+    def add(self, more: bytes) -> None:
+        """Add values behind those that there are."""
+        self._held += more
+
+    def rows(self, offsets: Any, length: UInt8s) -> UInt8s:
+        """(n, 8) or (n, 64) payloads that begin at ``offsets`` (n,), zero behind their lengths.
+
+        Raises:
+            MdfError: one is not there.
+        """
+        rows = empty_rows(length)
+        if not len(rows):
+            return rows
+        last = min(int(offsets.max()), 1 << 62)
+        while self._begin + len(self._held) < last + _LENGTH_BYTES + FD_BYTES:
+            more = next(self._source, b"")
+            if not more:
+                break
+            self._held += more
+        places = offsets.astype(np.int64) - self._begin
+        if not _copy(np.frombuffer(bytes(self._held), np.uint8), places, length, rows):
+            raise MdfError("a payload of varying length that is not in the file")
+        unused = min(last - _KEPT_BYTES - self._begin, len(self._held))
+        if unused > 0:
+            del self._held[:unused]
+            self._begin += unused
+        return rows
+
+
+def empty_rows(length: UInt8s) -> UInt8s:
+    """(n, 8) bytes to be filled or, where a length is more, (n, 64)."""
+    width = CLASSIC_BYTES if int(length.max(initial=0)) <= CLASSIC_BYTES else FD_BYTES
+    return np.empty((len(length), width), np.uint8)
+
+
+@compiled
+def _copy(values: UInt8s, places: Any, length: UInt8s, rows: UInt8s) -> bool:
+    """Fill ``rows`` from values with their lengths before them; False: one is not there."""
+    for row in range(len(rows)):
+        at = places[row]
+        if at < 0 or at + 4 > len(values):
+            return False
+        size = np.int64(0)
+        for byte in range(4):
+            size += np.int64(values[at + byte]) << np.int64(8 * byte)
+        if at + 4 + size > len(values):
+            return False
+        size = min(size, np.int64(length[row]), rows.shape[1])
+        for byte in range(size):
+            rows[row, byte] = values[at + 4 + byte]
+        for byte in range(size, rows.shape[1]):
+            rows[row, byte] = 0
+    return True

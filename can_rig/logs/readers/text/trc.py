@@ -1,0 +1,97 @@
+"""PEAK traces, plain or gzipped."""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from decimal import Decimal, InvalidOperation
+from typing import Final
+
+import numpy as np
+
+from can_rig.errors import LogError
+from can_rig.logs.frames import REMOTE, Frames, UInt8s
+from can_rig.logs.log import Log
+from can_rig.logs.readers.text.headed import HeadedReader
+from can_rig.logs.readers.text.trc_lines import parse
+
+_COLUMNS: Final = {
+    "1.0": "nOILD",
+    "1.1": "NOTILD",
+    "1.2": "NOBTILD",
+    "1.3": "NOBTIRLD",
+}
+"""Columns by version; from 2.0 on the trace names its own."""
+
+_NEEDED: Final = frozenset("OTID")
+_DAYS_TO_1970: Final = 25569
+"""From 30 December 1899, on which PEAK's days begin."""
+_US_PER_DAY: Final = 86_400_000_000
+_MOST_DAYS: Final = 53_000  # in the year 2115
+
+
+def read_trc(log: Log) -> Iterator[Frames]:
+    """Chunks of a PEAK trace.
+
+    Raises:
+        LogError: it is not such a trace, or one of its lines is not a frame.
+    """
+    reader = _Reader(log)
+    yield from reader.started()
+    if not reader.frames and not any(line.startswith(";") for line in reader.header):
+        raise LogError(f"{log.path}: not a PEAK trace: it has neither a header nor a frame")
+
+
+class _Reader(HeadedReader):
+    first_frame = re.compile(rb"[ \t]*\d+\)?[ \t]")
+
+    def __init__(self, log: Log) -> None:
+        super().__init__(log, self._parsed)
+        self._columns: UInt8s = np.zeros(0, np.uint8)
+
+    def ended(self, line: bytes, frame: Frames) -> bool:
+        """A remote frame has no bytes, and a length of one digit."""
+        return bool(frame.flags[-1] & REMOTE) or super().ended(line, frame)
+
+    def begin(self) -> None:
+        """Columns and start.
+
+        Raises:
+            LogError: the header does not say what columns there are, or its start is no date.
+        """
+        said = dict(line[2:].partition("=")[::2] for line in self.header if line.startswith(";$"))
+        version = said.get("FILEVERSION", "1.0").strip()
+        columns = said.get("COLUMNS", "").replace(",", "").strip() or _COLUMNS.get(version, "")
+        if version not in _COLUMNS and not (set(columns) >= _NEEDED and set("lL") & set(columns)):
+            raise LogError(
+                f"{self.log.path}: a PEAK trace of version {version[:8]!r} with the columns "
+                f"{columns[:20]!r}; it must be of version 1.0 to 1.3, or name its columns O, T, I, "
+                "l or L, and D after $COLUMNS"
+            )
+        self._columns = np.frombuffer(columns.encode("ascii", "replace"), np.uint8)
+        self.log.start_ns = self._start_ns(said.get("STARTTIME", str(_DAYS_TO_1970)))
+
+    def _start_ns(self, days: str) -> int:
+        try:
+            since = Decimal(days.strip()) - _DAYS_TO_1970
+            if abs(since) < _MOST_DAYS:
+                return round(since * _US_PER_DAY) * 1000
+        except InvalidOperation:
+            pass
+        raise LogError(
+            f"{self.log.path}: $STARTTIME={days[:40]} must be days since 30 December 1899, "
+            f"less than {_MOST_DAYS + _DAYS_TO_1970}"
+        )
+
+    def _parsed(self, text: UInt8s, at: int, room: Frames) -> tuple[int, int, int, int]:
+        return parse(
+            text,
+            at,
+            self._columns,
+            room.time_ns,
+            room.arbitration_id,
+            room.flags,
+            room.channel,
+            room.length,
+            room.data,
+        )

@@ -1,0 +1,160 @@
+"""A run as an object: its scenario, signals as a table, metrics, and its picture."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import itertools
+import json
+import shutil
+import weakref
+from functools import cached_property
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import TYPE_CHECKING, Any, Final
+
+from can_rig.errors import LogError, RunFolderError, ScenarioError, require
+from can_rig.nodes.watchdog import StopRequest
+from can_rig.results.execution import execute, refuse
+from can_rig.results.metrics import Metrics, rows
+from can_rig.results.run_folder import REPORT, SUMMARY, RunFolder, signals_of_log
+from can_rig.scenario.build import network_of
+from can_rig.scenario.settings import Scenario
+from can_rig.views.signal_table import read_table, scenario_of
+
+if TYPE_CHECKING:
+    import pandas as pd
+    from matplotlib.figure import Figure
+
+PICTURE_DPI: Final = 80
+_CHANNELS: Final = itertools.count()
+
+
+class RecordedRun:
+    """A run in its folder, which is a temporary one until ``save``.
+
+    Attributes:
+        folder: ``bus.log``, ``signals.csv`` and ``run.json`` are there.
+        scenario: what was run, every default filled in.
+        summary: everything that ``run.json`` says.
+    """
+
+    def __init__(self, folder: Path, scenario: Scenario, temporary: Path | None = None) -> None:
+        self.folder = folder
+        self.scenario = scenario
+        self.summary: dict[str, Any] = json.loads((folder / SUMMARY).read_text("utf-8"))
+        if temporary is not None:  # taken away with this object
+            weakref.finalize(self, shutil.rmtree, temporary, ignore_errors=True)
+
+    @classmethod
+    def load(cls, folder: Path) -> RecordedRun:
+        """The run of a finished run folder.
+
+        Raises:
+            LogError: it is none.
+            ScenarioError: it has no scenario that can be read.
+        """
+        if not (folder / SUMMARY).is_file():
+            raise LogError(f"{folder}: not a finished run folder, it has no {SUMMARY}")
+        scenario = scenario_of(folder)
+        if scenario is None:
+            raise ScenarioError(f"{folder / SUMMARY}: has no scenario that can be read")
+        return cls(folder, scenario)
+
+    @property
+    def metrics(self) -> Metrics:
+        """Errors in m/s², times in s, commands in N m and N; None where there is no such moment."""
+        values: Metrics = self.summary["metrics"]
+        return values
+
+    @cached_property
+    def signals(self) -> pd.DataFrame:
+        """The columns of ``signals.csv``, a row a tick; the index is ``time_s``.
+
+        ``attrs["units"]`` has the unit of each column, ``attrs["names"]`` what print calls it.
+
+        Raises:
+            MissingExtraError: pandas is not installed.
+        """
+        require("pandas", extra="logs")
+        import pandas as pd  # noqa: PLC0415 (slow to import)
+
+        table = read_table(self.folder, self.scenario)
+        frame = pd.DataFrame(table.columns, index=pd.Index(table.time_s, name="time_s"))
+        printed = {column: table.name_and_unit(column) for column in table.columns}
+        frame.attrs["names"] = {column: name for column, (name, _) in printed.items()}
+        frame.attrs["units"] = {column: unit for column, (_, unit) in printed.items()}
+        return frame
+
+    def plot(self) -> Figure:
+        """The page of ``report.png`` as a matplotlib figure."""
+        from can_rig.results.report.page import page  # noqa: PLC0415 (matplotlib)
+
+        realtime = self.summary.get("realtime")
+        network = network_of(self.scenario)
+        signals = signals_of_log(self.folder, self.scenario, network, realtime)
+        return page(self.scenario, network, signals, realtime)
+
+    def save(self, folder: str | Path, *, force: bool = False) -> Path:
+        """Copy the run into a folder of its own, with ``report.png``; returns the folder.
+
+        Args:
+            folder: where; its parents are made.
+            force: replace the run that is there.
+
+        Raises:
+            RunFolderError: it is there already, or cannot be written.
+        """
+        made = RunFolder.create(Path(folder), self.scenario, force)
+        try:
+            shutil.copytree(self.folder, made.making, dirs_exist_ok=True)
+            if not (made.making / REPORT).is_file():
+                self.plot().savefig(made.making / REPORT, dpi=150)
+        except OSError as error:
+            made.give_up()
+            raise RunFolderError(f"{folder}: cannot be written: {error.strerror}") from None
+        made.publish()
+        return made.path
+
+    def __repr__(self) -> str:
+        """Scenario, ticks, how it ended."""
+        return f"<run of {self.scenario.name}: {self.summary['ticks']} ticks, {self._outcome}>"
+
+    @property
+    def _outcome(self) -> str:
+        return str(self.summary["outcome"])
+
+    def _repr_html_(self) -> str:
+        """The metrics beside the picture, for a notebook."""
+        picture = io.BytesIO()
+        self.plot().savefig(picture, dpi=PICTURE_DPI, format="png")
+        encoded = base64.b64encode(picture.getvalue()).decode()
+        lines = [("scenario", self.scenario.name), ("outcome", self._outcome)]
+        lines += rows(self.metrics, network_of(self.scenario))
+        table = "".join(
+            f"<tr><th style='text-align:left'>{html.escape(label)}</th>"
+            f"<td>{html.escape(text)}</td></tr>"
+            for label, text in lines
+        )
+        return f"<table>{table}</table><img src='data:image/png;base64,{encoded}'>"
+
+
+def record(scenario: Scenario, *, allow_unstable: bool = False) -> RecordedRun:
+    """Run a scenario in this process, in lockstep, into a temporary folder.
+
+    Raises:
+        ScenarioError: what ``execution.refuse`` refuses.
+        RigError: it ended before its last tick.
+    """
+    refuse(scenario, allow_unstable)
+    temporary = Path(mkdtemp(prefix="can-rig-"))
+    bus = f"virtual:can-rig-{next(_CHANNELS)}"  # python-can's, within this process
+    try:
+        done = execute(scenario, temporary / "run", StopRequest(), bus=bus, report=False)
+        if done is None or done.failure is not None:
+            raise (done and done.failure) or LogError(f"{scenario.name}: nothing was recorded")
+    except BaseException:
+        shutil.rmtree(temporary, ignore_errors=True)
+        raise
+    return RecordedRun(done.folder, scenario, temporary)

@@ -1,0 +1,91 @@
+"""A continuous filter whose input is held over each tick: its exact state space, and the zeros.
+
+All in δ = z - 1 and in units of the tick, where numbers of slow and fast filters are of one size.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import linalg
+
+from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.discretisation.sections import ComplexArray, from_delta_zpk
+from firmware_model.discretisation.zeros import refined
+from firmware_model.target.structs import FloatArray
+
+StateSpace = tuple[FloatArray, FloatArray, FloatArray]
+
+
+def sampled(g: ZeroPoleGain, tick_s: float) -> StateSpace:
+    """``(a, b, c)`` with δx = a x + b u, y = c x + d u; shapes (n, n), (n, 1), (1, n).
+
+    d is the feedthrough of ``g``: its gain where it has as many zeros as poles, otherwise 0.
+    a = e^{AT} - 1 and b = ∫e^{At}dt B, both by way of that integral, without losing small numbers.
+    """
+    per_tick = ZeroPoleGain(
+        tuple(root * tick_s for root in g.zeros),
+        tuple(root * tick_s for root in g.poles),
+        g.gain * tick_s**g.relative_degree,
+    )
+    a, b, c = _balanced(*_cascade(per_tick))
+    n = len(b)
+    augmented = np.zeros((2 * n, 2 * n))
+    augmented[:n, :n] = a
+    augmented[:n, n:] = np.eye(n)
+    integral = linalg.expm(augmented)[:n, n:]
+    return a @ integral, integral @ b, c
+
+
+def response(system: StateSpace, delta: ComplexArray) -> ComplexArray:
+    """c(δI - a)⁻¹b at ``delta``, shape (m,)."""
+    a, b, c = system
+    resolvent = delta[:, None, None] * np.eye(len(a)) - a
+    return np.asarray(
+        (c @ np.linalg.solve(resolvent, np.broadcast_to(b, (len(delta), *b.shape))))[:, 0, 0]
+    )
+
+
+def zeros_of(system: StateSpace, poles: ComplexArray) -> list[complex]:
+    """Finite zeros of c(δI - a)⁻¹b: n - 1 of them, since a sampled first sample answers."""
+    a, b, c = system
+    n = len(a)
+    pencil = np.block([[a, b], [c, np.zeros((1, 1))]])
+    mass = np.zeros((n + 1, n + 1))
+    mass[:n, :n] = np.eye(n)
+    roots = linalg.eigvals(pencil, mass)
+    found = sorted(roots[np.isfinite(roots)], key=abs)[: n - 1]
+    while len(found) < n - 1:  # far out on the negative axis; eigenvalues took it for infinite
+        found.append(-8.0 * np.max(np.abs(found), initial=1.0))
+    return refined(a, b, c, poles, found)
+
+
+def _cascade(g: ZeroPoleGain) -> StateSpace:
+    """A state space (A, b, c) of ``g``, its feedthrough aside, as a cascade of sections in s."""
+    sections = from_delta_zpk(g.zeros, g.poles, g.gain, 1.0).coefficients  # pairing knows no z
+    a = np.zeros((0, 0))
+    b = np.zeros((0, 1))
+    c = np.zeros((1, 0))
+    d = 1.0
+    for b0, b1, b2, a1, a2 in sections:
+        # controllable form; the δ/δ of a first-order section is a state that is never excited
+        if a2 == 0.0 and b2 == 0.0:
+            ai, bi, ci = np.array([[-a1]]), np.array([[1.0]]), np.array([[b1 - a1 * b0]])
+        else:
+            ai = np.array([[-a1, -a2], [1.0, 0.0]])
+            bi, ci = np.array([[1.0], [0.0]]), np.array([[b1 - a1 * b0, b2 - a2 * b0]])
+        a = np.block([[a, np.zeros((len(a), len(ai)))], [bi @ c, ai]])
+        b = np.vstack([b, bi * d])
+        c = np.hstack([b0 * c, ci])
+        d *= float(b0)
+    return a, b, c
+
+
+def _balanced(a: FloatArray, b: FloatArray, c: FloatArray) -> StateSpace:
+    """The same system with states scaled, by powers of two, so that its numbers are of one size.
+
+    In a cascade of slow and fast sections they span many decades, and eigenvalues lose as many.
+    """
+    whole = np.block([[a, b], [c, np.zeros((1, 1))]])
+    _, (scale, _) = linalg.matrix_balance(whole, permute=False, separate=True)
+    states = scale[:-1] / scale[-1]
+    return a * states / states[:, None], b / states[:, None], c * states

@@ -1,0 +1,129 @@
+"""How far rounding can move a filter: bounds from its coefficients, to first order.
+
+``conditioning`` bounds a response: each root, coefficient or matrix that is rounded once moves it
+by at most this many roundings. ``run_error`` bounds a run: what is rounded at each operation of
+``biquad.advance``, through all that it passes on its way to the output.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from scipy import linalg
+
+from firmware_model.compiled import compiled
+from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.discretisation.sections import ComplexArray, Sections
+from firmware_model.discretisation.systems import Polynomials, StateSpace
+from firmware_model.target.filters import biquad
+from firmware_model.target.structs import FloatArray, Precision, RecordArray, record_type
+
+ROUNDING: dict[Precision, float] = {"float64": 2.0**-53, "float32": 2.0**-24}
+"""Relative error of one rounding."""
+
+
+def of_sections(sections: Sections, delta: ComplexArray) -> FloatArray:
+    """Conditioning of the response at ``delta``, shape (m,): Σ|terms|/|sum| of each polynomial."""
+    total = np.zeros(delta.shape)
+    for b0, b1, b2, a1, a2 in sections.coefficients:
+        for row in ((b0, b1, b2), (1.0, a1, a2)):
+            total += _cancellation(np.trim_zeros(np.array(row), "b"), delta)
+    return total
+
+
+def of_system(system: ZeroPoleGain | Polynomials | StateSpace, s: ComplexArray) -> FloatArray:
+    """Conditioning of a continuous response at ``s``, shape (m,), in the form it is given in."""
+    if isinstance(system, ZeroPoleGain):
+        roots = np.array([*system.zeros, *system.poles], np.complex128)
+        points = s[:, None]
+        return np.asarray(
+            1.0 + ((np.abs(points) + np.abs(roots)) / np.abs(points - roots)).sum(axis=1)
+        )
+    if isinstance(system, Polynomials):
+        size = len(system.num) + len(system.den)
+        return size * (_cancellation(system.num, s) + _cancellation(system.den, s))
+    return _of_state_space(system, s)
+
+
+def _of_state_space(system: StateSpace, s: ComplexArray) -> FloatArray:
+    """Of poles and response, the worst at any ``s``: that is how exact its zeros are.
+
+    ‖a‖‖(sI - a)⁻¹‖, and (‖a‖‖x‖‖y‖ + ‖b‖‖y‖ + ‖c‖‖x‖)/|H| for x = (sI - a)⁻¹b, y = c(sI - a)⁻¹.
+    """
+    if not len(system.a):
+        return np.ones(len(s))
+    a, (scale, _) = linalg.matrix_balance(system.a, permute=False, separate=True)
+    b, c = system.b / scale[:, None], system.c * scale
+    resolvent = np.linalg.inv(s[:, None, None] * np.eye(len(a)) - a)
+    whole, x, y = (
+        np.linalg.norm(m, axis=(1, 2)) for m in (resolvent, resolvent @ b, c @ resolvent)
+    )
+    of_a, of_b, of_c = (np.linalg.norm(m) for m in (a, b, c))
+    with np.errstate(divide="ignore"):  # a sum that has lost every digit
+        of_response = (of_a * x * y + of_b * y + of_c * x + abs(system.d)) / np.abs(system(s))
+    return np.full(len(s), len(a) * np.max(of_a * whole + of_response))
+
+
+def _cancellation(polynomial: FloatArray, x: ComplexArray) -> FloatArray:
+    """Σ|terms|/|sum| of a polynomial, highest power first, at ``x``; 1 for the zero polynomial."""
+    if not np.any(polynomial):
+        return np.ones(x.shape)
+    terms = np.polyval(np.abs(polynomial), np.abs(x))
+    return np.asarray(terms / np.abs(np.polyval(polynomial, x)))
+
+
+def run_error(sections: Sections, ticks: int, precision: Precision = "float32") -> float:
+    """Bound of what ``precision`` changes in a run from rest, as a share of the largest input.
+
+    Each section is, per tick, y = β0 u + s1, s1 += β1 u - α1 y + s2, s2 += β2 u - α2 y. Its signals
+    are at most their impulse responses' sums of magnitudes times the largest input; each product
+    is rounded twice, with its coefficient, and each sum once; and the error of a signal reaches the
+    output by the sum of magnitudes of what an impulse there does. Underflow is left out.
+    """
+    coefficients = sections.coefficients
+    unit, error, u = ROUNDING[precision], 0.0, 1.0
+    for i, (b0, b1, b2, a1, a2) in enumerate(np.abs(coefficients)):
+        y, s1, s2 = _sums(coefficients[: i + 1], ticks, impulse_at=None)
+        to_output_1, to_output_2 = (
+            _sums(coefficients[i:], ticks, impulse_at=j)[0] for j in range(2)
+        )
+        onwards = _sums(coefficients[i + 1 :], ticks, impulse_at=None)[0]
+        at_y = 2.0 * b0 * u + y
+        at_1 = 4.0 * (b1 * u + a1 * y) + 2.0 * s2 + s1
+        at_2 = 3.0 * (b2 * u + a2 * y) + s2
+        error += at_y * (onwards + a1 * to_output_1 + a2 * to_output_2)
+        error += at_1 * to_output_1 + at_2 * to_output_2
+        u = y
+    return float(unit * error)
+
+
+def _sums(coefficients: FloatArray, ticks: int, impulse_at: int | None) -> FloatArray:
+    """Σ|y|, and Σ|s1|, Σ|s2| of the last section, after an impulse.
+
+    Args:
+        coefficients: of the cascade, shape (n, 5).
+        ticks: how long.
+        impulse_at: the accumulator of the first section that it sits in; None: it is the input.
+    """
+    if not len(coefficients):
+        return np.array([1.0, 0.0, 0.0])
+    cascades = np.zeros(1, record_type(biquad.CONSTANTS, "float64"))
+    cascades[0].n = len(coefficients)
+    cascades[0].coefficients[: len(coefficients)] = coefficients
+    states = np.zeros(1, record_type(biquad.STATE, "float64"))
+    if impulse_at is not None:
+        states[0].accumulators[0, impulse_at] = 1.0
+    sums = np.zeros(3)
+    _add_magnitudes(cascades, states, 1.0 if impulse_at is None else 0.0, ticks, sums)
+    return sums
+
+
+@compiled
+def _add_magnitudes(
+    cascades: RecordArray, states: RecordArray, u: float, ticks: int, sums: FloatArray
+) -> None:
+    last = cascades[0].n - 1
+    for _ in range(ticks):
+        sums[0] += abs(biquad.advance(cascades[0], states[0], u))
+        sums[1] += abs(states[0].accumulators[last, 0])
+        sums[2] += abs(states[0].accumulators[last, 1])
+        u = 0.0

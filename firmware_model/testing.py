@@ -1,0 +1,201 @@
+"""Assertions for tests of discretised filters: against theory, never against golden numbers.
+
+Each takes a ``Filter`` of ``discretise`` and raises ``AssertionError`` with one line: where the
+filter is how far from theory, and what was allowed. What is allowed comes from the coefficients,
+where the caller does not say: how far rounding can move the answer (``discretisation.rounding``).
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.discretisation import rounding
+from firmware_model.discretisation.filters import Filter
+from firmware_model.discretisation.held_input import response, sampled
+from firmware_model.discretisation.sections import ComplexArray
+from firmware_model.discretisation.systems import continuous, zero_pole_gain
+from firmware_model.discretisation.tustin import image_of_infinity
+from firmware_model.target.filters import biquad
+from firmware_model.target.structs import FloatArray
+
+ROUNDINGS = 16
+"""Roundings of each number on its way from the continuous filter to its section: more than any."""
+
+OF_ZOH = 1e-5
+"""Error of a zero-order hold's zeros, as a share of the largest response."""
+
+NOISE_TICKS = 4096
+
+
+def assert_follows(
+    filter: Filter,
+    system: object,
+    rad_per_s: ArrayLike | None = None,
+    *,
+    within: float | None = None,
+) -> None:
+    """The frequency response is the one that theory gives the rule.
+
+    ``tustin``: H(e^{jωT}) = G(j(2/T) tan(ωT/2)), with prewarp for 2/T what keeps that frequency;
+    ``tustin-held``: 2/(z + 1) times that; ``zoh``: of the sampled state space.
+
+    Args:
+        filter: the discretised filter.
+        system: the continuous one, as ``discretise`` takes it.
+        rad_per_s: frequencies below π/T, shape (m,); left out: 200 up to 0.95 of that.
+        within: relative error that is allowed; left out: a bound from the coefficients.
+    """
+    omega = _grid(filter) if rad_per_s is None else np.atleast_1d(np.asarray(rad_per_s, float))
+    theory, conditioning = _theory(filter, system, omega)
+    angle = omega * filter.tick_s
+    answer = filter.frequency_response(omega)
+    if within is None:
+        unit = rounding.ROUNDING
+        of_sections = rounding.of_sections(
+            filter.sections, 2j * np.sin(angle / 2.0) * np.exp(0.5j * angle)
+        )
+        share = unit["float64"] * conditioning + unit[filter.precision] * of_sections
+        allowed = ROUNDINGS * share * angle / np.sin(angle) * np.abs(theory)
+        if filter.rule == "zoh":
+            allowed += OF_ZOH * np.abs(theory).max()
+        allowed = np.where(np.isnan(allowed), np.inf, allowed)  # theory has lost every digit
+    else:
+        allowed = within * np.abs(theory)
+    error = np.abs(answer - theory)
+    worst = int(np.argmax(error - allowed))
+    assert error[worst] <= allowed[worst], (
+        f"at {omega[worst]:.6g} rad/s the response is {answer[worst]:.6g}, theory "
+        f"{theory[worst]:.6g}: off by {error[worst]:.3g}, allowed {allowed[worst]:.3g}"
+    )
+
+
+def _theory(filter: Filter, system: object, omega: FloatArray) -> tuple[ComplexArray, FloatArray]:
+    """What the rule makes of ``system`` at ``omega``, and how ill-conditioned that is."""
+    half = 0.5 * omega * filter.tick_s
+    given = continuous(system)
+    if filter.rule == "zoh":
+        g = zero_pole_gain(given)
+        delta = 2j * np.sin(half) * np.exp(1j * half)
+        return response(sampled(g, filter.tick_s), delta), rounding.of_system(
+            given, 1j * omega.astype(np.complex128)
+        )
+    s = 1j * image_of_infinity(filter.tick_s, filter.prewarp_rad_per_s) * np.tan(half)
+    theory, conditioning = given(s), rounding.of_system(given, s)
+    if filter.rule == "tustin-held":
+        theory = theory / (np.cos(half) * np.exp(1j * half))  # (z + 1)/2
+    return theory, conditioning
+
+
+def assert_dc_gain(
+    filter: Filter, expected: float | object, *, within: float | None = None
+) -> None:
+    """The gain for a constant input.
+
+    Args:
+        filter: the discretised filter.
+        expected: that gain, or the continuous filter that has it.
+        within: relative error that is allowed; left out: a bound from the number of sections.
+    """
+    gain = (
+        float(expected) if isinstance(expected, int | float) else zero_pole_gain(expected).dc_gain
+    )
+    if within is None:
+        roundings = ROUNDINGS * 2 * len(filter.sections.coefficients)
+        allowed = roundings * rounding.ROUNDING[filter.precision] * abs(gain)
+        if filter.rule == "zoh":
+            allowed += OF_ZOH * float(np.abs(filter.frequency_response(_grid(filter))).max())
+    else:
+        allowed = within * abs(gain)
+    answer = filter.dc_gain
+    assert answer == gain or abs(answer - gain) <= allowed < math.inf, (
+        f"DC gain {answer:.9g}, theory {gain:.9g}: off by {abs(answer - gain):.3g}, "
+        f"allowed {allowed:.3g}"
+    )
+
+
+def assert_stable(filter: Filter, *, margin: float = 0.0) -> None:
+    """Every pole lies inside the circle of radius ``1 - margin``, by the stored coefficients."""
+    radius = float(np.abs(filter.poles).max(initial=0.0))
+    inside = filter.is_stable and radius <= 1.0 - margin
+    assert inside, f"a pole at |z| = {radius:.9g}: must be inside {1.0 - margin:.9g}"
+
+
+def assert_step(filter: Filter, system: object, *, ticks: int = 1000, within: float = 0.01) -> None:
+    """The step response from rest is that of the continuous filter, solved exactly.
+
+    A held input steps at the first tick, and ``zoh`` answers exactly; Tustin's ramps up over the
+    tick before, so that its answer is compared with that of half a tick later.
+
+    Args:
+        filter: the discretised filter.
+        system: the continuous one, as ``discretise`` takes it.
+        ticks: for how long.
+        within: error that is allowed, as a share of the largest answer.
+    """
+    g = zero_pole_gain(system)
+    theory = _step_of(g, filter.tick_s, ticks, late=filter.rule == "tustin")
+    answer = filter.in_precision(filter.precision).run(np.ones(ticks))
+    error, allowed = np.abs(answer - theory), within * np.abs(theory).max()
+    worst = int(np.argmax(error))
+    assert error[worst] <= allowed, (
+        f"at tick {worst} the step response is {answer[worst]:.6g}, theory {theory[worst]:.6g}: "
+        f"off by {error[worst]:.3g}, allowed {allowed:.3g}"
+    )
+
+
+def _step_of(g: ZeroPoleGain, tick_s: float, ticks: int, late: bool) -> FloatArray:
+    """The continuous step response at every tick, or half a tick after each."""
+    a, b, c = sampled(g, tick_s / 2.0 if late else tick_s)
+    feedthrough = g.gain if g.relative_degree == 0 else 0.0
+    x, answers = np.zeros_like(b), []
+    for _ in range(2 * ticks if late else ticks):
+        answers.append((c @ x).item() + feedthrough)
+        x = x + (a @ x + b)
+    return np.array(answers[1::2] if late else answers)
+
+
+def assert_float32_follows(filter: Filter, u: ArrayLike | None = None) -> None:
+    """From rest, the filter in float32 answers as in float64, within the bound of ``run_error``.
+
+    Args:
+        filter: the discretised filter, in either precision.
+        u: samples, shape (n,), rounded to float32 for both; left out: white noise.
+    """
+    inputs = _noise() if u is None else np.asarray(u, np.float32)
+    single = filter.in_precision("float32")
+    allowed = rounding.run_error(single.sections, len(inputs)) * float(np.abs(inputs).max())
+    error = np.abs(single.run(inputs) - filter.in_precision("float64").run(inputs))
+    worst = int(np.argmax(error))
+    assert error[worst] <= allowed, (
+        f"tick {worst}: float32 is off by {error[worst]:.3g}, its coefficients allow {allowed:.3g}"
+    )
+
+
+def assert_bit_identical(filter: Filter, u: ArrayLike | None = None) -> None:
+    """From rest, every answer has the same bits compiled and interpreted.
+
+    Args:
+        filter: the discretised filter.
+        u: samples, shape (n,); left out: white noise.
+    """
+    inputs = np.asarray(_noise() if u is None else u, filter.precision)
+    answers = filter.in_precision(filter.precision).run(inputs)
+    interpreted = getattr(biquad.advance, "py_func", biquad.advance)
+    state = biquad.at_rest(filter.precision)
+    for k, sample in enumerate(inputs):
+        answer = np.asarray(interpreted(filter.cascade, state, sample))
+        same = answer.tobytes() == answers[k].tobytes()
+        assert same, f"at tick {k} compiled answers {answers[k]!r}, interpreted {answer!r}"
+
+
+def _grid(filter: Filter) -> FloatArray:
+    """Frequencies from far below to shortly before the Nyquist frequency, rad/s."""
+    return np.geomspace(1e-5, 0.95, 200) * math.pi / filter.tick_s
+
+
+def _noise() -> FloatArray:
+    return np.random.default_rng(1).standard_normal(NOISE_TICKS).astype(np.float32)

@@ -1,0 +1,106 @@
+"""Random stable filters, and what theory says of them in fifty digits."""
+
+from __future__ import annotations
+
+import math
+
+import mpmath
+import numpy as np
+
+from firmware_model.design.zpk import ZeroPoleGain
+
+Complexes = list[complex]
+
+
+def roots(rng: np.random.Generator, count: int, nyquist: float) -> Complexes:
+    """Real ones and pairs of damping 0.03 to 1, over four decades below the Nyquist frequency."""
+    found: Complexes = []
+    while len(found) < count:
+        size = nyquist * 10 ** rng.uniform(-4.0, -0.05)
+        if count - len(found) >= 2 and rng.random() < 0.6:
+            damping = min(10 ** rng.uniform(-1.5, 0.0), 0.999)
+            root = complex(-damping * size, math.sqrt(1.0 - damping**2) * size)
+            found += [root, root.conjugate()]
+        else:
+            found.append(complex(-size))
+    return found
+
+
+def random_filter(rng: np.random.Generator, *, held: bool = False) -> tuple[ZeroPoleGain, float]:
+    """A filter of order 1 to 12 whose response is of size 1 somewhere, and a tick of 1e-5 to 0.1 s.
+
+    ``held``: without feedthrough.
+    """
+    order, tick_s = int(rng.integers(1, 13)), 10 ** rng.uniform(-5.0, -1.0)
+    nyquist = math.pi / tick_s
+    poles = roots(rng, order, nyquist)
+    zeros = roots(rng, int(rng.integers(0, order + (not held))), nyquist)
+    if rng.random() < 0.3:
+        zeros = [-zero.conjugate() for zero in zeros]  # not minimum phase
+    size = np.prod(np.abs(poles) / nyquist) / np.prod(np.abs(zeros) / nyquist)
+    gain = float(size) * nyquist ** (order - len(zeros))
+    return ZeroPoleGain(tuple(zeros), tuple(poles), gain), tick_s
+
+
+def angles(rad_per_s: np.ndarray, tick_s: float) -> list[mpmath.mpf]:
+    """ωT as exact as the floats are."""
+    return [mpmath.mpf(float(omega)) * mpmath.mpf(tick_s) for omega in rad_per_s]
+
+
+def tustin_exactly(g: ZeroPoleGain, rad_per_s: np.ndarray, tick_s: float) -> np.ndarray:
+    """G(j(2/T) tan(ωT/2)) from the roots."""
+    with mpmath.workdps(50):
+        warped = [
+            mpmath.mpc(0, 2 / mpmath.mpf(tick_s) * mpmath.tan(angle / 2))
+            for angle in angles(rad_per_s, tick_s)
+        ]
+        return np.array([complex(_value(g, s)) for s in warped])
+
+
+def tustin_exactly_of_coefficients(
+    num: np.ndarray, den: np.ndarray, rad_per_s: np.ndarray, tick_s: float
+) -> np.ndarray:
+    """The same from num(s)/den(s)."""
+    with mpmath.workdps(50):
+        above, below = ([mpmath.mpf(float(k)) for k in row] for row in (num, den))
+        warped = [
+            mpmath.mpc(0, 2 / mpmath.mpf(tick_s) * mpmath.tan(angle / 2))
+            for angle in angles(rad_per_s, tick_s)
+        ]
+        return np.array([complex(_horner(above, s) / _horner(below, s)) for s in warped])
+
+
+def zoh_exactly(g: ZeroPoleGain, rad_per_s: np.ndarray, tick_s: float) -> np.ndarray:
+    """Σ rᵢ/pᵢ (e^{pᵢT} - 1)/(z - e^{pᵢT}), by residues."""
+    with mpmath.workdps(70):
+        poles = [mpmath.mpc(p) for p in g.poles]
+        parts = []
+        for i, pole in enumerate(poles):
+            others = ZeroPoleGain(g.zeros, (), g.gain)
+            residue = _value(others, pole)
+            for j, other in enumerate(poles):
+                residue = residue / (pole - other) if j != i else residue
+            power = mpmath.exp(pole * mpmath.mpf(tick_s))
+            parts.append((residue / pole * (power - 1), power))
+        return np.array(
+            [
+                complex(mpmath.fsum(top / (mpmath.expj(angle) - power) for top, power in parts))
+                for angle in angles(rad_per_s, tick_s)
+            ]
+        )
+
+
+def _value(g: ZeroPoleGain, s: mpmath.mpc) -> mpmath.mpc:
+    value = mpmath.mpf(g.gain)
+    for zero in g.zeros:
+        value *= s - mpmath.mpc(zero)
+    for pole in g.poles:
+        value /= s - mpmath.mpc(pole)
+    return value
+
+
+def _horner(coefficients: list[mpmath.mpf], s: mpmath.mpc) -> mpmath.mpc:
+    value = mpmath.mpf(0)
+    for coefficient in coefficients:
+        value = value * s + coefficient
+    return value

@@ -1,0 +1,183 @@
+"""A filter alone: its answers, its figures, and what is refused."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+from scipy import signal
+
+import firmware_model
+from firmware_model import Filter, discretise
+from firmware_model.design.plants import steer_by_wire
+from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.discretisation.tustin import tustin, tustin_held, zoh
+from firmware_model.errors import ImproperError, ParameterError
+
+LOW_PASS = signal.TransferFunction([100.0], [1.0, 100.0])
+BUTTERWORTH = signal.ZerosPolesGain(*signal.butter(5, 300.0, analog=True, output="zpk"))
+CAR = steer_by_wire()
+TICK_S = 1e-3
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@pytest.mark.parametrize(
+    ("rule", "by"), [("tustin", tustin), ("tustin-held", tustin_held), ("zoh", zoh)]
+)
+def test_it_runs_the_sections_of_the_firmware(rule: Any, by: Any, precision: Any) -> None:
+    """Up to powers of two between the sections, which change no bit of an answer."""
+    made = discretise(CAR.g1, TICK_S, rule, precision=precision)
+    theirs = by(CAR.g1, TICK_S)
+    unchanged = Filter(theirs, rule, None, precision)
+    u = np.random.default_rng(2).standard_normal(500)
+    assert np.array_equal(made.run(u), unchanged.run(u))
+    there = unchanged.sections.coefficients[:, :3] != 0.0
+    factors = (
+        made.sections.coefficients[:, :3][there] / unchanged.sections.coefficients[:, :3][there]
+    )
+    assert set(np.frexp(factors)[0].tolist()) == {0.5}
+    assert made.run(u).dtype == precision
+
+
+def test_a_step_is_a_run_of_one_sample() -> None:
+    stepped, run = discretise(BUTTERWORTH, TICK_S), discretise(BUTTERWORTH, TICK_S)
+    u = np.random.default_rng(3).standard_normal(200)
+    answers = run.run(u[:77])
+    answers = np.concatenate([answers, run.run(u[77:])])  # goes on where it was
+    assert [stepped.step(float(x)) for x in u] == answers.tolist()
+
+
+def test_float32_computes_in_float32() -> None:
+    made = discretise(LOW_PASS, TICK_S, precision="float32")
+    answer = made.step(1.0 / 3.0)
+    assert answer == float(np.float32(answer))
+    assert answer != discretise(LOW_PASS, TICK_S).step(1.0 / 3.0)
+    assert made.in_precision("float64").step(1.0) == discretise(LOW_PASS, TICK_S).step(1.0)
+
+
+def test_reset_settles() -> None:
+    made = discretise(BUTTERWORTH, TICK_S)
+    assert made.reset(2.0) == pytest.approx(2.0, rel=1e-12)
+    np.testing.assert_allclose(made.run(np.full(50, 2.0)), 2.0, rtol=1e-12)
+    assert made.reset() == 0.0
+    assert not made.run(np.zeros(5)).any()
+
+
+def test_response_and_figures_are_scipys() -> None:
+    made = discretise(BUTTERWORTH, TICK_S)
+    omega = np.array([[0.0, 1.0], [300.0, 3000.0]])
+    _, expected = signal.sosfreqz(made.to_scipy_sos(), omega.ravel() * TICK_S)
+    np.testing.assert_allclose(made.frequency_response(omega), expected.reshape(2, 2), rtol=1e-8)
+    _, poles, _ = signal.sos2zpk(made.to_scipy_sos())
+    np.testing.assert_allclose(
+        np.sort_complex(made.poles), np.sort_complex(poles[poles != 0.0]), rtol=1e-9
+    )
+    assert made.order == 5
+    assert made.dc_gain == pytest.approx(1.0, rel=1e-13)
+    assert made.is_stable
+
+
+def test_prewarp_keeps_its_frequency() -> None:
+    made = discretise(LOW_PASS, 0.005, prewarp_rad_per_s=100.0)
+    assert abs(made.frequency_response(100.0)) == pytest.approx(math.sqrt(0.5), rel=1e-12)
+    plain = discretise(LOW_PASS, 0.005)
+    assert abs(plain.frequency_response(100.0)) < 0.999 * math.sqrt(0.5)
+
+
+@pytest.mark.parametrize(
+    ("system", "dc_gain", "order", "stable"),
+    [
+        (([1.0], [1.0, 0.0]), math.inf, 1, False),  # an integrator
+        (([-1.0], [1.0, 0.0]), -math.inf, 1, False),
+        (([1.0], [1.0, 0.0, 0.0]), math.inf, 2, False),
+        (([1.0, 0.0], [1.0, 2.0]), 0.0, 1, True),  # a differentiator behind a lag
+        (([1.0, 0.0, 0.0], [1.0, 2.0, 3.0]), 0.0, 2, True),
+        (([4.0], [2.0]), 2.0, 0, True),
+        (([0.0], [1.0, 2.0]), 0.0, 0, True),
+        (([1.0], [1.0, 0.0, 9.0]), 1.0 / 9.0, 2, False),  # undamped
+        (([1.0], [1.0, -3.0]), -1.0 / 3.0, 1, False),
+    ],
+)
+def test_what_is_special_at_zero_frequency(
+    system: Any, dc_gain: float, order: int, stable: bool
+) -> None:
+    made = discretise(system, 0.01)
+    assert made.dc_gain == pytest.approx(dc_gain, rel=1e-12)
+    assert (made.order, made.is_stable) == (order, stable)
+
+
+def test_it_says_what_it_is() -> None:
+    assert repr(discretise(LOW_PASS, TICK_S)) == (
+        "<Filter of order 1, tustin, tick 0.001 s, float64: DC gain 1, largest |pole| 0.904762>"
+    )
+    text = repr(discretise(([2.0], [1.0]), 0.1, prewarp_rad_per_s=3.0, precision="float32"))
+    assert (
+        text == "<Filter of order 0, tustin prewarped at 3 rad/s, tick 0.1 s, float32: DC gain 2>"
+    )
+
+
+def test_a_slow_filter_of_high_order_fits_float32() -> None:
+    """The gain of 1e-53 is spread over the sections; in the first alone it would be zero."""
+    system = signal.ZerosPolesGain(*signal.butter(12, 100.0, analog=True, output="zpk"))
+    made = discretise(system, 1e-5, precision="float32")
+    assert made.dc_gain == pytest.approx(1.0, abs=1e-4)
+    assert (
+        Filter(tustin(ZeroPoleGain((), (-1.0,), 1.0), 1e-3), "tustin", None, "float32").order == 1
+    )
+    with pytest.raises(ParameterError, match="outside the range of float32"):
+        discretise(ZeroPoleGain((), (-1e-18,), 1e-36), 1e-25, precision="float32")
+
+
+REFUSED: dict[str, tuple[dict[str, Any], str]] = {
+    "a tick of zero": ({"tick_s": 0.0}, "tick_s = 0: must be finite and above 0"),
+    "several rates": ({"tick_s": [0.001, 0.01]}, "tick_s = .*must be one number of seconds"),
+    "a tick in words": ({"tick_s": "1 ms"}, "tick_s = '1 ms': must be one number"),
+    "another rule": ({"rule": "euler"}, "rule = 'euler': must be one of tustin, tustin-held, zoh"),
+    "another precision": ({"precision": "float16"}, "precision = 'float16': must be float64 or"),
+    "prewarp of a held input": (
+        {"rule": "zoh", "prewarp_rad_per_s": 3.0},
+        "prewarp_rad_per_s with rule = zoh: must be left out",
+    ),
+    "prewarp beyond Nyquist": ({"prewarp_rad_per_s": 1e4}, "below the Nyquist frequency"),
+    "order 17": ({"system": ZeroPoleGain.lag(0.1, 17)}, "order 17: must be of order 16 or less"),
+    "several inputs": (
+        {"system": control.ss(-np.eye(2), np.eye(2), np.eye(2), np.zeros((2, 2)))},
+        "must have one of each",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", REFUSED)
+def test_what_cannot_be_is_refused_in_one_line(kind: str) -> None:
+    changed, message = REFUSED[kind]
+    with pytest.raises(ParameterError, match=message) as caught:
+        discretise(**{"system": LOW_PASS, "tick_s": TICK_S, **changed})
+    assert "\n" not in str(caught.value)
+
+
+def test_what_needs_its_future_is_refused() -> None:
+    with pytest.raises(ImproperError, match="must have at least as many poles"):
+        discretise(([1.0, 0.0], [1.0]), TICK_S)
+    with pytest.raises(ImproperError, match="use tustin"):
+        discretise(([1.0, 0.0], [1.0, 1.0]), TICK_S, "zoh")
+
+
+@pytest.mark.parametrize("u", [1.0, [[1.0]], ["a"], [1j]])
+def test_a_run_takes_one_row_of_real_samples(u: Any) -> None:
+    with pytest.raises(ParameterError, match="must be one row of real samples"):
+        discretise(LOW_PASS, TICK_S).run(u)
+
+
+def test_order_16_runs() -> None:
+    system = ZeroPoleGain.lag(0.05, 16)
+    answer = discretise(system, 0.01).run(np.ones(1000))
+    assert answer[-1] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_the_package_has_no_other_names() -> None:
+    assert firmware_model.discretise is discretise
+    with pytest.raises(AttributeError, match="no attribute 'discretize'"):
+        firmware_model.discretize

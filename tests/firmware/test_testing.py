@@ -1,0 +1,150 @@
+"""The assertions hold of right filters, and fail of wrong ones by what they say."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import control
+import numpy as np
+import pytest
+from scipy import signal
+
+from firmware_model import Filter, discretise, testing
+from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.discretisation.rounding import run_error
+from firmware_model.discretisation.sections import Sections
+from firmware_model.target.filters import biquad
+
+TICK_S = 1e-3
+BUTTERWORTH = signal.ZerosPolesGain(*signal.butter(4, 300.0, analog=True, output="zpk"))
+COEFFICIENTS = ([3.0, 30.0], [1.0, 14.0, 140.0, 400.0])
+LEAD = ([1.0, 5.0], [1.0, 500.0])
+RULES: list[Any] = ["tustin", "tustin-held", "zoh"]
+
+
+def changed(made: Filter, section: int, coefficient: int, factor: float) -> Filter:
+    coefficients = made.sections.coefficients.copy()
+    coefficients[section, coefficient] *= factor
+    return Filter(
+        Sections(coefficients, made.tick_s), made.rule, made.prewarp_rad_per_s, made.precision
+    )
+
+
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("system", [BUTTERWORTH, BUTTERWORTH.to_ss(), COEFFICIENTS])
+def test_they_hold(system: Any, rule: Any, precision: Any) -> None:
+    made = discretise(system, TICK_S, rule, precision=precision)
+    testing.assert_follows(made, system)
+    testing.assert_follows(made, system, [1.0, 30.0, 300.0], within=1e-4)
+    testing.assert_dc_gain(made, system)
+    testing.assert_stable(made, margin=1e-3)
+    testing.assert_step(made, system, within=0.02)
+    testing.assert_float32_follows(made)
+    testing.assert_bit_identical(made, np.linspace(-1.0, 1.0, 300))
+
+
+def test_they_hold_of_feedthrough_and_prewarp_and_a_constant() -> None:
+    made = discretise(LEAD, TICK_S, prewarp_rad_per_s=50.0)
+    testing.assert_follows(made, LEAD)
+    testing.assert_dc_gain(made, 0.01)
+    testing.assert_step(made, LEAD, within=0.03)
+    constant = discretise(([2.0], [1.0]), TICK_S)
+    testing.assert_step(constant, ([2.0], [1.0]), within=1e-15)
+    testing.assert_stable(constant)
+    testing.assert_follows(constant, control.ss([], [], [], 2.0))
+    nothing = ([0.0], [1.0, 2.0])
+    testing.assert_follows(discretise(nothing, TICK_S), nothing)
+    testing.assert_dc_gain(discretise(([1.0], [1.0, 0.0]), TICK_S), ([1.0], [1.0, 0.0]))
+    testing.assert_dc_gain(discretise(LEAD, TICK_S), 0.0101, within=0.02)
+
+
+def test_the_step_of_a_held_input_is_exact() -> None:
+    testing.assert_step(discretise(BUTTERWORTH, TICK_S, "zoh"), BUTTERWORTH, within=1e-12)
+
+
+def test_theory_without_digits_says_nothing() -> None:
+    """1e20 less 1e20: of what the matrices meant, they have kept nothing."""
+    lost = signal.StateSpace([[-1.0]], [[1e10]], [[-1e10]], [[1e20]])
+    testing.assert_follows(discretise(([1.0], [1.0]), TICK_S), lost, [1e-40])
+
+
+@pytest.mark.parametrize("rule", RULES)
+@pytest.mark.parametrize("coefficient", range(5))
+def test_a_coefficient_that_is_off_is_seen(rule: Any, coefficient: int) -> None:
+    made = discretise(COEFFICIENTS, TICK_S, rule)
+    section = int(np.argmax(made.sections.coefficients[:, coefficient] != 0.0))
+    wrong = changed(made, section, coefficient, 1.0 + (0.1 if rule == "zoh" else 1e-9))
+    if wrong.sections.coefficients[section, coefficient] == 0.0:
+        pytest.skip("the rule has no such coefficient")
+    with pytest.raises(AssertionError, match=r"rad/s the response is .* theory .* allowed"):
+        testing.assert_follows(wrong, COEFFICIENTS)
+
+
+def test_another_filter_is_seen() -> None:
+    made = discretise(BUTTERWORTH, TICK_S)
+    other = signal.ZerosPolesGain(*signal.butter(4, 310.0, analog=True, output="zpk"))
+    with pytest.raises(AssertionError, match=r"at 300 rad/s the response is"):
+        testing.assert_follows(made, other, 300.0, within=1e-2)
+    with pytest.raises(AssertionError, match=r"at tick \d+ the step response is .* theory"):
+        testing.assert_step(made, other)
+    with pytest.raises(AssertionError, match=r"DC gain 1, theory 1\.01: off by 0\.01"):
+        testing.assert_dc_gain(made, 1.01)
+    with pytest.raises(AssertionError, match="DC gain inf, theory 1"):
+        testing.assert_dc_gain(discretise(([1.0], [1.0, 0.0]), TICK_S), 1.0)
+
+
+@pytest.mark.parametrize(("pole", "margin"), [(0.0, 0.0), (1.0, 0.0), (-1.0, 0.01), (-1e-13, 0.0)])
+def test_stability_is_by_the_stored_coefficients(pole: float, margin: float) -> None:
+    made = discretise(ZeroPoleGain((), (pole,), 1.0), TICK_S)
+    if margin or pole >= 0.0:
+        with pytest.raises(AssertionError, match=r"a pole at \|z\| = .*: must be inside"):
+            testing.assert_stable(made, margin=margin)
+    else:
+        testing.assert_stable(made)  # 1 - 1e-16, which z alone cannot tell from 1
+
+
+def test_float32_that_computes_less_exactly_than_it_could_is_seen(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """With half of the digits of float32 the same filter is outside its bound."""
+    made = discretise(([1.0], [0.001, 1.0]), TICK_S)
+    run = Filter.run
+
+    def coarse(self: Filter, u: Any) -> Any:
+        answer = run(self, u)
+        return (
+            answer.astype(np.float16).astype(np.float32) if self.precision == "float32" else answer
+        )
+
+    testing.assert_float32_follows(made, np.ones(100))
+    monkeypatch.setattr(Filter, "run", coarse)
+    with pytest.raises(AssertionError, match=r"float32 is off by .*, its coefficients allow"):
+        testing.assert_float32_follows(made, np.ones(100))
+
+
+def test_a_bit_that_differs_is_seen(monkeypatch: pytest.MonkeyPatch) -> None:
+    made = discretise(BUTTERWORTH, TICK_S)
+    run = Filter.run
+    monkeypatch.setattr(Filter, "run", lambda self, u: np.nextafter(run(self, u), math.inf))
+    with pytest.raises(AssertionError, match=r"at tick 0 compiled answers .*, interpreted"):
+        testing.assert_bit_identical(made)
+
+
+def test_the_bound_of_a_run_is_that_of_the_worst_input() -> None:
+    """One section, y[k] = s: by hand, the rounding of each tick's state decays by 1 + α1."""
+    alpha = -0.5
+    sections = Sections(np.array([[0.0, 1.0, 0.0, -alpha, 0.0]]), TICK_S)
+    decay = 1.0 / -alpha  # Σ|impulse response| of the state, and of the output
+    at_y, at_1 = decay, 4.0 * (1.0 + 0.5 * decay) + decay
+    by_hand = 2.0**-24 * (at_y * (1.0 + 0.5 * decay) + at_1 * decay)
+    assert run_error(sections, 1000) == pytest.approx(by_hand, rel=1e-12)
+    assert run_error(sections, 1000, "float64") == pytest.approx(by_hand * 2.0**-29, rel=1e-12)
+
+
+def test_interpreted_is_interpreted() -> None:
+    state = biquad.at_rest("float32")
+    made = discretise(BUTTERWORTH, TICK_S, precision="float32")
+    step = getattr(biquad.advance, "py_func", biquad.advance)
+    assert type(step(made.cascade, state, np.float32(1.0))) is np.float32

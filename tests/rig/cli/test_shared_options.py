@@ -1,0 +1,84 @@
+"""What several commands share: JSON, silence, the log of python-can, completion, pictures."""
+
+from __future__ import annotations
+
+import json
+import logging
+from pathlib import Path
+
+import pytest
+from click.shell_completion import BashComplete
+
+from can_rig.buses.bus import _quiet
+from can_rig.cli.design import scenarios
+from can_rig.cli.main import COMMANDS, main
+from can_rig.scenario.catalogue import shipped
+from tests.helpers import asked, rig
+
+RUN = ("run", "thesis-step", "--set", "duration_s=0.05")
+
+
+def test_scenarios_as_json() -> None:
+    described = json.loads(asked("scenarios", "--json").stdout)
+    assert list(described) == list(shipped())
+    assert all(described.values())
+
+
+def test_a_run_as_json_has_the_metrics_of_its_folder(tmp_path: Path) -> None:
+    done = rig(*RUN, "--json", "--silence", "7", "--out", tmp_path / "r")
+    said = json.loads(done.stdout)
+    summary = json.loads((tmp_path / "r" / "run.json").read_text())
+    assert said["folder"] == str(tmp_path / "r")
+    assert {key: summary[key] for key in ("metrics", "ticks", "outcome")}.items() <= said.items()
+
+
+@pytest.mark.parametrize(
+    ("options", "message"),
+    [
+        (["--silence", "0"], "0 s: must be above 0"),
+        (["--silence", "nan"], "nan s: must be above 0"),
+        (["--in-process", "--silence", "2"], "in one process no node waits"),
+    ],
+)
+def test_a_silence_that_is_none_is_refused(options: list[str], message: str) -> None:
+    done = asked(*RUN, *options)
+    assert done.returncode == 2
+    assert message in done.stderr
+
+
+def test_python_can_is_heard_when_it_is_asked_for(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also while a bus is being opened, when its records go nowhere else."""
+    logger = logging.getLogger("can")
+    monkeypatch.setattr(logger, "level", logger.level)
+    monkeypatch.setattr(logger, "handlers", [])
+
+    def shipped_with_a_word_of_python_can() -> dict[str, Path]:
+        with _quiet():
+            logging.getLogger("can.bus").debug("a driver's remark")
+        return {}
+
+    monkeypatch.setattr(scenarios, "shipped", shipped_with_a_word_of_python_can)
+    assert "a driver's remark" not in asked("scenarios").stderr
+    assert asked("-v", "scenarios").stderr == "can.bus: a driver's remark\n"
+
+
+def test_the_shell_completes_names() -> None:
+    complete = BashComplete(main, {}, "can-rig", "_CAN_RIG_COMPLETE")
+    assert [item.value for item in complete.get_completions([], "re")] == ["replay"]
+    helps = {item.value: item.help for item in complete.get_completions([], "")}
+    assert {name: helps[name] for name in COMMANDS} == {
+        n: line for n, (_, line) in COMMANDS.items()
+    }
+    assert "--verbose" in [item.value for item in complete.get_completions([], "--")]
+
+
+@pytest.mark.parametrize("suffix", [".png", ".svg", ".PDF"])
+def test_a_picture_is_what_its_suffix_says(suffix: str, tmp_path: Path) -> None:
+    begins = {".png": b"\x89PNG", ".svg": b"<?xml", ".pdf": b"%PDF"}[suffix.lower()]
+    run = tmp_path / "r"
+    assert asked(*RUN, "--in-process", "--out", run).returncode == 0
+    plot, difference = tmp_path / f"plot{suffix}", tmp_path / f"difference{suffix}"
+    assert asked("plot", run, "DStar", "--out", plot).returncode == 0
+    assert asked("diff", run, run, "--out", difference).returncode == 0
+    for picture in (plot, difference):
+        assert picture.read_bytes().startswith(begins)

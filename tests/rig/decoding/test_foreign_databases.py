@@ -1,0 +1,138 @@
+"""Databases that break what most keep to: names twice, signals outside, lengths without bounds."""
+
+from __future__ import annotations
+
+import resource
+from pathlib import Path
+
+import pytest
+from can import Message
+
+from can_rig.decoding.database import load_database
+from can_rig.decoding.decode import Decoder
+from can_rig.errors import DbcError
+from can_rig.logs.frames import from_messages
+from tests.helpers import DBC, rig
+
+TWICE = """\
+VERSION ""
+BU_: A
+BO_ 256 SAME: 2 A
+ SG_ X : 0|8@1+ (1,0) [0|0] "" A
+BO_ 257 SAME: 2 A
+ SG_ X : 0|16@1+ (2,0) [0|0] "" A
+BO_ 258 OTHER: 1 A
+ SG_ Z : 0|8@1+ (1,0) [0|0] "" A
+"""
+OUTSIDE = """\
+VERSION ""
+BU_: A
+BO_ 256 ONE: 2 A
+ SG_ IN : 0|8@1+ (1,0) [0|0] "" A
+ SG_ OUT : 12|16@1+ (1,0) [0|0] "" A
+BO_ 257 MULTIPLEXED: 2 A
+ SG_ M M : 12|8@1+ (1,0) [0|0] "" A
+ SG_ S m1 : 0|8@1+ (1,0) [0|0] "" A
+"""
+
+
+def frame(identifier: int, data: bytes) -> Message:
+    return Message(arbitration_id=identifier, is_extended_id=False, data=data)
+
+
+def written(folder: Path, text: str, name: str = "a.dbc") -> Path:
+    path = folder / name
+    path.write_text(text, "utf-8")
+    return path
+
+
+def test_two_messages_of_one_name_are_two_messages(tmp_path: Path) -> None:
+    database = load_database(written(tmp_path, TWICE))
+    frames = [frame(256, b"\5\0"), frame(257, b"\7\1"), frame(258, b"\1"), frame(256, b"\6\0")]
+    decoder = Decoder(database)
+    found = decoder.decode(from_messages(frames))
+    columns = {name: columns.signals for name, columns in found.items()}
+    assert {n: {s: v.tolist() for s, v in c.items()} for n, c in columns.items()} == {
+        "SAME_100": {"X": [5, 6]},
+        "SAME_101": {"X": [2 * 0x107]},
+        "OTHER": {"Z": [1]},
+    }
+    assert [decoder.counts[name].decoded for name in found] == [2, 1, 1]
+    assert [c.name for c in found.values()] == list(found)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "found"),
+    [
+        ({"messages": ["SAME"]}, {"SAME_100", "SAME_101"}),
+        ({"messages": ["SAME_101"]}, {"SAME_101"}),
+        ({"signals": ["SAME.X"]}, {"SAME_100", "SAME_101"}),
+        ({"signals": ["SAME_100.X"]}, {"SAME_100"}),
+        ({"signals": ["X"]}, {"SAME_100", "SAME_101"}),
+    ],
+)
+def test_either_name_may_be_asked_for(tmp_path: Path, wanted: dict, found: set[str]) -> None:
+    assert set(Decoder(load_database(written(tmp_path, TWICE)), **wanted).messages) == found
+
+
+def test_a_signal_outside_its_message_is_left_out_alone(tmp_path: Path) -> None:
+    path = written(tmp_path, OUTSIDE)
+    with pytest.raises(DbcError, match="does not fit"):
+        load_database(path)
+    decoder = Decoder(load_database(path, strict=False))
+    assert decoder.left_out == ["ONE.OUT", "MULTIPLEXED.S", "MULTIPLEXED.M"]
+    found = decoder.decode(from_messages([frame(256, b"\5\0"), frame(257, b"\1\0")]))
+    assert {name: list(columns.signals) for name, columns in found.items()} == {
+        "ONE": ["IN"],
+        "MULTIPLEXED": [],
+    }
+    log = tmp_path / "a.log"
+    log.write_text("(1.0) can0 100#0500\n", "ascii")
+    done = rig("decode", log, "--dbc", path, "--no-strict")
+    assert done.returncode == 0
+    assert "note: ONE.OUT does not lie within its message" in done.stderr
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line"),
+    [
+        ("0|8@1+ (1,0)", "0|2147483648@1+ (1,0)", 4),
+        ("0|8@1+ (1,0)", "2147483648|8@1+ (1,0)", 4),
+        ("257 SAME: 2", "257 SAME: 2147483648", 5),
+    ],
+)
+@pytest.mark.parametrize("strict", [True, False])
+def test_a_length_beyond_any_frame_takes_no_memory(
+    tmp_path: Path, old: str, new: str, line: int, strict: bool
+) -> None:
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    with pytest.raises(DbcError, match=rf"a.dbc: line {line}: a place or length of 2147483648"):
+        load_database(written(tmp_path, TWICE.replace(old, new)), strict)
+    assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 1 << 18
+
+
+def test_a_database_is_known_by_what_is_in_it(tmp_path: Path) -> None:
+    text = (DBC / "steer_by_wire.dbc").read_text("utf-8")
+    assert len(load_database(written(tmp_path, text, "dbc.sym")).messages) == 5
+    sym = (
+        'FormatVersion=6.0 // Do not edit this line!\nTitle="t"\n\n{SENDRECEIVE}\n\n'
+        "[One]\nID=100h\nLen=8\nVar=X unsigned 0,8\n"
+    )
+    database = load_database(written(tmp_path, sym, "sym.dbc"))
+    assert [(m.name, m.frame_id) for m in database.messages] == [("One", 0x100)]
+    kcd = (
+        '<NetworkDefinition xmlns="http://kayak.2codeornot2code.org/1.0"><Document/>'
+        '<Bus name="B"><Message id="0x100" name="One" length="8"/></Bus></NetworkDefinition>'
+    )
+    assert load_database(written(tmp_path, kcd, "kcd")).messages[0].name == "One"
+    with pytest.raises(DbcError, match="cannot be loaded"):
+        load_database(written(tmp_path, "<AUTOSAR>", "a.dbc"))
+
+
+def test_no_library_prints_beside_the_command(tmp_path: Path) -> None:
+    """cantools warns of two messages with one identifier."""
+    path = written(tmp_path, TWICE.replace("257 SAME", "256 SAME"))
+    log = tmp_path / "a.log"
+    log.write_text("(1.0) can0 100#0500\n", "ascii")
+    done = rig("decode", log, "--dbc", path)
+    assert (done.returncode, done.stderr) == (0, "")

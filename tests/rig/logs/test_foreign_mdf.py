@@ -1,0 +1,192 @@
+"""MDF files as other loggers write them: virtual channels, records of several groups, lists."""
+
+from __future__ import annotations
+
+import struct
+from pathlib import Path
+
+import asammdf
+import pytest
+
+from can_rig.errors import LogError
+from can_rig.logs.frames import EXTENDED, FD, REMOTE, SENT, concatenate
+from can_rig.logs.reading import read_log
+from tests.rig.logs.candump_samples import rows, whole, written
+from tests.rig.logs.mdf_builder import (
+    BYTES,
+    FLOAT,
+    MASTER,
+    VARIABLE,
+    VIRTUAL,
+    Builder,
+    Member,
+    data_group,
+    group,
+)
+
+DATA = "CAN_DataFrame"
+RECORD = struct.Struct("<QIBB8s")
+START_NS = 10**18
+
+
+def frames(count: int) -> bytes:
+    """Records of 22 bytes: time in ns, identifier, DLC, length, payload."""
+    return b"".join(
+        RECORD.pack(at * 1_000_000 + 7, 0x100 + at, 8, 8, bytes([at % 256] * 8))
+        for at in range(count)
+    )
+
+
+def members(builder: Builder, *more: Member, payload: Member | None = None) -> list[Member]:
+    parts = builder.channels(
+        [
+            Member(f"{DATA}.ID", 64, 29),
+            Member(f"{DATA}.DLC", 96, 4),
+            Member(f"{DATA}.DataLength", 104, 7),
+            payload or Member(f"{DATA}.DataBytes", 112, 64, data_type=BYTES),
+            *more,
+        ]
+    )
+    time = Member("Timestamp", 0, 64, MASTER, conversion=lambda b: b.linear(0, 1e-9))
+    return [time, Member(DATA, 64, 112, data_type=BYTES, parts=parts)]
+
+
+def virtual(builder: Builder) -> list[Member]:
+    """Bus 3, extended, sent: the same for every record, and so in none of them."""
+    return members(
+        builder,
+        Member(f"{DATA}.BusChannel", 0, 0, VIRTUAL, conversion=lambda b: b.linear(3, 0)),
+        Member(f"{DATA}.IDE", 0, 0, VIRTUAL, conversion=lambda b: b.linear(1, 0)),
+        Member(f"{DATA}.Dir", 0, 0, VIRTUAL, conversion=lambda b: b.words([], ["Tx"])),
+    )
+
+
+def expected(count: int, flags: int = 0, bus: str = "0") -> list[tuple]:
+    return [
+        (
+            START_NS + at * 1_000_000 + 7,
+            0x100 + at,
+            flags,
+            bus,
+            8,
+            bytes([at % 256] * 8).rstrip(b"\0"),
+        )
+        for at in range(count)
+    ]
+
+
+def test_virtual_channels_are_what_their_conversion_says(tmp_path: Path) -> None:
+    builder = Builder()
+    first = group(builder, virtual(builder), RECORD.size, 300)
+    data = data_group(builder, first, builder.put(b"DT", [], frames(300)))
+    path = written(tmp_path, builder.file(data), "a.mf4")
+    assert rows(whole(path, chunk_frames=77)) == expected(300, EXTENDED | SENT, "3")
+    with asammdf.MDF(path, process_bus_logging=False) as file:  # reads the same file alike
+        assert set(file.get(f"{DATA}.BusChannel").samples) == {3}
+        assert file.get(f"{DATA}.ID", raw=True).samples.tolist() == [
+            0x100 + at for at in range(300)
+        ]
+
+
+@pytest.mark.parametrize("layout", ["packed", "transposed", "list", "header list"])
+def test_data_in_lists_and_compressed(tmp_path: Path, layout: str) -> None:
+    builder = Builder()
+    first = group(builder, members(builder), RECORD.size, 50)
+    content = frames(50)
+    if layout == "packed":
+        at = builder.packed(content)
+    elif layout == "transposed":
+        at = builder.packed(content, RECORD.size)
+    else:
+        parts = [builder.put(b"DT", [], content[:333]), builder.packed(content[333:700])]
+        rest = builder.put(b"DL", [0, builder.put(b"DT", [], content[700:])], bytes(8))
+        at = builder.put(b"DL", [rest, *parts], bytes(8))
+        if layout == "header list":
+            at = builder.put(b"HL", [at], bytes(8))
+    path = written(tmp_path, builder.file(data_group(builder, first, at)), "a.mf4")
+    assert rows(whole(path)) == expected(50)
+
+
+@pytest.mark.parametrize("id_bytes", [1, 2, 4, 8])
+def test_records_of_several_groups_among_one_another(tmp_path: Path, id_bytes: int) -> None:
+    """With payloads of varying length: each is a record of a group of its own."""
+    builder = Builder()
+    values = group(builder, [], 0, 40, number=9, flags=1)
+    payload = Member(f"{DATA}.DataBytes", 112, 64, VARIABLE, BYTES, data=values)
+    own = group(
+        builder, members(builder, payload=payload), RECORD.size, 40, number=5, following=values
+    )
+    other = group(
+        builder, [Member("Speed", 0, 64, data_type=FLOAT)], 8, 40, number=2, following=own
+    )
+    data, offset = b"", 0
+    for at in range(40):
+        content = bytes([at] * (at % 9))
+        record = RECORD.pack(at * 1_000_000, 0x100 + at, 8, len(content), struct.pack("<Q", offset))
+        value = struct.pack("<I", len(content)) + content
+        offset += len(value)
+        for number, one in ((2, b"\xff" * 8), (5, record), (9, value)):
+            data += number.to_bytes(id_bytes, "little") + one
+    at = builder.put(
+        b"DL", [0, builder.put(b"DT", [], data[:501]), builder.packed(data[501:])], bytes(8)
+    )
+    path = written(tmp_path, builder.file(data_group(builder, other, at, id_bytes)), "a.mf4")
+    found = rows(whole(path))
+    assert [row[1] for row in found] == [0x100 + at for at in range(40)]
+    assert [row[4:] for row in found] == [(at % 9, bytes([at] * (at % 9))) for at in range(40)]
+
+
+def test_payloads_of_varying_length_in_a_block_of_their_own(tmp_path: Path) -> None:
+    builder = Builder()
+    values = b"".join(struct.pack("<I", 4) + bytes([at] * 4) for at in range(1, 31))
+    at = builder.put(b"SD", [], values)
+    payload = Member(f"{DATA}.DataBytes", 112, 64, VARIABLE, BYTES, data=at)
+    records = b"".join(RECORD.pack(n, n, 4, 4, struct.pack("<Q", 8 * n)) for n in range(30))
+    first = group(builder, members(builder, payload=payload), RECORD.size, 30)
+    path = written(
+        tmp_path, builder.file(data_group(builder, first, builder.put(b"DT", [], records))), "a.mf4"
+    )
+    assert [row[5] for row in rows(whole(path, 7))] == [bytes([at] * 4) for at in range(1, 31)]
+
+
+def test_a_file_that_its_logger_left_open(tmp_path: Path) -> None:
+    """Neither the number of records nor the length of the data is in it."""
+    left_open = Builder(b"UnFinMF 4.11    test    ", flags=4 + 1)
+    first = group(left_open, members(left_open), RECORD.size, 0)
+    group_bytes, header_bytes = 24 + 4 * 8 + 8, 24
+    data = data_group(left_open, first, 168 + len(left_open.body) + group_bytes)
+    at = left_open.put(b"DT", [], b"")
+    assert at + header_bytes == 168 + len(left_open.body)
+    left_open.body += frames(20) + b"cut off"
+    log = read_log(written(tmp_path, left_open.file(data), "a.mf4"))
+    assert rows(concatenate(log)) == expected(20)
+    assert log.notice is not None
+
+
+def always(name: str) -> Member:
+    return Member(f"{DATA}.{name}", 0, 0, VIRTUAL, conversion=lambda b: b.linear(1, 0))
+
+
+def test_a_remote_frame_is_never_one_of_can_fd(tmp_path: Path) -> None:
+    for marks, flags in ((["EDL"], FD), (["EDL", "RTR"], REMOTE)):
+        builder = Builder()
+        first = group(builder, members(builder, *map(always, marks)), RECORD.size, 3)
+        data = data_group(builder, first, builder.put(b"DT", [], frames(3)))
+        found = rows(whole(written(tmp_path, builder.file(data), "a.mf4")))
+        assert {row[2] for row in found} == {flags}
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_changed_byte_is_read_or_refused_in_one_line(tmp_path: Path, seed: int) -> None:
+    builder = Builder()
+    first = group(builder, virtual(builder), RECORD.size, 20)
+    data = data_group(builder, first, builder.packed(frames(20), RECORD.size))
+    good = builder.file(data)
+    for at in range(seed, len(good), 4):
+        for value in (0, 255, good[at] ^ 1):
+            path = written(tmp_path, good[:at] + bytes([value]) + good[at + 1 :], "a.mf4")
+            try:
+                assert len(whole(path)) <= 20
+            except LogError as error:
+                assert str(error).startswith(str(path))
+                assert "\n" not in str(error)

@@ -1,0 +1,250 @@
+"""The rig from Python: runs, tables with units, pictures, and one line for what is wrong."""
+
+from __future__ import annotations
+
+import gc
+import json
+import subprocess
+import sys
+from pathlib import Path
+from tempfile import mkdtemp
+from typing import Any
+
+import nbclient
+import nbformat
+import numpy as np
+import pandas as pd
+import pytest
+
+import can_rig
+from can_rig import api, errors
+from can_rig.api import RecordedRun
+from can_rig.decoding.decode import decode_log
+from can_rig.results.run_folder import LOG, REPORT, SIGNALS, SUMMARY
+from can_rig.scenario.build import continuous_plant
+from can_rig.views import recorded_run
+from tests.helpers import DBC, asked, record
+
+SHORT = {"fault.at_s": 0.2, "duration_s": 0.4, "fault": {"kind": "actuator-dead"}}
+WORDS = ("fault.at_s=0.2", "duration_s=0.4", "fault.kind=actuator-dead")
+ROOT = Path(__file__).parents[2]
+
+
+@pytest.fixture(scope="module")
+def run() -> RecordedRun:
+    return can_rig.run("default", SHORT)
+
+
+def test_the_log_is_that_of_both_nodes_byte_for_byte(run: RecordedRun, tmp_path: Path) -> None:
+    log, _, scenario = record(tmp_path, *WORDS, name="default")
+    assert (run.folder / LOG).read_bytes() == log.read_bytes()
+    assert run.scenario == scenario
+    assert repr(run) == "<run of default: 400 ticks, complete>"
+
+
+def test_signals_are_the_table_of_the_folder_with_units(run: RecordedRun) -> None:
+    written = pd.read_csv(run.folder / SIGNALS, index_col="time_s")
+    pd.testing.assert_frame_equal(run.signals, written, check_dtype=False)
+    units = run.signals.attrs["units"]
+    assert (units["torque_nm"], units["dstar_mps2"], units["mode"]) == ("N m", "m/s²", "")
+    assert run.signals.attrs["names"]["dstar_mps2"] == "D*"
+
+
+def test_nothing_is_left_on_disk_until_it_is_saved(tmp_path: Path) -> None:
+    made = can_rig.run("thesis-step", {"duration_s": 0.05})
+    temporary = made.folder
+    folder = made.save(tmp_path / "some" / "run")
+    assert {file.name for file in folder.iterdir()} == {LOG, SIGNALS, SUMMARY, REPORT}
+    assert not (temporary / REPORT).exists()
+    loaded = can_rig.load(folder)
+    assert loaded.scenario == made.scenario
+    assert loaded.metrics == made.metrics
+    pd.testing.assert_frame_equal(loaded.signals, made.signals)
+    with pytest.raises(errors.RunFolderError, match="there already"):
+        made.save(folder)
+    assert made.save(folder, force=True) == folder
+
+
+def test_a_temporary_folder_goes_with_its_run() -> None:
+    made = can_rig.run("thesis-step", {"duration_s": 0.01})
+    folder = made.folder
+    assert folder.is_dir()
+    del made
+    gc.collect()
+    assert not folder.parent.exists()
+
+
+def test_a_run_that_fails_says_why_and_leaves_nothing(monkeypatch: pytest.MonkeyPatch) -> None:
+    made: list[str] = []
+    monkeypatch.setattr(recorded_run, "mkdtemp", lambda prefix: made.append(mkdtemp()) or made[0])
+    settings = {"plant.kind": "tests.rig.test_api:Fails", "duration_s": 0.05}
+    with pytest.raises(errors.RigError, match="lateral"):
+        can_rig.run("thesis-step", settings, allow_unstable=True)
+    assert not Path(made[0]).exists()
+
+
+class Fails:
+    """A plant that does not get far."""
+
+    def __init__(self, settings: object) -> None:
+        self._ticks = 0
+
+    def reset(self) -> None:
+        self._ticks = 0
+
+    def advance(self, dt_s: float, command_1: float, command_2: float) -> float:
+        self._ticks += 1
+        if self._ticks > 20:
+            raise ArithmeticError("no lateral force left")
+        return 0.0
+
+
+def test_a_run_of_the_command_line_is_one_too(tmp_path: Path) -> None:
+    settings = [word for setting in WORDS for word in ("--set", setting)]
+    done = asked("run", "default", "--in-process", *settings, "--out", tmp_path / "r", "--json")
+    said: dict[str, Any] = json.loads(done.stdout)
+    loaded = can_rig.load(said["folder"])
+    assert loaded.metrics == said["metrics"]
+    assert (said["ticks"], said["outcome"]) == (400, "complete")
+
+
+def test_the_picture_is_the_page_of_the_report(run: RecordedRun) -> None:
+    figure = run.plot()
+    assert figure.axes[0].get_ylabel().startswith("D*")
+    markup = run._repr_html_()
+    assert "data:image/png;base64," in markup
+    assert "steering torque" in markup
+
+
+def test_changes_are_keys_with_dots_or_tables_within_tables() -> None:
+    car = can_rig.scenario("default", {"plant.speed_mps": np.float64(12.0), "seed": 7})
+    assert (car.plant.speed_mps, car.seed) == (12.0, 7)
+    again = can_rig.scenario(car, {"plant": {"mass_kg": 1500.0}})
+    assert (again.plant.speed_mps, again.plant.mass_kg) == (12.0, 1500.0)
+    assert again.model.mass_kg == 1500.0  # the controller believes what it believed: the plant's
+    assert can_rig.scenario(car) is car
+    assert can_rig.scenario("default", {"design.compensation": "off"}).design.compensation == "off"
+
+
+def test_a_scenario_may_be_a_file(tmp_path: Path) -> None:
+    file = tmp_path / "mine.toml"
+    file.write_text("[plant]\nspeed_mps = 9.0\n")
+    assert can_rig.scenario(file).plant.speed_mps == 9.0
+
+
+def test_check_answers_as_the_command() -> None:
+    assert can_rig.check("default").as_dict() == json.loads(
+        asked("check", "default", "--json").stdout
+    )
+
+
+def test_tune_asks_the_search_of_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
+    """The search itself takes a minute, and has tests of its own."""
+    asked_for: list[Any] = []
+    monkeypatch.setattr(api, "search", lambda *what: asked_for.append(what) or "found")
+    speeds = {"plant.speed_mps": (9.0, 11.0)}
+    found = can_rig.tune("default", {"tick_s": 0.002}, box=0.0, ranges=speeds, noise_limit_n=5.0)
+    assert found == "found"
+    scenario, cars, *limits = asked_for[0]
+    assert scenario == can_rig.scenario("default", {"tick_s": 0.002})
+    assert {car.plant.g1.dc_gain for car in cars} == {
+        continuous_plant(can_rig.scenario(scenario, {"plant.speed_mps": speed}).plant).g1.dc_gain
+        for speed in (scenario.plant.speed_mps, 9.0, 11.0)
+    }
+    assert limits == [1, 5.0, None]
+
+
+def test_decode_is_a_table_for_each_message(run: RecordedRun) -> None:
+    tables = can_rig.decode(run.folder / LOG, DBC / "steer_by_wire.dbc")
+    columns = decode_log(run.folder / LOG, DBC / "steer_by_wire.dbc")
+    assert set(tables) == set(columns)
+    feedback = tables["DSTAR_FEEDBACK"]
+    np.testing.assert_array_equal(feedback["DStar"], columns["DSTAR_FEEDBACK"].signals["DStar"])
+    assert feedback.attrs["units"]["DStar"] == "m/s^2"
+    chosen = can_rig.decode(
+        run.folder / LOG, DBC / "steer_by_wire.dbc", messages=["DSTAR_FEEDBACK"], signals=["DStar"]
+    )
+    assert {name: list(table) for name, table in chosen.items()} == {"DSTAR_FEEDBACK": ["DStar"]}
+
+
+BAD: dict[str, tuple[Any, type[errors.RigError], str]] = {
+    "no such scenario": (
+        lambda: can_rig.run("defualt"),
+        errors.ScenarioError,
+        "did you mean default",
+    ),
+    "an unknown key": (
+        lambda: can_rig.run("default", {"fault.att_s": 1.0}),
+        errors.ScenarioError,
+        "fault.att_s: unknown key; did you mean at_s",
+    ),
+    "a bad value": (
+        lambda: can_rig.scenario("default", {"tick_s": -1}),
+        errors.ScenarioError,
+        "tick_s = -1: must be at least",
+    ),
+    "nothing": (
+        lambda: can_rig.scenario("default", {"fault.at_s": None}),
+        errors.ScenarioError,
+        "fault.at_s = None: must be a number",
+    ),
+    "an object in a list": (
+        lambda: can_rig.scenario("default", {"budget.box": [1.0, object()]}),
+        errors.ScenarioError,
+        "budget.box = <object.*must be a number",
+    ),
+    "an unstable loop": (
+        lambda: can_rig.run("thesis-step", {"latency_ticks": 20}),
+        errors.ScenarioError,
+        "unstable",
+    ),
+    "no run folder": (lambda: can_rig.load("."), errors.LogError, "not a finished run folder"),
+    "no log": (
+        lambda: can_rig.decode("none.log", DBC / "steer_by_wire.dbc"),
+        errors.LogError,
+        "none.log",
+    ),
+    "no database": (lambda: can_rig.decode("none.log", "none.dbc"), errors.DbcError, "none.dbc"),
+    "a box that is none": (
+        lambda: can_rig.tune("default", box=-1.0),
+        errors.ScenarioError,
+        "box",
+    ),
+}
+
+
+@pytest.mark.parametrize("kind", BAD)
+def test_what_is_wrong_is_one_line(kind: str) -> None:
+    call, error, message = BAD[kind]
+    with pytest.raises(error, match=message) as caught:
+        call()
+    assert "\n" not in str(caught.value)
+
+
+def test_a_run_folder_without_its_scenario_is_refused(run: RecordedRun, tmp_path: Path) -> None:
+    folder = run.save(tmp_path / "run")
+    (folder / SUMMARY).write_text("{}")
+    with pytest.raises(errors.ScenarioError, match="no scenario that can be read"):
+        can_rig.load(folder)
+
+
+@pytest.mark.parametrize("first", ["", "import can_rig.scenario.settings;", "import can_rig.api;"])
+def test_the_package_alone_is_light_and_its_names_do_not_depend_on_the_order(first: str) -> None:
+    code = (
+        f"import sys, can_rig; light = 'numpy' not in sys.modules; {first}"
+        "print(light, can_rig.scenario('default').name, can_rig.scenario.build.__name__)"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120
+    )
+    assert done.stdout == "True default can_rig.scenario.build\n"
+    with pytest.raises(AttributeError, match="no attribute 'runs'"):
+        can_rig.runs
+
+
+def test_the_notebook_runs() -> None:
+    notebook = nbformat.read(ROOT / "docs" / "rig.ipynb", as_version=4)
+    assert not any(cell.get("outputs") for cell in notebook.cells)  # they would grow old unseen
+    nbclient.NotebookClient(notebook, timeout=200, kernel_name="python3").execute()
+    first = next(cell for cell in notebook.cells if cell.cell_type == "code")
+    assert "data:image/png" in first.outputs[-1]["data"]["text/html"]
