@@ -1,4 +1,4 @@
-"""Before a run: is the loop stable, what threshold and tuning suit it, does the bus carry it.
+"""Before a run: is the loop stable, what does it bear, which tuning suits it, and which bus.
 
 Imported by `cli`, `thesis` and `results` at most; it imports `scenario` and what lies below.
 """

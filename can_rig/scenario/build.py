@@ -20,6 +20,7 @@ from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.errors import DesignError
+from firmware_model.target.fault_decision.covariance import MAX_DIRECTIONS
 from firmware_model.target.structs import FloatArray, Record
 
 GOVERNED = 0.5  # share of the motor's limit that may go into the second derivative of D*
@@ -167,7 +168,9 @@ def mismatch(scenario: Scenario) -> Mismatch:
         plant = continuous_plant(car)
         return plant.g1, plant.g2
 
-    return principal_mismatch(channels, len(keys) + late, chosen.tau_q_s * chosen.alpha_q)
+    return principal_mismatch(
+        channels, len(keys) + late, chosen.tau_q_s * chosen.alpha_q, MAX_DIRECTIONS
+    )
 
 
 def in_box(model: PlantSettings, shares: Mapping[str, float]) -> PlantSettings:

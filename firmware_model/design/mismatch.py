@@ -12,15 +12,15 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.target.fault_decision.covariance import MAX_DIRECTIONS
-from firmware_model.target.structs import FloatArray
 
 STEP = 0.05  # of the box, for a difference that is still linear
 LEAST = 1e-3  # of the largest singular value, below which a direction shows nothing
 FREQUENCIES = 200
 
+FloatArray = NDArray[np.float64]
 Channels = tuple[ZeroPoleGain, ZeroPoleGain]
 MakeChannels = Callable[[FloatArray], Channels]
 """G1, G2 of the car whose parameters lie at these places, shape (k,), -1..1 across the box."""
@@ -31,7 +31,7 @@ class Mismatch:
     """G1, G2 of other cars, one for each principal direction, ``STEP`` of the box away.
 
     Attributes:
-        cars: at most ``MAX_DIRECTIONS``; none trusts the model.
+        cars: none trusts the model.
         singular_values: of all directions, rms of d̂ on a step of 1 a box: what is left out too.
     """
 
@@ -43,12 +43,15 @@ TRUSTED = Mismatch()
 """No car but the model."""
 
 
-def principal_mismatch(make: MakeChannels, parameters: int, tracking_lag_s: float) -> Mismatch:
+def principal_mismatch(
+    make: MakeChannels, parameters: int, tracking_lag_s: float, most: int
+) -> Mismatch:
     """The principal directions of a box of ``parameters`` parameters.
 
     Args:
         make: G1, G2 of a car in the box; zeros are the model.
         parameters: k.
+        most: of the directions, largest first; what runs has room for ``MAX_DIRECTIONS``.
         tracking_lag_s: of D* behind the reference: what is faster is hardly driven.
     """
     if parameters == 0:
@@ -70,6 +73,6 @@ def principal_mismatch(make: MakeChannels, parameters: int, tracking_lag_s: floa
         direction
         for value, direction in zip(values, directions, strict=True)
         if value > LEAST * values[0]
-    ][:MAX_DIRECTIONS]
+    ][:most]
     cars = tuple(make(STEP * direction) for direction in used)
     return Mismatch(cars, tuple(float(value) for value in values))

@@ -15,6 +15,7 @@ from firmware_model.discretisation.sections import Sections
 from firmware_model.discretisation.targets import EstimatorRule, Target
 from firmware_model.discretisation.tustin import tustin, tustin_held, zoh
 from firmware_model.errors import DesignError, ParameterError
+from firmware_model.target.fault_decision.covariance import LOSS_STATES, MAX_DIRECTIONS
 from firmware_model.target.layout import table_type
 from firmware_model.target.structs import MAX_LATENCY_TICKS, MAX_SECTIONS, Precision, Record
 
@@ -29,6 +30,7 @@ HASTE = 2.0  # of a transfer, against the time that its beginning took
 SHARE = 0.8  # of the torque whose loss is looked for: of all of it, a half still counts
 RESTART = -1.0
 SHARE_VARIANCE = 0.09  # of the share of a loss when that is confirmed, at most
+MOMENT = 0.5  # deviation of the moment of a loss, as a part of the time to its confirmation
 DOUBT = 9.0  # over 1, as the moment of the loss is not known either
 FOLLOW_S, FOLLOW_TICKS = 0.01, 3.0  # of each of the two lags by which F̂ gets it
 HORIZON_S = 1.0  # a loss that would take longer to show cannot be told
@@ -222,6 +224,7 @@ def _fill_decision(table: Record, target: Target) -> None:
     decision.pause_ticks = round(target.probe_pause_s / target.tick_s)
     table.loss_model.share_variance = SHARE_VARIANCE
     table.loss_model.doubt = DOUBT
+    table.loss_model.moment = MOMENT
     table.loss_model.follow = target.tick_s / max(FOLLOW_S, FOLLOW_TICKS * target.tick_s)
     test.share = SHARE
     test.restart = RESTART
@@ -230,10 +233,12 @@ def _fill_decision(table: Record, target: Target) -> None:
 def _fill_mismatch(table: Record, target: Target) -> None:
     """What other cars and noise make of d̂."""
     constants, other, cars = table.mismatch, table.other_cars, target.mismatch.cars
+    if len(cars) > MAX_DIRECTIONS:
+        raise ParameterError(f"mismatch: {len(cars)} other cars; must be at most {MAX_DIRECTIONS}")
     other.n = len(cars)
     other.scale = 1.0 / STEP
     rule = RULE_ERROR[target.estimator] ** 2
-    constants.n = 1 + (len(cars) + 1 if cars or rule else 0)
+    constants.n = LOSS_STATES + (len(cars) + 1 if cars or rule else 0)
     discretised = ESTIMATOR_RULES[target.estimator]
     places = (other.car_1, other.car_2, other.car_3, other.car_4)
     for place, (g1, g2) in zip(places, cars, strict=False):
@@ -241,11 +246,12 @@ def _fill_mismatch(table: Record, target: Target) -> None:
         _fill_filter(place.channel_2, discretised(g2, target.tick_s))
     constants.prior = MISMATCH_VARIANCE
     slow, fast = _memory(target, MISMATCH_S), _memory(target, REMAINDER_S)
-    for i in range(1, 1 + len(cars)):
+    last = LOSS_STATES + len(cars)
+    for i in range(LOSS_STATES, last):
         constants.forgetting[i] = min(1.0 - slow, MOST_FORGOTTEN)
         constants.growth[i] = (1.0 - slow**2) * MISMATCH_VARIANCE
-    constants.forgetting[1 + len(cars)] = min(1.0 - fast, MOST_FORGOTTEN)
-    constants.growth[1 + len(cars)] = 1.0 - fast**2
+    constants.forgetting[last] = min(1.0 - fast, MOST_FORGOTTEN)
+    constants.growth[last] = 1.0 - fast**2
     constants.motion = (REMAINDER_S / target.tick_s) ** 2
     constants.beyond = BEYOND * MISMATCH_VARIANCE
     constants.white = WHITE

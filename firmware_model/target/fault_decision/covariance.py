@@ -16,7 +16,8 @@ from firmware_model.target.precision import real
 from firmware_model.target.structs import Field, Record
 
 MAX_DIRECTIONS = 4
-MAX_STATES = 1 + MAX_DIRECTIONS + 1  # the share of a loss, directions, the remainder
+LOSS_STATES = 2  # of a confirmed loss: share and moment
+MAX_STATES = LOSS_STATES + MAX_DIRECTIONS + 1  # these, directions, the remainder
 SIZES = (MAX_STATES,)
 
 STATE = (
@@ -92,10 +93,11 @@ def grow(state: Record, which: int, variance: float) -> None:
 
 
 @firmware
-def replace_first(state: Record, variance: float) -> None:
-    """P with a new first state of ``variance`` in place of the old one; the others stay."""
-    state.upper[0, 1:] = 0.0
-    state.variances[0] = variance
+def replace_loss(state: Record, share: float, moment: float) -> None:
+    """P with new states of a loss, of these variances, in place of the old; the others stay."""
+    state.upper[:LOSS_STATES, 1:] = 0.0
+    state.variances[0] = share
+    state.variances[1] = moment
 
 
 @firmware

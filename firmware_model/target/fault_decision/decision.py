@@ -26,7 +26,7 @@ from firmware_model.target.fault_decision.loss_model import (
     loss_shown,
     take_over_candidate,
 )
-from firmware_model.target.fault_decision.mismatch import innovation, learn_share, predict_mismatch
+from firmware_model.target.fault_decision.mismatch import innovation, learn_loss, predict_mismatch
 from firmware_model.target.fault_decision.other_cars import show_other_cars
 from firmware_model.target.fault_decision.probe import begin_probe, correlate, end_probe
 from firmware_model.target.fault_decision.sequential_test import (
@@ -137,11 +137,12 @@ def confirm(table: Record, state: Record) -> None:
     """Take channel 1 for lost since the start of the candidate."""
     share = max(lost_share(state.sequential_test), real(LEAST_SHARE, state.command_1))
     doubt = table.loss_model.doubt / max(state.sequential_test.information, table.decision.suspect)
+    moment = table.loss_model.moment * state.sequential_test.age
     transfer_to_losses(table, state, share)
     take_over_candidate(table, state, share, real(1.0, share))
     state.fault_state = CONFIRMED
     forget_candidate(table, state, share)
-    learn_share(state.mismatch, min(table.loss_model.share_variance, doubt))
+    learn_loss(state.mismatch, min(table.loss_model.share_variance, doubt), moment * moment)
     start_candidate(table, state)
 
 
@@ -153,7 +154,7 @@ def recover(table: Record, state: Record) -> None:
     take_over_candidate(table, state, share, -real(1.0, share))
     state.fault_state = CLEAR
     forget_candidate(table, state, -share)
-    learn_share(state.mismatch, real(0.0, share))
+    learn_loss(state.mismatch, real(0.0, share), real(0.0, share))
     start_candidate(table, state)
 
 

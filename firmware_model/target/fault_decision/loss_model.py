@@ -3,7 +3,8 @@
 The thesis's (2.9) for a loss of all: what channel 1 would have added to y. Once the channel works
 again no more commands are lost, and w fades as the motion does that they would have caused.
 
-At first s is known but roughly: how far it is off, ``mismatch`` learns from the ticks that follow.
+At first s and the moment of the loss are known but roughly: how far they are off, ``mismatch``
+learns from the ticks that follow.
 F̂ differentiates, so it gets s as two lags in a row follow it.
 """
 
@@ -21,6 +22,7 @@ CONFIRMED = int(FaultState.CONFIRMED)
 CONSTANTS = (
     Field("share_variance", "1", "largest of s, when a loss is confirmed"),
     Field("doubt", "1", "variance of s then, times the information on it"),
+    Field("moment", "1", "deviation of the moment then, as a part of the time that it took"),
     Field("follow", "1", "part of the distance to s that a lag covers in a tick"),
 )
 STATE = (

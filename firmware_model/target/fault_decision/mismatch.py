@@ -13,8 +13,8 @@ from d̂ itself. What a loss would show is put through the same gains (``sequent
 the part of it that no other car explains counts as evidence (Willsky and Jones, IEEE Trans. Autom.
 Control 21 (1976) 108).
 
-After a confirmed loss one more state learns how far its share was off, whose x is the lost w: then
-the moment and the share of the loss are only roughly known.
+After a confirmed loss two more states learn how far its share was off, whose x is the lost w, and
+by how many ticks its moment, whose x is the change of w: both are only roughly known then.
 
 What other cars show beyond the first order is a remainder that changes as slowly as the car does:
 one more θ, whose x is 1. Both wander only where the car moves: the steady state of a bend is the
@@ -31,18 +31,19 @@ import math
 from firmware_model.compiled import firmware
 from firmware_model.target.fault_decision import covariance
 from firmware_model.target.fault_decision.covariance import (
+    LOSS_STATES,
     SIZES,
     clear_covariance,
     fade,
     grow,
     measure,
-    replace_first,
+    replace_loss,
 )
 from firmware_model.target.precision import real
 from firmware_model.target.structs import Field, Record
 
 CONSTANTS = (
-    Field("n", "1", "states: the share of a loss, other cars, the remainder", "int32"),
+    Field("n", "1", "states: share and moment of a loss, other cars, the remainder", "int32"),
     Field("prior", "1", "P0, variance of each θ before anything is known; of the remainder 1"),
     Field("forgetting", "1", "1 - φ of each θ where the car moves", shape=SIZES),
     Field("growth", "1", "1 - φ², times the variance of θ", shape=SIZES),
@@ -83,16 +84,18 @@ def predict_mismatch(table: Record, state: Record, model_output: float, lost: fl
     constants, mismatch, shown = table.mismatch, state.mismatch, state.other_cars.shown
     a, x, previous = constants.colour, mismatch.regressor, mismatch.x
     extent = change = real(0.0, model_output)
+    moved = lost - previous[0]
     x[0] = lost - a * previous[0]
-    previous[0] = lost
+    x[1] = moved - a * previous[1]
+    previous[0], previous[1] = lost, moved
     for i in range(table.other_cars.n):
-        now = shown[i]
-        x[i + 1] = now - a * previous[i + 1]
-        moved = now - previous[i + 1]
-        previous[i + 1] = now
+        k, now = LOSS_STATES + i, shown[i]
+        x[k] = now - a * previous[k]
+        moved = now - previous[k]
+        previous[k] = now
         extent += now * now
         change += moved * moved
-    if constants.n > 1:
+    if constants.n > LOSS_STATES:
         x[constants.n - 1] = real(1.0, model_output) - a
     moved = model_output - mismatch.previous_model_output
     mismatch.previous_model_output = model_output
@@ -129,7 +132,7 @@ def innovation(constants: Record, state: Record, residual: float) -> float:
         memory[i] = one - wander * constants.forgetting[i]
         theta[i] = memory[i] * (theta[i] + gain[i] * new)
     fade(state.covariance, n, memory)
-    for i in range(1, n):
+    for i in range(LOSS_STATES, n):
         growth = state.remainder if i == n - 1 else wander
         grow(state.covariance, i, constants.growth[i] * growth)
     if not (math.isfinite(new) and math.isfinite(state.variance)):
@@ -143,7 +146,7 @@ def clear_mismatch(constants: Record, state: Record) -> None:
     state.x[:] = 0.0
     state.theta[:] = 0.0
     clear_covariance(state.covariance)
-    for i in range(1, constants.n - 1):
+    for i in range(LOSS_STATES, constants.n - 1):
         state.covariance.variances[i] = constants.prior
     state.extent = state.change = state.remainder = 0.0
     state.previous_model_output = 0.0
@@ -159,8 +162,14 @@ def settle_mismatch(table: Record, state: Record, model_output: float) -> None:
 
 
 @firmware
-def learn_share(state: Record, variance: float) -> None:
-    """From now on learn how far the share of a loss is off; nothing with a ``variance`` of 0."""
-    state.theta[0] = 0.0
-    state.x[0] = 0.0
-    replace_first(state.covariance, variance)
+def learn_loss(state: Record, share: float, moment: float) -> None:
+    """From now on learn how far share and moment of a loss are off; nothing, with zeros.
+
+    Args:
+        state: of this module; changed in place.
+        share: variance of the share.
+        moment: variance of the moment, in ticks².
+    """
+    state.theta[:LOSS_STATES] = 0.0
+    state.x[:LOSS_STATES] = 0.0
+    replace_loss(state.covariance, share, moment)

@@ -36,6 +36,7 @@ STATE = (
     Field("previous_output", "y", "w of the last tick"),
     Field("previous_shown", "y", "w of the last tick as d̂ contains it"),
     Field("explained", "1", "what w makes of θ", shape=(MAX_STATES,)),
+    Field("age", "tick", "since the start"),
     Field("evidence", "1", "g, log-likelihood ratio"),
     Field("correlation", "1", "Σ ν f/S for a share of 1"),
     Field("information", "1", "Σ f²/S for a share of 1"),
@@ -67,6 +68,7 @@ def update_test(table: Record, state: Record, innovation: float, share: float) -
     test.evidence += share * (correlation - half * share * information)
     test.correlation += correlation
     test.information += information
+    test.age += real(1.0, share)
     if not test.evidence > table.sequential_test.restart:
         start_candidate(table, state)
 
@@ -87,7 +89,7 @@ def start_candidate(table: Record, state: Record) -> None:
     g1, shown = estimator.channel_1, estimator.shown_ticks_1
     test.channel_1.accumulators[:] = 0.0
     test.explained[:] = 0.0
-    test.evidence = test.correlation = test.information = 0.0
+    test.evidence = test.correlation = test.information = test.age = 0.0
     test.previous_output = test.previous_shown = 0.0
     for i in range(shown):
         command = pending_command(estimator, state.estimator, i)
