@@ -29,6 +29,7 @@ UNITS = {  # the longest suffix that fits counts
     "_kg": "kg",
     "_mps2": "m/s²",
     "_mps": "m/s",
+    "_rad": "rad",
     "_nm": "N m",
     "_n": "N",
     "_m": "m",

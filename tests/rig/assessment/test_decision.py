@@ -33,22 +33,29 @@ def delays_s(scenario: Scenario) -> np.ndarray:
 
 
 @pytest.mark.parametrize(
-    ("name", "settings"),
+    ("name", "settings", "slowest"),
     [
-        ("default", ["duration_s=3.3", "fault.at_s=3"]),
-        ("default", ["duration_s=3.3", "fault.at_s=3", "budget.box=0"]),
-        ("noisy", ["duration_s=3.3", "fault.at_s=3"]),
-        ("chassis-can", ["duration_s=6.6", "fault.at_s=6"]),
+        ("default", ["duration_s=3.3", "fault.at_s=3"], 1.7),
+        # With nothing to learn the evidence grows as t^5: at 22 ± 3·√44 that is 1.14 times t.
+        (
+            "default",
+            ["duration_s=3.3", "fault.at_s=3", "budget.box=0", "budget.actuator_box=0"],
+            1.2,
+        ),
+        ("noisy", ["duration_s=3.3", "fault.at_s=3"], 1.7),
+        ("chassis-can", ["duration_s=6.6", "fault.at_s=6"], 1.7),
     ],
 )
-def test_the_expected_delay_is_the_median_of_noisy_drives(name: str, settings: list[str]) -> None:
+def test_the_expected_delay_is_the_median_of_noisy_drives(
+    name: str, settings: list[str], slowest: float
+) -> None:
     scenario = load(name, settings)
     expected_s = figures(scenario).expected_delay_s
     assert expected_s is not None
     drives_s = delays_s(scenario)
-    # The median of so few is off by a few ticks itself; a quarter more is 1.25^5 = 3 times Λ.
+    # The median of so few is off by a few ticks itself.
     assert float(np.median(drives_s)) == pytest.approx(expected_s, rel=0.1, abs=2 * scenario.tick_s)
-    assert drives_s.max() < 1.25 * expected_s + 2 * scenario.tick_s
+    assert drives_s.max() <= slowest * expected_s + 2 * scenario.tick_s
 
 
 def test_fewer_alarms_take_longer_and_a_loss_that_does_nothing_is_never_found() -> None:

@@ -82,8 +82,8 @@ def test_in_real_time_too(real_time, tmp_path, monkeypatch):
     monkeypatch.setattr(runner, "undisturbed", nullcontext)
     ended = both_by_hand(
         f"local:{tmp_path / 'bus'}",
-        load("default", SHORT),
-        load("default", [*SHORT, "actuator.hold_s=0.02"]),
+        load("ideal", SHORT),
+        load("ideal", [*SHORT, "actuator.hold_s=0.02"]),
         real_time=real_time,
     )
     assert all(str(error).startswith("actuator.hold_s = ") for error in ended.values())
@@ -107,7 +107,7 @@ def test_every_two_shipped_scenarios_differ_in_a_key():
 @pytest.mark.parametrize("first", ["plant", "controller"])
 def test_from_the_command_line_whoever_is_there_first(first, tmp_path):
     bus = ["--bus", f"local:{tmp_path / 'bus'}", "--wait", "60"]
-    words = {"plant": ["plant", "default", *bus], "controller": ["controller", "slow-bus", *bus]}
+    words = {"plant": ["plant", "ideal", *bus], "controller": ["controller", "slow-bus", *bus]}
     second = "controller" if first == "plant" else "plant"
     nodes = {name: start(*words[name]) for name in (first, second)}
     lines = {}

@@ -279,7 +279,7 @@ def test_without_the_compensator_the_same_fault_is_not_overcome(tmp_path):
 
 
 @pytest.mark.parametrize("latency", [0, 1, 3])
-@pytest.mark.parametrize("name", ["default", "lane-change", "highway"])
+@pytest.mark.parametrize("name", ["ideal", "lane-change", "highway"])
 def test_the_fault_estimate_over_the_bus_is_at_most_one_step_of_dstar(tmp_path, name, latency):
     """F1 sees the commands as their frames carry them, so only the rounding of D* is left."""
     settings = ["fault.kind=none", "duration_s=2.5", f"latency_ticks={latency}"]

@@ -19,7 +19,7 @@ from tests.rig.nodes.world import (
 )
 
 
-@pytest.mark.parametrize("name", ["default", "noisy"])
+@pytest.mark.parametrize("name", ["ideal", "noisy"])
 @pytest.mark.parametrize(("latency", "answer_ns"), [(1, 990_000), (2, 1_700_000), (3, 2_900_000)])
 def test_where_nothing_is_late_commands_and_dstar_are_those_of_lockstep(
     name, latency, answer_ns, tmp_path

@@ -9,11 +9,19 @@ from can_rig.errors import BusError
 from can_rig.results.signals import read_signals
 from firmware_model.target.status import FaultState, Mode
 from tests.rig.nodes.world import (
+    PACE,
     TICK_NS,
     TORQUE,
     World,
+    dstar_under,
     scenario_of,
 )
+
+HOLD_TICKS, STEADY_NM = 10, 42.54  # of the actuators; for 1 m/s²
+# What was not applied is known to the model, and C does not make up for it: the car returns by
+# itself, as from a pulse of the torque that was missing for the rest of 30 ticks.
+MISSING = [(-STEADY_NM * (tick < 30 - HOLD_TICKS), 0.0) for tick in range(400)]
+SHORT_OUTAGE_MPS2 = 1.001 * float(np.abs(dstar_under(np.array(MISSING))).max())
 
 
 class Restart:
@@ -59,14 +67,14 @@ def test_a_restarted_controller_takes_over_without_a_bump(outage, tmp_path):
     assert np.nanmax(np.abs(signals.fault_estimate_mps2[back:])) < 2e-6
     assert not (signals.fault_state[back:] == FaultState.CONFIRMED).any()
     assert signals.error_mps2[first:].min() > -0.01  # no overshoot
-    assert np.abs(signals.error_mps2[first + 450 :]).max() < 0.005
+    assert np.abs(signals.error_mps2[first + 450 :]).max() < 0.01
     listening = signals.mode[back + 2 : first - 2]
     assert (listening[np.isfinite(listening)] == Mode.INIT).all()
 
 
 def test_a_restart_after_the_motor_died_gives_the_load_to_the_other_channel(tmp_path):
-    settings = ["fault.at_s=0.3", "duration_s=3.0"]
-    scenario = load("default", settings)
+    settings = ["fault.at_s=0.3", "duration_s=3.0", PACE]
+    scenario = load("ideal", settings)
     run = Restart(scenario, 900, 1900, tmp_path / "bus.log")
     signals, first = run.signals, run.first
     assert np.abs(np.diff(run.torque[first - 1 :])).max() < 10.0
@@ -88,7 +96,7 @@ def test_actuators_that_still_hold_are_met_at_what_they_hold(tmp_path):
 
 @pytest.mark.parametrize(
     ("stall", "bump_nm", "error_mps2"),
-    [(3, 0.1, 1e-5), (9, 0.1, 1e-5), (30, 400.0, 0.05), (400, 4.0, 2.0)],
+    [(3, 0.1, 1e-5), (9, 0.1, 1e-5), (30, 400.0, SHORT_OUTAGE_MPS2), (400, 4.0, 2.0)],
 )
 def test_a_controller_that_stood_still_goes_on(stall, bump_nm, error_mps2, tmp_path):
     """Held while the actuators hold, then against what they let go, then taken over anew."""

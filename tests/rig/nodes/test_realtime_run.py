@@ -25,7 +25,7 @@ from tests.rig.nodes.running import (
 
 
 def signals_of(log) -> Signals:
-    return read_signals(log, network_of(load("default")), 0.001)
+    return read_signals(log, network_of(load("ideal")), 0.001)
 
 
 def folder_is_complete(folder, outcome):
@@ -40,7 +40,7 @@ def finished(tmp_path_factory):
     """Two seconds of the default scenario, the motor lost after one."""
     folder = tmp_path_factory.mktemp("finished") / "run"
     arguments = ["--set", "duration_s=2", "--set", "fault.at_s=1", "--out", folder]
-    return rig("run", "default", "--realtime", *arguments), folder
+    return rig("run", "ideal", "--realtime", *arguments), folder
 
 
 def test_every_tick_is_in_the_log_or_counted_as_skipped(finished):
@@ -79,7 +79,7 @@ def test_the_wall_clock_is_what_it_ran_by(finished):
 @pytest.fixture
 def default(tmp_path):
     """A long real-time run past its first ticks, its log and its two nodes."""
-    with running(tmp_path, "default", "--realtime") as run:
+    with running(tmp_path, "ideal", "--realtime") as run:
         yield run
 
 
@@ -111,7 +111,7 @@ def test_ctrl_c_ends_both_cleanly(default):
 def test_by_hand_a_killed_controller_is_started_again_and_takes_over(tmp_path):
     log = tmp_path / "bus.log"
     settings = [*LONG, "--set", "fault.kind=none", "--realtime"]
-    common = ["default", *settings, "--bus", f"local:{tmp_path / 'bus'}"]
+    common = ["ideal", *settings, "--bus", f"local:{tmp_path / 'bus'}"]
     first = second = start("controller", *common)
     plant = start("plant", *common, "--log", log)
     try:
@@ -159,7 +159,7 @@ def test_a_latency_of_zero_is_refused_in_one_line(node, tmp_path):
 
 
 def test_real_time_takes_two_processes(tmp_path):
-    done = CliRunner().invoke(main, ["run", "default", "--realtime", "--in-process"])
+    done = CliRunner().invoke(main, ["run", "ideal", "--realtime", "--in-process"])
     assert done.exit_code == 2
     assert "two processes" in done.output
     assert not list(tmp_path.iterdir())

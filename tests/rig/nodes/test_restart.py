@@ -41,7 +41,7 @@ def table_of(scenario):
 def test_what_follows_is_predicted_from_fifty_milliseconds(x0):
     """From D* on the grid of its frame; the threshold of the default decision is 1e-5."""
     dstar = free_dstar(scaled_to_one(x0), 550)
-    motion = FreeMotion(table_of(load("default")))
+    motion = FreeMotion(table_of(load("ideal")))
     motion.fit(np.rint(dstar[:50] / LSB) * LSB, LSB**2 / 12)
     predicted = np.array([motion.advance() for _ in range(500)])
     assert np.abs(predicted - dstar[50:]).max() < 5e-6
@@ -51,14 +51,14 @@ def test_ticks_that_were_not_heard_are_left_out():
     dstar = free_dstar(scaled_to_one([1.0, -0.5, 0.2, 0.1]), 150)
     heard = dstar[:50].copy()
     heard[10:20] = heard[45:] = np.nan
-    motion = FreeMotion(table_of(load("default")))
+    motion = FreeMotion(table_of(load("ideal")))
     motion.fit(heard, LSB**2 / 12)
     assert [motion.advance() for _ in range(100)] == pytest.approx(dstar[50:], abs=5e-6)
 
 
 @pytest.mark.parametrize("heard", [[], [np.nan] * 20, [0.0] * 20], ids=["none", "nan", "rest"])
 def test_of_nothing_heard_comes_a_car_at_rest(heard):
-    motion = FreeMotion(table_of(load("default")))
+    motion = FreeMotion(table_of(load("ideal")))
     motion.fit(np.array(heard), LSB**2 / 12)
     assert not motion.sections.any()
     assert motion.advance() == 0.0
@@ -77,7 +77,7 @@ def test_noise_alone_is_not_taken_for_a_motion():
 @given(STATES)
 def test_the_estimate_starts_at_zero_on_a_car_that_moves(x0):
     """F1 with no command of its own predicts the car: d̂ stays below the default threshold."""
-    scenario = load("default")
+    scenario = load("ideal")
     table = table_of(scenario)
     firmware, restart = Firmware(table), BumplessRestart(scenario, table, LSB)
     dstar = np.rint(free_dstar(scaled_to_one(x0), 60) / LSB) * LSB
@@ -95,7 +95,7 @@ def test_the_estimate_starts_at_zero_on_a_car_that_moves(x0):
 
 @pytest.mark.parametrize("tick_s", [0.0005, 0.001, 0.005])
 def test_listening_and_returning_take_the_time_that_they_say(tick_s):
-    scenario = load("default", [f"tick_s={tick_s}"])
+    scenario = load("ideal", [f"tick_s={tick_s}"])
     restart = BumplessRestart(scenario, table_of(scenario), LSB)
     ticks = 0
     while restart.listens:

@@ -128,8 +128,11 @@ def value_of(message):
     return int.from_bytes(message.data[4:], "little", signed=True)
 
 
-def scenario_of(*changes, name="default"):
-    return load(name, ["fault.kind=none", "duration_s=0.3", *changes])
+PACE = "design.tau_q_s=0.0027"  # what a bump may be depends on it
+
+
+def scenario_of(*changes, name="ideal"):
+    return load(name, ["fault.kind=none", "duration_s=0.3", PACE, *changes])
 
 
 def dstar_under(commands):
