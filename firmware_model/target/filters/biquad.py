@@ -13,7 +13,6 @@ from __future__ import annotations
 import numpy as np
 
 from firmware_model.compiled import firmware
-from firmware_model.target.precision import real
 from firmware_model.target.structs import MAX_SECTIONS, Field, Precision, Record, record_type
 
 CONSTANTS = (
@@ -71,25 +70,3 @@ def settle(cascade: Record, state: Record, u: float) -> float:
         s[i, 1] = a1 * y - b1 * u
         u = y
     return u
-
-
-@firmware
-def settle_integrator(cascade: Record, state: Record, y: float) -> None:
-    """Put the cascade into the steady state in which its integrator holds the output at ``y``.
-
-    The input is zero. Sections after the integrator are settled backwards from ``y``; those before
-    it rest at zero.
-    """
-    coefficients, s = cascade.coefficients, state.accumulators
-    for k in range(cascade.n):
-        i = cascade.n - 1 - k
-        b0, b1, b2 = coefficients[i, 0], coefficients[i, 1], coefficients[i, 2]
-        a1, a2 = coefficients[i, 3], coefficients[i, 4]
-        u = real(0.0, y)
-        if a2 != 0.0:
-            u = y * a2 / b2
-        elif a1 != 0.0 and b2 == 0.0:
-            u = y * a1 / b1
-        s[i, 0] = y - b0 * u
-        s[i, 1] = a1 * y - b1 * u
-        y = u

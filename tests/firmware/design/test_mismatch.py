@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from firmware_model.design.mismatch import TRUSTED, Mismatch, principal_mismatch
+from firmware_model.design.mismatch import TRUSTED, Channels, Mismatch, principal_mismatch
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.target.structs import FloatArray
 
@@ -19,38 +19,56 @@ def lag_at(gain: float, lag: float) -> ZeroPoleGain:
     return ZeroPoleGain.lag(LAG_S * (1.0 + LAG_PART * lag), 1).scaled(1.0 + GAIN_PART * gain)
 
 
-def made(parameters: int, of) -> tuple[Mismatch, Places]:  # type: ignore[no-untyped-def]
-    """The directions, and where each car was made, the last ones those of the directions."""
+def unity() -> ZeroPoleGain:
+    return ZeroPoleGain.constant(1.0)
+
+
+def made(parameters: int, of, most: int = 4) -> tuple[Mismatch, Places]:  # type: ignore[no-untyped-def]
+    """The directions, and where each car was made, the last ones those of the directions.
+
+    ``of`` gives G1 at a place, or both channels; G2 alone is 1 everywhere.
+    """
     places: Places = []
 
-    def make(place: FloatArray) -> ZeroPoleGain:
+    def make(place: FloatArray) -> Channels:
         places.append(np.array(place))
-        channel: ZeroPoleGain = of(place)
-        return channel
+        channels = of(place)
+        return channels if isinstance(channels, tuple) else (channels, unity())
 
-    return principal_mismatch(make, parameters, TRACKING_S), places
+    return principal_mismatch(make, parameters, TRACKING_S, most), places
 
 
-def gram() -> FloatArray:
-    """∫ of the products of d ln G1/dp on a step that D* follows with two lags, by hand."""
+def gram(*of_g2: int) -> FloatArray:
+    """∫ of the products of d ln G/dp on a step that D* follows with two lags, by hand.
+
+    Of G1, and of a G2 that has in it the gain (0) or the lag (1) of G1, whichever are named.
+    """
     omega = np.geomspace(0.3, 10.0 / TRACKING_S, 200_001)
     s = 1j * omega
     step = 1.0 / (s * (1.0 + s * TRACKING_S) ** 2)
     derivatives = [GAIN_PART * step, -LAG_PART * LAG_S * s / (1.0 + LAG_S * s) * step]
-    return np.array(
+    products = np.array(
         [[np.trapezoid((a * b.conj()).real, omega) for b in derivatives] for a in derivatives]
     )
+    both = np.array([float(i in of_g2) for i in range(2)])
+    return products * (1.0 + np.outer(both, both))
 
 
-def test_they_are_the_eigenvectors_of_what_the_parameters_show() -> None:
-    found, places = made(2, lambda place: lag_at(*place))
-    values, vectors = np.linalg.eigh(gram())
+@pytest.mark.parametrize("of_g2", [(), (0,), (1,), (0, 1)])
+def test_they_are_the_eigenvectors_of_what_the_parameters_show(of_g2: tuple[int, ...]) -> None:
+    """In both channels: the torque does the work before a loss, the force difference after it."""
+
+    def channels(place: FloatArray) -> Channels:
+        return lag_at(*place), lag_at(*(place[i] if i in of_g2 else 0.0 for i in range(2)))
+
+    found, places = made(2, channels)
+    values, vectors = np.linalg.eigh(gram(*of_g2))
     expected = np.sqrt(values[::-1])
     np.testing.assert_allclose(found.singular_values, expected, rtol=0.03)
     for place, vector in zip(places[-2:], vectors.T[::-1], strict=True):
         assert np.linalg.norm(place) == pytest.approx(0.05)
         assert abs(place @ vector) / 0.05 == pytest.approx(1.0, abs=1e-3)
-    assert found.cars == tuple(lag_at(*place) for place in places[-2:])
+    assert found.cars == tuple(channels(place) for place in places[-2:])
 
 
 def test_parameters_that_show_alike_are_one_direction() -> None:
@@ -59,20 +77,27 @@ def test_parameters_that_show_alike_are_one_direction() -> None:
     assert abs(places[-1][0] - places[-1][1]) < 1e-9
 
 
-def test_what_shows_nothing_is_no_direction_and_three_are_enough() -> None:
+def test_parameters_that_only_the_second_channel_shows_are_directions_too() -> None:
+    found, _ = made(2, lambda place: (lag_at(place[0], 0.0), lag_at(0.0, place[1])))
+    assert len(found.cars) == 2
+
+
+@pytest.mark.parametrize("most", [1, 2, 3, 4])
+def test_what_shows_nothing_is_no_direction_and_there_is_room_for_so_many(most: int) -> None:
+    """The largest stay."""
     found, _ = made(3, lambda place: lag_at(place[0], 0.0 * place[1]))
     assert len(found.cars) == 1
     assert len(found.singular_values) == 3
-    found, _ = made(
-        4,
-        lambda place: (
-            lag_at(place[0], place[1])
-            * ZeroPoleGain.lag(0.02 * (1.0 + 0.5 * place[2]), 1)
-            * ZeroPoleGain.lag(0.5 * (1.0 + 0.5 * place[3]), 1)
-        ),
-    )
-    assert len(found.cars) == 3
-    assert len(found.singular_values) == 4
+
+    def four(place: FloatArray) -> ZeroPoleGain:
+        fast, slow = (0.02, 0.5) * (1.0 + 0.5 * place[2:])
+        return lag_at(*place[:2]) * ZeroPoleGain.lag(fast, 1) * ZeroPoleGain.lag(slow, 1)
+
+    found, _ = made(4, four, most)
+    everything, _ = made(4, four)
+    assert len(everything.cars) == len(found.singular_values) == 4
+    assert found.cars == everything.cars[:most]
+    assert list(found.singular_values) == sorted(found.singular_values, reverse=True)
 
 
 def test_without_parameters_the_model_is_trusted() -> None:

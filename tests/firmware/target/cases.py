@@ -6,10 +6,10 @@ from typing import Any
 
 import numpy as np
 
-from firmware_model.design.mismatch import Mismatch, principal_mismatch
+from firmware_model.design.mismatch import Channels, Mismatch, principal_mismatch
 from firmware_model.design.plants import steer_by_wire
 from firmware_model.design.vehicle import VehicleParameters
-from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.target.fault_decision.covariance import MAX_DIRECTIONS
 from firmware_model.target.structs import FloatArray, Record, RecordArray
 
 NOMINAL = VehicleParameters()
@@ -27,12 +27,13 @@ def car_at(place: FloatArray) -> VehicleParameters:
     return VehicleParameters(**changes)
 
 
-def channel_1_at(place: FloatArray) -> ZeroPoleGain:
-    return steer_by_wire(car_at(place)).g1
+def channels_at(place: FloatArray) -> Channels:
+    plant = steer_by_wire(car_at(place))
+    return plant.g1, plant.g2
 
 
 def other_cars(parameters: int = 3) -> Mismatch:
-    return principal_mismatch(channel_1_at, parameters, 0.05)
+    return principal_mismatch(channels_at, parameters, 0.05, MAX_DIRECTIONS)
 
 
 def changed(table: Record, **numbers: dict[str, Any]) -> RecordArray:

@@ -5,10 +5,11 @@ from __future__ import annotations
 import math
 
 import numpy as np
+import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_model.target.actuator import CONSTANTS, quantise, saturate, saturate_rate
+from firmware_model.target.actuator import CONSTANTS, STATE, quantise, saturate, saturate_rate
 from firmware_model.target.structs import Record, record_type
 
 some = st.floats(-1e3, 1e3)
@@ -19,6 +20,10 @@ def actuator(limit: float = math.inf, slew: float = math.inf, lsb: float = 0.0) 
     made = np.zeros(1, record_type(CONSTANTS, "float64"))[0]
     made.limit, made.slew, made.lsb = limit, slew, lsb
     return made
+
+
+def at_rest() -> Record:
+    return np.zeros(1, record_type(STATE, "float64"))[0]
 
 
 @given(some, size)
@@ -48,11 +53,51 @@ def test_each_end_of_the_rate_and_of_the_limit() -> None:
 
 @given(some, st.sampled_from([1e-3, 0.25, 2.0]))
 def test_a_command_is_the_nearest_multiple_of_its_resolution(command: float, lsb: float) -> None:
-    rounded = quantise(actuator(lsb=lsb), command)
+    rounded = quantise(actuator(lsb=lsb), at_rest(), command)
     assert abs(rounded - command) <= lsb / 2 * (1 + 1e-9)
     assert rounded / lsb == round(rounded / lsb, 6)
 
 
+@given(st.lists(some, min_size=1, max_size=50), st.sampled_from([1e-3, 0.25, 2.0]))
+def test_all_commands_together_are_rounded_once(commands: list[float], lsb: float) -> None:
+    """First-order noise shaping: by half a step for the sum of all, not for each of them."""
+    motor, state = actuator(lsb=lsb), at_rest()
+    rounded = [quantise(motor, state, command) for command in commands]
+    off = np.cumsum(commands) - np.cumsum(rounded)
+    assert np.abs(off).max() <= lsb / 2 * (1 + 1e-9) + 1e-9
+    steps = np.array(rounded) / lsb
+    np.testing.assert_allclose(steps, np.rint(steps), atol=1e-6)
+
+
+@pytest.mark.parametrize("command", [0.1, -0.3, 0.499, 1.3])
+def test_a_command_between_two_steps_is_their_mean(command: float) -> None:
+    motor, state = actuator(lsb=1.0), at_rest()
+    rounded = [quantise(motor, state, command) for _ in range(1000)]
+    assert np.mean(rounded) == pytest.approx(command, abs=0.5 / 1000)
+    assert set(rounded) == {np.floor(command), np.ceil(command)}
+
+
+@given(st.lists(some, min_size=1, max_size=50), st.sampled_from([0.25, 1.0]), st.integers(1, 40))
+def test_what_is_left_takes_no_command_beyond_its_limit(
+    commands: list[float], lsb: float, steps: int
+) -> None:
+    """Nor does it pile up there: a command that leaves the limit finds half a step at most."""
+    limit = steps * lsb
+    motor, state = actuator(limit, lsb=lsb), at_rest()
+    for command in commands:
+        rounded = quantise(motor, state, saturate(motor, command))
+        assert abs(rounded) <= limit
+        assert abs(state.rounded_off) <= lsb / 2
+
+
+@pytest.mark.parametrize("command", [math.inf, math.nan])
+def test_what_overflowed_leaves_nothing(command: float) -> None:
+    motor, state = actuator(lsb=0.5), at_rest()
+    quantise(motor, state, 0.2)
+    quantise(motor, state, command)
+    assert state.rounded_off == 0.0
+
+
 def test_without_a_resolution_a_command_stays_as_it_is() -> None:
-    assert quantise(actuator(), 0.123456789) == 0.123456789
-    assert quantise(actuator(lsb=1e-3), 0.0125) == 0.012  # ties go to even
+    assert quantise(actuator(), at_rest(), 0.123456789) == 0.123456789
+    assert quantise(actuator(lsb=1e-3), at_rest(), 0.0125) == 0.012  # ties go to even

@@ -9,7 +9,6 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from firmware_model.design.plants import steer_by_wire
-from firmware_model.design.tracking import tracking
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.sections import Sections
 from firmware_model.discretisation.tustin import tustin, zoh
@@ -19,7 +18,6 @@ from firmware_model.target.filters.biquad import (
     at_rest,
     output,
     settle,
-    settle_integrator,
 )
 from firmware_model.target.structs import MAX_SECTIONS, Precision, Record, record_type
 
@@ -86,35 +84,6 @@ def test_settle_is_where_a_constant_input_leads(name: str) -> None:
     for _ in range(2000):
         settled = advance(cascade, state, 3.0)
     assert settled == pytest.approx(3.0 * dc_gain, rel=1e-9)
-
-
-@pytest.mark.parametrize("alpha_q", [2, 3, 4])
-def test_settle_integrator_holds_its_output_at_zero_input(alpha_q: int) -> None:
-    sections = tustin(tracking(CAR.g1, 0.001, alpha_q), 1e-3)
-    cascade, state = cascade_of(sections.coefficients), at_rest()
-    settle_integrator(cascade, state, 42.5)
-    answers = [advance(cascade, state, 0.0) for _ in range(3000)]
-    np.testing.assert_allclose(answers, 42.5, rtol=1e-9)
-
-
-def test_settle_integrator_goes_backwards_through_every_kind_of_section() -> None:
-    """Integrator first, then a section of order 2 and two of order 1 (with δ/δ) after it."""
-    sections = np.array(
-        [
-            [0.2, 0.1, 0.0, 0.0, 0.0],  # 1/δ and a feedthrough
-            [1.0, 0.3, 0.02, 0.3, 0.04],
-            [0.5, 0.25, 0.0, 1.0, 0.0],
-            [1.0, 0.6, 0.0, 0.3, 0.0],
-        ]
-    )
-    cascade, state = cascade_of(sections), at_rest()
-    settle_integrator(cascade, state, 7.0)
-    # By hand, backwards: 7 behind the gain of 2, 3.5 behind 1/4, 14 behind 1/2, 28 held. The δ/δ
-    # hold nothing, though they could for ever: what they held no feedback would take back.
-    expected = [[28.0, 0.0], [-14.0, -4.2], [-3.5, 0.0], [3.5, 0.0]]
-    np.testing.assert_allclose(state.accumulators[:4], expected, rtol=1e-15, atol=1e-15)
-    answers = [advance(cascade, state, 0.0) for _ in range(50)]
-    np.testing.assert_allclose(answers, 7.0, rtol=1e-12)
 
 
 def test_settle_leaves_an_integrator_at_rest() -> None:

@@ -11,7 +11,14 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from firmware_model.target.fault_decision import covariance
-from firmware_model.target.fault_decision.covariance import MAX_STATES, fade, grow, measure
+from firmware_model.target.fault_decision.covariance import (
+    MAX_STATES,
+    clear_covariance,
+    fade,
+    grow,
+    measure,
+    replace_first,
+)
 from firmware_model.target.structs import Precision, Record, record_type
 
 Matrix = NDArray[np.float64]
@@ -24,7 +31,10 @@ def matrix(state: Record) -> Matrix:
     return upper * state.variances.astype(float) @ upper.T
 
 
-def begun(precision: Precision = "float64", variances: Any = (1.0, 2.0, 0.5, 0.0)) -> Record:
+VARIANCES = np.array([1.0, 2.0, 0.5, 0.0, 0.3, 4.0])
+
+
+def begun(precision: Precision = "float64", variances: Any = VARIANCES) -> Record:
     state = np.zeros(1, record_type(covariance.STATE, precision))[0]
     state.variances[:] = variances
     return state
@@ -38,7 +48,7 @@ parts = st.lists(st.floats(0.0, 1.0), min_size=N, max_size=N).map(np.array)
 def test_a_measurement_is_that_of_full_matrices(measurements: list[Matrix], noise: float) -> None:
     """S, K and P of Joseph's form (I - K xᵀ) P (I - K xᵀ)ᵀ + K Kᵀ noise."""
     state, gain = begun(), np.zeros(N)
-    p = np.diag([1.0, 2.0, 0.5, 0.0])
+    p = np.diag(VARIANCES)
     for x in measurements:
         variance = measure(state, N, x, noise, gain)
         s = x @ p @ x + noise
@@ -63,6 +73,29 @@ def test_what_fades_and_what_is_added_is_that_of_full_matrices(
     for i in range(N):
         grow(state, i, added[i])
     np.testing.assert_allclose(matrix(state), faded + np.diag(added), atol=1e-12)
+
+
+@given(measurements=st.lists(numbers, min_size=1, max_size=8), variance=st.floats(0.0, 4.0))
+def test_a_new_first_state_knows_nothing_of_the_others(
+    measurements: list[Matrix], variance: float
+) -> None:
+    """Their own covariances, which factors that begin with the first state hold alone, stay."""
+    state = begun()
+    for x in measurements:
+        measure(state, N, x, 0.1, np.zeros(N))
+    expected = matrix(state)
+    expected[0, :] = expected[:, 0] = 0.0
+    expected[0, 0] = variance
+    replace_first(state, variance)
+    np.testing.assert_allclose(matrix(state), expected, atol=1e-12)
+
+
+def test_what_is_cleared_is_zero() -> None:
+    state = begun()
+    measure(state, N, np.arange(1.0, 1.0 + N), 0.1, np.zeros(N))
+    assert np.triu(matrix(state), 1).any()
+    clear_covariance(state)
+    assert not matrix(state).any()
 
 
 @pytest.mark.long
@@ -91,7 +124,7 @@ def test_it_stays_positive_semidefinite_and_the_innovation_s_variance_above_its_
 @pytest.mark.long
 def test_single_precision_keeps_what_plain_matrices_lose() -> None:
     """Steady x of 10 and noise of 1e-3 rms: P - K Kᵀ S in single precision has S < 0 soon."""
-    x = np.array([10.0, 20.0, -30.0, 1.0], np.float32)
+    x = np.array([10.0, 20.0, -30.0, 15.0, -5.0, 1.0], np.float32)
     state, gain = begun("float32", 0.36), np.zeros(N, np.float32)
     exact, plain = np.eye(N) * 0.36, np.eye(N, dtype=np.float32) * np.float32(0.36)
     noise, worst = np.float32(1e-6), np.inf

@@ -61,7 +61,7 @@ def test_each_channel_is_its_model_of_the_commands_when_they_act(latency: int) -
     outputs = run(constants, state, COMMANDS)
     expected = answers(delayed(COMMANDS, latency))
     np.testing.assert_allclose(outputs, expected, rtol=1e-9, atol=1e-15)
-    assert state.acting_1 == delayed(COMMANDS, latency)[0, -1]
+    assert (state.showing_1, state.showing_2) == tuple(delayed(COMMANDS, latency)[:, -1])
 
 
 @pytest.mark.parametrize("latency", LATENCIES)
@@ -71,7 +71,7 @@ def test_a_settled_model_stays_until_new_commands_act(latency: int) -> None:
     run(constants, state, COMMANDS[:, :5])
     biquad.advance(constants.one_plus_q, state.one_plus_q, 1.0)
     settle_estimator(constants, state, 4.0, -2.5)
-    assert state.acting_1 == 4.0
+    assert (state.showing_1, state.showing_2) == (4.0, -2.5)
     settled = np.array([4.0 * CAR.g1.dc_gain, -2.5 * CAR.g2.dc_gain])
     outputs = run(constants, state, COMMANDS + np.array([[4.0], [-2.5]]))
     expected = settled[:, None] + answers(delayed(COMMANDS, latency))

@@ -16,7 +16,6 @@ from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
-from firmware_model.firmware import Firmware
 from firmware_model.target import controller
 from firmware_model.target.reference_shaper import braking_speed, shape_reference, start
 
@@ -148,12 +147,3 @@ def test_an_overflow_leaves_the_shaper_working() -> None:
         controller.step(table, states[0], reference, 0.0)
     assert math.isfinite(states[0].reference_shaper.shaped)
     assert math.isfinite(states[0].command_1)
-
-
-def test_a_reference_that_is_on_its_way_is_followed_from_there() -> None:
-    """No error, no torque: neither jump nor lag where C takes up a moving reference."""
-    table, path = limited_table(400.0, 0.5), 1.0 + 0.001 * np.arange(1, 6)
-    moving, resting = Firmware(table), Firmware(table)
-    moving.follow(1.0, 0.001)
-    assert [moving.step(r, r).command_1 for r in path.tolist()] == [0.0] * len(path)
-    assert resting.step(float(path[0]), float(path[0])).command_1 != 0.0
