@@ -1,38 +1,33 @@
-"""``from-bus`` and ``from-budget``: loading keeps the word, the assessment puts the number in."""
+"""``from-bus``: loading keeps the word, the assessment puts the number in."""
 
 import json
 
 import pytest
-from can_rig.assessment.threshold_budget import threshold_budget
 
 from can_rig.assessment.bus_timing.timing import latency_ticks
 from can_rig.assessment.resolve import load, load_run, resolve
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import FROM_BUDGET, FROM_BUS, draft, read
+from can_rig.scenario.loading import FROM_BUS, draft, read
 from tests.helpers import asked
 
 BUS = ("latency_ticks=from-bus", "tick_s=0.002", "bus.bitrate=500000")
-BUDGET = ("design.fault_threshold_mps2=from-budget", "budget.box=0.05", "duration_s=1")
 
 
 def test_loading_keeps_the_words_and_resolving_puts_in_what_the_assessment_says() -> None:
-    written = read("thesis-step", [*BUS, *BUDGET])
-    assert written.words == {FROM_BUS, FROM_BUDGET}
-    assert (written.scenario.latency_ticks, written.scenario.budget.box) == (0, 0.05)
+    written = read("thesis-step", BUS)
+    assert written.words == {FROM_BUS}
+    assert written.scenario.latency_ticks == 0
     found = resolve(written)
     network = network_of(found)
     assert found.latency_ticks == latency_ticks(network, 500_000, 0.002, found.bus.compute_s) > 0
-    needed = threshold_budget(found, network)
-    assert found.design.fault_threshold_mps2 == needed.threshold > 0.0
-    assert found.design.fault_threshold_share == needed.share > 0.0
-    assert found == load("thesis-step", [*BUS, *BUDGET])
+    assert found == load("thesis-step", BUS)
 
 
 def test_a_draft_leaves_the_values_that_it_is_made_of_as_they_are() -> None:
-    values = {"latency_ticks": "from-bus", "design": {"fault_threshold_mps2": "from-budget"}}
+    values = {"latency_ticks": "from-bus", "design": {"tau_s": 0.002}}
     before = json.dumps(values)
-    assert draft("x", values).words == {FROM_BUS, FROM_BUDGET}
+    assert draft("x", values).words == {FROM_BUS}
     assert json.dumps(values) == before
 
 
@@ -43,10 +38,9 @@ def test_without_a_word_nothing_is_resolved() -> None:
 
 
 def test_a_run_folder_holds_numbers_and_a_word_may_change_them_again() -> None:
-    found = load("thesis-step", [*BUS, *BUDGET])
+    found = load("thesis-step", BUS)
     recorded = json.loads(json.dumps(found.as_dict()))
     assert recorded["latency_ticks"] == found.latency_ticks
-    assert recorded["design"]["fault_threshold_mps2"] == found.design.fault_threshold_mps2
     assert load_run(recorded) == found
     late = load("thesis-step", ["latency_ticks=5"]).as_dict()
     assert load_run(late, ["latency_ticks=from-bus"]).latency_ticks == 1
@@ -57,8 +51,8 @@ def test_a_run_folder_holds_numbers_and_a_word_may_change_them_again() -> None:
     [
         ("latency_ticks=from-budget", "latency_ticks = 'from-budget': must be a valid integer"),
         ("seed=from-bus", "seed = 'from-bus': must be a valid integer"),
-        ("design.fault_threshold_mps2=from-bus", "must be a valid number"),
-        ("model.fault_threshold_mps2=from-budget", "unknown key"),
+        ("design.tau_s=from-bus", "must be a valid number"),
+        ("model.latency_ticks=from-bus", "unknown key"),
     ],
 )
 def test_a_word_stands_for_its_own_number_alone(setting: str, line: str) -> None:

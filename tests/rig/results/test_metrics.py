@@ -120,7 +120,8 @@ CLEAR, SUSPECTED, CONFIRMED, CANNOT_TELL = 0.0, 1.0, 2.0, 3.0
 
 
 def test_noise_in_the_commands_is_that_of_the_exact_covariance(run: Run) -> None:
-    scenario, signals = run("noisy", "duration_s=10.0", "fault.kind=none")
+    always = ("design.compensation=always", "design.tau_s=0.0022", "design.alpha=2")
+    scenario, signals = run("noisy", "duration_s=10.0", "fault.kind=none", *always)
     expected = (
         check_stability(scenario).healthy.noise_to_command_2 * scenario.plant.sensor.noise_mps2
     )

@@ -3,7 +3,6 @@
 import dataclasses
 import json
 import re
-from pathlib import Path
 
 import pytest
 
@@ -279,33 +278,3 @@ def test_a_bad_file_is_one_line(text, reason, tmp_path):
     assert reason in str(caught.value)
     assert str(caught.value).startswith(f"scenario {path}") or "scenario bad" in str(caught.value)
     assert "\n" not in str(caught.value)
-
-
-def test_no_such_scenario():
-    with pytest.raises(ScenarioError, match="did you mean thesis-step"):
-        load("thesis-stp")
-    with pytest.raises(ScenarioError, match="shipped ones: chapter-2"):
-        load("zzzzzz")
-    with pytest.raises(ScenarioError, match="no such scenario and no such file"):
-        load("none.toml")
-
-
-@pytest.mark.parametrize("name", [".", "/dev/null"])
-def test_what_is_there_but_no_file_is_said_to_be_none(name):
-    with pytest.raises(
-        ScenarioError, match=f"^scenario {name}: not a file; must be a TOML file or a ship"
-    ):
-        load(name)
-
-
-@pytest.mark.skipif(not Path("/proc/self/mem").exists(), reason="needs a file that cannot be read")
-def test_a_file_that_cannot_be_read():
-    with pytest.raises(ScenarioError, match=r"not readable as TOML: .*Input/output error"):
-        load("/proc/self/mem")
-
-
-def test_a_csv_is_found_beside_its_scenario_or_from_where_one_is(tmp_path):
-    (tmp_path / "x.toml").write_text('[reference]\nkind = "csv"\nfile = "r.csv"\n')
-    assert load(str(tmp_path / "x.toml")).reference.file == str(tmp_path / "r.csv")
-    scenario = load(str(tmp_path / "x.toml"), ["reference.file=here.csv"])
-    assert scenario.reference.file == "here.csv"

@@ -56,16 +56,7 @@ def test_cars_that_are_20_percent_off_raise_no_alarm(name: str, levels: str) -> 
     assert confirmed_after_s(car) <= LATEST_S
 
 
-FALSE_RETURN = "seed 1: 5 s after the loss the return of a torque that is still lost is confirmed"
-
-
-@pytest.mark.parametrize(
-    "name",
-    [
-        pytest.param("default", marks=pytest.mark.xfail(strict=True, reason=FALSE_RETURN)),
-        "chassis-can",
-    ],
-)
+@pytest.mark.parametrize("name", ["default", "chassis-can"])
 def test_what_is_lost_stays_lost_whatever_the_noise(name: str) -> None:
     """And is made up for: without compensation D* would be 1 m/s² off."""
     scenario = load(name)
