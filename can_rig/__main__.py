@@ -2,6 +2,7 @@
 
 import os
 
+from can_rig.cli.garbage import collect_nothing
 from can_rig.cli.interrupts import end_at_once
 from can_rig.cli.libraries import hide_asammdf, silence
 
@@ -9,6 +10,7 @@ from can_rig.cli.libraries import hide_asammdf, silence
 def main() -> None:
     """Run the command line; Ctrl-C counts from the first moment on."""
     end_at_once()
+    collect_nothing()
     hide_asammdf()
     silence()
     # The matrices are small: threads of OpenBLAS cost more than they save, and do not survive fork.

@@ -3,12 +3,14 @@
 A mutant that no test notices is a gap in the tests, or stands in `tools/mutation.toml` with the
 reason why nothing can notice it. Results are kept in `build/mutation.jsonl`, so that a run that was
 interrupted goes on where it stopped; a mutant is run again when its module has changed, or when it
-survived.
+survived. The tests must pass on the unchanged code before and after the mutants of a room:
+otherwise they fail for another reason, and the results of that room are taken back.
 """
 
 from __future__ import annotations
 
 import argparse
+import fcntl
 import hashlib
 import json
 import math
@@ -18,6 +20,7 @@ import sys
 import tomllib
 from collections import Counter
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass
 from fnmatch import fnmatch
 from multiprocessing import get_context
@@ -32,6 +35,7 @@ from rich.table import Table
 CHECKOUT: Final = Path(__file__).parents[1]
 SETTINGS: Final = Path(__file__).with_suffix(".toml")
 FOUND: Final = CHECKOUT / "build" / "mutation.jsonl"
+LOCK: Final = CHECKOUT / "build" / "mutation.lock"
 TIMES: Final = CHECKOUT / "build" / "mutation-times.json"
 
 
@@ -98,9 +102,18 @@ def run_room(
 ) -> None:
     """Run the mutants of one room, in a process of its own."""
     os.environ["OPENBLAS_NUM_THREADS"] = "1"
+    os.environ["CI"] = "1"  # tests/conftest.py: the same examples for every mutant
     if entry.get("interpreted"):
         os.environ["NUMBA_DISABLE_JIT"] = "1"
-    from mutation_run import BaselineError, Tests, copy_tree, killers, measure  # noqa: PLC0415 (here)
+    sys.dont_write_bytecode = False  # in the copy: compiling the tests takes longer than most
+    from mutation_run import (  # noqa: PLC0415 (here)
+        BaselineError,
+        Tests,
+        check_unchanged,
+        copy_tree,
+        killers,
+        measure,
+    )
 
     copy_tree()
 
@@ -122,13 +135,24 @@ def run_room(
     TIMES.write_text(json.dumps(tests.cpu_s), "utf-8")
     jobs = {site.key: (Path(site.module), site.mutant.source) for site in chosen}
     # Without a thread of its own: this process forks.
-    with Progress(*columns, console=console, auto_refresh=False) as bar, FOUND.open("a") as log:
-        task = bar.add_task("mutants", total=len(jobs), survived=0)
-        survived = 0
-        for key, killer in killers(tests, jobs, asked.workers):
-            survived += killer is None
-            print(json.dumps({"key": key, "killer": killer}), file=log, flush=True)
-            bar.update(task, advance=1, survived=survived, refresh=True)
+    with FOUND.open("a") as log:
+        before = log.tell()
+        try:
+            with Progress(*columns, console=console, auto_refresh=False) as bar:
+                task = bar.add_task("mutants", total=len(jobs), survived=0)
+                survived = 0
+                for key, killer in killers(tests, jobs, asked.workers):
+                    survived += killer is None
+                    print(json.dumps({"key": key, "killer": killer}), file=log, flush=True)
+                    bar.update(task, advance=1, survived=survived, refresh=True)
+        except KeyboardInterrupt:
+            sys.exit("interrupted: the next run goes on here")
+        finally:
+            try:
+                check_unchanged(tests)
+            except BaselineError as error:
+                log.truncate(before)
+                sys.exit(f"error: {error}, after the mutants: their results are taken back")
 
 
 def report(every: list[Site], listed: set[tuple[str, str, str]]) -> bool:
@@ -177,6 +201,12 @@ def main() -> int:
     every = list(sites(settings))
     listed = accepted(settings, every)
     FOUND.parent.mkdir(exist_ok=True)
+    lock = LOCK.open("w")  # held until this process ends
+    try:
+        if not asked.list:
+            fcntl.flock(lock, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        sys.exit("error: another run of tools/mutation is under way; it must end first")
     if asked.fresh:
         FOUND.unlink(missing_ok=True)
     every = [site for site in every if fnmatch(site.module, asked.only)]
@@ -192,6 +222,8 @@ def main() -> int:
                 target=run_room, args=(entry, chosen, asked, tests)
             )
             process.start()
+            with suppress(KeyboardInterrupt):  # that process ends by it, in its own time
+                process.join()
             process.join()
             if process.exitcode:
                 return 2

@@ -5,6 +5,7 @@ The changed module exists in memory alone: no file is written, and the mutants d
 
 from __future__ import annotations
 
+import gc
 import importlib
 import math
 import os
@@ -51,10 +52,14 @@ class Tests:
 
 
 class Plugin:
-    """Within pytest: the tests that noticed others first, none much longer than usual."""
+    """Within pytest: the module's own tests first, then those that noticed others.
 
-    def __init__(self, tests: Tests) -> None:
+    None may take much longer than usual.
+    """
+
+    def __init__(self, tests: Tests, module: str) -> None:
         self._tests = tests
+        self._own = f"test_{module}.py"
         self.failed: str | None = None
         self.cpu_s: dict[str, float] = {}
 
@@ -66,7 +71,12 @@ class Plugin:
         for test, test_s in cpu_s.items():
             file_s[test.partition("::")[0]] += test_s
         kills = self._tests.kills
-        items.sort(key=lambda i: (-kills[i.nodeid], file_s[i.nodeid.partition("::")[0]]))
+
+        def order(item: pytest.Item) -> tuple[bool, int, float]:
+            file = item.nodeid.partition("::")[0]
+            return not file.endswith(f"/{self._own}"), -kills[item.nodeid], file_s[file]
+
+        items.sort(key=order)
 
     @pytest.hookimpl(wrapper=True)
     def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
@@ -108,11 +118,10 @@ def _in_process(
     silence = os.open(os.devnull, os.O_RDWR)
     for stream in (0, 1, 2):
         os.dup2(silence, stream)
-    os.environ["HYPOTHESIS_STORAGE_DIRECTORY"] = str(folder / "hypothesis")
     signal.signal(signal.SIGPROF, signal.SIG_DFL)  # ends the process
     if mutant is not None:
         sys.meta_path.insert(0, _InMemory(*mutant))
-    plugin = Plugin(tests)
+    plugin = Plugin(tests, mutant[0].stem if mutant else "")
     options = ["-x", "-q", "-p", "no:cacheprovider", f"--timeout={_WAITS_S}"]
     options += [f"--basetemp={folder / 'tmp'}", "-m", "not vcan and not long"]
     status = pytest.main([*options, *tests.paths], plugins=[plugin])
@@ -133,10 +142,27 @@ def copy_tree() -> None:
         shutil.copy2(checkout / name, TREE / name)
     os.chdir(TREE)
     sys.path.insert(0, str(TREE))
+    os.environ["HYPOTHESIS_STORAGE_DIRECTORY"] = str(TREE / ".hypothesis")  # what it reads of files
 
 
 class BaselineError(Exception):
     """The tests fail on the unchanged code."""
+
+
+def check_unchanged(tests: Tests) -> list[str]:
+    """Run the tests on the unchanged code; the names of what had to be imported.
+
+    Raises:
+        BaselineError: one of them fails.
+    """
+    ((_, answer),) = _answers(tests, {"unchanged": None}, 1)
+    if answer is None:
+        raise BaselineError("a test takes too long on the unchanged code")
+    failed, cpu_s, imported = answer
+    if failed:
+        raise BaselineError(f"{failed} fails on the unchanged code")
+    tests.cpu_s.update(cpu_s)
+    return imported
 
 
 def measure(tests: Tests) -> None:
@@ -145,16 +171,11 @@ def measure(tests: Tests) -> None:
     Raises:
         BaselineError: one of them fails.
     """
-    ((_, answer),) = _answers(tests, {"unchanged": None}, 1)
-    if answer is None or answer[0]:
-        raise BaselineError(
-            f"{answer[0] if answer else 'a test'} fails on the unchanged code, or takes too long"
-        )
-    _, cpu_s, theirs = answer
-    tests.cpu_s.update(cpu_s)
-    for name in theirs:
+    for name in check_unchanged(tests):
         with suppress(Exception):
             importlib.import_module(name)
+    gc.collect()
+    gc.freeze()  # pytest collects garbage at its end: of each process its own alone
 
 
 def killers(

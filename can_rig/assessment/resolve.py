@@ -15,7 +15,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from can_rig.assessment.bus_timing.timing import latency_ticks
-from can_rig.assessment.threshold_budget import threshold_budget
+from can_rig.assessment.threshold_budget import OnCar, threshold_budget
 from can_rig.errors import RigError, ScenarioError
 from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import FROM_BUDGET, FROM_BUS, Draft, of_run, read
@@ -23,13 +23,17 @@ from can_rig.scenario.refusal import refusal
 from can_rig.scenario.settings import Scenario
 
 
-def load(name: str, settings: Iterable[str] = ()) -> Scenario:
+def load(
+    name: str, settings: Iterable[str] = (), on_car: OnCar = lambda done, of: None
+) -> Scenario:
     """The scenario ``name`` with ``KEY=VALUE`` changes, ready to run; see ``loading.read``.
+
+    ``on_car`` is told how far the threshold budget is, where it is asked for.
 
     Raises:
         ScenarioError: as ``loading.read`` and ``resolve``.
     """
-    return resolve(read(name, settings))
+    return resolve(read(name, settings), on_car)
 
 
 def load_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Scenario:
@@ -41,7 +45,7 @@ def load_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Scenari
     return resolve(of_run(values, settings))
 
 
-def resolve(draft: Draft) -> Scenario:
+def resolve(draft: Draft, on_car: OnCar = lambda done, of: None) -> Scenario:
     """The scenario with a number in place of every word.
 
     Raises:
@@ -51,7 +55,7 @@ def resolve(draft: Draft) -> Scenario:
     if FROM_BUS in draft.words:
         scenario = _with_latency_of_bus(scenario)
     if FROM_BUDGET in draft.words:
-        scenario = _with_threshold_of_threshold_budget(scenario)
+        scenario = _with_threshold_of_threshold_budget(scenario, on_car)
     return scenario
 
 
@@ -68,9 +72,9 @@ def _with_latency_of_bus(scenario: Scenario) -> Scenario:
         raise ScenarioError(f"{where}: {error}") from None
 
 
-def _with_threshold_of_threshold_budget(scenario: Scenario) -> Scenario:
+def _with_threshold_of_threshold_budget(scenario: Scenario, on_car: OnCar) -> Scenario:
     least = replace(scenario.design, fault_threshold_mps2=sys.float_info.min)
-    found = threshold_budget(replace(scenario, design=least), network_of(scenario))
+    found = threshold_budget(replace(scenario, design=least), network_of(scenario), on_car)
     chosen = replace(
         scenario.design,
         fault_threshold_mps2=found.threshold,

@@ -16,7 +16,7 @@ from typing import Any, get_args
 
 from can_rig.assessment.control_authority import ControlAuthority, control_authority
 from can_rig.assessment.stability_table import finite_or_null
-from can_rig.assessment.threshold_budget import ThresholdBudget, threshold_budget
+from can_rig.assessment.threshold_budget import OnCar, ThresholdBudget, threshold_budget
 from can_rig.errors import ScenarioError
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import (
@@ -125,8 +125,10 @@ class StabilityCheck:
         return {key: finite_or_null(value) for key, value in values.items()}
 
 
-def check_stability(scenario: Scenario) -> StabilityCheck:
+def check_stability(scenario: Scenario, on_car: OnCar = lambda done, of: None) -> StabilityCheck:
     """The margins of the scenario's loop in every state, its threshold and control authority.
+
+    ``on_car`` is told how far the threshold budget is.
 
     Raises:
         ScenarioError: a design that cannot be made or discretised, a class that is no plant.
@@ -149,7 +151,7 @@ def check_stability(scenario: Scenario) -> StabilityCheck:
             if table.compensator.on_confirmation
             else None
         ),
-        budget=threshold_budget(scenario, network),
+        budget=threshold_budget(scenario, network, on_car),
         control_authority=control_authority(scenario, network),
     )
 

@@ -22,7 +22,7 @@ row.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from statistics import NormalDist
 
@@ -46,6 +46,9 @@ HOUR_S = 3600.0
 MIN_PROBABILITY = 1e-300  # that a double can halve and invert
 SETTLED_S = 60.0  # every transient of a car and every fading peak has decayed by then
 PERIODS = 10.0  # of a sine, after which it shows nothing new
+
+OnCar = Callable[[int, int], None]
+"""Called with the number of cars that have been simulated, and of all that will be."""
 
 
 @dataclass(frozen=True)
@@ -104,11 +107,18 @@ class ThresholdBudget:
             )
 
 
-def threshold_budget(scenario: Scenario, network: Network) -> ThresholdBudget:
+def threshold_budget(
+    scenario: Scenario, network: Network, on_car: OnCar = lambda done, of: None
+) -> ThresholdBudget:
     """The contributions to d̂ of a healthy car in ``scenario``.
 
     The scenario's own threshold matters for ``cars`` alone, where it is above what the budget asks
     for: only d̂ beyond the threshold counts against the share.
+
+    Args:
+        scenario: a reference of hours takes minutes: every car drives all of it.
+        network: of the scenario.
+        on_car: told after each car.
 
     Raises:
         ScenarioError: a design or a box that cannot be made.
@@ -118,8 +128,10 @@ def threshold_budget(scenario: Scenario, network: Network) -> ThresholdBudget:
     drive = _drive(scenario)
     nominal, *others = cars(scenario.model, parameter_ranges(scenario.model, scenario.budget.box))
 
-    def healthy(table: Record, car: Car) -> Trace:
-        return simulate(table, sample(car.plant, scenario.tick_s), drive)
+    def healthy(table: Record, car: Car, number: int) -> Trace:
+        trace = simulate(table, sample(car.plant, scenario.tick_s), drive)
+        on_car(number, 1 + len(others))
+        return trace
 
     sigmas = noise = 0.0
     if scenario.noise.dstar_rms_mps2 > 0.0:
@@ -133,7 +145,7 @@ def threshold_budget(scenario: Scenario, network: Network) -> ThresholdBudget:
         if others:  # then Hd̂ counts too, and H amplifies white noise a little
             noise *= math.sqrt(2.0 / (1.0 + float(table.adaptive_threshold.change_memory)))
     found = ThresholdBudget(
-        model=float(np.abs(healthy(table, nominal).fault_estimate).max()),  # finite: limited
+        model=float(np.abs(healthy(table, nominal, 1).fault_estimate).max()),  # finite: limited
         noise=noise,
         quantisation=network.feedback.lsb,
         sigmas=sigmas,
@@ -143,7 +155,9 @@ def threshold_budget(scenario: Scenario, network: Network) -> ThresholdBudget:
     table = build(
         continuous_design(scenario), replace(place, threshold=floor, model_share=NO_DETECTION)
     )
-    shown = (float(healthy(table, car).share_shown.max()) for car in others)
+    shown = (
+        float(healthy(table, car, number).share_shown.max()) for number, car in enumerate(others, 2)
+    )
     return replace(found, cars=max(shown, default=0.0))
 
 

@@ -8,6 +8,7 @@ from typing import Any, Final
 
 import click
 
+from can_rig.cli.garbage import collect_again
 from can_rig.cli.interrupts import raise_again
 from can_rig.errors import INTERRUPTED, RigError
 
@@ -42,6 +43,7 @@ class Commands(click.Group):
         if cmd_name not in COMMANDS:
             return None
         module = import_module(f"can_rig.cli.{COMMANDS[cmd_name][0]}")
+        collect_again()
         raise_again()
         command: click.Command = module.command
         return command

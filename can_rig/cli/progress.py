@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 
 from rich.console import Console
 from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
@@ -19,15 +19,26 @@ from can_rig.logs.log import Log
 EVERY_S = 0.1
 """At most so often is it drawn, and once more at the end."""
 
+LONG_S = 1.0
+"""What takes less has no bar where that is the rule."""
+
 
 class Bar:
-    """A bar with what is done, the rate and the time left."""
+    """A bar with what is done, the rate and the time left.
 
-    def __init__(self, progress: Progress, what: str, unit: str) -> None:
+    ``appear`` is called once, when ``after_s`` seconds have passed.
+    """
+
+    def __init__(
+        self, progress: Progress, what: str, unit: str, appear: Callable[[], object], after_s: float
+    ) -> None:
         self._progress = progress
         self._unit = unit
         self._task = progress.add_task(what, total=1.0, count="")
         self._start_s = self._drawn_s = time.monotonic()
+        self._appear: Callable[[], object] | None = appear
+        self._after_s = after_s
+        self._appear_in_time(self._start_s)
 
     def count(self, done: int, of: int) -> None:
         """``done`` of a known number are done."""
@@ -42,14 +53,20 @@ class Bar:
         rate = done / max(now_s - self._start_s, 1e-9)
         text = f"{count} {self._unit}, {rate:,.0f}/s"
         self._progress.update(self._task, completed=share, count=text)
+        self._appear_in_time(now_s)
         if now_s - self._drawn_s >= EVERY_S:
             self._drawn_s = now_s
             self._progress.refresh()
 
+    def _appear_in_time(self, now_s: float) -> None:
+        if self._appear is not None and now_s - self._start_s >= self._after_s:
+            self._appear()
+            self._appear = None
+
 
 @contextmanager
-def progress(what: str, unit: str) -> Iterator[Bar]:
-    """A bar called ``what`` that counts ``unit``, as in "ticks"."""
+def progress(what: str, unit: str, after_s: float = 0.0) -> Iterator[Bar]:
+    """A bar called ``what`` that counts ``unit``, as in "ticks"; none before ``after_s``."""
     console = Console(stderr=True)
     columns = (
         TextColumn("{task.description}"),
@@ -58,8 +75,9 @@ def progress(what: str, unit: str) -> Iterator[Bar]:
         TimeRemainingColumn(),
     )
     quiet = not console.is_terminal
-    with Progress(*columns, console=console, auto_refresh=False, disable=quiet) as shown:
-        yield Bar(shown, what, unit)
+    shown = Progress(*columns, console=console, auto_refresh=False, disable=quiet)
+    with ExitStack() as stack:
+        yield Bar(shown, what, unit, lambda: stack.enter_context(shown), after_s)
 
 
 @contextmanager
@@ -67,6 +85,13 @@ def counting(what: str, unit: str, of: int) -> Iterator[Callable[[int], None]]:
     """A bar of a known number; yields what is told how many are done."""
     with progress(what, unit) as bar:
         yield lambda done: bar.count(done, of)
+
+
+@contextmanager
+def budget_bar() -> Iterator[Callable[[int, int], None]]:
+    """A bar for the threshold budget of a long reference; yields what is told of each car."""
+    with progress("threshold budget", "cars", LONG_S) as bar:
+        yield bar.count
 
 
 def reading(log: Log, what: str) -> Iterator[Frames]:

@@ -97,6 +97,7 @@ class Watchdog:
         self._allowed_s = self.silence_s
         self._while_alone = None
         self._looked_ns = None
+        self._silent_ns = self._repeated_ns = 0
         self._trouble = None
 
     def receive(self, tick: int) -> can.Message:
@@ -133,9 +134,7 @@ class Watchdog:
         if self.stop.wanted:
             raise Interrupted
         now_ns = self._clock.now_ns()
-        if self._looked_ns is None:
-            self._silent_ns = self._repeated_ns = 0
-        else:
+        if self._looked_ns is not None:
             self._silent_ns += min(now_ns - self._looked_ns, AWAKE_NS)
         self._looked_ns = now_ns
         if self._while_alone is not None and self._silent_ns - self._repeated_ns >= REPEAT_NS:

@@ -68,14 +68,12 @@ def zoh(g: ZeroPoleGain, tick_s: float) -> Sections:
     _refuse_feedthrough(g, "zoh")
     if g.gain == 0.0:
         return from_delta_zpk((), (), 0.0, tick_s)
+    g = g.cancelled()  # a state space of what is left has a state for each pole
     a, b, c = _cascade(g)
     n = len(b)
     # e^{MT} - I without losing the small numbers: MT φ1(MT), read off a larger exponential.
-    augmented = np.zeros((2 * n + 1, 2 * n + 1))
-    augmented[:n, :n] = a
-    augmented[:n, n:-1] = np.eye(n)
-    augmented[:n, -1:] = 0.0
-    integral = linalg.expm(augmented * tick_s)[:n, n : 2 * n]  # ∫e^{At}dt over a tick
+    augmented = np.block([[a, np.eye(n)], [np.zeros((n, 2 * n))]])
+    integral = linalg.expm(augmented * tick_s)[:n, n:]  # ∫e^{At}dt over a tick
     a_delta, b_delta = a @ integral, integral @ b
     zeros = _transmission_zeros(a_delta, b_delta, c)
     poles = [_expm1(p * tick_s) for p in g.poles]
@@ -99,11 +97,11 @@ def _bilinear(
     for pole in g.poles:
         if pole == kappa:
             raise ParameterError(f"a pole at {pole.real:g} rad/s is mapped to infinity; change T")
-    zeros = [2.0 * r / (kappa - r) for r in g.zeros] + [-2.0 + 0j] * g.relative_degree
+    zeros = [2.0 * r / (kappa - r) for r in g.zeros] + [complex(-2.0)] * g.relative_degree
     poles = [2.0 * r / (kappa - r) for r in g.poles]
     # By pairs, so that no product of many large factors overflows or loses digits.
-    factors = [kappa - r for r in g.zeros] + [1.0 + 0j] * g.relative_degree
-    gain = g.gain + 0j
+    factors = [kappa - r for r in g.zeros] + [complex(1.0)] * g.relative_degree
+    gain = complex(g.gain)
     for above, below in zip(factors, [kappa - r for r in g.poles], strict=True):
         gain *= above / below
     return zeros, poles, gain.real
@@ -168,5 +166,4 @@ def _transmission_zeros(a: FloatArray, b: FloatArray, c: FloatArray) -> list[com
     mass = np.zeros((n + 1, n + 1))
     mass[:n, :n] = np.eye(n)
     roots = linalg.eigvals(pencil, mass)
-    finite = sorted(roots[np.isfinite(roots)], key=abs)[: n - 1]
-    return [complex(root) for root in finite]
+    return [complex(root) for root in sorted(roots, key=abs)[: n - 1]]  # the others are infinite

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import ast
+import fcntl
 import json
 import shutil
 import subprocess
@@ -160,3 +161,33 @@ def test_tests_that_fail_anyway_prove_nothing(project: Path) -> None:
     done = run(project, ROOM)
     assert done.returncode == 2
     assert "error: tests/test_clip.py::test_no fails on the unchanged code" in done.stderr
+
+
+def test_a_copy_that_breaks_half_way_proves_nothing(project: Path) -> None:
+    """The first mutant's tests remove a file: those of all that follow fail, and not for them."""
+    (project / "can_rig" / "step.py").write_text("STEP = 1\n")
+    (project / "tests" / "test_clip.py").write_text(
+        "from pathlib import Path\n\n"
+        "from can_rig.clip import clip\n\n"
+        "import can_rig.step\n\n"
+        "def test_above():\n"
+        "    if clip(12) != 9:\n"
+        "        Path(can_rig.step.__file__).unlink()\n"
+        "        assert False\n"
+    )
+    done = run(project, ROOM)
+    assert done.returncode == 2
+    assert done.stderr.splitlines()[-1] == (
+        "error: pytest: <ExitCode.INTERRUPTED: 2> fails on the unchanged code, after the mutants: "
+        "their results are taken back"
+    )
+    assert (project / "build/mutation.jsonl").read_text() == ""
+
+
+def test_two_runs_at_once_are_refused(project: Path) -> None:
+    (project / "build").mkdir()
+    with (project / "build" / "mutation.lock").open("w") as lock:
+        fcntl.flock(lock, fcntl.LOCK_EX)
+        done = run(project, ROOM)
+    assert done.returncode == 1
+    assert done.stderr == "error: another run of tools/mutation is under way; it must end first\n"

@@ -11,6 +11,7 @@ from can_rig.assessment.stability import check_stability
 from can_rig.assessment.stability_table import table_rows
 from can_rig.cli.options import json_option, scenario_options
 from can_rig.cli.output import explain, json_line, say, show, table
+from can_rig.cli.progress import budget_bar
 
 
 @click.command("check")
@@ -21,7 +22,8 @@ def command(scenario: str, settings: tuple[str, ...], as_json: bool) -> None:
 
     Exit status: 0 stable, 1 not.
     """
-    result = check_stability(load(scenario, settings))
+    with budget_bar() as on_car:
+        result = check_stability(load(scenario, settings, on_car), on_car)
     if as_json:
         json_line(**result.as_dict())
     else:

@@ -22,7 +22,7 @@ from can_rig.assessment.tuning.report import (
 from can_rig.assessment.tuning.search import Tunings, tune
 from can_rig.cli.options import json_option, scenario_options
 from can_rig.cli.output import json_line, say, show, table
-from can_rig.cli.progress import progress
+from can_rig.cli.progress import budget_bar, progress
 from can_rig.files import atomic, refuse_existing
 
 PICTURE = "tuning.png"
@@ -93,7 +93,8 @@ def command(
     """
     picture = out / PICTURE
     refuse_existing(picture, force, "--out", new_folder=True)
-    chosen = load(scenario, settings)
+    with budget_bar() as on_car:
+        chosen = load(scenario, settings, on_car)
     some = cars(chosen.model, parameter_ranges(chosen.model, box, box_settings))
     try:
         with progress(chosen.name, "tunings") as bar:

@@ -9,6 +9,7 @@ import click
 from can_rig.assessment.resolve import load
 from can_rig.cli.options import scenario_options
 from can_rig.cli.output import json_line
+from can_rig.cli.progress import budget_bar
 from can_rig.cli.runs.node import end_of_node, node_options, node_progress
 from can_rig.nodes.progress import Throttled
 from can_rig.nodes.runner import run_controller
@@ -33,7 +34,8 @@ def command(
     then takes over without a bump.
     """
     timeouts = Timeouts(first_s, Timeouts.silence_s if silence_s is None else silence_s)
-    chosen = load(scenario, settings)
+    with budget_bar() as on_car:
+        chosen = load(scenario, settings, on_car)
     stop = StopRequest().on_signals()
 
     def on_ready() -> None:

@@ -10,6 +10,7 @@ import click
 
 from can_rig.assessment.resolve import load
 from can_rig.cli.options import scenario_options
+from can_rig.cli.progress import budget_bar
 from can_rig.cli.runs.node import end_of_node, node_options, node_progress
 from can_rig.errors import LogError
 from can_rig.nodes.progress import Throttled
@@ -47,7 +48,8 @@ def command(
         )
     alone_s = math.inf if real_time else Timeouts.silence_s
     timeouts = Timeouts(first_s, alone_s if silence_s is None else silence_s)
-    chosen = load(scenario, settings)
+    with budget_bar() as on_car:
+        chosen = load(scenario, settings, on_car)
     stop = StopRequest().on_signals()
     with node_progress(chosen, as_json) as on_tick:
         summary = run_plant(

@@ -9,7 +9,7 @@ import click
 
 from can_rig.assessment.resolve import load
 from can_rig.cli.options import bus_option, realtime_option, scenario_options
-from can_rig.cli.progress import counting
+from can_rig.cli.progress import budget_bar, counting
 from can_rig.cli.runs.closing import closing_table
 from can_rig.errors import INTERRUPTED
 from can_rig.logs.reading import read_log
@@ -54,7 +54,8 @@ def command(
     """
     if in_process and real_time:
         raise click.UsageError("--in-process and --realtime: real time needs two processes")
-    chosen = load(scenario, settings)
+    with budget_bar() as on_car:
+        chosen = load(scenario, settings, on_car)
     refuse(chosen, allow_unstable)
     for path in logs:
         refuse_log(path, force)

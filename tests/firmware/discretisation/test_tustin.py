@@ -34,6 +34,8 @@ def _filters() -> dict[str, ZeroPoleGain]:
         "G1 of chapter 2": linear.g1,
         "static": ZeroPoleGain.constant(-2.5),
         "odd order": ZeroPoleGain((-3.0,), (-1.0, -2.0, -5.0), 4.0),
+        "single pole with a zero": ZeroPoleGain((-6.0,), (-1.0, -2.0, -5.0), 4.0),
+        "zero at the origin": ZeroPoleGain((0.0,), (-1.0, -2.0), 4.0),
     }
 
 
@@ -188,6 +190,21 @@ def test_tustin_held_is_crank_nicolson_with_one_input_an_interval(name: str) -> 
 @pytest.mark.parametrize("rule", [tustin_held, zoh])
 def test_a_held_input_passes_with_one_tick_of_delay(rule: Rule) -> None:
     assert rule(FILTERS["G2 of the car"], 1e-3).feedthrough == 0.0
+
+
+def test_zoh_of_integrators_equals_the_textbook() -> None:
+    """Partial fractions, each held: k/s is kT/(z-1), k/(s+a) is k/a (1 - e^{-aT})/(z - e^{-aT})."""
+    tick_s, z = 0.01, np.array([1.3 + 0.2j, -0.7 + 0.9j])
+    lag = (1.0 - math.exp(-2.0 * tick_s)) / (z - math.exp(-2.0 * tick_s))
+    once = tick_s / (z - 1.0)
+    twice = tick_s**2 / 2.0 * (z + 1.0) / (z - 1.0) ** 2
+    for g, expected in (
+        (ZeroPoleGain((), (0.0,), 3.0), 3.0 * once),
+        (ZeroPoleGain((), (0.0, 0.0), 3.0), 3.0 * twice),
+        (ZeroPoleGain((-1.0,), (0.0, -2.0), 1.0), once / 2.0 + lag / 4.0),
+        (ZeroPoleGain((0.0,), (0.0, -2.0), 1.0), lag / 2.0),  # the integrator cancels
+    ):
+        np.testing.assert_allclose(zoh(g, tick_s)(z), expected, rtol=1e-12)
 
 
 def test_zoh_of_nothing_is_nothing() -> None:

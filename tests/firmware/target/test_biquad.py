@@ -21,7 +21,7 @@ from firmware_model.target.filters.biquad import (
     settle,
     settle_integrator,
 )
-from firmware_model.target.structs import Record, record_type
+from firmware_model.target.structs import MAX_SECTIONS, Precision, Record, record_type
 
 CAR = steer_by_wire()
 FILTERS = {
@@ -98,16 +98,21 @@ def test_settle_integrator_holds_its_output_at_zero_input(alpha_q: int) -> None:
 
 
 def test_settle_integrator_goes_backwards_through_every_kind_of_section() -> None:
-    """Integrator first, then sections of order 2, 1 (with δ/δ), after it."""
+    """Integrator first, then a section of order 2 and two of order 1 (with δ/δ) after it."""
     sections = np.array(
         [
             [0.2, 0.1, 0.0, 0.0, 0.0],  # 1/δ and a feedthrough
             [1.0, 0.3, 0.02, 0.3, 0.04],
-            [0.5, 0.2, 0.0, 0.4, 0.0],
+            [0.5, 0.25, 0.0, 1.0, 0.0],
+            [1.0, 0.6, 0.0, 0.3, 0.0],
         ]
     )
     cascade, state = cascade_of(sections), at_rest()
     settle_integrator(cascade, state, 7.0)
+    # By hand, backwards: 7 behind the gain of 2, 3.5 behind 1/4, 14 behind 1/2, 28 held. The δ/δ
+    # hold nothing, though they could for ever: what they held no feedback would take back.
+    expected = [[28.0, 0.0], [-14.0, -4.2], [-3.5, 0.0], [3.5, 0.0]]
+    np.testing.assert_allclose(state.accumulators[:4], expected, rtol=1e-15, atol=1e-15)
     answers = [advance(cascade, state, 0.0) for _ in range(50)]
     np.testing.assert_allclose(answers, 7.0, rtol=1e-12)
 
@@ -116,3 +121,9 @@ def test_settle_leaves_an_integrator_at_rest() -> None:
     cascade, state = cascade_of(np.array([[0.2, 0.1, 0.0, 0.0, 0.0]])), at_rest()
     assert settle(cascade, state, 0.0) == 0.0
     np.testing.assert_array_equal(state.accumulators, 0.0)
+
+
+@pytest.mark.parametrize(("precision", "size"), [("float64", 8), ("float32", 4)])
+def test_a_section_needs_two_numbers_of_memory(precision: Precision, size: int) -> None:
+    assert at_rest(precision).nbytes == MAX_SECTIONS * 2 * size
+    assert not at_rest(precision).accumulators.any()

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_model.target.layout import STATE, TABLE, state_type, table_type
+from firmware_model.target.layout import STATE, TABLE, precision_of, state_type, table_type
 from firmware_model.target.structs import Field, Struct
 
 UNITS = {"1", "tick", "y", "u1", "u2", "command", "output", "input"}
@@ -89,3 +89,8 @@ def test_a_nested_field_is_written_in_place() -> None:
     state.estimator.channel_1.accumulators[1, 0] = 3.0
     assert state["reference_shaper"]["shaped"] == 2.0
     assert state["estimator"]["channel_1"]["accumulators"][1, 0] == 3.0
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_a_table_says_its_precision(precision: Any) -> None:
+    assert precision_of(np.zeros(1, table_type(precision))[0]) == precision

@@ -18,7 +18,7 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
 from firmware_model.target import controller
-from firmware_model.target.reference_shaper import shape_reference, start
+from firmware_model.target.reference_shaper import braking_speed, shape_reference, start
 
 TICK_S, LARGEST = 1e-3, 0.25  # a power of two: sums of it are exact
 CAR = steer_by_wire()
@@ -53,6 +53,16 @@ def fewest_ticks(distance: float) -> int:
     while (n + 1) ** 2 // 4 < distance:
         n += 1
     return n
+
+
+@given(st.floats(1e-6, 1e4))
+def test_from_the_braking_speed_equal_decrements_end_at_the_target(distance: float) -> None:
+    """One a tick, and the last of them is no more than the others."""
+    speeds = [braking_speed(distance)]
+    while speeds[-1] > 1.0:
+        speeds.append(speeds[-1] - 1.0)
+    assert sum(speeds) == pytest.approx(distance, rel=1e-9)
+    assert speeds[-1] >= -1e-9 * speeds[0]
 
 
 @given(st.floats(1e-6, 1e4), st.booleans(), st.floats(-100.0, 100.0))

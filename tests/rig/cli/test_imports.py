@@ -85,3 +85,28 @@ def test_an_unknown_command_gets_a_suggestion_or_none_but_no_traceback() -> None
     done = asked("chekc")
     assert done.returncode == 2
     assert "No such command 'chekc'" in done.stderr
+
+
+COLLECTED = """
+import atexit, gc, sys
+atexit.register(lambda: print(gc.isenabled(), gc.get_freeze_count() > 100_000))
+from can_rig.cli.design import check
+from can_rig.assessment import resolve
+
+def seen(draft):
+    print(gc.isenabled(), gc.get_freeze_count() > 100_000)
+    gc.unfreeze()
+    raise SystemExit(0)
+
+resolve.read, read = lambda *a: seen(None), resolve.read
+sys.argv = ["can-rig", "check"]
+from can_rig.__main__ import main
+main()
+"""
+
+
+def test_garbage_is_looked_for_while_a_command_runs_but_not_in_what_it_imported() -> None:
+    """Nor when it has ended: the first of the functions that run at the end is the last but one."""
+    command = [sys.executable, "-c", COLLECTED]
+    done = subprocess.run(command, capture_output=True, text=True, timeout=300, check=True)
+    assert done.stdout.splitlines() == ["True True", "True True"]

@@ -9,7 +9,8 @@ from pathlib import Path
 import pytest
 
 from can_rig.cli import progress as progress_module
-from can_rig.cli.progress import counting, reading
+from can_rig.cli.main import main
+from can_rig.cli.progress import budget_bar, counting, reading
 from can_rig.logs.reading import read_log
 
 TERMINAL = os.environ | {"TTY_COMPATIBLE": "1", "COLUMNS": "120"}
@@ -17,7 +18,7 @@ TERMINAL = os.environ | {"TTY_COMPATIBLE": "1", "COLUMNS": "120"}
 
 def last_count(text: str) -> str:
     """What the bar, which is drawn again and again, says at last."""
-    return re.findall(r"[\d,/]+ (?:ticks|frames)", text)[-1]
+    return re.findall(r"[\d,/]+ (?:ticks|frames|cars)", text)[-1]
 
 
 @pytest.mark.parametrize("extra", [[], ["--in-process"]])
@@ -72,3 +73,41 @@ def test_it_is_drawn_by_no_thread_and_seldom(monkeypatch: pytest.MonkeyPatch) ->
             on_tick(tick)
         assert threading.active_count() == before
         assert 8 <= drawn <= 11
+
+
+@pytest.mark.parametrize(("car_s", "drawn"), [(0.05, False), (0.5, True)])
+def test_the_threshold_budget_has_a_bar_where_it_takes_long(
+    car_s: float, drawn: bool, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """A reference of an hour takes minutes, the shipped ones a moment: a bar would only flash."""
+    now_s = 0.0
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setattr(progress_module.time, "monotonic", lambda: now_s)
+    with budget_bar() as on_car:
+        for car in range(1, 18):
+            now_s = car * car_s
+            on_car(car, 17)
+            if car == 1:
+                assert capsys.readouterr().err == ""
+    shown = capsys.readouterr().err
+    assert (last_count(shown) == "17/17 cars") if drawn else (shown == "")
+
+
+def test_every_command_that_computes_the_budget_shows_the_bar(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("TTY_COMPATIBLE", "1")
+    monkeypatch.setenv("COLUMNS", "120")
+    monkeypatch.setattr(progress_module, "LONG_S", 0.0)
+    reference = tmp_path / "drive.csv"
+    reference.write_text("time_s,dstar_mps2\n0,0\n1,0.5\n")
+    words = ["default", "--set", "reference.kind=csv", "--set", f"reference.file={reference}"]
+    words += ["--set", "duration_s=0.01"]
+    asked_for = ["--set", "design.fault_threshold_mps2=from-budget"]
+    for command in (["check"], ["run", "--in-process", "--allow-unstable", *asked_for]):
+        with pytest.raises(SystemExit) as end:
+            main([*command, *words])
+        assert end.value.code == 0
+        shown = re.findall(r"[\d,/]+ cars", capsys.readouterr().err)
+        assert shown[-1] == "17/17 cars"

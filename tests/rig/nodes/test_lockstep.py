@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
-from pathlib import Path
 
 import can
 import pytest
@@ -13,8 +12,7 @@ from can_rig.assessment.resolve import load
 from can_rig.errors import SilentNodeError
 from can_rig.frames.wire_tick import tick_on
 from can_rig.nodes.lockstep.controller_node import ControllerNode
-from can_rig.nodes.lockstep.plant_node import QUIET_S, UNREAD_S, PlantNode
-from can_rig.nodes.recorder import Recorder
+from can_rig.nodes.lockstep.plant_node import PlantNode
 from can_rig.nodes.watchdog import StopRequest, Timeouts, Watchdog
 from can_rig.scenario.build import network_of
 from tests.clock import TurnedClock
@@ -119,6 +117,21 @@ def test_a_stop_request_ends_a_node_after_the_tick(node: str) -> None:
     assert tick_on(getattr(ends, f"sent_by_{node}")[-1].data) == 6
 
 
+def test_a_stop_request_ends_a_controller_that_never_waits() -> None:
+    """Each feedback comes at once and no reference before it, so nothing but the tick is new."""
+    ends = Ends()
+    ends.stop_after = 7
+    plant_s = ends.plant.offer
+
+    def feedback_alone(tick: int) -> None:
+        plant_s(tick)
+        if tick > 0:  # the first contact needs both
+            del ends.offers[-2]
+
+    ends.plant.offer = feedback_alone
+    assert ends.run_controller() == 7
+
+
 @pytest.mark.parametrize("node", ["plant", "controller"])
 def test_a_stop_request_ends_a_node_that_waits(node: str) -> None:
     ends = Ends()
@@ -150,58 +163,6 @@ def test_an_offer_is_repeated_as_it_was() -> None:
     first, again = ends.sent_by_plant[:2], ends.sent_by_plant[2:]
     assert [bytes(m.data) for m in again] == [bytes(m.data) for m in first]
     assert order(again) == order(first) == [(i, 0) for i in OFFER]
-
-
-class Late:
-    """A bus on which frames of others are still waiting when the run is over."""
-
-    def __init__(self, clock: TurnedClock, stamps_s: list[float], error: bool = False) -> None:
-        self.clock, self.error = clock, error
-        self.waiting = deque(
-            can.Message(timestamp=s, arbitration_id=0x700, is_extended_id=False) for s in stamps_s
-        )
-
-    def recv(self, timeout: float) -> can.Message | None:
-        if self.waiting:
-            self.clock.pass_s(timeout / 4)
-            return self.waiting.popleft()
-        if self.error:
-            raise can.CanOperationError("gone")
-        self.clock.pass_s(timeout)
-        return None
-
-
-def rest_of(path: Path, stamps_s: list[float], error: bool = False) -> tuple[int, float]:
-    """How many of the frames that were waiting are in the log, and how long that took [s]."""
-    clock = TurnedClock(5_000_000_000)
-    with Recorder(path, SCENARIO.tick_ns) as recorder:
-        node = PlantNode(SCENARIO, NETWORK, lambda message: None, recorder)
-        node.offer(0)
-        node.record_the_rest(Late(clock, stamps_s, error), clock)
-    return sum(" 700#" in line for line in path.read_text().splitlines()), clock.now_s - 5.0
-
-
-def test_what_others_sent_by_the_end_is_in_the_log_and_nothing_later(tmp_path: Path) -> None:
-    found, took_s = rest_of(tmp_path / "a.log", [4.0, 4.9, 5.0, 5.001, 4.5])
-    assert found == 3
-    assert took_s == pytest.approx(4 * QUIET_S / 4)
-
-
-def test_a_quiet_or_a_failing_bus_ends_the_wait(tmp_path: Path) -> None:
-    assert rest_of(tmp_path / "a.log", [4.0]) == (1, pytest.approx(1.25 * QUIET_S))
-    assert rest_of(tmp_path / "b.log", [4.0], error=True) == (1, pytest.approx(0.25 * QUIET_S))
-
-
-def test_a_bus_whose_stamps_say_nothing_is_not_read_for_ever(tmp_path: Path) -> None:
-    found, took_s = rest_of(tmp_path / "a.log", [0.0] * 1000)
-    assert took_s == pytest.approx(UNREAD_S)
-    assert found == UNREAD_S / (QUIET_S / 4)
-
-
-def test_without_a_log_nothing_is_read() -> None:
-    clock = TurnedClock()
-    PlantNode(SCENARIO, NETWORK, lambda message: None).record_the_rest(Late(clock, [0.0]), clock)
-    assert clock.ns == 0
 
 
 def test_a_missed_tick_is_held_and_answered() -> None:

@@ -1,79 +1,19 @@
-"""A bus that refuses, fails, or is full of others: how long, how often, and what is said of it."""
+"""A bus that fails or is full of others: how long a node waits, and what it says then."""
 
 import errno
+import signal
 
-import can
 import pytest
 
 from can_rig.errors import BusLostError, SilentNodeError
-from can_rig.nodes.bus_access import PersistentSender
-from can_rig.nodes.watchdog import StopRequest, Timeouts, Watchdog
+from can_rig.nodes.watchdog import Interrupted, StopRequest, Timeouts, Watchdog
 from tests.clock import TurnedClock
-
-
-def refusal(code):
-    return can.CanOperationError("Failed to transmit: no", code)
+from tests.rig.nodes.refusing import FRAME, Refusing
 
 
 @pytest.fixture
 def clock():
     return TurnedClock()
-
-
-class Refusing(can.BusABC):
-    """Refuses to send, or to receive, a number of times; what it has sent comes back."""
-
-    channel_info = "socketcan channel 'can9'"
-    channel = "can9"
-
-    def __init__(self, clock, times, code=errno.ENOBUFS):
-        super().__init__(channel=self.channel)
-        self.clock = clock
-        self.times, self.code, self.asked, self.sent = times, code, 0, []
-
-    def _refuse(self):
-        self.asked += 1
-        if self.asked <= self.times:
-            raise refusal(self.code)
-
-    def send(self, msg, timeout=None):
-        self._refuse()
-        self.sent.append(msg)
-
-    def recv(self, timeout=None):
-        self._refuse()
-        self.clock.pass_s(0.001 if self.sent else timeout)
-        return self.sent[0] if self.sent else None
-
-
-FRAME = can.Message(arbitration_id=0x300, is_extended_id=False)
-
-
-@pytest.mark.parametrize("times", [0, 1, 30])
-def test_a_refused_frame_is_sent_once_as_soon_as_there_is_room(times, clock):
-    with Refusing(clock, times) as bus:
-        send = PersistentSender(bus, 10.0, clock)
-        send(FRAME)
-        assert bus.sent == [FRAME]
-        assert sum(send.errors.values()) == times  # reported, every one
-
-
-@pytest.mark.parametrize(
-    ("code", "expected"),
-    [
-        (errno.ENETDOWN, "the interface has been down for 0.05 s: sudo ip link set up can9"),
-        (errno.ENODEV, "the interface is gone: sudo modprobe vcan; sudo ip link add dev can9"),
-        (errno.ENOBUFS, "the transmit queue has been full for 0.05 s"),
-        (errno.EIO, "Failed to transmit: no"),
-        (None, "Failed to transmit: no"),
-    ],
-)
-def test_the_bound_and_the_line(code, expected, clock):
-    with Refusing(clock, 10**9, code) as bus, pytest.raises(BusLostError) as caught:
-        PersistentSender(bus, 0.05, clock)(FRAME)
-    assert str(caught.value).startswith(f"socketcan channel 'can9': {expected}")
-    assert 2 <= bus.asked <= 60  # neither once nor in a hot loop
-    assert bus.sent == []
 
 
 def test_a_receive_error_that_passes_is_counted_and_nothing_else(clock):
@@ -171,3 +111,89 @@ def test_time_that_this_node_slept_through_is_not_silence_however_often(clock):
             clock.pass_s(30.0)
         with pytest.raises(SilentNodeError):
             watchdog.go_on_waiting(0)
+
+
+def test_while_the_bus_fails_it_is_asked_every_millisecond(clock):
+    """Not in a hot loop, which would take the processor that the other node needs."""
+    with Refusing(clock, 10**9, errno.ENETDOWN) as bus:
+        watchdog = Watchdog(bus, "plant", Timeouts(0.05, 0.05), StopRequest(), clock=clock)
+        with pytest.raises(BusLostError):
+            watchdog.receive(0)
+        assert bus.asked == 51
+
+
+def test_an_offer_is_repeated_every_quarter_of_a_second_until_the_partner_is_heard(clock):
+    offers = []
+    with Refusing(clock, 0) as bus:
+        watchdog = Watchdog(
+            bus, "plant", Timeouts(1.0, 1.0), StopRequest(),
+            while_alone=lambda: offers.append(clock.now_s), clock=clock,
+        )  # fmt: skip
+        watchdog.go_on_waiting(0)
+        for _ in range(11):
+            clock.pass_s(0.05)
+            watchdog.go_on_waiting(0)
+        assert offers == pytest.approx([0.25, 0.5])
+        watchdog.hear()
+        with pytest.raises(SilentNodeError):
+            watchdog.receive(0)
+        assert len(offers) == 2
+
+
+@pytest.mark.parametrize("heard", [False, True])
+def test_the_allowed_silence_is_exact(heard, clock):
+    """Every nanosecond of it may be needed: 0.1 s is what one look counts at most."""
+    with Refusing(clock, 0) as bus:
+        watchdog = Watchdog(bus, "plant", Timeouts(0.1, 0.1), StopRequest(), clock=clock)
+        if heard:
+            watchdog.go_on_waiting(0)
+            clock.pass_s(0.07)
+            watchdog.go_on_waiting(0)
+            watchdog.hear()
+            clock.pass_s(0.05)  # of its own work, before it waits again
+        watchdog.go_on_waiting(0)
+        clock.ns += 99_999_999
+        watchdog.go_on_waiting(0)
+        clock.ns += 1
+        with pytest.raises(SilentNodeError):
+            watchdog.go_on_waiting(0)
+
+
+def test_without_other_words_a_minute_is_allowed_for_the_start_and_a_second_after_it(clock):
+    with Refusing(clock, 0) as bus:
+        watchdog = Watchdog(bus, "plant", Timeouts(), StopRequest(), clock=clock)
+        with pytest.raises(SilentNodeError, match="for 60 s"):
+            watchdog.receive(0)
+        watchdog.hear()
+        with pytest.raises(SilentNodeError, match="for 1 s"):
+            watchdog.receive(0)
+
+
+@pytest.fixture
+def handlers():
+    """Those of the tests, given back."""
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.getsignal(number) for number in numbers}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.usefixtures("handlers")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_is_a_wish_to_stop_and_stays_one(number, clock):
+    signal.signal(number, signal.SIG_DFL)
+    stop = StopRequest().on_signals()
+    for _ in range(2):  # whoever presses Ctrl-C twice does not cut the tick short either
+        signal.raise_signal(number)
+        assert stop.wanted
+    with Refusing(clock, 0) as bus, pytest.raises(Interrupted):
+        Watchdog(bus, "plant", Timeouts(), stop, clock=clock).receive(0)
+
+
+@pytest.mark.usefixtures("handlers")
+def test_what_nohup_ignores_stays_ignored():
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    stop = StopRequest().on_signals()
+    signal.raise_signal(signal.SIGHUP)
+    assert not stop.wanted
