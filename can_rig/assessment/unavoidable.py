@@ -59,7 +59,10 @@ def unavoidable(scenario: Scenario, commands: FloatArray) -> Unavoidable | None:
     plant = sample(continuous_plant(immediate), tick_s)
     gamma = plant.gamma[:, CHANNELS.index(fault.channel)] * (fault.left - 1.0)
     place = target(scenario, None)
-    per_tick = 2.0 * (place.noise_rms**2 * (1.0 - place.noise_pole**2) + place.resolution**2 / 12.0)
+    per_tick = 2.0 * (
+        place.noise_rms * place.noise_rms * (1.0 - place.noise_pole**2)
+        + place.resolution * place.resolution / 12.0
+    )
     needed = math.log(HOUR_S / (tick_s * place.false_alarms_per_hour)) * per_tick
     missing, largest, shown, before = np.zeros(len(plant.phi)), 0.0, 0.0, 0.0
     found: int | None = None

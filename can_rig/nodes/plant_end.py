@@ -10,8 +10,8 @@ from can_rig.frames.codec import Record
 from can_rig.frames.endpoints import Receiver, Transmitter
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import Send
-from can_rig.nodes.plant_recorder import PlantRecorder
-from can_rig.nodes.recorder import Log
+from can_rig.nodes.recording.plant_recorder import PlantRecorder
+from can_rig.nodes.recording.recorder import Log
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.reference import on_the_bus
 from can_rig.scenario.settings import Scenario

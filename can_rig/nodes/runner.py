@@ -17,13 +17,13 @@ from can_rig.nodes.bus_access import NodeBus, PersistentSender, Send, TolerantBu
 from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock
 from can_rig.nodes.lockstep.controller_node import ControllerNode
 from can_rig.nodes.lockstep.plant_node import PlantNode
-from can_rig.nodes.plant_recorder import PlantRecorder
 from can_rig.nodes.progress import OnTick
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode, warm_up
 from can_rig.nodes.realtime.plant_node import RealTimePlantNode
 from can_rig.nodes.realtime.recorder import RealTimeRecorder
 from can_rig.nodes.realtime.scheduling import prefer, undisturbed
-from can_rig.nodes.recorder import Recorder
+from can_rig.nodes.recording.plant_recorder import PlantRecorder
+from can_rig.nodes.recording.recorder import Recorder
 from can_rig.nodes.watchdog import StopRequest, Timeouts, Watchdog
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario

@@ -260,9 +260,11 @@ def _fill_mismatch(table: Record, target: Target) -> None:
     constants.rule = rule
     constants.fading = _memory(target, BEYOND_S) ** 2
     a = target.noise_pole
-    rounding = target.resolution**2 / 12.0
+    rounding = target.resolution * target.resolution / 12.0
     least = (NO_NOISE[target.precision] * max(target.resolution, 1.0)) ** 2
-    constants.noise = (1.0 - a * a) * target.noise_rms**2 + (1.0 + a * a) * rounding + least
+    constants.noise = (
+        (1.0 - a * a) * target.noise_rms * target.noise_rms + (1.0 + a * a) * rounding + least
+    )
     constants.colour = a
 
 

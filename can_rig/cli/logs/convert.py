@@ -6,12 +6,12 @@ from pathlib import Path
 
 import click
 
+from can_rig.cli.logs.window import window_of
 from can_rig.cli.options import (
     channel_option,
     force_option,
     json_option,
     log_argument,
-    window_of,
     window_options,
 )
 from can_rig.cli.output import json_line, note, say

@@ -9,13 +9,13 @@ from typing import Any, Final
 import click
 
 from can_rig.cli.logs.own_dbc import databases_of
+from can_rig.cli.logs.window import window_of
 from can_rig.cli.options import (
     channel_option,
     dbc_options,
     force_option,
     json_option,
     log_argument,
-    window_of,
     window_options,
 )
 from can_rig.cli.output import json_line, note, say, show, table

@@ -9,12 +9,12 @@ from pathlib import Path
 import click
 
 from can_rig.cli.logs.own_dbc import databases_of
+from can_rig.cli.logs.window import window_of
 from can_rig.cli.options import (
     channel_option,
     dbc_options,
     force_option,
     log_argument,
-    window_of,
     window_options,
 )
 from can_rig.cli.output import note, say

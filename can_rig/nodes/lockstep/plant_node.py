@@ -13,8 +13,8 @@ from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import NodeBus, Send
 from can_rig.nodes.clock import NS_PER_S, Clock
 from can_rig.nodes.plant_end import COMMANDS, PlantEnd
-from can_rig.nodes.plant_recorder import PlantRecorder
-from can_rig.nodes.recorder import Recorder
+from can_rig.nodes.recording.plant_recorder import PlantRecorder
+from can_rig.nodes.recording.recorder import Recorder
 from can_rig.nodes.watchdog import Interrupted, Watchdog
 from can_rig.scenario.settings import Scenario
 

@@ -32,10 +32,10 @@ from can_rig.frames.wire_tick import tick_on, ticks_ahead
 from can_rig.nodes.bus_access import NodeBus
 from can_rig.nodes.clock import NS_PER_S, Clock
 from can_rig.nodes.plant_end import COMMANDS, PlantEnd
-from can_rig.nodes.plant_recorder import PlantRecorder
 from can_rig.nodes.realtime.deadlines import CATCH_UP_TICKS, Schedule, require_causal
 from can_rig.nodes.realtime.recorder import RealTimeRecorder
 from can_rig.nodes.realtime.timing import Timing
+from can_rig.nodes.recording.plant_recorder import PlantRecorder
 from can_rig.nodes.watchdog import Interrupted, Watchdog
 from can_rig.scenario.settings import Scenario
 

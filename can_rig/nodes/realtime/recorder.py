@@ -9,7 +9,7 @@ from types import TracebackType
 from typing import Self
 
 from can_rig.errors import RunFolderError
-from can_rig.nodes.recorder import CandumpLines, LogFile
+from can_rig.nodes.recording.recorder import CandumpLines, LogFile
 
 
 class RealTimeRecorder:

@@ -10,7 +10,7 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.nodes.lockstep.plant_node import PlantNode
-from can_rig.nodes.recorder import Recorder
+from can_rig.nodes.recording.recorder import Recorder
 from can_rig.scenario.build import network_of
 from tests.clock import TurnedClock
 

@@ -10,7 +10,7 @@ from can_rig.buses.bus import open_bus
 from can_rig.frames.endpoints import Transmitter
 from can_rig.nodes.lockstep.controller_node import ControllerNode
 from can_rig.nodes.lockstep.plant_node import PlantNode
-from can_rig.nodes.recorder import Recorder
+from can_rig.nodes.recording.recorder import Recorder
 from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.watchdog import StopRequest, Timeouts, Watchdog
 from can_rig.scenario.build import network_of

@@ -60,7 +60,7 @@ def test_a_run_folder_replays_bit_for_bit(tmp_path: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    "change", ["design.tau_s=0.0011", "design.tau_q_s=0.002", "budget.box=0.2"]
+    "change", ["design.tau_s=0.0011", "design.tau_q_s=0.002", "design.alpha_q=3"]
 )
 def test_one_changed_key_names_the_first_tick_and_the_largest_difference(
     frames: list[Message], change: str
