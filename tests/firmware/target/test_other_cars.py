@@ -112,3 +112,24 @@ def test_commands_drive_them_when_they_act_and_lost_ones_do_not(latency: int, sh
     expected = differences(mismatch, acting)
     assert np.abs(expected).max() > 0.01
     np.testing.assert_allclose(np.array(rows).T, expected, atol=1e-9 * np.abs(expected).max())
+
+
+def test_what_command_2_makes_within_the_tick_is_that_of_the_held_one() -> None:
+    """By Tustin's rule G2 feeds through, and d̂ is judged before this tick's command 2 is known."""
+    of = Target(TICK_S, 0, noise_rms=0.01, mismatch=other_cars(1))
+    tables = changed(build(DESIGN, of), decision=NEVER)
+    state, table, pairs = controller.init(tables[0])[0], tables[0], []
+    through = table.other_cars.car_1.channel_2.coefficients[:, 0].prod(where=np.arange(8) < 2)
+    through -= table.estimator.channel_2.coefficients[:, 0].prod(where=np.arange(8) < 2)
+    for k in range(30):
+        held = float(state.command_2)
+        before = state.other_cars.copy()
+        controller.step(table, state, math.sin(0.05 * k), 0.02 * math.cos(0.1 * k))
+        shown = float(state.other_cars.shown[0])
+        mine = controller.init(table)[0]
+        mine.other_cars = before
+        show_other_cars(table, mine, state.command_1, 0.0)
+        pairs.append((shown - float(mine.other_cars.shown[0]), through * held / 0.05))
+    found, expected = np.array(pairs).T
+    assert np.abs(expected).max() > 1e-6
+    np.testing.assert_allclose(found, expected, atol=1e-9 * np.abs(expected).max())
