@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import signal
 
@@ -60,6 +60,7 @@ def learn(table: Record, state: Record, residuals: FloatArray, share: float) -> 
         advance_other_cars(table, state)
 
 
+@settings(max_examples=10)
 @given(share=st.floats(-1.0, 1.0), seed=st.integers(0, 2**32 - 1))
 def test_what_is_forgotten_leaves_what_a_filter_without_the_loss_knows(
     share: float, seed: int
