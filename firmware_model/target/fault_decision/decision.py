@@ -77,7 +77,10 @@ def decide(table: Record, state: Record, residual: float, model_1: float, model_
     """
     constants, test = table.decision, state.sequential_test
     acting = state.estimator.showing_1 * acting_share(state)
-    show_other_cars(table, state, acting, state.estimator.showing_2)
+    acting_2 = state.estimator.showing_2
+    if table.estimator.shown_ticks_2 == 0:  # this tick's is not known yet
+        acting_2 = state.command_2
+    show_other_cars(table, state, acting, acting_2)
     before, w = state.fault_state, loss_shown(table, state)
     lost = w if before == CONFIRMED else real(0.0, w)
     predict_mismatch(table, state, model_1 + model_2, lost)

@@ -62,8 +62,10 @@ def show_other_cars(table: Record, state: Record, command_1: float, command_2: f
 
 @firmware
 def advance_other_cars(table: Record, state: Record) -> None:
-    """Advance every car by the commands of ``show_other_cars``."""
+    """Advance every car by the commands of ``show_other_cars``, or what became of command 2."""
     cars, own = table.other_cars, state.other_cars
+    if table.estimator.shown_ticks_2 == 0:
+        own.command_2 = state.command_2
     if cars.n > 0:
         advance(table.estimator.channel_1, own.model.channel_1, own.command_1)
         advance(table.estimator.channel_2, own.model.channel_2, own.command_2)

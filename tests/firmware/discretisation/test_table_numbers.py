@@ -11,6 +11,7 @@ import pytest
 from scipy import signal
 
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
+from firmware_model.design.mismatch import Mismatch
 from firmware_model.design.plants import chapter_2, steer_by_wire
 from firmware_model.discretisation import tables
 from firmware_model.discretisation.sections import Sections
@@ -35,10 +36,12 @@ def at_infinity(sections: Sections) -> float:
 @pytest.mark.parametrize("tick_s", TICKS_S)
 def test_memories_keep_a_part_in_e_over_their_time_constants(tick_s: float) -> None:
     """θ of three cars over 3 s, of the remainder over 0.12 s; squares over half of 1 s."""
-    constants = build(CLOSED, Target(tick_s, mismatch=OTHERS)).mismatch
-    assert (constants.cars, constants.n) == (3, 4)
+    table = build(CLOSED, Target(tick_s, mismatch=OTHERS))
+    constants = table.mismatch
+    assert (table.other_cars.n, constants.n) == (3, 6)
     memories = 1.0 - constants.forgetting
-    for memory, time_constant_s in (*((m, 3.0) for m in memories[:3]), (memories[3], 0.12)):
+    assert memories[:2].tolist() == [1.0, 1.0]  # share and moment of a loss do not wander
+    for memory, time_constant_s in (*((m, 3.0) for m in memories[2:5]), (memories[5], 0.12)):
         assert memory ** (time_constant_s / tick_s) == pytest.approx(math.exp(-1.0), rel=1e-10)
     assert constants.fading ** (0.5 / tick_s) == pytest.approx(math.exp(-1.0), rel=1e-10)
     assert constants.motion == pytest.approx((0.12 / tick_s) ** 2, rel=1e-12)
@@ -58,7 +61,11 @@ def test_what_wanders_keeps_its_variance() -> None:
     """φ² P + growth = P for the P of a θ at rest: 0.36 of a box of ±1; of the remainder 1."""
     constants = build(CLOSED, Target(1e-3, mismatch=OTHERS)).mismatch
     left = (1.0 - constants.forgetting) ** 2
-    np.testing.assert_allclose(constants.growth / (1.0 - left), [0.36] * 3 + [1.0], rtol=1e-9)
+    n = constants.n
+    np.testing.assert_allclose(
+        constants.growth[2:n] / (1.0 - left)[2:n], [0.36] * 3 + [1.0], rtol=1e-9
+    )
+    assert constants.growth[:2].tolist() == [0.0, 0.0]
     assert constants.prior == 0.36
     assert constants.beyond == pytest.approx(0.04 * 0.36)
     assert constants.white == 0.1
@@ -67,20 +74,42 @@ def test_what_wanders_keeps_its_variance() -> None:
 @pytest.mark.parametrize("rule", ["zoh", "tustin", "tustin-held"])
 def test_other_cars_are_those_of_the_box_by_the_rule_of_the_estimator(rule: Any) -> None:
     target = Target(1e-3, estimator=rule, mismatch=OTHERS)
-    constants = build(CLOSED, target).mismatch
-    assert constants.scale == pytest.approx(20.0)
-    assert constants.rule == (0.0 if rule == "zoh" else 1.0)
-    for stored, car in zip((constants.car_1, constants.car_2), OTHERS.cars, strict=False):
-        sections = {"zoh": zoh, "tustin": tustin, "tustin-held": tustin_held}[rule](car, 1e-3)
-        n = len(sections.coefficients)
-        assert stored.n == n
-        np.testing.assert_array_equal(stored.coefficients[:n], sections.coefficients)
+    table = build(CLOSED, target)
+    assert table.other_cars.scale == pytest.approx(20.0)
+    assert table.mismatch.rule == (0.0 if rule == "zoh" else 1.0)
+    cars = [table.other_cars[f"car_{i}"] for i in (1, 2, 3, 4)]
+    assert len(OTHERS.cars) == 3
+    for car, (g1, g2) in zip(cars[:3], OTHERS.cars, strict=True):
+        for stored, channel in ((car.channel_1, g1), (car.channel_2, g2)):
+            sections = {"zoh": zoh, "tustin": tustin, "tustin-held": tustin_held}[rule](
+                channel, 1e-3
+            )
+            n = len(sections.coefficients)
+            assert stored.n == n
+            np.testing.assert_array_equal(stored.coefficients[:n], sections.coefficients)
+    assert cars[3].channel_1.n == cars[3].channel_2.n == 0
 
 
-@pytest.mark.parametrize(("rule", "states"), [("zoh", 0), ("tustin", 1), ("tustin-held", 1)])
-def test_a_trusted_model_has_what_its_rule_leaves_alone(rule: Any, states: int) -> None:
-    constants = build(CLOSED, Target(1e-3, estimator=rule)).mismatch
-    assert (constants.cars, constants.n) == (0, states)
+def test_there_is_room_for_four_other_cars() -> None:
+    car = OTHERS.cars[0]
+    assert build(CLOSED, Target(1e-3, mismatch=Mismatch((car,) * 4))).mismatch.n == 7
+    with pytest.raises(ParameterError, match="mismatch: 5 other cars; must be at most 4"):
+        build(CLOSED, Target(1e-3, mismatch=Mismatch((car,) * 5)))
+
+
+@pytest.mark.parametrize(("rule", "states"), [("zoh", 2), ("tustin", 3), ("tustin-held", 3)])
+def test_a_trusted_model_has_what_a_loss_and_its_rule_leave(rule: Any, states: int) -> None:
+    table = build(CLOSED, Target(1e-3, estimator=rule))
+    assert (table.other_cars.n, table.mismatch.n) == (0, states)
+
+
+@pytest.mark.parametrize(("tick_s", "lag_s"), [(1e-4, 0.01), (1e-3, 0.01), (5e-3, 0.015)])
+def test_the_share_of_a_loss_is_followed_by_lags_of_some_ticks(tick_s: float, lag_s: float) -> None:
+    """Of 10 ms, at least three ticks; the doubt about it is a box of ±0.5, and some more."""
+    constants = build(CLOSED, Target(tick_s)).loss_model
+    assert constants.follow == pytest.approx(tick_s / lag_s)
+    assert (constants.share_variance, constants.doubt) == (0.09, 9.0)
+    assert constants.moment == 0.5
 
 
 @pytest.mark.parametrize("colour", [0.0, 0.7])
@@ -189,6 +218,7 @@ def test_evidence_asked_for_is_the_logarithm_of_the_ticks_between_two_alarms(tic
     decision = build(CLOSED, target).decision
     for h, an_hour in ((decision.confirm, 0.02), (decision.suspect, 30.0)):
         assert math.exp(-h) * 3600.0 / tick_s == pytest.approx(an_hour, rel=1e-9)
+    assert decision.recover == pytest.approx(5.0 * decision.confirm)
     assert decision.horizon == pytest.approx(1.0 / tick_s)
 
 

@@ -18,8 +18,11 @@ TICK_S = 1e-3
 
 
 def car_at(place: FloatArray) -> VehicleParameters:
-    """Mass, speed and front tires up to 20 % off, at ``place`` in the box of -1..1."""
-    names = ("mass_kg", "speed_mps", "front_cornering_stiffness_n_per_rad")
+    """Mass, speed, front and rear tires up to 20 % off, at ``place`` in the box of -1..1."""
+    names = (
+        "mass_kg", "speed_mps", "front_cornering_stiffness_n_per_rad",
+        "rear_cornering_stiffness_n_per_rad",
+    )  # fmt: skip
     changes = {
         name: getattr(NOMINAL, name) * (1.0 + 0.2 * float(part))
         for name, part in zip(names, place, strict=False)

@@ -12,12 +12,13 @@ from numpy.typing import NDArray
 
 from firmware_model.target.fault_decision import covariance
 from firmware_model.target.fault_decision.covariance import (
+    LOSS_STATES,
     MAX_STATES,
     clear_covariance,
     fade,
     grow,
     measure,
-    replace_first,
+    replace_loss,
 )
 from firmware_model.target.structs import Precision, Record, record_type
 
@@ -31,7 +32,7 @@ def matrix(state: Record) -> Matrix:
     return upper * state.variances.astype(float) @ upper.T
 
 
-VARIANCES = np.array([1.0, 2.0, 0.5, 0.0, 0.3, 4.0])
+VARIANCES = np.array([1.0, 2.0, 0.5, 0.0, 0.3, 4.0, 0.7])
 
 
 def begun(precision: Precision = "float64", variances: Any = VARIANCES) -> Record:
@@ -75,18 +76,19 @@ def test_what_fades_and_what_is_added_is_that_of_full_matrices(
     np.testing.assert_allclose(matrix(state), faded + np.diag(added), atol=1e-12)
 
 
-@given(measurements=st.lists(numbers, min_size=1, max_size=8), variance=st.floats(0.0, 4.0))
-def test_a_new_first_state_knows_nothing_of_the_others(
-    measurements: list[Matrix], variance: float
+@given(measurements=st.lists(numbers, min_size=1, max_size=8),
+       share=st.floats(0.0, 4.0), moment=st.floats(0.0, 4.0))  # fmt: skip
+def test_new_states_of_a_loss_know_nothing_of_each_other_and_the_rest(
+    measurements: list[Matrix], share: float, moment: float
 ) -> None:
-    """Their own covariances, which factors that begin with the first state hold alone, stay."""
+    """The covariances of the rest, which the factors without the first columns hold, stay."""
     state = begun()
     for x in measurements:
         measure(state, N, x, 0.1, np.zeros(N))
     expected = matrix(state)
-    expected[0, :] = expected[:, 0] = 0.0
-    expected[0, 0] = variance
-    replace_first(state, variance)
+    expected[:LOSS_STATES, :] = expected[:, :LOSS_STATES] = 0.0
+    expected[0, 0], expected[1, 1] = share, moment
+    replace_loss(state, share, moment)
     np.testing.assert_allclose(matrix(state), expected, atol=1e-12)
 
 
@@ -124,7 +126,7 @@ def test_it_stays_positive_semidefinite_and_the_innovation_s_variance_above_its_
 @pytest.mark.long
 def test_single_precision_keeps_what_plain_matrices_lose() -> None:
     """Steady x of 10 and noise of 1e-3 rms: P - K Kᵀ S in single precision has S < 0 soon."""
-    x = np.array([10.0, 20.0, -30.0, 15.0, -5.0, 1.0], np.float32)
+    x = np.array([10.0, 20.0, -30.0, 15.0, -5.0, 8.0, 1.0], np.float32)
     state, gain = begun("float32", 0.36), np.zeros(N, np.float32)
     exact, plain = np.eye(N) * 0.36, np.eye(N, dtype=np.float32) * np.float32(0.36)
     noise, worst = np.float32(1e-6), np.inf

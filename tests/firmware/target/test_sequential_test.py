@@ -32,7 +32,7 @@ from tests.firmware.target.cases import CAR, TICK_S, changed, other_cars
 DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 PLANT = sample(CAR, TICK_S)
 NOISE_RMS = 0.01
-NEVER = {"decision": {"confirm": math.inf, "suspect": math.inf}}
+NEVER = {"decision": {"confirm": math.inf, "recover": math.inf, "suspect": math.inf}}
 FOR_EVER = {"sequential_test": {"restart": -math.inf}, **NEVER}
 
 
@@ -111,7 +111,7 @@ def test_with_other_cars_it_is_that_of_all_data_at_once(
     seen = signal.lfilter([1.0, -colour], [1.0], run.estimate)
     # w is nothing before the start, and d̂ not yet whitened against a w of before.
     signature = SHARE * signal.lfilter([1.0, -colour], [1.0], lost_output(run, latency, start))
-    theta = np.diag([0.36] * (n - 1) + [0.0])
+    theta = np.diag([0.0, 0.0] + [0.36] * (n - 3) + [0.0])  # nothing is lost
     p = np.zeros((ticks, ticks))
     x = run.regressor[:, :n]
     for j in range(ticks):
@@ -120,7 +120,7 @@ def test_with_other_cars_it_is_that_of_all_data_at_once(
             p[i, j] = p[j, i] = x[i] @ later @ x[j]
             later = run.memory[i, :n, None] * later
         wander = min(run.change[j] / run.extent[j], 1.0) if run.extent[j] > 0.0 else 1.0
-        grows = constants.growth[:n] * ([wander] * (n - 1) + [run.remainder[j]])
+        grows = constants.growth[:n] * ([0.0, 0.0] + [wander] * (n - 3) + [run.remainder[j]])
         phi = np.diag(run.memory[j, :n])
         theta = phi @ theta @ phi + np.diag(grows)
     p += np.diag((1.0 - colour**2) * NOISE_RMS**2 + constants.white * run.remainder)

@@ -57,11 +57,18 @@ def test_with_tustin_s_rule_at_no_latency_it_is_tustin_s_c() -> None:
 
 
 def limited(asked: FloatArray, limit: float, slew: float, lsb: float) -> FloatArray:
-    """Each as near to what is asked as its predecessor and the limits let it, on the grid."""
-    commands, before = [], 0.0
+    """Each as near to what is asked as its predecessor and the limits let it, on the grid.
+
+    With what the grid took off the one before, as far as the limit lets that.
+    """
+    commands, before, left = [], 0.0, 0.0
     for wish in asked:
         possible = np.clip(wish, max(-limit, before - slew), min(limit, before + slew))
-        before = float(np.round(possible / lsb) * lsb) if lsb > 0.0 else float(possible)
+        before = float(possible)
+        if lsb > 0.0:
+            wanted = np.clip(possible + left, -limit, limit)
+            before = float(np.round(wanted / lsb) * lsb)
+            left = wanted - before
         commands.append(before)
     return np.array(commands)
 
