@@ -9,7 +9,7 @@ import math
 from dataclasses import replace
 from typing import Annotated, Final, Self
 
-from pydantic import ConfigDict, Field, NonNegativeFloat, PositiveFloat
+from pydantic import ConfigDict, Field, PositiveFloat
 from pydantic.dataclasses import dataclass
 
 from firmware_model.design.actuator_dynamics import Stage
@@ -96,8 +96,8 @@ class SensorSettings:
     The noise is as coloured as the filter makes it, and has its rms behind it.
     """
 
-    noise_mps2: NonNegativeFloat = 0.0
-    resolution_mps2: NonNegativeFloat = 0.0
+    noise_mps2: Annotated[float, Field(ge=0.0, le=1e6)] = 0.0
+    resolution_mps2: Annotated[float, Field(ge=0.0, le=1e6)] = 0.0
     corner_hz: Annotated[float, Field(ge=1e-3, le=1e5)] | None = None
     dead_time_s: DeadTime = 0.0
 

@@ -6,6 +6,8 @@ import dataclasses
 import json
 import math
 import os
+import re
+from collections.abc import Sequence
 from itertools import product
 
 import numpy as np
@@ -24,9 +26,12 @@ from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
-from tests.helpers import rig
+from tests.helpers import asked, rig
 
-LATE = "latency_ticks=1"
+UNSTABLE = ("tick_s=0.01", "design.estimator=zoh")  # only with the torque dead
+FAST = ("latency_ticks=8", "design.tau_s=0.0001", "design.tau_q_s=0.0001")  # in every state
+LATER = ("latency_ticks=8", "design.tau_s=0.0005", "design.tau_q_s=0.001", "design.estimator=zoh",
+         "design.compensation=always")  # fmt: skip
 CAR = steer_by_wire()
 compiled_only = pytest.mark.skipif(
     os.environ.get("NUMBA_DISABLE_JIT") == "1", reason="tens of millions of ticks"
@@ -42,8 +47,12 @@ def test_the_shipped_scenarios_are_stable_and_run(name: str) -> None:
     refuse_unstable(scenario)
 
 
+def options(settings: Sequence[str]) -> list[str]:
+    return [word for setting in settings for word in ("--set", setting)]
+
+
 def test_json_has_the_figures_of_both_ends() -> None:
-    done = rig("check", "thesis-step", "--json")
+    done = asked("check", "thesis-step", "--json")
     assert done.returncode == 0
     values = json.loads(done.stdout)
     assert values["stable"] is True
@@ -58,16 +67,24 @@ def refuse(text: str) -> None:
     raise AssertionError(f"{text} is no JSON")
 
 
-def test_noise_beyond_all_numbers_is_null_in_json() -> None:
-    done = rig("check", "default", "--set", "plant.sensor.noise_mps2=1e308", "--json")
+@pytest.mark.parametrize("key", ["noise_mps2", "resolution_mps2"])
+def test_noise_beyond_all_numbers_is_refused_by_its_key(key: str) -> None:
+    done = asked("check", "default", "--set", f"plant.sensor.{key}=1e308")
+    assert done.returncode == 2
+    (line,) = done.stderr.splitlines()
+    assert f"plant.sensor.{key} = 1e+308" in line
+
+
+def test_noise_that_hides_every_loss_is_null_in_json() -> None:
+    done = asked("check", "default", "--set", "plant.sensor.noise_mps2=1e6", "--json")
     assert done.stderr == ""
     values = json.loads(done.stdout, parse_constant=refuse)
-    assert values["decision"]["noise"] is values["decision"]["budget"] is None
-    assert values["decision"]["quantisation"] == pytest.approx(1e-8)
+    assert values["decision"]["expected_delay_s"] is None
+    assert values["decision"]["noise_mps2"] == pytest.approx(1e6)
 
 
 def test_an_unstable_loop_is_exit_status_1_and_still_json() -> None:
-    done = rig("check", "thesis-step", "--set", LATE, "--json")
+    done = asked("check", "thesis-step", *options(UNSTABLE), "--json")
     assert done.returncode == 1
     values = json.loads(done.stdout, parse_constant=refuse)
     assert values["stable"] is False
@@ -76,53 +93,67 @@ def test_an_unstable_loop_is_exit_status_1_and_still_json() -> None:
 
 
 def test_a_person_sees_one_table_and_one_verdict() -> None:
-    done = rig("check", "thesis-step", "--set", LATE, env={**os.environ, "COLUMNS": "80"})
+    done = rig("check", "thesis-step", *options(UNSTABLE), env={**os.environ, "COLUMNS": "80"})
     lines = done.stdout.splitlines()
     assert done.returncode == 1
     for word in ("healthy", "torque dead", "torque 25%"):
         assert word in lines[0]
     assert max(len(line) for line in lines[:-1]) <= 80
-    assert lines[-1].startswith("unstable (torque dead): the spectral radius is 1.0373")
+    assert lines[-1].startswith("unstable (torque dead): the spectral radius is 1.3095")
     assert done.stderr == ""
 
 
 @pytest.mark.parametrize(
-    "settings",
-    [[LATE], ["tick_s=0.01"], [LATE, "fault.kind=none"], [LATE, "design.estimator=zoh"]],
+    ("settings", "state"),
+    [
+        (UNSTABLE, "torque dead"),
+        ((*UNSTABLE, "fault.kind=none"), "torque dead"),
+        (("tick_s=0.01",), "healthy"),
+        (FAST, "healthy"),
+    ],
 )
-def test_run_refuses_an_unstable_loop_and_says_what_works(settings: list[str]) -> None:
+def test_run_refuses_an_unstable_loop_and_says_what_works(
+    settings: tuple[str, ...], state: str
+) -> None:
     """Unstable healthy, after the fault, or after one that the scenario does not have."""
-    arguments = [a for setting in settings for a in ("--set", setting)]
-    done = rig("run", "thesis-step", *arguments)
+    done = asked("run", "thesis-step", *options(settings))
     assert done.returncode == 2
     message = done.stderr.strip()
     assert "\n" not in message
-    state = "healthy" if "tick_s=0.01" in settings else "torque dead"
     assert f"unstable ({state}): the spectral radius is" in message
-    latency = "no latency_ticks" if "tick_s=0.01" in settings else "latency_ticks up to 0"
-    assert latency in message
+    assert "this tuning is stable with no latency_ticks" in message
     offered = message.split("; ")[-2].removesuffix(" works").replace("--set ", "").split()
-    assert ("design.estimator=tustin" in offered) == ("design.estimator=zoh" in settings)
-    better = load("thesis-step", [*settings, *offered])
-    assert check_stability(better).stable
-    done = rig("check", "thesis-step", *arguments, *[a for s in offered for a in ("--set", s)])
-    assert done.returncode == 0
+    assert check_stability(load("thesis-step", [*settings, *offered])).stable
+    assert asked("check", "thesis-step", *options((*settings, *offered))).returncode == 0
+
+
+def test_the_latency_that_a_tuning_survives_is_said() -> None:
+    """Between stable and unstable by its own words."""
+    with pytest.raises(ScenarioError, match=r"stable with latency_ticks up to (\d+);") as refused:
+        refuse_unstable(load("thesis-step", LATER))
+    found = re.search(r"up to (\d+)", str(refused.value))
+    assert found is not None
+    longest = int(found[1])
+    refuse_unstable(load("thesis-step", [*LATER, f"latency_ticks={longest}"]))
+    with pytest.raises(ScenarioError, match="unstable"):
+        refuse_unstable(load("thesis-step", [*LATER, f"latency_ticks={longest + 1}"]))
 
 
 def test_run_takes_an_unstable_loop_when_told(tmp_path) -> None:  # type: ignore[no-untyped-def]
-    arguments = ("--set", LATE, "--set", "duration_s=0.05", "--in-process", "--out", tmp_path / "r")
-    assert rig("run", "thesis-step", *arguments).returncode == 2
+    settings = options((*UNSTABLE, "duration_s=0.05"))
+    arguments = (*settings, "--in-process", "--out", tmp_path / "r")
+    assert asked("run", "thesis-step", *arguments).returncode == 2
     assert not (tmp_path / "r").exists()
     assert rig("run", "thesis-step", *arguments, "--allow-unstable").returncode == 0
 
 
 @pytest.mark.parametrize("kind", ["none", "actuator-dead", "frames-missing", "frames-corrupted"])
 def test_every_kind_of_fault_ends_in_a_dead_channel(kind: str) -> None:
-    assert not check_stability(load("thesis-step", [LATE, f"fault.kind={kind}"])).stable
+    assert not check_stability(load("thesis-step", [*UNSTABLE, f"fault.kind={kind}"])).stable
     other = check_stability(
-        load("thesis-step", [LATE, f"fault.kind={kind}", "fault.channel=force-difference"])
+        load("thesis-step", [*UNSTABLE, f"fault.kind={kind}", "fault.channel=force-difference"])
     )
-    assert other.stable  # without the force difference it is the torque loop alone
+    assert other.linear_stable  # without the force difference it is the torque loop alone
     assert "force-difference dead" in dict(other.states)
 
 
@@ -147,7 +178,7 @@ def test_a_class_is_loaded_and_the_margins_are_said_not_to_be_its_own() -> None:
 
 @pytest.mark.parametrize("command", ["check", "bus"])
 def test_a_class_that_is_no_plant_is_refused_as_a_run_refuses_it(command: str) -> None:
-    done = rig(command, "default", "--set", "plant.kind=nope:Nope")
+    done = asked(command, "default", "--set", "plant.kind=nope:Nope")
     assert done.returncode == 2
     assert done.stdout == ""
     assert "plant.kind = 'nope:Nope': no module nope, neither installed" in done.stderr
@@ -201,13 +232,13 @@ def disagreement(spec: DesignSpecification, target: Target, left: tuple[float, f
     return "" if agrees else f"{spec} {target} {left}: {radius} predicted, {observed} simulated"
 
 
-TAUS_S = (1e-3, 2e-3, 5e-3, 1e-2, 2e-2)
+TAUS_S = (1e-3, 5e-3, 2e-2)
 
 
 @compiled_only
-@pytest.mark.parametrize("tick_s", [1e-4, 5e-4, 1e-3, 2e-3, 5e-3])
+@pytest.mark.parametrize("tick_s", [5e-4, 1e-3, 2e-3, 5e-3])
 def test_every_combination_is_stable_exactly_when_it_simulates_as_stable(tick_s: float) -> None:
-    """T × n × τ × τ_q × estimator × (healthy, torque dead): 2000 loops in all."""
+    """T × n × τ × τ_q × estimator × (healthy, torque dead): 576 loops in all."""
     wrong: list[str] = []
     for n, tau_s, tau_q_s, rule in product(range(4), TAUS_S, TAUS_S, ("tustin", "zoh")):
         spec = DesignSpecification(tau_s=tau_s, tau_q_s=tau_q_s)
@@ -220,7 +251,7 @@ def test_every_combination_is_stable_exactly_when_it_simulates_as_stable(tick_s:
 def test_random_loops_are_stable_exactly_when_they_simulate_as_stable() -> None:
     random = np.random.default_rng(10)
     wrong = []
-    for _ in range(300):
+    for _ in range(150):
         tau_s, tau_q_s, tick_s = np.exp(random.uniform(np.log(5e-4), np.log(5e-2), 3))
         spec = DesignSpecification(
             tau_s=tau_s,
