@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final, NamedTuple
 
 from can_rig.errors import LogError
-from can_rig.logs.frames import Frames
+from can_rig.logs.frames import NS_PER_S, Frames
 
 
 class Window(NamedTuple):
@@ -19,6 +19,22 @@ class Window(NamedTuple):
 
 
 ALL: Final = Window(-(1 << 63), (1 << 63) - 1)
+_MOST_S: Final = 9e9
+
+
+def window_of(from_s: float | None, to_s: float | None) -> Window:
+    """The part of a recording from ``from_s`` to ``to_s`` after its start; None: as far as it goes.
+
+    Raises:
+        LogError: it is none.
+    """
+    begin_ns, end_ns = (
+        default if value is None else round(value * NS_PER_S) if abs(value) < _MOST_S else None
+        for value, default in ((from_s, ALL.begin_ns), (to_s, ALL.end_ns))
+    )
+    if begin_ns is None or end_ns is None or begin_ns >= end_ns:
+        raise LogError(f"--from {from_s} --to {to_s}: must be seconds, the first smaller")
+    return Window(begin_ns, end_ns)
 
 
 @dataclass

@@ -6,7 +6,6 @@ from pathlib import Path
 
 import click
 
-from can_rig.cli.logs.window import window_of
 from can_rig.cli.options import (
     channel_option,
     force_option,
@@ -16,6 +15,7 @@ from can_rig.cli.options import (
 )
 from can_rig.cli.output import json_line, note, say
 from can_rig.cli.progress import reading
+from can_rig.logs.log import window_of
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import refuse_log, write_log
 from can_rig.results.source import log_path, only_channel

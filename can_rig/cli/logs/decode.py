@@ -9,7 +9,6 @@ from typing import Any, Final
 import click
 
 from can_rig.cli.logs.own_dbc import databases_of
-from can_rig.cli.logs.window import window_of
 from can_rig.cli.options import (
     channel_option,
     dbc_options,
@@ -23,7 +22,7 @@ from can_rig.cli.progress import reading
 from can_rig.decoding.decode import Decoder
 from can_rig.decoding.files import Form, Selection, decode_to_files
 from can_rig.decoding.outputs.output import refuse_output
-from can_rig.logs.log import Log
+from can_rig.logs.log import Log, window_of
 from can_rig.logs.reading import read_log
 from can_rig.results.run_folder import LOG
 

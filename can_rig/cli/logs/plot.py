@@ -9,7 +9,6 @@ from pathlib import Path
 import click
 
 from can_rig.cli.logs.own_dbc import databases_of
-from can_rig.cli.logs.window import window_of
 from can_rig.cli.options import (
     channel_option,
     dbc_options,
@@ -24,6 +23,7 @@ from can_rig.decoding.message_columns import MessageColumns, joined
 from can_rig.decoding.message_decoder import MessageDecoder
 from can_rig.errors import DbcError, LogError
 from can_rig.files import atomic, refuse_picture
+from can_rig.logs.log import window_of
 from can_rig.logs.reading import read_log
 from can_rig.results.source import log_path
 from can_rig.views.plot_picture import plot_page

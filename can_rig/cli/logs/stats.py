@@ -10,7 +10,6 @@ import click
 
 from can_rig.assessment.bus_timing.frame_length import FrameError
 from can_rig.cli.logs.own_dbc import databases_of
-from can_rig.cli.logs.window import window_of
 from can_rig.cli.options import (
     channel_option,
     dbc_options,
@@ -23,6 +22,7 @@ from can_rig.cli.output import json_line, note, say, table, wide
 from can_rig.cli.progress import reading
 from can_rig.decoding.decode import Decoder
 from can_rig.files import atomic, refuse_picture
+from can_rig.logs.log import window_of
 from can_rig.logs.reading import read_log
 from can_rig.results.source import log_path, only_channel
 from can_rig.views.log_statistics import LogStatistics

@@ -17,10 +17,11 @@ def inflated(packed: bytes, size: int) -> bytes:
     Raises:
         InflateError: it is not what zlib compressed, or damaged.
     """
-    try:
-        return bytes(deflate.zlib_decompress(packed, size))
-    except (deflate.DeflateError, ValueError):
-        pass  # cut off, or longer than it says: zlib gives what there is
+    if size > 0:  # of nothing libdeflate does not even read the header
+        try:
+            return bytes(deflate.zlib_decompress(packed, size))
+        except (deflate.DeflateError, ValueError):
+            pass  # cut off, or longer than it says: zlib gives what there is
     try:
         return zlib.decompressobj().decompress(packed, max(size, 1))[:size]
     except zlib.error as error:
