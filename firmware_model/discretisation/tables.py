@@ -31,7 +31,6 @@ SHARE = 0.8  # of the torque whose loss is looked for: of all of it, a half stil
 RESTART = -1.0
 SHARE_VARIANCE = 0.09  # of the share of a loss when that is confirmed, at most
 RECOVER = 5.0  # evidence that ends a loss, over that which confirms it
-MOMENT_S = 0.1  # in which what the moment of a loss did fades
 MOMENT = 0.5  # deviation of the moment of a loss, as a part of the time to its confirmation
 DOUBT = 9.0  # over 1, as the moment of the loss is not known either
 FOLLOW_S, FOLLOW_TICKS = 0.01, 3.0  # of each of the two lags by which F̂ gets it
@@ -267,7 +266,6 @@ def _fill_mismatch(table: Record, target: Target) -> None:
         (1.0 - a * a) * target.noise_rms * target.noise_rms + (1.0 + a * a) * rounding + least
     )
     constants.colour = a
-    constants.moment_memory = _memory(target, MOMENT_S)
 
 
 def _fill_probe(probe: Record, target: Target) -> None:

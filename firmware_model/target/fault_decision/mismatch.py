@@ -14,8 +14,7 @@ the part of it that no other car explains counts as evidence (Willsky and Jones,
 Control 21 (1976) 108).
 
 After a confirmed loss two more states learn how far its share was off, whose x is the lost w, and
-by how many ticks its moment, whose x is the change of w, as long as that is still of the loss and
-not of later commands: both are only roughly known then.
+by how many ticks its moment, whose x is the change of w: both are only roughly known then.
 
 What other cars show beyond the first order is a remainder that changes as slowly as the car does:
 one more θ, whose x is 1. Both wander only where the car moves: the steady state of a bend is the
@@ -54,7 +53,6 @@ CONSTANTS = (
     Field("white", "1", "share of the remainder's variance that differs from tick to tick"),
     Field("fading", "1", "what a tick leaves of M and of the largest extent"),
     Field("noise", "y²", "variance of the whitened noise of a tick"),
-    Field("moment_memory", "1", "what a tick leaves of the weight of a loss's moment"),
     Field("colour", "1", "a of the noise, n(k) = a n(k-1) + white"),
 )
 STATE = (
@@ -70,7 +68,6 @@ STATE = (
     Field("previous_model_output", "y", "G1 u1 + G2 u2 of the last tick"),
     Field("previous_residual", "y", "d̂ of the last tick, less the known loss"),
     Field("variance", "y²", "S, of the innovation"),
-    Field("moment_weight", "1", "of the change of w: what its moment did fades"),
 )
 
 
@@ -87,8 +84,7 @@ def predict_mismatch(table: Record, state: Record, model_output: float, lost: fl
     constants, mismatch, shown = table.mismatch, state.mismatch, state.other_cars.shown
     a, x, previous = constants.colour, mismatch.regressor, mismatch.x
     extent = change = real(0.0, model_output)
-    moved = (lost - previous[0]) * mismatch.moment_weight
-    mismatch.moment_weight *= constants.moment_memory
+    moved = lost - previous[0]
     x[0] = lost - a * previous[0]
     x[1] = moved - a * previous[1]
     previous[0], previous[1] = lost, moved
@@ -176,5 +172,4 @@ def learn_loss(state: Record, share: float, moment: float) -> None:
     """
     state.theta[:LOSS_STATES] = 0.0
     state.x[:LOSS_STATES] = 0.0
-    state.moment_weight = 1.0
     replace_loss(state.covariance, share, moment)

@@ -55,7 +55,7 @@ def test_each_end_of_the_rate_and_of_the_limit() -> None:
 def test_a_command_is_the_nearest_multiple_of_its_resolution(command: float, lsb: float) -> None:
     rounded = quantise(actuator(lsb=lsb), at_rest(), command)
     assert abs(rounded - command) <= lsb / 2 * (1 + 1e-9)
-    assert rounded / lsb == round(rounded / lsb, 6)
+    assert rounded / lsb == pytest.approx(round(rounded / lsb), abs=1e-6)
 
 
 @given(st.lists(some, min_size=1, max_size=50), st.sampled_from([1e-3, 0.25, 2.0]))
