@@ -26,15 +26,12 @@ def options(found: Tunings, tuning: Tuning) -> str:
 def why(found: Tunings) -> str:
     """One sentence: why this tuning is chosen."""
     chosen, limit = found.chosen, found.noise_limit_n
-    least = found.front[0].peak_mps2
-    if not found.within_noise_limit(chosen):
-        reason = f"none is within {limit:g} N rms of X_diff noise; this has the least noise"
-    elif limit is not None and chosen.peak_mps2 > EQUAL_PEAKS * least:
-        reason = f"the least peak within {limit:g} N rms of X_diff noise"
-    elif chosen is found.front[0]:
+    if chosen is found.front[0]:
         reason = "the least peak"
     else:
         reason = f"within {EQUAL_PEAKS - 1.0:.0%} of the least peak, and of those the least noise"
+    if limit is not None:
+        reason += f", all within {limit:g} N rms of X_diff noise"
     held = "" if chosen.within_limits else "; its commands reach the limits, as all of these do"
     return (
         f"{reason}, stable with {ticks_text(found.spare_ticks)} to spare, healthy and with the "

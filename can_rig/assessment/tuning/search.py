@@ -62,22 +62,14 @@ class Tunings:
 
     @property
     def chosen(self) -> Tuning:
-        """The least noise, among the peaks about as small as the least within the noise limit."""
-        within = [tuning for tuning in self.front if self.within_noise_limit(tuning)]
-        if not within:
-            return self.front[-1]
-        least = min(tuning.peak_mps2 for tuning in within)
-        equal = [tuning for tuning in within if tuning.peak_mps2 <= EQUAL_PEAKS * least]
+        """The least noise, among the peaks about as small as the least."""
+        least = self.front[0].peak_mps2
+        equal = [tuning for tuning in self.front if tuning.peak_mps2 <= EQUAL_PEAKS * least]
         return min(equal, key=lambda tuning: tuning.noise_to_force)
 
     def noise_n(self, tuning: Tuning) -> float:
         """Rms of X_diff in N at the scenario's noise; per m/s² of noise where it has none."""
         return tuning.noise_to_force * (self.scenario.model.sensor.noise_mps2 or 1.0)
-
-    def within_noise_limit(self, tuning: Tuning) -> bool:
-        """Whether the noise in X_diff is within the limit, where there is one."""
-        limit = math.inf if self.noise_limit_n is None else self.noise_limit_n
-        return tuning.noise_to_force * self.scenario.model.sensor.noise_mps2 <= limit
 
 
 def tune(

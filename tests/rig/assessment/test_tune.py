@@ -20,18 +20,18 @@ from can_rig.assessment.tuning.box import (
     laws,
     parameter_ranges,
 )
-from can_rig.assessment.tuning.candidate import Tuning, with_tuning
+from can_rig.assessment.tuning.candidate import Tuning, trusting_table, with_tuning
 from can_rig.assessment.tuning.report import as_dict, options, rows
-from can_rig.assessment.tuning.search import Tunings
-from can_rig.scenario.build import continuous_design, continuous_plant, target
+from can_rig.assessment.tuning.robustness import box_refusal
+from can_rig.assessment.tuning.search import LONGEST_FRONT, Tunings, tune
+from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.delay_margin import delay_margins
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, law_in
 from firmware_model.analysis.sampled_loop import linear_controller, sampled_loop
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
-from firmware_model.discretisation.tables import build
-from tests.rig.assessment.tuned import ALWAYS, compiled_only, found_for, scenario_of
+from tests.rig.assessment.tuned import ALWAYS, SMALL, compiled_only, found_for, scenario_of
 
 pytestmark = compiled_only
 
@@ -42,8 +42,7 @@ def found(request: pytest.FixtureRequest) -> Tunings:
 
 
 def table_of(scenario: Scenario, tuning: Tuning):  # type: ignore[no-untyped-def]
-    chosen = dataclasses.replace(scenario, design=tuning.design)
-    return build(continuous_design(chosen), target(chosen, None))
+    return trusting_table(dataclasses.replace(scenario, design=tuning.design))
 
 
 def crossover_margin(table, car: Car, tick_s: float) -> float:  # type: ignore[no-untyped-def]
@@ -64,9 +63,10 @@ def test_every_offer_has_the_delay_margin_at_every_vertex(found: Tunings) -> Non
     chosen, table = found.chosen, table_of(scenario, found.chosen)
     margin = chosen.delay_margin_ticks
     assert margin is not None
-    assert 1 <= margin < MAX_DELAY_TICKS
-    worst = [car for car in some if not is_stable(table, [car], scenario.tick_s, margin + 1)]
-    assert min(crossover_margin(table, car, scenario.tick_s) for car in worst[:2]) == margin
+    assert 1 <= margin <= MAX_DELAY_TICKS
+    if margin < MAX_DELAY_TICKS:
+        worst = [car for car in some if delay_margin(table, [car], scenario.tick_s) == margin]
+        assert crossover_margin(table, worst[0], scenario.tick_s) == margin
     for car in (some[0], some[6]):
         assert crossover_margin(table, car, scenario.tick_s) >= margin
     if table.compensator.on_confirmation:
@@ -84,28 +84,48 @@ def test_cars_from_inside_the_box_are_stable_too(found: Tunings) -> None:
             key: low + part * (high - low)
             for part, (key, (low, high)) in zip(draw, box.items(), strict=True)
         }
-        car = Car("drawn", continuous_plant(dataclasses.replace(scenario.model, **values)))
+        settings = dataclasses.replace(scenario.model, **values)
+        car = Car("drawn", continuous_plant(settings), settings)
         assert is_stable(table, [car], scenario.tick_s, 1)
         assert delay_margin(table, [car], scenario.tick_s) >= found.chosen.delay_margin_ticks
 
 
-def test_the_front_is_the_front_of_all_that_would_do(found: Tunings) -> None:
-    """No tuning that is stable with all the cars beats one of it in both; brute force."""
-    scenario = found.scenario
-    some = cars(scenario.model, parameter_ranges(scenario.model, 0.2))
-    good = [
-        t for t in found.nominal
-        if t.within_limits and is_stable(table_of(scenario, t), some, scenario.tick_s, 1)
-    ]  # fmt: skip
-    best = {
-        t.design for t in good
+def test_the_front_is_the_front_of_all_that_would_do() -> None:
+    """No tuning that bears all the cars beats one of it in both; brute force."""
+    scenario = scenario_of()
+    some = cars(scenario.model, parameter_ranges(scenario.model, 0.0, ["speed_mps=8..12"]))
+    found = tune(scenario, some, 1, candidates=SMALL)
+    good = []
+    for t in found.nominal:
+        tuned = dataclasses.replace(scenario, design=t.design)
+        if t.within_limits and box_refusal(tuned, table_of(scenario, t), some, 1) is None:
+            good.append(t)
+    best = [
+        t for t in sorted(good, key=lambda t: t.peak_mps2)
         if not any(
             o is not t and o.peak_mps2 <= t.peak_mps2 and o.noise_to_force <= t.noise_to_force
             for o in good
         )
-    }  # fmt: skip
-    assert {tuning.design for tuning in found.front} == best
+    ]  # fmt: skip
+    assert [tuning.design for tuning in found.front] == [t.design for t in best[:LONGEST_FRONT]]
     assert len(best) < len(good)
+
+
+def test_what_passes_comes_to_rest_in_drives_with_its_spare_tick(found: Tunings) -> None:
+    """Two vertices, D* a tick later than is known, the loss in the middle; ``simulate`` alone."""
+    scenario, table = found.scenario, table_of(found.scenario, found.chosen)
+    some = cars(scenario.model, parameter_ranges(scenario.model, 0.2))
+    left = np.ones((8000, 2))
+    left[4000:, 0] = 0.0
+    for car in (some[1], some[-1]):
+        late = dataclasses.replace(
+            car.settings,
+            sensor=dataclasses.replace(car.settings.sensor, dead_time_s=1e-3),
+        )
+        plant = sample(continuous_plant(late), 1e-3)
+        trace = simulate(table, plant, np.ones(8000), effectiveness=left)
+        for rest in (trace.error[3900:4000], trace.error[7900:]):
+            assert np.abs(rest).max() < 0.05
 
 
 def test_the_peak_is_that_of_a_run_and_the_unavoidable_is_below_it(found: Tunings) -> None:
@@ -120,13 +140,18 @@ def test_the_peak_is_that_of_a_run_and_the_unavoidable_is_below_it(found: Tuning
     assert np.abs(trace.error[loss:]).max() == pytest.approx(chosen.peak_mps2, rel=1e-3)
     steady_nm = 1.0 / car.g1.dc_gain
     unavoidable = 0.5 * 2.00930 / 1.0 * steady_nm * 0.002**2  # N1's leading term
-    assert chosen.unavoidable_mps2 == pytest.approx(unavoidable, rel=1e-4)
-    assert chosen.peak_ratio >= 1.0
+    assert chosen.unavoidable_mps2 == pytest.approx(unavoidable, rel=5e-3)
+    assert chosen.peak_ratio >= 1.0 - 1e-9
 
 
 def test_the_noise_is_that_of_a_long_run(found: Tunings) -> None:
     """Statistics of a simulation against the covariance equation, in the worse of the states."""
-    scenario = dataclasses.replace(found.scenario, limits=load("thesis-step").limits)
+    sensor = dataclasses.replace(found.scenario.model.sensor, noise_mps2=1e-4)
+    scenario = dataclasses.replace(
+        found.scenario,
+        limits=load("thesis-step").limits,
+        model=dataclasses.replace(found.scenario.model, sensor=sensor),
+    )
     ticks, noise = 200_000, 1e-4 * np.random.default_rng(1).standard_normal(200_000)
     chosen, table = found.chosen, table_of(scenario, found.chosen)
     forces, torques = [], []
@@ -137,13 +162,10 @@ def test_the_noise_is_that_of_a_long_run(found: Tunings) -> None:
         plant = sample(continuous_plant(scenario.plant), 1e-3)
         run = simulate(table, plant, np.ones(ticks), effectiveness=effectiveness)
         noisy = simulate(table, plant, np.ones(ticks), effectiveness=effectiveness, noise=noise)
-        if table.compensator.on_confirmation and left == 1.0:
-            continue  # the noise crosses its threshold of 1e-5: compensated, but not lost
         forces.append(np.std((noisy.command_2 - run.command_2)[10_000:]) / 1e-4)
         torques.append(np.std((noisy.command_1 - run.command_1)[10_000:]) / 1e-4)
     assert max(forces) == pytest.approx(chosen.noise_to_force, rel=0.05)
-    if len(torques) == 2:
-        assert max(torques) == pytest.approx(chosen.noise_to_torque, rel=0.05)
+    assert max(torques) == pytest.approx(chosen.noise_to_torque, rel=0.05)
 
 
 def test_the_goal_at_one_and_two_ticks_of_latency() -> None:
@@ -175,7 +197,7 @@ def test_json_and_table_tell_of_the_same_front(found: Tunings) -> None:
 
 def test_the_loops_that_are_judged_are_those_of_the_law() -> None:
     scenario = with_tuning(scenario_of(), (0.0002, 1, 0.0033, 2))
-    table = build(continuous_design(scenario), target(scenario, None))
+    table = trusting_table(scenario)
     (car,) = cars(scenario.model, {})
     radius = [
         sampled_loop(law, car.plant, 1e-3, left, 1).spectral_radius() for law, left in laws(table)

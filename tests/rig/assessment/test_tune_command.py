@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from pathlib import Path
 
 import matplotlib.image
@@ -10,7 +11,7 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.assessment.tuning import search
-from tests.helpers import asked, rig
+from tests.helpers import asked
 from tests.rig.assessment.tuned import SETTINGS, SMALL, compiled_only
 
 pytestmark = compiled_only
@@ -28,7 +29,9 @@ BAD = {
         ["--box", "0", "--box-set", "rear_cornering_stiffness_n_per_rad=1e3..5e4",
          "--set", "plant.speed_mps=60"], "box: rear_cornering.*pole",
     ),
-    "noise limit without noise": (["--noise-limit", "300"], "and so must noise.dstar"),
+    "noise limit without noise": (
+        ["ideal", "--noise-limit", "300"], "and so must plant.sensor.noise_mps2"
+    ),
     "spare": (["--spare-ticks", "-1"], "must be 0 or above"),
     "chapter 2": (["chapter-2", "--box", "0"], "chapter-2"),
     "off": (["--set", "design.compensation=off"], "compensation = 'off'"),
@@ -38,9 +41,7 @@ BAD = {
 
 @pytest.mark.parametrize(("arguments", "reason"), BAD.values(), ids=BAD)
 def test_what_is_wrong_is_one_line_with_exit_status_2(arguments: list[str], reason: str) -> None:
-    import re
-
-    done = rig("tune", *arguments)
+    done = asked("tune", *arguments)
     assert done.returncode == 2, done.stderr
     (line,) = [line for line in done.stderr.splitlines() if "error:" in line]
     assert re.search(reason, line), line
@@ -50,10 +51,10 @@ def test_what_is_wrong_is_one_line_with_exit_status_2(arguments: list[str], reas
 def test_the_command_writes_the_picture_the_table_and_the_options(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(search, "grid", lambda tick_s: SMALL)
+    monkeypatch.setattr(search, "grid", lambda scenario: SMALL)
     monkeypatch.setenv("COLUMNS", "80")
     settings = [word for setting in SETTINGS for word in ("--set", setting)]
-    arguments = ("tune", "thesis-step", *settings, "--box", "0.1", "--out", tmp_path)
+    arguments = ("tune", "thesis-step", *settings, "--box", "0", "--out", tmp_path)
     done = asked(*arguments, "--json")
     assert (done.returncode, done.stderr) == (0, "")
     values = json.loads(done.stdout)

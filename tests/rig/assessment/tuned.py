@@ -12,11 +12,10 @@ from can_rig.assessment.tuning.box import cars, parameter_ranges
 from can_rig.assessment.tuning.search import Tunings, tune
 from can_rig.scenario.settings import Scenario
 
-SMALL = list(product((0.0002, 0.001), (1, 2), (0.001, 0.0033, 0.01, 0.05), (2, 3)))
+SMALL = list(product((0.0002, 0.001), (1, 2), (0.001, 0.0033, 0.01), (2, 3)))
 SETTINGS = [
     "latency_ticks=1", "design.estimator=zoh", "design.compensation=on-confirmation",
-    "design.fault_threshold_mps2=1e-5", "design.confirm_s=0.0",
-    "limits.torque_nm=400.0", "limits.force_difference_n=6000.0",
+    "limits.torque_nm=400.0", "limits.force_difference_n=6000.0", "budget.box=0.2",
 ]  # fmt: skip
 ALWAYS = "design.compensation=always"
 compiled_only = pytest.mark.skipif(

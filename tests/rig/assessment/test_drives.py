@@ -1,0 +1,125 @@
+"""Drives with limits, noise and other cars: what is found in them, against runs and by hand."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from can_rig.assessment.drives import Drives, Finding, box_cars, box_findings, own_findings
+from can_rig.assessment.resolve import load
+from can_rig.assessment.stability import check_stability, refuse_unstable
+from can_rig.errors import ScenarioError
+from can_rig.plant.frameless import frameless
+from can_rig.scenario.build import UNCERTAIN, network_of
+from can_rig.scenario.settings import Scenario
+from firmware_model.target.status import FaultState
+
+SWINGING = ("limits.torque_rate_nm_per_s=5000", "plant.sensor.noise_mps2=0.005")
+OTHER_CAR = {  # a small car; some 40 % off the thesis's
+    "mass_kg": 1093.3,
+    "yaw_inertia_kgm2": 1791.6,
+    "front_axle_distance_m": 1.1562,
+    "rear_axle_distance_m": 1.4227,
+    "front_cornering_stiffness_n_per_rad": 64850.0,
+    "rear_cornering_stiffness_n_per_rad": 52700.0,
+}
+
+
+def findings_of(scenario: Scenario) -> list[Finding]:
+    return own_findings(scenario, network_of(scenario))
+
+
+def with_other_car() -> Scenario:
+    scenario = load("highway")
+    return replace(scenario, model=scenario.plant, plant=replace(scenario.plant, **OTHER_CAR))
+
+
+def test_a_loop_that_swings_in_its_limits_is_found_though_it_is_stable() -> None:
+    scenario = load("ideal", SWINGING)
+    result = check_stability(scenario)
+    assert result.linear_stable
+    assert not result.stable
+    assert str(result.findings[0]).startswith("this car: healthy: D* is away")
+    assert result.verdict.startswith(f"not calm: {result.findings[0]} (and ")
+    assert result.verdict.endswith(" more)")
+    with pytest.raises(ScenarioError, match=r"not calm: this car: healthy: .*--allow-unstable"):
+        refuse_unstable(scenario)
+    healthy = frameless(scenario, network_of(scenario)).measurement[5000:9000]
+    assert np.ptp(healthy) > 1.0  # m/s², where 1 m/s² is asked for and the noise is 0.005
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        ("ideal", ()),
+        ("ideal", SWINGING[:1]),
+        ("noisy", SWINGING),
+        ("default", SWINGING),
+        ("no-compensation", ()),
+        ("chapter-2", ()),
+    ],
+)
+def test_a_calm_loop_is_calm(name: str, settings: tuple[str, ...]) -> None:
+    scenario = load(name, settings)
+    assert findings_of(scenario) == []
+    refuse_unstable(scenario)
+
+
+def test_a_car_outside_the_box_is_named_for_its_false_alarm() -> None:
+    scenario = with_other_car()
+    (found,) = findings_of(scenario)
+    assert (found.car, found.false_alarm) == ("this car", True)
+    states = frameless(scenario, network_of(scenario)).fault_state[:10_000]
+    confirmed = np.flatnonzero(states == FaultState.CONFIRMED)
+    assert str(found) == f"this car: false alarm after {confirmed[0] * 1e-3:.3g} s"
+    refuse_unstable(scenario)  # a run with it is of use: it shows the false alarm
+
+
+def test_the_label_of_another_car_is_in_what_is_said_of_it() -> None:
+    scenario = with_other_car()
+    drives = Drives(scenario, network_of(scenario))
+    assert [found.car for found in drives.findings("small", scenario.plant, "torque dead")] == [
+        "small"
+    ]
+    assert list(drives.findings("own", scenario.model, "torque dead")) == []
+
+
+def test_a_demand_beyond_the_authority_is_no_finding() -> None:
+    """2989 N hold 1 m/s² without the torque."""
+    weak = load("ideal", ["limits.force_difference_n=2900"])
+    assert findings_of(weak) == []
+    trace = frameless(weak, network_of(weak))
+    assert abs(trace.error[-1]) > 0.02  # it does not come back, which nothing could change
+    assert check_stability(weak).stable
+
+
+def test_the_cars_of_the_box_are_its_vertices_and_some_from_its_inside() -> None:
+    scenario = load("default")
+    some = list(box_cars(scenario))
+    assert len(some) == 2**5 + 8  # four parameters and the lags
+    assert len({label for label, _ in some}) == len(some)
+    for place, (label, car) in enumerate(some):
+        for key in UNCERTAIN:
+            share = getattr(car, key) / getattr(scenario.plant, key) - 1.0
+            assert abs(share) <= 0.2 + 1e-12
+            assert (abs(share) == pytest.approx(0.2)) == (place < 32)
+            assert f"{key} {share:+.0%}" in label
+        lag = car.torque_actuator.lag_s / scenario.plant.torque_actuator.lag_s
+        assert 0.7 - 1e-12 <= lag <= 1.3 + 1e-12
+        assert car.sensor == scenario.plant.sensor
+    assert list(box_cars(load("thesis-step"))) == []  # no box, nothing that lags
+
+
+def test_every_car_of_the_box_is_driven_and_said_to_be() -> None:
+    told: list[tuple[int, int]] = []
+    scenario = load("ideal")
+    network = network_of(scenario)
+    assert box_findings(scenario, network, lambda done, of: told.append((done, of))) == []
+    assert told == [(done, 24) for done in range(1, 25)]
+    trusting = load("ideal", ["budget.box=0"])
+    assert box_findings(trusting, network) == []
+    found = box_findings(with_other_car(), network)
+    assert found
+    assert all(finding.car.startswith("mass_kg") for finding in found)
