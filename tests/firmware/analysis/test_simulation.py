@@ -72,3 +72,12 @@ def test_an_actuator_holds_its_last_command_and_then_applies_zero(hold_ticks: in
     np.testing.assert_array_equal(acted[LATENCY:, 0], expected[: TICKS - LATENCY])
     np.testing.assert_array_equal(acted[LATENCY:, 1], trace.command_2[: TICKS - LATENCY])
     np.testing.assert_array_equal(acted[:LATENCY], 0.0)
+
+
+def test_a_sensor_reads_in_whole_steps_of_its_resolution() -> None:
+    """Rounded to the nearest: what the controller gets is at most half a step from the output."""
+    step = 1e-4
+    run = simulate(TABLE, sample(CAR, TICK_S), REFERENCE, resolution=step)
+    np.testing.assert_allclose(run.measured, np.round(run.measured / step) * step, atol=1e-15)
+    np.testing.assert_allclose(run.measured, run.measurement, atol=step / 2 * (1 + 1e-9))
+    assert np.abs(run.measured - run.measurement).max() > 0.1 * step

@@ -1,5 +1,6 @@
 """Channels against their state space, and the properties the thesis's plants must have."""
 
+import math
 from dataclasses import fields, replace
 
 import control
@@ -214,3 +215,11 @@ def test_channels_of_another_state_space_are_refused() -> None:
         replace(right, g2=ZeroPoleGain(right.g2.zeros, right.g2.poles, 1.0001))
     with pytest.raises(ParameterError, match=r"\[G1 G2\]"):
         replace(right, g1=right.g2)
+
+
+@pytest.mark.parametrize("dead_time_s", [-1e-3, math.inf, math.nan])
+@pytest.mark.parametrize("where", ["dead_times_s", "sensor_dead_time_s"])
+def test_a_dead_time_is_finite_and_not_below_zero(where: str, dead_time_s: float) -> None:
+    value = (0.0, dead_time_s) if where == "dead_times_s" else dead_time_s
+    with pytest.raises(ParameterError, match="dead time .* must be finite and 0 or above"):
+        replace(steer_by_wire(), **{where: value})
