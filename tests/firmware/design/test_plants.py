@@ -221,5 +221,5 @@ def test_channels_of_another_state_space_are_refused() -> None:
 @pytest.mark.parametrize("where", ["dead_times_s", "sensor_dead_time_s"])
 def test_a_dead_time_is_finite_and_not_below_zero(where: str, dead_time_s: float) -> None:
     value = (0.0, dead_time_s) if where == "dead_times_s" else dead_time_s
-    with pytest.raises(ParameterError, match="dead time .* must be finite and 0 or above"):
+    with pytest.raises(ParameterError, match=r"dead time .* must be finite and 0 or above"):
         replace(steer_by_wire(), **{where: value})
