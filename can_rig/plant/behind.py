@@ -61,6 +61,8 @@ class LinearBehind:
     def __init__(self, settings: PlantSettings, tick_s: float) -> None:
         self.sampled: SampledPlant = sample(continuous_plant(settings), tick_s)
         self._constants, self._memory = self.sampled.constants, self.sampled.memory
+        # Compiles before the first tick needs it, on a memory of its own.
+        follow(self._constants, self.sampled.memory, 0, 0.0, 0.0, 1.0, 1.0)
         self._tick = 0
         self._output = 0.0
         self._names = CAR_STATES if settings.is_car else ()

@@ -37,6 +37,9 @@ class SimulatedPlant:
         self._reached = (0.0, 0.0)
         self._noise = SensorNoise(scenario)
         self._resolution = scenario.plant.sensor.resolution_mps2
+        # Compile before the first tick needs it.
+        sensor_reading(0.0, 0.0, 0.0, self._resolution)
+        limited(0.0, 0.0, *self._limits[0])
 
     def measure(self) -> float:
         """D* as the sensor reads it now, m/s²."""

@@ -64,8 +64,8 @@ def live(tmp_path_factory):
     with beside(*CANDUMP, "-n", 2500, cwd=folder) as heard:
         words += ["--allow-unstable"]  # it is stable, and to see that takes long in the guest
         done = rig("run", "ideal", *words, "--bus", BUS, "--out", folder / "run")
+        assert done.returncode == 0, done.stderr
         heard.wait(TIMEOUT_S)
-    assert done.returncode == 0, done.stderr
     (candump,) = folder.glob("candump-*.log")
     return folder / "run", candump, settings
 
