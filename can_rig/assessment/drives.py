@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 from typing import Final
 
@@ -75,15 +76,25 @@ class Drives:
         tick_s = scenario.tick_s
         healthy, lost = (max(round(s / tick_s), FEWEST_TICKS) for s in (HEALTHY_S, LOST_S))
         none = replace(scenario.fault, kind="none", at_s=healthy * tick_s, for_s=None)
+        self.scenario = scenario
         self._scenario = replace(scenario, fault=none, duration_s=(healthy + lost) * tick_s)
         self._network = network
         self._lost = healthy
         self._known: dict[str, Inputs] = {}
-        self._table: Record = controller_table(self._scenario, network)
-        free = replace(self._scenario, plant=scenario.model, limits=LimitSettings())
-        self._goal: FloatArray = frameless(free.noise_free, network).measurement
-        sensor = scenario.plant.sensor
-        self._away = AWAY * float(np.abs(self._goal).max()) + NOISE_SIGMAS * sensor.noise_mps2
+
+    @cached_property
+    def _table(self) -> Record:
+        return controller_table(self._scenario, self._network)
+
+    @cached_property
+    def _goal(self) -> FloatArray:
+        free = replace(self._scenario, plant=self.scenario.model, limits=LimitSettings())
+        return frameless(free.noise_free, self._network).measurement
+
+    @cached_property
+    def _away(self) -> float:
+        sensor = self.scenario.plant.sensor
+        return AWAY * float(np.abs(self._goal).max()) + NOISE_SIGMAS * sensor.noise_mps2
 
     def findings(self, car: str, plant: PlantSettings, loss: str) -> Iterator[Finding]:
         """What is wrong with ``plant`` in a drive that ends with one of ``LOSSES``."""
@@ -135,24 +146,22 @@ class Drives:
         return max(float(piece[-1] - piece[0] + 1) for piece in pieces) * tick_s
 
 
-def own_findings(scenario: Scenario, network: Network) -> list[Finding]:
+def own_findings(drives: Drives) -> list[Finding]:
     """What is wrong with the scenario's own plant, in every kind of loss."""
+    scenario = drives.scenario
     if not scenario.model.closed_loop:
         return []
-    drives = Drives(scenario, network)
     found = (drives.findings("this car", scenario.plant, loss) for loss in LOSSES)
     return list({str(finding): finding for each in found for finding in each}.values())
 
 
 def box_findings(
-    scenario: Scenario,
-    network: Network,
-    on_car: Callable[[int, int], None] = lambda done, of: None,
+    drives: Drives, on_car: Callable[[int, int], None] = lambda done, of: None
 ) -> list[Finding]:
     """What is wrong with other cars of the budget's box when the torque is lost."""
+    scenario = drives.scenario
     if not scenario.model.closed_loop or scenario.plant.is_class:
         return []
-    drives = Drives(scenario, network)
     found: list[Finding] = []
     some = list(box_cars(scenario))
     for done, (label, car) in enumerate(some, 1):

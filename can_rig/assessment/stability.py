@@ -17,7 +17,7 @@ from typing import Any, get_args
 
 from can_rig.assessment.control_authority import ControlAuthority, control_authority
 from can_rig.assessment.decision import DecisionFigures, decision_figures
-from can_rig.assessment.drives import Finding, box_findings, own_findings
+from can_rig.assessment.drives import Drives, Finding, box_findings, own_findings
 from can_rig.assessment.stability_table import finite_or_null
 from can_rig.errors import ScenarioError
 from can_rig.plant.simulated import SimulatedPlant
@@ -152,7 +152,8 @@ def check_stability(
     healthy, faulted = margins_with(HEALTHY), margins_with(DEAD[scenario.fault.channel])
     findings: list[Finding] = []
     if healthy.stable and faulted.stable:
-        findings = own_findings(scenario, network) + box_findings(scenario, network, on_car)
+        drives = Drives(scenario, network)
+        findings = own_findings(drives) + box_findings(drives, on_car)
     return StabilityCheck(
         scenario=scenario,
         healthy=healthy,
@@ -185,7 +186,7 @@ def refuse_unstable(scenario: Scenario) -> None:
             raise ScenarioError(
                 f"scenario {scenario.name}: {reason}; --allow-unstable runs it as it is"
             )
-    for finding in own_findings(scenario, network_of(scenario)):
+    for finding in own_findings(Drives(scenario, network_of(scenario))):
         if not finding.false_alarm:
             raise ScenarioError(
                 f"scenario {scenario.name}: not calm: {finding}; can-rig check says more, "

@@ -28,7 +28,7 @@ OTHER_CAR = {  # a small car; some 40 % off the thesis's
 
 
 def findings_of(scenario: Scenario) -> list[Finding]:
-    return own_findings(scenario, network_of(scenario))
+    return own_findings(Drives(scenario, network_of(scenario)))
 
 
 def with_other_car() -> Scenario:
@@ -116,10 +116,10 @@ def test_every_car_of_the_box_is_driven_and_said_to_be() -> None:
     told: list[tuple[int, int]] = []
     scenario = load("ideal")
     network = network_of(scenario)
-    assert box_findings(scenario, network, lambda done, of: told.append((done, of))) == []
+    assert box_findings(Drives(scenario, network), lambda done, of: told.append((done, of))) == []
     assert told == [(done, 24) for done in range(1, 25)]
     trusting = load("ideal", ["budget.box=0"])
-    assert box_findings(trusting, network) == []
-    found = box_findings(with_other_car(), network)
+    assert box_findings(Drives(trusting, network)) == []
+    found = box_findings(Drives(with_other_car(), network))
     assert found
     assert all(finding.car.startswith("mass_kg") for finding in found)
