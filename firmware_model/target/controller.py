@@ -29,7 +29,7 @@ from firmware_model.target.actuator import quantise, saturate, saturate_rate
 from firmware_model.target.fault_decision.bumpless_transfer import release, transfer
 from firmware_model.target.fault_decision.decision import (
     CLEAR,
-    acting_share,
+    acting_commands,
     compensated_output,
     decide,
 )
@@ -151,8 +151,8 @@ def hold(table: Record, state: Record) -> None:
     """A tick without inputs: the last commands are held, and the models follow them."""
     state.mode = MODE_HOLD
     model_output(table.estimator, state.estimator, state.command_1, state.command_2)
-    acting = state.estimator.showing_1 * acting_share(state)
-    show_other_cars(table, state, acting, state.estimator.showing_2)
+    acting_1, acting_2 = acting_commands(table, state)
+    show_other_cars(table, state, acting_1, acting_2)
     short = real(0.0, state.command_2)
     if table.compensator.on_confirmation:
         drive = transfer(state.bumpless_transfer, compensated_output(table, state))
@@ -186,7 +186,7 @@ def tracked_reference(table: Record, state: Record) -> float:
 @firmware
 def clear_memories(table: Record, state: Record) -> None:
     """Empty every memory after an overflow: a number that is lost must not stay lost."""
-    start(state.reference_shaper, 0.0, 0.0)
+    start(state.reference_shaper, 0.0)
     state.probe.tick = 0
     state.tracking.filter.accumulators[:] = 0.0
     state.tracking.shortfall.accumulators[:] = 0.0
@@ -212,7 +212,7 @@ def reset(table: Record, state: Record, reference: float) -> None:
     state.reference = reference
     target = state.reference
     zero = real(0.0, target)
-    start(state.reference_shaper, target, zero)
+    start(state.reference_shaper, target)
     asked_1 = settle_tracking(table.tracking, state.tracking, target)
     asked_2 = table.compensator.reference_share * target
     state.actuator_1.rounded_off = state.actuator_2.rounded_off = zero

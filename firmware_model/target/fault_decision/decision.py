@@ -76,11 +76,8 @@ def decide(table: Record, state: Record, residual: float, model_1: float, model_
         model_2: G2 u2 likewise.
     """
     constants, test = table.decision, state.sequential_test
-    acting = state.estimator.showing_1 * acting_share(state)
-    acting_2 = state.estimator.showing_2
-    if table.estimator.shown_ticks_2 == 0:  # this tick's is not known yet
-        acting_2 = state.command_2
-    show_other_cars(table, state, acting, acting_2)
+    acting_1, acting_2 = acting_commands(table, state)
+    show_other_cars(table, state, acting_1, acting_2)
     before, w = state.fault_state, loss_shown(table, state)
     lost = w if before == CONFIRMED else real(0.0, w)
     predict_mismatch(table, state, model_1 + model_2, lost)
@@ -118,11 +115,14 @@ def decide(table: Record, state: Record, residual: float, model_1: float, model_
 
 
 @firmware
-def acting_share(state: Record) -> float:
-    """The part of command 1 that is known to act."""
+def acting_commands(table: Record, state: Record) -> tuple[float, float]:
+    """The commands as the measurement shows them, without what is known to be lost."""
     one = real(1.0, state.command_1)
-    share: float = one - known_share(state) if state.fault_state == CONFIRMED else one
-    return share
+    share = one - known_share(state) if state.fault_state == CONFIRMED else one
+    command_2 = state.estimator.showing_2
+    if table.estimator.shown_ticks_2 == 0:  # that of this tick is not known yet, or is held
+        command_2 = state.command_2
+    return state.estimator.showing_1 * share, command_2
 
 
 @firmware
