@@ -37,7 +37,6 @@ from firmware_model.target.fault_decision.loss_model import advance_loss_model, 
 from firmware_model.target.fault_decision.mismatch import clear_mismatch, settle_mismatch
 from firmware_model.target.fault_decision.other_cars import (
     advance_other_cars,
-    clear_other_cars,
     settle_other_cars,
     show_other_cars,
 )
@@ -49,7 +48,6 @@ from firmware_model.target.fault_decision.sequential_test import (
 from firmware_model.target.filters.biquad import advance, output, settle
 from firmware_model.target.filters.estimator import (
     advance_model,
-    clear_estimator,
     model_output,
     settle_estimator,
 )
@@ -61,6 +59,7 @@ from firmware_model.target.filters.tracking import (
     track,
 )
 from firmware_model.target.layout import precision_of, state_type
+from firmware_model.target.overflow import clear_memories
 from firmware_model.target.precision import real
 from firmware_model.target.reference_shaper import shape_reference, start
 from firmware_model.target.status import Mode
@@ -181,25 +180,6 @@ def tracked_reference(table: Record, state: Record) -> float:
     if table.reference_shaper.enabled:
         r = shape_reference(table.reference_shaper, state.reference_shaper, r)
     return r
-
-
-@firmware
-def clear_memories(table: Record, state: Record) -> None:
-    """Empty every memory after an overflow: a number that is lost must not stay lost."""
-    start(state.reference_shaper, 0.0)
-    state.probe.tick = 0
-    state.tracking.filter.accumulators[:] = 0.0
-    state.tracking.shortfall.accumulators[:] = 0.0
-    state.tracking.delay[:] = 0.0
-    state.actuator_1.rounded_off = state.actuator_2.rounded_off = 0.0
-    state.compensator.filter.accumulators[:] = 0.0
-    clear_estimator(state.estimator)
-    clear_loss_model(state)
-    clear_other_cars(state)
-    clear_mismatch(table.mismatch, state.mismatch)
-    start_candidate(table, state)
-    release(state.bumpless_transfer)
-    state.fault_state = CLEAR
 
 
 @firmware
