@@ -100,7 +100,7 @@ def verdict_on(settings: list[str]) -> Verdict:
     try:
         scenario = load("ideal", settings)
         said = check_stability(scenario)
-    except RigError as error:
+    except RigError:
         return Verdict(settings, "refused")
     except Exception as error:
         return Verdict(settings, "raised", f"check: {error!r}")

@@ -72,8 +72,14 @@ def init(table: Record, n: int = 1) -> RecordArray:
     """``n`` states at rest for ``table``, in its precision: every memory zero, mode INIT."""
     states: RecordArray = np.zeros(n, state_type(precision_of(table)))
     for state in states:
-        clear_mismatch(table.mismatch, state.mismatch)
+        start_up(table, state)
     return states
+
+
+@firmware
+def start_up(table: Record, state: Record) -> None:
+    """Make a state of zeros one at rest."""
+    clear_mismatch(table.mismatch, state.mismatch)
 
 
 @firmware
@@ -87,23 +93,22 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
     Args:
         table: the constant table of ``tables.build``.
         state: what ``init`` made; changed in place.
-        reference: r, in the measurement's unit.
-        measurement: y (D*).
+        reference: r, in the measurement's unit, in any precision.
+        measurement: y (D*), likewise.
     """
-    if not (math.isfinite(reference) and math.isfinite(measurement)):
+    r, y = real(reference, state.reference), real(measurement, state.measurement)
+    if not (math.isfinite(r) and math.isfinite(y)):
         hold(table, state)
         return
-    state.reference = reference  # stored first: the arithmetic is in the table's own precision
-    state.measurement = measurement
+    state.reference, state.measurement = r, y
     held_1, held_2 = state.command_1, state.command_2
     estimator, compensator = table.estimator, table.compensator
 
     # Every filter's answer to a zero: what this tick's commands find already there.
     zero = real(0.0, held_1)
     rest_1, _ = model_output(estimator, state.estimator, zero, held_2)
-    wanted = tracked_reference(table, state) - table.tracking.feedback * (
-        state.measurement + missing_output(table, state)
-    )
+    tracked = tracked_reference(table, state)
+    wanted = tracked - table.tracking.feedback * (y + missing_output(table, state))
     torque = asked_torque(table.tracking, state.tracking, wanted + table.tracking.feedback * rest_1)
     if state.probe.tick > 0:
         torque = torque + probe_torque(table.probe, state.probe)
@@ -112,10 +117,10 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
 
     model_1, model_2 = model_output(estimator, state.estimator, state.command_1, zero)
     track(table.tracking, state.tracking, wanted + table.tracking.feedback * model_1)
-    known = model_1 + model_2 - state.measurement
+    known = model_1 + model_2 - y
     q_rest = output(estimator.one_plus_q, state.estimator.one_plus_q, zero)
     rest_2 = output(compensator.filter, state.compensator.filter, zero)
-    from_reference = compensator.reference_share * state.reference
+    from_reference = compensator.reference_share * r
 
     # Without feedthrough of u2 this is already the residual; with it, all but u2 of this tick.
     decide(table, state, known + estimator.feedthrough_2 * held_2, model_1, model_2)

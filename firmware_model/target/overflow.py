@@ -53,7 +53,7 @@ def sum_of_models(table: Record, state: Record) -> float:
 @firmware
 def clear_models(state: Record) -> None:
     """Nothing is known of the plant: it is at rest, and nothing is lost."""
-    start(state.reference_shaper, 0.0)
+    start(state.reference_shaper, real(0.0, state.command_1))
     state.tracking.shortfall.accumulators[:] = 0.0
     state.tracking.delay[:] = 0.0
     state.actuator_1.rounded_off = state.actuator_2.rounded_off = 0.0
