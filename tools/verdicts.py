@@ -122,7 +122,7 @@ def contradiction(scenario: Scenario, said: StabilityCheck) -> str:
         ("X_diff", run.command_2, place.limit_2, table.actuator_2),
     ):
         beyond = float(np.abs(command).max()) - limit
-        if beyond > 0.0:
+        if beyond > 1e-9 * limit:
             return f"{name} is {beyond:.3g} beyond its limit"
         slew = float(np.abs(np.diff(command, prepend=0.0)).max()) - float(actuator.slew)
         if slew > 1.001 * float(actuator.lsb):

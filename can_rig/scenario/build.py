@@ -104,6 +104,7 @@ def target(scenario: Scenario, network: Network | None) -> Target:
     Without a network, commands are neither limited nor rounded by it.
     """
     chosen, limits = scenario.design, scenario.limits
+    follows = chosen.estimator == "kalman"
     limit_1, limit_2, rate_1, rate_2 = (
         math.inf if limit is None else limit
         for limit in (
@@ -123,7 +124,7 @@ def target(scenario: Scenario, network: Network | None) -> Target:
     return Target(
         tick_s=scenario.tick_s,
         latency_ticks=scenario.latency_ticks,
-        estimator=chosen.estimator,
+        estimator="zoh" if chosen.estimator == "kalman" else chosen.estimator,
         limit_1=limit_1,
         limit_2=limit_2,
         rate_1=rate_1,
@@ -138,7 +139,8 @@ def target(scenario: Scenario, network: Network | None) -> Target:
         suspicions_per_hour=scenario.budget.suspicions_per_hour,
         probe=chosen.probe_nm,
         probe_rad_per_s=chosen.probe_rad_per_s,
-        on_confirmation=chosen.compensation == "on-confirmation",
+        on_confirmation=chosen.compensation == "on-confirmation" or follows,
+        share_drift=chosen.share_drift if follows else 0.0,
     )
 
 

@@ -35,13 +35,18 @@ Moment = Annotated[float, Field(ge=0.0, le=MAX_DURATION_S)]
 
 @dataclass(frozen=True, config=STRICT)
 class DesignSettings:
-    """The thesis's tuning knobs and how they are put on the target."""
+    """The thesis's tuning knobs and how they are put on the target.
+
+    The estimator ``kalman`` discretises F1 as ``zoh`` does. Instead of a decision on d̂ it follows
+    the share of channel 1 that is lost, which drifts by ``share_drift`` rms in a second.
+    """
 
     tau_s: PositiveFloat = 0.001
     alpha: Order = 1
     tau_q_s: PositiveFloat = 0.001
     alpha_q: Order = 2
-    estimator: Rule = "tustin"
+    estimator: Literal[Rule, "kalman"] = "tustin"
+    share_drift: PositiveFloat = 1.0
     compensation: Literal["always", "on-confirmation", "off"] = "always"
     probe_nm: NonNegativeFloat = 0.0
     probe_rad_per_s: Annotated[float, Field(ge=0.01)] = 10.0

@@ -23,6 +23,7 @@ HASTE = 2.0  # of a transfer, against the time that its beginning took
 SHARE = 0.8  # of the torque whose loss is looked for: of all of it, a half still counts
 RESTART = -1.0
 SHARE_VARIANCE = 0.09  # of the share of a loss when that is confirmed, at most
+LARGEST_SHARE_VARIANCE = 1.0  # of a share that is followed, when nothing has shown for long
 RECOVER = 5.0  # evidence that ends a loss, over that which confirms it
 MOMENT = 0.5  # deviation of the moment of a loss, as a part of the time to its confirmation
 DOUBT = 9.0  # over 1, as the moment of the loss is not known either
@@ -171,7 +172,15 @@ def _fill_loop(
         (table.actuator_1, target.limit_1, target.rate_1, target.lsb_1),
         (table.actuator_2, target.limit_2, target.rate_2, target.lsb_2),
     ):
-        actuator.limit, actuator.slew, actuator.lsb = limit, rate * target.tick_s, lsb
+        actuator.limit = _on_grid(limit, lsb)
+        actuator.slew, actuator.lsb = rate * target.tick_s, lsb
+
+
+def _on_grid(limit: float, lsb: float) -> float:
+    """The largest command that the frame carries within ``limit``."""
+    if not (lsb > 0.0 and math.isfinite(limit)):
+        return limit
+    return math.floor(limit / lsb * (1.0 + 1e-12)) * lsb
 
 
 def _fill_estimator(
@@ -213,6 +222,7 @@ def _fill_decision(table: Record, target: Target) -> None:
     suspect = max(target.evidence(target.suspicions_per_hour), LEAST_EVIDENCE)
     decision.suspect = min(suspect, decision.confirm)
     decision.horizon = HORIZON_S / target.tick_s
+    decision.tracks_share = target.share_drift > 0.0
     decision.pause_ticks = round(target.probe_pause_s / target.tick_s)
     table.loss_model.share_variance = SHARE_VARIANCE
     table.loss_model.doubt = DOUBT
@@ -244,6 +254,9 @@ def _fill_mismatch(table: Record, target: Target) -> None:
         constants.growth[i] = (1.0 - slow**2) * MISMATCH_VARIANCE
     constants.forgetting[last] = min(1.0 - fast, MOST_FORGOTTEN)
     constants.growth[last] = 1.0 - fast**2
+    drift = target.share_drift**2 * target.tick_s
+    constants.forgetting[0] = min(0.5 * drift / LARGEST_SHARE_VARIANCE, MOST_FORGOTTEN)
+    constants.growth[0] = drift
     constants.motion = (REMAINDER_S / target.tick_s) ** 2
     constants.beyond = BEYOND * MISMATCH_VARIANCE
     constants.white = WHITE

@@ -34,6 +34,8 @@ class Target:
         mismatch: cars that are not the model; by default the model is trusted.
         false_alarms_per_hour: losses confirmed by chance, at most.
         suspicions_per_hour: likewise those that are compensated for a few ticks only.
+        share_drift: rms by which the lost share may change within a second, 1/√s: a Kalman filter
+            follows it, and no test decides; 0: the test does.
         probe_pause_s: from a probe that found nothing to the next.
         on_confirmation: compensate from the confirmed loss on, with what the lost channel's own
             commands would have done, instead of always and with d̂ (the thesis).
@@ -60,6 +62,7 @@ class Target:
     mismatch: Mismatch = TRUSTED
     false_alarms_per_hour: float = 0.001
     suspicions_per_hour: float = 3600.0
+    share_drift: float = 0.0
     probe_pause_s: float = 0.5
     on_confirmation: bool = False
     probe: float = 0.0
@@ -89,7 +92,7 @@ class Target:
                 raise ParameterError(
                     f"{name} = {getattr(self, name):g}: must be finite and above 0"
                 )
-        for name in ("lsb_1", "lsb_2", "noise_rms", "resolution", "probe_pause_s"):
+        for name in ("lsb_1", "lsb_2", "noise_rms", "resolution", "share_drift", "probe_pause_s"):
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise ParameterError(
                     f"{name} = {getattr(self, name):g}: must be finite and 0 or above"

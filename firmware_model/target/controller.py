@@ -33,7 +33,7 @@ from firmware_model.target.fault_decision.decision import (
     compensated_output,
     decide,
 )
-from firmware_model.target.fault_decision.loss_model import advance_loss_model, clear_loss_model
+from firmware_model.target.fault_decision.loss_model import advance_loss_model, settle_loss_model
 from firmware_model.target.fault_decision.mismatch import clear_mismatch, settle_mismatch
 from firmware_model.target.fault_decision.other_cars import (
     advance_other_cars,
@@ -209,7 +209,7 @@ def reset(table: Record, state: Record, reference: float) -> None:
     model_1, model_2 = model_output(table.estimator, state.estimator, torque, force)
     settle_other_cars(table, state, torque, force)
     settle_mismatch(table, state, model_1 + model_2)
-    clear_loss_model(state)
+    settle_loss_model(table, state)
     start_candidate(table, state)
     state.probe.tick = 0
     state.decision.pause = 0

@@ -10,6 +10,9 @@ channel. The evidence g makes a loss
 and clears a confirmed one from ``recover`` on for the return: to take a loss for gone that is not
 costs more than to be late. A suspicion ends with its candidate.
 
+A table with a ``share_drift`` has no test: there the share that is lost is a state of the Kalman
+filter, which follows it at all times, and more than a half of it lost is CONFIRMED.
+
 None of this isolates the torque channel: a bias b of the D* sensor gives d̂ = -b. A table with a
 ``probe`` tests the motor before it confirms, and compensates only then: a d̂ that does not answer
 to a small torque stays SUSPECTED. Where channel 1 contributes so little that its loss would not
@@ -58,6 +61,7 @@ CONSTANTS = (
     Field("suspect", "1", "evidence from which a loss is compensated provisionally"),
     Field("horizon", "tick", "within which a loss of now has to show"),
     Field("pause_ticks", "tick", "from a probe that found nothing to the next", "int32"),
+    Field("tracks_share", "1", "1: a Kalman filter follows the lost share; 0: a test", "int32"),
 )
 STATE = (
     Field("pause", "tick", "until the next probe", "int32"),
@@ -83,6 +87,9 @@ def decide(table: Record, state: Record, residual: float, model_1: float, model_
     predict_mismatch(table, state, model_1 + model_2, w, earlier_shown(table, state))
     new = innovation(table.mismatch, state.mismatch, residual - state.loss_model.share * w)
     follow_share(table.loss_model, state)
+    if table.decision.tracks_share:
+        state.fault_state = CONFIRMED if known_share(state) > real(0.5, w) else CLEAR
+        return
     if state.probe.tick > 0:
         evaluate_probe(table, state, residual)
         return

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from firmware_model.compiled import firmware
 from firmware_model.target.filters import biquad
-from firmware_model.target.filters.biquad import advance, output
+from firmware_model.target.filters.biquad import advance, output, settle
 from firmware_model.target.precision import real
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import MAX_SHOWN_TICKS, Field, Record
@@ -39,7 +39,9 @@ STATE = (
 @firmware
 def loss_output(table: Record, state: Record) -> float:
     """w of this tick, as this tick's command drives it."""
-    w: float = output(table.estimator.channel_1, state.loss_model.channel_1, lost_command(state))
+    w: float = output(
+        table.estimator.channel_1, state.loss_model.channel_1, lost_command(table, state)
+    )
     return w
 
 
@@ -76,10 +78,10 @@ def follow_share(constants: Record, state: Record) -> None:
 
 
 @firmware
-def lost_command(state: Record) -> float:
-    """The part of command 1 that is known not to act: all of it, or nothing."""
+def lost_command(table: Record, state: Record) -> float:
+    """The command whose share s is lost: that of this tick, or none before a loss is known."""
     command: float = state.command_1
-    if state.fault_state == CONFIRMED:
+    if state.fault_state == CONFIRMED or table.decision.tracks_share:
         return command
     return real(0.0, command)
 
@@ -88,7 +90,7 @@ def lost_command(state: Record) -> float:
 def advance_loss_model(table: Record, state: Record) -> None:
     """Advance w by this tick's command, computed or held."""
     loss = state.loss_model
-    w = advance(table.estimator.channel_1, loss.channel_1, lost_command(state))
+    w = advance(table.estimator.channel_1, loss.channel_1, lost_command(table, state))
     loss.previous_output = w
     advance(table.estimator.channel_1, loss.earlier, real(0.0, w))
     if table.estimator.shown_ticks_1 > 0:
@@ -116,6 +118,16 @@ def take_over_candidate(table: Record, state: Record, share: float, sign: float)
         loss.delay[i] = earlier * loss.delay[i] + sign * test.delay[i]
     loss.previous_output = earlier * loss.previous_output + sign * test.previous_output
     loss.share = loss.between = loss.followed = share
+
+
+@firmware
+def settle_loss_model(table: Record, state: Record) -> None:
+    """Nothing is lost, in the steady state for the command of this tick."""
+    clear_loss_model(state)
+    loss = state.loss_model
+    w = settle(table.estimator.channel_1, loss.channel_1, lost_command(table, state))
+    loss.previous_output = w
+    loss.delay[:] = w
 
 
 @firmware

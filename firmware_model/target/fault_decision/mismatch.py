@@ -17,6 +17,9 @@ After a confirmed loss two more states learn how far its share was off, whose x 
 by how many ticks its moment, whose x is what one more command would add: both are only roughly
 known then.
 
+Where the lost share is followed at all times instead, it is such a state from the start, and
+wanders whether the car moves or not.
+
 What other cars show beyond the first order is a remainder that changes as slowly as the car does:
 one more θ, whose x is 1. Both wander only where the car moves: the steady state of a bend is the
 same for any time, so what d̂ is there is soon known, and a loss is told from it at once. The measure
@@ -132,9 +135,12 @@ def innovation(constants: Record, state: Record, residual: float) -> float:
     one = real(1.0, new)
     wander = min(state.change / state.extent, one) if state.extent > real(0.0, new) else one
     for i in range(n):
-        memory[i] = one - wander * constants.forgetting[i]
+        moves = wander if i >= LOSS_STATES else one
+        memory[i] = one - moves * constants.forgetting[i]
         theta[i] = memory[i] * (theta[i] + gain[i] * new)
     fade(state.covariance, n, memory)
+    if constants.growth[0] > real(0.0, new):
+        grow(state.covariance, 0, constants.growth[0])
     for i in range(LOSS_STATES, n):
         growth = state.remainder if i == n - 1 else wander
         grow(state.covariance, i, constants.growth[i] * growth)
