@@ -14,6 +14,7 @@ import sys
 import tempfile
 import time
 import traceback
+from functools import cache
 from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Final
@@ -27,8 +28,10 @@ from can_rig.decoding.decode import Decoder
 from can_rig.errors import RigError
 from can_rig.logs.frames import FD_BYTES, Frames
 from can_rig.logs.reading import read_log
+from can_rig.replay.in_real_time import recorded
 from can_rig.replay.replay import OpenLoop
 from can_rig.scenario.build import network_of
+from can_rig.scenario.settings import Scenario
 from can_rig.views.log_statistics import LogStatistics
 
 CORPUS: Final = Path(__file__).parent.parent / "tests" / "rig" / "fuzz" / "corpus"
@@ -69,13 +72,21 @@ def read(path: Path) -> None:
 
 
 def replay(path: Path) -> None:
-    """Replay a log.
+    """Replay a log, as one of a run in lockstep and as one in real time.
 
     Raises:
         RigError: it is refused.
     """
-    scenario = load("thesis-step", ())
-    OpenLoop(scenario, network_of(scenario), lambda gap: None).run(read_log(path))
+    scenario = _scenario()
+    network = network_of(scenario)
+    for realtime in (False, True):
+        answers = recorded(read_log(path), network, scenario) if realtime else None
+        OpenLoop(scenario, network, lambda gap: None, answers).run(read_log(path))
+
+
+@cache
+def _scenario() -> Scenario:
+    return load("thesis-step", ())
 
 
 def every_frame(decoder: Decoder) -> Frames:

@@ -72,7 +72,7 @@ def command(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Decode LOG (.log, .asc, .blf, .trc, .mf4, text also .gz; or a run folder) through a DBC.
+    """Decode LOG (.log, .asc, .blf, .trc, .mf4, .csv, text also .gz; or a run folder) through a DBC.
 
     Prints for every message how many frames there were and what became of them: too short,
     repeated, damaged, unknown.
