@@ -20,6 +20,7 @@ from pathlib import Path
 from typing import Final
 
 import numpy as np
+from cantools.database.can import Database
 from fuzz_mutations import damaged
 
 from can_rig.assessment.resolve import load
@@ -65,9 +66,11 @@ def read(path: Path) -> None:
             decoder.decode(every_frame(decoder))
         return
     statistics = LogStatistics(500_000, 2_000_000)
+    decoder = Decoder(_j1939())
     for frames in read_log(path, 1 << 12):
         sound(frames)
         statistics.add(frames)
+        decoder.decode(frames)
     statistics.finish()
 
 
@@ -82,6 +85,11 @@ def replay(path: Path) -> None:
     for realtime in (False, True):
         answers = recorded(read_log(path), network, scenario) if realtime else None
         OpenLoop(scenario, network, lambda gap: None, answers).run(read_log(path))
+
+
+@cache
+def _j1939() -> Database:
+    return load_database(CORPUS / "j1939.dbc")
 
 
 @cache
