@@ -15,6 +15,7 @@ from can_rig.assessment.resolve import load_run
 from can_rig.drawing.names import CAR, Names, names_of, printed
 from can_rig.errors import LogError, ScenarioError
 from can_rig.frames.network import Network
+from can_rig.logs.formats import content_format
 from can_rig.logs.reading import read_log
 from can_rig.plant.columns import ON_THE_BUS
 from can_rig.results.run_folder import SIGNALS, SUMMARY
@@ -110,7 +111,7 @@ def read_table(path: Path, scenario: Scenario) -> SignalTable:
         if not (path / SIGNALS).is_file():
             raise LogError(f"{path}: not a finished run folder, it has no {SIGNALS}")
         return _from_csv(path / SIGNALS, str(path), scenario_of(path))
-    if path.suffix.lower() == ".csv":
+    if path.suffix.lower() == ".csv" and content_format(path) is None:
         return _from_csv(log_path(path), str(path), None)
     log = read_log(log_path(path))
     messages = (message for frames in log for message in frames.messages())
