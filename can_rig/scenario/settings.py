@@ -16,7 +16,7 @@ from pydantic.dataclasses import dataclass
 
 from can_rig.scenario.plant_settings import BUILT_IN, PlantSettings
 from can_rig.scenario.stage_settings import STRICT
-from firmware_model.discretisation.targets import EstimatorRule
+from firmware_model.discretisation.rules import Rule
 from firmware_model.target.structs import MAX_LATENCY_TICKS
 
 FaultKind = Literal["none", "actuator-dead", "frames-missing", "frames-corrupted", "sensor-biased"]
@@ -42,7 +42,7 @@ class DesignSettings:
     alpha: Order = 1
     tau_q_s: PositiveFloat = 0.001
     alpha_q: Order = 2
-    estimator: EstimatorRule = "tustin"
+    estimator: Rule = "tustin"
     compensation: Literal["always", "on-confirmation", "off"] = "always"
     probe_nm: NonNegativeFloat = 0.0
     probe_rad_per_s: Annotated[float, Field(ge=0.01)] = 10.0

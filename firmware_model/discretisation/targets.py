@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 from firmware_model.design.mismatch import TRUSTED, Mismatch
+from firmware_model.discretisation.rules import RULE_NAMES, Rule
 from firmware_model.errors import ParameterError
 from firmware_model.target.structs import MAX_LATENCY_TICKS, Precision
 
-EstimatorRule = Literal["tustin", "tustin-held", "zoh"]
+HOUR_S = 3600.0
 
 
 @dataclass(frozen=True)
@@ -46,7 +46,7 @@ class Target:
 
     tick_s: float
     latency_ticks: int = 0
-    estimator: EstimatorRule = "tustin"
+    estimator: Rule = "tustin"
     limit_1: float = math.inf
     limit_2: float = math.inf
     rate_1: float = math.inf
@@ -68,8 +68,8 @@ class Target:
     precision: Precision = "float64"
 
     def __post_init__(self) -> None:
-        if self.estimator not in get_args(EstimatorRule):
-            rules = ", ".join(get_args(EstimatorRule))
+        if self.estimator not in RULE_NAMES:
+            rules = ", ".join(RULE_NAMES)
             raise ParameterError(f"estimator = {self.estimator!r}: must be one of {rules}")
         if not 0 <= self.latency_ticks <= MAX_LATENCY_TICKS:
             raise ParameterError(
@@ -103,3 +103,10 @@ class Target:
                 f"probe_rad_per_s = {self.probe_rad_per_s:g}: must be above 0 and at most an "
                 f"eighth of the sampling frequency, {math.pi / 4 / self.tick_s:g} rad/s"
             )
+
+    def evidence(self, per_hour: float) -> float:
+        """The log-likelihood ratio that chance exceeds ``per_hour`` times an hour at most.
+
+        One candidate begins a tick, and exceeds h with a chance of e^-h (``sequential_test``).
+        """
+        return math.log(HOUR_S / (self.tick_s * per_hour))

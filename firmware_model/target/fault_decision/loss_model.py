@@ -27,6 +27,7 @@ CONSTANTS = (
 )
 STATE = (
     Field("channel_1", "y", "state of G1 driven by the commands that were lost", biquad.STATE),
+    Field("earlier", "y", "state of G1 driven by the command before them alone", biquad.STATE),
     Field("share", "1", "s, the part of channel 1 that is lost, as of its confirmation"),
     Field("between", "1", "s behind the first lag"),
     Field("followed", "1", "s behind the second lag"),
@@ -49,6 +50,13 @@ def loss_shown(table: Record, state: Record) -> float:
         w: float = state.loss_model.delay[state.estimator.shown_index_1]
         return w
     return loss_output(table, state)
+
+
+@firmware
+def earlier_shown(table: Record, state: Record) -> float:
+    """What a tick more of a confirmed loss would add to w as d̂ of this tick contains it."""
+    zero = real(0.0, state.command_1)
+    return output(table.estimator.channel_1, state.loss_model.earlier, zero)
 
 
 @firmware
@@ -82,6 +90,7 @@ def advance_loss_model(table: Record, state: Record) -> None:
     loss = state.loss_model
     w = advance(table.estimator.channel_1, loss.channel_1, lost_command(state))
     loss.previous_output = w
+    advance(table.estimator.channel_1, loss.earlier, real(0.0, w))
     if table.estimator.shown_ticks_1 > 0:
         loss.delay[state.estimator.shown_index_1] = w
 
@@ -102,6 +111,7 @@ def take_over_candidate(table: Record, state: Record, share: float, sign: float)
         for j in range(2):
             before = earlier * loss.channel_1.accumulators[i, j]
             loss.channel_1.accumulators[i, j] = before + sign * test.channel_1.accumulators[i, j]
+            loss.earlier.accumulators[i, j] = test.earlier.accumulators[i, j]
     for i in range(table.estimator.shown_ticks_1):
         loss.delay[i] = earlier * loss.delay[i] + sign * test.delay[i]
     loss.previous_output = earlier * loss.previous_output + sign * test.previous_output
@@ -113,5 +123,6 @@ def clear_loss_model(state: Record) -> None:
     """Nothing is lost."""
     loss = state.loss_model
     loss.channel_1.accumulators[:] = 0.0
+    loss.earlier.accumulators[:] = 0.0
     loss.delay[:] = 0.0
     loss.share = loss.between = loss.followed = loss.previous_output = 0.0
