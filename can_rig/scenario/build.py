@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from typing import Final
 
 from can_rig.errors import ScenarioError
@@ -23,12 +24,21 @@ from firmware_model.errors import DesignError
 from firmware_model.target.fault_decision.covariance import MAX_DIRECTIONS
 from firmware_model.target.structs import FloatArray, Record
 
+MOST_TABLES: Final = 16
+_TABLES: Final[dict[str, Record]] = {}
+"""The last ones that were computed, by everything that they follow from."""
+
 GOVERNED = 0.5  # share of the motor's limit that may go into the second derivative of D*
 
 
 def network_of(scenario: Scenario) -> Network:
     """The scenario's frames, from its DBC."""
-    return load_network(shipped_dbc(scenario.dbc))
+    return _network(scenario.dbc)
+
+
+@cache
+def _network(dbc: str) -> Network:
+    return load_network(shipped_dbc(dbc))
 
 
 def continuous_car(settings: PlantSettings) -> plants.Plant:
@@ -212,8 +222,15 @@ def controller_table(scenario: Scenario, network: Network | None) -> Record:
     Raises:
         ScenarioError: a design that cannot be made or discretised.
     """
-    try:
-        place = replace(target(scenario, network), mismatch=mismatch(scenario))
-        return build(continuous_design(scenario), place)
-    except DesignError as error:
-        raise ScenarioError(f"scenario {scenario.name}: {error}") from None
+    place = target(scenario, network)
+    known = repr((place, scenario.model, scenario.design, scenario.budget))
+    if known not in _TABLES:
+        try:
+            place = replace(place, mismatch=mismatch(scenario))
+            table = build(continuous_design(scenario), place)
+        except DesignError as error:
+            raise ScenarioError(f"scenario {scenario.name}: {error}") from None
+        if len(_TABLES) == MOST_TABLES:
+            del _TABLES[next(iter(_TABLES))]
+        _TABLES[known] = table
+    return _TABLES[known].copy()

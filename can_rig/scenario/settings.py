@@ -25,6 +25,7 @@ ReferenceKind = Literal["step", "sine", "lane-change", "csv"]
 
 MAX_TICKS = 10_000_000  # of a run: a log of 2 GB
 MAX_DURATION_S = 1e6
+FOR_GOOD_NS = 1 << 62  # later than any run
 MAX_REFERENCE_MPS2 = 1e6  # far beyond any frame, and its square is still a number
 
 Order = Annotated[int, Field(ge=1, le=8)]
@@ -107,10 +108,23 @@ class FaultSettings:
 
     def active(self, time_ns: int) -> bool:
         """Whether the fault is there at ``time_ns``; whole nanoseconds, so no tick by rounding."""
-        start_ns = round(self.at_s * 1e9)
-        if self.kind == "none" or time_ns < start_ns:
-            return False
-        return self.for_s is None or time_ns < start_ns + round(self.for_s * 1e9)
+        begin_ns, end_ns = self.span_ns
+        return begin_ns <= time_ns < end_ns
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """When it begins, and when it is over."""
+        if self.kind == "none":
+            return FOR_GOOD_NS, FOR_GOOD_NS
+        begin_ns = round(self.at_s * 1e9)
+        if self.for_s is None:
+            return begin_ns, FOR_GOOD_NS
+        return begin_ns, begin_ns + round(self.for_s * 1e9)
+
+    def active_ticks(self, tick_ns: int) -> slice:
+        """The ticks at which it is there."""
+        begin, end = (-(-time_ns // tick_ns) for time_ns in self.span_ns)
+        return slice(begin, end)
 
 
 @dataclass(frozen=True, config=STRICT)
