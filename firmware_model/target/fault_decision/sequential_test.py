@@ -32,6 +32,7 @@ CONSTANTS = (
 )
 STATE = (
     Field("channel_1", "y", "state of G1 driven by the commands since the start", biquad.STATE),
+    Field("earlier", "y", "state of G1 driven by the command before these alone", biquad.STATE),
     Field("delay", "y", "ring of w on its way into d̂", shape=(MAX_SHOWN_TICKS,)),
     Field("previous_output", "y", "w of the last tick"),
     Field("previous_shown", "y", "w of the last tick as d̂ contains it"),
@@ -88,6 +89,7 @@ def start_candidate(table: Record, state: Record) -> None:
     test, estimator = state.sequential_test, table.estimator
     g1, shown = estimator.channel_1, estimator.shown_ticks_1
     test.channel_1.accumulators[:] = 0.0
+    test.earlier.accumulators[:] = 0.0
     test.explained[:] = 0.0
     test.evidence = test.correlation = test.information = test.age = 0.0
     test.previous_output = test.previous_shown = 0.0
@@ -97,6 +99,10 @@ def start_candidate(table: Record, state: Record) -> None:
         test.delay[(state.estimator.shown_index_1 + i) % shown] = w
         test.previous_output = w
         advance(g1, test.channel_1, command)
+    before = state.command_1
+    if shown > 0:  # the one that has just acted is gone; it was hardly another
+        before = pending_command(estimator, state.estimator, 0)
+    advance(g1, test.earlier, before)
 
 
 @firmware
@@ -105,6 +111,7 @@ def advance_candidate(table: Record, state: Record) -> None:
     test = state.sequential_test
     w = advance(table.estimator.channel_1, test.channel_1, state.command_1)
     test.previous_output = w
+    advance(table.estimator.channel_1, test.earlier, real(0.0, w))
     if table.estimator.shown_ticks_1 > 0:
         test.delay[state.estimator.shown_index_1] = w
 
