@@ -145,5 +145,5 @@ def test_the_compiled_lines_are_those_that_run_interpreted(tmp_path: Path, monke
     for name, value in vars(candump_lines).items():
         if hasattr(value, "py_func"):
             monkeypatch.setattr(candump_lines, name, value.py_func)
-    monkeypatch.setattr("can_rig.logs.readers.text.candump.parse", candump_lines.parse)
+    monkeypatch.setattr("can_rig.logs.readers.text.formats.candump.parse", candump_lines.parse)
     assert rows(whole(tmp_path / "a.log")) == compiled
