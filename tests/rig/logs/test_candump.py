@@ -24,7 +24,7 @@ from can_rig.logs.frames import (
     concatenate,
     from_messages,
 )
-from can_rig.logs.readers.text import candump_lines
+from can_rig.logs.readers.text.formats import candump_lines
 from can_rig.logs.reading import read_log
 from can_rig.logs.writers.candump import candump_lines as lines_of
 from tests.rig.logs.candump_samples import DIRECTED, GOOD, rows, whole, written
