@@ -28,11 +28,11 @@ from can_rig.logs.frames import Frames
 from can_rig.logs.log import ALL, Log, Window
 from can_rig.logs.readers.binary.blf import read_blf
 from can_rig.logs.readers.binary.mf4 import read_mf4
-from can_rig.logs.readers.text.asc import read_asc
-from can_rig.logs.readers.text.busmaster import read_busmaster
-from can_rig.logs.readers.text.candump import read_candump
-from can_rig.logs.readers.text.gvret import read_gvret
-from can_rig.logs.readers.text.trc import read_trc
+from can_rig.logs.readers.text.formats.asc import read_asc
+from can_rig.logs.readers.text.formats.busmaster import read_busmaster
+from can_rig.logs.readers.text.formats.candump import read_candump
+from can_rig.logs.readers.text.formats.gvret import read_gvret
+from can_rig.logs.readers.text.formats.trc import read_trc
 
 _READERS: Final[Mapping[str, Callable[[Log], Iterator[Frames]]]] = {
     ".log": read_candump,

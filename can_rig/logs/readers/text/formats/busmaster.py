@@ -12,7 +12,7 @@ from can_rig.errors import LogError
 from can_rig.logs.frames import NS_PER_S, Frames, UInt8s
 from can_rig.logs.log import Log
 from can_rig.logs.readers.numbering import numbered
-from can_rig.logs.readers.text.busmaster_lines import parse
+from can_rig.logs.readers.text.formats.busmaster_lines import parse
 from can_rig.logs.readers.text.headed import LAST_NS, HeadedReader
 from can_rig.logs.readers.text.lines import shown
 from can_rig.logs.readers.text.scanning import DECIMAL, HEXADECIMAL

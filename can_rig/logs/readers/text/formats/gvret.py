@@ -10,7 +10,7 @@ from can_rig.errors import LogError
 from can_rig.logs.frames import Frames, UInt8s
 from can_rig.logs.log import Log
 from can_rig.logs.readers.numbering import numbered
-from can_rig.logs.readers.text.gvret_lines import parse
+from can_rig.logs.readers.text.formats.gvret_lines import parse
 from can_rig.logs.readers.text.lines import LineReader, shown
 
 _COLUMNS: Final = re.compile(r"\W*time stamp,id,extended,(dir,)?bus,len(,d\d+)*,?", re.I)
