@@ -139,6 +139,7 @@ def target(scenario: Scenario, network: Network | None) -> Target:
         probe=chosen.probe_nm,
         probe_rad_per_s=chosen.probe_rad_per_s,
         on_confirmation=chosen.compensation == "on-confirmation",
+        precision=chosen.precision,
     )
 
 
