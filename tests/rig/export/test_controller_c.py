@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 from pathlib import Path
 
 import pytest
@@ -19,7 +20,7 @@ from firmware_model.firmware import PYTHON_LAW, Law
 def log_of(name: str, settings: list[str], law: Law, folder: Path) -> bytes:
     folder.mkdir()
     scenario = load(name, settings)
-    bus = f"local:{folder.parent.name}-{folder.name}"
+    bus = f"local:{os.getpid()}-{folder.name}"  # nobody else's, as two runs at a time are
     run_in_process(scenario, bus, folder / "bus.log", StopRequest(), lambda tick: None, law)
     return (folder / "bus.log").read_bytes()
 
