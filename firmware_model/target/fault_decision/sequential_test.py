@@ -86,7 +86,8 @@ def is_stale(constants: Record, test: Record) -> bool:
     if test.age < two * max(test.half_age, two):
         return False
     fresh = constants.freshness * test.half_information
-    test.half_age, test.half_information = test.age, test.information
+    test.half_age = test.age
+    test.half_information = test.information
     stale: bool = test.information < fresh and test.evidence < constants.idle
     return stale
 
