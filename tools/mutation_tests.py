@@ -11,6 +11,7 @@ from dataclasses import dataclass, field
 from typing import Final
 
 import pytest
+from hypothesis import Phase, settings
 
 OPTIONS: Final = (
     "-x",
@@ -51,6 +52,12 @@ class Plugin:
         self.module = module
         self.failed: str | None = None
         self.cpu_s: dict[str, float] = {}
+
+    def pytest_sessionstart(self) -> None:
+        """Any example that fails will do: the smallest takes hypothesis longer than the tests."""
+        shortened = settings(settings.default, phases=(Phase.explicit, Phase.generate))
+        settings.register_profile("mutants", parent=shortened)
+        settings.load_profile("mutants")
 
     def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
         """Choose and order them."""

@@ -27,6 +27,7 @@ from can_rig.nodes.summary import NodeSummary
 from can_rig.nodes.watchdog import StopRequest, Timeouts, Watchdog
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
+from firmware_model.firmware import PYTHON_LAW, Law
 
 NodeName = Literal["plant", "controller"]
 
@@ -135,10 +136,11 @@ def run_controller(
     *,
     real_time: bool = False,
     by_hand: bool = False,
+    law: Law = PYTHON_LAW,
 ) -> NodeSummary:
     """The controller node from start to end; ``on_ready`` is called once it listens.
 
-    The other arguments, and what it raises, are those of ``run_plant``.
+    ``law`` is what runs as the control law; the rest, and what it raises, is as in ``run_plant``.
     """
     network, clock = network_of(scenario), SYSTEM_CLOCK
     if real_time:
@@ -147,9 +149,9 @@ def run_controller(
         access = _access(opened, real_time, timeouts, clock)
         node: ControllerNode | RealTimeControllerNode
         if real_time:
-            node = RealTimeControllerNode(scenario, network, access.bus, clock)
+            node = RealTimeControllerNode(scenario, network, access.bus, clock, law)
         else:
-            node = ControllerNode(scenario, network, access.send)
+            node = ControllerNode(scenario, network, access.send, law=law)
         watchdog = Watchdog(access.bus, "plant", timeouts, stop, clock=clock)
         on_ready()
         summary = _run("controller", node, watchdog, on_tick, access, CONTROLLER_CORE, clock)
@@ -163,6 +165,7 @@ def run_in_process(
     log: Path,
     stop: StopRequest,
     on_tick: OnTick,
+    law: Law = PYTHON_LAW,
 ) -> NodeSummary:
     """Both nodes on one thread, turn by turn; the log is that of two processes, byte for byte."""
     network, clock = network_of(scenario), SYSTEM_CLOCK
@@ -177,7 +180,7 @@ def run_in_process(
             _access(bus, False, timeouts, clock) for bus in (plant_bus, controller_bus)
         )
         plant = PlantNode(scenario, network, plant_access.send, recorder, reports)
-        controller = ControllerNode(scenario, network, controller_access.send)
+        controller = ControllerNode(scenario, network, controller_access.send, law=law)
         never = StopRequest()  # a stop is read between ticks here, so that none is cut short
         to_plant = Watchdog(plant_bus, "controller", timeouts, never, clock=clock)
         to_controller = Watchdog(controller_bus, "plant", timeouts, never, clock=clock)

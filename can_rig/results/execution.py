@@ -29,6 +29,7 @@ from can_rig.results.run_folder import LOG, Outcome, RunFolder, finish
 from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.reference import on_the_bus
 from can_rig.scenario.settings import ReferenceSettings, Scenario
+from firmware_model.firmware import PYTHON_LAW, Law
 
 REFERENCE: Final = "reference.csv"
 """A reference that is the run's own, in its folder."""
@@ -38,7 +39,7 @@ NO_BUS: Final = "none"
 
 INTERRUPTED_RUN: Final = "interrupted"
 
-Runner = Callable[[Scenario, str, Path, StopRequest, Progress, Timeouts], NodeSummary]
+Runner = Callable[[Scenario, str, Path, StopRequest, Progress, Timeouts, Law], NodeSummary]
 
 
 @dataclass(frozen=True)
@@ -68,12 +69,13 @@ def in_process(
     stop: StopRequest,
     progress: Progress,
     _timeouts: Timeouts,
+    law: Law,
 ) -> NodeSummary:
     """Both nodes in this process: turn by turn on a bus, or many ticks at once without one."""
     with progress() as on_tick:
-        if bus == NO_BUS:
+        if bus == NO_BUS and law is PYTHON_LAW:
             return run_without_bus(scenario, log, stop, on_tick)
-        summary = run_in_process(scenario, bus, log, stop, Throttled(on_tick))
+        summary = run_in_process(scenario, bus, log, stop, Throttled(on_tick), law)
         on_tick(summary.ticks)
     return summary
 
@@ -85,9 +87,10 @@ def two_processes(
     stop: StopRequest,
     progress: Progress,
     timeouts: Timeouts,
+    law: Law,
 ) -> NodeSummary:
     """Each node in a process of its own, in lockstep."""
-    return run_processes(scenario, bus, log, stop, progress, timeouts=timeouts)
+    return run_processes(scenario, bus, log, stop, progress, timeouts=timeouts, law=law)
 
 
 def real_time(
@@ -97,9 +100,10 @@ def real_time(
     stop: StopRequest,
     progress: Progress,
     timeouts: Timeouts,
+    law: Law,
 ) -> NodeSummary:
     """Each node in a process of its own, by the wall clock."""
-    return run_processes(scenario, bus, log, stop, progress, real_time=True, timeouts=timeouts)
+    return run_processes(scenario, bus, log, stop, progress, True, timeouts, law)
 
 
 def refuse(scenario: Scenario, allow_unstable: bool = False) -> None:
@@ -128,6 +132,7 @@ def execute(
     reference_csv: str | None = None,
     report: bool = True,
     timeouts: Timeouts = DEFAULT_TIMEOUTS,
+    law: Law = PYTHON_LAW,
 ) -> Execution | None:
     """Run a scenario that ``refuse`` has let pass, and leave its folder.
 
@@ -142,6 +147,7 @@ def execute(
         reference_csv: a reference in place of the scenario's, kept in the folder as ``REFERENCE``.
         report: draw ``report.png`` too.
         timeouts: how long a node may be silent for the other.
+        law: what the controller runs as the control law.
 
     Returns:
         How it went; ``failure`` says why it ended early. None if it was stopped before anything
@@ -152,7 +158,8 @@ def execute(
             recorded stays, and the line says where.
         RigError: it failed before anything was recorded: then there is no folder.
     """
-    bus = bus or (NO_BUS if runner is in_process else f"local:run-{os.getpid()}")
+    without = runner is in_process and law is PYTHON_LAW
+    bus = bus or (NO_BUS if without else f"local:run-{os.getpid()}")
     if runner is real_time:
         require_causal(scenario)
     if runner is not in_process:
@@ -167,7 +174,7 @@ def execute(
         raise
     outcome = Outcome(bus, realtime={} if runner is real_time else None)
     columns, failure = _run(
-        lambda: runner(made_here, bus, folder.making / LOG, stop, progress, timeouts),
+        lambda: runner(made_here, bus, folder.making / LOG, stop, progress, timeouts, law),
         scenario,
         outcome,
     )

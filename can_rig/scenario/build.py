@@ -151,6 +151,7 @@ def target(scenario: Scenario, network: Network | None) -> Target:
         probe_rad_per_s=chosen.probe_rad_per_s,
         on_confirmation=chosen.compensation == "on-confirmation" or follows,
         share_drift=chosen.share_drift if follows else 0.0,
+        precision=chosen.precision,
     )
 
 

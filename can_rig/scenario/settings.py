@@ -17,7 +17,7 @@ from pydantic.dataclasses import dataclass
 from can_rig.scenario.plant_settings import BUILT_IN, PlantSettings
 from can_rig.scenario.stage_settings import STRICT
 from firmware_model.discretisation.rules import Rule
-from firmware_model.target.structs import MAX_LATENCY_TICKS
+from firmware_model.target.structs import MAX_LATENCY_TICKS, Precision
 
 FaultKind = Literal["none", "actuator-dead", "frames-missing", "frames-corrupted", "sensor-biased"]
 Channel = Literal["torque", "force-difference"]
@@ -51,6 +51,7 @@ class DesignSettings:
     compensation: Literal["always", "on-confirmation", "off"] = "always"
     probe_nm: NonNegativeFloat = 0.0
     probe_rad_per_s: Annotated[float, Field(ge=0.01)] = 10.0
+    precision: Precision = "float64"
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -21,7 +21,8 @@ from firmware_model.target.structs import MAX_LATENCY_TICKS, MAX_SECTIONS, Preci
 SLOWEST_TRANSFER_S = 0.05  # some time constants of w, 1/17.7 s for this car
 HASTE = 2.0  # of a transfer, against the time that its beginning took
 SHARE = 0.8  # of the torque whose loss is looked for: of all of it, a half still counts
-RESTART = -1.0
+RESTART = -1.0  # evidence of a candidate that is given up
+IDLE, FRESHNESS = 1.0, 1.5  # likewise, where the information no longer doubles as the age does
 SHARE_VARIANCE = 0.09  # of the share of a loss when that is confirmed, at most
 LARGEST_SHARE_VARIANCE = 1.0  # of a share that is followed, when nothing has shown for long
 RECOVER = 5.0  # evidence that ends a loss, over that which confirms it
@@ -230,6 +231,8 @@ def _fill_decision(table: Record, target: Target) -> None:
     table.loss_model.follow = target.tick_s / max(FOLLOW_S, FOLLOW_TICKS * target.tick_s)
     test.share = SHARE
     test.restart = RESTART
+    test.idle = IDLE
+    test.freshness = FRESHNESS
 
 
 def _fill_mismatch(table: Record, target: Target) -> None:

@@ -126,10 +126,11 @@ def acting_commands(table: Record, state: Record) -> tuple[float, float]:
     """The commands as the measurement shows them, without what is known to be lost."""
     one = real(1.0, state.command_1)
     share = one - known_share(state) if state.fault_state == CONFIRMED else one
+    command_1 = state.estimator.showing_1 * share
     command_2 = state.estimator.showing_2
     if table.estimator.shown_ticks_2 == 0:  # that of this tick is not known yet, or is held
         command_2 = state.command_2
-    return state.estimator.showing_1 * share, command_2
+    return command_1, command_2
 
 
 @firmware
