@@ -22,10 +22,10 @@ import numpy as np
 from cantools.database.can import Database
 from numpy.typing import NDArray
 
-from can_rig.decoding.database import load_database
 from can_rig.decoding.database_decoder import DatabaseDecoder, message_decoders, require_names
 from can_rig.decoding.message_columns import MessageColumns, joined
 from can_rig.decoding.message_decoder import Counts
+from can_rig.frames.mapped.database import load_database
 from can_rig.logs.frames import ERROR, EXTENDED, Frames
 from can_rig.logs.reading import read_log
 

@@ -6,9 +6,7 @@ import random
 
 import can
 
-from can_rig.scenario.settings import Scenario
-
-CHANNELS = ("torque", "force-difference")
+from can_rig.scenario.settings import CHANNELS, Scenario
 
 
 class ActuatorFault:

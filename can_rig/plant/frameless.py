@@ -83,6 +83,8 @@ def frameless(
 
 def quantised(codec: MessageCodec, values: FloatArray) -> FloatArray:
     """``values`` as their frame carries them: on its grid, within its range."""
+    if codec.lsb == 0.0:  # a float
+        return np.array([codec.quantise(value) for value in values.tolist()])
     on_the_grid = np.rint(values / codec.lsb) * codec.lsb
     return np.clip(on_the_grid, codec.minimum, codec.maximum)
 
