@@ -64,32 +64,30 @@ class RigLayout:
     """The rig's own: one ``struct`` call, bit for bit what cantools does in ten times as long.
 
     Args:
-        mode_shift: of the status bits in byte 1; None for a frame without them.
-        fault_state_shift: likewise.
+        shifts: of mode and fault state in byte 1; None for a frame without them.
     """
 
     length: Final = FRAME_BYTES
     has_tick: Final = True
 
-    def __init__(self, mode_shift: int | None = None, fault_state_shift: int | None = None) -> None:
-        self._shifts = None
-        if mode_shift is not None and fault_state_shift is not None:
-            self._shifts = mode_shift, fault_state_shift
+    def __init__(self, shifts: tuple[int, int] | None = None) -> None:
+        self.shifts: Final = shifts or (0, 0)
+        self._has_status: Final = shifts is not None
 
     def pack(self, k: float, tick: int, mode: int, fault_state: int) -> bytearray:
         """See ``Layout``."""
         bits = 0
-        if self._shifts is not None:
-            bits = min(max(mode, 0), 3) << self._shifts[0]
-            bits |= min(max(fault_state, 0), 3) << self._shifts[1]
+        if self._has_status:
+            bits = min(max(mode, 0), 3) << self.shifts[0]
+            bits |= min(max(fault_state, 0), 3) << self.shifts[1]
         return bytearray(FRAME.pack(0, bits, tick & 0xFFFF, k))
 
     def unpack(self, data: bytes | bytearray) -> Unpacked:
         """See ``Layout``."""
         _, bits, tick, raw = FRAME.unpack(data)
-        if self._shifts is None:
+        if not self._has_status:
             return raw, tick, 0, 0
-        return raw, tick, bits >> self._shifts[0] & 3, bits >> self._shifts[1] & 3
+        return raw, tick, bits >> self.shifts[0] & 3, bits >> self.shifts[1] & 3
 
     def tick(self, data: bytes | bytearray) -> int | None:
         """See ``Layout``."""

@@ -44,6 +44,11 @@ class Network:
         return all(codec.layout.has_tick for codec in self)
 
     @property
+    def is_the_rigs(self) -> bool:
+        """Whether all frames have the layout of the rig's own."""
+        return all(isinstance(codec.layout, RigLayout) for codec in self)
+
+    @property
     def unprotected(self) -> tuple[str, ...]:
         """Messages without end-to-end protection."""
         return tuple(codec.name for codec in self if not codec.protected)
@@ -114,9 +119,8 @@ def _codec(message: DbcMessage, role: str, path: str | Path) -> MessageCodec:
         modes=words_of(mode),
         fault_states=words_of(fault_state),
         layout=RigLayout(
-            mode.start - 8 if mode else None,  # within byte 1
-            fault_state.start - 8 if fault_state else None,
-        ),
+            (mode.start - 8, fault_state.start - 8) if mode and fault_state else None
+        ),  # within byte 1
     )
 
 

@@ -25,9 +25,11 @@ from typing import Any, Final
 
 from can_rig.errors import RigError, SilentNodeError
 from can_rig.nodes.progress import OnTick, Progress, Throttled, no_progress
-from can_rig.nodes.runner import NodeName, NodeSummary, run_controller, run_plant
+from can_rig.nodes.runner import NodeName, run_controller, run_plant
+from can_rig.nodes.summary import NodeSummary
 from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Timeouts
 from can_rig.scenario.settings import Scenario
+from firmware_model.firmware import PYTHON_LAW, Law
 
 ENDS_WITHIN_S: Final = 4.0
 """The watchdog of a node, and its bus that waits 2 s for slow listeners."""
@@ -140,17 +142,19 @@ def run_processes(
     progress: Progress = no_progress,
     real_time: bool = False,
     timeouts: Timeouts = DEFAULT_TIMEOUTS,
+    law: Law = PYTHON_LAW,
 ) -> NodeSummary:
     """Run the plant and the controller as two processes, in lockstep on one core where possible.
 
     Args:
         scenario: the run.
         bus: the name of a bus that two processes can share.
-        log: where the plant node records.
+        log: where the plant records.
         stop: ends the run after a tick.
         progress: entered when both nodes have been forked.
         real_time: by the wall clock, each on a core of its own where possible.
         timeouts: how long each may be silent for the other.
+        law: what the controller runs as the control law.
 
     Returns:
         The summary; fewer ticks than the scenario's where the run was stopped.
@@ -162,7 +166,7 @@ def run_processes(
     processes: list[NodeProcess] = []
     try:
         with nullcontext() if real_time else _one_core(), _frozen_garbage():
-            controller_node = partial(_controller, scenario, bus, real_time, timeouts)
+            controller_node = partial(_controller, scenario, bus, real_time, timeouts, law)
             controller = NodeProcess.fork("controller", controller_node, processes)
             processes.append(controller)  # first: a plant that waits repeats its offer on the bus
             _watch(processes, stop, until=lambda: "ready" in controller.said)
@@ -182,12 +186,15 @@ def _controller(
     bus: str,
     real_time: bool,
     timeouts: Timeouts,
+    law: Law,
     stop: StopRequest,
     report: Report,
 ) -> NodeSummary:
     on_tick = Throttled(lambda tick: report(ticks=tick))
     on_ready = partial(report, ready=True)
-    return run_controller(scenario, bus, timeouts, stop, on_ready, on_tick, real_time=real_time)
+    return run_controller(
+        scenario, bus, timeouts, stop, on_ready, on_tick, real_time=real_time, law=law
+    )
 
 
 def _plant(

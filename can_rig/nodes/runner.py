@@ -6,9 +6,8 @@ import gc
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 from can_rig.buses.bus import open_for_node
 from can_rig.frames.agreement import SENDERS, ComparisonFrame
@@ -24,30 +23,15 @@ from can_rig.nodes.realtime.recorder import RealTimeRecorder
 from can_rig.nodes.realtime.scheduling import prefer, undisturbed
 from can_rig.nodes.recording.plant_recorder import PlantRecorder
 from can_rig.nodes.recording.recorder import Recorder
+from can_rig.nodes.summary import NodeSummary
 from can_rig.nodes.watchdog import StopRequest, Timeouts, Watchdog
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
+from firmware_model.firmware import PYTHON_LAW, Law
 
 NodeName = Literal["plant", "controller"]
 
 PLANT_CORE, CONTROLLER_CORE = 0, 1  # counted from the last: the first ones serve interrupts
-
-
-@dataclass
-class NodeSummary:
-    """What a node says when it ends."""
-
-    ticks: int
-    """The tick that it has reached: all of them, unless it was started later or stopped."""
-    wall_s: float
-    rejected_frames: dict[str, dict[str, int]]
-    """Of each message, how many were not used, by reason."""
-    bus_events: dict[str, dict[str, int]]
-    """Of each node, what its bus refused, failed or dropped, and how often; only what occurred."""
-    realtime: dict[str, Any] | None = None
-    """How deadlines were met and what the system permitted; None in lockstep."""
-    ticks_per_s: float = 0.0
-    """From its own first tick on, whichever that was."""
 
 
 class Pace:
@@ -152,10 +136,11 @@ def run_controller(
     *,
     real_time: bool = False,
     by_hand: bool = False,
+    law: Law = PYTHON_LAW,
 ) -> NodeSummary:
     """The controller node from start to end; ``on_ready`` is called once it listens.
 
-    The other arguments, and what it raises, are those of ``run_plant``.
+    ``law`` is what runs as the control law; the rest, and what it raises, is as in ``run_plant``.
     """
     network, clock = network_of(scenario), SYSTEM_CLOCK
     if real_time:
@@ -164,9 +149,9 @@ def run_controller(
         access = _access(opened, real_time, timeouts, clock)
         node: ControllerNode | RealTimeControllerNode
         if real_time:
-            node = RealTimeControllerNode(scenario, network, access.bus, clock)
+            node = RealTimeControllerNode(scenario, network, access.bus, clock, law)
         else:
-            node = ControllerNode(scenario, network, access.send)
+            node = ControllerNode(scenario, network, access.send, law=law)
         watchdog = Watchdog(access.bus, "plant", timeouts, stop, clock=clock)
         on_ready()
         summary = _run("controller", node, watchdog, on_tick, access, CONTROLLER_CORE, clock)
@@ -180,6 +165,7 @@ def run_in_process(
     log: Path,
     stop: StopRequest,
     on_tick: OnTick,
+    law: Law = PYTHON_LAW,
 ) -> NodeSummary:
     """Both nodes on one thread, turn by turn; the log is that of two processes, byte for byte."""
     network, clock = network_of(scenario), SYSTEM_CLOCK
@@ -194,7 +180,7 @@ def run_in_process(
             _access(bus, False, timeouts, clock) for bus in (plant_bus, controller_bus)
         )
         plant = PlantNode(scenario, network, plant_access.send, recorder, reports)
-        controller = ControllerNode(scenario, network, controller_access.send)
+        controller = ControllerNode(scenario, network, controller_access.send, law=law)
         never = StopRequest()  # a stop is read between ticks here, so that none is cut short
         to_plant = Watchdog(plant_bus, "controller", timeouts, never, clock=clock)
         to_controller = Watchdog(controller_bus, "plant", timeouts, never, clock=clock)
@@ -281,7 +267,7 @@ def _run(
         ticks = node.run(watchdog, pace)
         wall_s = (clock.now_ns() - start_ns) / NS_PER_S
         rate = pace.ticks_per_s
-    return NodeSummary(ticks, wall_s, node.rejected(), {}, realtime, rate)
+    return NodeSummary(ticks, wall_s, node.rejected(), {}, realtime, ticks_per_s=rate)
 
 
 @contextmanager

@@ -28,6 +28,7 @@ from can_rig.replay.gaps import NEAR, Account, Gap, Row
 from can_rig.replay.in_real_time import Recorded
 from can_rig.replay.rig_frames import INPUTS, RigFrame, rig_frames
 from can_rig.scenario.settings import Scenario
+from firmware_model.firmware import PYTHON_LAW, Law
 
 AHEAD: Final = 32
 """Frames that are looked at in advance for a second one that agrees."""
@@ -41,6 +42,7 @@ class OpenLoop:
         network: the frames.
         on_gap: gets what is wrong with the log; see `gaps`.
         recorded: what a run in real time left unanswered; None: a run in lockstep.
+        law: what runs as the control law.
 
     Raises:
         ScenarioError: a design that cannot be made.
@@ -52,6 +54,7 @@ class OpenLoop:
         network: Network,
         on_gap: Callable[[Gap], None],
         recorded: Recorded | None = None,
+        law: Law = PYTHON_LAW,
     ) -> None:
         self._tick_s = scenario.tick_s
         self._network = network
@@ -62,9 +65,13 @@ class OpenLoop:
             network,
             lambda message: self._sent.append(bytes(message.data)),
             recorded,
+            law,
         )
         self.account: Final = Account(network, scenario.tick_ns, on_gap)
         self.comparison: Final = Comparison(network)
+        self.compare_from_ns: int | None = None
+        """Time stamp from which on ticks are compared; those before it are replayed alone. None:
+        all are."""
         self.first_tick: int | None = None
         """The first that was answered."""
         self.before_start = 0
@@ -183,8 +190,10 @@ class OpenLoop:
         while self._open < end:
             tick = self._open
             row = self._rows.pop(tick, None) or Row(time_ns)
+            answers = self._answers.pop(tick)
             self.account.close(tick, row)
-            self.comparison.tick(tick, row, self._answers.pop(tick))
+            if self.compare_from_ns is None or row.time_ns >= self.compare_from_ns:
+                self.comparison.tick(tick, row, answers)
             self._open += 1
 
 

@@ -8,11 +8,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from can_rig.decoding import e2e_columns
-from can_rig.decoding.e2e_columns import COUNTERS
 from can_rig.frames.codec import MessageCodec
-from can_rig.frames.layout import RigLayout
 from can_rig.frames.network import Network
-from can_rig.frames.protection import FRAME_BYTES, Checker, CheckStatus, Unprotected
+from can_rig.frames.protection import COUNTERS, FRAME_BYTES, Checker, CheckStatus, Unprotected
 from can_rig.frames.wire_tick import WIRE_TICKS, ticks_on
 from can_rig.logs.frames import ERROR, EXTENDED, FD, REMOTE, Frames
 
@@ -40,7 +38,7 @@ def rig_frames(chunks: Iterable[Frames], network: Network) -> Iterator[RigFrame]
     roles = {codec.frame_id: role for role, codec in enumerate(network)}
     identifiers = np.array(sorted(roles), dtype=np.uint32)
     data_ids = [codec.data_id for codec in network]
-    if not all(isinstance(codec.layout, RigLayout) for codec in network):
+    if not network.is_the_rigs:
         yield from _of_any_layout(chunks, network, roles)
         return
     for chunk in chunks:

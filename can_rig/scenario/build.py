@@ -4,7 +4,9 @@ from __future__ import annotations
 
 import math
 from dataclasses import asdict, replace
+from functools import cache
 from pathlib import Path
+from typing import Final
 
 from can_rig.errors import ScenarioError
 from can_rig.frames.dbc import shipped_dbc
@@ -24,6 +26,10 @@ from firmware_model.errors import DesignError
 from firmware_model.target.fault_decision.covariance import MAX_DIRECTIONS
 from firmware_model.target.structs import FloatArray, Record
 
+MOST_TABLES: Final = 16
+_TABLES: Final[dict[str, Record]] = {}
+"""The last ones that were computed, by everything that they follow from."""
+
 GOVERNED = 0.5  # share of the motor's limit that may go into the second derivative of D*
 CAR_DECAYS_PER_S = 3.5  # the slowest mode of the car's F̂
 LONGEST_TICKS = 20_000  # for what a car does in a second
@@ -39,7 +45,7 @@ def network_of(scenario: Scenario) -> Network:
     """
     chosen = scenario.network
     if not chosen.signals:
-        return load_network(dbc_of(scenario))
+        return _network(dbc_of(scenario))
     data_ids = {role: number for role, number in asdict(chosen.data_ids).items() if number}
     network = map_network(chosen.dbc, Roles(asdict(chosen.signals), chosen.tick, data_ids))
     command = (network.command_1, network.command_2)[CHANNELS.index(scenario.fault.channel)]
@@ -55,6 +61,11 @@ def network_of(scenario: Scenario) -> Network:
 def dbc_of(scenario: Scenario) -> Path:
     """The file of the scenario's frames."""
     return Path(scenario.network.dbc) if scenario.network.dbc else shipped_dbc(scenario.dbc)
+
+
+@cache
+def _network(dbc: Path) -> Network:
+    return load_network(dbc)
 
 
 def continuous_car(settings: PlantSettings) -> plants.Plant:
@@ -145,6 +156,7 @@ def target(scenario: Scenario, network: Network | None) -> Target:
     Without a network, commands are neither limited nor rounded by it.
     """
     chosen, limits = scenario.design, scenario.limits
+    follows = chosen.estimator == "kalman"
     limit_1, limit_2, rate_1, rate_2 = (
         math.inf if limit is None else limit
         for limit in (
@@ -164,7 +176,7 @@ def target(scenario: Scenario, network: Network | None) -> Target:
     return Target(
         tick_s=scenario.tick_s,
         latency_ticks=scenario.latency_ticks,
-        estimator=chosen.estimator,
+        estimator="zoh" if chosen.estimator == "kalman" else chosen.estimator,
         limit_1=limit_1,
         limit_2=limit_2,
         rate_1=rate_1,
@@ -179,7 +191,9 @@ def target(scenario: Scenario, network: Network | None) -> Target:
         suspicions_per_hour=scenario.budget.suspicions_per_hour,
         probe=chosen.probe_nm,
         probe_rad_per_s=chosen.probe_rad_per_s,
-        on_confirmation=chosen.compensation == "on-confirmation",
+        on_confirmation=chosen.compensation == "on-confirmation" or follows,
+        share_drift=chosen.share_drift if follows else 0.0,
+        precision=chosen.precision,
     )
 
 
@@ -227,8 +241,15 @@ def controller_table(scenario: Scenario, network: Network | None) -> Record:
     Raises:
         ScenarioError: a design that cannot be made or discretised.
     """
-    try:
-        place = replace(target(scenario, network), mismatch=mismatch(scenario))
-        return build(continuous_design(scenario), place)
-    except DesignError as error:
-        raise ScenarioError(f"scenario {scenario.name}: {error}") from None
+    place = target(scenario, network)
+    known = repr((place, scenario.model, scenario.design, scenario.budget))
+    if known not in _TABLES:
+        try:
+            place = replace(place, mismatch=mismatch(scenario))
+            table = build(continuous_design(scenario), place)
+        except DesignError as error:
+            raise ScenarioError(f"scenario {scenario.name}: {error}") from None
+        if len(_TABLES) == MOST_TABLES:
+            del _TABLES[next(iter(_TABLES))]
+        _TABLES[known] = table
+    return _TABLES[known].copy()

@@ -34,6 +34,7 @@ from can_rig.nodes.realtime.restart import LISTEN_S, BumplessRestart
 from can_rig.nodes.watchdog import Interrupted, Watchdog
 from can_rig.plant.actuators import Actuator
 from can_rig.scenario.settings import Scenario
+from firmware_model.firmware import PYTHON_LAW, Law
 from firmware_model.target.status import FaultState, Mode
 
 MOST_OTHERS: Final = 30
@@ -87,11 +88,18 @@ class RealTimeControllerNode:
         ScenarioError: a latency of zero, a design that cannot be made.
     """
 
-    def __init__(self, scenario: Scenario, network: Network, bus: NodeBus, clock: Clock) -> None:
+    def __init__(
+        self,
+        scenario: Scenario,
+        network: Network,
+        bus: NodeBus,
+        clock: Clock,
+        law: Law = PYTHON_LAW,
+    ) -> None:
         require_causal(scenario)
         self.ticks: Final = scenario.ticks
         self._end = ControllerEnd(scenario, network, bus.send)
-        table, self._firmware = started(scenario, network)
+        table, self._firmware = started(scenario, network, law)
         self._bus = bus
         self._clock = clock
         self._latency_ticks = scenario.latency_ticks
