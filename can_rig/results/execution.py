@@ -160,13 +160,13 @@ def execute(
             recorded stays, and the line says where.
         RigError: it failed before anything was recorded: then there is no folder.
     """
-    without = runner is in_process and controller is PYTHON
+    network = network_of(scenario)
+    without = runner is in_process and controller is PYTHON and network.is_the_rigs
     bus = bus or (NO_BUS if without else f"local:run-{os.getpid()}")
     if runner is real_time:
         require_causal(scenario)
     if runner is not in_process:
         _require_shared(bus)
-    network = network_of(scenario)
     folder = RunFolder.create(out, scenario, force)
     try:
         made_here, final = _with_reference(scenario, folder, reference_csv)
