@@ -31,8 +31,8 @@ def layouts(draw: st.DrawFn) -> tuple[str, float, int, bool]:
     """A value above bit 32 of 8 bytes: its line in a DBC, factor, offset in factors, sign."""
     bits = draw(st.integers(2, 32))
     signed, factor = draw(st.booleans()), draw(st.sampled_from([1.0, 0.5, 0.001, 3.0]))
-    offset = draw(st.integers(-(2 ** (bits - 1)) + 1, 2 ** (bits - 1) - 1)) if signed else 0
-    offset = offset // 2 if signed else -draw(st.integers(1, 2**bits - 2))
+    lowest = -(2 ** (bits - 1)) if signed else 0
+    offset = draw(st.integers(2 - 2**bits - lowest, -1 - lowest))  # both signs can be sent
     start = draw(st.integers(32, 64 - bits))
     motorola = draw(st.booleans())
     if motorola:  # its most significant bit, so many bits before the end of the frame
