@@ -85,12 +85,16 @@ def test_every_command_that_the_text_mentions_is_there(page: Path) -> None:
     assert set(re.findall(r"`can-rig ([a-z]+)", page.read_text("utf-8"))) <= set(COMMANDS)
 
 
+CHASSIS = ROOT / "tests" / "rig" / "own_frames" / "motorola.dbc"
+
+
 @pytest.mark.parametrize("page", PAGES, ids=ids)
 def test_every_scenario_loads(page: Path, tmp_path: Path) -> None:
     for block in blocks(page.read_text("utf-8"), "toml"):
         tomllib.loads(block)
         file = tmp_path / "my-car.toml"
         file.write_text(block, "utf-8")
+        (tmp_path / "chassis.dbc").write_bytes(CHASSIS.read_bytes())  # that of the page on buses
         scenario = load(str(file))
         controller_table(scenario, network_of(scenario))
 
