@@ -109,6 +109,11 @@ class Decoder:
             for name, decoder in self.messages.items()
         }
 
+    def name_of(self, identifier: int, is_extended: bool, bus: str) -> str | None:
+        """What the message of an identifier on a bus is called; None: no database has it."""
+        found = (p.name_of(identifier, is_extended) for on, p in self._parts if on in (None, bus))
+        return next((name for name in found if name is not None), None)
+
     def decode(self, frames: Frames) -> dict[str, MessageColumns]:
         """The columns of a chunk, by message; only messages with a frame in it."""
         rows = np.arange(self.frames, self.frames + len(frames))
