@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from can import Message
 
-from can_rig.decoding.database import load_database
 from can_rig.decoding.decode import Decoder
 from can_rig.errors import DbcError
+from can_rig.frames.mapped.database import load_database
 from can_rig.logs.frames import from_messages
 from tests.helpers import DBC, rig
 
