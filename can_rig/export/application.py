@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from typing import Final
 
+from can_rig.errors import ExportError
 from can_rig.export.constants import constants_header, constants_source
 from can_rig.export.law import filled, law_files, support
 from can_rig.export.translation.c_text import comment
-from can_rig.errors import ExportError
 from can_rig.frames.codec import MessageCodec
 from can_rig.frames.layout import RigLayout
 from can_rig.frames.network import Network
@@ -28,7 +28,8 @@ def application(scenario: Scenario) -> dict[str, str]:
     network = network_of(scenario)
     if not network.is_the_rigs:
         raise ExportError(
-            f"network.dbc = {scenario.network.dbc!r}: must be left out, for C has the rig's own frames"
+            f"network.dbc = {scenario.network.dbc!r}: must be left out; "
+            "the controller in C has the rig's own frames"
         )
     table = controller_table(scenario, network)
     precision = scenario.design.precision
