@@ -138,6 +138,8 @@ def decode(
     *,
     messages: Sequence[str] | None = None,
     signals: Sequence[str] | None = None,
+    from_s: float | None = None,
+    to_s: float | None = None,
 ) -> dict[str, pd.DataFrame]:
     """Any log through any database that cantools reads: a table for each message.
 
@@ -148,6 +150,8 @@ def decode(
         dbc: the database.
         messages: only these; None: all.
         signals: only these, as ``Signal`` or ``Message.Signal``; None: all.
+        from_s: only frames from so many seconds after the start of the recording on.
+        to_s: only frames before so many seconds after it.
 
     Raises:
         LogError: the log cannot be read.
@@ -156,7 +160,8 @@ def decode(
     """
     require("pandas", extra="logs")
     tables = {}
-    for name, columns in decode_log(log, dbc, messages, signals).items():
+    decoded = decode_log(log, dbc, messages, signals, from_s=from_s, to_s=to_s)
+    for name, columns in decoded.items():
         tables[name] = table = columns.to_pandas()
         units = {signal: layout.unit for signal, layout in columns.layout.items()}
         table.attrs["units"] = {signal: unit or "" for signal, unit in units.items()}
