@@ -68,6 +68,15 @@ def test_share_is_that_of_w_in_the_estimate_whatever_is_constant(
     assert state.probe.tick == 0
 
 
+def test_what_comes_a_quarter_of_a_period_late_is_no_part_of_w() -> None:
+    table = build(TUNED, target(probe_rad_per_s=200.0))
+    state = controller.init(table)[0].probe
+    begin_probe(state)
+    for angle in 4.0 * np.pi * np.arange(table.probe.ticks) / table.probe.ticks + np.pi / 4.0:
+        correlate(table.probe, state, np.cos(angle), np.sin(angle))
+    assert end_probe(state) == pytest.approx(0.0, abs=1e-12)
+
+
 @pytest.mark.parametrize("before", [1, 40])
 def test_a_probe_knows_nothing_of_the_one_before(before: int) -> None:
     table = build(TUNED, target(probe_rad_per_s=200.0))

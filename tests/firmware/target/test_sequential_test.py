@@ -203,6 +203,17 @@ def test_a_share_is_none_to_all(correlation: float, information: float, share: f
     assert lost_share(test) == share
 
 
+def test_a_candidate_is_as_old_as_the_ticks_that_it_has_seen() -> None:
+    tables = changed(build(DESIGN, target()), **FOR_EVER)
+    state, ages = controller.init(tables[0])[0], []
+    for k in range(8):
+        if k == 5:
+            start_candidate(tables[0], state)
+        controller.step(tables[0], state, 0.1 * k, 0.0)
+        ages.append(int(state.sequential_test.age))
+    assert ages == [1, 2, 3, 4, 5, 1, 2, 3]
+
+
 def test_evidence_that_overflowed_begins_again() -> None:
     tables: NDArray[Any] = changed(build(DESIGN, target()), **NEVER)
     state = controller.init(tables[0])[0]
