@@ -50,6 +50,10 @@ class LogError(RigError):
     """A log that cannot be read or written, or is not what its name says; names file and place."""
 
 
+class ExportError(RigError):
+    """The control law cannot be exported, compiled or run as C; names the file and the line."""
+
+
 class MissingExtraError(RigError):
     """A package that comes with an extra of this one and is not installed; names both."""
 

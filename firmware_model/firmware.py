@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from collections.abc import Callable
+from functools import partial
+from typing import NamedTuple, Protocol
 
 import numpy as np
 
 from firmware_model.target import controller
-from firmware_model.target.structs import FloatArray, Record
+from firmware_model.target.structs import FloatArray, Record, RecordArray
 
 
 class Answer(NamedTuple):
@@ -20,30 +22,67 @@ class Answer(NamedTuple):
     fault_state: int
 
 
+Step = Callable[[float, float], tuple[float, float, float, int, int]]
+"""From reference and measurement to what ``controller.step_first`` answers."""
+
+
+class Law(Protocol):
+    """The control law as something that runs."""
+
+    def init(self, table: Record) -> RecordArray:
+        """One state at rest, shape (1,); see ``controller.init``."""
+
+    def step_of(self, tables: RecordArray, states: RecordArray) -> Step:
+        """``controller.step`` for this table and this state, each the first of its array."""
+
+    def reset(self, table: Record, state: Record, reference: float) -> None:
+        """See ``controller.reset``."""
+
+
+class PythonLaw:
+    """The lines of ``controller`` themselves, interpreted or compiled by numba."""
+
+    def init(self, table: Record) -> RecordArray:
+        """See ``Law``."""
+        return controller.init(table)
+
+    def step_of(self, tables: RecordArray, states: RecordArray) -> Step:
+        """See ``Law``."""
+        return partial(controller.step_first, tables, states)
+
+    def reset(self, table: Record, state: Record, reference: float) -> None:
+        """See ``Law``."""
+        controller.reset(table, state, reference)
+
+
+PYTHON_LAW = PythonLaw()
+
+
 class Firmware:
-    """A table and a state of its own; ``step`` and ``reset`` are those of ``controller``.
+    """A table and a state of its own; ``step`` and ``reset`` are those of the law.
 
     Args:
         table: from ``tables.build``.
+        law: what runs.
     """
 
-    def __init__(self, table: Record) -> None:
+    def __init__(self, table: Record, law: Law = PYTHON_LAW) -> None:
+        self._law = law
         self._tables = np.zeros(1, table.dtype)
         self._tables[0] = table
-        self._states = controller.init(table)
+        self._states = law.init(self._tables[0])
+        self._step = law.step_of(self._tables, self._states)
 
     def step(self, reference: float, measurement: float) -> Answer:
         """One tick; see ``controller.step``."""
-        command_1, command_2, estimate, mode, fault_state = controller.step_first(
-            self._tables, self._states, reference, measurement
-        )
+        command_1, command_2, estimate, mode, fault_state = self._step(reference, measurement)
         return Answer(
             float(command_1), float(command_2), float(estimate), int(mode), int(fault_state)
         )
 
     def reset(self, reference: float) -> None:
         """Start from the settled healthy loop at ``reference``; see ``controller.reset``."""
-        controller.reset(self._tables[0], self._states[0], reference)
+        self._law.reset(self._tables[0], self._states[0], reference)
 
     def move(self, sections: FloatArray) -> None:
         """Add a motion of the plant to F1 that no command of this controller caused.

@@ -21,6 +21,7 @@ COMMANDS: Final = {
     "check": ("design.check", "Say whether SCENARIO's loop is stable, and by how much."),
     "bus": ("design.bus", "Say when the frames arrive at worst, and the latency that follows."),
     "tune": ("design.tune", "Choose the tuning with the least peak after a loss of the torque."),
+    "export": ("design.export", "Write SCENARIO's controller as C99."),
     "figures": ("design.figures", "Draw the thesis's figures: firmware over continuous loop."),
     "decode": ("logs.decode", "Decode LOG through a DBC into tables."),
     "convert": ("logs.convert", "Write LOG in another format."),

@@ -8,6 +8,8 @@ from typing import Any, TypeVar
 
 import click
 
+from can_rig.export.controllers import CONTROLLERS
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -55,6 +57,15 @@ realtime_option = click.option(
     is_flag=True,
     help="Absolute deadlines of the wall clock, one a tick; late commands count as lost. "
     "Needs a latency of at least one tick.",
+)
+
+controller_option = click.option(
+    "--controller",
+    default="python",
+    type=click.Choice(CONTROLLERS),
+    show_default=True,
+    help="What runs: the law in Python; the law as C; ecu, the whole node in C; that on an "
+    "emulated Cortex-M.",
 )
 
 log_argument = click.argument("log", type=click.Path(path_type=Path))

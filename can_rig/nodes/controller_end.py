@@ -11,7 +11,7 @@ from can_rig.nodes.bus_access import Send
 from can_rig.plant.faults import FrameFault
 from can_rig.scenario.build import controller_table
 from can_rig.scenario.settings import Scenario
-from firmware_model.firmware import Firmware
+from firmware_model.firmware import PYTHON_LAW, Firmware, Law
 from firmware_model.target.structs import Record
 
 
@@ -59,14 +59,16 @@ class ControllerEnd:
         return {receiver.codec.name: receiver.rejected for receiver in receivers}
 
 
-def started(scenario: Scenario, network: Network) -> tuple[Record, Firmware]:
+def started(scenario: Scenario, network: Network, law: Law = PYTHON_LAW) -> tuple[Record, Firmware]:
     """The controller's table and the firmware at rest, compiled before the first tick needs it.
+
+    ``law`` is what runs as the control law.
 
     Raises:
         ScenarioError: a design that cannot be made.
     """
     table = controller_table(scenario, network)
-    firmware = Firmware(table)
+    firmware = Firmware(table, law)
     firmware.step(math.nan, math.nan)
     firmware.reset(0.0)
     return table, firmware

@@ -28,6 +28,7 @@ from can_rig.replay.gaps import NEAR, Account, Gap, Row
 from can_rig.replay.in_real_time import Recorded
 from can_rig.replay.rig_frames import INPUTS, RigFrame, rig_frames
 from can_rig.scenario.settings import Scenario
+from firmware_model.firmware import PYTHON_LAW, Law
 
 AHEAD: Final = 32
 """Frames that are looked at in advance for a second one that agrees."""
@@ -41,6 +42,7 @@ class OpenLoop:
         network: the frames.
         on_gap: gets what is wrong with the log; see `gaps`.
         recorded: what a run in real time left unanswered; None: a run in lockstep.
+        law: what runs as the control law.
 
     Raises:
         ScenarioError: a design that cannot be made.
@@ -52,19 +54,24 @@ class OpenLoop:
         network: Network,
         on_gap: Callable[[Gap], None],
         recorded: Recorded | None = None,
+        law: Law = PYTHON_LAW,
     ) -> None:
         self._tick_s = scenario.tick_s
         self._network = network
-        self._identifiers = [codec.frame_id for codec in network]
+        self._codecs = tuple(network)
         self._sent: list[bytes] = []
         self._node = ControllerNode(
             scenario.healthy,
             network,
             lambda message: self._sent.append(bytes(message.data)),
             recorded,
+            law,
         )
         self.account: Final = Account(network, scenario.tick_ns, on_gap)
         self.comparison: Final = Comparison(network)
+        self.compare_from_ns: int | None = None
+        """Time stamp from which on ticks are compared; those before it are replayed alone. None:
+        all are."""
         self.first_tick: int | None = None
         """The first that was answered."""
         self.before_start = 0
@@ -136,8 +143,11 @@ class OpenLoop:
     def _serve(self, frame: RigFrame) -> None:
         """Let the node have a frame, and take what it answers."""
         time_s = frame.time_ns / NS_PER_S
-        identifier = self._identifiers[frame.role]
-        self._node.take(can.Message(time_s, identifier, False, data=frame.data))
+        codec = self._codecs[frame.role]
+        message = can.Message(
+            time_s, codec.frame_id, codec.extended, data=frame.data, is_fd=codec.fd
+        )
+        self._node.take(message)
         if self.first_tick is None and self._sent and self._node.expected is not None:
             tick = self._node.expected - 1
             self.first_tick = self._open = tick_at(tick, time_s, self._tick_s)
@@ -180,8 +190,10 @@ class OpenLoop:
         while self._open < end:
             tick = self._open
             row = self._rows.pop(tick, None) or Row(time_ns)
+            answers = self._answers.pop(tick)
             self.account.close(tick, row)
-            self.comparison.tick(tick, row, self._answers.pop(tick))
+            if self.compare_from_ns is None or row.time_ns >= self.compare_from_ns:
+                self.comparison.tick(tick, row, answers)
             self._open += 1
 
 

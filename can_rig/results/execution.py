@@ -15,11 +15,14 @@ from typing import Final
 from can_rig.assessment.stability import refuse_unstable
 from can_rig.buses.bus import in_one_process
 from can_rig.errors import INTERRUPTED, BusError, RigError, RunFolderError
+from can_rig.export.controllers import PYTHON, Controller
 from can_rig.frames.network import Network
+from can_rig.nodes.lockstep.without_bus import run_without_bus
 from can_rig.nodes.processes import run_processes
 from can_rig.nodes.progress import Progress, Throttled, no_progress
 from can_rig.nodes.realtime.deadlines import require_causal
-from can_rig.nodes.runner import NodeSummary, run_in_process
+from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.summary import NodeSummary, RunColumns
 from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Timeouts
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.results.metrics import Metrics
@@ -31,9 +34,12 @@ from can_rig.scenario.settings import ReferenceSettings, Scenario
 REFERENCE: Final = "reference.csv"
 """A reference that is the run's own, in its folder."""
 
+NO_BUS: Final = "none"
+"""In place of a bus's name: a run in this process, which nobody else hears."""
+
 INTERRUPTED_RUN: Final = "interrupted"
 
-Runner = Callable[[Scenario, str, Path, StopRequest, Progress, Timeouts], NodeSummary]
+Runner = Callable[[Scenario, str, Path, StopRequest, Progress, Timeouts, Controller], NodeSummary]
 
 
 @dataclass(frozen=True)
@@ -63,10 +69,13 @@ def in_process(
     stop: StopRequest,
     progress: Progress,
     _timeouts: Timeouts,
+    controller: Controller,
 ) -> NodeSummary:
-    """Both nodes in this process, turn by turn: neither waits for the other."""
+    """Both nodes in this process: turn by turn on a bus, or many ticks at once without one."""
     with progress() as on_tick:
-        summary = run_in_process(scenario, bus, log, stop, Throttled(on_tick))
+        if bus == NO_BUS and controller is PYTHON:
+            return run_without_bus(scenario, log, stop, on_tick)
+        summary = run_in_process(scenario, bus, log, stop, Throttled(on_tick), controller)
         on_tick(summary.ticks)
     return summary
 
@@ -78,9 +87,12 @@ def two_processes(
     stop: StopRequest,
     progress: Progress,
     timeouts: Timeouts,
+    controller: Controller,
 ) -> NodeSummary:
     """Each node in a process of its own, in lockstep."""
-    return run_processes(scenario, bus, log, stop, progress, timeouts=timeouts)
+    return run_processes(
+        scenario, bus, log, stop, progress, timeouts=timeouts, controller=controller
+    )
 
 
 def real_time(
@@ -90,9 +102,10 @@ def real_time(
     stop: StopRequest,
     progress: Progress,
     timeouts: Timeouts,
+    controller: Controller,
 ) -> NodeSummary:
     """Each node in a process of its own, by the wall clock."""
-    return run_processes(scenario, bus, log, stop, progress, real_time=True, timeouts=timeouts)
+    return run_processes(scenario, bus, log, stop, progress, True, timeouts, controller)
 
 
 def refuse(scenario: Scenario, allow_unstable: bool = False) -> None:
@@ -121,6 +134,7 @@ def execute(
     reference_csv: str | None = None,
     report: bool = True,
     timeouts: Timeouts = DEFAULT_TIMEOUTS,
+    controller: Controller = PYTHON,
 ) -> Execution | None:
     """Run a scenario that ``refuse`` has let pass, and leave its folder.
 
@@ -129,12 +143,13 @@ def execute(
         out: its folder; None: ``runs/SCENARIO-DATE-TIME``.
         stop: ends it after a tick.
         force: replace the run that is there.
-        bus: name of the bus; None: a local one of its own.
+        bus: name of the bus; None: in this process ``NO_BUS``, otherwise a local one of its own.
         runner: ``in_process``, ``two_processes`` or ``real_time``.
         progress: shows how far it is.
         reference_csv: a reference in place of the scenario's, kept in the folder as ``REFERENCE``.
         report: draw ``report.png`` too.
         timeouts: how long a node may be silent for the other.
+        controller: what runs as the controller.
 
     Returns:
         How it went; ``failure`` says why it ended early. None if it was stopped before anything
@@ -145,12 +160,13 @@ def execute(
             recorded stays, and the line says where.
         RigError: it failed before anything was recorded: then there is no folder.
     """
-    bus = bus or f"local:run-{os.getpid()}"
+    network = network_of(scenario)
+    without = runner is in_process and controller is PYTHON and network.is_the_rigs
+    bus = bus or (NO_BUS if without else f"local:run-{os.getpid()}")
     if runner is real_time:
         require_causal(scenario)
     if runner is not in_process:
         _require_shared(bus)
-    network = network_of(scenario)
     folder = RunFolder.create(out, scenario, force)
     try:
         made_here, final = _with_reference(scenario, folder, reference_csv)
@@ -159,8 +175,8 @@ def execute(
         folder.give_up()
         raise
     outcome = Outcome(bus, realtime={} if runner is real_time else None)
-    failure = _run(
-        lambda: runner(made_here, bus, folder.making / LOG, stop, progress, timeouts),
+    columns, failure = _run(
+        lambda: runner(made_here, bus, folder.making / LOG, stop, progress, timeouts, controller),
         scenario,
         outcome,
     )
@@ -170,7 +186,7 @@ def execute(
             raise failure
         return None
     try:
-        values = finish(folder.making, made_here, network, outcome, final, report)
+        values = finish(folder.making, made_here, network, outcome, final, report, columns)
         folder.publish()
     except RigError:
         if failure is not None:  # came first, and may be why: a disk that was full already
@@ -210,17 +226,19 @@ def _with_reference(
     return made_here, final
 
 
-def _run(run: Callable[[], NodeSummary], scenario: Scenario, outcome: Outcome) -> RigError | None:
-    """Run, and note in ``outcome`` how it went; what made it fail."""
+def _run(
+    run: Callable[[], NodeSummary], scenario: Scenario, outcome: Outcome
+) -> tuple[RunColumns | None, RigError | None]:
+    """Run, and note in ``outcome`` how it went; what was carried without a bus, what failed."""
     start_s = time.perf_counter()
     try:
         summary = run()
     except RigError as error:
         outcome.outcome, outcome.wall_s = str(error), time.perf_counter() - start_s
-        return error
+        return None, error
     outcome.ticks, outcome.wall_s = summary.ticks, summary.wall_s
     outcome.rejected_frames, outcome.bus_events = summary.rejected_frames, summary.bus_events
     outcome.realtime = summary.realtime
     if summary.ticks < scenario.ticks:
         outcome.outcome = INTERRUPTED_RUN
-    return None
+    return summary.columns, None

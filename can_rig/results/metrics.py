@@ -9,13 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig.assessment.control_authority import control_authority
-from can_rig.drawing.names import names_of, printed
-from can_rig.frames.network import Network
-from can_rig.plant.faults import SensorFault
+from can_rig.drawing.names import names_of
 from can_rig.results.counterfactual import fault_free, noise_free
 from can_rig.results.loss_metrics import decision_metrics, unavoidable_deviation
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of
+from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import FloatArray
 
@@ -29,13 +28,15 @@ SETTLED_S = 2.0
 class Windows:
     """Which ticks of a run count as what, each of shape (ticks,).
 
-    ``before`` the fault and ``after`` its start, ``lost`` while a channel is; ``settled_before``
-    and ``settled_after`` are the ends of the healthy time and of the run: 2 s, or two periods of a
-    slower reference, but at most the second half of the time since the last change.
+    ``before`` the fault and ``after`` its start, ``active`` while it is there, ``lost`` while it
+    takes a channel; ``settled_before`` and ``settled_after`` are the ends of the healthy time and
+    of the run: 2 s, or two periods of a slower reference, but at most the second half of the time
+    since the last change.
     """
 
     before: Mask
     after: Mask
+    active: Mask
     lost: Mask
     settled_before: Mask
     settled_after: Mask
@@ -49,12 +50,14 @@ def windows(scenario: Scenario, signals: Signals) -> Windows:
         wanted_s = max(wanted_s, 4.0 * math.pi / scenario.reference.frequency_rad_per_s)
     ticks = np.rint(signals.time_s / scenario.tick_s).astype(np.int64)
     time_ns = ticks * scenario.tick_ns
-    active = np.array([fault.active(now_ns) for now_ns in time_ns.tolist()], dtype=np.bool_)
-    after = (fault.kind != "none") & (time_ns >= round(fault.at_s * 1e9))
+    begin_ns, end_ns = fault.span_ns
+    after = time_ns >= begin_ns
+    active = after & (time_ns < end_ns)
     recovered = after & ~active
     return Windows(
         before=~after,
         after=after,
+        active=active,
         lost=active & fault.loses_a_channel,
         settled_before=_end(time_ns, ~after, wanted_s),
         settled_after=_end(time_ns, recovered if recovered.any() else after, wanted_s),
@@ -70,7 +73,7 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
     picture have D* as measured. What X_diff needs and can carry is there where the torque is lost.
     """
     window = windows(scenario, signals)
-    closed = scenario.model.closed_loop
+    closed = scenario.design.feedback
     bias = sensor_bias(scenario, signals)
     error = np.abs(signals.error_mps2 + bias) if closed else np.full(len(signals), np.nan)
     estimate = np.abs(signals.fault_estimate_mps2)
@@ -116,9 +119,10 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
 
 def sensor_bias(scenario: Scenario, signals: Signals) -> FloatArray:
     """What a biased sensor added to D* at every tick, m/s², (ticks,)."""
-    sensor = SensorFault(scenario)
-    ticks = np.rint(signals.time_s / scenario.tick_s).astype(np.int64)
-    return np.array([sensor.bias(tick) for tick in ticks.tolist()], dtype=np.float64)
+    if scenario.fault.kind != "sensor-biased":
+        return np.zeros(len(signals))
+    active = windows(scenario, signals).active
+    return np.where(active, scenario.fault.bias_mps2, 0.0)
 
 
 def _noise_rms(scenario: Scenario, signals: Signals, settled: Mask) -> float | None:
@@ -134,15 +138,16 @@ def _integral(values: FloatArray, tick_s: float) -> float | None:
     return float(np.nansum(values)) * tick_s if np.isfinite(values).any() else None
 
 
-def rows(values: Metrics, network: Network) -> list[tuple[str, str]]:
+def rows(values: Metrics, plant: PlantSettings) -> list[tuple[str, str]]:
     """The closing table, label and text: the metrics that mean something in this run."""
-    names = names_of(network)._asdict()
-    output = printed(network.feedback.unit)
+    signals = names_of(plant)
+    names = {key: signal.name for key, signal in signals._asdict().items()}
+    output = signals.output.unit
     units = {
         "y": output,
         "y.s": f"{output} s".lstrip(),
-        "u1": printed(network.command_1.unit),
-        "u2": printed(network.command_2.unit),
+        "u1": signals.command_1.unit,
+        "u2": signals.command_2.unit,
     }
     faulted = values.get("deviation_peak_after_fault_mps2") is not None
     out: list[tuple[str, str]] = []
@@ -197,5 +202,5 @@ _TABLE = (
         "u2",
     ),
     ("force_difference_settled_n", "|{command_2}|, settled", "|{command_2}|, settled", "u2"),
-    ("dstar_carried_mps2", "|D*| that the {command_2} can hold alone", "", "y"),
+    ("dstar_carried_mps2", "|{output}| that the {command_2} can hold alone", "", "y"),
 )

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -12,11 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig.assessment.resolve import load_run
-from can_rig.drawing.names import CAR, Names, names_of, printed
+from can_rig.drawing.names import CAR, Names, names_of
 from can_rig.errors import LogError, ScenarioError
-from can_rig.frames.network import Network
+from can_rig.logs.formats import content_format
+from can_rig.logs.frames import NS_PER_S
+from can_rig.logs.log import Window
 from can_rig.logs.reading import read_log
-from can_rig.plant.columns import ON_THE_BUS
+from can_rig.plant.columns import APPLIED, ON_THE_BUS, TRUE_OUTPUT
 from can_rig.results.run_folder import SIGNALS, SUMMARY
 from can_rig.results.signals import Signals, cell, signals_of, with_plant_signals
 from can_rig.results.source import log_path
@@ -58,12 +60,26 @@ class SignalTable:
         """(n,) the time axis in s."""
         return np.multiply(self.time_ns, 1e-9, dtype=np.float64)
 
+    def within(self, window: Window) -> SignalTable:
+        """The rows of a part of the recording, which began with the first row.
+
+        Raises:
+            LogError: there are none.
+        """
+        since_ns = self.time_ns - self.time_ns[:1]
+        rows = (since_ns >= window.begin_ns) & (since_ns < window.end_ns)
+        if len(rows) and not rows.any():
+            last_s = since_ns[-1] / NS_PER_S
+            raise LogError(f"{self.label}: has no row of that part, the last is at {last_s:g} s")
+        columns = {name: column[rows] for name, column in self.columns.items()}
+        return replace(self, time_ns=self.time_ns[rows], columns=columns)
+
     def name_and_unit(self, column: str) -> tuple[str, str]:
         """What a column is called in print, and its unit there; "" without one."""
-        network = None if self.scenario is None else network_of(self.scenario)
-        own = {} if network is None else units_of(network)
-        name = _names(CAR if network is None else names_of(network)).get(column)
-        return name or column.replace("_", " "), own.get(column, unit(column))
+        other = column.replace("_", " "), unit(column)
+        if self.scenario is None:
+            return COLUMNS_OF_CAR.get(column, other)
+        return _columns(names_of(self.scenario.plant)).get(column, other)
 
 
 def unit(column: str) -> str:
@@ -71,15 +87,26 @@ def unit(column: str) -> str:
     return next((text for suffix, text in _UNITS if column.endswith(suffix)), "")
 
 
-def _names(names: Names) -> dict[str, str]:
-    return {
-        "reference_mps2": "reference",
-        "dstar_mps2": names.output,
-        "error_mps2": "error",
-        "torque_nm": names.command_1,
-        "force_difference_n": names.command_2,
-        "fault_estimate_mps2": "fault estimate",
+def _columns(names: Names) -> dict[str, tuple[str, str]]:
+    """Name and unit of each column that is on the bus; the columns keep the names of the car's."""
+    output, command_1, command_2 = names
+    applied = {
+        column: (f"{command.name} as applied", command.unit)
+        for column, command in zip(APPLIED, (command_1, command_2), strict=True)
     }
+    return {
+        "reference_mps2": ("reference", output.unit),
+        "dstar_mps2": (output.name, output.unit),
+        "error_mps2": ("error", output.unit),
+        "torque_nm": (command_1.name, command_1.unit),
+        "force_difference_n": (command_2.name, command_2.unit),
+        "fault_estimate_mps2": ("fault estimate", output.unit),
+        TRUE_OUTPUT: (f"true {output.name}", output.unit),
+        **applied,
+    }
+
+
+COLUMNS_OF_CAR: Final = _columns(CAR)
 
 
 def titles(a: SignalTable, b: SignalTable) -> tuple[str, str]:
@@ -110,7 +137,7 @@ def read_table(path: Path, scenario: Scenario) -> SignalTable:
         if not (path / SIGNALS).is_file():
             raise LogError(f"{path}: not a finished run folder, it has no {SIGNALS}")
         return _from_csv(path / SIGNALS, str(path), scenario_of(path))
-    if path.suffix.lower() == ".csv":
+    if path.suffix.lower() == ".csv" and content_format(path) is None:
         return _from_csv(log_path(path), str(path), None)
     log = read_log(log_path(path))
     messages = (message for frames in log for message in frames.messages())
@@ -133,19 +160,6 @@ def table_of(signals: Signals, label: str, scenario: Scenario | None = None) -> 
         for name, column in signals.plant.items()
     }
     return SignalTable(label, _whole_ns(signals.time_s), columns, scenario)
-
-
-def units_of(network: Network) -> dict[str, str]:
-    """Units of the columns in ``network``, which for an abstract plant are not what they say."""
-    codecs = {
-        "reference_mps2": network.reference,
-        "dstar_mps2": network.feedback,
-        "error_mps2": network.feedback,
-        "torque_nm": network.command_1,
-        "force_difference_n": network.command_2,
-        "fault_estimate_mps2": network.status,
-    }
-    return {name: printed(codec.unit) for name, codec in codecs.items()}
 
 
 def scenario_of(folder: Path) -> Scenario | None:

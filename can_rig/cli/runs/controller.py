@@ -7,9 +7,10 @@ import sys
 import click
 
 from can_rig.assessment.resolve import load
-from can_rig.cli.options import scenario_options
+from can_rig.cli.options import controller_option, scenario_options
 from can_rig.cli.output import json_line
 from can_rig.cli.runs.node import end_of_node, node_options, node_progress
+from can_rig.export.controllers import controller_of
 from can_rig.nodes.progress import Throttled
 from can_rig.nodes.runner import run_controller
 from can_rig.nodes.watchdog import StopRequest, Timeouts
@@ -18,6 +19,7 @@ from can_rig.nodes.watchdog import StopRequest, Timeouts
 @click.command("controller")
 @scenario_options
 @node_options
+@controller_option
 def command(
     scenario: str,
     settings: tuple[str, ...],
@@ -26,6 +28,7 @@ def command(
     first_s: float,
     as_json: bool,
     real_time: bool,
+    controller: str,
 ) -> None:
     """Run the controller node: the firmware, in lockstep with a plant node or in real time.
 
@@ -34,6 +37,7 @@ def command(
     """
     timeouts = Timeouts(first_s, Timeouts.silence_s if silence_s is None else silence_s)
     chosen = load(scenario, settings)
+    running = controller_of(controller, chosen)
     stop = StopRequest().on_signals()
 
     def on_ready() -> None:
@@ -50,6 +54,7 @@ def command(
             Throttled(on_tick),
             real_time=real_time,
             by_hand=True,
+            controller=running,
         )
         on_tick(summary.ticks)
     sys.exit(end_of_node(chosen, summary, as_json))

@@ -11,6 +11,7 @@ import click
 from can_rig.assessment.resolve import load
 from can_rig.cli.options import (
     bus_option,
+    controller_option,
     json_option,
     realtime_option,
     scenario_options,
@@ -20,6 +21,7 @@ from can_rig.cli.output import json_line
 from can_rig.cli.progress import counting
 from can_rig.cli.runs.closing import closing_table
 from can_rig.errors import INTERRUPTED
+from can_rig.export.controllers import controller_of
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import refuse_log, write_log
 from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Timeouts
@@ -42,9 +44,14 @@ from can_rig.results.run_folder import LOG
     help="Write the log here too when the run has ended, however: FILE.blf, .asc, .mf4, .trc, "
     ".log or .log.gz.  Repeatable.",
 )
-@click.option("--in-process", is_flag=True, help="Both nodes in this process; the same log.")
+@click.option(
+    "--in-process",
+    is_flag=True,
+    help="Both nodes in this process; the same log, and far sooner unless --bus names one.",
+)
 @click.option("--allow-unstable", is_flag=True, help="Run a loop that `can-rig check` refuses.")
 @silence_option("1.0")
+@controller_option
 @json_option("The metrics and how it went as one JSON object.")
 @realtime_option
 def command(
@@ -57,6 +64,7 @@ def command(
     in_process: bool,
     allow_unstable: bool,
     silence_s: float | None,
+    controller: str,
     as_json: bool,
     real_time: bool,
 ) -> None:
@@ -72,6 +80,7 @@ def command(
     refuse(chosen, allow_unstable)
     for path in logs:
         refuse_log(path, force)
+    running = controller_of(controller, chosen)
     runner = execution.in_process if in_process else execution.two_processes
     done = execution.execute(
         chosen,
@@ -81,6 +90,7 @@ def command(
         bus=bus,
         runner=execution.real_time if real_time else runner,
         progress=lambda: counting(chosen.name, "ticks", chosen.ticks),
+        controller=running,
         timeouts=DEFAULT_TIMEOUTS if silence_s is None else Timeouts(silence_s=silence_s),
     )
     if done is None:
@@ -88,7 +98,7 @@ def command(
     if as_json:
         json_line(folder=str(done.folder), metrics=done.metrics, **asdict(done.outcome))
     else:
-        closing_table(done.scenario, done.network, done.metrics, done.outcome, done.folder)
+        closing_table(done.scenario, done.metrics, done.outcome, done.folder)
     for path in logs:
         write_log(read_log(done.folder / LOG), path)
     if done.failure is not None:

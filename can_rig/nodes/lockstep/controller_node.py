@@ -16,7 +16,7 @@ from can_rig.nodes.bus_access import Send
 from can_rig.nodes.controller_end import ControllerEnd, started
 from can_rig.nodes.watchdog import Interrupted, Watchdog
 from can_rig.scenario.settings import Scenario
-from firmware_model.firmware import Firmware
+from firmware_model.firmware import PYTHON_LAW, Firmware, Law
 
 
 class Actuation(Protocol):
@@ -37,18 +37,24 @@ class ControllerNode:
         network: its frames.
         send: sends a frame.
         actuation: of a run in real time that is replayed; None: every answer is in time.
+        law: what runs as the control law.
 
     Raises:
         ScenarioError: a design that cannot be made.
     """
 
     def __init__(
-        self, scenario: Scenario, network: Network, send: Send, actuation: Actuation | None = None
+        self,
+        scenario: Scenario,
+        network: Network,
+        send: Send,
+        actuation: Actuation | None = None,
+        law: Law = PYTHON_LAW,
     ) -> None:
         self._actuation = actuation
         self.ticks: Final = scenario.ticks
         self._end = ControllerEnd(scenario, network, send)
-        _, self._firmware = started(scenario, network)
+        _, self._firmware = started(scenario, network, law)
         self._reference_now = Record(math.nan, -1)
         self._tick = 0  # the next one
         self._expected: int | None = None  # the first contact says which tick it is

@@ -19,9 +19,8 @@ from __future__ import annotations
 
 import math
 
-import numpy as np
-
 from firmware_model.compiled import firmware
+from firmware_model.target.exponential import exp_minus
 from firmware_model.target.structs import Field, Record
 
 CONSTANTS = (
@@ -58,8 +57,7 @@ def begin_transfer(constants: Record, state: Record, lost: float, speed: float) 
     pace = max(constants.haste * pace, constants.slowest_pace)
     state.missed = missed
     state.missed_growth = missed_speed + pace * missed
-    # In double, once a transfer: single-precision exponentials differ from library to library.
-    state.missed_memory = math.exp(-np.float64(pace))
+    state.missed_memory = exp_minus(pace)
 
 
 @firmware

@@ -47,7 +47,9 @@ def begin_probe(state: Record) -> None:
 def phase(state: Record) -> tuple[float, float, float]:
     """cos ωkT, sin ωkT, and the window 1 - cos ½ωkT."""
     cos, sin = state.cosine, state.sine
-    return cos * cos - sin * sin, sin * cos + sin * cos, cos * cos + sin * sin - cos
+    cosine, sine = cos * cos - sin * sin, sin * cos + sin * cos
+    window = cos * cos + sin * sin - cos
+    return cosine, sine, window
 
 
 @firmware

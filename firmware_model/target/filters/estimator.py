@@ -63,10 +63,9 @@ def model_output(
     if constants.dead_ticks_2 > 0:
         u2 = state.dead_2[state.dead_index_2]
     state.showing_1, state.showing_2 = u1, u2
-    return (
-        output(constants.channel_1, state.channel_1, u1),
-        output(constants.channel_2, state.channel_2, u2),
-    )
+    y1 = output(constants.channel_1, state.channel_1, u1)
+    y2 = output(constants.channel_2, state.channel_2, u2)
+    return y1, y2
 
 
 @firmware

@@ -138,10 +138,12 @@ def test_what_is_cleared_is_nothing() -> None:
     for name in ("share", "between", "followed", "previous_output", "delay"):
         state.loss_model[name] = 1.0
     state.loss_model.channel_1.accumulators[:] = math.pi
+    state.loss_model.earlier.accumulators[:] = math.pi
     clear_loss_model(state)
     for name in ("share", "between", "followed", "previous_output", "delay"):
         assert not np.any(state.loss_model[name]), name
     assert not state.loss_model.channel_1.accumulators.any()
+    assert not state.loss_model.earlier.accumulators.any()
 
 
 def test_the_share_that_is_compensated_follows_by_two_lags() -> None:

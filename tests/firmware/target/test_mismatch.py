@@ -42,7 +42,7 @@ def tables_of(parameters: int, **changes: Any) -> RecordArray:
 
 COMMANDS = np.cumsum(np.random.default_rng(4).standard_normal(400))
 MODELLED = signal.sosfilt(zoh(CAR.g1, TICK_S).sos, COMMANDS)
-LOST = np.random.default_rng(5).standard_normal(400)
+LOST, EARLIER = np.random.default_rng(5).standard_normal((2, 400))
 
 
 def differences(parameters: int, u: NDArray[Any] = COMMANDS) -> list[NDArray[Any]]:
@@ -54,18 +54,20 @@ def differences(parameters: int, u: NDArray[Any] = COMMANDS) -> list[NDArray[Any
     ]
 
 
-def predict(table: Record, state: Record, command: float, model: float, lost: float) -> None:
+def predict(
+    table: Record, state: Record, command: float, model: float, lost: float, earlier: float = 0.0
+) -> None:
     """A tick of other cars and of what is made of them."""
     show_other_cars(table, state, command, 0.0)
-    predict_mismatch(table, state, model, lost)
+    predict_mismatch(table, state, model, lost, earlier)
     advance_other_cars(table, state)
 
 
 def predicted(table: Record) -> NDArray[Any]:
     """A row a tick: regressor, extent, M and the remainder's variance."""
     state, rows = controller.init(table)[0], []
-    for command, model, lost in zip(COMMANDS, MODELLED, LOST, strict=True):
-        predict(table, state, command, model, lost)
+    for drive in zip(COMMANDS, MODELLED, LOST, EARLIER, strict=True):
+        predict(table, state, *drive)
         known = state.mismatch
         rows.append([*known.regressor, known.extent, known.change, known.remainder])
     return np.array(rows)
@@ -76,12 +78,12 @@ def whitened(x: NDArray[Any]) -> NDArray[Any]:
 
 
 @pytest.mark.parametrize("parameters", [1, 2, 3, 4])
-def test_x_is_the_lost_w_its_change_the_difference_of_the_cars_and_one_whitened(
+def test_x_is_the_lost_w_what_is_earlier_the_difference_of_the_cars_and_one_whitened(
     parameters: int,
 ) -> None:
     rows = predicted(tables_of(parameters)[0])
     np.testing.assert_allclose(rows[:, 0], whitened(LOST), atol=1e-12)
-    np.testing.assert_allclose(rows[:, 1], whitened(np.diff(LOST, prepend=0.0)), atol=1e-12)
+    np.testing.assert_allclose(rows[:, 1], whitened(EARLIER), atol=1e-12)
     for i, x in enumerate(differences(parameters), start=2):
         np.testing.assert_allclose(rows[:, i], whitened(x), atol=1e-10 * np.abs(x).max())
     np.testing.assert_allclose(rows[:, 2 + parameters], 1.0 - COLOUR)  # of the remainder

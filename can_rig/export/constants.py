@@ -1,0 +1,81 @@
+"""The constant table of a scenario as one ``const`` struct of C."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+
+from can_rig.export.translation.c_text import INDENT, WIDTH, comment, name, number
+from firmware_model.target.layout import TABLE, precision_of
+from firmware_model.target.structs import Field, Precision, Record, Struct
+
+
+def constants_source(table: Record, title: str) -> str:
+    """``constants.c``: the table, every number exactly as it is stored.
+
+    Args:
+        table: of ``tables.build``.
+        title: what it is the table of.
+    """
+    lines = [
+        *comment(title), '#include "constants.h"', "",
+        "const struct layout_table controller_table = {",
+        *_members(TABLE, table, precision_of(table), INDENT),
+        "};",
+    ]  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
+def constants_header(title: str) -> str:
+    """``constants.h``, which declares it."""
+    lines = [
+        *comment(title), "#ifndef CONSTANTS_H", "#define CONSTANTS_H", "", '#include "layout.h"',
+        "", "extern const struct layout_table controller_table;", "", "#endif",
+    ]  # fmt: skip
+    return "\n".join(lines) + "\n"
+
+
+def _members(struct: Struct, record: Any, precision: Precision, indent: str) -> Iterator[str]:
+    """Every member that is not zero; C makes the rest zero."""
+    zeros = []
+    for field in struct:
+        value = record[field.name]
+        if isinstance(field.kind, tuple):
+            inside = list(_members(field.kind, value, precision, indent + INDENT))
+            yield from (f"{indent}.{name(field.name)} = {{", *inside, f"{indent}}},")
+        elif _is_zero(np.asarray(value)):
+            zeros.append(field)
+        else:
+            yield from _member(field, np.asarray(value), precision, indent)
+    if len(zeros) == len(struct):  # an initialiser must not be empty
+        yield f"{indent}.{name(struct[0].name)} = {'{0}' if struct[0].shape else '0'},"
+
+
+def _member(field: Field, value: Any, precision: Precision, indent: str) -> Iterator[str]:
+    unit = "" if field.unit == "1" else f"[{field.unit}] "
+    remark = f" /* {unit}{field.meaning} */".replace("*/ */", "*/")
+    line = f"{indent}.{name(field.name)} = {_initialiser(field, value, precision)},"
+    if value.ndim < 2:
+        yield from [line + remark] if len(line + remark) <= WIDTH else [indent + remark[1:], line]
+        return
+    yield f"{indent}.{name(field.name)} = {{{remark}"
+    last = max(at for at, row in enumerate(value) if not _is_zero(row))
+    for row in value[: last + 1]:
+        yield f"{indent}{INDENT}{_initialiser(field, row, precision)},"
+    yield f"{indent}}},"
+
+
+def _initialiser(field: Field, value: Any, precision: Precision) -> str:
+    if np.ndim(value):
+        last = max((at for at, one in enumerate(value) if not _is_zero(one)), default=0)
+        return (
+            f"{{{', '.join(_initialiser(field, each, precision) for each in value[: last + 1])}}}"
+        )
+    return number(float(value), precision) if field.kind == "real" else str(int(value))
+
+
+def _is_zero(value: Any) -> bool:
+    """Whether all of it is what C initialises with: -0.0 is not."""
+    return not np.any(value) and not np.any(np.signbit(value))

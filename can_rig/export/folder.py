@@ -1,0 +1,56 @@
+"""A folder of C: a scenario's controller, and what builds it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Final
+
+from can_rig.export.application import application
+from can_rig.export.law import filled, support
+from can_rig.files import atomic, refuse_existing
+from can_rig.scenario.settings import Scenario
+from firmware_model.target.structs import Precision
+
+BUILD_FILES: Final = ("Makefile", "CMakeLists.txt", "main.c")
+
+
+def exported(scenario: Scenario, precision: Precision | None = None) -> dict[str, str]:
+    """The whole of a scenario's controller as text by file name.
+
+    Args:
+        scenario: whose controller it is.
+        precision: of its real numbers; None: the scenario's.
+
+    Raises:
+        ScenarioError: a design that cannot be made.
+        ExportError: the law is outside the subset that becomes C.
+    """
+    chosen = scenario if precision is None else in_precision(scenario, precision)
+    files = application(chosen)
+    units = sorted(name for name in files if name.endswith(".c"))
+    zero = "0.0f" if chosen.design.precision == "float32" else "0.0"
+    objects = " \\\n    ".join(f"{name.removesuffix('.c')}.o" for name in units)
+    sources = "\n".join(f"  {name}" for name in units)
+    return files | {
+        name: filled(support(name), zero=zero, objects=objects, sources=sources)
+        for name in BUILD_FILES
+    }
+
+
+def in_precision(scenario: Scenario, precision: Precision) -> Scenario:
+    """The scenario with a controller of that precision."""
+    return replace(scenario, design=replace(scenario.design, precision=precision))
+
+
+def write(files: dict[str, str], folder: Path, force: bool) -> None:
+    """Write all of them, or none.
+
+    Raises:
+        LogError: the folder exists and must not be replaced, or cannot be written.
+    """
+    refuse_existing(folder, force, "--out")
+    with atomic(folder) as part:
+        part.mkdir()
+        for name, text in files.items():
+            (part / name).write_text(text, encoding="utf-8")

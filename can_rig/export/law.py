@@ -1,0 +1,89 @@
+"""The control law as files of C: those of `firmware_model.target` that its entry points need."""
+
+from __future__ import annotations
+
+import sys
+from functools import cache
+from importlib.resources import files
+from typing import Final
+
+from can_rig.export.translation.c_files import CFiles
+from can_rig.export.translation.program import Program
+from can_rig.export.translation.source import Sources
+from can_rig.export.translation.types import REAL, Record, Type
+from firmware_model.target import controller, layout
+from firmware_model.target.structs import Precision, Struct
+
+ENTRIES: Final = ("start_up", "step", "reset")
+"""What a node calls: each gets table and state first, then real numbers."""
+
+
+def support(name: str) -> str:
+    """The text of a file that is written by hand, with ``{words}`` to be filled in."""
+    return (files("can_rig.export") / "support" / name).read_text(encoding="utf-8")
+
+
+def real_header(precision: Precision) -> str:
+    """``real.h``: what a real number is."""
+    single = precision == "float32"
+    return filled(
+        support("real.h"),
+        words="single" if single else "double",
+        real="float" if single else "double",
+        fabs="fabsf" if single else "fabs",
+        MAX="FLT_MAX" if single else "DBL_MAX",
+    )
+
+
+def filled(text: str, **values: str) -> str:
+    """``text`` with ``{name}`` replaced; other braces, of which C is full, stay."""
+    for name, value in values.items():
+        text = text.replace(f"{{{name}}}", value)
+    return text
+
+
+def target_sources() -> Sources:
+    """The modules of `firmware_model.target`, read."""
+    sources = Sources()
+    room = layout.__name__.rpartition(".")[0]
+    for name in sorted(sys.modules):
+        if name.startswith(f"{room}."):
+            sources.module(name)
+    return sources
+
+
+def record(sources: Sources, struct: Struct) -> Record:
+    """The type of a struct of the target."""
+    found = sources.struct(struct)
+    assert found is not None
+    return Record(found)
+
+
+def law_program() -> Program:
+    """The control law with the types of everything in it.
+
+    Raises:
+        ExportError: something is outside the subset.
+    """
+    sources = target_sources()
+    program = Program(sources)
+    functions = sources.module(controller.__name__).functions
+    memory: list[Type] = [record(sources, layout.TABLE), record(sources, layout.STATE)]
+    for name in ENTRIES:
+        inputs = len(functions[name].parameters) - len(memory)
+        program.add(functions[name], [*memory, *(REAL,) * inputs])
+    return program
+
+
+@cache
+def law_files(precision: Precision) -> dict[str, str]:
+    """Text by file name.
+
+    Raises:
+        ExportError: something is outside the subset.
+    """
+    program = law_program()
+    structs = [record(program.sources, each).struct for each in (layout.TABLE, layout.STATE)]
+    entries = {f"controller_{name}" for name in ENTRIES}
+    translated = CFiles(program, structs, entries, precision).files()
+    return {**translated, "real.h": real_header(precision)}

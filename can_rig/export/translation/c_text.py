@@ -1,0 +1,99 @@
+"""How C is set: lines of at most 100 columns, comments, numbers."""
+
+from __future__ import annotations
+
+import math
+import re
+import textwrap
+from typing import Final
+
+import numpy as np
+
+from firmware_model.target.structs import Precision
+
+WIDTH: Final = 100
+INDENT: Final = "    "
+
+WORDS: Final = """
+    auto break case char const continue default do double else enum extern float for goto if inline
+    int long register restrict return short signed sizeof static struct switch typedef union
+    unsigned void volatile while bool true false real
+"""
+KEYWORDS: Final = frozenset(WORDS.split())
+
+
+def name(python: str) -> str:
+    """``python`` as a name in C, where some words are taken."""
+    return f"{python}_" if python in KEYWORDS else python
+
+
+def number(value: float, precision: Precision) -> str:
+    """A literal of exactly this value in ``precision``."""
+    if math.isnan(value):
+        return "NAN" if precision == "float32" else "(double)NAN"
+    if math.isinf(value):
+        sign = "-" if value < 0.0 else ""
+        return f"{sign}INFINITY" if precision == "float32" else f"{sign}(double)INFINITY"
+    if precision == "float32":
+        shortest = str(np.float32(value))
+        return f"{shortest if '.' in shortest or 'e' in shortest else shortest + '.0'}f"
+    return repr(float(value))
+
+
+def plain(text: str) -> str:
+    """Text of a docstring as text of a comment."""
+    return text.replace("``", "'").replace("*/", "* /").replace("/*", "/ *")
+
+
+def comment(text: str, indent: str = "") -> list[str]:
+    """A block comment, as the text has its lines."""
+    lines = [line.rstrip() for line in plain(text).splitlines()]
+    if len(lines) == 1 and len(indent) + len(lines[0]) + 6 <= WIDTH:
+        return [f"{indent}/* {lines[0]} */"]
+    if len(lines) == 1:
+        lines = textwrap.wrap(lines[0], WIDTH - len(indent) - 3)
+    body = [f"{indent} * {line}".rstrip() for line in lines[1:]]
+    return [f"{indent}/* {lines[0]}", *body, f"{indent} */"]
+
+
+def with_comment(line: str, text: str, indent: str) -> list[str]:
+    """``line`` with a comment behind it, or before it where it does not fit."""
+    one = f"{line} /* {plain(text)} */"
+    if "\n" not in line and len(one) <= WIDTH:
+        return [one]
+    return [*comment(text, indent), line]
+
+
+def wrapped(line: str, indent: str) -> list[str]:
+    """``line`` broken where its outermost operands or arguments begin."""
+    if len(indent) + len(line) <= WIDTH:
+        return [indent + line]
+    places = [
+        (rank, at)
+        for rank, at in _breaks(line)
+        if len(indent) + at + (1 if line[at] == "," else 0) <= WIDTH
+    ]
+    if not places:
+        return [indent + line]
+    least = min(rank for rank, _ in places)
+    at = max(place for rank, place in places if rank == least)
+    at += 1 if line[at] == "," else 0
+    inner = indent if indent.endswith(INDENT * 2 + " ") else indent + INDENT * 2
+    return [indent + line[:at].rstrip(), *wrapped(line[at:].lstrip(), inner)]
+
+
+def _breaks(line: str) -> list[tuple[tuple[int, int], int]]:
+    """Where a line may be broken: how deep in brackets, how tightly it binds there, and where."""
+    depth, found = 0, []
+    for at, letter in enumerate(line):
+        if letter in "([{":
+            depth += 1
+        elif letter in ")]}":
+            depth -= 1
+        elif letter == ",":
+            found.append(((depth, 0), at))
+        else:
+            for tightness, operators in enumerate((" [?:] ", r" (&&|\|\|) ", " [-+] ", " [*/] ")):
+                if re.match(operators, line[at:]):
+                    found.append(((depth, tightness + 1), at))
+    return found

@@ -1,0 +1,126 @@
+"""Numbers that the source names, as macros of C, and enumerations."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+
+from can_rig.export.translation.c_text import comment, number, plain, with_comment
+from can_rig.export.translation.program import Program
+from can_rig.export.translation.source import Module, Sources
+from firmware_model.target.structs import Precision
+
+
+class Names:
+    """The named numbers that a program uses, each where its module defines it.
+
+    Args:
+        program: the program.
+        precision: of its real numbers.
+    """
+
+    def __init__(self, program: Program, precision: Precision) -> None:
+        self._sources = program.sources
+        self._precision: Precision = precision
+        self._used: dict[tuple[str, str], set[str]] = {}  # (module, name) → modules that use it
+        self._homes: dict[str, Module] = {}
+        for typed in program.functions.values():
+            user = typed.function.module
+            for statement in typed.function.body:
+                for node in ast.walk(statement):
+                    if isinstance(node, ast.Name) and node.id not in typed.names:
+                        value = user.lookup(node.id)
+                        if isinstance(value, int | float):
+                            home = origin(self._sources, user, node.id)
+                            self._homes[home.name] = home
+                            self._used.setdefault((home.name, node.id), set()).add(user.name)
+
+    def headers(self, user: Module) -> set[str]:
+        """The other modules whose names ``user`` uses, and those of enumerations."""
+        used = [(home, name) for (home, name), users in self._used.items() if user.name in users]
+        homes = {home for home, _ in used}
+        for home, name in used:
+            homes |= {enum.name for enum, _ in self._enumerator(self._homes[home], name)}
+        return homes - {user.name}
+
+    def public(self, home: Module) -> list[str]:
+        """The definitions that other modules use too."""
+        names = [name for name in self._of(home) if self._used[home.name, name] != {home.name}]
+        return self._definitions(home, names)
+
+    def private(self, home: Module) -> list[str]:
+        """The definitions that only this module uses."""
+        names = [name for name in self._of(home) if self._used[home.name, name] == {home.name}]
+        return self._definitions(home, names)
+
+    def _of(self, home: Module) -> list[str]:
+        return [name for name in home.assignments if (home.name, name) in self._used]
+
+    def _definitions(self, home: Module, names: list[str]) -> list[str]:
+        lines = []
+        for name in names:
+            value = home.lookup(name)
+            text = str(value) if isinstance(value, int) else number(value, self._precision)
+            for _, enumerator in self._enumerator(home, name):
+                text = enumerator
+            if text == name:
+                continue
+            line = f"#define {name} {text if value >= 0 else f'({text})'}"
+            said = home.comments.get(home.assignments[name].lineno)
+            lines += with_comment(line, said.text, "") if said and not said.alone else [line]
+        return lines
+
+    def _enumerator(self, home: Module, name: str) -> Iterator[tuple[Module, str]]:
+        """The enumerator that ``name`` stands for, if it does."""
+        match home.assignments[name]:
+            case ast.Call(
+                func=ast.Name(id="int"),
+                args=[ast.Attribute(value=ast.Name(id=enum), attr=member)],
+            ):
+                declared = home.lookup(enum)
+                module = self._sources.module(declared.__module__)
+                yield module, enumerator(enum, member)
+
+
+def origin(sources: Sources, user: Module, name: str) -> Module:
+    """The module that defines what ``user`` calls ``name``."""
+    for node in user.tree.body:
+        names = [alias.name for alias in node.names] if isinstance(node, ast.ImportFrom) else []
+        if isinstance(node, ast.ImportFrom) and node.module and name in names:
+            return origin(sources, sources.module(node.module), name)
+    return user
+
+
+def enumerator(enum: str, member: str) -> str:
+    """FaultState.CLEAR as FAULT_STATE_CLEAR."""
+    return f"{snake(enum).upper()}_{member}"
+
+
+def snake(words: str) -> str:
+    """FaultState as fault_state."""
+    return re.sub(r"(?<!^)(?=[A-Z])", "_", words).lower()
+
+
+def enumerations(module: Module) -> list[str]:
+    """Every enumeration that ``module`` declares, with what its docstrings say."""
+    lines: list[str] = []
+    for node in module.tree.body:
+        if not isinstance(node, ast.ClassDef) or node.name not in module.enums:
+            continue
+        lines += ["", *comment(ast.get_docstring(node) or node.name)]
+        lines.append(f"enum {module.name}_{snake(node.name)} {{")
+        body = node.body
+        for at, each in enumerate(body):
+            match each:
+                case ast.Assign(
+                    targets=[ast.Name(id=member)], value=ast.Constant(value=int(value))
+                ):
+                    line = f"    {enumerator(node.name, member)} = {value},"
+                    match body[at + 1 : at + 2]:
+                        case [ast.Expr(value=ast.Constant(value=str(said)))]:
+                            lines += with_comment(line, plain(said), "    ")
+                        case _:
+                            lines.append(line)
+        lines.append("};")
+    return lines

@@ -1,0 +1,129 @@
+"""The law in C against the law in Python: the same bits after every tick, whatever the memory."""
+
+from __future__ import annotations
+
+import math
+import os
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from can_rig.export.compiled_law import CompiledLaw
+from can_rig.export.compiler import FLAGS, shared_library
+from can_rig.export.law import law_files
+from firmware_model.firmware import PYTHON_LAW, Law
+from firmware_model.target.layout import state_type, table_type
+from firmware_model.target.structs import Precision, RecordArray
+from tests.rig.export.random_memory import bits, random_state, random_table, reals
+
+PRECISIONS: tuple[Precision, ...] = ("float64", "float32")
+MEMORIES, TICKS = 150, 12
+
+
+def compiled(compiler: str, level: str, precision: Precision) -> CompiledLaw:
+    if shutil.which(compiler) is None:
+        pytest.skip(f"{compiler} is not installed")
+    before = os.environ.get("CC")
+    os.environ["CC"] = compiler
+    try:
+        flags = [level if flag == "-O2" else flag for flag in FLAGS]
+        return CompiledLaw(precision, shared_library(law_files(precision), flags))
+    finally:
+        os.environ.pop("CC")
+        if before is not None:
+            os.environ["CC"] = before
+
+
+def same_bits(law: Law, precision: Precision, seed: int, memories: int = MEMORIES) -> int:
+    """The ticks and resets compared."""
+    random, compared = np.random.default_rng(seed), 0
+    for _ in range(memories):
+        tables = random_table(random, precision)
+        one = random_state(random, tables[0], precision)
+        other = np.zeros(1, one.dtype)
+        other.view(np.uint8)[:] = one.view(np.uint8)  # with what is between the fields
+        steps = PYTHON_LAW.step_of(tables, one), law.step_of(tables, other)
+        inputs = reals(random, (TICKS, 2), precision).astype(float)
+        for k, (reference, measurement) in enumerate(inputs):
+            if k == TICKS // 2:
+                for each, state in ((PYTHON_LAW, one), (law, other)):
+                    each.reset(tables[0], state[0], reference)
+            else:
+                answers = [step(reference, measurement) for step in steps]
+                assert np.array_equal(*map(np.array, answers), equal_nan=True)
+            assert bits(one) == bits(other), difference(one, other)
+            compared += 1
+    return compared
+
+
+def difference(one: RecordArray, other: RecordArray) -> str:
+    """The first field that differs."""
+
+    def find(a: np.void, b: np.void, path: str) -> str | None:
+        if a.dtype.names is None:
+            return None if np.array_equal(a, b, equal_nan=True) else f"{path}: {a!r}, {b!r}"
+        found = (find(a[name], b[name], f"{path}.{name}") for name in a.dtype.names)
+        return next((each for each in found if each), None)
+
+    return find(one[0], other[0], "state") or "only in signs of zero"
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("level", ["-O0", "-O1", "-O2", "-O3"])
+@pytest.mark.parametrize("compiler", ["gcc", "clang"])
+def test_every_bit_of_the_state_is_the_same(
+    compiler: str, level: str, precision: Precision
+) -> None:
+    law = compiled(compiler, level, precision)
+    assert same_bits(law, precision, seed=int(level[-1])) == MEMORIES * TICKS
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_a_state_at_rest_is_the_same(precision: Precision) -> None:
+    law = CompiledLaw(precision)
+    for seed in range(20):
+        tables = random_table(np.random.default_rng(seed), precision)
+        assert bits(law.init(tables[0])) == bits(PYTHON_LAW.init(tables[0]))
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_another_law_has_other_bits(precision: Precision) -> None:
+    files = dict(law_files(precision))
+    files["biquad.c"] = files["biquad.c"].replace("[i][1] * u -", "[i][1] * u +")
+    assert files != law_files(precision)
+    with pytest.raises(AssertionError, match="state"):
+        same_bits(CompiledLaw(precision, shared_library(files)), precision, seed=0)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_structs_lie_where_numpy_has_them(tmp_path: Path, precision: Precision) -> None:
+    """C says the offset of every field, as assertions that a compiler checks."""
+    lines = ["#include <stddef.h>", '#include "layout.h"']
+
+    def check(struct: str, dtype: np.dtype[np.void], path: str = "", base: int = 0) -> None:
+        assert dtype.fields is not None
+        for name, (kind, offset, *_) in dtype.fields.items():
+            place = f"{path}{name}"
+            lines.append(
+                f"typedef char at_{len(lines)}"
+                f"[offsetof(struct {struct}, {place}) == {base + offset} ? 1 : -1];"
+            )
+            if kind.names:
+                check(struct, kind, f"{place}.", base + offset)
+
+    for struct, dtype in (("layout_table", table_type), ("layout_state", state_type)):
+        check(struct, dtype(precision))
+        size = dtype(precision).itemsize
+        lines.append(f"typedef char size_{struct}[sizeof(struct {struct}) == {size} ? 1 : -1];")
+    assert len(lines) > 150
+    shared_library({**law_files(precision), "offsets.c": "\n".join(lines) + "\n"})
+
+
+def test_inputs_that_are_missing_are_held() -> None:
+    tables = random_table(np.random.default_rng(5), "float64")
+    law = CompiledLaw("float64")
+    states = law.init(tables[0])
+    *_, mode, _ = law.step_of(tables, states)(math.nan, 0.0)
+    assert mode == 2

@@ -1,0 +1,71 @@
+"""The translator and numba infer the same type for every name of every function of the law."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numba
+import numpy as np
+import pytest
+from numba.core import types as nb
+
+from can_rig.export.law import law_program
+from can_rig.export.translation.program import Typed
+from can_rig.export.translation.types import BOOL, REAL, Answers, Array, Record, Scalar, Type
+from firmware_model.target.structs import Precision, record_type
+
+PROGRAM = law_program()
+
+
+def as_numba(kind: Type, precision: Precision) -> Any:
+    """What numba calls the type, for an argument."""
+    real = nb.float32 if precision == "float32" else nb.float64
+    match kind:
+        case Record():
+            return numba.from_dtype(record_type(kind.struct.fields, precision))
+        case Array():
+            return nb.Array(real, len(kind.shape), "C")
+        case Scalar():
+            return real if kind is REAL else nb.int64
+    raise NotImplementedError(kind)
+
+
+def agrees(kind: Type, found: Any, precision: Precision) -> bool:
+    """Whether numba's type of a name is ours."""
+    real = nb.float32 if precision == "float32" else nb.float64
+    if isinstance(found, nb.Literal):
+        found = found.literal_type
+    match kind:
+        case Record():
+            return bool(found.dtype == np.dtype(record_type(kind.struct.fields, precision)))
+        case Array():
+            return isinstance(found, nb.Array | nb.NestedArray) and found.dtype == real
+        case Answers():
+            return [item is REAL for _, item in kind.items] == [each == real for each in found]
+        case None:
+            return isinstance(found, nb.NoneType)
+    if kind is REAL:
+        return bool(found == real)
+    return found == nb.boolean if kind is BOOL else isinstance(found, nb.Integer)
+
+
+def compiled_types(typed: Typed, precision: Precision) -> tuple[dict[str, Any], Any]:
+    """numba's type for each variable, and for what is returned."""
+    function = getattr(typed.function.module.namespace, typed.function.name)
+    fresh = numba.njit(error_model="numpy")(getattr(function, "py_func", function))
+    fresh.compile(tuple(as_numba(each, precision) for each in typed.arguments))
+    (overload,) = fresh.overloads.values()
+    return overload.type_annotation.typemap, overload.signature.return_type
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@pytest.mark.parametrize("name", PROGRAM.functions)
+def test_types_are_those_of_numba(name: str, precision: Precision) -> None:
+    typed = PROGRAM.functions[name]
+    found, returned = compiled_types(typed, precision)
+    for variable, kind in found.items():
+        local = variable.removeprefix("arg.").split(".")[0]
+        if local in typed.names and kind != nb.undefined:
+            assert agrees(typed.names[local], kind, precision), f"{local}: {kind}"
+    assert agrees(typed.result, returned, precision), returned

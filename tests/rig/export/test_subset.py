@@ -1,0 +1,172 @@
+"""What is outside the subset is refused with its file, its line and what to write instead."""
+
+from __future__ import annotations
+
+import importlib.util
+import re
+import sys
+import textwrap
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+from can_rig.errors import ExportError
+from can_rig.export.translation.effects import Effects
+from can_rig.export.translation.program import Program
+from can_rig.export.translation.source import Sources
+from can_rig.export.translation.types import REAL, Record
+
+HEADER = """
+import math
+import numpy as np
+from firmware_model.compiled import firmware
+from firmware_model.target.precision import real
+from firmware_model.target.structs import Field, Record
+
+OTHER = 0.1
+STATE = (
+    Field("a", "1", "a number"),
+    Field("n", "1", "an integer", "int32"),
+    Field("list", "1", "an array", shape=(4,)),
+    Field("grid", "1", "a matrix", shape=(4, 2)),
+)
+
+@firmware
+def count(state: Record) -> float:
+    state.a += real(1.0, state.a)
+    answer: float = state.a
+    return answer
+
+@firmware
+def pair(x: float) -> tuple[float, float]:
+    y = x
+    return x, y
+
+"""
+Translate = Callable[[str], None]
+
+
+@pytest.fixture
+def translate(tmp_path: Path) -> Translate:
+    """Translates a function ``f(state: Record, x: float)`` from its text."""
+
+    def translated(text: str) -> None:
+        path = tmp_path / "lines.py"
+        path.write_text(HEADER + textwrap.dedent(text), encoding="utf-8")
+        spec = importlib.util.spec_from_file_location("lines", path)
+        assert spec is not None
+        assert spec.loader is not None
+        module = importlib.util.module_from_spec(spec)
+        sys.modules["lines"] = module
+        try:
+            spec.loader.exec_module(module)
+            sources = Sources()
+            source = sources.module("lines")
+            program = Program(sources)
+            struct = source.structs[id(module.STATE)]
+            program.add(source.functions["f"], [Record(struct), REAL])
+            Effects(program)
+        finally:
+            del sys.modules["lines"]
+
+    return translated
+
+
+REFUSED = {
+    "y = 2.0 * x": "2.0 has no precision: must be real(2.0, x)",
+    "y = OTHER * x": "OTHER has no precision: must be real(OTHER, x)",
+    "y = 1.0": "y gets a literal without a precision: must be real(..., x)",
+    "y = x * state.n": "a real number and an integer: must be real(n, x)",
+    "y = state.n / state.n": "state.n is an integer: must be a real number",
+    "y = x % x": "x is a real number: must be an integer",
+    "y = x ** x": "x ** x: must be +, -, *, / or %",
+    "state.n = x": "state.n gets a real number: must be an integer",
+    "state.a = state.n": "state.a gets an integer: must be a real number",
+    "y = x\n    y = state.n": "y is a real number before and an integer here",
+    "if x > 0.1:\n        pass": "0.1 has no precision",
+    "if x:\n        pass": "x is a real number: must be a truth value or an integer",
+    "if 0.0 < x < 1.0:\n        pass": "must be two comparisons",
+    "while x > 0.0:\n        pass": "while x > 0.0:: must be an assignment, a call, if, for",
+    "for y in state.list:\n        pass": "must be for i in range(stop) or range(start, stop)",
+    "for i in range(4):\n        i = 2": "i counts a loop: must not be assigned",
+    "for i in range(state.n):\n        state.n = 2": "range(state.n): must be a name, a number",
+    "y = math.exp(x)": "math.exp(x): must be a function of the target",
+    "y = np.sin(x)": "np.sin(x): must be a function of the target",
+    "y = np.float64(x)": "np.float64(x): must be a function of the target",
+    "y = [x]": "[x]: the subset has no such thing",
+    "y = (lambda z: z)(x)": "must be a function of the target",
+    "y = state.b": "the struct lines_state has no such field",
+    "y = unknown": "unknown: must be a name of this function, or a number of the module",
+    "y = state.grid[1]": "state.grid[1]: must have an index for each of (4, 2)",
+    "y = state.list[x]": "x is a real number: must be an integer",
+    "y = state.list[1:state.n]": "its ends must be integers of the source",
+    "state.list = x": "must be an array of shape (4,)",
+    "y = x + count(state) * state.a": "count(state) changes something",
+    "y = state.a + count(state)": "count(state) changes something",
+    "state.a += count(state)": "count(state) changes something",
+    "y = pair(state.a)[0]": "pair(state.a) is 2 values: must be an array",
+    "y, z, w = pair(x)": "pair(x) is 2 values: must be 3 values",
+    "y = count(state, x)": "count(state, x): must have 1 arguments by position",
+    "y = count(state=state)": "must have 1 arguments by position",
+    "y = pair(1.0)": "1.0 has no precision: must be real(1.0, x)",
+    "y = pair(state.n)": "x is an integer: its annotation must say so",
+    "state.a, state.list[0] = state.list[0], state.a": "may be what was just assigned",
+    "y, z = z, y": "z: must be a name of this function",
+    "f(state, x)": "f calls itself: must be a loop",
+    "y = x if x > 0.0 else state.n": "both answers must be alike",
+    "y = max(x, 1)": "all must be real, or all integers",
+    "y = min(x)": "must be a function of the target",
+    "state.n %= 3": "must be x = x % n",
+    "global y": "must be an assignment, a call, if",
+    "y = 'text'": "must be a number",
+    "y = x is x": "must be <, <=, >, >=, == or !=",
+    "y = ~state.n": "must be -x or not x",
+    "del x": "must be an assignment, a call, if",
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("line", REFUSED)
+def test_what_is_outside_is_refused(translate: Translate, line: str) -> None:
+    text = f'@firmware\ndef f(state: Record, x: float) -> None:\n    """Text."""\n    {line}\n'
+    with pytest.raises(ExportError, match=re.escape(REFUSED[line])) as refused:
+        translate(text)
+    first = HEADER.count("\n") + 4
+    where = re.match(r".*lines\.py:(\d+): ", str(refused.value))
+    assert where is not None
+    inside = range(first, first + line.count("\n") + 1)
+    elsewhere = "annotation" in str(refused.value) or "calls itself" in str(refused.value)
+    assert int(where[1]) in inside or elsewhere
+    assert "\n" not in str(refused.value)
+
+
+@pytest.mark.parametrize(
+    ("signature", "body", "what"),
+    [
+        ("f(state: Record, x: float = 1.0)", "pass", "must have parameters by position only"),
+        ("f(state: Record, x: int)", "pass", "x is a real number: its annotation must say so"),
+        ("f(state: Record, x)", "pass", "x is a real number: its annotation must say so"),
+        ("f(state: Record, x: float)", "if x > 0.0:\n        return x", "must end with a return"),
+        ("f(state: Record, x: float)", "return x, state.a", "must return names"),
+        ("f(state: Record, x: float)", "if x > 0.0:\n        return x\n    return state.n",
+         "returns an integer: must be a real number as before"),
+    ],
+)  # fmt: skip
+def test_signatures_that_c_has_not_are_refused(
+    translate: Translate, signature: str, body: str, what: str
+) -> None:
+    with pytest.raises(ExportError, match=re.escape(what)):
+        translate(f"@firmware\ndef {signature}:\n    {body}\n")
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "y = real(2.0, x) * x", "state.list[:] = 0.0", "state.grid[1:, :] = x",
+        "y = count(state) + x", "y, _ = pair(x)", "state.a = state.list[0] = x",
+        "y = -x if not x > 0.0 else abs(x)", "state.n = (state.n + 1) % 4",
+        "for i in range(4):\n        state.list[i] = real(i, x)",
+    ],
+)  # fmt: skip
+def test_what_is_inside_is_not(translate: Translate, line: str) -> None:
+    translate(f"@firmware\ndef f(state: Record, x: float) -> None:\n    {line}\n")
