@@ -12,6 +12,7 @@ from can_rig.errors import ScenarioError
 from can_rig.frames.dbc import shipped_dbc
 from can_rig.frames.network import Network, load_network
 from can_rig.scenario.plant_settings import PlantSettings
+from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
 from firmware_model.design import plants
 from firmware_model.design.actuator_dynamics import behind
@@ -24,7 +25,7 @@ from firmware_model.errors import DesignError
 from firmware_model.target.fault_decision.covariance import MAX_DIRECTIONS
 from firmware_model.target.structs import FloatArray, Record
 
-MOST_TABLES: Final = 16
+MOST_PLANTS, MOST_TABLES = 16, 16  # that are remembered
 _TABLES: Final[dict[str, Record]] = {}
 """The last ones that were computed, by everything that they follow from."""
 
@@ -41,6 +42,7 @@ def _network(dbc: str) -> Network:
     return load_network(shipped_dbc(dbc))
 
 
+@remembered(MOST_PLANTS)
 def continuous_car(settings: PlantSettings) -> plants.Plant:
     """The linear plant that ``settings`` describe, without its actuators and its sensor.
 
@@ -56,6 +58,7 @@ def continuous_car(settings: PlantSettings) -> plants.Plant:
         raise ScenarioError(f"plant: {error}") from None
 
 
+@remembered(MOST_PLANTS)
 def continuous_plant(settings: PlantSettings) -> plants.Plant:
     """``continuous_car`` behind its actuators and its sensor, as far as they are linear.
 

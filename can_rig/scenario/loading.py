@@ -7,6 +7,7 @@ may be given as a word, ``latency_ticks = "from-bus"``: a ``Draft`` keeps it, an
 
 from __future__ import annotations
 
+import copy
 import difflib
 import json
 import tomllib
@@ -53,6 +54,30 @@ def read(name: str, settings: Iterable[str] = ()) -> Draft:
     Raises:
         ScenarioError: no such scenario, not TOML, an unknown key, a bad value.
     """
+    return changed(written(name), settings)
+
+
+@dataclass(frozen=True)
+class Written:
+    """A scenario as its file has it.
+
+    Attributes:
+        given: what names it: a shipped one, or a path.
+        name: its own.
+        values: its keys, without a default.
+    """
+
+    given: str
+    name: str
+    values: dict[str, Any]
+
+
+def written(name: str) -> Written:
+    """The file of the scenario ``name``, a shipped one or a path, before its keys are looked at.
+
+    Raises:
+        ScenarioError: no such scenario, or not TOML.
+    """
     known = shipped()
     path = Path(name)
     if name in known:
@@ -71,11 +96,23 @@ def read(name: str, settings: Iterable[str] = ()) -> Draft:
     if isinstance(table, dict) and isinstance(table.get("file"), str):
         # in a scenario relative to it, as everywhere else; in --set to the working directory
         table["file"] = str(path.parent / table["file"])
+    return Written(name, path.stem, values)
+
+
+def changed(file: Written, settings: Iterable[str] = ()) -> Draft:
+    """A scenario that was written, with ``KEY=VALUE`` changes.
+
+    Raises:
+        ScenarioError: an unknown key, a bad value.
+    """
+    values = copy.deepcopy(file.values)
     for setting in settings:
-        _change(values, setting)
+        change(values, setting)
     if "name" in values:
-        raise ScenarioError(f"scenario {name}: name: unknown key; a scenario is named by its file")
-    return draft(path.stem, values)
+        raise ScenarioError(
+            f"scenario {file.given}: name: unknown key; a scenario is named by its file"
+        )
+    return draft(file.name, values)
 
 
 def of_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Draft:
@@ -95,7 +132,7 @@ def of_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Draft:
     if isinstance(plant, dict) and isinstance(model, dict):
         changed["model"] = _other_than(plant, model)
     for setting in settings:
-        _change(changed, setting)
+        change(changed, setting)
     return draft(str(changed.get("name", "run")), changed)
 
 
@@ -169,7 +206,7 @@ def _take(values: dict[str, Any], key: str, word: str) -> bool:
     return True
 
 
-def _change(values: dict[str, Any], setting: str) -> None:
+def change(values: dict[str, Any], setting: str) -> None:
     """Apply one ``KEY=VALUE``; a value that is not TOML is a string, so quotes are optional."""
     key, equals, text = setting.partition("=")
     parts = key.strip().split(".")
