@@ -15,13 +15,15 @@ from scipy.stats import qmc
 from can_rig.assessment.resolve import resolve
 from can_rig.campaigns.settings import MOST_RUNS, AxisSettings, CampaignSettings, Scalar
 from can_rig.errors import ScenarioError
-from can_rig.scenario.changes import as_settings, flat, toml_text
-from can_rig.scenario.loading import LAGS, LIMITS, Written, changed, written
+from can_rig.scenario.loading import LIMITS, Written, as_settings, changed, toml_text, written
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import FloatArray
 
 DIGITS: Final = 9
 """Significant ones of a value that is drawn: as a person can read it, it is used."""
+
+LAGS: Final = ("lag_s", "natural_frequency_rad_per_s")
+"""Of an actuator, which has one of them."""
 
 NOT_BELIEVED: Final = ("kind", "variant", "parameters", "friction")
 """Keys of the plant that ``model`` need not keep, or has not."""
@@ -110,9 +112,9 @@ class Plan:
             if not has_key(self.base, f"model.{part}"):  # the run will say so
                 continue
             stage = part.rpartition(".")[0]
-            parts = [f"{stage}.{lag}" for lag in dict(LAGS)] if last in dict(LAGS) else [part]
+            parts = [f"{stage}.{lag}" for lag in LAGS] if last in LAGS else [part]
             known = {each: value_at(self.base, f"model.{each}") for each in parts}
-            if not any(known.values()) and last in dict(LAGS):
+            if not any(known.values()) and last in LAGS:
                 known = {f"{stage}.lag_s": 0.0}
             for each, value in known.items():
                 if value is None and len(known) == 1:
@@ -209,10 +211,5 @@ def plan(settings: CampaignSettings) -> Plan:
         raise ScenarioError(
             f"campaign {settings.name}: {made.runs} runs; must be at most {MOST_RUNS}"
         )
-    for key, _ in flat(settings.settings):
-        if key in settings.axes:
-            raise ScenarioError(
-                f"campaign {settings.name}: settings.{key}: must not be set, it is an axis"
-            )
     made.scenario_of(0)
     return made

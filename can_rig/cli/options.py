@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import click
 
-from can_rig.export.laws import CONTROLLERS
+from can_rig.export.controllers import CONTROLLERS
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -64,7 +64,8 @@ controller_option = click.option(
     default="python",
     type=click.Choice(CONTROLLERS),
     show_default=True,
-    help="What runs the control law: its Python, or the same as C, compiled here.",
+    help="What runs: the law in Python; the law as C; ecu, the whole node in C; that on an "
+    "emulated Cortex-M.",
 )
 
 log_argument = click.argument("log", type=click.Path(path_type=Path))

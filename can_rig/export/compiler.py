@@ -36,7 +36,7 @@ def host_compiler() -> list[str]:
 
 
 def shared_library(sources: Mapping[str, str], flags: Sequence[str] = FLAGS) -> Path:
-    """The files compiled to a library that this process can load, kept for the next time.
+    """The files compiled to a library that this process can load.
 
     Args:
         sources: text by file name.
@@ -45,26 +45,42 @@ def shared_library(sources: Mapping[str, str], flags: Sequence[str] = FLAGS) -> 
     Raises:
         ExportError: there is no compiler, or it refuses; its first line says why.
     """
-    compiler = host_compiler()
+    return built(host_compiler(), flags, sources, ".so")
+
+
+def built(
+    compiler: Sequence[str], flags: Sequence[str], sources: Mapping[str, str], suffix: str
+) -> Path:
+    """What a compiler makes of the files, kept for the next time.
+
+    Args:
+        compiler: the command.
+        flags: what it gets.
+        sources: text by file name; what ends in .c is compiled.
+        suffix: of the file that it makes.
+
+    Raises:
+        ExportError: it refuses; its first line says why.
+    """
     said = repr([compiler, flags, sorted(sources.items())]).encode()
     folder = _cache()
-    library = folder / f"{hashlib.sha256(said).hexdigest()[:24]}.so"
-    if library.is_file():
-        return library
+    result = folder / f"{hashlib.sha256(said).hexdigest()[:24]}{suffix}"
+    if result.is_file():
+        return result
     with tempfile.TemporaryDirectory(prefix="can-rig-") as place:
         for name, text in sources.items():
             (Path(place) / name).write_text(text, encoding="utf-8")
-        made = Path(place) / library.name
+        made = Path(place) / result.name
         units = [name for name in sources if name.endswith(".c")]
         run([*compiler, *flags, "-o", made.name, *units, "-lm"], Path(place))
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            part = folder / f".{os.getpid()}-{library.name}"
+            part = folder / f".{os.getpid()}-{result.name}"
             shutil.copyfile(made, part)
-            part.rename(library)  # another process may be making the same one
+            part.rename(result)  # another process may be making the same one
         except OSError as error:
             raise ExportError(f"{folder}: cannot be written: {error.strerror}") from None
-    return library
+    return result
 
 
 def run(command: Sequence[str], folder: Path) -> str:

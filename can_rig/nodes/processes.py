@@ -24,12 +24,13 @@ from pathlib import Path
 from typing import Any, Final
 
 from can_rig.errors import RigError, SilentNodeError
+from can_rig.export.controllers import PYTHON, Controller
+from can_rig.nodes.one_core import one_core
 from can_rig.nodes.progress import OnTick, Progress, Throttled, no_progress
 from can_rig.nodes.runner import NodeName, run_controller, run_plant
 from can_rig.nodes.summary import NodeSummary
 from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Timeouts
 from can_rig.scenario.settings import Scenario
-from firmware_model.firmware import PYTHON_LAW, Law
 
 ENDS_WITHIN_S: Final = 4.0
 """The watchdog of a node, and its bus that waits 2 s for slow listeners."""
@@ -142,7 +143,7 @@ def run_processes(
     progress: Progress = no_progress,
     real_time: bool = False,
     timeouts: Timeouts = DEFAULT_TIMEOUTS,
-    law: Law = PYTHON_LAW,
+    controller: Controller = PYTHON,
 ) -> NodeSummary:
     """Run the plant and the controller as two processes, in lockstep on one core where possible.
 
@@ -154,7 +155,7 @@ def run_processes(
         progress: entered when both nodes have been forked.
         real_time: by the wall clock, each on a core of its own where possible.
         timeouts: how long each may be silent for the other.
-        law: what the controller runs as the control law.
+        controller: what runs as the controller.
 
     Returns:
         The summary; fewer ticks than the scenario's where the run was stopped.
@@ -165,12 +166,12 @@ def run_processes(
     """
     processes: list[NodeProcess] = []
     try:
-        with nullcontext() if real_time else _one_core(), _frozen_garbage():
-            controller_node = partial(_controller, scenario, bus, real_time, timeouts, law)
-            controller = NodeProcess.fork("controller", controller_node, processes)
-            processes.append(controller)  # first: a plant that waits repeats its offer on the bus
-            _watch(processes, stop, until=lambda: "ready" in controller.said)
-            if "ready" in controller.said and not stop.wanted:
+        with nullcontext() if real_time else one_core(), _frozen_garbage():
+            controller_node = partial(_controller, scenario, bus, real_time, timeouts, controller)
+            first = NodeProcess.fork("controller", controller_node, processes)
+            processes.append(first)  # first: a plant that waits repeats its offer on the bus
+            _watch(processes, stop, until=lambda: "ready" in first.said)
+            if "ready" in first.said and not stop.wanted:
                 plant_node = partial(_plant, scenario, bus, real_time, timeouts, log)
                 processes.append(NodeProcess.fork("plant", plant_node, processes))
         with progress() as on_tick:
@@ -186,14 +187,14 @@ def _controller(
     bus: str,
     real_time: bool,
     timeouts: Timeouts,
-    law: Law,
+    controller: Controller,
     stop: StopRequest,
     report: Report,
 ) -> NodeSummary:
     on_tick = Throttled(lambda tick: report(ticks=tick))
     on_ready = partial(report, ready=True)
     return run_controller(
-        scenario, bus, timeouts, stop, on_ready, on_tick, real_time=real_time, law=law
+        scenario, bus, timeouts, stop, on_ready, on_tick, real_time=real_time, controller=controller
     )
 
 
@@ -275,28 +276,3 @@ def _frozen_garbage() -> Iterator[None]:
         yield
     finally:
         gc.unfreeze()
-
-
-@contextmanager
-def _one_core() -> Iterator[None]:
-    """Let processes forked inside share one core and leave it only when they wait.
-
-    Nodes in lockstep alternate, and waking another core costs more than the tick. Under SCHED_BATCH
-    a frame does not preempt its sender, so a tick is two switches and not up to five. Runs side by
-    side get different cores, as far as there are.
-    """
-    if not hasattr(os, "sched_setaffinity"):  # Linux alone has it
-        yield
-        return
-    cores, policy, priority = (
-        os.sched_getaffinity(0),
-        os.sched_getscheduler(0),
-        os.sched_getparam(0),
-    )
-    os.sched_setaffinity(0, {sorted(cores)[os.getpid() % len(cores)]})
-    os.sched_setscheduler(0, os.SCHED_BATCH, os.sched_param(0))
-    try:
-        yield
-    finally:
-        os.sched_setscheduler(0, policy, priority)
-        os.sched_setaffinity(0, cores)

@@ -43,3 +43,28 @@ class Throttled:
         if now_ns - self._last_ns >= PROGRESS_EVERY_S * NS_PER_S:
             self._last_ns = now_ns
             self._report(tick)
+
+
+class Pace:
+    """Ticks a second from the first one on: a node may wait long for it, or join late."""
+
+    def __init__(self, clock: Clock, on_tick: OnTick) -> None:
+        self._clock = clock
+        self._on_tick = on_tick
+        self._first: tuple[int, int] | None = None
+        self._last_tick = 0
+
+    def __call__(self, tick: int) -> None:
+        """Note that ``tick`` is reached, and hand it on."""
+        if self._first is None:
+            self._first = tick, self._clock.now_ns()
+        self._last_tick = tick
+        self._on_tick(tick)
+
+    @property
+    def ticks_per_s(self) -> float:
+        """Until now; 0 before two ticks are done."""
+        if self._first is None:
+            return 0.0
+        elapsed_ns = self._clock.now_ns() - self._first[1]
+        return (self._last_tick - self._first[0]) * NS_PER_S / elapsed_ns if elapsed_ns else 0.0

@@ -10,13 +10,16 @@ from pathlib import Path
 from typing import Literal, NamedTuple, Protocol
 
 from can_rig.buses.bus import open_for_node
+from can_rig.export.controllers import PYTHON, Controller
 from can_rig.frames.agreement import SENDERS, ComparisonFrame
 from can_rig.nodes.agreement import Agreement
 from can_rig.nodes.bus_access import NodeBus, PersistentSender, Send, TolerantBus, bus_events
 from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock
+from can_rig.nodes.controllers import in_real_time, lockstep_controller
 from can_rig.nodes.lockstep.controller_node import ControllerNode
+from can_rig.nodes.lockstep.ecu_node import EcuNode
 from can_rig.nodes.lockstep.plant_node import PlantNode
-from can_rig.nodes.progress import OnTick
+from can_rig.nodes.progress import OnTick, Pace
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode, warm_up
 from can_rig.nodes.realtime.plant_node import RealTimePlantNode
 from can_rig.nodes.realtime.recorder import RealTimeRecorder
@@ -27,36 +30,10 @@ from can_rig.nodes.summary import NodeSummary
 from can_rig.nodes.watchdog import StopRequest, Timeouts, Watchdog
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
-from firmware_model.firmware import PYTHON_LAW, Law
 
 NodeName = Literal["plant", "controller"]
 
 PLANT_CORE, CONTROLLER_CORE = 0, 1  # counted from the last: the first ones serve interrupts
-
-
-class Pace:
-    """Ticks a second from the first one on: a node may wait long for it, or join late."""
-
-    def __init__(self, clock: Clock, on_tick: OnTick) -> None:
-        self._clock = clock
-        self._on_tick = on_tick
-        self._first: tuple[int, int] | None = None
-        self._last_tick = 0
-
-    def __call__(self, tick: int) -> None:
-        """Note that ``tick`` is reached, and hand it on."""
-        if self._first is None:
-            self._first = tick, self._clock.now_ns()
-        self._last_tick = tick
-        self._on_tick(tick)
-
-    @property
-    def ticks_per_s(self) -> float:
-        """Until now; 0 before two ticks are done."""
-        if self._first is None:
-            return 0.0
-        elapsed_ns = self._clock.now_ns() - self._first[1]
-        return (self._last_tick - self._first[0]) * NS_PER_S / elapsed_ns if elapsed_ns else 0.0
 
 
 def run_plant(
@@ -136,22 +113,28 @@ def run_controller(
     *,
     real_time: bool = False,
     by_hand: bool = False,
-    law: Law = PYTHON_LAW,
+    controller: Controller = PYTHON,
 ) -> NodeSummary:
     """The controller node from start to end; ``on_ready`` is called once it listens.
 
-    ``law`` is what runs as the control law; the rest, and what it raises, is as in ``run_plant``.
+    ``controller`` is what runs; the rest, and what it raises, is as in ``run_plant``.
     """
     network, clock = network_of(scenario), SYSTEM_CLOCK
     if real_time:
         warm_up(scenario, network)
-    with _open(bus_name, scenario, "controller", by_hand, overhear=False) as opened:
+    with (
+        _open(bus_name, scenario, "controller", by_hand, overhear=False) as opened,
+        ExitStack() as stack,
+    ):
         access = _access(opened, real_time, timeouts, clock)
-        node: ControllerNode | RealTimeControllerNode
+        node: ControllerNode | EcuNode | RealTimeControllerNode
         if real_time:
+            law = in_real_time(controller)
             node = RealTimeControllerNode(scenario, network, access.bus, clock, law)
         else:
-            node = ControllerNode(scenario, network, access.send, law=law)
+            node = stack.enter_context(
+                lockstep_controller(scenario, network, access.send, controller)
+            )
         watchdog = Watchdog(access.bus, "plant", timeouts, stop, clock=clock)
         on_ready()
         summary = _run("controller", node, watchdog, on_tick, access, CONTROLLER_CORE, clock)
@@ -165,22 +148,25 @@ def run_in_process(
     log: Path,
     stop: StopRequest,
     on_tick: OnTick,
-    law: Law = PYTHON_LAW,
+    controller: Controller = PYTHON,
 ) -> NodeSummary:
     """Both nodes on one thread, turn by turn; the log is that of two processes, byte for byte."""
     network, clock = network_of(scenario), SYSTEM_CLOCK
     timeouts = Timeouts(first_s=Timeouts.silence_s)  # the other node is there already
     with (
-        open_for_node(bus_name, network.identifiers, overhear=True) as plant_bus,
-        open_for_node(bus_name, network.identifiers, overhear=False) as controller_bus,
+        open_for_node(bus_name, network.identifiers, True, network.fd) as plant_bus,
+        open_for_node(bus_name, network.identifiers, False, network.fd) as controller_bus,
         Recorder(log, scenario.tick_ns) as recorder,
         PlantRecorder(log) as reports,
+        ExitStack() as stack,
     ):
         plant_access, controller_access = (
             _access(bus, False, timeouts, clock) for bus in (plant_bus, controller_bus)
         )
         plant = PlantNode(scenario, network, plant_access.send, recorder, reports)
-        controller = ControllerNode(scenario, network, controller_access.send, law=law)
+        controller_node = stack.enter_context(
+            lockstep_controller(scenario, network, controller_access.send, controller)
+        )
         never = StopRequest()  # a stop is read between ticks here, so that none is cut short
         to_plant = Watchdog(plant_bus, "controller", timeouts, never, clock=clock)
         to_controller = Watchdog(controller_bus, "plant", timeouts, never, clock=clock)
@@ -189,19 +175,18 @@ def run_in_process(
             tick = 0
             while tick < scenario.ticks and not stop.wanted:
                 plant.offer(tick)
-                controller.serve(to_controller)
+                controller_node.serve(to_controller)
                 plant.collect(tick, to_plant)
                 tick += 1
                 on_tick(tick)
             wall_s = (clock.now_ns() - start_ns) / NS_PER_S
         plant.record_the_rest(plant_bus, clock)
+        rejected = controller_node.rejected()
         events = bus_events("plant", plant_bus, to_plant.errors, plant_access.errors)
         events |= bus_events(
             "controller", controller_bus, to_controller.errors, controller_access.errors
         )
-    return NodeSummary(
-        tick, wall_s, plant.rejected() | controller.rejected(), events, ticks_per_s=tick / wall_s
-    )
+    return NodeSummary(tick, wall_s, plant.rejected() | rejected, events, ticks_per_s=tick / wall_s)
 
 
 class Access(NamedTuple):
@@ -228,9 +213,9 @@ def _open(
     bus_name: str, scenario: Scenario, node: NodeName, by_hand: bool, overhear: bool
 ) -> Iterator[NodeBus]:
     """The bus, and for a node that was started by hand the comparison of scenarios on it."""
-    identifiers = network_of(scenario).identifiers
+    network = network_of(scenario)
     compared = tuple(ComparisonFrame(each).frame_id for each in SENDERS) if by_hand else ()
-    with open_for_node(bus_name, (*identifiers, *compared), overhear) as bus:
+    with open_for_node(bus_name, (*network.identifiers, *compared), overhear, network.fd) as bus:
         if not by_hand:
             yield bus
             return

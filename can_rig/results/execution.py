@@ -15,6 +15,7 @@ from typing import Final
 from can_rig.assessment.stability import refuse_unstable
 from can_rig.buses.bus import in_one_process
 from can_rig.errors import INTERRUPTED, BusError, RigError, RunFolderError
+from can_rig.export.controllers import PYTHON, Controller
 from can_rig.frames.network import Network
 from can_rig.nodes.lockstep.without_bus import run_without_bus
 from can_rig.nodes.processes import run_processes
@@ -29,7 +30,6 @@ from can_rig.results.run_folder import LOG, Outcome, RunFolder, finish
 from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.reference import on_the_bus
 from can_rig.scenario.settings import ReferenceSettings, Scenario
-from firmware_model.firmware import PYTHON_LAW, Law
 
 REFERENCE: Final = "reference.csv"
 """A reference that is the run's own, in its folder."""
@@ -39,7 +39,7 @@ NO_BUS: Final = "none"
 
 INTERRUPTED_RUN: Final = "interrupted"
 
-Runner = Callable[[Scenario, str, Path, StopRequest, Progress, Timeouts, Law], NodeSummary]
+Runner = Callable[[Scenario, str, Path, StopRequest, Progress, Timeouts, Controller], NodeSummary]
 
 
 @dataclass(frozen=True)
@@ -69,13 +69,13 @@ def in_process(
     stop: StopRequest,
     progress: Progress,
     _timeouts: Timeouts,
-    law: Law,
+    controller: Controller,
 ) -> NodeSummary:
     """Both nodes in this process: turn by turn on a bus, or many ticks at once without one."""
     with progress() as on_tick:
-        if bus == NO_BUS and law is PYTHON_LAW:
+        if bus == NO_BUS and controller is PYTHON:
             return run_without_bus(scenario, log, stop, on_tick)
-        summary = run_in_process(scenario, bus, log, stop, Throttled(on_tick), law)
+        summary = run_in_process(scenario, bus, log, stop, Throttled(on_tick), controller)
         on_tick(summary.ticks)
     return summary
 
@@ -87,10 +87,12 @@ def two_processes(
     stop: StopRequest,
     progress: Progress,
     timeouts: Timeouts,
-    law: Law,
+    controller: Controller,
 ) -> NodeSummary:
     """Each node in a process of its own, in lockstep."""
-    return run_processes(scenario, bus, log, stop, progress, timeouts=timeouts, law=law)
+    return run_processes(
+        scenario, bus, log, stop, progress, timeouts=timeouts, controller=controller
+    )
 
 
 def real_time(
@@ -100,10 +102,10 @@ def real_time(
     stop: StopRequest,
     progress: Progress,
     timeouts: Timeouts,
-    law: Law,
+    controller: Controller,
 ) -> NodeSummary:
     """Each node in a process of its own, by the wall clock."""
-    return run_processes(scenario, bus, log, stop, progress, True, timeouts, law)
+    return run_processes(scenario, bus, log, stop, progress, True, timeouts, controller)
 
 
 def refuse(scenario: Scenario, allow_unstable: bool = False) -> None:
@@ -132,7 +134,7 @@ def execute(
     reference_csv: str | None = None,
     report: bool = True,
     timeouts: Timeouts = DEFAULT_TIMEOUTS,
-    law: Law = PYTHON_LAW,
+    controller: Controller = PYTHON,
 ) -> Execution | None:
     """Run a scenario that ``refuse`` has let pass, and leave its folder.
 
@@ -147,7 +149,7 @@ def execute(
         reference_csv: a reference in place of the scenario's, kept in the folder as ``REFERENCE``.
         report: draw ``report.png`` too.
         timeouts: how long a node may be silent for the other.
-        law: what the controller runs as the control law.
+        controller: what runs as the controller.
 
     Returns:
         How it went; ``failure`` says why it ended early. None if it was stopped before anything
@@ -158,13 +160,13 @@ def execute(
             recorded stays, and the line says where.
         RigError: it failed before anything was recorded: then there is no folder.
     """
-    without = runner is in_process and law is PYTHON_LAW
+    network = network_of(scenario)
+    without = runner is in_process and controller is PYTHON and network.is_the_rigs
     bus = bus or (NO_BUS if without else f"local:run-{os.getpid()}")
     if runner is real_time:
         require_causal(scenario)
     if runner is not in_process:
         _require_shared(bus)
-    network = network_of(scenario)
     folder = RunFolder.create(out, scenario, force)
     try:
         made_here, final = _with_reference(scenario, folder, reference_csv)
@@ -174,7 +176,7 @@ def execute(
         raise
     outcome = Outcome(bus, realtime={} if runner is real_time else None)
     columns, failure = _run(
-        lambda: runner(made_here, bus, folder.making / LOG, stop, progress, timeouts, law),
+        lambda: runner(made_here, bus, folder.making / LOG, stop, progress, timeouts, controller),
         scenario,
         outcome,
     )

@@ -10,7 +10,7 @@ from can_rig.assessment.resolve import load
 from can_rig.cli.options import controller_option, scenario_options
 from can_rig.cli.output import json_line
 from can_rig.cli.runs.node import end_of_node, node_options, node_progress
-from can_rig.export.laws import law_of
+from can_rig.export.controllers import controller_of
 from can_rig.nodes.progress import Throttled
 from can_rig.nodes.runner import run_controller
 from can_rig.nodes.watchdog import StopRequest, Timeouts
@@ -37,7 +37,7 @@ def command(
     """
     timeouts = Timeouts(first_s, Timeouts.silence_s if silence_s is None else silence_s)
     chosen = load(scenario, settings)
-    law = law_of(controller, chosen)
+    running = controller_of(controller, chosen)
     stop = StopRequest().on_signals()
 
     def on_ready() -> None:
@@ -54,7 +54,7 @@ def command(
             Throttled(on_tick),
             real_time=real_time,
             by_hand=True,
-            law=law,
+            controller=running,
         )
         on_tick(summary.ticks)
     sys.exit(end_of_node(chosen, summary, as_json))

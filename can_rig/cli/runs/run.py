@@ -21,7 +21,7 @@ from can_rig.cli.output import json_line
 from can_rig.cli.progress import counting
 from can_rig.cli.runs.closing import closing_table
 from can_rig.errors import INTERRUPTED
-from can_rig.export.laws import law_of
+from can_rig.export.controllers import controller_of
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import refuse_log, write_log
 from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Timeouts
@@ -80,7 +80,7 @@ def command(
     refuse(chosen, allow_unstable)
     for path in logs:
         refuse_log(path, force)
-    law = law_of(controller, chosen)
+    running = controller_of(controller, chosen)
     runner = execution.in_process if in_process else execution.two_processes
     done = execution.execute(
         chosen,
@@ -90,7 +90,7 @@ def command(
         bus=bus,
         runner=execution.real_time if real_time else runner,
         progress=lambda: counting(chosen.name, "ticks", chosen.ticks),
-        law=law,
+        controller=running,
         timeouts=DEFAULT_TIMEOUTS if silence_s is None else Timeouts(silence_s=silence_s),
     )
     if done is None:
@@ -98,7 +98,7 @@ def command(
     if as_json:
         json_line(folder=str(done.folder), metrics=done.metrics, **asdict(done.outcome))
     else:
-        closing_table(done.scenario, done.network, done.metrics, done.outcome, done.folder)
+        closing_table(done.scenario, done.metrics, done.outcome, done.folder)
     for path in logs:
         write_log(read_log(done.folder / LOG), path)
     if done.failure is not None:

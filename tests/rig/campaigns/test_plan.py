@@ -154,8 +154,6 @@ def test_a_seed_of_one_s_own_stays() -> None:
         ({"runs": 3, "axes": {"plant.mas_kg": {"share": 0.1}}}, "share = 0.1: plant.mas_kg = None"),
         ({"runs": 3, "axes": {"seed": {"share": 0.1}}}, "must be a number other than 0"),
         ({"runs": 3, "settings": {"tick": 1}}, "tick: unknown key"),
-        ({"runs": 3, "axes": MASS, "settings": {"plant": {"mass_kg": 1500.0}}},
-         "settings.plant.mass_kg: must not be set, it is an axis"),
         ({"runs": 3, "scenario": "nowhere"}, "no such scenario"),
         ({"runs": 3, "axes": {"plant.sensor.corner_hz": {"range": [50.0, 99.0]}}},
          "model.sensor.corner_hz must be set"),

@@ -10,18 +10,17 @@ from click.testing import CliRunner
 
 from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
-from can_rig.export.laws import law_of
+from can_rig.export.controllers import PYTHON, Controller, controller_of
 from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.watchdog import StopRequest
 from can_rig.scenario.catalogue import shipped
-from firmware_model.firmware import PYTHON_LAW, Law
 
 
-def log_of(name: str, settings: list[str], law: Law, folder: Path) -> bytes:
+def log_of(name: str, settings: list[str], controller: Controller, folder: Path) -> bytes:
     folder.mkdir()
     scenario = load(name, settings)
     bus = f"local:{os.getpid()}-{folder.name}"  # nobody else's, as two runs at a time are
-    run_in_process(scenario, bus, folder / "bus.log", StopRequest(), lambda tick: None, law)
+    run_in_process(scenario, bus, folder / "bus.log", StopRequest(), lambda tick: None, controller)
     return (folder / "bus.log").read_bytes()
 
 
@@ -32,8 +31,8 @@ def test_the_log_is_the_same(name: str, precision: str, tmp_path: Path) -> None:
     settings = [f'design.precision="{precision}"', f"duration_s={2000 * tick_s}"]
     if load(name, []).fault.kind != "none":
         settings.append(f"fault.at_s={800 * tick_s}")
-    law = law_of("c", load(name, settings))
-    python = log_of(name, settings, PYTHON_LAW, tmp_path / "python")
+    law = controller_of("c", load(name, settings))
+    python = log_of(name, settings, PYTHON, tmp_path / "python")
     c = log_of(name, settings, law, tmp_path / "c")
     pairs = zip(python.splitlines(), c.splitlines(), strict=True)
     assert next((pair for pair in pairs if pair[0] != pair[1]), None) is None
@@ -42,7 +41,7 @@ def test_the_log_is_the_same(name: str, precision: str, tmp_path: Path) -> None:
 
 def test_the_precision_is_the_scenario_s(tmp_path: Path) -> None:
     single, double = (
-        log_of("default", [f'design.precision="{precision}"', "duration_s=1"], PYTHON_LAW,
+        log_of("default", [f'design.precision="{precision}"', "duration_s=1"], PYTHON,
                tmp_path / precision)
         for precision in ("float32", "float64")
     )  # fmt: skip

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.export.laws import law_of
+from can_rig.export.compiled_law import CompiledLaw
 from can_rig.logs.reading import read_log
 from can_rig.replay.replay import OpenLoop
 from can_rig.scenario.build import network_of
@@ -15,7 +15,7 @@ from tests.rig.replay.test_drives import DRIVES, FOLDER
 @pytest.mark.parametrize("name", DRIVES)
 def test_c_answers_as_it_was_recorded(name: str) -> None:
     scenario = load(DRIVES[name]["scenario"], DRIVES[name]["set"])
-    law = law_of("c", scenario)
+    law = CompiledLaw(scenario.design.precision)
     loop = OpenLoop(scenario, network_of(scenario), lambda gap: None, law=law)
     loop.run(read_log(FOLDER / f"{name}.log.gz"))
     fault, comparison = scenario.fault, loop.comparison

@@ -1,0 +1,89 @@
+"""The whole controller node in C: the law, its constants, its frames and its receive rules."""
+
+from __future__ import annotations
+
+from typing import Final
+
+from can_rig.errors import ExportError
+from can_rig.export.constants import constants_header, constants_source
+from can_rig.export.law import filled, law_files, support
+from can_rig.export.translation.c_text import comment
+from can_rig.frames.codec import MessageCodec
+from can_rig.frames.layout import RigLayout
+from can_rig.frames.network import Network
+from can_rig.scenario.build import controller_table, network_of
+from can_rig.scenario.settings import Scenario
+
+BY_HAND: Final = ("e2e.h", "e2e.c", "frames.h", "frames.c", "ecu.h", "ecu.c")
+
+
+def application(scenario: Scenario) -> dict[str, str]:
+    """Text by file name: everything but a CAN driver, which provides ``ecu_send``.
+
+    Raises:
+        ScenarioError: a design that cannot be made.
+        ExportError: the law is outside the subset that becomes C, or the frames are those of
+            another database.
+    """
+    network = network_of(scenario)
+    if not network.is_the_rigs:
+        raise ExportError(
+            f"network.dbc = {scenario.network.dbc!r}: must be left out, for C has the rig's own frames"
+        )
+    table = controller_table(scenario, network)
+    precision = scenario.design.precision
+    title = f"The constants of the controller of scenario {scenario.name}."
+    zero = "0.0f" if precision == "float32" else "0.0"
+    return {
+        **law_files(precision),
+        "constants.h": constants_header(title),
+        "constants.c": constants_source(table, title),
+        "firmware.h": filled(
+            support("firmware.h"),
+            scenario=scenario.name,
+            tick=f"{scenario.tick_s * 1e3:g} ms",
+            latency=_latency(scenario),
+            command_1=_signal(network.command_1),
+            command_2=_signal(network.command_2),
+            estimate=_signal(network.status),
+            reference=_signal(network.reference),
+            measurement=_signal(network.feedback),
+        ),
+        "firmware.c": support("firmware.c"),
+        **{name: filled(support(name), zero=zero) for name in BY_HAND},
+        "network.c": _network_source(network, scenario.dbc),
+    }
+
+
+def _network_source(network: Network, dbc: str) -> str:
+    """``network.c``: what the DBC says of each frame."""
+    lines = [*comment(f"The frames of {dbc}."), '#include "frames.h"']
+    for codec in network:
+        numbers = {
+            "id": f"0x{codec.frame_id:X}",
+            "data_id": f"0x{codec.data_id:X}",
+            "lsb": repr(codec.lsb),
+            "raw_minimum": str(codec.raw_minimum),
+            "raw_maximum": str(codec.raw_maximum),
+        }
+        if codec.modes and isinstance(codec.layout, RigLayout):
+            numbers["mode_shift"], numbers["fault_state_shift"] = map(str, codec.layout.shifts)
+        lines += ["", *comment(f"{codec.name}: {_signal(codec)}")]
+        lines.append(f"const struct frame frame_{codec.role} = {{")
+        lines += [f"    .{name} = {value}," for name, value in numbers.items()]
+        lines.append("};")
+    return "\n".join(lines) + "\n"
+
+
+def _signal(codec: MessageCodec) -> str:
+    """Unit, meaning and range of the one signal of a frame."""
+    unit = f"[{codec.unit}] " if codec.unit else ""
+    ends = f"{codec.minimum:.10g}..{codec.maximum:.10g}"
+    return f"{unit}{codec.signal_name}, {ends}, steps of {codec.lsb:g}"
+
+
+def _latency(scenario: Scenario) -> str:
+    n = scenario.latency_ticks
+    if n == 0:
+        return "at once"
+    return f"{n} tick{'s' if n > 1 else ''} ({n * scenario.tick_s * 1e3:g} ms) later"

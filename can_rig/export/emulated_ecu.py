@@ -1,0 +1,131 @@
+"""The whole controller node in C on a Cortex-M that QEMU emulates."""
+
+from __future__ import annotations
+
+import os
+import select
+import shutil
+import subprocess
+import tempfile
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Final
+
+from can_rig.errors import ExportError
+from can_rig.export.application import application
+from can_rig.export.compiler import built
+from can_rig.export.ecu import COUNTS, MOST_SENT, SENT_BYTES, Sent, harness, sent
+from can_rig.export.law import support
+from can_rig.scenario.settings import Scenario
+
+COMPILER: Final = "arm-none-eabi-gcc"
+EMULATOR: Final = "qemu-system-arm"
+DEBIAN: Final = "apt install gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"
+
+
+@dataclass(frozen=True)
+class Board:
+    """A microcontroller: the emulated machine, and what its compiler is told."""
+
+    machine: str
+    flags: tuple[str, ...]
+
+
+BOARDS: Final = {
+    "m4f": Board("mps2-an386", ("-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16")),
+    "m7": Board("mps2-an500", ("-mcpu=cortex-m7", "-mfpu=fpv5-d16")),
+}
+FLAGS: Final = (
+    "-std=c99", "-O2", "-ffp-contract=off", "-mthumb", "-mfloat-abi=hard", "-fdata-sections",
+    "-ffunction-sections", "-fno-math-errno",
+)  # fmt: skip
+LINKED: Final = ("-nostartfiles", "-Wl,--gc-sections", "-Tmps2.ld")
+
+LOOK_S: Final = 0.5
+ORDER_BYTES: Final = 12
+ANSWER_BYTES: Final = 1 + MOST_SENT * SENT_BYTES
+
+
+def require_tools() -> None:
+    """Refuse where the compiler or the emulator is missing.
+
+    Raises:
+        ExportError: one is.
+    """
+    for tool in (COMPILER, EMULATOR):
+        if shutil.which(tool) is None:
+            raise ExportError(f"{tool} is not installed; it must be (Debian: {DEBIAN})")
+
+
+def firmware_image(scenario: Scenario, board: str) -> Path:
+    """The controller node of ``scenario`` as a program for ``board``, a key of ``BOARDS``.
+
+    Raises:
+        ExportError: a tool is missing, or refuses.
+    """
+    require_tools()
+    bench = ("semihosting.c", "startup.c", "mps2.ld")
+    files = application(scenario) | harness() | {name: support(name) for name in bench}
+    return built([COMPILER], (*FLAGS, *BOARDS[board].flags, *LINKED), files, ".elf")
+
+
+class EmulatedEcu:
+    """A program of ``firmware_image`` on its board; see ``Ecu``.
+
+    Args:
+        image: the program.
+        board: a key of ``BOARDS``.
+
+    Raises:
+        ExportError: the emulator does not start.
+    """
+
+    def __init__(self, image: Path, board: str) -> None:
+        self._folder = tempfile.mkdtemp(prefix="can-rig-")
+        for pipe in ("orders", "answers"):
+            os.mkfifo(Path(self._folder) / pipe)
+        self._process = subprocess.Popen(
+            [
+                EMULATOR, "-machine", BOARDS[board].machine, "-nographic", "-monitor", "none",
+                "-serial", "none", "-semihosting-config", "enable=on,target=native",
+                "-kernel", str(image),
+            ],
+            cwd=self._folder, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+            stderr=subprocess.PIPE,
+        )  # fmt: skip
+        # Opened for both directions, so that neither side waits for the other to open its end.
+        self._orders = os.open(Path(self._folder) / "orders", os.O_RDWR)
+        self._answers = os.open(Path(self._folder) / "answers", os.O_RDWR | os.O_NONBLOCK)
+
+    def take(self, frame_id: int, data: bytes) -> Sent:
+        """See ``Ecu``."""
+        length = len(data).to_bytes(1, "little")
+        answer = self._ask(b"F" + frame_id.to_bytes(2, "little") + length + data, ANSWER_BYTES)
+        return sent(answer[1:], answer[0])
+
+    def counts(self) -> list[int]:
+        """See ``Ecu``."""
+        answer = self._ask(b"C", 4 * 2 * COUNTS)
+        return [int.from_bytes(answer[i : i + 4], "little") for i in range(0, len(answer), 4)]
+
+    def _ask(self, order: bytes, size: int) -> bytes:
+        """What it answers to an order; looks now and then whether the emulator still runs."""
+        os.write(self._orders, order.ljust(ORDER_BYTES, b"\0"))
+        answer = b""
+        while len(answer) < size:
+            ready, _, _ = select.select([self._answers], [], [], LOOK_S)
+            if ready:
+                answer += os.read(self._answers, size - len(answer))
+            elif self._process.poll() is not None:
+                assert self._process.stderr is not None
+                said = self._process.stderr.read().decode(errors="replace").strip()
+                raise ExportError(f"{EMULATOR} has ended: {said or self._process.returncode}")
+        return answer
+
+    def close(self) -> None:
+        """See ``Ecu``."""
+        for pipe in (self._orders, self._answers):
+            os.close(pipe)
+        self._process.kill()
+        self._process.communicate()
+        shutil.rmtree(self._folder, ignore_errors=True)

@@ -1,0 +1,120 @@
+#include "e2e.h"
+
+#define COUNTERS 15     /* 0..14 */
+#define MAX_DELTA 1     /* tolerated step where no frame was missed */
+#define WIDEST 15       /* a window that tolerates every step */
+#define POLYNOMIAL 0x1D
+
+static uint8_t crc_with(uint8_t crc, uint8_t byte)
+{
+    uint8_t value = (uint8_t)(crc ^ byte);
+
+    for (int bit = 0; bit < 8; bit++) {
+        const uint8_t shifted = (uint8_t)(value << 1);
+
+        value = (value & 0x80u) != 0 ? (uint8_t)(shifted ^ POLYNOMIAL) : shifted;
+    }
+    return value;
+}
+
+static uint8_t crc_of(uint16_t data_id, const uint8_t data[E2E_BYTES])
+{
+    uint8_t crc = crc_with(0, (uint8_t)(data_id & 0xFFu));
+
+    crc = crc_with(crc, (uint8_t)(data_id >> 8));
+    for (int i = 1; i < E2E_BYTES; i++) {
+        crc = crc_with(crc, data[i]);
+    }
+    return crc;
+}
+
+void e2e_protector_init(struct e2e_protector *protector, uint16_t data_id)
+{
+    protector->data_id = data_id;
+    protector->counter = 0;
+}
+
+void e2e_checker_init(struct e2e_checker *checker, uint16_t data_id)
+{
+    *checker = (struct e2e_checker){.data_id = data_id, .window = MAX_DELTA};
+}
+
+void e2e_protect(struct e2e_protector *protector, uint8_t data[E2E_BYTES])
+{
+    data[1] = (uint8_t)((data[1] & 0xF0u) | protector->counter);
+    data[0] = crc_of(protector->data_id, data);
+    protector->counter = (uint8_t)((protector->counter + 1) % COUNTERS);
+}
+
+bool e2e_intact(const struct e2e_checker *checker, const uint8_t *data, uint8_t length)
+{
+    return length == E2E_BYTES && data[0] == crc_of(checker->data_id, data) &&
+           (data[1] & 0x0Fu) < COUNTERS;
+}
+
+/* Adopt the counter of a frame, with the initial tolerance. */
+static enum e2e_status accept(struct e2e_checker *checker, uint8_t counter, enum e2e_status status)
+{
+    checker->known = true;
+    checker->last = counter;
+    checker->window = MAX_DELTA;
+    return status;
+}
+
+/* Compare the counter of an intact frame with that of the last one. */
+static enum e2e_status judge(struct e2e_checker *checker, uint8_t counter)
+{
+    if (!checker->known) {
+        return accept(checker, counter, E2E_INITIAL);
+    }
+    const int delta = (counter - checker->last + COUNTERS) % COUNTERS;
+
+    if (delta == 0) {
+        return E2E_REPEATED;
+    }
+    if (delta > checker->window) {
+        checker->sync = 1;
+        return accept(checker, counter, E2E_WRONG_SEQUENCE);
+    }
+    if (checker->sync > 0) {
+        checker->sync--;
+        return accept(checker, counter, E2E_SYNC);
+    }
+    return accept(checker, counter, delta == 1 ? E2E_OK : E2E_OK_SOME_LOST);
+}
+
+static void widen(struct e2e_checker *checker)
+{
+    if (checker->window < WIDEST) {
+        checker->window++;
+    }
+}
+
+static enum e2e_status damage(uint8_t length)
+{
+    return length == E2E_BYTES ? E2E_WRONG_CRC : E2E_WRONG_LENGTH;
+}
+
+bool e2e_check(struct e2e_checker *checker, const uint8_t *data, uint8_t length)
+{
+    enum e2e_status status = damage(length);
+    const bool intact = e2e_intact(checker, data, length);
+
+    widen(checker);
+    if (intact) {
+        status = judge(checker, data[1] & 0x0Fu);
+    }
+    checker->counts[status]++;
+    return status <= E2E_OK_SOME_LOST;
+}
+
+void e2e_reject(struct e2e_checker *checker, const uint8_t *data, uint8_t length)
+{
+    checker->counts[e2e_intact(checker, data, length) ? E2E_WRONG_TICK : damage(length)]++;
+}
+
+void e2e_no_new_data(struct e2e_checker *checker)
+{
+    widen(checker);
+    checker->counts[E2E_NO_NEW_DATA]++;
+}

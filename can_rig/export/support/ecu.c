@@ -1,0 +1,120 @@
+#include "ecu.h"
+
+#include <string.h>
+
+static void receiver_init(struct ecu_receiver *receiver, const struct frame *frame)
+{
+    receiver->frame = frame;
+    receiver->judged = false;
+    e2e_checker_init(&receiver->checker, frame->data_id);
+}
+
+void ecu_init(struct ecu *ecu)
+{
+    memset(ecu, 0, sizeof *ecu);
+    firmware_init(&ecu->state);
+    firmware_reset(&ecu->state, {zero});
+    receiver_init(&ecu->reference, &frame_reference);
+    receiver_init(&ecu->feedback, &frame_feedback);
+    e2e_protector_init(&ecu->command_1, frame_command_1.data_id);
+    e2e_protector_init(&ecu->command_2, frame_command_2.data_id);
+    e2e_protector_init(&ecu->status, frame_status.data_id);
+    ecu->wanted = (double)NAN;
+    ecu->measured = (double)NAN;
+}
+
+/* Whether the content of a frame may be used: intact, in sequence, and of this tick. */
+static bool receive(struct ecu_receiver *receiver, uint16_t tick, uint8_t length,
+                    const uint8_t *data)
+{
+    if (length == E2E_BYTES && frame_tick(data) == tick) {
+        receiver->judged = true;
+        return e2e_check(&receiver->checker, data, length);
+    }
+    e2e_reject(&receiver->checker, data, length);
+    return false;
+}
+
+static void take_reference(struct ecu *ecu, uint8_t length, const uint8_t *data)
+{
+    if (receive(&ecu->reference, ecu->tick, length, data)) {
+        ecu->wanted = frame_value(&frame_reference, data);
+        ecu->wanted_tick = frame_tick(data);
+    }
+}
+
+/* Whether this is the first feedback: intact, and of the tick of the reference before it.
+ *
+ * One frame of 256 that another sender makes up has the right CRC, and would do where the tick is
+ * still anybody's guess. So two are wanted that agree; until then no checker sees any.
+ */
+static bool first_contact(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *data)
+{
+    if (id == frame_reference.id) {
+        ecu->offered = true;
+        ecu->first_length = length;
+        memcpy(ecu->first, data, length < 8 ? length : 8);
+        return false;
+    }
+    if (id != frame_feedback.id || !ecu->offered ||
+        !e2e_intact(&ecu->feedback.checker, data, length) ||
+        !e2e_intact(&ecu->reference.checker, ecu->first, ecu->first_length) ||
+        frame_tick(data) != frame_tick(ecu->first)) {
+        return false;
+    }
+    ecu->running = true;
+    ecu->tick = frame_tick(data);
+    take_reference(ecu, ecu->first_length, ecu->first);
+    return true;
+}
+
+bool ecu_on_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *data)
+{
+    if (!ecu->running && !first_contact(ecu, id, length, data)) {
+        return false;
+    }
+    if (id == frame_reference.id) {
+        take_reference(ecu, length, data);
+    } else if (id == frame_feedback.id && receive(&ecu->feedback, ecu->tick, length, data)) {
+        ecu->measured = frame_value(&frame_feedback, data);
+        return true;
+    }
+    return false;
+}
+
+static void answer(const struct frame *frame, struct e2e_protector *protector, double value,
+                   uint16_t tick, uint8_t status_bits)
+{
+    uint8_t data[8] = {0};
+
+    data[1] = status_bits;
+    frame_pack(frame, value, tick, data);
+    e2e_protect(protector, data);
+    ecu_send(frame->id, data);
+}
+
+static void end_tick(struct ecu_receiver *receiver)
+{
+    if (!receiver->judged) {
+        e2e_no_new_data(&receiver->checker);
+    }
+    receiver->judged = false;
+}
+
+void ecu_on_tick(struct ecu *ecu)
+{
+    const bool wanted = ecu->wanted_tick == ecu->tick;
+    const double reference = wanted ? ecu->wanted : (double)NAN;
+    const struct firmware_answer now =
+        firmware_step(&ecu->state, (real)reference, (real)ecu->measured);
+    const uint8_t bits = (uint8_t)(now.mode << frame_status.mode_shift |
+                                   now.fault_state << frame_status.fault_state_shift);
+
+    answer(&frame_command_1, &ecu->command_1, (double)now.command_1, ecu->tick, 0);
+    answer(&frame_command_2, &ecu->command_2, (double)now.command_2, ecu->tick, 0);
+    answer(&frame_status, &ecu->status, (double)now.fault_estimate, ecu->tick, bits);
+    end_tick(&ecu->reference);
+    end_tick(&ecu->feedback);
+    ecu->measured = (double)NAN;
+    ecu->tick++;
+}

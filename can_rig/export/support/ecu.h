@@ -1,0 +1,51 @@
+/* The whole controller node: receive rules, the law, and the frames that answer.
+ *
+ * An application calls ecu_init once, ecu_on_frame for every data frame with an 11-bit identifier
+ * that it receives, and ecu_on_tick once a tick, when ecu_on_frame has said that the tick is
+ * complete or when a timer says that the feedback is overdue. It provides ecu_send.
+ */
+#ifndef ECU_H
+#define ECU_H
+
+#include "e2e.h"
+#include "firmware.h"
+#include "frames.h"
+
+/* The receiving end of one frame. */
+struct ecu_receiver {
+    const struct frame *frame;
+    struct e2e_checker checker;
+    bool judged; /* whether the checker has judged a frame of this tick */
+};
+
+/* Everything that a controller node remembers. */
+struct ecu {
+    struct layout_state state;
+    struct ecu_receiver reference;
+    struct ecu_receiver feedback;
+    struct e2e_protector command_1;
+    struct e2e_protector command_2;
+    struct e2e_protector status;
+    bool running;         /* whether the first contact has said which tick it is */
+    uint16_t tick;        /* the next one, modulo 65536 */
+    double wanted;        /* the value of the last reference that was accepted */
+    uint16_t wanted_tick; /* its tick */
+    double measured;      /* the feedback of this tick; NAN until it is accepted */
+    bool offered;         /* whether a reference came before the first contact: */
+    uint8_t first[8];     /* its bytes */
+    uint8_t first_length;
+};
+
+/* Start, as after power-up. */
+void ecu_init(struct ecu *ecu);
+
+/* Take in a frame; whether it completes the tick, so that ecu_on_tick is due at once. */
+bool ecu_on_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *data);
+
+/* Compute a tick and send its answer; inputs that have not come are held. */
+void ecu_on_tick(struct ecu *ecu);
+
+/* Put a frame on the bus: to be provided by the application. */
+void ecu_send(uint16_t id, const uint8_t data[8]);
+
+#endif

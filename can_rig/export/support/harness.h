@@ -1,0 +1,26 @@
+/* The controller node for a test bench: one received frame in, the frames that answer it out. */
+#ifndef HARNESS_H
+#define HARNESS_H
+
+#include <stddef.h>
+
+#include "ecu.h"
+
+#define HARNESS_FRAME_BYTES 10 /* two of the identifier, low byte first, and eight of data */
+#define HARNESS_MOST_FRAMES 3
+
+/* Bytes that a node needs. */
+size_t harness_size(void);
+
+/* Hand a node a frame, and let it answer the tick that this completes.
+ *
+ * sent: room for HARNESS_MOST_FRAMES frames.
+ * Returns how many frames it has sent.
+ */
+uint8_t harness_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *data,
+                      uint8_t *sent);
+
+/* How many frames of the reference, then of the feedback, had each e2e_status. */
+void harness_counts(const struct ecu *ecu, uint32_t counts[2 * E2E_STATUSES]);
+
+#endif

@@ -1,0 +1,87 @@
+"""The controller node in lockstep as a program of its own in C, on this machine or another.
+
+What is done here is the bus: frames go in, and what the program sends goes out, with the scheduled
+faults of frames.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import can
+
+from can_rig.export.ecu import COUNTS, Ecu, rejected
+from can_rig.frames.network import Network
+from can_rig.nodes.bus_access import Send
+from can_rig.nodes.watchdog import Interrupted, Watchdog
+from can_rig.plant.faults import FrameFault
+from can_rig.scenario.settings import Scenario
+
+
+class EcuNode:
+    """As ``ControllerNode``, with ``ecu`` in place of what that does with a frame."""
+
+    def __init__(self, scenario: Scenario, network: Network, send: Send, ecu: Ecu) -> None:
+        self.ticks: Final = scenario.ticks
+        self._send = send
+        self._ecu = ecu
+        self._inputs = (network.reference, network.feedback)
+        self._wanted = {codec.frame_id for codec in self._inputs}
+        commands = (network.command_1, network.command_2)
+        self._channels = {codec.frame_id: channel for channel, codec in enumerate(commands)}
+        self._fault = FrameFault(scenario)
+        self._tick = 0  # the next one
+
+    def run(self, watchdog: Watchdog, on_tick: Callable[[int], None]) -> int:
+        """Answer ticks to the end of the run or to a stop request; the number answered.
+
+        Raises:
+            SilentNodeError, BusLostError: see ``Watchdog.receive``.
+            ExportError: the program has ended.
+        """
+        while self._tick < self.ticks and not watchdog.stop.wanted:
+            try:
+                self.serve(watchdog)
+            except Interrupted:
+                break
+            on_tick(self._tick)
+        return self._tick
+
+    def serve(self, watchdog: Watchdog) -> None:
+        """Wait for one tick's feedback and let it be answered.
+
+        Raises:
+            SilentNodeError, BusLostError, Interrupted: see ``Watchdog.receive``.
+        """
+        while not self.take(watchdog.receive(self._tick)):
+            watchdog.go_on_waiting(self._tick)
+        watchdog.hear()
+
+    def take(self, message: can.Message) -> bool:
+        """Hand on a frame, and send the answer to the tick that it completes; whether it did."""
+        if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
+            return False
+        if message.arbitration_id not in self._wanted:
+            return False
+        sent = self._ecu.take(message.arbitration_id, bytes(message.data))
+        for frame_id, data in sent:
+            frame: can.Message | None = can.Message(0.0, frame_id, False, data=data)
+            if frame_id in self._channels:
+                channel = self._channels[frame_id]
+                frame = self._fault.on_the_wire(frame, channel, self._tick)  # type: ignore[arg-type]
+            if frame is not None:
+                self._send(frame)
+        self._tick += bool(sent)
+        return bool(sent)
+
+    def close(self) -> None:
+        """End the program."""
+        self._ecu.close()
+
+    def rejected(self) -> dict[str, dict[str, int]]:
+        """Per message, how many frames were not used and why."""
+        counts = self._ecu.counts()
+        parts = counts[:COUNTS], counts[COUNTS:]
+        pairs = zip(self._inputs, parts, strict=True)
+        return {codec.name: rejected(part) for codec, part in pairs}

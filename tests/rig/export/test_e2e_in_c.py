@@ -1,0 +1,109 @@
+"""The frames in C against the rig's own, which use autosar-e2e."""
+
+from __future__ import annotations
+
+import ctypes
+import math
+
+import pytest
+from e2e.p01 import e2e_p01_check
+from hypothesis import given
+from hypothesis import strategies as st
+
+from can_rig.assessment.resolve import load
+from can_rig.export.host_ecu import host_library
+from can_rig.frames.codec import MessageCodec
+from can_rig.frames.protection import USABLE, Checker, CheckStatus, Protector
+from can_rig.scenario.build import network_of
+
+SCENARIO = load("default", [])
+NETWORK = network_of(SCENARIO)
+C = ctypes.CDLL(str(host_library(SCENARIO)))
+C.e2e_check.restype = C.e2e_intact.restype = ctypes.c_bool
+C.frame_value.restype = ctypes.c_double
+C.frame_tick.restype = ctypes.c_uint16
+C.frame_pack.argtypes = [ctypes.c_void_p, ctypes.c_double, ctypes.c_uint16, ctypes.c_void_p]
+
+
+class CheckerInC(ctypes.Structure):
+    _fields_ = (
+        ("data_id", ctypes.c_uint16), ("known", ctypes.c_bool), ("last", ctypes.c_uint8),
+        ("window", ctypes.c_uint8), ("sync", ctypes.c_uint8),
+        ("counts", ctypes.c_uint32 * len(CheckStatus)),
+    )  # fmt: skip
+
+
+class ProtectorInC(ctypes.Structure):
+    _fields_ = (("data_id", ctypes.c_uint16), ("counter", ctypes.c_uint8))
+
+
+def definition(codec: MessageCodec) -> int:
+    return ctypes.addressof(ctypes.c_char.in_dll(C, f"frame_{codec.role}"))
+
+
+@given(data_id=st.integers(0, 0xFFFF), payloads=st.lists(st.binary(min_size=8, max_size=8)))
+def test_protected_frames_are_those_of_the_library(data_id: int, payloads: list[bytes]) -> None:
+    ours, protector = Protector(data_id), ProtectorInC()
+    C.e2e_protector_init(ctypes.byref(protector), data_id)
+    for payload in payloads:
+        expected = bytearray(payload)
+        ours.protect(expected)
+        data = ctypes.create_string_buffer(payload, 8)
+        C.e2e_protect(ctypes.byref(protector), data)
+        assert data.raw == bytes(expected)
+
+
+EVENTS = st.one_of(
+    st.tuples(st.just("frame"), st.integers(0, 15)),
+    st.tuples(st.sampled_from(["damaged", "short", "none", "other tick", "other damaged"]),
+              st.integers(0, 14)),
+    st.tuples(st.just("next"), st.just(0)),
+)  # fmt: skip
+
+
+@given(st.lists(EVENTS, max_size=60))
+def test_frames_are_judged_as_by_the_rig(events: list[tuple[str, int]]) -> None:
+    ours, checker, counter = Checker(0x123), CheckerInC(), 0
+    C.e2e_checker_init(ctypes.byref(checker), 0x123)
+    for what, number in events:
+        counter = (counter + 1) % 15 if what == "next" else number
+        protector = ProtectorInC(0x123, counter)
+        buffer = ctypes.create_string_buffer(bytes(range(8)), 8)
+        C.e2e_protect(ctypes.byref(protector), buffer)
+        frame = bytearray(buffer.raw)
+        assert e2e_p01_check(frame, 0x123) == (counter < 15)
+        if "damaged" in what:
+            frame[3] ^= 1
+        if what == "short":
+            del frame[5:]
+        if what == "none":
+            ours.no_new_data()
+            C.e2e_no_new_data(ctypes.byref(checker))
+        elif what.startswith("other"):
+            ours.reject(frame)
+            C.e2e_reject(ctypes.byref(checker), bytes(frame), len(frame))
+        else:
+            usable = ours.check(frame) in USABLE
+            assert C.e2e_check(ctypes.byref(checker), bytes(frame), len(frame)) == usable
+        assert list(checker.counts) == list(ours.counts.values())
+
+
+@pytest.mark.parametrize("codec", list(NETWORK), ids=lambda codec: codec.role)
+@given(
+    value=st.one_of(st.floats(), st.integers(-(2**32), 2**32).map(lambda n: n * 0.5e-3),
+                    st.integers(-(2**32), 2**32).map(lambda n: n * 0.5e-8)),
+    tick=st.integers(0, 0xFFFF),
+)  # fmt: skip
+def test_values_are_packed_as_by_the_rig(codec: MessageCodec, value: float, tick: int) -> None:
+    data = ctypes.create_string_buffer(8)
+    C.frame_pack(definition(codec), value, tick, data)
+    assert data.raw == bytes(codec.encode(value, tick))
+    assert C.frame_tick(data) == tick
+
+
+@pytest.mark.parametrize("codec", list(NETWORK), ids=lambda codec: codec.role)
+@given(data=st.binary(min_size=8, max_size=8))
+def test_bytes_are_read_as_by_the_rig(codec: MessageCodec, data: bytes) -> None:
+    expected = codec.decode(data).value
+    found = C.frame_value(ctypes.c_void_p(definition(codec)), data)
+    assert found == expected or (math.isnan(found) and math.isnan(expected))
