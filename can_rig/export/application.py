@@ -28,7 +28,8 @@ def application(scenario: Scenario) -> dict[str, str]:
     network = network_of(scenario)
     if not network.is_the_rigs:
         raise ExportError(
-            f"network.dbc = {scenario.network.dbc!r}: must be left out, for C has the rig's own frames"
+            f"network.dbc = {scenario.network.dbc!r}: must be left out; "
+            "the controller in C has the rig's own frames"
         )
     table = controller_table(scenario, network)
     precision = scenario.design.precision
