@@ -20,7 +20,7 @@ from typing import TYPE_CHECKING, Any
 from can_rig.assessment.resolve import load as load_scenario
 from can_rig.assessment.resolve import load_run
 from can_rig.assessment.stability import StabilityCheck, check_stability
-from can_rig.assessment.tuning.box import cars, parameter_ranges
+from can_rig.assessment.tuning.box import cars_of
 from can_rig.assessment.tuning.search import Tunings
 from can_rig.assessment.tuning.search import tune as search
 from can_rig.decoding.decode import decode_log
@@ -128,7 +128,7 @@ def tune(
     """
     chosen = scenario(name, changes)
     limits = [f"{key}={low}..{high}" for key, (low, high) in (ranges or {}).items()]
-    some = cars(chosen.model, parameter_ranges(chosen.model, box, limits))
+    some = cars_of(chosen, box, limits)
     return search(chosen, some, spare_ticks, noise_limit_n, torque_noise_limit_nm)
 
 

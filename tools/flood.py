@@ -27,7 +27,8 @@ from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
 from can_rig.nodes.processes import run_processes
 from can_rig.nodes.progress import OnTick
-from can_rig.nodes.runner import NodeSummary, run_in_process
+from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.summary import NodeSummary
 from can_rig.nodes.watchdog import StopRequest
 
 TAKEN_WITHIN_S = 10.0  # makes the local bus wait for the slowest listener

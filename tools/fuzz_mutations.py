@@ -81,7 +81,17 @@ def _spliced(text: bytes, chance: random.Random, others: Sequence[bytes]) -> byt
     return text[:at] + other[begin : begin + chance.randint(1, 300)] + text[at:]
 
 
+def _moved(text: bytes, chance: random.Random, _others: Sequence[bytes]) -> bytes:
+    """A few lines that come later, or twice, or not at all."""
+    lines = text.splitlines(keepends=True)
+    at = chance.randrange(len(lines) + 1)
+    taken = lines[at : at + chance.randint(1, 8)]
+    rest = lines[:at] + lines[at + len(taken) * chance.randint(0, 1) :]
+    to = chance.randint(at, min(at + 40, len(rest)))
+    return b"".join(rest[:to] + taken * chance.randint(0, 2) + rest[to:])
+
+
 _CHANGES: Final[tuple[Callable[[bytes, random.Random, Sequence[bytes]], bytes], ...]] = (
     _byte, _byte, _bit, _bit, _integer, _integer, _number, _number, _without, _twice, _cut,
-    _spliced,
+    _spliced, _moved, _moved,
 )  # fmt: skip

@@ -108,12 +108,12 @@ def run_room(
     sys.dont_write_bytecode = False  # in the copy: compiling the tests takes longer than most
     from mutation_run import (  # noqa: PLC0415 (here)
         BaselineError,
-        Tests,
         check_unchanged,
         copy_tree,
         killers,
         measure,
     )
+    from mutation_tests import Tests  # noqa: PLC0415
 
     copy_tree()
 

@@ -1,102 +1,32 @@
-"""Runs the tests on one mutant after another, each in a process forked from one that has imported.
+"""Runs the tests of a room on one mutant after another, each in a process of its own.
 
-The changed module exists in memory alone: no file is written, and the mutants do not meet.
+The changed module exists in memory alone: no file is written, and the mutants do not meet. First
+all of them are tried in one session of pytest (``mutation_session``), which is quick; what survives
+that is tried in processes forked from one that has imported other libraries, but nothing of ours.
 """
 
 from __future__ import annotations
 
 import gc
 import importlib
-import math
 import os
 import shutil
-import signal
 import sys
-import tempfile
-import time
-from collections import Counter, defaultdict
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from functools import partial
 from importlib.machinery import ModuleSpec, SourceFileLoader
 from importlib.util import spec_from_loader
-from multiprocessing import connection, get_context
-from multiprocessing.connection import Connection
 from pathlib import Path
 from typing import Any, Final
 
 import pytest
-
-TREE: Final = Path(__file__).parents[1] / "build" / "mutation"
-"""A copy of the checkout, so that work on that can go on meanwhile."""
+from mutation_processes import TREE, answers
+from mutation_session import UNCHANGED, in_one_session
+from mutation_tests import OPTIONS, Plugin, Tests
 
 OURS: Final = ("can_rig", "firmware_model", "tests")
 TIMEOUT: Final = "timeout"
-_SLOWER: Final = 10  # times the usual duration of a test, and then it hangs
-_SLOWER_S: Final = 2.0
-_WAITS_S: Final = 120.0  # of the clock on the wall: a test that waits without computing hangs
-_STARVES: Final = 100  # times its CPU time: on a busy machine a test that computes takes so long
-_LONGEST_S: Final = 7200.0  # for all of them
-
-
-@dataclass
-class Tests:
-    """The tests of a room, and what is known of them."""
-
-    paths: Sequence[str]
-    cpu_s: dict[str, float] = field(default_factory=dict)
-    """CPU time of each test on the unchanged code [s], as far as it is known."""
-    below_s: float = math.inf
-    """Tests that take longer are left out."""
-    kills: Counter[str] = field(default_factory=Counter)
-    """Number of mutants that each test has noticed first."""
-
-
-class Plugin:
-    """Within pytest: the module's own tests first, then those that noticed others.
-
-    None may take much longer than usual.
-    """
-
-    def __init__(self, tests: Tests, module: str) -> None:
-        self._tests = tests
-        self._own = f"test_{module}.py"
-        self.failed: str | None = None
-        self.cpu_s: dict[str, float] = {}
-
-    def pytest_collection_modifyitems(self, items: list[pytest.Item]) -> None:
-        """Choose and order them; files stay together, for the fixtures that their tests share."""
-        cpu_s = self._tests.cpu_s
-        items[:] = [i for i in items if cpu_s.get(i.nodeid, 0.0) < self._tests.below_s]
-        for item in items:
-            waits_s = _WAITS_S + _STARVES * cpu_s.get(item.nodeid, 60.0)
-            item.add_marker(pytest.mark.timeout(waits_s))
-        file_s: dict[str, float] = defaultdict(float)
-        for test, test_s in cpu_s.items():
-            file_s[test.partition("::")[0]] += test_s
-        kills = self._tests.kills
-
-        def order(item: pytest.Item) -> tuple[bool, int, float]:
-            file = item.nodeid.partition("::")[0]
-            return not file.endswith(f"/{self._own}"), -kills[item.nodeid], file_s[file]
-
-        items.sort(key=order)
-
-    @pytest.hookimpl(wrapper=True)
-    def pytest_runtest_protocol(self, item: pytest.Item) -> Iterator[None]:
-        """Bound the CPU time of a test."""
-        usual_s = self._tests.cpu_s.get(item.nodeid, 60.0)
-        signal.setitimer(signal.ITIMER_PROF, _SLOWER * usual_s + _SLOWER_S)
-        begun_s = time.process_time()
-        result = yield
-        self.cpu_s[item.nodeid] = time.process_time() - begun_s
-        signal.setitimer(signal.ITIMER_PROF, 0.0)
-        return result
-
-    def pytest_runtest_logreport(self, report: pytest.TestReport) -> None:
-        """Keep the first test that fails."""
-        if report.failed:
-            self.failed = self.failed or report.nodeid
 
 
 class _InMemory(SourceFileLoader):
@@ -114,25 +44,15 @@ class _InMemory(SourceFileLoader):
         return spec_from_loader(name, self) if name == self.name else None
 
 
-def _in_process(
-    tests: Tests, mutant: tuple[Path, str] | None, folder: Path, to: Connection
-) -> None:
-    """Run the tests; answers with what failed, the times, and what had to be imported."""
-    os.setsid()
-    silence = os.open(os.devnull, os.O_RDWR)
-    for stream in (0, 1, 2):
-        os.dup2(silence, stream)
-    signal.signal(signal.SIGPROF, signal.SIG_DFL)  # ends the process
+def _imported(tests: Tests, mutant: tuple[Path, str] | None) -> Any:
+    """Run the tests on what is imported anew; what failed, the times, and what was imported."""
     if mutant is not None:
         sys.meta_path.insert(0, _InMemory(*mutant))
     plugin = Plugin(tests, mutant[0].stem if mutant else "")
-    options = ["-x", "-q", "-p", "no:cacheprovider"]
-    options += [f"--basetemp={folder / 'tmp'}", "-m", "not vcan and not long"]
-    status = pytest.main([*options, *tests.paths], plugins=[plugin])
+    status = pytest.main([*OPTIONS, *tests.paths], plugins=[plugin])
     failed = plugin.failed or (f"pytest: {status!r}" if status else None)  # it cannot be imported
     theirs = [name for name in sys.modules if name.split(".")[0] not in OURS]
-    to.send((failed, plugin.cpu_s, theirs))
-    os._exit(0)  # whatever threads a mutant has left behind
+    return failed, plugin.cpu_s, theirs
 
 
 def copy_tree() -> None:
@@ -159,7 +79,7 @@ def check_unchanged(tests: Tests) -> list[str]:
     Raises:
         BaselineError: one of them fails.
     """
-    ((_, answer),) = _answers(tests, {"unchanged": None}, 1)
+    ((_, answer),) = answers(partial(_imported, tests), {"unchanged": None}, 1)
     if answer is None:
         raise BaselineError("a test takes too long on the unchanged code")
     failed, cpu_s, imported = answer
@@ -186,48 +106,10 @@ def killers(
     tests: Tests, mutants: Mapping[str, tuple[Path, str]], workers: int
 ) -> Iterator[tuple[str, str | None]]:
     """For each key of ``mutants`` (module, source) the test that noticed; None: none did."""
-    for key, answer in _answers(tests, mutants, workers):
-        killer = answer[0] if answer else TIMEOUT
-        if killer:
-            tests.kills[killer] += 1
-        yield key, killer
-
-
-def _answers(tests: Tests, mutants: Mapping[str, Any], workers: int) -> Iterator[tuple[str, Any]]:
-    """Each key with the answer of its process; None where there was no answer."""
-    fork = get_context("fork")
-    waiting = list(mutants)[::-1]
-    running: dict[Any, tuple[str, Connection, float]] = {}
-    with tempfile.TemporaryDirectory(prefix="mutants-", ignore_cleanup_errors=True) as root:
-        try:
-            while waiting or running:
-                while waiting and len(running) < workers:
-                    key = waiting.pop()
-                    folder = Path(tempfile.mkdtemp(dir=root))
-                    receiver, sender = fork.Pipe(duplex=False)
-                    process = fork.Process(
-                        target=_in_process, args=(tests, mutants[key], folder, sender)
-                    )
-                    process.start()
-                    sender.close()
-                    running[process] = key, receiver, time.monotonic() + _LONGEST_S
-                connection.wait([receiver for _, receiver, _ in running.values()], timeout=1.0)
-                for process, (key, receiver, deadline_s) in list(running.items()):
-                    answer = None
-                    if receiver.poll():
-                        with suppress(EOFError):
-                            answer = receiver.recv()
-                    elif time.monotonic() < deadline_s:
-                        continue
-                    _end(process)
-                    del running[process]
-                    yield key, answer
-        finally:
-            for process in running:
-                _end(process)
-
-
-def _end(process: Any) -> None:
-    with suppress(ProcessLookupError, PermissionError):
-        os.killpg(process.pid, signal.SIGKILL)  # with all that it started
-    process.join()
+    left = dict(mutants)
+    for key, killer in in_one_session(tests, mutants, workers):
+        if killer not in {"", UNCHANGED}:
+            del left[key]
+            yield key, killer or TIMEOUT
+    for key, answer in answers(partial(_imported, tests), left, workers):
+        yield key, answer[0] if answer else TIMEOUT

@@ -22,7 +22,6 @@ from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
 from firmware_model.target.status import FaultState
 
-HOUR_S = 3600.0
 AFTER_S = 5.0  # of the loss, in which it has to be found
 
 

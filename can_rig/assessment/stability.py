@@ -13,7 +13,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterator
 from dataclasses import asdict, dataclass, replace
 from itertools import product
-from typing import Any, get_args
+from typing import Any
 
 from can_rig.assessment.control_authority import ControlAuthority, control_authority
 from can_rig.assessment.decision import DecisionFigures, decision_figures
@@ -38,7 +38,7 @@ from firmware_model.analysis.margins import (
     margins,
 )
 from firmware_model.analysis.sampled_loop import sampled_loop
-from firmware_model.discretisation.targets import EstimatorRule
+from firmware_model.discretisation.rules import RULE_NAMES
 
 Effectiveness = tuple[float, float]
 """What is left of the torque's and of the force difference's effect, 1 healthy and 0 dead."""
@@ -202,7 +202,7 @@ def stable_tuning(scenario: Scenario) -> str | None:
     """
     plant, states = continuous_plant(scenario.plant), tuple(_both_ends(scenario).values())
     own = scenario.design.estimator
-    rules = [own, *(rule for rule in get_args(EstimatorRule) if rule != own)]
+    rules = [own, *(rule for rule in RULE_NAMES if rule != own)]
     for tau_s, rule in product(TUNINGS_S, rules):
         chosen = replace(scenario.design, tau_s=tau_s, tau_q_s=tau_s, estimator=rule)
         other = replace(scenario, design=chosen)

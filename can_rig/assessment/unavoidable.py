@@ -14,7 +14,6 @@ loss with a larger command makes it show sooner.
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -24,8 +23,6 @@ from can_rig.scenario.build import continuous_plant, target
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.target.structs import FloatArray
-
-HOUR_S = 3600.0
 
 
 @dataclass(frozen=True)
@@ -63,7 +60,7 @@ def unavoidable(scenario: Scenario, commands: FloatArray) -> Unavoidable | None:
         place.noise_rms * place.noise_rms * (1.0 - place.noise_pole**2)
         + place.resolution * place.resolution / 12.0
     )
-    needed = math.log(HOUR_S / (tick_s * place.false_alarms_per_hour)) * per_tick
+    needed = place.evidence(place.false_alarms_per_hour) * per_tick
     missing, largest, shown, before = np.zeros(len(plant.phi)), 0.0, 0.0, 0.0
     found: int | None = None
     for k, command in enumerate(np.nan_to_num(commands), 1):

@@ -1,34 +1,32 @@
 """Decodes the frames that one database knows: by identifier or, for J1939, by parameter group.
 
-A J1939 identifier holds priority, parameter group number (PGN) and addresses; a database has one
-message for the group, whoever sends it. Its frames get one more signal, ``SourceAddress``.
-Source: SAE J1939-21, section 5.2.
+A database has one J1939 message for the group, whoever sends it. Its frames get one more signal,
+``SourceAddress``.
 """
 
 from __future__ import annotations
 
 from collections import Counter
-from collections.abc import Collection, Iterable
-from dataclasses import replace
+from collections.abc import Collection, Iterable, Sequence
 from difflib import get_close_matches
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from cantools.database.can import Database
 from cantools.database.can import Message as DbcMessage
 from numpy.typing import NDArray
 
+from can_rig.decoding.j1939 import GROUP_BIT, group_key, group_keys, with_source
+from can_rig.decoding.j1939_transport import is_transport
 from can_rig.decoding.message_columns import MessageColumns
 from can_rig.decoding.message_decoder import MessageDecoder
-from can_rig.decoding.signal_columns import unsigned_column
 from can_rig.errors import DbcError
-from can_rig.logs.frames import EXTENDED, Frames
+from can_rig.logs.frames import EXTENDED, Frames, concatenate
 
-SOURCE_ADDRESS: Final = "SourceAddress"
+Numbered = tuple[Frames, NDArray[np.int64]]
+"""Frames, and (n,) their numbers in the log."""
 
 _EXTENDED_BIT: Final = 31  # above the identifier, as in a DBC
-_GROUP_BIT: Final = 1 << 30  # of a key that is a parameter group
-_PEER_TO_PEER: Final = 0xF0  # PDU format below which the next byte is a destination address
 
 
 def named(database: Database) -> dict[str, DbcMessage]:
@@ -62,39 +60,58 @@ class DatabaseDecoder:
                 by_key[group_key(message.frame_id)] = prefix + name
         keys = sorted(by_key)
         self._keys: Final = np.array(keys, dtype=np.uint32)
-        self._groups: Final = [bool(key & _GROUP_BIT and not key >> _EXTENDED_BIT) for key in keys]
+        self._groups: Final = [bool(key & GROUP_BIT and not key >> _EXTENDED_BIT) for key in keys]
         self._names: Final = [by_key[key] for key in keys]
         self.not_wanted = 0
         """Number of frames of messages that were not asked for."""
 
+    @property
+    def has_groups(self) -> bool:
+        """Whether there are J1939 messages in the database."""
+        return any(self._groups)
+
     def decode(
-        self, frames: Frames, rows: NDArray[np.int64]
-    ) -> tuple[dict[str, MessageColumns], NDArray[np.bool_]]:
-        """The columns of a chunk by message, and (n,) which frames the database knows."""
-        places = self._places(frames)
+        self, sources: Sequence[Numbered]
+    ) -> tuple[dict[str, MessageColumns], list[NDArray[np.bool_]]]:
+        """The columns of a chunk by message, and of every source (n,) which frames are known.
+
+        Args:
+            sources: the frames of the chunk and, where `has_groups`, the longer messages that were
+                put together from them.
+        """
+        parts: dict[str, list[Numbered]] = {}
+        known = []
+        for at, (frames, rows) in enumerate(sources):
+            places = self._places(frames)
+            known.append(places < len(self._names))
+            if self.has_groups and at == 0:
+                known[0] |= is_transport(frames)
+            for name, chosen in self._by_name(places).items():
+                if name in self.decoders:
+                    parts.setdefault(name, []).append((frames[chosen], rows[chosen]))
+                elif at == 0:
+                    self.not_wanted += len(chosen)
+        is_group = {name for name, group in zip(self._names, self._groups, strict=True) if group}
+        found = {}
+        for name, decoder in self.decoders.items():
+            if name in parts:
+                frames, rows = _in_order(parts[name])
+                columns = decoder.decode(frames, rows)
+                found[name] = with_source(columns, frames, rows) if name in is_group else columns
+        return found, known
+
+    def _by_name(self, places: NDArray[np.int16]) -> dict[str, NDArray[np.int64]]:
+        """The frames of each message that occurs, in order."""
         order = np.argsort(places, kind="stable")
         ends = np.cumsum(np.bincount(places, minlength=len(self._names) + 1))
         chosen: dict[str, NDArray[np.int64]] = {}
         for place, name in enumerate(self._names):
             here = order[ends[place - 1] if place else 0 : ends[place]]
-            if name not in self.decoders:
-                self.not_wanted += len(here)
-            elif len(here) and name in chosen:  # by its identifier, and by its group
-                chosen[name] = np.sort(np.concatenate([chosen[name], here]))
-            elif len(here):
+            if len(here) and name in chosen:  # by its identifier, and by its group
+                here = np.sort(np.concatenate([chosen[name], here]))
+            if len(here):
                 chosen[name] = here
-        is_group = {name for name, group in zip(self._names, self._groups, strict=True) if group}
-        found = {}
-        for name, decoder in self.decoders.items():
-            if name in chosen:
-                of_message = frames[chosen[name]]
-                columns = decoder.decode(of_message, rows[chosen[name]])
-                found[name] = (
-                    _with_source(columns, of_message, rows[chosen[name]])
-                    if name in is_group
-                    else columns
-                )
-        return found, places < len(self._names)
+        return chosen
 
     def _places(self, frames: Frames) -> NDArray[np.int16]:
         """(n,) index of each frame's message in the sorted ones; their number for none of them."""
@@ -103,7 +120,7 @@ class DatabaseDecoder:
         extended = frames.has(EXTENDED)
         extended_bit = extended.astype(np.uint32) << np.uint32(_EXTENDED_BIT)
         places = self._find(frames.arbitration_id | extended_bit)
-        if any(self._groups):
+        if self.has_groups:
             left = np.flatnonzero(extended & (places == len(self._keys)))
             places[left] = self._find(group_keys(frames.arbitration_id[left]))
         return places.astype(np.int16)  # of 16 bits, which sort by radix
@@ -115,27 +132,13 @@ class DatabaseDecoder:
         return places
 
 
-def group_key(identifier: int) -> int:
-    """What identifies a parameter group: the PGN, without addresses and priority."""
-    return int(group_keys(np.array([identifier], np.uint32))[0])
-
-
-def group_keys(identifier: NDArray[np.uint32]) -> NDArray[np.uint32]:
-    """(n,) the same of many identifiers."""
-    group = identifier >> np.uint32(8) & np.uint32(0x3FFFF)
-    to_one = (group >> np.uint32(8) & np.uint32(0xFF)) < _PEER_TO_PEER
-    group[to_one] &= np.uint32(0x3FF00)
-    return group | np.uint32(_GROUP_BIT)
-
-
-def _with_source(
-    columns: MessageColumns, frames: Frames, rows: NDArray[np.int64]
-) -> MessageColumns:
-    """With the address of each sender."""
-    source = (frames.arbitration_id & np.uint32(0xFF)).astype(np.int64)
-    source = source[np.searchsorted(rows, columns.row)]
-    layout: dict[str, Any] = {**columns.layout, SOURCE_ADDRESS: unsigned_column(SOURCE_ADDRESS, 8)}
-    return replace(columns, signals={**columns.signals, SOURCE_ADDRESS: source}, layout=layout)
+def _in_order(parts: Sequence[Numbered]) -> Numbered:
+    """Frames of several sources in the order of their numbers."""
+    if len(parts) == 1:
+        return parts[0]
+    rows = np.concatenate([at for _, at in parts])
+    order = np.argsort(rows, kind="stable")
+    return concatenate([frames for frames, _ in parts])[order], rows[order]
 
 
 def message_decoders(

@@ -16,14 +16,14 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Collection, Sequence
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from cantools.database.can import Database
-from numpy.typing import NDArray
 
 from can_rig.decoding.database import load_database
 from can_rig.decoding.database_decoder import DatabaseDecoder, message_decoders, require_names
+from can_rig.decoding.j1939_transport import Transport
 from can_rig.decoding.message_columns import MessageColumns, joined
 from can_rig.decoding.message_decoder import Counts
 from can_rig.logs.frames import ERROR, EXTENDED, Frames
@@ -73,6 +73,8 @@ class Decoder:
         self.error_frames = 0
         self.unknown: Counter[str] = Counter()
         """Number of frames by identifier, ``123`` or ``12345678``, that is not in the database."""
+        self.transport: Final = Transport()
+        """J1939 messages of several frames; nothing without a database of J1939."""
         self._other_buses = 0
         self._channels: dict[str, None] = {}  # an ordered set
 
@@ -113,42 +115,48 @@ class Decoder:
         self.frames += len(frames)
         self._channels.update(dict.fromkeys(frames.channels))
         keep = np.ones(len(frames), dtype=bool)
-        if self._channel is not None and len(frames):
-            keep = _on(frames, self._channel)
+        if self._channel is not None:
+            keep[:] = False
+            keep[_on(frames, self._channel)] = True
             self._other_buses += int((~keep).sum())
         errors = keep & frames.has(ERROR)
         self.error_frames += int(errors.sum())
         keep = keep & ~errors
         if not keep.all():
             frames, rows = frames[keep], rows[keep]
+        sources = [(frames, rows)]
+        if any(part.has_groups for _, part in self._parts):
+            sources.append(self.transport.put_together(frames, rows))
+        known = [np.zeros(len(some), dtype=bool) for some, _ in sources]
         found: dict[str, MessageColumns] = {}
-        known = np.zeros(len(frames), dtype=bool)
         for bus, part in self._parts:
-            if bus is None:
-                columns, knows = part.decode(frames, rows)
-                known |= knows
-            else:
-                here = np.flatnonzero(_on(frames, bus))
-                columns, knows = part.decode(frames[here], rows[here])
-                known[here] |= knows
+            here = [_on(some, bus) for some, _ in sources]
+            chosen = [(some[on], at[on]) for (some, at), on in zip(sources, here, strict=True)]
+            columns, knows = part.decode(chosen)
             found |= columns
-        if not known.all():
-            self._count_unknown(frames[~known])
+            for whole, on, one in zip(known, here, knows, strict=True):
+                whole[on] |= one
+        for (some, _), whole, unknown in zip(
+            sources, known, (self.unknown, self.transport.unknown), strict=False
+        ):
+            if not whole.all():
+                _count(unknown, some[~whole])
         return {name: found[name] for name in self.messages if name in found}
 
-    def _count_unknown(self, frames: Frames) -> None:
-        for extended, digits in ((False, 3), (True, 8)):
-            chosen = frames.arbitration_id[frames.has(EXTENDED) == extended]
-            for identifier, count in zip(*np.unique(chosen, return_counts=True), strict=True):
-                self.unknown[f"{identifier:0{digits}X}"] += int(count)
+
+def _count(unknown: Counter[str], frames: Frames) -> None:
+    """Count frames by their identifiers, as printed."""
+    for extended, digits in ((False, 3), (True, 8)):
+        chosen = frames.arbitration_id[frames.has(EXTENDED) == extended]
+        for identifier, count in zip(*np.unique(chosen, return_counts=True), strict=True):
+            unknown[f"{identifier:0{digits}X}"] += int(count)
 
 
-def _on(frames: Frames, bus: str) -> NDArray[np.bool_]:
-    """(n,) whether a frame is of this bus."""
-    if not len(frames):
-        return np.zeros(0, dtype=bool)
-    here: NDArray[np.bool_] = np.array([name == bus for name in frames.channels])[frames.channel]
-    return here
+def _on(frames: Frames, bus: str | None) -> Any:
+    """Which frames are of this bus, as a mask (n,); all of them: a slice."""
+    if bus is None or not len(frames):
+        return slice(None)
+    return np.array([name == bus for name in frames.channels])[frames.channel]
 
 
 class DecodedLog(dict[str, MessageColumns]):
@@ -161,6 +169,7 @@ class DecodedLog(dict[str, MessageColumns]):
         self.counts: Final = decoder.counts
         self.unknown: Final = decoder.unknown
         self.error_frames: Final = decoder.error_frames
+        self.transport: Final = decoder.transport
         self.notice: Final = notice
         """One line if the end of the log is missing, else None."""
 

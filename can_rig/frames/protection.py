@@ -19,9 +19,11 @@ from e2e.p01 import e2e_p01_check, e2e_p01_protect
 FRAME_BYTES: Final = 8
 """Length of every protected frame [byte]."""
 
-_COUNTERS: Final = 15  # counters 0..14; 15 is never sent
-_LARGEST_DELTA: Final = _COUNTERS - 1
-_AFTER: Final = (*range(1, _COUNTERS), 0)  # of each counter, the one that follows
+COUNTERS: Final = 15
+"""Counters are 0..14; 15 is never sent."""
+
+_LARGEST_DELTA: Final = COUNTERS - 1
+_AFTER: Final = (*range(1, COUNTERS), 0)  # of each counter, the one that follows
 _SYNC_COUNTER_INIT: Final = 1
 
 
@@ -162,7 +164,7 @@ class Checker:
         """Compare the counter of an intact frame that is not OK with that of the last one."""
         if self._last is None:
             return self._accept(received, _INITIAL)
-        delta = (received - self._last) % _COUNTERS
+        delta = (received - self._last) % COUNTERS
         if delta == 0:
             return _REPEATED
         if delta > self._window:

@@ -9,9 +9,12 @@ from typing import Final
 
 from can_rig.errors import LogError
 
-SUFFIXES: Final = (".log", ".asc", ".blf", ".trc", ".mf4")
-COMPRESSED: Final = (".log", ".asc", ".trc")
+SUFFIXES: Final = (".log", ".asc", ".blf", ".trc", ".mf4", ".csv")
+COMPRESSED: Final = (".log", ".asc", ".trc", ".csv")
 """The formats that may also be gzipped, with ``.gz`` after their suffix."""
+
+BUSMASTER: Final = "BUSMASTER"
+"""A format that is only read, and that has the suffix of another one."""
 
 _HEAD_BYTES: Final = 1 << 14
 _GZIP: Final = 16 + zlib.MAX_WBITS
@@ -22,6 +25,8 @@ _TEXT: Final = {
     ".asc": re.compile(
         rb"\s*(//[^\n]*\s*)*(date[ \t]+\w|base[ \t]+(hex|dec)|begin[ \t]+triggerblock)", re.I
     ),
+    ".csv": re.compile(rb"\W*time stamp,\s*id,\s*extended", re.I),
+    BUSMASTER: re.compile(rb"\s*\*\*\*\s*[<\[A-Z]", re.I),
 }
 
 
@@ -50,10 +55,11 @@ def format_in(path: Path) -> str:
     Raises:
         LogError: neither tells.
     """
-    return _content_format(path) or format_of(path)
+    return content_format(path) or format_of(path)
 
 
-def _content_format(path: Path) -> str | None:
+def content_format(path: Path) -> str | None:
+    """The format of a log by what it begins with; None: by that it is none."""
     if not path.is_file():  # a pipe is read once
         return None
     try:

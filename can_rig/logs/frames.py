@@ -38,8 +38,8 @@ class Frames:
     """(n,) EXTENDED, REMOTE, ERROR, FD, BITRATE_SWITCH, ERROR_STATE, SENT (else received)."""
     channel: UInt8s
     """(n,) indices into ``channels``."""
-    length: UInt8s
-    """(n,) payload lengths [byte]; of a remote frame, the length that it asks for."""
+    length: NDArray[Any]
+    """(n,) payload lengths [byte], uint8; of a remote frame, the length that it asks for."""
     data: UInt8s
     """(n, 8) or, where a frame is longer, (n, 64) payloads; zero behind their ends."""
     channels: tuple[str, ...]

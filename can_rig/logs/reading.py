@@ -10,6 +10,8 @@
 | `.blf`            | Vector binary logging      |
 | `.trc`, `.trc.gz` | PEAK trace                 |
 | `.mf4`            | ASAM MDF 4, bus logging    |
+| `.csv`, `.csv.gz` | SavvyCAN (GVRET)           |
+| any text          | BUSMASTER, by its heading  |
 
 Time stamps are integers in nanoseconds, read digit by digit; only an `.mf4` may have them in float
 seconds since the start of the recording, which are rounded to the nearest nanosecond.
@@ -21,14 +23,16 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
-from can_rig.logs.formats import format_in
+from can_rig.logs.formats import BUSMASTER, format_in
 from can_rig.logs.frames import Frames
 from can_rig.logs.log import ALL, Log, Window
 from can_rig.logs.readers.binary.blf import read_blf
 from can_rig.logs.readers.binary.mf4 import read_mf4
-from can_rig.logs.readers.text.asc import read_asc
-from can_rig.logs.readers.text.candump import read_candump
-from can_rig.logs.readers.text.trc import read_trc
+from can_rig.logs.readers.text.formats.asc import read_asc
+from can_rig.logs.readers.text.formats.busmaster import read_busmaster
+from can_rig.logs.readers.text.formats.candump import read_candump
+from can_rig.logs.readers.text.formats.gvret import read_gvret
+from can_rig.logs.readers.text.formats.trc import read_trc
 
 _READERS: Final[Mapping[str, Callable[[Log], Iterator[Frames]]]] = {
     ".log": read_candump,
@@ -36,6 +40,8 @@ _READERS: Final[Mapping[str, Callable[[Log], Iterator[Frames]]]] = {
     ".blf": read_blf,
     ".trc": read_trc,
     ".mf4": read_mf4,
+    ".csv": read_gvret,
+    BUSMASTER: read_busmaster,
 }
 
 

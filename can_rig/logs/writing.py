@@ -9,6 +9,7 @@
 | `.mf4`            | everything, time to 1 ns; buses by number                                  |
 | `.asc`            | time to 1 µs, its start to 1 ms; no content of error frames; buses by number |
 | `.trc`            | time to 1 µs; error frames are refused; buses by number                    |
+| `.csv`            | SavvyCAN: classic data frames; time to 1 µs; buses by number               |
 
 The number of a bus is the one at the end of its name, as in python-can: 0 for vcan0.
 """
@@ -24,6 +25,7 @@ from can_rig.logs.formats import format_of
 from can_rig.logs.frames import Frames
 from can_rig.logs.log import Log
 from can_rig.logs.writers.candump import write_candump
+from can_rig.logs.writers.gvret import write_gvret
 from can_rig.logs.writers.mf4 import write_mf4
 from can_rig.logs.writers.python_can import write_asc, write_blf
 from can_rig.logs.writers.trc import write_trc
@@ -82,6 +84,8 @@ def write_log(log: Log, path: Path, reading: Reading = iter) -> int:
                 write_blf(chunks(), part)
             case ".trc":
                 write_trc(log, chunks(), part, final=path)
+            case ".csv":
+                write_gvret(log, chunks(), part, final=path)
             case _:
                 write_mf4(log, chunks(), part)
     return counted

@@ -27,7 +27,8 @@ from can_rig.errors import RigError, SilentNodeError
 from can_rig.export.controllers import PYTHON, Controller
 from can_rig.nodes.one_core import one_core
 from can_rig.nodes.progress import OnTick, Progress, Throttled, no_progress
-from can_rig.nodes.runner import NodeName, NodeSummary, run_controller, run_plant
+from can_rig.nodes.runner import NodeName, run_controller, run_plant
+from can_rig.nodes.summary import NodeSummary
 from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Timeouts
 from can_rig.scenario.settings import Scenario
 

@@ -6,9 +6,8 @@ import gc
 from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass
 from pathlib import Path
-from typing import Any, Literal, NamedTuple, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 from can_rig.buses.bus import open_for_node
 from can_rig.export.controllers import PYTHON, Controller
@@ -27,6 +26,7 @@ from can_rig.nodes.realtime.recorder import RealTimeRecorder
 from can_rig.nodes.realtime.scheduling import prefer, undisturbed
 from can_rig.nodes.recording.plant_recorder import PlantRecorder
 from can_rig.nodes.recording.recorder import Recorder
+from can_rig.nodes.summary import NodeSummary
 from can_rig.nodes.watchdog import StopRequest, Timeouts, Watchdog
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
@@ -34,23 +34,6 @@ from can_rig.scenario.settings import Scenario
 NodeName = Literal["plant", "controller"]
 
 PLANT_CORE, CONTROLLER_CORE = 0, 1  # counted from the last: the first ones serve interrupts
-
-
-@dataclass
-class NodeSummary:
-    """What a node says when it ends."""
-
-    ticks: int
-    """The tick that it has reached: all of them, unless it was started later or stopped."""
-    wall_s: float
-    rejected_frames: dict[str, dict[str, int]]
-    """Of each message, how many were not used, by reason."""
-    bus_events: dict[str, dict[str, int]]
-    """Of each node, what its bus refused, failed or dropped, and how often; only what occurred."""
-    realtime: dict[str, Any] | None = None
-    """How deadlines were met and what the system permitted; None in lockstep."""
-    ticks_per_s: float = 0.0
-    """From its own first tick on, whichever that was."""
 
 
 def run_plant(
@@ -269,7 +252,7 @@ def _run(
         ticks = node.run(watchdog, pace)
         wall_s = (clock.now_ns() - start_ns) / NS_PER_S
         rate = pace.ticks_per_s
-    return NodeSummary(ticks, wall_s, node.rejected(), {}, realtime, rate)
+    return NodeSummary(ticks, wall_s, node.rejected(), {}, realtime, ticks_per_s=rate)
 
 
 @contextmanager

@@ -10,6 +10,8 @@ import math
 from collections.abc import Mapping
 from typing import Protocol
 
+import numpy as np
+
 from can_rig.plant.actuators import FollowedCommand
 from can_rig.plant.columns import APPLIED, TRUE_OUTPUT
 from can_rig.plant.protocol import GuardedPlant, load_plant
@@ -18,6 +20,7 @@ from can_rig.scenario.build import continuous_car, continuous_plant
 from can_rig.scenario.plant_settings import PlantSettings
 from firmware_model.analysis.sampled_plant import SampledPlant, follow, sample
 from firmware_model.design.actuator_dynamics import IDEAL
+from firmware_model.target.structs import FloatArray
 
 LONGEST_STEP_S = 5e-4
 """Over which the car of a class gets a constant command, where its actuators or sensor lag."""
@@ -98,6 +101,39 @@ class LinearBehind:
                 applied = left * float(commands[(self._tick - ago) % len(commands), channel])
             values[APPLIED[channel]] = applied
         return values
+
+    def report_columns(
+        self,
+        output: FloatArray,
+        states: FloatArray,
+        reached: FloatArray,
+        left: FloatArray,
+        ticks: range,
+    ) -> dict[str, FloatArray]:
+        """What ``report`` says of these ``ticks`` of a run from rest, (len(ticks),) each.
+
+        Args:
+            output: (ticks,), D* of the car.
+            states: (ticks, n), of the sampled plant.
+            reached: (2, ticks), the commands that reached the actuators.
+            left: (ticks, 2), what a fault left of them.
+            ticks: which of them; one behind the other.
+        """
+        begin, end = ticks.start, ticks.stop
+        columns = {TRUE_OUTPUT: output[begin:end]}
+        for at, name in enumerate(self._names):
+            if name:
+                columns[name] = states[begin:end, at]
+        for channel, (place, ago) in enumerate(zip(self._actuators, self._ago, strict=True)):
+            if place is not None:
+                applied = states[begin:end, place]
+            else:
+                sent = np.zeros(len(ticks))
+                first = max(begin, ago)  # from here on a command has come
+                sent[first - begin :] = reached[channel, first - ago : max(end, first) - ago]
+                applied = left[begin:end, channel] * (sent + 0.0)  # a frame has no -0.0
+            columns[APPLIED[channel]] = applied
+        return columns
 
     def follow(
         self, command_1: float, command_2: float, left_1: float, left_2: float

@@ -5,8 +5,10 @@ from __future__ import annotations
 import random
 
 import can
+import numpy as np
 
 from can_rig.scenario.settings import Scenario
+from firmware_model.target.structs import FloatArray
 
 CHANNELS = ("torque", "force-difference")
 
@@ -39,6 +41,22 @@ class SensorFault:
         if self._fault is None or not self._fault.active(tick * self._tick_ns):
             return 0.0
         return self._fault.bias_mps2
+
+
+def effectiveness(scenario: Scenario) -> FloatArray:
+    """(ticks, 2), what is left of each actuator at every tick of a run; see ``ActuatorFault``."""
+    fault, left = scenario.fault, np.ones((scenario.ticks, 2))
+    if fault.kind == "actuator-dead":
+        left[fault.active_ticks(scenario.tick_ns), CHANNELS.index(fault.channel)] = fault.left
+    return left
+
+
+def bias(scenario: Scenario) -> FloatArray:
+    """(ticks,), what a biased sensor adds to D* at every tick of a run, m/s²."""
+    fault, added = scenario.fault, np.zeros(scenario.ticks)
+    if fault.kind == "sensor-biased":
+        added[fault.active_ticks(scenario.tick_ns)] = fault.bias_mps2
+    return added
 
 
 class FrameFault:

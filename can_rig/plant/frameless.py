@@ -10,24 +10,24 @@ from dataclasses import dataclass
 import numpy as np
 
 from can_rig.errors import RigError
-from can_rig.frames.codec import MessageCodec
-from can_rig.frames.endpoints import Receiver, Transmitter
+from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
+from can_rig.plant import faults
 from can_rig.plant.actuators import actuator_limits
 from can_rig.plant.behind import LinearBehind, PlantBehind, plant_behind
-from can_rig.plant.faults import ActuatorFault, FrameFault, SensorFault
+from can_rig.plant.delivery import delivery
 from can_rig.plant.sensor import noise
 from can_rig.scenario.build import controller_table
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import SampledPlant
-from firmware_model.analysis.simulation import AnyPlant, BoolArray, Trace, simulate
+from firmware_model.analysis.simulation import AnyPlant, BoolArray, Simulation, Trace
 from firmware_model.target.structs import FloatArray, Record
 
 
 @dataclass(frozen=True)
 class Inputs:
-    """What happens to the loop from outside, tick by tick; see ``simulate``."""
+    """What happens to the loop from outside, tick by tick; see ``simulation.Simulation``."""
 
     reference: FloatArray
     effectiveness: FloatArray
@@ -38,14 +38,12 @@ class Inputs:
 
 def inputs_of(scenario: Scenario, network: Network) -> Inputs:
     """The inputs of ``scenario``, which do not depend on its car."""
-    ticks = scenario.ticks
-    actuator, sensor = ActuatorFault(scenario), SensorFault(scenario)
     return Inputs(
         reference=quantised(network.reference, reference(scenario)),
-        effectiveness=np.array([actuator.effectiveness(tick) for tick in range(ticks)]),
+        effectiveness=faults.effectiveness(scenario),
         noise=noise(scenario),
-        bias=np.array([sensor.bias(tick) for tick in range(ticks)]),
-        arrives=arrivals(scenario, network),
+        bias=faults.bias(scenario),
+        arrives=delivery(scenario, network).used,
     )
 
 
@@ -63,10 +61,30 @@ def frameless(
     Raises:
         ScenarioError: a scenario that cannot run.
     """
-    inputs = inputs_of(scenario, network) if inputs is None else inputs
-    return simulate(
+    plant = plant_behind(scenario.plant, scenario.tick_s)
+    loop = simulation(
+        scenario,
+        network,
+        plant.sampled if isinstance(plant, LinearBehind) else _UntilItFails(plant),
         controller_table(scenario, network) if table is None else table,
-        _plant(scenario),
+        inputs_of(scenario, network) if inputs is None else inputs,
+    )
+    loop.run()
+    return loop.trace
+
+
+def simulation(
+    scenario: Scenario,
+    network: Network,
+    plant: SampledPlant | AnyPlant,
+    table: Record,
+    inputs: Inputs,
+    keeps_states: bool = False,
+) -> Simulation:
+    """``scenario`` without a bus, at rest; for the arguments see ``frameless``, ``Simulation``."""
+    return Simulation(
+        table,
+        plant,
         inputs.reference,
         tick_s=scenario.tick_s,
         effectiveness=inputs.effectiveness,
@@ -78,38 +96,8 @@ def frameless(
         resolution=scenario.plant.sensor.resolution_mps2,
         lsb=network.feedback.lsb,
         maximum=network.feedback.maximum,
+        keeps_states=keeps_states,
     )
-
-
-def quantised(codec: MessageCodec, values: FloatArray) -> FloatArray:
-    """``values`` as their frame carries them: on its grid, within its range."""
-    on_the_grid = np.rint(values / codec.lsb) * codec.lsb
-    return np.clip(on_the_grid, codec.minimum, codec.maximum)
-
-
-def arrivals(scenario: Scenario, network: Network) -> BoolArray:
-    """Whether the plant's receivers use the command frames of each tick, (ticks, 2).
-
-    Not what they say but that they were sent and when decides it: the receivers themselves are
-    asked, for the alive counter has its say when frames come again.
-    """
-    arrives = np.ones((scenario.ticks, 2), dtype=np.bool_)
-    fault = FrameFault(scenario)
-    for channel, codec in enumerate((network.command_1, network.command_2)):
-        if not fault.concerns(channel):
-            continue
-        transmitter, receiver = Transmitter(codec), Receiver(codec)
-        for tick in range(scenario.ticks):
-            frame = fault.on_the_wire(transmitter.frame(0.0, tick), channel, tick)
-            used = frame is not None and receiver.accept(frame, tick) is not None
-            arrives[tick, channel] = used
-            receiver.end_tick()
-    return arrives
-
-
-def _plant(scenario: Scenario) -> SampledPlant | AnyPlant:
-    plant = plant_behind(scenario.plant, scenario.tick_s)
-    return plant.sampled if isinstance(plant, LinearBehind) else _UntilItFails(plant)
 
 
 class _UntilItFails:

@@ -13,6 +13,7 @@ import numpy as np
 
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import split_ticks
+from firmware_model.compiled import compiled
 from firmware_model.design.actuator_dynamics import Stage
 from firmware_model.target.structs import FloatArray
 
@@ -47,9 +48,25 @@ class SensorNoise:
 
 
 def noise(scenario: Scenario) -> FloatArray:
-    """The noise of every tick of a run, (ticks,), m/s²."""
-    drawn = SensorNoise(scenario)
-    return np.array([drawn.next() for _ in range(scenario.ticks)])
+    """(ticks,), the noise of every tick of a run, m/s²: what ``SensorNoise`` draws one by one."""
+    sensor = scenario.plant.sensor
+    if sensor.noise_mps2 == 0.0:
+        return np.zeros(scenario.ticks)
+    random = np.random.Generator(np.random.PCG64(scenario.seed))
+    drawn: FloatArray = sensor.noise_mps2 * random.standard_normal(scenario.ticks)
+    if sensor.lag_s > 0.0:
+        colour(drawn, math.exp(-scenario.tick_s / sensor.lag_s))
+    return drawn
+
+
+@compiled
+def colour(drawn: FloatArray, memory: float) -> None:
+    """White noise → what a filter of first order with this pole makes of it, in place."""
+    if memory == 0.0:
+        return
+    fresh = math.sqrt(1.0 - memory**2)
+    for k in range(1, len(drawn)):
+        drawn[k] = memory * drawn[k - 1] + fresh * drawn[k]
 
 
 class FilteredSamples:

@@ -22,10 +22,9 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple, TextIO
 
-from can_rig.decoding.e2e_columns import COUNTERS
 from can_rig.frames.layout import ROLES
 from can_rig.frames.network import Network
-from can_rig.frames.protection import FRAME_BYTES
+from can_rig.frames.protection import COUNTERS, FRAME_BYTES
 from can_rig.logs.frames import NS_PER_S
 from can_rig.replay.rig_frames import INPUTS, RigFrame
 

@@ -69,6 +69,9 @@ class OpenLoop:
         )
         self.account: Final = Account(network, scenario.tick_ns, on_gap)
         self.comparison: Final = Comparison(network)
+        self.compare_from_ns: int | None = None
+        """Time stamp from which on ticks are compared; those before it are replayed alone. None:
+        all are."""
         self.first_tick: int | None = None
         """The first that was answered."""
         self.before_start = 0
@@ -184,8 +187,10 @@ class OpenLoop:
         while self._open < end:
             tick = self._open
             row = self._rows.pop(tick, None) or Row(time_ns)
+            answers = self._answers.pop(tick)
             self.account.close(tick, row)
-            self.comparison.tick(tick, row, self._answers.pop(tick))
+            if self.compare_from_ns is None or row.time_ns >= self.compare_from_ns:
+                self.comparison.tick(tick, row, answers)
             self._open += 1
 
 

@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from can_rig.errors import LogError, ScenarioError
+from can_rig.logs.log import ALL, Window
 from can_rig.nodes.progress import Progress, no_progress
 from can_rig.nodes.watchdog import StopRequest
 from can_rig.results.execution import Execution, execute, refuse
@@ -54,6 +55,7 @@ def question(
     settings: Sequence[str],
     channel: str | None = None,
     reading: Reading = iter,
+    window: Window = ALL,
 ) -> Question:
     """Read the log, and the scenario that is asked about.
 
@@ -63,6 +65,7 @@ def question(
         settings: ``KEY=VALUE`` changes of it.
         channel: the only bus of the log that is looked at; None: all.
         reading: goes through the log, to show how far it is read.
+        window: the part of the log that is read.
 
     Raises:
         LogError: the log cannot be read, or has no reference.
@@ -71,7 +74,7 @@ def question(
     for setting in settings:
         if setting.startswith("reference."):
             raise ScenarioError(f"--set {setting}: the reference of a what-if is that of the log")
-    recorded = source_of(path, None if path.is_dir() else name, (), channel)
+    recorded = source_of(path, None if path.is_dir() else name, (), channel, window)
     logged = _logged(recorded, reading)
     scenario = source_of(path, name, settings).scenario
     if not any(setting.startswith("duration_s") for setting in settings):

@@ -17,10 +17,12 @@ from can_rig.buses.bus import in_one_process
 from can_rig.errors import INTERRUPTED, BusError, RigError, RunFolderError
 from can_rig.export.controllers import PYTHON, Controller
 from can_rig.frames.network import Network
+from can_rig.nodes.lockstep.without_bus import run_without_bus
 from can_rig.nodes.processes import run_processes
 from can_rig.nodes.progress import Progress, Throttled, no_progress
 from can_rig.nodes.realtime.deadlines import require_causal
-from can_rig.nodes.runner import NodeSummary, run_in_process
+from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.summary import NodeSummary, RunColumns
 from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Timeouts
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.results.metrics import Metrics
@@ -31,6 +33,9 @@ from can_rig.scenario.settings import ReferenceSettings, Scenario
 
 REFERENCE: Final = "reference.csv"
 """A reference that is the run's own, in its folder."""
+
+NO_BUS: Final = "none"
+"""In place of a bus's name: a run in this process, which nobody else hears."""
 
 INTERRUPTED_RUN: Final = "interrupted"
 
@@ -66,8 +71,10 @@ def in_process(
     _timeouts: Timeouts,
     controller: Controller,
 ) -> NodeSummary:
-    """Both nodes in this process, turn by turn: neither waits for the other."""
+    """Both nodes in this process: turn by turn on a bus, or many ticks at once without one."""
     with progress() as on_tick:
+        if bus == NO_BUS:
+            return run_without_bus(scenario, log, stop, on_tick)
         summary = run_in_process(scenario, bus, log, stop, Throttled(on_tick), controller)
         on_tick(summary.ticks)
     return summary
@@ -136,7 +143,7 @@ def execute(
         out: its folder; None: ``runs/SCENARIO-DATE-TIME``.
         stop: ends it after a tick.
         force: replace the run that is there.
-        bus: name of the bus; None: a local one of its own.
+        bus: name of the bus; None: in this process ``NO_BUS``, otherwise a local one of its own.
         runner: ``in_process``, ``two_processes`` or ``real_time``.
         progress: shows how far it is.
         reference_csv: a reference in place of the scenario's, kept in the folder as ``REFERENCE``.
@@ -153,7 +160,9 @@ def execute(
             recorded stays, and the line says where.
         RigError: it failed before anything was recorded: then there is no folder.
     """
-    bus = bus or f"local:run-{os.getpid()}"
+    if bus is None:
+        without = runner is in_process and _needs_no_bus(scenario, controller)
+        bus = NO_BUS if without else f"local:run-{os.getpid()}"
     if runner is real_time:
         require_causal(scenario)
     if runner is not in_process:
@@ -167,7 +176,7 @@ def execute(
         folder.give_up()
         raise
     outcome = Outcome(bus, realtime={} if runner is real_time else None)
-    failure = _run(
+    columns, failure = _run(
         lambda: runner(made_here, bus, folder.making / LOG, stop, progress, timeouts, controller),
         scenario,
         outcome,
@@ -178,13 +187,21 @@ def execute(
             raise failure
         return None
     try:
-        values = finish(folder.making, made_here, network, outcome, final, report)
+        values = finish(folder.making, made_here, network, outcome, final, report, columns)
         folder.publish()
     except RigError:
         if failure is not None:  # came first, and may be why: a disk that was full already
             raise failure from None
         raise
     return Execution(folder.path, final, network, outcome, values, failure)
+
+
+def _needs_no_bus(scenario: Scenario, controller: Controller) -> bool:
+    """Whether a run without frames has the same log.
+
+    Single precision has not: an actuator gets what the frame carries, in double precision.
+    """
+    return controller is PYTHON and scenario.design.precision == "float64"
 
 
 def _require_shared(bus: str) -> None:
@@ -218,17 +235,19 @@ def _with_reference(
     return made_here, final
 
 
-def _run(run: Callable[[], NodeSummary], scenario: Scenario, outcome: Outcome) -> RigError | None:
-    """Run, and note in ``outcome`` how it went; what made it fail."""
+def _run(
+    run: Callable[[], NodeSummary], scenario: Scenario, outcome: Outcome
+) -> tuple[RunColumns | None, RigError | None]:
+    """Run, and note in ``outcome`` how it went; what was carried without a bus, what failed."""
     start_s = time.perf_counter()
     try:
         summary = run()
     except RigError as error:
         outcome.outcome, outcome.wall_s = str(error), time.perf_counter() - start_s
-        return error
+        return None, error
     outcome.ticks, outcome.wall_s = summary.ticks, summary.wall_s
     outcome.rejected_frames, outcome.bus_events = summary.rejected_frames, summary.bus_events
     outcome.realtime = summary.realtime
     if summary.ticks < scenario.ticks:
         outcome.outcome = INTERRUPTED_RUN
-    return None
+    return summary.columns, None

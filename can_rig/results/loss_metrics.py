@@ -5,11 +5,11 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig.assessment.decision import HOUR_S
 from can_rig.assessment.unavoidable import Unavoidable, unavoidable
 from can_rig.plant.faults import CHANNELS
 from can_rig.results.signals import Signals
 from can_rig.scenario.settings import Scenario
+from firmware_model.discretisation.targets import HOUR_S
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from can_rig.assessment.control_authority import control_authority
 from can_rig.drawing.names import names_of, printed
 from can_rig.frames.network import Network
-from can_rig.plant.faults import SensorFault
 from can_rig.results.counterfactual import fault_free, noise_free
 from can_rig.results.loss_metrics import decision_metrics, unavoidable_deviation
 from can_rig.results.signals import Signals
@@ -29,13 +28,15 @@ SETTLED_S = 2.0
 class Windows:
     """Which ticks of a run count as what, each of shape (ticks,).
 
-    ``before`` the fault and ``after`` its start, ``lost`` while a channel is; ``settled_before``
-    and ``settled_after`` are the ends of the healthy time and of the run: 2 s, or two periods of a
-    slower reference, but at most the second half of the time since the last change.
+    ``before`` the fault and ``after`` its start, ``active`` while it is there, ``lost`` while it
+    takes a channel; ``settled_before`` and ``settled_after`` are the ends of the healthy time and
+    of the run: 2 s, or two periods of a slower reference, but at most the second half of the time
+    since the last change.
     """
 
     before: Mask
     after: Mask
+    active: Mask
     lost: Mask
     settled_before: Mask
     settled_after: Mask
@@ -49,12 +50,14 @@ def windows(scenario: Scenario, signals: Signals) -> Windows:
         wanted_s = max(wanted_s, 4.0 * math.pi / scenario.reference.frequency_rad_per_s)
     ticks = np.rint(signals.time_s / scenario.tick_s).astype(np.int64)
     time_ns = ticks * scenario.tick_ns
-    active = np.array([fault.active(now_ns) for now_ns in time_ns.tolist()], dtype=np.bool_)
-    after = (fault.kind != "none") & (time_ns >= round(fault.at_s * 1e9))
+    begin_ns, end_ns = fault.span_ns
+    after = time_ns >= begin_ns
+    active = after & (time_ns < end_ns)
     recovered = after & ~active
     return Windows(
         before=~after,
         after=after,
+        active=active,
         lost=active & fault.loses_a_channel,
         settled_before=_end(time_ns, ~after, wanted_s),
         settled_after=_end(time_ns, recovered if recovered.any() else after, wanted_s),
@@ -116,9 +119,10 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
 
 def sensor_bias(scenario: Scenario, signals: Signals) -> FloatArray:
     """What a biased sensor added to D* at every tick, m/s², (ticks,)."""
-    sensor = SensorFault(scenario)
-    ticks = np.rint(signals.time_s / scenario.tick_s).astype(np.int64)
-    return np.array([sensor.bias(tick) for tick in ticks.tolist()], dtype=np.float64)
+    if scenario.fault.kind != "sensor-biased":
+        return np.zeros(len(signals))
+    active = windows(scenario, signals).active
+    return np.where(active, scenario.fault.bias_mps2, 0.0)
 
 
 def _noise_rms(scenario: Scenario, signals: Signals, settled: Mask) -> float | None:

@@ -15,8 +15,9 @@ from typing import Any
 from can_rig.errors import LogError, RunFolderError
 from can_rig.files import atomic
 from can_rig.frames.network import Network
+from can_rig.nodes.summary import RunColumns
 from can_rig.results.metrics import Metrics, metrics
-from can_rig.results.signals import Signals, read_signals
+from can_rig.results.signals import Signals, read_signals, signals_of_columns
 from can_rig.scenario.settings import Scenario
 
 LOG, SIGNALS, SUMMARY, REPORT = "bus.log", "signals.csv", "run.json", "report.png"
@@ -132,6 +133,7 @@ def finish(
     outcome: Outcome,
     recorded: Scenario | None = None,
     report: bool = True,
+    columns: RunColumns | None = None,
 ) -> Metrics:
     """Write ``signals.csv``, ``run.json`` and ``report.png`` from the log, however it ended.
 
@@ -142,12 +144,16 @@ def finish(
         outcome: how it went.
         recorded: the scenario for ``run.json``, where its paths will be others; None: what ran.
         report: draw ``report.png``.
+        columns: what the log says, of a run without a bus; None: it is read.
 
     Raises:
         LogError: the log cannot be read.
         RunFolderError: one of them cannot be written; what was recorded stays.
     """
-    signals = signals_of_log(folder, scenario, network, outcome.realtime)
+    if columns is None:
+        signals = signals_of_log(folder, scenario, network, outcome.realtime)
+    else:
+        signals = signals_of_columns(columns, network, scenario.tick_s, folder / LOG)
     values = metrics(scenario, signals)
     summary: dict[str, Any] = {
         "scenario": (recorded or scenario).as_dict(),

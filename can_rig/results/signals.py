@@ -13,11 +13,13 @@ from can import Message
 from numpy.typing import NDArray
 
 from can_rig.frames.endpoints import Receiver
+from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
 from can_rig.frames.wire_tick import tick_at, tick_on, ticks_ahead
 from can_rig.logs.frames import SENT
 from can_rig.logs.plant_signals import PlantSignals, read_plant_signals
 from can_rig.logs.reading import read_log
+from can_rig.nodes.summary import RunColumns
 from can_rig.plant.columns import ON_THE_BUS
 from firmware_model.target.structs import FloatArray
 
@@ -57,10 +59,12 @@ class Signals:
         """The contract's columns, then the plant's; an empty cell where nothing was said."""
         columns = [getattr(self, name).tolist() for name in ON_THE_BUS]
         columns += [column.tolist() for column in self.plant.values()]
+        whole = ",".join(["%.10g"] * len(columns)) + "\n"
         with path.open("w", encoding="ascii", newline="\n") as file:
             file.write(",".join((*ON_THE_BUS, *self.plant)) + "\n")
             for row in zip(*columns, strict=True):
-                file.write(",".join(map(cell, row)) + "\n")
+                line = whole % row
+                file.write(line if "nan" not in line else ",".join(map(cell, row)) + "\n")
 
 
 def cell(value: float) -> str:
@@ -89,6 +93,28 @@ def read_signals(log: Path, network: Network, tick_s: float, in_time_ticks: int 
     """
     signals = signals_of(plain_frames(log), network, tick_s, in_time_ticks)
     return with_plant_signals(signals, log, tick_s)
+
+
+def signals_of_columns(columns: RunColumns, network: Network, tick_s: float, log: Path) -> Signals:
+    """What ``read_signals`` reads from the ``log`` of a run without a bus.
+
+    Raises:
+        LogError: what the plant reported cannot be read.
+    """
+    trace, used, done = columns.trace, columns.delivery.used, slice(columns.ticks)
+    signals = Signals(
+        time_s=trace.time_s[done],
+        reference_mps2=trace.reference[done],
+        dstar_mps2=trace.measured[done] + 0.0,  # a frame has no negative zero
+        torque_nm=np.where(used[done, 0], trace.command_1[done], np.nan) + 0.0,
+        force_difference_n=np.where(used[done, 1], trace.command_2[done], np.nan) + 0.0,
+        fault_estimate_mps2=quantised(network.status, trace.fault_estimate[done]),
+        mode=trace.mode[done].astype(np.float64),
+        fault_state=trace.fault_state[done].astype(np.float64),
+    )
+    if columns.plant is None:
+        return with_plant_signals(signals, log, tick_s)
+    return replace(signals, plant=columns.plant)
 
 
 def with_plant_signals(signals: Signals, log: Path, tick_s: float) -> Signals:

@@ -13,7 +13,7 @@ import numpy as np
 from can_rig.assessment.resolve import load, load_run
 from can_rig.errors import LogError, ScenarioError
 from can_rig.logs.frames import Frames
-from can_rig.logs.log import Log
+from can_rig.logs.log import ALL, Log, Window
 from can_rig.logs.reading import read_log
 from can_rig.results.run_folder import LOG, SUMMARY
 from can_rig.scenario.settings import Scenario
@@ -71,7 +71,11 @@ def only_channel(chunks: Iterable[Frames], channel: str | None, path: Path) -> I
 
 
 def source_of(
-    path: Path, name: str | None, settings: Sequence[str], channel: str | None = None
+    path: Path,
+    name: str | None,
+    settings: Sequence[str],
+    channel: str | None = None,
+    window: Window = ALL,
 ) -> Source:
     """A log file, or the log and the scenario of a run folder.
 
@@ -80,12 +84,13 @@ def source_of(
         name: a scenario in place of the folder's own; a file needs one.
         settings: ``KEY=VALUE`` changes of it.
         channel: as that of `Source`.
+        window: the part of the log that is read.
 
     Raises:
         LogError: no such log, or the folder is not that of a run.
         ScenarioError: no scenario, or a bad one.
     """
-    log = read_log(log_path(path))
+    log = read_log(log_path(path), window=window)
     if name is not None:
         return Source(log, load(name, settings), channel)
     if not path.is_dir():

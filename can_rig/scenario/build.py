@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping
 from dataclasses import replace
+from functools import cache
 from typing import Final
 
 from can_rig.errors import ScenarioError
@@ -23,12 +24,21 @@ from firmware_model.errors import DesignError
 from firmware_model.target.fault_decision.covariance import MAX_DIRECTIONS
 from firmware_model.target.structs import FloatArray, Record
 
+MOST_TABLES: Final = 16
+_TABLES: Final[dict[str, Record]] = {}
+"""The last ones that were computed, by everything that they follow from."""
+
 GOVERNED = 0.5  # share of the motor's limit that may go into the second derivative of D*
 
 
 def network_of(scenario: Scenario) -> Network:
     """The scenario's frames, from its DBC."""
-    return load_network(shipped_dbc(scenario.dbc))
+    return _network(scenario.dbc)
+
+
+@cache
+def _network(dbc: str) -> Network:
+    return load_network(shipped_dbc(dbc))
 
 
 def continuous_car(settings: PlantSettings) -> plants.Plant:
@@ -104,6 +114,7 @@ def target(scenario: Scenario, network: Network | None) -> Target:
     Without a network, commands are neither limited nor rounded by it.
     """
     chosen, limits = scenario.design, scenario.limits
+    follows = chosen.estimator == "kalman"
     limit_1, limit_2, rate_1, rate_2 = (
         math.inf if limit is None else limit
         for limit in (
@@ -123,7 +134,7 @@ def target(scenario: Scenario, network: Network | None) -> Target:
     return Target(
         tick_s=scenario.tick_s,
         latency_ticks=scenario.latency_ticks,
-        estimator=chosen.estimator,
+        estimator="zoh" if chosen.estimator == "kalman" else chosen.estimator,
         limit_1=limit_1,
         limit_2=limit_2,
         rate_1=rate_1,
@@ -138,7 +149,8 @@ def target(scenario: Scenario, network: Network | None) -> Target:
         suspicions_per_hour=scenario.budget.suspicions_per_hour,
         probe=chosen.probe_nm,
         probe_rad_per_s=chosen.probe_rad_per_s,
-        on_confirmation=chosen.compensation == "on-confirmation",
+        on_confirmation=chosen.compensation == "on-confirmation" or follows,
+        share_drift=chosen.share_drift if follows else 0.0,
         precision=chosen.precision,
     )
 
@@ -211,8 +223,15 @@ def controller_table(scenario: Scenario, network: Network | None) -> Record:
     Raises:
         ScenarioError: a design that cannot be made or discretised.
     """
-    try:
-        place = replace(target(scenario, network), mismatch=mismatch(scenario))
-        return build(continuous_design(scenario), place)
-    except DesignError as error:
-        raise ScenarioError(f"scenario {scenario.name}: {error}") from None
+    place = target(scenario, network)
+    known = repr((place, scenario.model, scenario.design, scenario.budget))
+    if known not in _TABLES:
+        try:
+            place = replace(place, mismatch=mismatch(scenario))
+            table = build(continuous_design(scenario), place)
+        except DesignError as error:
+            raise ScenarioError(f"scenario {scenario.name}: {error}") from None
+        if len(_TABLES) == MOST_TABLES:
+            del _TABLES[next(iter(_TABLES))]
+        _TABLES[known] = table
+    return _TABLES[known].copy()

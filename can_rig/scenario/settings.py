@@ -16,7 +16,7 @@ from pydantic.dataclasses import dataclass
 
 from can_rig.scenario.plant_settings import BUILT_IN, PlantSettings
 from can_rig.scenario.stage_settings import STRICT
-from firmware_model.discretisation.targets import EstimatorRule
+from firmware_model.discretisation.rules import Rule
 from firmware_model.target.structs import MAX_LATENCY_TICKS, Precision
 
 FaultKind = Literal["none", "actuator-dead", "frames-missing", "frames-corrupted", "sensor-biased"]
@@ -25,6 +25,7 @@ ReferenceKind = Literal["step", "sine", "lane-change", "csv"]
 
 MAX_TICKS = 10_000_000  # of a run: a log of 2 GB
 MAX_DURATION_S = 1e6
+FOR_GOOD_NS = 1 << 62  # later than any run
 MAX_REFERENCE_MPS2 = 1e6  # far beyond any frame, and its square is still a number
 
 Order = Annotated[int, Field(ge=1, le=8)]
@@ -35,13 +36,18 @@ Moment = Annotated[float, Field(ge=0.0, le=MAX_DURATION_S)]
 
 @dataclass(frozen=True, config=STRICT)
 class DesignSettings:
-    """The thesis's tuning knobs and how they are put on the target."""
+    """The thesis's tuning knobs and how they are put on the target.
+
+    The estimator ``kalman`` discretises F1 as ``zoh`` does. Instead of a decision on d̂ it follows
+    the share of channel 1 that is lost, which drifts by ``share_drift`` rms in a second.
+    """
 
     tau_s: PositiveFloat = 0.001
     alpha: Order = 1
     tau_q_s: PositiveFloat = 0.001
     alpha_q: Order = 2
-    estimator: EstimatorRule = "tustin"
+    estimator: Literal[Rule, "kalman"] = "tustin"
+    share_drift: PositiveFloat = 1.0
     compensation: Literal["always", "on-confirmation", "off"] = "always"
     probe_nm: NonNegativeFloat = 0.0
     probe_rad_per_s: Annotated[float, Field(ge=0.01)] = 10.0
@@ -103,10 +109,23 @@ class FaultSettings:
 
     def active(self, time_ns: int) -> bool:
         """Whether the fault is there at ``time_ns``; whole nanoseconds, so no tick by rounding."""
-        start_ns = round(self.at_s * 1e9)
-        if self.kind == "none" or time_ns < start_ns:
-            return False
-        return self.for_s is None or time_ns < start_ns + round(self.for_s * 1e9)
+        begin_ns, end_ns = self.span_ns
+        return begin_ns <= time_ns < end_ns
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """When it begins, and when it is over."""
+        if self.kind == "none":
+            return FOR_GOOD_NS, FOR_GOOD_NS
+        begin_ns = round(self.at_s * 1e9)
+        if self.for_s is None:
+            return begin_ns, FOR_GOOD_NS
+        return begin_ns, begin_ns + round(self.for_s * 1e9)
+
+    def active_ticks(self, tick_ns: int) -> slice:
+        """The ticks at which it is there."""
+        begin, end = (-(-time_ns // tick_ns) for time_ns in self.span_ns)
+        return slice(begin, end)
 
 
 @dataclass(frozen=True, config=STRICT)

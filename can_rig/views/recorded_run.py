@@ -5,7 +5,6 @@ from __future__ import annotations
 import base64
 import html
 import io
-import itertools
 import json
 import shutil
 import weakref
@@ -28,7 +27,6 @@ if TYPE_CHECKING:
     from matplotlib.figure import Figure
 
 PICTURE_DPI: Final = 80
-_CHANNELS: Final = itertools.count()
 
 
 class RecordedRun:
@@ -149,9 +147,8 @@ def record(scenario: Scenario, *, allow_unstable: bool = False) -> RecordedRun:
     """
     refuse(scenario, allow_unstable)
     temporary = Path(mkdtemp(prefix="can-rig-"))
-    bus = f"virtual:can-rig-{next(_CHANNELS)}"  # python-can's, within this process
     try:
-        done = execute(scenario, temporary / "run", StopRequest(), bus=bus, report=False)
+        done = execute(scenario, temporary / "run", StopRequest(), report=False)
         if done is None or done.failure is not None:
             raise (done and done.failure) or LogError(f"{scenario.name}: nothing was recorded")
     except BaseException:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 import json
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, Final
 
@@ -15,6 +15,9 @@ from can_rig.assessment.resolve import load_run
 from can_rig.drawing.names import CAR, Names, names_of, printed
 from can_rig.errors import LogError, ScenarioError
 from can_rig.frames.network import Network
+from can_rig.logs.formats import content_format
+from can_rig.logs.frames import NS_PER_S
+from can_rig.logs.log import Window
 from can_rig.logs.reading import read_log
 from can_rig.plant.columns import ON_THE_BUS
 from can_rig.results.run_folder import SIGNALS, SUMMARY
@@ -57,6 +60,20 @@ class SignalTable:
     def time_s(self) -> FloatArray:
         """(n,) the time axis in s."""
         return np.multiply(self.time_ns, 1e-9, dtype=np.float64)
+
+    def within(self, window: Window) -> SignalTable:
+        """The rows of a part of the recording, which began with the first row.
+
+        Raises:
+            LogError: there are none.
+        """
+        since_ns = self.time_ns - self.time_ns[:1]
+        rows = (since_ns >= window.begin_ns) & (since_ns < window.end_ns)
+        if len(rows) and not rows.any():
+            last_s = since_ns[-1] / NS_PER_S
+            raise LogError(f"{self.label}: has no row of that part, the last is at {last_s:g} s")
+        columns = {name: column[rows] for name, column in self.columns.items()}
+        return replace(self, time_ns=self.time_ns[rows], columns=columns)
 
     def name_and_unit(self, column: str) -> tuple[str, str]:
         """What a column is called in print, and its unit there; "" without one."""
@@ -110,7 +127,7 @@ def read_table(path: Path, scenario: Scenario) -> SignalTable:
         if not (path / SIGNALS).is_file():
             raise LogError(f"{path}: not a finished run folder, it has no {SIGNALS}")
         return _from_csv(path / SIGNALS, str(path), scenario_of(path))
-    if path.suffix.lower() == ".csv":
+    if path.suffix.lower() == ".csv" and content_format(path) is None:
         return _from_csv(log_path(path), str(path), None)
     log = read_log(log_path(path))
     messages = (message for frames in log for message in frames.messages())

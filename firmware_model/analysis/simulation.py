@@ -25,7 +25,8 @@ BoolArray = NDArray[np.bool_]
 Vectors = tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]
 
 # Rows of the signals of a tick.
-_OUTPUT, _MEASURED, _COMMAND_1, _COMMAND_2, _ESTIMATE, _EVIDENCE, _ACTING_1, _ACTING_2 = range(8)
+_OUTPUT, _MEASURED, _COMMAND_1, _COMMAND_2, _ESTIMATE, _EVIDENCE = range(6)
+_ACTING_1, _REACHED_1, ROWS = 6, 8, 10  # two channels each
 
 NO_LIMITS: FloatArray = np.full((2, 2), np.inf)
 
@@ -66,23 +67,8 @@ class Trace:
         return self.reference - self.measurement
 
 
-def simulate(
-    table: Record,
-    plant: SampledPlant | AnyPlant,
-    reference: FloatArray,
-    *,
-    tick_s: float | None = None,
-    effectiveness: FloatArray | None = None,
-    noise: FloatArray | None = None,
-    bias: FloatArray | None = None,
-    arrives: BoolArray | None = None,
-    hold_ticks: int = 0,
-    limits: FloatArray = NO_LIMITS,
-    resolution: float = 0.0,
-    lsb: float = 0.0,
-    maximum: float = np.inf,
-) -> Trace:
-    """Run the loop from rest, one tick for each reference sample.
+class Simulation:
+    """A loop that starts from rest and goes on as far as it is told.
 
     Args:
         table: from ``tables.build``, for the plant's tick; its latency is the loop's.
@@ -100,40 +86,106 @@ def simulate(
         resolution: of the sensor; 0: none.
         lsb: grid of what the controller measures, in the measurement's unit; 0: none.
         maximum: where that saturates.
+        keeps_states: whether ``plant_states`` has those of a ``SampledPlant``.
     """
-    ticks = len(reference)
-    inputs: Vectors = (
-        np.asarray(reference, dtype=np.float64),
-        np.zeros(ticks) if bias is None else bias,
-        np.zeros(ticks) if noise is None else noise,
-        np.ones((ticks, 2)) if effectiveness is None else effectiveness,
-        np.ones((ticks, 2), dtype=np.bool_) if arrives is None else arrives,
-    )
-    grid = (float(resolution), float(lsb), float(maximum))
-    signals, states = np.full((8, ticks), np.nan), np.zeros((2, ticks), dtype=np.int64)
-    actuators = (np.zeros(2), np.zeros(2, dtype=np.int64), hold_ticks, np.zeros(2), limits)
-    loop = (np.array([table], table.dtype), controller.init(table), inputs, grid, actuators)
-    if isinstance(plant, SampledPlant):
-        tick_s = plant.tick_s
-        _run(*loop, signals, states, plant.constants, plant.memory)
-    else:
-        assert tick_s is not None
-        y = read = 0.0
-        for k in range(ticks):
-            u1, u2 = tick(*loop, signals, states, k, y, read)
-            y, read = plant.follow(u1, u2, *inputs[3][k].tolist())
-    return Trace(
-        time_s=tick_s * np.arange(ticks, dtype=np.float64),
-        reference=inputs[0],
-        measurement=signals[_OUTPUT],
-        measured=signals[_MEASURED],
-        command_1=signals[_COMMAND_1],
-        command_2=signals[_COMMAND_2],
-        fault_estimate=signals[_ESTIMATE],
-        fault_state=states[0],
-        mode=states[1],
-        evidence=signals[_EVIDENCE],
-    )
+
+    def __init__(
+        self,
+        table: Record,
+        plant: SampledPlant | AnyPlant,
+        reference: FloatArray,
+        *,
+        tick_s: float | None = None,
+        effectiveness: FloatArray | None = None,
+        noise: FloatArray | None = None,
+        bias: FloatArray | None = None,
+        arrives: BoolArray | None = None,
+        hold_ticks: int = 0,
+        limits: FloatArray = NO_LIMITS,
+        resolution: float = 0.0,
+        lsb: float = 0.0,
+        maximum: float = np.inf,
+        keeps_states: bool = False,
+    ) -> None:
+        self.ticks = ticks = len(reference)
+        self.done = 0
+        """The ticks that the controller has done; the plant is as far, unless it has failed."""
+        self.inputs: Vectors = (
+            np.asarray(reference, dtype=np.float64),
+            np.zeros(ticks) if bias is None else bias,
+            np.zeros(ticks) if noise is None else noise,
+            np.ones((ticks, 2)) if effectiveness is None else effectiveness,
+            np.ones((ticks, 2), dtype=np.bool_) if arrives is None else arrives,
+        )
+        self._plant = plant
+        self._signals = np.full((ROWS, ticks), np.nan)
+        self._states = np.zeros((2, ticks), dtype=np.int64)
+        self._loop = (
+            np.array([table], table.dtype),
+            controller.init(table),
+            self.inputs,
+            (float(resolution), float(lsb), float(maximum)),
+            (np.zeros(2), np.zeros(2, dtype=np.int64), hold_ticks, np.zeros(2), limits),
+            self._signals,
+            self._states,
+        )
+        self._output = (0.0, 0.0)  # of the plant at rest, and what its sensor reads
+        self.plant_states = np.zeros((0, 0))
+        """(ticks, n), at the beginning of each tick, where they are kept."""
+        if isinstance(plant, SampledPlant):
+            self.tick_s = plant.tick_s
+            self._memory = plant.memory
+            self.plant_states = np.zeros((ticks if keeps_states else 0, len(plant.c)))
+        else:
+            assert tick_s is not None
+            self.tick_s = tick_s
+
+    def run(self, until: int | None = None) -> None:
+        """Go on up to the tick ``until``; None: to the end. What the plant raises is passed on."""
+        end, plant = self.ticks if until is None else min(until, self.ticks), self._plant
+        if isinstance(plant, SampledPlant):
+            self._output = _run(
+                *self._loop, self.done, end, *self._output, plant.constants, self._memory,
+                self.plant_states,
+            )  # fmt: skip
+            self.done = max(self.done, end)
+            return
+        effectiveness = self.inputs[3]
+        while self.done < end:
+            u1, u2 = tick(*self._loop, self.done, *self._output)
+            self.done += 1
+            self._output = plant.follow(u1, u2, *effectiveness[self.done - 1].tolist())
+
+    @property
+    def trace(self) -> Trace:
+        """What has been done; not a number from there on."""
+        signals, states = self._signals, self._states
+        return Trace(
+            time_s=self.tick_s * np.arange(self.ticks, dtype=np.float64),
+            reference=self.inputs[0],
+            measurement=signals[_OUTPUT],
+            measured=signals[_MEASURED],
+            command_1=signals[_COMMAND_1],
+            command_2=signals[_COMMAND_2],
+            fault_estimate=signals[_ESTIMATE],
+            fault_state=states[0],
+            mode=states[1],
+            evidence=signals[_EVIDENCE],
+        )
+
+    @property
+    def reached(self) -> FloatArray:
+        """(2, ticks), what reached the actuators, within their limits."""
+        return self._signals[_REACHED_1 : _REACHED_1 + 2]
+
+
+def simulate(
+    table: Record, plant: SampledPlant | AnyPlant, reference: FloatArray, **inputs: Any
+) -> Trace:
+    """Run the loop from rest to its end, one tick for each reference sample; see ``Simulation``."""
+    simulation = Simulation(table, plant, reference, **inputs)
+    simulation.run()
+    return simulation.trace
 
 
 @firmware
@@ -155,11 +207,11 @@ def tick(
         tables: (1,), the constants of the controller; arrays of one record are the fastest way from
             interpreted code to compiled code.
         controllers: (1,), its state; changed in place.
-        inputs: reference, bias, noise, effectiveness, arrives, as those of ``simulate``.
+        inputs: reference, bias, noise, effectiveness, arrives, as those of ``Simulation``.
         grid: the sensor's resolution; step and end of the frame of what is measured.
         actuators: the last commands (2,), ticks without one (2,), ticks that they hold; what
             reached them last (2,), and their limits (2, 2).
-        signals: (8, ticks), filled in for this tick, and read for what is still on its way.
+        signals: (ROWS, ticks), filled in for this tick, and read for what is still on its way.
         states: (2, ticks), likewise fault state and mode.
         k: the tick.
         y: the output of the plant.
@@ -196,6 +248,7 @@ def tick(
         if sent >= 0:
             acting = signals[_ACTING_1 + channel, sent]
         reached[channel] = limited(acting, reached[channel], limits[channel, 0], limits[channel, 1])
+        signals[_REACHED_1 + channel, k] = reached[channel]
     return reached[0], reached[1]
 
 
@@ -223,12 +276,19 @@ def _run(
     actuators: Any,
     signals: Any,
     states: Any,
+    begin: int,
+    end: int,
+    y: float,
+    read: float,
     plant: Any,
     memory: Any,
-) -> None:
+    plant_states: Any,
+) -> tuple[float, float]:
     effectiveness = inputs[3]
-    y = read = 0.0
-    for k in range(signals.shape[1]):
+    for k in range(begin, end):
         u1, u2 = tick(tables, controllers, inputs, grid, actuators, signals, states, k, y, read)
+        if len(plant_states) > 0:
+            plant_states[k] = memory[0]
         left_1, left_2 = effectiveness[k, 0], effectiveness[k, 1]
         y, read = follow(plant, memory, k, u1, u2, left_1, left_2)
+    return y, read

@@ -3,17 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
-from typing import Literal, cast
+from collections.abc import Sequence
+from typing import cast
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from firmware_model.compiled import compiled
-from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.discretisation.rules import Rule
 from firmware_model.discretisation.sections import ComplexArray, Sections
 from firmware_model.discretisation.systems import zero_pole_gain
-from firmware_model.discretisation.tustin import tustin, tustin_held, zoh
+from firmware_model.discretisation.tustin import RULES, tustin
 from firmware_model.errors import ParameterError
 from firmware_model.target.filters import biquad
 from firmware_model.target.structs import (
@@ -24,12 +24,6 @@ from firmware_model.target.structs import (
     RecordArray,
     record_type,
 )
-
-Rule = Literal["tustin", "tustin-held", "zoh"]
-HELD: dict[Rule, Callable[[ZeroPoleGain, float], Sections]] = {
-    "tustin-held": tustin_held,
-    "zoh": zoh,
-}
 
 
 class Filter:
@@ -181,8 +175,8 @@ def discretise(
     """
     if not isinstance(tick_s, int | float | np.floating):
         raise ParameterError(f"tick_s = {tick_s!r}: must be one number of seconds (one rate)")
-    if rule not in ("tustin", *HELD):
-        raise ParameterError(f"rule = {rule!r}: must be one of tustin, tustin-held, zoh")
+    if rule not in RULES:
+        raise ParameterError(f"rule = {rule!r}: must be one of {', '.join(RULES)}")
     if precision not in ("float64", "float32"):
         raise ParameterError(f"precision = {precision!r}: must be float64 or float32")
     if rule != "tustin" and prewarp_rad_per_s is not None:
@@ -194,7 +188,7 @@ def discretise(
             "what the controller's layout holds; split it into filters in series"
         )
     tick_s = float(tick_s)
-    sections = HELD[rule](g, tick_s) if rule in HELD else tustin(g, tick_s, prewarp_rad_per_s)
+    sections = tustin(g, tick_s, prewarp_rad_per_s) if rule == "tustin" else RULES[rule](g, tick_s)
     return Filter(_spread(sections), rule, prewarp_rad_per_s, precision)
 
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,24 +11,20 @@ from firmware_model.design.continuous_design import ContinuousDesign
 from firmware_model.design.mismatch import STEP
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.sections import Sections
-from firmware_model.discretisation.targets import EstimatorRule, Target
-from firmware_model.discretisation.tustin import tustin, tustin_held, zoh
+from firmware_model.discretisation.targets import Target
+from firmware_model.discretisation.tustin import RULES, tustin
 from firmware_model.errors import DesignError, ParameterError
 from firmware_model.target.fault_decision.covariance import LOSS_STATES, MAX_DIRECTIONS
 from firmware_model.target.layout import table_type
 from firmware_model.target.structs import MAX_LATENCY_TICKS, MAX_SECTIONS, Precision, Record
 
-ESTIMATOR_RULES: dict[EstimatorRule, Callable[[ZeroPoleGain, float], Sections]] = {
-    "tustin": tustin,
-    "tustin-held": tustin_held,
-    "zoh": zoh,
-}
-
 SLOWEST_TRANSFER_S = 0.05  # some time constants of w, 1/17.7 s for this car
 HASTE = 2.0  # of a transfer, against the time that its beginning took
 SHARE = 0.8  # of the torque whose loss is looked for: of all of it, a half still counts
-RESTART = -1.0
+RESTART = -1.0  # evidence of a candidate that is given up
+IDLE, FRESHNESS = 1.0, 1.5  # likewise, where the information no longer doubles as the age does
 SHARE_VARIANCE = 0.09  # of the share of a loss when that is confirmed, at most
+LARGEST_SHARE_VARIANCE = 1.0  # of a share that is followed, when nothing has shown for long
 RECOVER = 5.0  # evidence that ends a loss, over that which confirms it
 MOMENT = 0.5  # deviation of the moment of a loss, as a part of the time to its confirmation
 DOUBT = 9.0  # over 1, as the moment of the loss is not known either
@@ -45,7 +40,6 @@ WHITE = 0.1  # of that, what differs from tick to tick
 RULE_ERROR = {"zoh": 0.0, "tustin": 1.0, "tustin-held": 1.0}  # of a tick's change of G1 u1
 # rms, in units of the measurement, that rounding leaves of a perfect sensor
 NO_NOISE: dict[Precision, float] = {"float64": 1e-9, "float32": 1e-6}
-HOUR_S = 3600.0
 LEAST_EVIDENCE = 1.0  # log-likelihood ratio of about 3 to 1
 PROBE_PERIODS = 2  # the half phase of ``probe`` goes once around
 PROBE_SHARE = 0.4  # missing that confirms; a car that is 20 % off looks like 0.3 at 10 rad/s
@@ -69,7 +63,7 @@ def discretise(design: ContinuousDesign, target: Target) -> Filters:
         DesignError: a tick out of range, or a filter of too high an order for the fixed layout.
     """
     tick_s, prewarp = target.tick_s, target.prewarp_rad_per_s
-    rule = ESTIMATOR_RULES[target.estimator]
+    rule = RULES[target.estimator]
     nothing, unity = ZeroPoleGain.constant(0.0), ZeroPoleGain.constant(1.0)
     g1, g2 = design.plant.g1, design.plant.g2
     filters = Filters(
@@ -179,7 +173,15 @@ def _fill_loop(
         (table.actuator_1, target.limit_1, target.rate_1, target.lsb_1),
         (table.actuator_2, target.limit_2, target.rate_2, target.lsb_2),
     ):
-        actuator.limit, actuator.slew, actuator.lsb = limit, rate * target.tick_s, lsb
+        actuator.limit = _on_grid(limit, lsb)
+        actuator.slew, actuator.lsb = rate * target.tick_s, lsb
+
+
+def _on_grid(limit: float, lsb: float) -> float:
+    """The largest command that the frame carries within ``limit``."""
+    if not (lsb > 0.0 and math.isfinite(limit)):
+        return limit
+    return math.floor(limit / lsb * (1.0 + 1e-12)) * lsb
 
 
 def _fill_estimator(
@@ -216,13 +218,12 @@ def _fill_compensator(
 def _fill_decision(table: Record, target: Target) -> None:
     """When d̂ is a loss, and when it no longer is."""
     decision, test = table.decision, table.sequential_test
-    ticks_per_hour = HOUR_S / target.tick_s
-    confirm = math.log(ticks_per_hour / target.false_alarms_per_hour)
-    decision.confirm = max(confirm, LEAST_EVIDENCE)
+    decision.confirm = max(target.evidence(target.false_alarms_per_hour), LEAST_EVIDENCE)
     decision.recover = RECOVER * decision.confirm
-    suspect = math.log(ticks_per_hour / target.suspicions_per_hour)
-    decision.suspect = min(max(suspect, LEAST_EVIDENCE), decision.confirm)
+    suspect = max(target.evidence(target.suspicions_per_hour), LEAST_EVIDENCE)
+    decision.suspect = min(suspect, decision.confirm)
     decision.horizon = HORIZON_S / target.tick_s
+    decision.tracks_share = target.share_drift > 0.0
     decision.pause_ticks = round(target.probe_pause_s / target.tick_s)
     table.loss_model.share_variance = SHARE_VARIANCE
     table.loss_model.doubt = DOUBT
@@ -230,6 +231,8 @@ def _fill_decision(table: Record, target: Target) -> None:
     table.loss_model.follow = target.tick_s / max(FOLLOW_S, FOLLOW_TICKS * target.tick_s)
     test.share = SHARE
     test.restart = RESTART
+    test.idle = IDLE
+    test.freshness = FRESHNESS
 
 
 def _fill_mismatch(table: Record, target: Target) -> None:
@@ -241,7 +244,7 @@ def _fill_mismatch(table: Record, target: Target) -> None:
     other.scale = 1.0 / STEP
     rule = RULE_ERROR[target.estimator] ** 2
     constants.n = LOSS_STATES + (len(cars) + 1 if cars or rule else 0)
-    discretised = ESTIMATOR_RULES[target.estimator]
+    discretised = RULES[target.estimator]
     places = (other.car_1, other.car_2, other.car_3, other.car_4)
     for place, (g1, g2) in zip(places, cars, strict=False):
         _fill_filter(place.channel_1, discretised(g1, target.tick_s))
@@ -254,6 +257,9 @@ def _fill_mismatch(table: Record, target: Target) -> None:
         constants.growth[i] = (1.0 - slow**2) * MISMATCH_VARIANCE
     constants.forgetting[last] = min(1.0 - fast, MOST_FORGOTTEN)
     constants.growth[last] = 1.0 - fast**2
+    drift = target.share_drift**2 * target.tick_s
+    constants.forgetting[0] = min(0.5 * drift / LARGEST_SHARE_VARIANCE, MOST_FORGOTTEN)
+    constants.growth[0] = drift
     constants.motion = (REMAINDER_S / target.tick_s) ** 2
     constants.beyond = BEYOND * MISMATCH_VARIANCE
     constants.white = WHITE

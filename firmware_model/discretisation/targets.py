@@ -4,13 +4,13 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
-from typing import Literal, get_args
 
 from firmware_model.design.mismatch import TRUSTED, Mismatch
+from firmware_model.discretisation.rules import RULE_NAMES, Rule
 from firmware_model.errors import ParameterError
 from firmware_model.target.structs import MAX_LATENCY_TICKS, Precision
 
-EstimatorRule = Literal["tustin", "tustin-held", "zoh"]
+HOUR_S = 3600.0
 
 
 @dataclass(frozen=True)
@@ -34,6 +34,8 @@ class Target:
         mismatch: cars that are not the model; by default the model is trusted.
         false_alarms_per_hour: losses confirmed by chance, at most.
         suspicions_per_hour: likewise those that are compensated for a few ticks only.
+        share_drift: rms by which the lost share may change within a second, 1/√s: a Kalman filter
+            follows it, and no test decides; 0: the test does.
         probe_pause_s: from a probe that found nothing to the next.
         on_confirmation: compensate from the confirmed loss on, with what the lost channel's own
             commands would have done, instead of always and with d̂ (the thesis).
@@ -46,7 +48,7 @@ class Target:
 
     tick_s: float
     latency_ticks: int = 0
-    estimator: EstimatorRule = "tustin"
+    estimator: Rule = "tustin"
     limit_1: float = math.inf
     limit_2: float = math.inf
     rate_1: float = math.inf
@@ -60,6 +62,7 @@ class Target:
     mismatch: Mismatch = TRUSTED
     false_alarms_per_hour: float = 0.001
     suspicions_per_hour: float = 3600.0
+    share_drift: float = 0.0
     probe_pause_s: float = 0.5
     on_confirmation: bool = False
     probe: float = 0.0
@@ -68,8 +71,8 @@ class Target:
     precision: Precision = "float64"
 
     def __post_init__(self) -> None:
-        if self.estimator not in get_args(EstimatorRule):
-            rules = ", ".join(get_args(EstimatorRule))
+        if self.estimator not in RULE_NAMES:
+            rules = ", ".join(RULE_NAMES)
             raise ParameterError(f"estimator = {self.estimator!r}: must be one of {rules}")
         if not 0 <= self.latency_ticks <= MAX_LATENCY_TICKS:
             raise ParameterError(
@@ -89,7 +92,7 @@ class Target:
                 raise ParameterError(
                     f"{name} = {getattr(self, name):g}: must be finite and above 0"
                 )
-        for name in ("lsb_1", "lsb_2", "noise_rms", "resolution", "probe_pause_s"):
+        for name in ("lsb_1", "lsb_2", "noise_rms", "resolution", "share_drift", "probe_pause_s"):
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise ParameterError(
                     f"{name} = {getattr(self, name):g}: must be finite and 0 or above"
@@ -103,3 +106,10 @@ class Target:
                 f"probe_rad_per_s = {self.probe_rad_per_s:g}: must be above 0 and at most an "
                 f"eighth of the sampling frequency, {math.pi / 4 / self.tick_s:g} rad/s"
             )
+
+    def evidence(self, per_hour: float) -> float:
+        """The log-likelihood ratio that chance exceeds ``per_hour`` times an hour at most.
+
+        One candidate begins a tick, and exceeds h with a chance of e^-h (``sequential_test``).
+        """
+        return math.log(HOUR_S / (self.tick_s * per_hour))

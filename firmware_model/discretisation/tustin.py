@@ -14,11 +14,14 @@ from __future__ import annotations
 
 import cmath
 import math
+from collections.abc import Callable, Mapping
+from typing import Final
 
 import numpy as np
 
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.held_input import response, sampled, zeros_of
+from firmware_model.discretisation.rules import Rule
 from firmware_model.discretisation.sections import Sections, from_delta_zpk
 from firmware_model.errors import ImproperError, ParameterError
 
@@ -76,6 +79,13 @@ def zoh(g: ZeroPoleGain, tick_s: float) -> Sections:
     scale = np.prod([probe - p for p in poles]) / np.prod([probe - q for q in zeros])
     gain = (response(system, np.array([probe + 0j])).item() * scale).real
     return from_delta_zpk(zeros, poles, float(gain), tick_s)
+
+
+RULES: Final[Mapping[Rule, Callable[[ZeroPoleGain, float], Sections]]] = {
+    "tustin": tustin,
+    "tustin-held": tustin_held,
+    "zoh": zoh,
+}
 
 
 def _bilinear(

@@ -29,15 +29,14 @@ from firmware_model.target.actuator import quantise, saturate, saturate_rate
 from firmware_model.target.fault_decision.bumpless_transfer import release, transfer
 from firmware_model.target.fault_decision.decision import (
     CLEAR,
-    acting_share,
+    acting_commands,
     compensated_output,
     decide,
 )
-from firmware_model.target.fault_decision.loss_model import advance_loss_model, clear_loss_model
+from firmware_model.target.fault_decision.loss_model import advance_loss_model, settle_loss_model
 from firmware_model.target.fault_decision.mismatch import clear_mismatch, settle_mismatch
 from firmware_model.target.fault_decision.other_cars import (
     advance_other_cars,
-    clear_other_cars,
     settle_other_cars,
     show_other_cars,
 )
@@ -49,7 +48,6 @@ from firmware_model.target.fault_decision.sequential_test import (
 from firmware_model.target.filters.biquad import advance, output, settle
 from firmware_model.target.filters.estimator import (
     advance_model,
-    clear_estimator,
     model_output,
     settle_estimator,
 )
@@ -61,6 +59,7 @@ from firmware_model.target.filters.tracking import (
     track,
 )
 from firmware_model.target.layout import precision_of, state_type
+from firmware_model.target.overflow import clear_memories
 from firmware_model.target.precision import real
 from firmware_model.target.reference_shaper import shape_reference, start
 from firmware_model.target.status import Mode
@@ -156,8 +155,8 @@ def hold(table: Record, state: Record) -> None:
     """A tick without inputs: the last commands are held, and the models follow them."""
     state.mode = MODE_HOLD
     model_output(table.estimator, state.estimator, state.command_1, state.command_2)
-    acting = state.estimator.showing_1 * acting_share(state)
-    show_other_cars(table, state, acting, state.estimator.showing_2)
+    acting_1, acting_2 = acting_commands(table, state)
+    show_other_cars(table, state, acting_1, acting_2)
     short = real(0.0, state.command_2)
     if table.compensator.on_confirmation:
         drive = transfer(state.bumpless_transfer, compensated_output(table, state))
@@ -189,26 +188,6 @@ def tracked_reference(table: Record, state: Record) -> float:
 
 
 @firmware
-def clear_memories(table: Record, state: Record) -> None:
-    """Empty every memory after an overflow: a number that is lost must not stay lost."""
-    zero = real(0.0, state.command_1)
-    start(state.reference_shaper, zero, zero)
-    state.probe.tick = 0
-    state.tracking.filter.accumulators[:] = 0.0
-    state.tracking.shortfall.accumulators[:] = 0.0
-    state.tracking.delay[:] = 0.0
-    state.actuator_1.rounded_off = state.actuator_2.rounded_off = 0.0
-    state.compensator.filter.accumulators[:] = 0.0
-    clear_estimator(state.estimator)
-    clear_loss_model(state)
-    clear_other_cars(state)
-    clear_mismatch(table.mismatch, state.mismatch)
-    start_candidate(table, state)
-    release(state.bumpless_transfer)
-    state.fault_state = CLEAR
-
-
-@firmware
 def reset(table: Record, state: Record, reference: float) -> None:
     """Put the controller into the steady state of a healthy loop at a constant ``reference``.
 
@@ -218,7 +197,7 @@ def reset(table: Record, state: Record, reference: float) -> None:
     state.reference = reference
     target = state.reference
     zero = real(0.0, target)
-    start(state.reference_shaper, target, zero)
+    start(state.reference_shaper, target)
     asked_1 = settle_tracking(table.tracking, state.tracking, target)
     asked_2 = table.compensator.reference_share * target
     state.actuator_1.rounded_off = state.actuator_2.rounded_off = zero
@@ -230,7 +209,7 @@ def reset(table: Record, state: Record, reference: float) -> None:
     model_1, model_2 = model_output(table.estimator, state.estimator, torque, force)
     settle_other_cars(table, state, torque, force)
     settle_mismatch(table, state, model_1 + model_2)
-    clear_loss_model(state)
+    settle_loss_model(table, state)
     start_candidate(table, state)
     state.probe.tick = 0
     state.decision.pause = 0

@@ -67,8 +67,8 @@ def braking_speed(distance: float) -> float:
 
 
 @firmware
-def start(state: Record, reference: float, speed: float) -> None:
-    """Let r_s have arrived at ``reference`` by ``speed`` in the last tick."""
+def start(state: Record, reference: float) -> None:
+    """Let r_s rest at ``reference``."""
     state.previous_reference = reference
     state.shaped = reference
-    state.speed = speed
+    state.speed = 0.0

@@ -6,6 +6,7 @@ import gc
 import json
 import subprocess
 import sys
+from itertools import product
 from pathlib import Path
 from tempfile import mkdtemp
 from typing import Any
@@ -21,7 +22,6 @@ from can_rig import api, errors
 from can_rig.api import RecordedRun
 from can_rig.decoding.decode import decode_log
 from can_rig.results.run_folder import LOG, REPORT, SIGNALS, SUMMARY
-from can_rig.scenario.build import continuous_plant
 from can_rig.views import recorded_run
 from tests.helpers import DBC, asked, record
 
@@ -153,9 +153,12 @@ def test_tune_asks_the_search_of_the_command(monkeypatch: pytest.MonkeyPatch) ->
     assert found == "found"
     scenario, cars, *limits = asked_for[0]
     assert scenario == can_rig.scenario("default", {"tick_s": 0.002})
-    assert {car.plant.g1.dc_gain for car in cars} == {
-        continuous_plant(can_rig.scenario(scenario, {"plant.speed_mps": speed}).plant).g1.dc_gain
-        for speed in (scenario.plant.speed_mps, 9.0, 11.0)
+    nominal = scenario.plant
+    assert {
+        (car.settings.speed_mps, round(car.settings.torque_actuator.lag_s, 6)) for car in cars
+    } == {
+        (nominal.speed_mps, 0.005),
+        *product((9.0, 11.0), (0.0035, 0.0065)),  # budget.actuator_box of default
     }
     assert limits == [1, 5.0, None]
 

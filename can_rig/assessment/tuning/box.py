@@ -20,6 +20,7 @@ from can_rig.errors import ScenarioError
 from can_rig.scenario.build import UNCERTAIN, continuous_plant, with_lags
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.refusal import refusal
+from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD
 from firmware_model.analysis.sampled_loop import (
     LinearController,
@@ -86,6 +87,16 @@ def parameter_ranges(
     if len(box) > MAX_KEYS:
         raise ScenarioError(f"box: {len(box)} parameters; must be at most {MAX_KEYS}")
     return box
+
+
+def cars_of(scenario: Scenario, share: float, settings: Iterable[str] = ()) -> list[Car]:
+    """The cars that a tuning of ``scenario`` must work with, the lags of its budget included.
+
+    Raises:
+        ScenarioError: as ``parameter_ranges`` and ``cars``.
+    """
+    ranges = parameter_ranges(scenario.model, share, settings)
+    return cars(scenario.model, ranges, scenario.budget.actuator_box)
 
 
 def cars(nominal: PlantSettings, box: Mapping[str, Range], lag_share: float = 0.0) -> list[Car]:

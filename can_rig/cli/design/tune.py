@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from can_rig.assessment.resolve import load
-from can_rig.assessment.tuning.box import cars, parameter_ranges
+from can_rig.assessment.tuning.box import cars_of
 from can_rig.assessment.tuning.refusals import NoTuningError, refusal_rows, refusals_as_dict
 from can_rig.assessment.tuning.report import (
     HEADINGS,
@@ -94,11 +94,7 @@ def command(
     picture = out / PICTURE
     refuse_existing(picture, force, "--out", new_folder=True)
     chosen = load(scenario, settings)
-    some = cars(
-        chosen.model,
-        parameter_ranges(chosen.model, box, box_settings),
-        chosen.budget.actuator_box,
-    )
+    some = cars_of(chosen, box, box_settings)
     try:
         with progress(chosen.name, "tunings") as bar:
             found = tune(

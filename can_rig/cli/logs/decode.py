@@ -38,8 +38,9 @@ _SHOWN: Final = 5  # unknown identifiers in the table
     multiple=True,
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="FILE.csv or FILE.parquet: one table, a row a frame; FILE.mf4: a group a message; a "
-    "name without suffix: a folder of CSV files, one a message.  Repeatable.",
+    help="FILE.csv or FILE.parquet: one table, a row a frame; FILE.mf4: a group a message; "
+    "FILE.mcap: a channel a message; a name without suffix: a folder of CSV files, one a message.  "
+    "Repeatable.",
 )
 @click.option(
     "--message", "messages", multiple=True, metavar="NAME", help="Only this message; repeatable."
@@ -72,7 +73,7 @@ def command(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Decode LOG (.log, .asc, .blf, .trc, .mf4, text also .gz; or a run folder) through a DBC.
+    """Decode LOG, a log of any format or a run folder, through a DBC.
 
     Prints for every message how many frames there were and what became of them: too short,
     repeated, damaged, unknown.
@@ -99,6 +100,11 @@ def _summary(log: Log, decoder: Decoder, outputs: Sequence[Path]) -> dict[str, A
         "unknown": dict(decoder.unknown.most_common()),
         "error_frames": decoder.error_frames,
         "not_wanted": decoder.not_wanted,
+        "transport": {
+            "messages": decoder.transport.messages,
+            "incomplete": decoder.transport.incomplete,
+            "unknown": dict(decoder.transport.unknown.most_common()),
+        },
         "notice": log.notice,
         "out": [str(path) for path in outputs],
     }
@@ -120,6 +126,12 @@ def _print(decoder: Decoder, outputs: Sequence[Path]) -> None:
         some = ", ".join(f"identifier 0x{digits}: {count}" for digits, count in unknown)
         more = ", …" if len(decoder.unknown) > len(unknown) else ""
         say(f"frames not in the database: {decoder.unknown.total()} ({some}{more})")
+    transport = decoder.transport
+    if transport.messages or transport.incomplete:
+        say(
+            f"J1939 messages put together: {transport.messages} (not in the database: "
+            f"{transport.unknown.total()}), incomplete: {transport.incomplete}"
+        )
     if decoder.error_frames:
         say(f"error frames: {decoder.error_frames}")
     if decoder.not_wanted:

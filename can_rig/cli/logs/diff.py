@@ -9,9 +9,10 @@ from pathlib import Path
 import click
 from rich.table import Table
 
-from can_rig.cli.options import force_option, json_option
+from can_rig.cli.options import force_option, json_option, window_options
 from can_rig.cli.output import json_line, table, wide
 from can_rig.files import atomic, refuse_picture
+from can_rig.logs.log import window_of
 from can_rig.scenario.loading import read
 from can_rig.views.run_diff import Difference, compare, tolerances_of
 from can_rig.views.settings_diff import SettingDifference, written
@@ -29,6 +30,7 @@ from can_rig.views.signal_table import SignalTable, read_table
     help="Largest difference of a signal that counts as none, in its unit, as in torque_nm=0.01; "
     "repeatable.  [default: 0]",
 )
+@window_options
 @click.option(
     "--scenario",
     "scenario_name",
@@ -49,6 +51,8 @@ def command(
     run_a: Path,
     run_b: Path,
     tolerances: tuple[str, ...],
+    from_s: float | None,
+    to_s: float | None,
     scenario_name: str,
     out: Path | None,
     as_json: bool,
@@ -62,7 +66,8 @@ def command(
         refuse_picture(out, force)
     allowed = tolerances_of(tolerances)
     scenario = read(scenario_name).scenario
-    a, b = (read_table(path, scenario) for path in (run_a, run_b))
+    window = window_of(from_s, to_s)
+    a, b = (read_table(path, scenario).within(window) for path in (run_a, run_b))
     difference = compare(a, b, allowed)
     if out is not None:
         from can_rig.views.diff_picture import draw_difference  # noqa: PLC0415 (matplotlib)

@@ -14,6 +14,7 @@ from can_rig.cli.output import json_line, note, tell
 from can_rig.cli.progress import reading
 from can_rig.errors import INTERRUPTED
 from can_rig.logs.frames import NS_PER_S
+from can_rig.logs.log import Window
 from can_rig.logs.reading import read_log
 from can_rig.nodes.watchdog import StopRequest
 from can_rig.replay.pace import Paced, Pacer
@@ -37,7 +38,12 @@ def speed_of(text: str) -> Fraction | None:
 
 
 def pace(
-    path: Path, bus_name: str, speed: Fraction | None, channel: str | None, as_json: bool
+    path: Path,
+    bus_name: str,
+    speed: Fraction | None,
+    channel: str | None,
+    window: Window,
+    as_json: bool,
 ) -> int:
     """Put every frame of the log on the bus: the exit status.
 
@@ -45,7 +51,7 @@ def pace(
         LogError: the log cannot be read.
         BusError: the bus is not there, or does not take frames.
     """
-    log = read_log(log_path(path), CHUNK_FRAMES)
+    log = read_log(log_path(path), CHUNK_FRAMES, window)
     stop = StopRequest().on_signals()
     with open_bus(bus_name) as bus:
         pacer = Pacer(bus, speed, stop)

@@ -18,11 +18,14 @@ from can_rig.cli.options import (
     json_option,
     log_argument,
     set_option,
+    window_options,
 )
 from can_rig.cli.output import json_line
 from can_rig.cli.progress import reading
 from can_rig.errors import LogError
 from can_rig.files import atomic, refuse_existing
+from can_rig.logs.frames import Frames
+from can_rig.logs.log import ALL, window_of
 from can_rig.replay.gaps import Gap, in_order, write_gaps
 from can_rig.replay.in_real_time import recorded
 from can_rig.replay.replay import OpenLoop
@@ -40,6 +43,7 @@ from can_rig.scenario.build import network_of
 )
 @set_option("Change one key of the scenario")
 @channel_option
+@window_options
 @click.option(
     "--gaps",
     type=click.Path(path_type=Path, dir_okay=False),
@@ -82,6 +86,8 @@ def command(
     scenario_name: str | None,
     settings: tuple[str, ...],
     channel: str | None,
+    from_s: float | None,
+    to_s: float | None,
     gaps: Path | None,
     bus: str | None,
     speed: str | None,
@@ -96,12 +102,14 @@ def command(
     Open loop (the default): the logged reference and feedback go through the controller's receive
     rules and firmware, frame by frame; what it answers is compared with the log, as on the wire.
     --bus puts the log on a bus instead, --what-if asks what another scenario would have done.
+    What is before --from goes through the controller too, but is not compared.
 
     Exit status: 0 nothing that can be compared differs, 1 something does.
     """
+    window = window_of(from_s, to_s)
     if bus is not None:
         _refuse_together("--bus", scenario=scenario_name, set=settings, gaps=gaps, what_if=what_if)
-        sys.exit(pace(log, bus, speed_of(speed or "1"), channel, as_json))
+        sys.exit(pace(log, bus, speed_of(speed or "1"), channel, window, as_json))
     if speed is not None:
         raise click.UsageError("--speed is the pace of a replay onto a --bus; name one")
     if what_if:
@@ -110,12 +118,14 @@ def command(
         _refuse_together("--what-if", gaps=gaps)
         sys.exit(
             what_if_command(
-                log, scenario_name, settings, channel, out, force, allow_unstable, as_json
+                log, scenario_name, settings, channel, window, out, force, allow_unstable, as_json
             )
         )
     if out is not None:
         raise click.UsageError("--out is the run folder of a --what-if")
-    sys.exit(_open_loop(source_of(log, scenario_name, settings, channel), gaps, force, as_json))
+    before = window._replace(begin_ns=ALL.begin_ns)  # also replayed, but not compared
+    source = source_of(log, scenario_name, settings, channel, before)
+    sys.exit(_open_loop(source, window.begin_ns, gaps, force, as_json))
 
 
 def _refuse_together(option: str, **others: object) -> None:
@@ -124,8 +134,15 @@ def _refuse_together(option: str, **others: object) -> None:
             raise click.UsageError(f"{option} and --{name.replace('_', '-')} do not go together")
 
 
-def _open_loop(source: Source, gaps: Path | None, force: bool, as_json: bool) -> int:
+def _open_loop(source: Source, begin_ns: int, gaps: Path | None, force: bool, as_json: bool) -> int:
     """A log through today's controller: 0 if nothing differs, else 1.
+
+    Args:
+        source: the log, from its start on.
+        begin_ns: where in the recording comparing begins.
+        gaps: the file of the gaps.
+        force: replace it.
+        as_json: print an object.
 
     Raises:
         LogError: the log cannot be read, or nothing of it can be compared.
@@ -140,7 +157,7 @@ def _open_loop(source: Source, gaps: Path | None, force: bool, as_json: bool) ->
             looking = source.frames(lambda log: reading(log, "looking through"))
             answers = recorded(looking, network, source.scenario)
         loop = OpenLoop(source.scenario, network, found.append, answers)
-        loop.run(source.frames(lambda log: reading(log, "replaying")))
+        loop.run(_compared_from(begin_ns, source, loop))
         listed = in_order(found)
         write(listed)
     if not any(signal.compared for signal in loop.comparison.signals):
@@ -153,6 +170,14 @@ def _open_loop(source: Source, gaps: Path | None, force: bool, as_json: bool) ->
     else:
         print_comparison(source, loop, listed, gaps)
     return 0 if loop.comparison.identical else 1
+
+
+def _compared_from(begin_ns: int, source: Source, loop: OpenLoop) -> Iterator[Frames]:
+    """The chunks of the log; what the time stamps count from is known with the first one."""
+    for frames in source.frames(lambda log: reading(log, "replaying")):
+        if begin_ns != ALL.begin_ns:
+            loop.compare_from_ns = source.log.start_ns + begin_ns
+        yield frames
 
 
 @contextmanager

@@ -10,6 +10,7 @@ from can_rig.cli.output import json_line, say
 from can_rig.cli.progress import counting, reading
 from can_rig.cli.runs.closing import closing_table
 from can_rig.errors import INTERRUPTED
+from can_rig.logs.log import Window
 from can_rig.nodes.watchdog import StopRequest
 from can_rig.replay.what_if import LABELS, question, what_if
 
@@ -19,13 +20,14 @@ def what_if_command(
     name: str | None,
     settings: Sequence[str],
     channel: str | None,
+    window: Window,
     out: Path | None,
     force: bool,
     allow_unstable: bool,
     as_json: bool,
 ) -> int:
     """Answer, and print what differs: the exit status."""
-    asked = question(path, name, settings, channel, lambda log: reading(log, "reading"))
+    asked = question(path, name, settings, channel, lambda log: reading(log, "reading"), window)
     found = what_if(
         asked,
         out,

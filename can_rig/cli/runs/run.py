@@ -44,7 +44,11 @@ from can_rig.results.run_folder import LOG
     help="Write the log here too when the run has ended, however: FILE.blf, .asc, .mf4, .trc, "
     ".log or .log.gz.  Repeatable.",
 )
-@click.option("--in-process", is_flag=True, help="Both nodes in this process; the same log.")
+@click.option(
+    "--in-process",
+    is_flag=True,
+    help="Both nodes in this process; the same log, and far sooner unless --bus names one.",
+)
 @click.option("--allow-unstable", is_flag=True, help="Run a loop that `can-rig check` refuses.")
 @silence_option("1.0")
 @controller_option

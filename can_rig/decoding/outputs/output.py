@@ -15,6 +15,9 @@ TABLES: Final = (".csv", ".parquet")
 """Formats with one table of all messages."""
 
 _MF4: Final = ".mf4"
+_MCAP: Final = ".mcap"
+_NEEDS: Final = {_MF4: ("asammdf", "logs"), _MCAP: ("mcap", "mcap")}
+"""Package and extra by suffix; the others need pyarrow."""
 
 
 class Output(Protocol):
@@ -33,12 +36,13 @@ def refuse_output(path: Path, force: bool) -> None:
     Raises:
         LogError: the reason.
     """
-    if path.suffix not in {"", _MF4, *TABLES}:
+    if path.suffix not in {"", _MF4, _MCAP, *TABLES}:
         raise LogError(
-            f"{path}: cannot be written as {path.suffix}; it must be .csv, .parquet or .mf4, or a "
-            "folder, without a suffix"
+            f"{path}: cannot be written as {path.suffix}; it must be .csv, .parquet, .mf4 or "
+            ".mcap, or a folder, without a suffix"
         )
-    require("asammdf" if path.suffix == _MF4 else "pyarrow", extra="logs")
+    package, extra = _NEEDS.get(path.suffix, ("pyarrow", "logs"))
+    require(package, extra)
     refuse_existing(path, force, "--out")
     if not path.exists():
         return
@@ -58,7 +62,7 @@ def output(
     """An output at ``path``, which exists, complete, once the context is left without an error.
 
     Args:
-        path: ``.csv``, ``.parquet``, ``.mf4``, or a folder.
+        path: ``.csv``, ``.parquet``, ``.mf4``, ``.mcap``, or a folder.
         layout: the messages of a table of all messages, without rows.
         start_ns: start of the recording, on the clock of the columns [ns].
         names: whether to write words of value tables instead of numbers.
@@ -77,6 +81,10 @@ def _writer(path: Path, layout: Mapping[str, MessageColumns], start_ns: int, nam
         from can_rig.decoding.outputs.mf4 import DecodedMf4  # noqa: PLC0415 (slow to import)
 
         return DecodedMf4(path, start_ns)
+    if path.suffix == _MCAP:
+        from can_rig.decoding.outputs.mcap import DecodedMcap  # noqa: PLC0415 (an extra)
+
+        return DecodedMcap(path, names)
     from can_rig.decoding.outputs.tables import FolderOfTables, WideTable  # noqa: PLC0415 (slow to import)
 
     if path.suffix in TABLES:

@@ -1,11 +1,12 @@
 """Decoded messages as tables in files: CSV and Parquet, written chunk by chunk with pyarrow.
 
 One table holds every message: a row for each frame, in the order of the log, with the name of its
-message, and a column ``Message.Signal`` for each signal, empty where it is not in the frame. In a
-folder each message has a file of its own, with its signals as columns.
+message, and a column for each signal, empty where it is not in the frame: ``Message.Signal`` in
+CSV, ``Message/Signal`` in Parquet, of which PlotJuggler makes a tree. In a folder each message has
+a file of its own, with its signals as columns.
 
-Time is exact. In Parquet it is the integer ``time_ns``; in CSV it is ``time_s``, with nine decimal
-places for a date, and as many as needed for a time since the start.
+Time is exact, in ``time_s``. Only a date in Parquet is ``time``, a time stamp in UTC to the
+nanosecond: PlotJuggler takes it for seconds, pandas for a date. In CSV it has nine decimal places.
 """
 
 from __future__ import annotations
@@ -25,6 +26,7 @@ from can_rig.logs.frames import NS_PER_S
 
 _TYPES: Final = {"i": pa.int64(), "u": pa.uint64(), "f": pa.float64(), "O": pa.string()}
 _DATE: Final = pa.decimal128(28, 9)  # [s]
+_STAMP: Final = pa.timestamp("ns", tz="UTC")
 _EXACT_NS: Final = 1 << 53  # up to here (104 days) float64 seconds tell every nanosecond
 
 
@@ -42,8 +44,9 @@ class WideTable:
         self, path: Path, layout: Mapping[str, MessageColumns], start_ns: int, names: bool
     ) -> None:
         self._names = names
+        self._is_csv = path.suffix == ".csv"
         self._fields = {
-            f"{message}.{signal}": kind
+            self._field(message, signal): kind
             for message, columns in layout.items()
             for signal, kind in _fields(columns, names).items()
         }
@@ -69,7 +72,7 @@ class WideTable:
                 spread = np.zeros(len(order), dtype=values.dtype)
                 nothing = np.ones(len(order), dtype=bool)
                 spread[rows], nothing[rows] = values, missing
-                field = f"{name}.{signal}"
+                field = self._field(name, signal)
                 cells[field] = pa.array(spread, self._fields[field], mask=nothing)
         for field, kind in self._fields.items():
             cells.setdefault(field, pa.nulls(len(order), kind))
@@ -78,6 +81,9 @@ class WideTable:
     def close(self) -> None:
         """Finish the file."""
         self._table.close()
+
+    def _field(self, message: str, signal: str) -> str:
+        return f"{message}.{signal}" if self._is_csv else f"{message}.{signal}".replace(".", "/")
 
 
 class FolderOfTables:
@@ -113,12 +119,12 @@ class _Table:
 
     def __init__(self, path: Path, fields: Mapping[str, Any], start_ns: int) -> None:
         is_csv = path.suffix == ".csv"
-        self._time: Callable[[NDArray[np.int64]], Any] = pa.array
-        time = ("time_ns", pa.int64())
-        if is_csv and start_ns < _EXACT_NS:
-            self._time, time = _seconds, ("time_s", pa.float64())
-        elif is_csv:
-            self._time, time = _decimals, ("time_s", _DATE)
+        self._time: Callable[[NDArray[np.int64]], Any] = _seconds
+        time = ("time_s", pa.float64())
+        if start_ns >= _EXACT_NS:
+            self._time, time = (
+                (_decimals, ("time_s", _DATE)) if is_csv else (_stamps, ("time", _STAMP))
+            )
         self._schema = pa.schema([time, *fields.items()])
         self._writer: Any = (
             pyarrow.csv.CSVWriter(path, self._schema)
@@ -134,6 +140,10 @@ class _Table:
     def close(self) -> None:
         """Write what is still held in memory."""
         self._writer.close()
+
+
+def _stamps(time_ns: NDArray[np.int64]) -> Any:
+    return pa.array(time_ns, pa.int64()).cast(_STAMP)
 
 
 def _seconds(time_ns: NDArray[np.int64]) -> Any:

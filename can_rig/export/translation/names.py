@@ -24,6 +24,7 @@ class Names:
         self._sources = program.sources
         self._precision: Precision = precision
         self._used: dict[tuple[str, str], set[str]] = {}  # (module, name) → modules that use it
+        self._homes: dict[str, Module] = {}
         for typed in program.functions.values():
             user = typed.function.module
             for statement in typed.function.body:
@@ -32,13 +33,15 @@ class Names:
                         value = user.lookup(node.id)
                         if isinstance(value, int | float):
                             home = origin(self._sources, user, node.id)
+                            self._homes[home.name] = home
                             self._used.setdefault((home.name, node.id), set()).add(user.name)
 
     def headers(self, user: Module) -> set[str]:
         """The other modules whose names ``user`` uses, and those of enumerations."""
-        homes = {home for (home, _), users in self._used.items() if user.name in users}
-        for name in self._of(user):
-            homes |= {enum.name for enum, _ in self._enumerator(user, name)}
+        used = [(home, name) for (home, name), users in self._used.items() if user.name in users]
+        homes = {home for home, _ in used}
+        for home, name in used:
+            homes |= {enum.name for enum, _ in self._enumerator(self._homes[home], name)}
         return homes - {user.name}
 
     def public(self, home: Module) -> list[str]:

@@ -12,6 +12,7 @@ from typing import Final, Self
 
 from can_rig.errors import RunFolderError
 from can_rig.logs.plant_signals import plant_signals_path
+from firmware_model.target.structs import FloatArray
 
 BUFFER: Final = 1 << 20
 """Bytes between two writes: a slow disk holds up no more than one tick in ten thousand."""
@@ -43,6 +44,17 @@ class PlantRecorder:
                 self._names = tuple(signals)
                 self._rows.writerow(("tick", *self._names))
             self._rows.writerow((tick, *(signals.get(name, math.nan) for name in self._names)))
+        except OSError as error:
+            raise RunFolderError(f"{self._path}: cannot be written: {error.strerror}") from None
+
+    def record_columns(self, first_tick: int, columns: Mapping[str, FloatArray]) -> None:
+        """Note the signals of the ticks from ``first_tick`` on, (ticks,) each."""
+        rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+        try:
+            if not self._names:
+                self._names = tuple(columns)
+                self._rows.writerow(("tick", *self._names))
+            self._rows.writerows((tick, *row) for tick, row in enumerate(rows, first_tick))
         except OSError as error:
             raise RunFolderError(f"{self._path}: cannot be written: {error.strerror}") from None
 

@@ -40,8 +40,12 @@ class LogFile:
 
     def write(self, lines: list[str]) -> None:
         """Hand the lines to the operating system."""
+        self.write_bytes("".join(lines).encode("ascii"))
+
+    def write_bytes(self, text: bytes | memoryview) -> None:
+        """The same of lines that are joined and encoded."""
         try:
-            self._file.write("".join(lines).encode("ascii"))
+            self._file.write(text)
             self._file.flush()
         except OSError as error:
             raise RunFolderError(f"{self._path}: cannot be written: {error.strerror}") from None

@@ -10,6 +10,9 @@ channel. The evidence g makes a loss
 and clears a confirmed one from ``recover`` on for the return: to take a loss for gone that is not
 costs more than to be late. A suspicion ends with its candidate.
 
+A table with a ``share_drift`` has no test: there the share that is lost is a state of the Kalman
+filter, which follows it at all times, and more than a half of it lost is CONFIRMED.
+
 None of this isolates the torque channel: a bias b of the D* sensor gives d̂ = -b. A table with a
 ``probe`` tests the motor before it confirms, and compensates only then: a d̂ that does not answer
 to a small torque stays SUSPECTED. Where channel 1 contributes so little that its loss would not
@@ -21,6 +24,7 @@ from __future__ import annotations
 from firmware_model.compiled import firmware
 from firmware_model.target.fault_decision.bumpless_transfer import begin_transfer
 from firmware_model.target.fault_decision.loss_model import (
+    earlier_shown,
     follow_share,
     known_share,
     loss_output,
@@ -57,6 +61,7 @@ CONSTANTS = (
     Field("suspect", "1", "evidence from which a loss is compensated provisionally"),
     Field("horizon", "tick", "within which a loss of now has to show"),
     Field("pause_ticks", "tick", "from a probe that found nothing to the next", "int32"),
+    Field("tracks_share", "1", "1: a Kalman filter follows the lost share; 0: a test", "int32"),
 )
 STATE = (
     Field("pause", "tick", "until the next probe", "int32"),
@@ -76,16 +81,15 @@ def decide(table: Record, state: Record, residual: float, model_1: float, model_
         model_2: G2 u2 likewise.
     """
     constants, test = table.decision, state.sequential_test
-    acting = state.estimator.showing_1 * acting_share(state)
-    acting_2 = state.estimator.showing_2
-    if table.estimator.shown_ticks_2 == 0:  # this tick's is not known yet
-        acting_2 = state.command_2
-    show_other_cars(table, state, acting, acting_2)
+    acting_1, acting_2 = acting_commands(table, state)
+    show_other_cars(table, state, acting_1, acting_2)
     before, w = state.fault_state, loss_shown(table, state)
-    lost = w if before == CONFIRMED else real(0.0, w)
-    predict_mismatch(table, state, model_1 + model_2, lost)
+    predict_mismatch(table, state, model_1 + model_2, w, earlier_shown(table, state))
     new = innovation(table.mismatch, state.mismatch, residual - state.loss_model.share * w)
     follow_share(table.loss_model, state)
+    if table.decision.tracks_share:
+        state.fault_state = CONFIRMED if known_share(state) > real(0.5, w) else CLEAR
+        return
     if state.probe.tick > 0:
         evaluate_probe(table, state, residual)
         return
@@ -118,11 +122,15 @@ def decide(table: Record, state: Record, residual: float, model_1: float, model_
 
 
 @firmware
-def acting_share(state: Record) -> float:
-    """The part of command 1 that is known to act."""
+def acting_commands(table: Record, state: Record) -> tuple[float, float]:
+    """The commands as the measurement shows them, without what is known to be lost."""
     one = real(1.0, state.command_1)
-    share: float = one - known_share(state) if state.fault_state == CONFIRMED else one
-    return share
+    share = one - known_share(state) if state.fault_state == CONFIRMED else one
+    command_1 = state.estimator.showing_1 * share
+    command_2 = state.estimator.showing_2
+    if table.estimator.shown_ticks_2 == 0:  # that of this tick is not known yet, or is held
+        command_2 = state.command_2
+    return command_1, command_2
 
 
 @firmware
@@ -140,26 +148,31 @@ def evaluate_probe(table: Record, state: Record, residual: float) -> None:
 @firmware
 def confirm(table: Record, state: Record) -> None:
     """Take channel 1 for lost since the start of the candidate."""
-    share = max(lost_share(state.sequential_test), real(LEAST_SHARE, state.command_1))
-    doubt = table.loss_model.doubt / max(state.sequential_test.information, table.decision.suspect)
-    moment = table.loss_model.moment * state.sequential_test.age
-    transfer_to_losses(table, state, share)
-    take_over_candidate(table, state, share, real(1.0, share))
+    take_candidate(table, state, lost_share(state.sequential_test), real(1.0, state.command_1))
     state.fault_state = CONFIRMED
-    forget_candidate(table, state, share)
-    learn_loss(state.mismatch, min(table.loss_model.share_variance, doubt), moment * moment)
-    start_candidate(table, state)
 
 
 @firmware
 def recover(table: Record, state: Record) -> None:
     """Channel 1 works again, since the start of the candidate."""
-    share = max(known_share(state), real(LEAST_SHARE, state.command_1))
-    transfer_to_losses(table, state, -share)
-    take_over_candidate(table, state, share, -real(1.0, share))
+    take_candidate(table, state, known_share(state), -real(1.0, state.command_1))
     state.fault_state = CLEAR
-    forget_candidate(table, state, -share)
-    learn_loss(state.mismatch, real(0.0, share), real(0.0, share))
+
+
+@firmware
+def take_candidate(table: Record, state: Record, share: float, sign: float) -> None:
+    """Take the candidate for what has happened: ``share`` is lost (``sign`` 1) or works again (-1).
+
+    How far share and moment are off is learnt from now on.
+    """
+    constants, test = table.loss_model, state.sequential_test
+    share = max(share, real(LEAST_SHARE, share))
+    doubt = constants.doubt / max(test.information, table.decision.suspect)
+    moment = constants.moment * test.age
+    transfer_to_losses(table, state, sign * share)
+    take_over_candidate(table, state, share, sign)
+    forget_candidate(table, state, sign * share)
+    learn_loss(state.mismatch, min(constants.share_variance, doubt), moment * moment)
     start_candidate(table, state)
 
 

@@ -12,7 +12,7 @@ from __future__ import annotations
 
 from firmware_model.compiled import firmware
 from firmware_model.target.filters import biquad
-from firmware_model.target.filters.biquad import advance, output
+from firmware_model.target.filters.biquad import advance, output, settle
 from firmware_model.target.precision import real
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import MAX_SHOWN_TICKS, Field, Record
@@ -27,6 +27,7 @@ CONSTANTS = (
 )
 STATE = (
     Field("channel_1", "y", "state of G1 driven by the commands that were lost", biquad.STATE),
+    Field("earlier", "y", "state of G1 driven by the command before them alone", biquad.STATE),
     Field("share", "1", "s, the part of channel 1 that is lost, as of its confirmation"),
     Field("between", "1", "s behind the first lag"),
     Field("followed", "1", "s behind the second lag"),
@@ -38,7 +39,9 @@ STATE = (
 @firmware
 def loss_output(table: Record, state: Record) -> float:
     """w of this tick, as this tick's command drives it."""
-    w: float = output(table.estimator.channel_1, state.loss_model.channel_1, lost_command(state))
+    w: float = output(
+        table.estimator.channel_1, state.loss_model.channel_1, lost_command(table, state)
+    )
     return w
 
 
@@ -49,6 +52,13 @@ def loss_shown(table: Record, state: Record) -> float:
         w: float = state.loss_model.delay[state.estimator.shown_index_1]
         return w
     return loss_output(table, state)
+
+
+@firmware
+def earlier_shown(table: Record, state: Record) -> float:
+    """What a tick more of a confirmed loss would add to w as d̂ of this tick contains it."""
+    zero = real(0.0, state.command_1)
+    return output(table.estimator.channel_1, state.loss_model.earlier, zero)
 
 
 @firmware
@@ -68,10 +78,10 @@ def follow_share(constants: Record, state: Record) -> None:
 
 
 @firmware
-def lost_command(state: Record) -> float:
-    """The part of command 1 that is known not to act: all of it, or nothing."""
+def lost_command(table: Record, state: Record) -> float:
+    """The command whose share s is lost: that of this tick, or none before a loss is known."""
     command: float = state.command_1
-    if state.fault_state == CONFIRMED:
+    if state.fault_state == CONFIRMED or table.decision.tracks_share:
         return command
     return real(0.0, command)
 
@@ -80,8 +90,9 @@ def lost_command(state: Record) -> float:
 def advance_loss_model(table: Record, state: Record) -> None:
     """Advance w by this tick's command, computed or held."""
     loss = state.loss_model
-    w = advance(table.estimator.channel_1, loss.channel_1, lost_command(state))
+    w = advance(table.estimator.channel_1, loss.channel_1, lost_command(table, state))
     loss.previous_output = w
+    advance(table.estimator.channel_1, loss.earlier, real(0.0, w))
     if table.estimator.shown_ticks_1 > 0:
         loss.delay[state.estimator.shown_index_1] = w
 
@@ -102,6 +113,7 @@ def take_over_candidate(table: Record, state: Record, share: float, sign: float)
         for j in range(2):
             before = earlier * loss.channel_1.accumulators[i, j]
             loss.channel_1.accumulators[i, j] = before + sign * test.channel_1.accumulators[i, j]
+            loss.earlier.accumulators[i, j] = test.earlier.accumulators[i, j]
     for i in range(table.estimator.shown_ticks_1):
         loss.delay[i] = earlier * loss.delay[i] + sign * test.delay[i]
     loss.previous_output = earlier * loss.previous_output + sign * test.previous_output
@@ -109,9 +121,20 @@ def take_over_candidate(table: Record, state: Record, share: float, sign: float)
 
 
 @firmware
+def settle_loss_model(table: Record, state: Record) -> None:
+    """Nothing is lost, in the steady state for the command of this tick."""
+    clear_loss_model(state)
+    loss = state.loss_model
+    w = settle(table.estimator.channel_1, loss.channel_1, lost_command(table, state))
+    loss.previous_output = w
+    loss.delay[:] = w
+
+
+@firmware
 def clear_loss_model(state: Record) -> None:
     """Nothing is lost."""
     loss = state.loss_model
     loss.channel_1.accumulators[:] = 0.0
+    loss.earlier.accumulators[:] = 0.0
     loss.delay[:] = 0.0
     loss.share = loss.between = loss.followed = loss.previous_output = 0.0

@@ -14,7 +14,11 @@ the part of it that no other car explains counts as evidence (Willsky and Jones,
 Control 21 (1976) 108).
 
 After a confirmed loss two more states learn how far its share was off, whose x is the lost w, and
-by how many ticks its moment, whose x is the change of w: both are only roughly known then.
+by how many ticks its moment, whose x is what one more command would add: both are only roughly
+known then.
+
+Where the lost share is followed at all times instead, it is such a state from the start, and
+wanders whether the car moves or not.
 
 What other cars show beyond the first order is a remainder that changes as slowly as the car does:
 one more θ, whose x is 1. Both wander only where the car moves: the steady state of a bend is the
@@ -72,7 +76,9 @@ STATE = (
 
 
 @firmware
-def predict_mismatch(table: Record, state: Record, model_output: float, lost: float) -> None:
+def predict_mismatch(
+    table: Record, state: Record, model_output: float, lost: float, earlier: float
+) -> None:
     """x of this tick, and its part in the variance of the noise.
 
     Args:
@@ -80,14 +86,14 @@ def predict_mismatch(table: Record, state: Record, model_output: float, lost: fl
         state: changed in place; ``other_cars`` shows this tick.
         model_output: G1 u1 + G2 u2 as d̂ contains it.
         lost: w of a confirmed loss likewise; 0 without one.
+        earlier: what a loss that is a tick older would add to it.
     """
     constants, mismatch, shown = table.mismatch, state.mismatch, state.other_cars.shown
     a, x, previous = constants.colour, mismatch.regressor, mismatch.x
     extent = change = real(0.0, model_output)
-    moved = lost - previous[0]
     x[0] = lost - a * previous[0]
-    x[1] = moved - a * previous[1]
-    previous[0], previous[1] = lost, moved
+    x[1] = earlier - a * previous[1]
+    previous[0], previous[1] = lost, earlier
     for i in range(table.other_cars.n):
         k, now = LOSS_STATES + i, shown[i]
         x[k] = now - a * previous[k]
@@ -129,9 +135,12 @@ def innovation(constants: Record, state: Record, residual: float) -> float:
     one = real(1.0, new)
     wander = min(state.change / state.extent, one) if state.extent > real(0.0, new) else one
     for i in range(n):
-        memory[i] = one - wander * constants.forgetting[i]
+        moves = wander if i >= LOSS_STATES else one
+        memory[i] = one - moves * constants.forgetting[i]
         theta[i] = memory[i] * (theta[i] + gain[i] * new)
     fade(state.covariance, n, memory)
+    if constants.growth[0] > real(0.0, new):
+        grow(state.covariance, 0, constants.growth[0])
     for i in range(LOSS_STATES, n):
         growth = state.remainder if i == n - 1 else wander
         grow(state.covariance, i, constants.growth[i] * growth)
@@ -157,7 +166,8 @@ def clear_mismatch(constants: Record, state: Record) -> None:
 def settle_mismatch(table: Record, state: Record, model_output: float) -> None:
     """The steady state that ``other_cars`` shows; nothing is known of the car."""
     clear_mismatch(table.mismatch, state.mismatch)
-    predict_mismatch(table, state, model_output, real(0.0, model_output))
+    zero = real(0.0, model_output)
+    predict_mismatch(table, state, model_output, zero, zero)
     state.mismatch.change = state.mismatch.remainder = 0.0  # it came there long ago
 
 

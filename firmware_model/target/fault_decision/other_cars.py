@@ -48,10 +48,11 @@ def show_other_cars(table: Record, state: Record, command_1: float, command_2: f
     """x of this tick, where these commands begin to show in what is measured."""
     cars, own, shown = table.other_cars, state.other_cars, state.other_cars.shown
     own.command_1, own.command_2 = command_1, command_2
+    if cars.n == 0:
+        return
     model = output(table.estimator.channel_1, own.model.channel_1, command_1)
     model += output(table.estimator.channel_2, own.model.channel_2, command_2)
-    if cars.n > 0:
-        shown[0] = (car_output(cars.car_1, own.car_1, command_1, command_2) - model) * cars.scale
+    shown[0] = (car_output(cars.car_1, own.car_1, command_1, command_2) - model) * cars.scale
     if cars.n > 1:
         shown[1] = (car_output(cars.car_2, own.car_2, command_1, command_2) - model) * cars.scale
     if cars.n > 2:

@@ -9,7 +9,8 @@ signature: Basseville and Nikiforov, Detection of Abrupt Changes, 1993, 7.2.4):
 
 with ν the innovation of d̂ (``mismatch``), S its variance, and f what a loss of ``share`` would have
 added to ν: w, whitened as the noise is, less what the estimates of the car would have made of it.
-A g below -1 says: not from then on, and the candidate begins again at this tick. The chance that a
+A g below -1 says: not from then on, and the candidate begins again at this tick. So it does where
+next to nothing speaks for it and, since f has faded, nothing more will. The chance that a
 healthy car takes one candidate beyond h is e^-h at most (Wald), and there is at most one a tick: so
 h is the logarithm of the ticks between two false alarms, whatever the drive, and needs no tuning.
 
@@ -29,9 +30,12 @@ from firmware_model.target.structs import MAX_SHOWN_TICKS, Field, Record
 CONSTANTS = (
     Field("share", "1", "of channel 1 whose loss is looked for"),
     Field("restart", "1", "log-likelihood ratio below which the candidate begins again"),
+    Field("idle", "1", "log-likelihood ratio below which it does so where no more is learnt"),
+    Field("freshness", "1", "growth of the information, while the age doubles, from which it is"),
 )
 STATE = (
     Field("channel_1", "y", "state of G1 driven by the commands since the start", biquad.STATE),
+    Field("earlier", "y", "state of G1 driven by the command before these alone", biquad.STATE),
     Field("delay", "y", "ring of w on its way into d̂", shape=(MAX_SHOWN_TICKS,)),
     Field("previous_output", "y", "w of the last tick"),
     Field("previous_shown", "y", "w of the last tick as d̂ contains it"),
@@ -40,6 +44,8 @@ STATE = (
     Field("evidence", "1", "g, log-likelihood ratio"),
     Field("correlation", "1", "Σ ν f/S for a share of 1"),
     Field("information", "1", "Σ f²/S for a share of 1"),
+    Field("half_age", "tick", "age when it was last looked whether more comes"),
+    Field("half_information", "1", "the information of then"),
 )
 
 
@@ -69,8 +75,21 @@ def update_test(table: Record, state: Record, innovation: float, share: float) -
     test.correlation += correlation
     test.information += information
     test.age += real(1.0, share)
-    if not test.evidence > table.sequential_test.restart:
+    if is_stale(table.sequential_test, test) or not test.evidence > table.sequential_test.restart:
         start_candidate(table, state)
+
+
+@firmware
+def is_stale(constants: Record, test: Record) -> bool:
+    """Whether a candidate without evidence, now twice as old, has learnt hardly more meanwhile."""
+    two = real(2.0, test.age)
+    if test.age < two * max(test.half_age, two):
+        return False
+    fresh = constants.freshness * test.half_information
+    test.half_age = test.age
+    test.half_information = test.information
+    stale: bool = test.information < fresh and test.evidence < constants.idle
+    return stale
 
 
 @firmware
@@ -88,15 +107,21 @@ def start_candidate(table: Record, state: Record) -> None:
     test, estimator = state.sequential_test, table.estimator
     g1, shown = estimator.channel_1, estimator.shown_ticks_1
     test.channel_1.accumulators[:] = 0.0
+    test.earlier.accumulators[:] = 0.0
     test.explained[:] = 0.0
     test.evidence = test.correlation = test.information = test.age = 0.0
     test.previous_output = test.previous_shown = 0.0
+    test.half_age = test.half_information = 0.0
     for i in range(shown):
         command = pending_command(estimator, state.estimator, i)
         w = output(g1, test.channel_1, command)
         test.delay[(state.estimator.shown_index_1 + i) % shown] = w
         test.previous_output = w
         advance(g1, test.channel_1, command)
+    before = state.command_1
+    if shown > 0:  # the one that has just acted is gone; it was hardly another
+        before = pending_command(estimator, state.estimator, 0)
+    advance(g1, test.earlier, before)
 
 
 @firmware
@@ -105,6 +130,7 @@ def advance_candidate(table: Record, state: Record) -> None:
     test = state.sequential_test
     w = advance(table.estimator.channel_1, test.channel_1, state.command_1)
     test.previous_output = w
+    advance(table.estimator.channel_1, test.earlier, real(0.0, w))
     if table.estimator.shown_ticks_1 > 0:
         test.delay[state.estimator.shown_index_1] = w
 

@@ -133,7 +133,7 @@ def test_noise_is_that_of_the_sensor_and_of_its_steps_whitened(
 @pytest.mark.parametrize(("precision", "rms"), [("float64", 1e-9), ("float32", 1e-6)])
 def test_a_perfect_sensor_has_what_rounding_leaves(precision: Any, rms: float) -> None:
     least = build(CLOSED, Target(1e-3, precision=precision)).mismatch.noise
-    assert least == pytest.approx(rms**2)
+    assert least == pytest.approx(rms**2, rel=1e-6, abs=0.0)
     coarse = build(CLOSED, Target(1e-3, precision=precision, resolution=1e3)).mismatch.noise
     assert coarse == pytest.approx(1e6 / 12.0)
 
@@ -155,7 +155,7 @@ def test_the_reference_shaper_belongs_to_a_loop_and_a_limit(
         assert shaper.acceleration == pytest.approx(np.diff(parabola, 2)[0], rel=1e-9)
 
 
-@pytest.mark.parametrize("latency", [0, 2])
+@pytest.mark.parametrize("latency", [0, 1, 2])
 @pytest.mark.parametrize("tick_s", TICKS_S)
 def test_tracking_of_the_closed_loop(tick_s: float, latency: int) -> None:
     table = build(CLOSED, Target(tick_s, latency))
@@ -236,6 +236,7 @@ def test_what_is_asked_for_the_decision() -> None:
     assert table.compensator.on_confirmation == 1
     assert (table.sequential_test.share, table.sequential_test.restart) == (0.8, -1.0)
     assert build(CLOSED, Target(1e-3)).compensator.on_confirmation == 0
+    assert build(CLOSED, Target(1e-3, probe_pause_s=0.043)).decision.pause_ticks == 43  # 42.999...
 
 
 @pytest.mark.parametrize("latency", [0, 2])

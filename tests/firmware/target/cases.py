@@ -9,7 +9,7 @@ import numpy as np
 from firmware_model.design.mismatch import Channels, Mismatch, principal_mismatch
 from firmware_model.design.plants import steer_by_wire
 from firmware_model.design.vehicle import VehicleParameters
-from firmware_model.target.fault_decision.covariance import MAX_DIRECTIONS
+from firmware_model.target.fault_decision.covariance import MAX_DIRECTIONS, MAX_STATES
 from firmware_model.target.structs import FloatArray, Record, RecordArray
 
 NOMINAL = VehicleParameters()
@@ -47,3 +47,9 @@ def changed(table: Record, **numbers: dict[str, Any]) -> RecordArray:
         for name, value in values.items():
             tables[part][name] = value
     return tables
+
+
+def covariance_of(mismatch: Record) -> FloatArray:
+    """P of its filter, from the factors."""
+    factor = np.triu(mismatch.covariance.upper, 1) + np.eye(MAX_STATES)
+    return np.asarray(factor * mismatch.covariance.variances @ factor.T)

@@ -77,19 +77,7 @@ def test_what_has_settled_is_made_up_with_the_pace_of_the_car() -> None:
 
 
 @pytest.mark.long
-@pytest.mark.parametrize(
-    "noise_rms",
-    [
-        0.0,
-        pytest.param(
-            1e-3,
-            marks=pytest.mark.xfail(
-                reason="a channel that comes and goes in noise, with a model that is trusted: its "
-                "return is at times confirmed too soon, and X_diff jumps to its limit"
-            ),
-        ),
-    ],
-)
+@pytest.mark.parametrize("noise_rms", [0.0, 1e-3])
 @pytest.mark.parametrize("period", [1300, 1900, 2600])
 def test_a_loose_connection_asks_for_no_more_than_the_load_in_a_tick(
     noise_rms: float, period: int

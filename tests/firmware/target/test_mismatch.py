@@ -1,4 +1,4 @@
-"""What is learnt of the car: against a Kalman filter in full matrices and scipy's filters."""
+"""What is learnt of the car: x by scipy's filters, and what θ and its variance make of it."""
 
 from __future__ import annotations
 
@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 import pytest
-from hypothesis import given
-from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy import signal
 
@@ -17,10 +15,8 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import zoh
 from firmware_model.target import controller
-from firmware_model.target.fault_decision import mismatch
-from firmware_model.target.fault_decision.covariance import LOSS_STATES, MAX_DIRECTIONS, MAX_STATES
+from firmware_model.target.fault_decision.covariance import MAX_STATES
 from firmware_model.target.fault_decision.mismatch import (
-    clear_mismatch,
     innovation,
     learn_loss,
     predict_mismatch,
@@ -31,118 +27,11 @@ from firmware_model.target.fault_decision.other_cars import (
     settle_other_cars,
     show_other_cars,
 )
-from firmware_model.target.structs import Precision, Record, RecordArray, record_type
-from tests.firmware.target.cases import CAR, TICK_S, changed, other_cars
+from firmware_model.target.structs import Record, RecordArray
+from tests.firmware.target.cases import CAR, TICK_S, changed, covariance_of, other_cars
 
 DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 COLOUR, NOISE_RMS = 0.6, 0.01
-
-
-def begun(precision: Precision = "float64", **changes: Any) -> tuple[Record, Record]:
-    """Constants and state of a filter with four other cars and some numbers of its own."""
-    constants = np.zeros(1, record_type(mismatch.CONSTANTS, precision))[0]
-    state = np.zeros(1, record_type(mismatch.STATE, precision))[0]
-    chosen = {
-        "n": MAX_STATES, "prior": 0.36, "forgetting": [0.0, 0.0, 0.01, 0.02, 0.03, 0.05, 0.1],
-        "growth": [0.0, 0.0, 0.01, 0.003, 0.002, 0.004, 0.2], "white": 0.1, "noise": 1e-4,
-        "colour": COLOUR, **changes,
-    }  # fmt: skip
-    for name, value in chosen.items():
-        constants[name] = value
-    clear_mismatch(constants, state)
-    return constants, state
-
-
-def matrix(state: Record) -> NDArray[Any]:
-    """P of the filter."""
-    factor = np.triu(state.covariance.upper, 1) + np.eye(MAX_STATES)
-    return np.asarray(factor * state.covariance.variances @ factor.T)
-
-
-class FullMatrices:
-    """The same filter, in Joseph's form: P stays symmetric and positive."""
-
-    def __init__(self, constants: Record) -> None:
-        self.constants, self.theta = constants, np.zeros(MAX_STATES)
-        self.p = np.diag([0.0] * LOSS_STATES + [float(constants.prior)] * MAX_DIRECTIONS + [0.0])
-
-    def learn_loss(self, share: float, moment: float) -> None:
-        self.theta[:2] = self.p[:2, :] = self.p[:, :2] = 0.0
-        self.p[0, 0], self.p[1, 1] = share, moment
-
-    def step(self, x: NDArray[Any], value: float, wander: float, remainder: float) -> Any:
-        """Innovation and its variance."""
-        c = self.constants
-        r = c.noise + c.white * remainder
-        s = x @ self.p @ x + r
-        new = value - x @ self.theta
-        gain = self.p @ x / s
-        memory = np.diag(1.0 - wander * c.forgetting)
-        grows = np.diag(
-            c.growth * np.array([0.0] * LOSS_STATES + [wander] * MAX_DIRECTIONS + [remainder])
-        )
-        left = np.eye(MAX_STATES) - np.outer(gain, x)
-        self.theta = memory @ (self.theta + gain * new)
-        p = left @ self.p @ left.T + r * np.outer(gain, gain)
-        self.p = memory @ p @ memory + grows
-        return new, s
-
-
-@given(seed=st.integers(0, 2**32 - 1))
-def test_it_is_the_kalman_filter_of_full_matrices(seed: int) -> None:
-    draw = np.random.default_rng(seed)
-    constants, state = begun()
-    theirs, before = FullMatrices(constants), 0.0
-    for k, residual in enumerate(draw.standard_normal(60)):
-        if k in (20, 45):  # a loss is confirmed, and another one
-            learn_loss(state, 0.09, 25.0)
-            theirs.learn_loss(0.09, 25.0)
-        state.regressor[:] = x = draw.standard_normal(MAX_STATES)
-        state.extent, state.change, state.remainder = draw.uniform(0.0, 2.0, 3)
-        wander = min(state.change / state.extent, 1.0)
-        expected = theirs.step(x, residual - COLOUR * before, wander, float(state.remainder))
-        before = residual
-        ours = innovation(constants, state, residual)
-        assert (ours, state.variance) == pytest.approx(expected, rel=1e-9, abs=1e-12)
-        np.testing.assert_allclose(state.theta, theirs.theta, atol=1e-9)
-        np.testing.assert_allclose(matrix(state), theirs.p, atol=1e-9)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("precision", ["float64", "float32"])
-@given(seed=st.integers(0, 2**32 - 1), noise=st.sampled_from([1e-18, 1e-8, 1e-2]),
-       moves=st.sampled_from([0.0, 1e-4, 1.0]))  # fmt: skip
-def test_the_variance_of_an_innovation_is_never_below_that_of_the_noise(
-    seed: int, noise: float, moves: float, precision: Precision
-) -> None:
-    """A car that hardly moves shows the same x for ever, of which more and more is known."""
-    draw = np.random.default_rng(seed)
-    constants, state = begun(precision, noise=noise)
-    of_loss = np.array([0.09, 25.0], precision)
-    learn_loss(state, *of_loss)
-    still = 10.0 * draw.standard_normal(MAX_STATES)
-    for _ in range(200):
-        state.regressor[:] = still * (1.0 + moves * draw.standard_normal(MAX_STATES))
-        state.extent, state.change, state.remainder = 1.0, moves, 0.1 * moves
-        innovation(constants, state, state.extent.dtype.type(1e-3 * draw.standard_normal()))
-        assert state.variance >= constants.noise
-        assert (state.covariance.variances >= 0.0).all()
-        assert np.isfinite(state.theta).all()
-
-
-@pytest.mark.parametrize("huge", [1e200, math.inf, math.nan])
-def test_an_overflow_is_forgotten(huge: float) -> None:
-    constants, state = begun()
-    fresh_constants, fresh = begun()
-    learn_loss(state, 0.09, 25.0)
-    for value in (0.1, huge, -huge):
-        state.regressor[:] = value
-        state.extent, state.change, state.remainder = value, value, 0.0
-        innovation(constants, state, value)
-    clear_mismatch(fresh_constants, fresh)
-    assert state.theta.tolist() == [0.0] * MAX_STATES
-    assert state.covariance.variances.tolist() == fresh.covariance.variances.tolist()
-    assert not state.covariance.upper.any()
 
 
 def tables_of(parameters: int, **changes: Any) -> RecordArray:
@@ -153,7 +42,7 @@ def tables_of(parameters: int, **changes: Any) -> RecordArray:
 
 COMMANDS = np.cumsum(np.random.default_rng(4).standard_normal(400))
 MODELLED = signal.sosfilt(zoh(CAR.g1, TICK_S).sos, COMMANDS)
-LOST = np.random.default_rng(5).standard_normal(400)
+LOST, EARLIER = np.random.default_rng(5).standard_normal((2, 400))
 
 
 def differences(parameters: int, u: NDArray[Any] = COMMANDS) -> list[NDArray[Any]]:
@@ -165,18 +54,20 @@ def differences(parameters: int, u: NDArray[Any] = COMMANDS) -> list[NDArray[Any
     ]
 
 
-def predict(table: Record, state: Record, command: float, model: float, lost: float) -> None:
+def predict(
+    table: Record, state: Record, command: float, model: float, lost: float, earlier: float = 0.0
+) -> None:
     """A tick of other cars and of what is made of them."""
     show_other_cars(table, state, command, 0.0)
-    predict_mismatch(table, state, model, lost)
+    predict_mismatch(table, state, model, lost, earlier)
     advance_other_cars(table, state)
 
 
 def predicted(table: Record) -> NDArray[Any]:
     """A row a tick: regressor, extent, M and the remainder's variance."""
     state, rows = controller.init(table)[0], []
-    for command, model, lost in zip(COMMANDS, MODELLED, LOST, strict=True):
-        predict(table, state, command, model, lost)
+    for drive in zip(COMMANDS, MODELLED, LOST, EARLIER, strict=True):
+        predict(table, state, *drive)
         known = state.mismatch
         rows.append([*known.regressor, known.extent, known.change, known.remainder])
     return np.array(rows)
@@ -187,12 +78,12 @@ def whitened(x: NDArray[Any]) -> NDArray[Any]:
 
 
 @pytest.mark.parametrize("parameters", [1, 2, 3, 4])
-def test_x_is_the_lost_w_its_change_the_difference_of_the_cars_and_one_whitened(
+def test_x_is_the_lost_w_what_is_earlier_the_difference_of_the_cars_and_one_whitened(
     parameters: int,
 ) -> None:
     rows = predicted(tables_of(parameters)[0])
     np.testing.assert_allclose(rows[:, 0], whitened(LOST), atol=1e-12)
-    np.testing.assert_allclose(rows[:, 1], whitened(np.diff(LOST, prepend=0.0)), atol=1e-12)
+    np.testing.assert_allclose(rows[:, 1], whitened(EARLIER), atol=1e-12)
     for i, x in enumerate(differences(parameters), start=2):
         np.testing.assert_allclose(rows[:, i], whitened(x), atol=1e-10 * np.abs(x).max())
     np.testing.assert_allclose(rows[:, 2 + parameters], 1.0 - COLOUR)  # of the remainder
@@ -222,6 +113,7 @@ def test_motion_is_measured_against_extent() -> None:
 def test_a_rule_that_is_not_exact_leaves_a_tick_s_change_of_the_model() -> None:
     """Without other cars: the remainder alone, for a rule that lags or leads by up to a tick."""
     exact = predicted(tables_of(0)[0])
+    np.testing.assert_allclose(exact[:, 1], whitened(np.diff(LOST, prepend=0.0)), atol=1e-12)
     assert not exact[:, 2:].any()
     held = predicted(build(DESIGN, Target(TICK_S, 0, "tustin-held", noise_pole=COLOUR)))
     np.testing.assert_allclose(held[:, 2], 1.0 - COLOUR)
@@ -237,6 +129,22 @@ def test_what_is_not_finite_stays_in_no_memory() -> None:
         assert state.mismatch.remainder == 0.0
 
 
+def test_a_new_loss_has_no_past() -> None:
+    """Its w begins at nothing: it is neither whitened nor told to have changed by the last one."""
+    table = tables_of(2)[0]
+    state = controller.init(table)[0]
+    for command, model in zip(COMMANDS[:9], MODELLED, strict=False):
+        predict(table, state, command, model, 0.3)
+        innovation(table.mismatch, state.mismatch, 0.1)
+    before = state.mismatch.copy()
+    learn_loss(state.mismatch, 0.09, 25.0)
+    assert state.mismatch.theta[:2].tolist() == state.mismatch.x[:2].tolist() == [0.0, 0.0]
+    for name in ("theta", "x"):
+        np.testing.assert_array_equal(state.mismatch[name][2:], before[name][2:])
+    predict(table, state, COMMANDS[9], MODELLED[9], 0.7)
+    assert state.mismatch.regressor[:2].tolist() == [0.7, 0.7]
+
+
 STILL = {"forgetting": 0.0, "growth": 0.0, "white": 0.0}
 
 
@@ -250,7 +158,7 @@ def test_theta_finds_the_place_of_a_car(place: tuple[float, float]) -> None:
     for command, model, residual in zip(COMMANDS, MODELLED, residuals, strict=True):
         predict(tables[0], state, command, model, 0.0)
         innovation(tables[0].mismatch, state.mismatch, residual)
-    deviation = np.sqrt(np.diag(matrix(state.mismatch)))[2:4]
+    deviation = np.sqrt(np.diag(covariance_of(state.mismatch)))[2:4]
     assert (np.abs(state.mismatch.theta[2:4] - place) < 4.0 * deviation).all()
     assert deviation.max() < 0.05
 
@@ -292,4 +200,4 @@ def test_a_settled_car_has_not_moved() -> None:
         assert x == pytest.approx((g1.dc_gain * torque - 1.0) / 0.05, rel=1e-9)
     assert known.change == pytest.approx(0.0, abs=1e-9 * known.extent)
     assert known.remainder == pytest.approx(0.0, abs=1e-9 * known.extent)
-    assert np.diag(matrix(known)).tolist() == [0.0, 0.0, 0.36, 0.36, 0.0, 0.0, 0.0]
+    assert np.diag(covariance_of(known)).tolist() == [0.0, 0.0, 0.36, 0.36, 0.0, 0.0, 0.0]

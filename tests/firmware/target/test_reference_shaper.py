@@ -36,7 +36,7 @@ def _follow(table, state, reference, shaped):  # type: ignore[no-untyped-def]
 def follow(reference: np.ndarray, at: float = 0.0, table=TABLE) -> np.ndarray:  # type: ignore[no-untyped-def]
     """r_g of every tick, from rest at ``at``."""
     state = controller.init(table)[0]
-    start(state.reference_shaper, at, 0.0)
+    start(state.reference_shaper, at)
     shaped = np.zeros(len(reference))
     _follow(table, state, np.asarray(reference, dtype=np.float64), shaped)
     return shaped

@@ -24,7 +24,12 @@ from firmware_model.discretisation.tables import SHARE, build
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import zoh
 from firmware_model.target import controller
-from firmware_model.target.fault_decision.sequential_test import lost_share, start_candidate
+from firmware_model.target.fault_decision.sequential_test import (
+    lost_share,
+    start_candidate,
+    update_test,
+)
+from firmware_model.target.filters.biquad import output
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray, RecordArray
 from tests.firmware.target.cases import CAR, TICK_S, changed, other_cars
@@ -201,6 +206,44 @@ def test_a_share_is_none_to_all(correlation: float, information: float, share: f
     test = controller.init(build(DESIGN, target()))[0].sequential_test
     test.correlation, test.information = correlation, information
     assert lost_share(test) == share
+
+
+@pytest.mark.parametrize("latency", [0, 1, 3])
+def test_a_loss_that_is_a_tick_older_adds_the_answer_to_one_command(latency: int) -> None:
+    """The pulse response of G1, by scipy; of a command that is gone the next one stands for it."""
+    start, ticks = 17, 60
+    table = build(DESIGN, target(latency))
+    tables = changed(table, **FOR_EVER)
+    state, commands, answers = controller.init(tables[0])[0], [], []
+    for k in range(ticks):
+        if k == start:
+            start_candidate(tables[0], state)
+        answers.append(output(table.estimator.channel_1, state.sequential_test.earlier, 0.0))
+        controller.step(tables[0], state, math.sin(0.05 * k), 0.0)
+        commands.append(float(state.command_1))
+    pulse = np.zeros(ticks)
+    pulse[start - 1] = commands[start - latency] if latency else commands[start - 1]
+    expected = signal.sosfilt(zoh(CAR.g1, TICK_S).sos, pulse)
+    assert np.abs(expected).max() > 0.0
+    np.testing.assert_allclose(answers[start:], expected[start:], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("evidence", "grown", "again"),
+    [(0.5, 1.0, True), (0.5, 2.0, False), (2.0, 1.0, False), (-2.0, 2.0, True)],
+)
+def test_a_candidate_that_learns_no_more_begins_again(
+    evidence: float, grown: float, again: bool
+) -> None:
+    """At twice its age: without evidence, and with less than half as much information again."""
+    table = build(DESIGN, target())
+    state = controller.init(table)[0]
+    test = state.sequential_test
+    test.age, test.evidence, test.information = 63.0, evidence, 8.0 * grown
+    test.half_age, test.half_information = 32.0, 8.0
+    state.mismatch.variance = NOISE_RMS**2
+    update_test(table, state, 0.0, 0.8)  # nothing acts, so this tick tells nothing
+    assert test.age == (0.0 if again else 64.0)
 
 
 def test_evidence_that_overflowed_begins_again() -> None:

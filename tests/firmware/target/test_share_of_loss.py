@@ -54,7 +54,7 @@ def learn(table: Record, state: Record, residuals: FloatArray, share: float) -> 
             start_candidate(table, state)
         state.command_1 = COMMANDS[k]
         show_other_cars(table, state, state.command_1, state.command_2)
-        predict_mismatch(table, state, MODELLED[k], 0.0)
+        predict_mismatch(table, state, MODELLED[k], 0.0, 0.0)
         update_test(table, state, innovation(table.mismatch, state.mismatch, residual), share)
         advance_candidate(table, state)
         advance_other_cars(table, state)
@@ -95,15 +95,15 @@ def test_a_car_that_is_the_model_is_that_again_once_its_loss_is_confirmed(share:
     recover(table, state)
     assert state.fault_state == FaultState.CLEAR
     np.testing.assert_allclose(state.mismatch.theta, 0.0, atol=1e-6)
-    assert state.mismatch.covariance.variances[:2].tolist() == [0.0, 0.0]
 
 
+@pytest.mark.parametrize("happens", [confirm, recover])
 @pytest.mark.parametrize(
     ("information", "suspect", "variance"),
     [(1e3, 8.0, 9e-3), (1e2, 8.0, 0.09), (20.0, 8.0, 0.09), (0.0, 200.0, 0.045), (0.0, 8.0, 0.09)],
 )
 def test_the_doubt_about_a_loss_is_what_the_evidence_leaves_of_it(
-    information: float, suspect: float, variance: float
+    information: float, suspect: float, variance: float, happens: Any
 ) -> None:
     """9 over Σ f²/S, which is 1 over the variance of the least squares; 0.09 at most.
 
@@ -113,7 +113,7 @@ def test_the_doubt_about_a_loss_is_what_the_evidence_leaves_of_it(
     tables = changed(table, decision={"suspect": suspect})
     state = controller.init(tables[0])[0]
     state.sequential_test.information, state.sequential_test.age = information, 30.0
-    confirm(tables[0], state)
+    happens(tables[0], state)
     assert state.mismatch.covariance.variances[1] == pytest.approx(15.0**2)
     assert state.mismatch.covariance.variances[0] == pytest.approx(variance)
 
@@ -170,17 +170,27 @@ def test_a_known_share_is_none_to_all(share: float, off: float, known: float) ->
 
 @pytest.mark.long
 @pytest.mark.parametrize("latency", [0, 1])
-@pytest.mark.parametrize("rms", [1e-3, 1e-4])
-def test_a_trusted_model_keeps_a_confirmed_loss_for_ever(rms: float, latency: int) -> None:
-    """20 s of a bend, in three drives: what the loss began with fades within the first of them."""
+@pytest.mark.parametrize("rms", [5e-3, 1e-3, 1e-4])
+@pytest.mark.parametrize("road", ["bend", "curves", "turns"])
+def test_a_trusted_model_keeps_a_confirmed_loss_for_ever(
+    road: str, rms: float, latency: int
+) -> None:
+    """20 s in three drives: what was off about the loss's moment stays where the car moves too."""
     ticks, lost = 21_000, 1000
+    at_s = TICK_S * np.arange(ticks)
+    reference = {
+        "bend": np.ones(ticks),
+        "curves": np.sin(2.0 * at_s + 0.5),
+        "turns": np.where(at_s % 7.0 < 3.0, 1.0, -0.5),
+    }[road]
     left = np.ones((ticks, 2))
     left[lost:, 0] = 0.0
     of = Target(TICK_S, latency, "zoh", noise_rms=rms, on_confirmation=True)
     for seed in (8, 9, 10):
         noise = rms * np.random.default_rng(seed).standard_normal(ticks)
-        trace = simulate(build(DESIGN, of), PLANT, np.ones(ticks), effectiveness=left, noise=noise)
+        trace = simulate(build(DESIGN, of), PLANT, reference, effectiveness=left, noise=noise)
         first = int(np.argmax(trace.fault_state == FaultState.CONFIRMED))
         assert lost < first < lost + 100
         assert (trace.fault_state[first:] == FaultState.CONFIRMED).all()
-        assert np.abs(trace.error[-2000:]).max() < 1e-3
+        if road == "bend":
+            assert np.abs(trace.error[-2000:]).max() < max(1e-3, 2.0 * rms)

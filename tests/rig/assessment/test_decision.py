@@ -100,3 +100,21 @@ def test_the_words_say_the_box() -> None:
     assert lines[1] == "other cars: within ±20% of the model are not taken for a loss"
     none = list(figures(load("thesis-step")).describe(load("thesis-step").budget))
     assert "none: budget.box says by how much" in none[1]
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("left", [0.5, 0.7])
+def test_the_return_of_a_part_is_seen_in_a_bend_in_which_nothing_new_was_learnt(
+    left: float,
+) -> None:
+    """Whatever the noise: the candidate that runs when the channel returns is of that time."""
+    words = [f"fault.left={left}", "fault.at_s=4.7", "fault.for_s=4", "duration_s=10"]
+    scenario = load("default", words)
+    network = network_of(scenario)
+    back, found = 8700, 0
+    for seed in range(6):
+        trace = frameless(replace(scenario, seed=seed), network)
+        confirmed = trace.fault_state == FaultState.CONFIRMED
+        found += int(confirmed[back])
+        assert not confirmed[back + 300 :].any()
+    assert found >= 3  # 30 % is so little that a loss of it may be another car

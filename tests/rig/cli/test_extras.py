@@ -38,6 +38,7 @@ def rig_without(packages: list[str], *words: str) -> subprocess.CompletedProcess
         (LOGS, ["decode", "a.log", "--out", "x"], "pyarrow is not installed"),
         (LOGS, ["decode", "a.log", "--out", "x.mf4"], "asammdf is not installed"),
         (LOGS, ["convert", "a.log", "x.mf4"], "asammdf is not installed"),
+        (["mcap"], ["decode", "a.log", "--out", "x.mcap"], "mcap is not installed"),
         (["control"], ["figures"], "control is not installed"),
     ],
 )  # fmt: skip
@@ -46,7 +47,7 @@ def test_one_line_names_the_extra(
 ) -> None:
     (tmp_path / "a.log").write_text("(0.000000) can0 101#0011223344556677\n")
     (tmp_path / "a.mf4").write_bytes(b"MDF     4.10    ")
-    extra = "figures" if packages == ["control"] else "logs"
+    extra = {"control": "figures", "mcap": "mcap"}.get(packages[0], "logs")
     done = rig_without(packages, *words)
     assert done.returncode == 2
     install = f"pip install 'fault-tolerant-steering[{extra}]'"

@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from can_rig.decoding.database import load_database
-from can_rig.decoding.database_decoder import group_key
 from can_rig.decoding.decode import Decoder
+from can_rig.decoding.j1939 import group_key
 from can_rig.errors import DbcError
 from can_rig.logs.frames import from_messages
 from tests.helpers import asked

@@ -108,3 +108,39 @@ PEAK = """\
      3)      1283.2  Warng  FFFFFFFF  4  00 00 00 04 -- -- -- -- BUSLIGHT
      4)      1298.9  Rx         0400  2  RTR
 """
+GVRET = """\
+Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8
+39747828,000005EB,false,Rx,0,8,E8,45,85,4B,4A,28,36,69,
+39747900,18FEF100,true,Tx,1,3,01,02,03,00,00,00,00,00,
+39748000,00000800,false,Rx,0,0,00,00,00,00,00,00,00,00,
+"""
+_SESSION = """\
+***BUSMASTER Ver 2.0.0***
+***PROTOCOL CAN***
+***NOTE: PLEASE DO NOT EDIT THIS DOCUMENT***
+***[START LOGGING SESSION]***
+***START DATE AND TIME {date} 14:19:9:538***
+***{base}***
+***{mode} MODE***
+***START CHANNEL BAUD RATE***
+***CHANNEL 1 - Kvaser - Virtual #0 (Channel 0), Serial Number- 0, Firmware- 0x0 0x0 - 500000 bps***
+***END CHANNEL BAUD RATE***
+***<Time><Tx/Rx><Channel><CAN ID><Type><DLC><DataBytes>***
+{frames}
+***END DATE AND TIME {date} 14:19:24:103***
+***[STOP LOGGING SESSION]***
+"""
+BUSMASTER_HEX = """\
+14:19:11:4184 Tx 1 0x099 s 8 00 01 02 03 04 05 06 FF 
+14:19:11:4174 Rx 2 0x18FEF100 x 2 0A 0B 
+14:19:11:4190 Rx 2 0x100 sr 8 
+14:19:11:419 Rx 2 100 xr 0 
+"""  # noqa: W291 (as BUSMASTER writes it)
+BUSMASTER_DEC = "00:00:01:0000 Rx 1 0255 s 3 000 255 016 "
+
+
+def busmaster(
+    base: str = "HEX", mode: str = "SYSTEM", frames: str = BUSMASTER_HEX, day: int = 20
+) -> str:
+    """A session as BUSMASTER records it."""
+    return _SESSION.format(base=base, mode=mode, frames=frames, date=f"{day}:11:2013")

@@ -24,7 +24,7 @@ from can_rig.logs.frames import (
     concatenate,
     from_messages,
 )
-from can_rig.logs.readers.text import candump_lines
+from can_rig.logs.readers.text.formats import candump_lines
 from can_rig.logs.reading import read_log
 from can_rig.logs.writers.candump import candump_lines as lines_of
 from tests.rig.logs.candump_samples import DIRECTED, GOOD, rows, whole, written
@@ -145,5 +145,5 @@ def test_the_compiled_lines_are_those_that_run_interpreted(tmp_path: Path, monke
     for name, value in vars(candump_lines).items():
         if hasattr(value, "py_func"):
             monkeypatch.setattr(candump_lines, name, value.py_func)
-    monkeypatch.setattr("can_rig.logs.readers.text.candump.parse", candump_lines.parse)
+    monkeypatch.setattr("can_rig.logs.readers.text.formats.candump.parse", candump_lines.parse)
     assert rows(whole(tmp_path / "a.log")) == compiled

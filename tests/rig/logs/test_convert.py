@@ -8,13 +8,23 @@ from pathlib import Path
 import pytest
 
 from can_rig.errors import LogError
-from can_rig.logs.formats import format_in
+from can_rig.logs.formats import BUSMASTER, format_in
 from can_rig.logs.frames import concatenate
 from can_rig.logs.log import Window
 from can_rig.logs.reading import read_log
 from tests.helpers import asked
 from tests.rig.logs.candump_samples import rows, whole, written
-from tests.rig.logs.samples import CANOE, LOG2ASC, PEAK, by_python_can, content, kinds, plain
+from tests.rig.logs.samples import (
+    CANOE,
+    GVRET,
+    LOG2ASC,
+    PEAK,
+    busmaster,
+    by_python_can,
+    content,
+    kinds,
+    plain,
+)
 
 LOG = "".join(f"({at // 10}.{at % 10}00000) can{at % 2} 123#{at:02X}\n" for at in range(100))
 
@@ -53,6 +63,8 @@ def test_a_part_of_the_recording(tmp_path: Path) -> None:
         (LOG2ASC, ".asc"),
         (CANOE, ".asc"),
         (PEAK, ".trc"),
+        (GVRET, ".csv"),
+        (busmaster(), BUSMASTER),
     ],
 )
 @pytest.mark.parametrize("name", ["a.log", "a.mf4", "a.txt", "a"])

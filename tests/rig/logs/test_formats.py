@@ -39,9 +39,10 @@ def test_every_kind_of_frame(tmp_path: Path, suffix: str) -> None:
     assert content(concatenate(log)) == content(from_messages(kinds()))
 
 
-@pytest.mark.parametrize("suffix", [".asc", ".trc"])
+@pytest.mark.parametrize("suffix", [".asc", ".trc", ".csv"])
 def test_compressed_text(tmp_path: Path, suffix: str) -> None:
-    path = by_python_can(tmp_path / f"a{suffix}", plain(50))
+    path = tmp_path / f"a{suffix}"
+    write_log(read_log(by_python_can(tmp_path / "a.log", plain(50))), path)
     (tmp_path / f"a{suffix}.gz").write_bytes(gzip.compress(path.read_bytes()))
     unpacked, packed = read_log(path), read_log(tmp_path / f"a{suffix}.gz")
     assert content(concatenate(packed)) == content(concatenate(unpacked))

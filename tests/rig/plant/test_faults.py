@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
 from can_rig.frames.endpoints import Receiver, Transmitter
-from can_rig.plant.faults import ActuatorFault, FrameFault
+from can_rig.plant.faults import ActuatorFault, FrameFault, SensorFault, bias, effectiveness
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import continuous_plant, network_of
 from can_rig.thesis.continuous import solve
@@ -37,6 +37,22 @@ def test_a_dead_actuator_is_dead_in_its_window_and_the_other_lives(channel):
     dead = (0.0, 1.0) if channel == "torque" else (1.0, 0.0)
     for tick in range(12):
         assert fault.effectiveness(tick) == (dead if tick in WINDOW else (1.0, 1.0))
+
+
+@pytest.mark.parametrize("kind", ["actuator-dead", "sensor-biased", "frames-missing", "none"])
+@given(
+    at=st.floats(0.0, 0.06),
+    lasts=st.none() | st.floats(1e-4, 0.05),
+    tick_s=st.sampled_from([0.001, 0.0004, 0.0033]),
+)
+def test_all_ticks_at_once_are_those_one_by_one(kind, at, lasts, tick_s):
+    settings = [f"fault.at_s={at!r}", f"fault.for_s={lasts!r}"][: 1 if lasts is None else 2]
+    settings += [f"tick_s={tick_s}", "duration_s=0.05", f"fault.kind={kind}"]
+    scenario = load("thesis-step", settings)
+    actuator, sensor = ActuatorFault(scenario), SensorFault(scenario)
+    ticks = range(scenario.ticks)
+    assert effectiveness(scenario).tolist() == [list(actuator.effectiveness(k)) for k in ticks]
+    assert bias(scenario).tolist() == [sensor.bias(k) for k in ticks]
 
 
 @pytest.mark.parametrize("channel", CHANNELS)

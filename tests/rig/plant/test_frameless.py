@@ -4,8 +4,9 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.plant.frameless import arrivals, frameless
-from can_rig.plant.sensor import noise
+from can_rig.plant.delivery import delivery
+from can_rig.plant.frameless import frameless
+from can_rig.plant.sensor import SensorNoise, noise
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from firmware_model.target.status import Mode
@@ -50,7 +51,7 @@ def compared(tmp_path, name, *settings):
         "mode": (signals.mode, trace.mode),
         "fault state": (signals.fault_state, trace.fault_state),
     }
-    arrives = arrivals(scenario, network)
+    arrives = delivery(scenario, network).used
     for at, command in enumerate(("torque", "force")):
         there = np.isfinite(pairs[command][0])
         assert there[arrives[:, at]].all()  # every one that acted is in the log
@@ -95,9 +96,17 @@ def test_noise_is_drawn_in_units_of_its_rms():
     assert noise(silent).shape == noise(loud).shape == (loud.ticks,)
 
 
+@pytest.mark.parametrize("corner_hz", [None, 40.0])
+def test_noise_of_a_run_is_drawn_as_tick_by_tick(corner_hz):
+    filtered = [] if corner_hz is None else [f"plant.sensor.corner_hz={corner_hz}"]
+    scenario = load("noisy", ["duration_s=0.3", "seed=5", "design.tau_q_s=0.02", *filtered])
+    drawn = SensorNoise(scenario)
+    assert noise(scenario).tolist() == [drawn.next() for _ in range(scenario.ticks)]
+
+
 def test_both_commands_of_every_tick_arrive_or_not():
     scenario = load("thesis-step", ["fault.kind=frames-missing", "fault.channel=force-difference"])
-    arrives = arrivals(scenario, network_of(scenario))
+    arrives = delivery(scenario, network_of(scenario)).used
     assert arrives.shape == (scenario.ticks, 2)
     assert arrives[:, 0].all()
     assert not arrives[:, 1].all()

@@ -10,6 +10,7 @@ from pathlib import Path
 from can import Message
 
 from can_rig.assessment.resolve import load
+from can_rig.frames.endpoints import Transmitter
 from can_rig.logs.frames import from_messages
 from can_rig.replay.gaps import Gap
 from can_rig.replay.replay import OpenLoop
@@ -107,6 +108,19 @@ def mangled(
                 out.append(held)
                 held = None
     return out, wrong
+
+
+def off_by_one_bit(frames: list[Message], tick: int, role: int) -> list[Message]:
+    """The log with the last bit of one answer changed, in a frame that is intact."""
+    codec, at = list(NETWORK)[role], ALL * tick + role
+    record = codec.decode(frames[at].data)
+    sender = Transmitter(codec)
+    for _ in range(tick):  # so that its alive counter is right
+        sender.frame(0.0, 0)
+    near = sender.frame(record.value + codec.lsb, tick, record.mode, record.fault_state)
+    assert near.data[2:4] == frames[at].data[2:4]
+    near.timestamp = frames[at].timestamp
+    return [*frames[:at], near, *frames[at + 1 :]]
 
 
 def write_log_of(frames: list[Message], path: Path) -> None:

@@ -12,7 +12,6 @@ from can import Message
 
 from can_rig.assessment.resolve import load, load_run
 from can_rig.errors import LogError
-from can_rig.frames.endpoints import Transmitter
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import write_log
 from can_rig.replay.gaps import Gap
@@ -28,6 +27,7 @@ from tests.rig.replay.drive import (
     listed,
     logged,
     mangled,
+    off_by_one_bit,
     replay,
     write_log_of,
 )
@@ -94,22 +94,11 @@ def test_one_changed_key_names_the_first_tick_and_the_largest_difference(
 @pytest.mark.parametrize("role", [2, 3, 4])
 def test_the_last_bit_of_one_answer_is_found(frames: list[Message], role: int) -> None:
     tick = 211
-    changed = list(frames)
-    codec = list(NETWORK)[role]
-    sender = Transmitter(codec)
-    at = ALL * tick + role
-    record_ = codec.decode(frames[at].data)
-    for _ in range(tick):  # so that its alive counter is right
-        sender.frame(0.0, 0)
-    near = sender.frame(record_.value + codec.lsb, tick, record_.mode, record_.fault_state)
-    assert near.data[2:4] == frames[at].data[2:4]
-    near.timestamp = frames[at].timestamp
-    changed[at] = near
-    loop, gaps = replay(changed)
+    loop, gaps = replay(off_by_one_bit(frames, tick, role))
     assert not gaps
     (signal,) = (signal for signal in loop.comparison.signals if signal.different)
     assert (signal.message, signal.different, signal.first.tick) == (NAMES[role], 1, tick)
-    assert signal.largest == pytest.approx(codec.lsb)
+    assert signal.largest == pytest.approx(list(NETWORK)[role].lsb)
 
 
 def test_a_log_cut_off_within_a_tick(frames: list[Message]) -> None:

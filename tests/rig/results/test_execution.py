@@ -17,7 +17,7 @@ from matplotlib.figure import Figure
 
 from can_rig.assessment.resolve import load
 from can_rig.errors import INTERRUPTED, RigError, RunFolderError, SilentNodeError
-from can_rig.nodes.runner import NodeSummary
+from can_rig.nodes.summary import NodeSummary
 from can_rig.nodes.watchdog import StopRequest
 from can_rig.results import execution
 from can_rig.results.execution import execute
@@ -187,14 +187,14 @@ def test_a_what_if_whose_plant_fails_leaves_a_complete_folder(there: Path, tmp_p
 def test_a_what_if_has_its_bus_events_and_a_reference_that_can_be_read_again(
     there: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = execution.run_in_process
+    run = execution.run_without_bus
 
     def eventful(*arguments: Any) -> NodeSummary:
         summary = run(*arguments)
         summary.bus_events = {"plant": {"no buffer space": 2}}
         return summary
 
-    monkeypatch.setattr(execution, "run_in_process", eventful)
+    monkeypatch.setattr(execution, "run_without_bus", eventful)
     log = tmp_path / "source.log"
     shutil.copy(there / "bus.log", log)
     done = what_if(log, there, "--force")

@@ -26,6 +26,7 @@ def test_windows_of_a_lasting_fault() -> None:
     assert spans(load("thesis-step", ["tick_s=0.01"])) == {
         "before": (0.0, 9.99),
         "after": (10.0, 19.99),
+        "active": (10.0, 19.99),
         "lost": (10.0, 19.99),
         "settled_before": (7.99, 9.99),
         "settled_after": (17.99, 19.99),

@@ -23,7 +23,7 @@ LINES = {
     "design.tau_s=-1": "design.tau_s = -1: must be greater than 0",
     "design.alpha=9": "design.alpha = 9: must be at most 8",
     "design.estimator=euler": "design.estimator = 'euler': "
-    "must be 'tustin', 'tustin-held' or 'zoh'",
+    "must be 'tustin', 'tustin-held', 'zoh' or 'kalman'",
     "plant.mass_kg=1e-300": "plant.mass_kg = 1e-300: must be at least 10",
     "plant.mass_kg=heavy": "plant.mass_kg = 'heavy': must be a valid number",
     "plant.speed_mps=1e6": "plant.speed_mps = 1000000.0: must be at most 200",

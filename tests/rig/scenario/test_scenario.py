@@ -38,7 +38,7 @@ OTHER = {
     "plant.lateral_weight": 0.4, "plant.kind": "chapter-2", "plant.variant": "published",
     "plant.friction": 0.5,
     "design.tau_s": 0.002, "design.alpha": 2, "design.tau_q_s": 0.002, "design.alpha_q": 3,
-    "design.estimator": "zoh", "design.compensation": "off",
+    "design.estimator": "zoh", "design.share_drift": 0.5, "design.compensation": "off",
     "design.probe_nm": 1.0, "design.probe_rad_per_s": 30.0,
     "budget.box": 0.1, "budget.actuator_box": 0.3, "budget.false_alarms_per_hour": 1.0,
     "budget.suspicions_per_hour": 60.0,

@@ -44,6 +44,9 @@ def test_the_same_run_twice_is_the_same(runs: Path) -> None:
     log = asked("diff", runs / "a", runs / "a" / "bus.log", "--scenario", "thesis-sine", "--json")
     assert log.returncode == 0, log.stderr
     assert json.loads(log.stdout)["rows"] == 300
+    assert asked("convert", runs / "a" / "bus.log", "bus.csv").returncode == 0
+    log = asked("diff", runs / "a", "bus.csv", "--scenario", "thesis-sine", "--json")
+    assert json.loads(log.stdout)["rows"] == 300  # a log, though signals.csv is another .csv
 
 
 def test_a_later_fault_parts_them_at_the_fault(runs: Path) -> None:

@@ -1,5 +1,5 @@
-"""Text logs: their bytes in blocks, their lines, and a compiled parser for each format.
+"""Text logs: their bytes in blocks, their lines, and what the compiled parsers share.
 
-`blocks` reads and unpacks, `lines` feeds whole lines to a parser, `scanning` holds what the parsers
-share; each format is a module with its header and a module with its compiled lines.
+`blocks` reads and unpacks, `lines` feeds whole lines to a parser, `headed` adds a start to their
+times, `scanning` reads words and numbers; the formats themselves are in `formats`.
 """

@@ -12,7 +12,8 @@ from can_rig.logs.frames import REMOTE, Frames
 from can_rig.logs.readers.numbering import numbered
 from can_rig.logs.readers.text.lines import LineReader
 
-_LAST_NS: Final = (1 << 63) - 1
+LAST_NS: Final = (1 << 63) - 1
+"""In the year 2262."""
 _WHOLE: Final = re.compile(rb"(\s|\s[0-9A-Fa-f]{2})\Z")
 
 
@@ -32,7 +33,7 @@ class HeadedReader(LineReader):
         """
         for frames in self.read():
             last_ns = int(frames.time_ns.max())
-            if last_ns > _LAST_NS - self.log.start_ns:
+            if last_ns > LAST_NS - self.log.start_ns:
                 raise LogError(
                     f"{self.log.path}: a time stamp of {last_ns / 1e9:.3g} s after the start; "
                     "it must be before the year 2262"

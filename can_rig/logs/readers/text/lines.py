@@ -12,7 +12,7 @@ from can_rig.errors import LogError
 from can_rig.logs.frames import CLASSIC_BYTES, FD_BYTES, Frames, UInt8s
 from can_rig.logs.log import Log
 from can_rig.logs.readers.text.blocks import blocks
-from can_rig.logs.readers.text.scanning import BAD_LINE, NEW_CHANNEL, WIDER
+from can_rig.logs.readers.text.scanning import BAD_LINE, HEADING, NEW_CHANNEL, WIDER
 
 _MAX_LINE_BYTES: Final = 1 << 16
 _SHORTEST_FRAME: Final = len(b"(0) c 1#\n")
@@ -54,6 +54,9 @@ class LineReader:
 
     def add_channel(self, line: bytes) -> None:
         """Make a bus known that the parser did not know: the one of this line."""
+
+    def heading(self, line: bytes) -> None:
+        """Make use of a line that says how those after it are read."""
 
     def ended(self, line: bytes, frame: Frames) -> bool:
         """Whether nothing is missing of a last line without its newline."""
@@ -104,6 +107,11 @@ class LineReader:
                 self.refuse(text[at : text.index(b"\n", at)])
             if why == NEW_CHANNEL:
                 self.add_channel(text[at : text.index(b"\n", at)])
+            if why == HEADING:
+                end = text.index(b"\n", at)
+                self.heading(text[at:end].strip())
+                self._lines += 1
+                at = end + 1
             if why == WIDER:
                 self._width = FD_BYTES
         *before, last = text[-_END_BYTES:].rstrip().splitlines() or [b""]

@@ -21,6 +21,8 @@ NEW_CHANNEL: Final = 2
 """The next line names a bus that is not known yet."""
 WIDER: Final = 3
 """The next line has a payload that is longer than the rows of ``data``."""
+HEADING: Final = 4
+"""The next line is no frame, but says how those after it are read."""
 
 DECIMAL: Final = 10
 HEXADECIMAL: Final = 16

@@ -12,7 +12,7 @@ from can_rig.errors import LogError
 from can_rig.logs.frames import CLASSIC_BYTES, FD, FD_BYTES, Frames, UInt8s
 from can_rig.logs.log import Log
 from can_rig.logs.readers.numbering import MAX_CHANNELS
-from can_rig.logs.readers.text.candump_lines import parse
+from can_rig.logs.readers.text.formats.candump_lines import parse
 from can_rig.logs.readers.text.lines import LineReader, word
 
 _DIRECTION: Final = re.compile(rb"[ \t][RrTt][ \t\r]*$")  # nothing follows it

@@ -11,7 +11,7 @@ from can.io import ASCReader
 from can_rig.errors import LogError
 from can_rig.logs.frames import Frames, UInt8s
 from can_rig.logs.log import Log
-from can_rig.logs.readers.text.asc_lines import parse
+from can_rig.logs.readers.text.formats.asc_lines import parse
 from can_rig.logs.readers.text.headed import HeadedReader
 from can_rig.logs.readers.text.scanning import DECIMAL, HEXADECIMAL
 

@@ -12,8 +12,8 @@ import numpy as np
 from can_rig.errors import LogError
 from can_rig.logs.frames import REMOTE, Frames, UInt8s
 from can_rig.logs.log import Log
+from can_rig.logs.readers.text.formats.trc_lines import parse
 from can_rig.logs.readers.text.headed import HeadedReader
-from can_rig.logs.readers.text.trc_lines import parse
 
 _COLUMNS: Final = {
     "1.0": "nOILD",

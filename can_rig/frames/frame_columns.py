@@ -1,0 +1,61 @@
+"""One frame of the DBC for every tick of a run: what `codec` and `protection` make of one."""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from can_rig.frames.codec import MessageCodec
+from can_rig.frames.crc_columns import UInt8s, crcs
+from can_rig.frames.layout import NOT_AVAILABLE
+from can_rig.frames.protection import COUNTERS, FRAME_BYTES
+from can_rig.frames.wire_tick import WIRE_TICKS
+from firmware_model.target.structs import FloatArray
+
+Ints = NDArray[np.int64]
+
+
+def payloads(
+    codec: MessageCodec,
+    values: FloatArray,
+    first_tick: int,
+    mode: Ints | None = None,
+    fault_state: Ints | None = None,
+) -> UInt8s:
+    """(n, 8), what a `Transmitter` that has sent a frame in every tick from 0 on sends next.
+
+    Args:
+        codec: the frame.
+        values: (n,), in the unit of the DBC; see `MessageCodec.encode`.
+        first_tick: that of the first value.
+        mode: (n,), of the status frame.
+        fault_state: (n,), likewise.
+    """
+    ticks = first_tick + np.arange(len(values), dtype=np.int64)
+    bits = ticks % COUNTERS
+    if mode is not None and fault_state is not None:
+        bits |= mode << codec.mode_shift | fault_state << codec.fault_state_shift
+    data = np.zeros((len(values), FRAME_BYTES), dtype=np.uint8)
+    data[:, 1] = bits
+    data[:, 2:4] = (ticks % WIRE_TICKS).astype("<u2")[:, np.newaxis].view(np.uint8)
+    data[:, 4:8] = raw_values(codec, values).astype("<i4")[:, np.newaxis].view(np.uint8)
+    data[:, 0] = crcs(data, codec.data_id)
+    return data
+
+
+def raw_values(codec: MessageCodec, values: FloatArray) -> Ints:
+    """(n,) raw values; see `MessageCodec.to_raw`."""
+    known = np.nan_to_num(values, nan=0.0, posinf=codec.maximum, neginf=codec.minimum)
+    within = np.clip(known, codec.minimum, codec.maximum)
+    raw: Ints = np.rint(within / codec.lsb).astype(np.int64)
+    raw[values >= codec.maximum] = codec.raw_maximum
+    raw[values <= codec.minimum] = codec.raw_minimum
+    raw[np.isnan(values)] = NOT_AVAILABLE
+    return raw
+
+
+def quantised(codec: MessageCodec, values: FloatArray) -> FloatArray:
+    """(n,) ``values`` as a receiver gets them; see `MessageCodec.quantise`."""
+    received = raw_values(codec, values).astype(np.float64) * codec.lsb
+    received[np.isnan(values)] = np.nan
+    return received

@@ -1,0 +1,46 @@
+"""What a node says when it ends."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from can_rig.plant.delivery import Delivery
+from firmware_model.analysis.simulation import Trace
+from firmware_model.target.structs import FloatArray
+
+
+@dataclass(frozen=True)
+class RunColumns:
+    """What a run without a bus carried, for whoever need not read it from its log.
+
+    Attributes:
+        ticks: how many of the trace were done.
+        trace: the loop's signals.
+        delivery: what became of the commands.
+        plant: what the plant reported, by name; None: read it from the file beside the log.
+    """
+
+    ticks: int
+    trace: Trace
+    delivery: Delivery
+    plant: dict[str, FloatArray] | None
+
+
+@dataclass
+class NodeSummary:
+    """What a node says when it ends."""
+
+    ticks: int
+    """The tick that it has reached: all of them, unless it was started later or stopped."""
+    wall_s: float
+    rejected_frames: dict[str, dict[str, int]]
+    """Of each message, how many were not used, by reason."""
+    bus_events: dict[str, dict[str, int]]
+    """Of each node, what its bus refused, failed or dropped, and how often; only what occurred."""
+    realtime: dict[str, Any] | None = None
+    """How deadlines were met and what the system permitted; None in lockstep."""
+    columns: RunColumns | None = None
+    """What was carried, where it was no bus."""
+    ticks_per_s: float = 0.0
+    """From its own first tick on, whichever that was."""

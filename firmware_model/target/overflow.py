@@ -1,0 +1,65 @@
+"""What an overflow leaves of the memories: a number that is lost must not stay lost."""
+
+from __future__ import annotations
+
+import math
+
+from firmware_model.compiled import firmware
+from firmware_model.target.fault_decision.bumpless_transfer import release
+from firmware_model.target.fault_decision.decision import CLEAR, compensated_output
+from firmware_model.target.fault_decision.loss_model import clear_loss_model
+from firmware_model.target.fault_decision.mismatch import clear_mismatch
+from firmware_model.target.fault_decision.other_cars import clear_other_cars, show_other_cars
+from firmware_model.target.fault_decision.sequential_test import start_candidate
+from firmware_model.target.filters.biquad import output
+from firmware_model.target.filters.estimator import clear_estimator, model_output
+from firmware_model.target.filters.tracking import missing_output
+from firmware_model.target.precision import real
+from firmware_model.target.reference_shaper import start
+from firmware_model.target.structs import Record
+
+
+@firmware
+def clear_memories(table: Record, state: Record) -> None:
+    """What the measurement feeds begins anew; what follows the commands goes on if it still can.
+
+    So a loss that is known stays known.
+    """
+    state.probe.tick = 0
+    state.tracking.filter.accumulators[:] = 0.0
+    state.estimator.one_plus_q.accumulators[:] = 0.0
+    if not table.compensator.on_confirmation:
+        state.compensator.filter.accumulators[:] = 0.0
+    clear_mismatch(table.mismatch, state.mismatch)
+    if not math.isfinite(sum_of_models(table, state)):
+        clear_models(state)
+    start_candidate(table, state)
+
+
+@firmware
+def sum_of_models(table: Record, state: Record) -> float:
+    """Of all that follows the commands: not finite where one of them is lost."""
+    zero = real(0.0, state.command_1)
+    model_1, model_2 = model_output(table.estimator, state.estimator, zero, zero)
+    known = model_1 + model_2 + compensated_output(table, state) + missing_output(table, state)
+    show_other_cars(table, state, zero, zero)
+    for i in range(table.other_cars.n):
+        known += state.other_cars.shown[i]
+    force = output(table.compensator.filter, state.compensator.filter, zero)
+    total: float = known + force + state.reference_shaper.shaped
+    return total
+
+
+@firmware
+def clear_models(state: Record) -> None:
+    """Nothing is known of the plant: it is at rest, and nothing is lost."""
+    start(state.reference_shaper, real(0.0, state.command_1))
+    state.tracking.shortfall.accumulators[:] = 0.0
+    state.tracking.delay[:] = 0.0
+    state.actuator_1.rounded_off = state.actuator_2.rounded_off = 0.0
+    state.compensator.filter.accumulators[:] = 0.0
+    clear_estimator(state.estimator)
+    clear_loss_model(state)
+    clear_other_cars(state)
+    release(state.bumpless_transfer)
+    state.fault_state = CLEAR

@@ -1,0 +1,151 @@
+"""A run without a bus leaves what both nodes leave on one, byte for byte."""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from can_rig.assessment.resolve import load
+from can_rig.errors import RigError
+from can_rig.frames.endpoints import Transmitter
+from can_rig.frames.frame_columns import payloads, quantised
+from can_rig.frames.protection import COUNTERS
+from can_rig.logs.reading import read_log
+from can_rig.logs.writers.candump import candump_lines
+from can_rig.nodes.lockstep import without_bus
+from can_rig.nodes.lockstep.without_bus import run_without_bus
+from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.watchdog import StopRequest
+from can_rig.results.execution import NO_BUS, execute
+from can_rig.scenario.build import network_of
+from can_rig.scenario.catalogue import shipped
+from can_rig.scenario.settings import Scenario
+
+DRIVES = Path(__file__).parents[2] / "drives"
+RECORDED: dict[str, dict[str, Any]] = tomllib.loads((DRIVES / "drives.toml").read_text("utf-8"))
+NETWORK = network_of(load("default"))
+SHORT = ["duration_s=0.5", "fault.at_s=0.3"]
+NONLINEAR = "plant.kind=can_rig.plant.nonlinear_car:NonlinearCar"
+CASES = [
+    *((name, SHORT) for name in shipped() if not name.startswith("chassis")),
+    *((name, ["duration_s=3", "fault.at_s=1.5"]) for name in ("chassis-can", "chassis-can-coarse")),
+    ("default", [*SHORT, "fault.kind=frames-missing", "fault.for_s=0.015"]),
+    ("default", [*SHORT, "fault.kind=frames-corrupted", "fault.channel=force-difference"]),
+    ("noisy", [*SHORT, "fault.kind=frames-corrupted", "fault.for_s=0.06", "actuator.hold_s=0.005"]),
+    ("default", [*SHORT, "fault.kind=sensor-biased", "fault.for_s=0.1", "seed=7"]),
+    ("thesis-step", [*SHORT, "reference.amplitude_mps2=21", "fault.kind=none"]),
+    ("default", [*SHORT, NONLINEAR]),
+    ("default", [*SHORT, "plant.torque_actuator.dead_time_s=0.0015", "latency_ticks=2",
+                 "plant.torque_actuator.limit_nm=50", "plant.sensor.dead_time_s=0.0012"]),
+    ("thesis-step", ["tick_s=0.0004", "duration_s=2e-3", "fault.kind=none"]),
+    ("ideal", ["duration_s=0.001", "fault.kind=none"]),
+]  # fmt: skip
+FAILING = """
+class Failing:
+    def __init__(self, settings): self.reset()
+    def reset(self): self.calls = 0
+    def advance(self, dt_s, torque_nm, force_difference_n):
+        self.calls += 1
+        if self.calls > 150: raise RuntimeError("stuck")
+        return 1e-4 * self.calls
+    def signals(self): return {"calls": self.calls}
+"""
+TIMES = ("bus", "wall_s", "ticks_per_s", "real_time_factor")
+
+
+@pytest.fixture(autouse=True)
+def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(without_bus, "BLOCK_TICKS", 97)
+
+
+def folders(scenario: Scenario, where: Path) -> Iterator[dict[str, Any]]:
+    """Every file of a run without a bus, and of one on a bus."""
+    for name, bus in (("without", None), ("with", "virtual:compared")):
+        done = execute(scenario, where / name, StopRequest(), bus=bus, report=False)
+        assert done is not None
+        assert (done.outcome.bus == NO_BUS) == (bus is None)
+        files: dict[str, Any] = {file.name: file.read_bytes() for file in done.folder.iterdir()}
+        summary = json.loads(files.pop("run.json"))
+        yield {**files, **{key: value for key, value in summary.items() if key not in TIMES}}
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"), CASES, ids=[f"{name} {' '.join(s)}" for name, s in CASES]
+)
+def test_the_folder_is_that_of_both_nodes(name: str, settings: list[str], tmp_path: Path) -> None:
+    without, on_a_bus = folders(load(name, settings), tmp_path)
+    assert without.keys() == on_a_bus.keys()
+    assert {key for key in without if without[key] != on_a_bus[key]} == set()
+
+
+@pytest.mark.parametrize("name", RECORDED)
+def test_the_log_is_the_recorded_drive(name: str, tmp_path: Path) -> None:
+    log = tmp_path / "bus.log"
+    scenario = load(RECORDED[name]["scenario"], RECORDED[name]["set"])
+    run_without_bus(scenario, log, StopRequest(), lambda tick: None)
+    ours, recorded = (
+        [line for frames in read_log(path) for line in candump_lines(frames)]
+        for path in (log, DRIVES / f"{name}.log.gz")
+    )
+    assert ours == recorded
+
+
+def test_a_plant_that_fails_leaves_what_was_sent_by_then(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    (tmp_path / "car_that_gets_stuck.py").write_text(FAILING)
+    monkeypatch.chdir(tmp_path)
+    scenario = load("default", ["plant.kind=car_that_gets_stuck:Failing", "duration_s=0.3"])
+    logs, reasons = [tmp_path / "a.log", tmp_path / "b.log"], []
+    with pytest.raises(RigError, match="stuck") as reason:
+        run_without_bus(scenario, logs[0], StopRequest(), lambda tick: None)
+    reasons.append(str(reason.value))
+    with pytest.raises(RigError, match="stuck") as reason:
+        run_in_process(scenario, "virtual:failing", logs[1], StopRequest(), lambda tick: None)
+    reasons.append(str(reason.value))
+    assert reasons[0] == reasons[1]
+    for suffix in (".log", ".plant.csv"):
+        ours, theirs = (log.with_suffix(suffix).read_bytes() for log in logs)
+        assert ours == theirs
+        assert ours.count(b"\n") > 50
+
+
+def test_a_stop_leaves_whole_ticks(tmp_path: Path) -> None:
+    scenario, stop = load("default", ["duration_s=0.5"]), StopRequest()
+
+    def on_tick(tick: int) -> None:
+        stop.wanted = tick >= 97
+
+    log, whole = tmp_path / "stopped.log", tmp_path / "whole.log"
+    summary = run_without_bus(scenario, log, stop, on_tick)
+    run_without_bus(scenario, whole, StopRequest(), lambda tick: None)
+    assert summary.ticks == 97
+    assert log.read_text().splitlines() == whole.read_text().splitlines()[: 97 * 5]
+
+
+@given(
+    codec=st.sampled_from(list(NETWORK)),
+    first=st.sampled_from([0, 1, 65530]),  # the tick on the wire has 16 bits
+    values=st.lists(st.floats(), min_size=1, max_size=40),
+    mode=st.integers(0, 3),
+    state=st.integers(0, 3),
+)
+def test_payloads_are_those_of_a_transmitter(
+    codec: Any, first: int, values: list[float], mode: int, state: int
+) -> None:
+    sender = Transmitter(codec)
+    for tick in range(first % COUNTERS):
+        sender.frame(0.0, tick)
+    frames = [bytes(sender.frame(v, first + k, mode, state).data) for k, v in enumerate(values)]
+    bits = (np.full(len(values), mode), np.full(len(values), state)) if codec.modes else ()
+    assert [bytes(row) for row in payloads(codec, np.array(values), first, *bits)] == frames
+    expected = [codec.quantise(value) for value in values]
+    np.testing.assert_array_equal(quantised(codec, np.array(values)), expected)

@@ -1,0 +1,67 @@
+"""``--from`` and ``--to`` of replay, in each of its ways, and of diff."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import pytest
+from can import Message
+
+from tests.helpers import asked, rig
+from tests.rig.replay.drive import SETTINGS as DRIVE
+from tests.rig.replay.drive import off_by_one_bit, write_log_of
+
+DURATION = ("--set", "duration_s=0.3", "--set", "fault.at_s=0.2")
+SETTINGS = tuple(word for setting in DRIVE for word in ("--set", setting))
+PART = ("--from", "0.1", "--to", "0.15")
+
+
+@pytest.fixture(scope="module")
+def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder = tmp_path_factory.mktemp("part") / "run"
+    done = rig("run", "thesis-sine", *DURATION, "--in-process", "--out", folder)
+    assert done.returncode == 0, done.stderr
+    return folder
+
+
+def test_what_is_before_is_replayed_but_not_compared(
+    run: Path, frames: list[Message], tmp_path: Path
+) -> None:
+    for part, ticks in ((PART, 50), (("--from", "0.1"), 200), (("--to", "0.1"), 100)):
+        done = asked("replay", run, *part, "--json")
+        result = json.loads(done.stdout)
+        assert (done.returncode, result["identical"]) == (0, True)
+        assert result["compared_ticks"] == ticks
+        assert result["first_tick"] == 0
+    for tick, status in ((99, 0), (100, 1), (149, 1), (150, 0)):
+        write_log_of(off_by_one_bit(frames, tick, 2), tmp_path / "drive.log")
+        done = asked(
+            "replay", tmp_path / "drive.log", "--scenario", "thesis-step", *SETTINGS, *PART
+        )
+        assert done.returncode == status, tick
+    beyond = asked("replay", run, "--from", "5")
+    assert beyond.returncode == 2
+    assert "could be compared" in beyond.stderr
+
+
+def test_a_part_onto_a_bus(run: Path) -> None:
+    done = asked("replay", run, "--bus", "virtual:part", "--speed", "max", *PART, "--json")
+    assert json.loads(done.stdout)["sent"] == 250
+
+
+def test_a_part_of_the_reference_through_another_scenario(run: Path, tmp_path: Path) -> None:
+    done = asked("replay", run, "--what-if", *PART, "--out", tmp_path / "other", "--json")
+    assert json.loads(done.stdout)["rows"] == 50
+    head, first, *_ = (tmp_path / "other" / "reference.csv").read_text("ascii").splitlines()
+    assert head == "time_s,reference_mps2"
+    assert first.startswith("0.1,")
+
+
+def test_a_part_of_two_runs_beside_each_other(run: Path) -> None:
+    for other in (run, run / "bus.log", run / "signals.csv"):
+        done = asked("diff", run, other, *PART, "--scenario", "thesis-sine", "--json")
+        assert (done.returncode, json.loads(done.stdout)["rows"]) == (0, 50)
+    done = asked("diff", run, run, "--from", "9")
+    assert done.returncode == 2
+    assert "has no row of that part, the last is at 0.299 s" in done.stderr
