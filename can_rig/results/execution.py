@@ -15,7 +15,7 @@ from typing import Final
 from can_rig.assessment.stability import refuse_unstable
 from can_rig.buses.bus import in_one_process
 from can_rig.errors import INTERRUPTED, BusError, RigError, RunFolderError
-from can_rig.export.controllers import PYTHON, Controller
+from can_rig.export.running.controllers import PYTHON, Controller
 from can_rig.frames.network import Network
 from can_rig.nodes.lockstep.without_bus import run_without_bus
 from can_rig.nodes.processes import run_processes
