@@ -19,7 +19,6 @@ from typing import Any, Final
 
 import can
 import numpy as np
-from can_rig.decoding.database import load_database
 from cantools.database.can import Message
 
 from can_rig.decoding.decode import Decoder
