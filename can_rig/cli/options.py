@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import click
 
-from can_rig.export.controllers import CONTROLLERS
+from can_rig.export.choices import CONTROLLERS
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

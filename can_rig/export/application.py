@@ -7,7 +7,7 @@ from typing import Final
 from can_rig.errors import ExportError
 from can_rig.export.constants import constants_header, constants_source
 from can_rig.export.law import filled, law_files, support
-from can_rig.export.translation.c_text import comment
+from can_rig.export.writing.c_text import comment
 from can_rig.frames.codec import MessageCodec
 from can_rig.frames.layout import RigLayout
 from can_rig.frames.network import Network

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from can_rig.export.translation.c_text import INDENT, WIDTH, comment, name, number
+from can_rig.export.writing.c_text import INDENT, WIDTH, comment, name, number
 from firmware_model.target.layout import TABLE, precision_of
 from firmware_model.target.structs import Field, Precision, Record, Struct
 

@@ -7,10 +7,10 @@ from functools import cache
 from importlib.resources import files
 from typing import Final
 
-from can_rig.export.translation.c_files import CFiles
 from can_rig.export.translation.program import Program
 from can_rig.export.translation.source import Sources
 from can_rig.export.translation.types import REAL, Record, Type
+from can_rig.export.writing.c_files import CFiles
 from firmware_model.target import controller, layout
 from firmware_model.target.structs import Precision, Struct
 

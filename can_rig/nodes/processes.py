@@ -24,8 +24,8 @@ from pathlib import Path
 from typing import Any, Final
 
 from can_rig.errors import RigError, SilentNodeError
-from can_rig.export.controllers import PYTHON, Controller
-from can_rig.nodes.one_core import one_core
+from can_rig.export.running.controllers import PYTHON, Controller
+from can_rig.nodes.lockstep.one_core import one_core
 from can_rig.nodes.progress import OnTick, Progress, Throttled, no_progress
 from can_rig.nodes.runner import NodeName, run_controller, run_plant
 from can_rig.nodes.summary import NodeSummary

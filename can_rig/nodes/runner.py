@@ -10,12 +10,12 @@ from pathlib import Path
 from typing import Literal, NamedTuple, Protocol
 
 from can_rig.buses.bus import open_for_node
-from can_rig.export.controllers import PYTHON, Controller
+from can_rig.export.running.controllers import PYTHON, Controller
 from can_rig.frames.agreement import SENDERS, ComparisonFrame
 from can_rig.nodes.agreement import Agreement
 from can_rig.nodes.bus_access import NodeBus, PersistentSender, Send, TolerantBus, bus_events
 from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock
-from can_rig.nodes.controllers import in_real_time, lockstep_controller
+from can_rig.nodes.lockstep.chosen import in_real_time, lockstep_controller
 from can_rig.nodes.lockstep.controller_node import ControllerNode
 from can_rig.nodes.lockstep.ecu_node import EcuNode
 from can_rig.nodes.lockstep.plant_node import PlantNode

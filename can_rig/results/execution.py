@@ -15,7 +15,7 @@ from typing import Final
 from can_rig.assessment.stability import refuse_unstable
 from can_rig.buses.bus import in_one_process
 from can_rig.errors import INTERRUPTED, BusError, RigError, RunFolderError
-from can_rig.export.controllers import PYTHON, Controller
+from can_rig.export.running.controllers import PYTHON, Controller
 from can_rig.frames.network import Network
 from can_rig.nodes.lockstep.without_bus import run_without_bus
 from can_rig.nodes.processes import run_processes
@@ -161,7 +161,7 @@ def execute(
         RigError: it failed before anything was recorded: then there is no folder.
     """
     network = network_of(scenario)
-    without = runner is in_process and controller is PYTHON and network.is_the_rigs
+    without = runner is in_process and _needs_no_bus(scenario, network, controller)
     bus = bus or (NO_BUS if without else f"local:run-{os.getpid()}")
     if runner is real_time:
         require_causal(scenario)
@@ -193,6 +193,15 @@ def execute(
             raise failure from None
         raise
     return Execution(folder.path, final, network, outcome, values, failure)
+
+
+def _needs_no_bus(scenario: Scenario, network: Network, controller: Controller) -> bool:
+    """Whether a run without a bus has the same log.
+
+    Single precision has not: an actuator gets what the frame carries, in double precision.
+    """
+    ours = controller is PYTHON and network.is_the_rigs
+    return ours and scenario.design.precision == "float64"
 
 
 def _require_shared(bus: str) -> None:

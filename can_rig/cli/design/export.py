@@ -9,8 +9,10 @@ import click
 
 from can_rig.assessment.resolve import load
 from can_rig.cli.options import force_option, scenario_options
-from can_rig.cli.output import say
+from can_rig.cli.output import explain, say, show, table
 from can_rig.export.folder import exported, write
+from can_rig.export.running.emulated_ecu import require_tools
+from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import Precision
 
 
@@ -28,12 +30,18 @@ from firmware_model.target.structs import Precision
     type=click.Choice(get_args(Precision)),
     help="Of every real number.  [default: the scenario's design.precision]",
 )
+@click.option(
+    "--report",
+    is_flag=True,
+    help="Also say what it costs on emulated boards, and what compilers and cppcheck find.",
+)
 @force_option
 def command(
     scenario: str,
     settings: tuple[str, ...],
     out: Path,
     precision: Precision | None,
+    report: bool,
     force: bool,
 ) -> None:
     """Write SCENARIO's controller as C99, with its constants and what builds it.
@@ -41,7 +49,32 @@ def command(
     The C is translated from the lines that `can-rig run` runs, and has the same bits in every
     tick. FOLDER/firmware.h is what an application calls; `make -C FOLDER` builds an example.
     """
-    files = exported(load(scenario, settings), precision)
+    chosen = load(scenario, settings)
+    files = exported(chosen, precision)
     write(files, out, force)
     lines = sum(text.count("\n") for name, text in files.items() if name.endswith((".c", ".h")))
     say(f"{out}: {len(files)} files, {lines} lines of C")
+    if report:
+        _report(chosen, files)
+
+
+def _report(scenario: Scenario, files: dict[str, str]) -> None:
+    """Costs of the law on each board, and findings on the files."""
+    from can_rig.export.report import VARIANTS, cost, findings, inputs_of_run  # noqa: PLC0415
+
+    require_tools()
+    inputs = inputs_of_run(scenario)
+    figures = table("", "code", "constants", "state", "stack", "median", "worst", "in tick")
+    for board, precision in VARIANTS:
+        each = cost(scenario, board, precision, inputs)
+        figures.add_row(
+            f"{each.board}, {each.precision}",
+            *map(str, (each.code_bytes, each.constant_bytes, each.state_bytes, each.stack_bytes)),
+            f"{each.median:.0f}",
+            f"{each.worst:.0f}",
+            str(each.worst_tick),
+        )
+    show(figures)
+    explain("Bytes, and instructions a step, in the run of this scenario on QEMU.")
+    for tool, n in findings(files).items():
+        say(f"{tool}: {n if isinstance(n, str) else f'{n} findings'}")

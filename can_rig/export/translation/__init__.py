@@ -1,5 +1,5 @@
-"""From the syntax tree of the lines that run on the target to C99 that does the same, bit for bit.
+"""The syntax tree of the lines that run on the target, read, typed and checked for C.
 
-`source` reads a module, `inference` gives every expression a type, `effects` says what a function
-changes and refuses what C evaluates in another order, the rest writes C.
+`source` reads a module, `expressions`, `calls` and `statements` give everything a type, `effects`
+says what a function changes and refuses what C would compute in another order.
 """

@@ -11,7 +11,7 @@ from typing import Final
 
 import can
 
-from can_rig.export.ecu import COUNTS, Ecu, rejected
+from can_rig.export.running.ecu import COUNTS, Ecu, rejected
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import Send
 from can_rig.nodes.watchdog import Interrupted, Watchdog

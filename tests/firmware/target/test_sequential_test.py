@@ -256,12 +256,12 @@ def test_a_loss_that_is_a_tick_older_adds_the_answer_to_one_command(latency: int
 
 @pytest.mark.parametrize(
     ("evidence", "grown", "again"),
-    [(0.5, 1.05, True), (0.5, 1.15, False), (9.0, 1.05, True), (-2.0, 2.0, True)],
+    [(0.5, 1.05, True), (0.5, 1.15, False), (9.0, 1.05, False), (-2.0, 2.0, True)],
 )
 def test_a_candidate_that_learns_no_more_begins_again(
     evidence: float, grown: float, again: bool
 ) -> None:
-    """At twice its age, with less than a tenth more information; or without evidence."""
+    """At twice its age with less than a tenth more information, unless it is a suspicion."""
     table = build(DESIGN, target())
     state = controller.init(table)[0]
     test = state.sequential_test

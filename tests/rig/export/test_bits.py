@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from can_rig.export.compiled_law import CompiledLaw
-from can_rig.export.compiler import FLAGS, shared_library
 from can_rig.export.law import law_files
+from can_rig.export.running.compiled_law import CompiledLaw
+from can_rig.export.running.compiler import FLAGS, shared_library
 from firmware_model.firmware import PYTHON_LAW, Law
 from firmware_model.target.layout import state_type, table_type
 from firmware_model.target.structs import Precision, RecordArray

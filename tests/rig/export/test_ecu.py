@@ -15,9 +15,16 @@ from click.testing import CliRunner
 from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
 from can_rig.errors import ExportError
-from can_rig.export.controllers import CONTROLLERS, PYTHON, controller_of
-from can_rig.export.emulated_ecu import BOARDS, COMPILER, EMULATOR, EmulatedEcu, firmware_image
-from can_rig.export.host_ecu import HostEcu, host_library
+from can_rig.export.choices import CONTROLLERS
+from can_rig.export.running.controllers import PYTHON, controller_of
+from can_rig.export.running.emulated_ecu import (
+    BOARDS,
+    COMPILER,
+    EMULATOR,
+    EmulatedEcu,
+    firmware_image,
+)
+from can_rig.export.running.host_ecu import HostEcu, host_library
 from can_rig.frames.endpoints import Transmitter
 from can_rig.nodes.lockstep.controller_node import ControllerNode
 from can_rig.nodes.lockstep.ecu_node import EcuNode

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.export.compiled_law import CompiledLaw
+from can_rig.export.running.compiled_law import CompiledLaw
 from can_rig.logs.reading import read_log
 from can_rig.replay.replay import OpenLoop
 from can_rig.scenario.build import network_of

@@ -4,13 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from can_rig.export.translation.c_functions import CFunction, declarator, signature
-from can_rig.export.translation.c_text import comment, name, plain, with_comment, wrapped
 from can_rig.export.translation.effects import Effects
-from can_rig.export.translation.names import Names, enumerations
 from can_rig.export.translation.program import Program, Typed
 from can_rig.export.translation.source import Module
 from can_rig.export.translation.types import Answers, CStruct, Record
+from can_rig.export.writing.c_functions import CFunction, declarator, signature
+from can_rig.export.writing.c_text import comment, name, plain, with_comment, wrapped
+from can_rig.export.writing.names import Names, enumerations
 from firmware_model.target.structs import Field, Precision
 
 

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import ast
 
-from can_rig.export.translation.c_expressions import CExpressions
-from can_rig.export.translation.c_text import INDENT, comment, name, with_comment, wrapped
-from can_rig.export.translation.declarations import declarations
 from can_rig.export.translation.effects import Effects
 from can_rig.export.translation.expressions import indices_of
 from can_rig.export.translation.program import Typed
 from can_rig.export.translation.source import Comment
 from can_rig.export.translation.types import Answers, Array, Record, Scalar, Type
+from can_rig.export.writing.c_expressions import CExpressions
+from can_rig.export.writing.c_text import INDENT, comment, name, with_comment, wrapped
+from can_rig.export.writing.declarations import declarations
 from firmware_model.target.structs import Precision
 
 

@@ -11,8 +11,8 @@ from pathlib import Path
 import numpy as np
 
 from can_rig.errors import ExportError
-from can_rig.export.compiler import shared_library
 from can_rig.export.law import ENTRIES, law_files
+from can_rig.export.running.compiler import shared_library
 from firmware_model.firmware import Step
 from firmware_model.target.layout import precision_of, state_type
 from firmware_model.target.structs import Precision, Record, RecordArray

@@ -6,9 +6,9 @@ import ast
 import re
 from collections.abc import Iterator
 
-from can_rig.export.translation.c_text import comment, number, plain, with_comment
 from can_rig.export.translation.program import Program
 from can_rig.export.translation.source import Module, Sources
+from can_rig.export.writing.c_text import comment, number, plain, with_comment
 from firmware_model.target.structs import Precision
 
 

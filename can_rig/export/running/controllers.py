@@ -6,11 +6,12 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
-from can_rig.export.ecu import Ecu
+from can_rig.export.running.compiled_law import CompiledLaw
+from can_rig.export.running.ecu import Ecu
+from can_rig.export.running.emulated_ecu import EmulatedEcu, firmware_image
+from can_rig.export.running.host_ecu import HostEcu, host_library
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, Law
-
-CONTROLLERS: Final = ("python", "c", "ecu", "arm:m4f", "arm:m7")
 
 
 @dataclass(frozen=True)
@@ -31,18 +32,13 @@ PYTHON: Final = PYTHON_LAW
 
 
 def controller_of(name: str, scenario: Scenario) -> Controller:
-    """What runs as the controller of ``scenario``, by one of ``CONTROLLERS``.
+    """What runs as the controller of ``scenario``, by one of ``choices.CONTROLLERS``.
 
     Raises:
         ExportError: there is no compiler, or it refuses.
     """
     if name == "python":
         return PYTHON_LAW
-    # Only who asks for C needs what makes it.
-    from can_rig.export.compiled_law import CompiledLaw  # noqa: PLC0415
-    from can_rig.export.emulated_ecu import EmulatedEcu, firmware_image  # noqa: PLC0415
-    from can_rig.export.host_ecu import HostEcu, host_library  # noqa: PLC0415
-
     if name == "c":
         return CompiledLaw(scenario.design.precision)
     if name == "ecu":

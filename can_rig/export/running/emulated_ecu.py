@@ -7,15 +7,16 @@ import select
 import shutil
 import subprocess
 import tempfile
+from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final
 
 from can_rig.errors import ExportError
 from can_rig.export.application import application
-from can_rig.export.compiler import built
-from can_rig.export.ecu import COUNTS, MOST_SENT, SENT_BYTES, Sent, harness, sent
-from can_rig.export.law import support
+from can_rig.export.law import filled, support
+from can_rig.export.running.compiler import built
+from can_rig.export.running.ecu import COUNTS, MOST_SENT, SENT_BYTES, Sent, harness, sent
 from can_rig.scenario.settings import Scenario
 
 COMPILER: Final = "arm-none-eabi-gcc"
@@ -63,10 +64,29 @@ def firmware_image(scenario: Scenario, board: str) -> Path:
     Raises:
         ExportError: a tool is missing, or refuses.
     """
+    return image_of(application(scenario) | harness(), "board_ecu.c", board)
+
+
+def image_of(files: Mapping[str, str], program: str, board: str) -> Path:
+    """A program for ``board`` from ``files`` and ``program``, which has its ``main``.
+
+    Raises:
+        ExportError: a tool is missing, or refuses.
+    """
     require_tools()
-    bench = ("semihosting.c", "startup.c", "mps2.ld")
-    files = application(scenario) | harness() | {name: support(name) for name in bench}
-    return built([COMPILER], (*FLAGS, *BOARDS[board].flags, *LINKED), files, ".elf")
+    bench = {name: support(name) for name in (program, "host.h", "host.c", "startup.c", "mps2.ld")}
+    zero = "0.0f" if "typedef float real;" in files["real.h"] else "0.0"
+    bench[program] = filled(bench[program], zero=zero)
+    return built([COMPILER], (*FLAGS, *BOARDS[board].flags, *LINKED), {**files, **bench}, ".elf")
+
+
+def emulation(image: Path, board: str, *options: str) -> list[str]:
+    """The command that runs ``image`` on ``board``."""
+    return [
+        EMULATOR, "-machine", BOARDS[board].machine, "-nographic", "-monitor", "none",
+        "-serial", "none", "-semihosting-config", "enable=on,target=native", *options,
+        "-kernel", str(image),
+    ]  # fmt: skip
 
 
 class EmulatedEcu:
@@ -85,14 +105,12 @@ class EmulatedEcu:
         for pipe in ("orders", "answers"):
             os.mkfifo(Path(self._folder) / pipe)
         self._process = subprocess.Popen(
-            [
-                EMULATOR, "-machine", BOARDS[board].machine, "-nographic", "-monitor", "none",
-                "-serial", "none", "-semihosting-config", "enable=on,target=native",
-                "-kernel", str(image),
-            ],
-            cwd=self._folder, stdin=subprocess.DEVNULL, stdout=subprocess.DEVNULL,
+            emulation(image, board),
+            cwd=self._folder,
+            stdin=subprocess.DEVNULL,
+            stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
-        )  # fmt: skip
+        )
         # Opened for both directions, so that neither side waits for the other to open its end.
         self._orders = os.open(Path(self._folder) / "orders", os.O_RDWR)
         self._answers = os.open(Path(self._folder) / "answers", os.O_RDWR | os.O_NONBLOCK)

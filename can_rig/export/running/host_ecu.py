@@ -7,8 +7,8 @@ from pathlib import Path
 
 from can_rig.errors import ExportError
 from can_rig.export.application import application
-from can_rig.export.compiler import shared_library
-from can_rig.export.ecu import COUNTS, MOST_SENT, SENT_BYTES, Sent, harness, sent
+from can_rig.export.running.compiler import shared_library
+from can_rig.export.running.ecu import COUNTS, MOST_SENT, SENT_BYTES, Sent, harness, sent
 from can_rig.scenario.settings import Scenario
 
 

@@ -6,11 +6,11 @@ import ast
 import math
 from typing import Final
 
-from can_rig.export.translation.c_text import name, number
 from can_rig.export.translation.calls import EXTREMES, ROUNDED_EXACTLY, called
 from can_rig.export.translation.expressions import indices_of
 from can_rig.export.translation.program import Typed
 from can_rig.export.translation.types import INT, REAL, Array, Record
+from can_rig.export.writing.c_text import name, number
 from firmware_model.target.precision import real
 from firmware_model.target.structs import Precision
 

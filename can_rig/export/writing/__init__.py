@@ -1,0 +1,1 @@
+"""C from typed Python: expressions, statements, declarations, named numbers, and whole files."""
