@@ -23,9 +23,9 @@ from rich.console import Console
 from rich.table import Table
 
 from can_rig.assessment.resolve import load
-from can_rig.decoding.database import load_database
 from can_rig.decoding.decode import decode_log
 from can_rig.frames.dbc import shipped_dbc
+from can_rig.frames.mapped.database import load_database
 from can_rig.logs.frames import concatenate
 from can_rig.logs.reading import read_log
 from can_rig.logs.writers.candump import candump_lines

@@ -17,7 +17,9 @@ from can_rig.assessment.unavoidable import unavoidable
 from can_rig.errors import RigError
 from can_rig.frames.network import Network
 from can_rig.plant.frameless import frameless
-from can_rig.scenario.build import UNCERTAIN, controller_table, in_box, network_of
+from can_rig.scenario.box import CAR as UNCERTAIN
+from can_rig.scenario.box import in_box
+from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.simulation import Trace
 from firmware_model.target.status import FaultState

@@ -116,6 +116,8 @@ def default(field: dict[str, Any]) -> str:
     value = field.get("default")
     if value is None:
         return "not set"
+    if isinstance(value, bool):
+        return f"`{str(value).lower()}`"
     return f'`"{value}"`' if isinstance(value, str) else f"`{value}`"
 
 
@@ -123,6 +125,8 @@ def allowed(field: dict[str, Any]) -> str:
     """What a value may be: words, or a type with its bounds."""
     if "anyOf" in field:
         return " or ".join(allowed(one) for one in field["anyOf"] if one.get("type") != "null")
+    if field.get("type") == "array":
+        return f"list of {several(field['items'])}"
     if "const" in field:
         return f'`"{field["const"]}"`'
     if "enum" in field:
@@ -137,9 +141,22 @@ def allowed(field: dict[str, Any]) -> str:
         )
         if name in field
     ]
-    words = {"integer": "whole number", "string": "text", "object": "table"}
+    words = {
+        "integer": "whole number",
+        "string": "text",
+        "object": "table",
+        "boolean": "true or false",
+    }
     kind = words.get(field["type"], field["type"])
     return ", ".join((kind, *bounds))
+
+
+def several(items: dict[str, Any]) -> str:
+    """What the entries of a list may be, more than one of it."""
+    if not items:
+        return "numbers or pairs"
+    one = allowed(items)
+    return f"lists{one.removeprefix('list')}" if one.startswith("list") else f"{one}s"
 
 
 def number(value: float) -> str:

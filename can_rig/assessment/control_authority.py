@@ -67,7 +67,7 @@ class ControlAuthority:
 
 def control_authority(scenario: Scenario, network: Network) -> ControlAuthority | None:
     """The control authority that X_diff has in ``scenario``; None for a plant that is no car."""
-    if not scenario.model.is_car:
+    if not scenario.plant.is_car:
         return None
     car = car_of(scenario.plant)
     force_per_mps2 = 1.0 / abs(continuous_plant(scenario.plant).g2.dc_gain)

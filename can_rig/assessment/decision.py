@@ -14,10 +14,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from can_rig.drawing.names import names_of, with_unit
 from can_rig.frames.network import Network
 from can_rig.scenario.build import continuous_plant, controller_table
 from can_rig.scenario.reference import reference
-from can_rig.scenario.settings import BudgetSettings, Scenario
+from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
 from firmware_model.target.status import FaultState
@@ -40,20 +41,22 @@ class DecisionFigures:
     noise_mps2: float
     least_torque_nm: float
 
-    def describe(self, budget: BudgetSettings) -> Iterator[str]:
-        """A line on the loss, and one on the cars that are not the model."""
+    def describe(self, scenario: Scenario) -> Iterator[str]:
+        """A line on the loss, and one on the plants that are not the model."""
+        budget, (output, lost, _) = scenario.budget, names_of(scenario.plant)
         delay = self.expected_delay_s
         found = "is not found" if delay is None else f"is confirmed after {delay * 1e3:.3g} ms"
         yield (
-            f"decision: the loss of the torque in this drive {found} on average "
-            f"(noise and rounding {self.noise_mps2:.2g} m/s² rms, at most "
-            f"{budget.false_alarms_per_hour:g} false alarms an hour); a steady |torque| below "
-            f"{self.least_torque_nm:.2g} N m cannot be told"
+            f"decision: the loss of {lost.said} in this drive {found} on average "
+            f"(noise and rounding {with_unit(f'{self.noise_mps2:.2g}', output.unit)} rms, at most "
+            f"{budget.false_alarms_per_hour:g} false alarms an hour); a steady |{lost.short}| "
+            f"below {with_unit(f'{self.least_torque_nm:.2g}', lost.unit)} cannot be told"
         )
+        others = "other cars" if scenario.plant.is_car else "other plants"
         if budget.box > 0.0:
-            yield f"other cars: within ±{budget.box:.0%} of the model are not taken for a loss"
+            yield f"{others}: within ±{budget.box:.0%} of the model are not taken for a loss"
         else:
-            yield "other cars: none: budget.box says by how much a car may differ from the model"
+            yield f"{others}: none: budget.box says by how much one may differ from the model"
 
 
 def decision_figures(scenario: Scenario, network: Network) -> DecisionFigures:

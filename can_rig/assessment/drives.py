@@ -8,6 +8,8 @@ everything else that a run has, healthy first and then with a channel lost. A dr
     D* stays away for more than ``RETURN_S`` from where the unlimited modelled car goes: the loop
     swings between its limits, or rests far from a demand that is feasible.
 
+The times are those of a car, and longer for a plant that is slower by itself.
+
 Other cars are the vertices of the budget's box and some drawn from its inside.
 """
 
@@ -21,18 +23,13 @@ from typing import Final
 
 import numpy as np
 
+from can_rig.drawing.names import CAR, Names, names_of, with_unit
 from can_rig.frames.network import Network
 from can_rig.plant.frameless import Inputs, frameless, inputs_of
-from can_rig.scenario.build import (
-    UNCERTAIN,
-    continuous_plant,
-    controller_table,
-    in_box,
-    target,
-    with_lags,
-)
+from can_rig.scenario.box import in_box, uncertain, with_lags
+from can_rig.scenario.build import continuous_plant, controller_table, slowness, target
 from can_rig.scenario.plant_settings import PlantSettings
-from can_rig.scenario.settings import Channel, LimitSettings, Scenario
+from can_rig.scenario.settings import CHANNELS, Channel, LimitSettings, Scenario
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray, Record
 
@@ -48,7 +45,7 @@ LOSSES: Final[Mapping[str, tuple[Channel, float]]] = {
     "torque 50%": ("torque", 0.5),
     "force-difference dead": ("force-difference", 0.0),
 }
-"""The channel of each kind of loss, and what it leaves."""
+"""The channel of each kind of loss, and what it leaves; of any plant, by the words of a car."""
 
 
 @dataclass(frozen=True)
@@ -74,12 +71,14 @@ class Drives:
 
     def __init__(self, scenario: Scenario, network: Network) -> None:
         tick_s = scenario.tick_s
-        healthy, lost = (max(round(s / tick_s), FEWEST_TICKS) for s in (HEALTHY_S, LOST_S))
+        slow = slowness(scenario)
+        healthy, lost = (max(round(s * slow / tick_s), FEWEST_TICKS) for s in (HEALTHY_S, LOST_S))
         none = replace(scenario.fault, kind="none", at_s=healthy * tick_s, for_s=None)
         self.scenario = scenario
         self._scenario = replace(scenario, fault=none, duration_s=(healthy + lost) * tick_s)
         self._network = network
         self._lost = healthy
+        self._return_s, self._together_s = RETURN_S * slow, TOGETHER_S * slow
         self._known: dict[str, Inputs] = {}
 
     @cached_property
@@ -106,17 +105,19 @@ class Drives:
             yield Finding(car, True, f"false alarm after {alarms[0] * tick_s:.3g} s")
         distance = np.abs(trace.measurement - self._goal)
         phases = [("healthy", slice(0, self._lost))]
+        names = names_of(scenario.plant)
         if self._returns(plant, loss):
-            phases.append((loss, slice(self._lost, None)))
+            phases.append((_said(loss, names), slice(self._lost, None)))
         for state, phase in phases:
             away = self._longest_away_s(distance[phase])
-            if away > RETURN_S:
+            if away > self._return_s:
                 last = distance[phase][-round(1.0 / tick_s) :]
+                largest = f"{float(np.nanmax(last, initial=0.0)):.3g}"
                 yield Finding(
                     car,
                     False,
-                    f"{state}: D* is away from where it should be for {away:.3g} s, by up to "
-                    f"{float(np.nanmax(last, initial=0.0)):.3g} m/s² in the last second",
+                    f"{state}: {names.output.name} is away from where it should be for {away:.3g} "
+                    f"s, by up to {with_unit(largest, names.output.unit)} in the last second",
                 )
                 return
 
@@ -142,16 +143,26 @@ class Drives:
         away = np.flatnonzero(~(distance <= self._away))
         if len(away) == 0:
             return 0.0
-        pieces = np.split(away, np.flatnonzero(np.diff(away) * tick_s > TOGETHER_S) + 1)
+        pieces = np.split(away, np.flatnonzero(np.diff(away) * tick_s > self._together_s) + 1)
         return max(float(piece[-1] - piece[0] + 1) for piece in pieces) * tick_s
+
+
+def _said(loss: str, names: Names) -> str:
+    """``loss`` by the words of a car, or by the name of the channel."""
+    if names.output == CAR.output:
+        return loss
+    channel, left = LOSSES[loss]
+    lost = names[1 + CHANNELS.index(channel)].short
+    return f"{lost} {left:.0%}" if left else f"{lost} dead"
 
 
 def own_findings(drives: Drives) -> list[Finding]:
     """What is wrong with the scenario's own plant, in every kind of loss."""
     scenario = drives.scenario
-    if not scenario.model.closed_loop:
+    if not scenario.design.feedback:
         return []
-    found = (drives.findings("this car", scenario.plant, loss) for loss in LOSSES)
+    label = "this car" if scenario.plant.is_car else "this plant"
+    found = (drives.findings(label, scenario.plant, loss) for loss in LOSSES)
     return list({str(finding): finding for each in found for finding in each}.values())
 
 
@@ -160,7 +171,7 @@ def box_findings(
 ) -> list[Finding]:
     """What is wrong with other cars of the budget's box when the torque is lost."""
     scenario = drives.scenario
-    if not scenario.model.closed_loop or scenario.plant.is_class:
+    if not scenario.design.feedback or scenario.plant.is_class:
         return []
     found: list[Finding] = []
     some = list(box_cars(scenario))
@@ -177,7 +188,7 @@ def box_cars(scenario: Scenario) -> Iterator[tuple[str, PlantSettings]]:
     """
     budget, plant = scenario.budget, scenario.plant
     late = budget.actuator_box if scenario.model.torque_actuator.lags else 0.0
-    keys = UNCERTAIN if budget.box > 0.0 and scenario.model.is_car else ()
+    keys = tuple(uncertain(plant)) if budget.box > 0.0 else ()
     size = len(keys) + (late > 0.0)
     if size == 0:
         return

@@ -19,6 +19,7 @@ from can_rig.assessment.control_authority import ControlAuthority, control_autho
 from can_rig.assessment.decision import DecisionFigures, decision_figures
 from can_rig.assessment.drives import Drives, Finding, box_findings, own_findings
 from can_rig.assessment.stability_table import finite_or_null
+from can_rig.drawing.names import names_of, with_unit
 from can_rig.errors import ScenarioError
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import (
@@ -28,7 +29,7 @@ from can_rig.scenario.build import (
     network_of,
     target,
 )
-from can_rig.scenario.settings import Scenario
+from can_rig.scenario.settings import CHANNELS, Scenario
 from firmware_model.analysis.margins import (
     HEALTHY,
     Margins,
@@ -82,7 +83,7 @@ class StabilityCheck:
         """The name of each state, and its margins."""
         yield from zip(_both_ends(self.scenario), (self.healthy, self.faulted), strict=True)
         for left, figures in self.partly_lost.items():
-            yield f"torque {left:.0%}", figures
+            yield f"{names_of(self.scenario.plant).command_1.short} {left:.0%}", figures
         if self.false_alarm is not None:
             yield "false alarm", self.false_alarm
 
@@ -93,8 +94,8 @@ class StabilityCheck:
         if scenario.plant.is_class:
             yield f"margins: of the linear car with its parameters, not of {scenario.plant.kind}"
         if self.healthy.stable:
-            yield from self.decision.describe(scenario.budget)
-            yield _isolation(scenario.design.probe_nm)
+            yield from self.decision.describe(scenario)
+            yield _isolation(scenario)
         if self.control_authority is not None:
             yield str(self.control_authority)
 
@@ -109,7 +110,7 @@ class StabilityCheck:
             return "stable: healthy, and with a channel dead or partly lost; every drive is calm"
         names = ", ".join(name for name, _ in unstable)
         if self.linear_stable:
-            return f"stable healthy and with {self.scenario.fault.channel} dead, but not: {names}"
+            return f"stable healthy and with {_channel(self.scenario)} dead, but not: {names}"
         name, figures = unstable[0]
         return _reason(self.scenario, name, figures.spectral_radius)
 
@@ -230,18 +231,27 @@ def _reason(scenario: Scenario, state: str, radius: float) -> str:
     )
 
 
-def _isolation(probe_nm: float) -> str:
-    if probe_nm > 0.0:
+def _isolation(scenario: Scenario) -> str:
+    probe, (output, lost, _) = scenario.design.probe_nm, names_of(scenario.plant)
+    if probe > 0.0:
+        size = with_unit(f"{probe:g}", lost.unit)
         return (
-            f"isolation: a loss is confirmed only when a torque probe of {probe_nm:g} N m goes "
-            "unanswered; a biased D* stays suspected"
+            f"isolation: a loss is confirmed only when a {lost.short} probe of {size} goes "
+            f"unanswered; a bias of {output.said} stays suspected"
         )
     return (
-        "isolation: none: a D* that is suddenly biased may be taken for a loss; a small "
-        "torque probe, design.probe_nm, would tell the two apart"
+        f"isolation: none: a sudden bias of {output.said} may be taken for a loss; a small "
+        f"{lost.short} probe, design.probe_nm, would tell the two apart"
     )
 
 
+def _channel(scenario: Scenario) -> str:
+    """The channel that the fault concerns: as the key has it of a car, by name of other plants."""
+    if scenario.plant.is_car:
+        return scenario.fault.channel
+    return names_of(scenario.plant)[1 + CHANNELS.index(scenario.fault.channel)].short
+
+
 def _both_ends(scenario: Scenario) -> dict[str, Effectiveness]:
-    channel = scenario.fault.channel
-    return {"healthy": HEALTHY, f"{channel} dead": DEAD[channel]}
+    dead = DEAD[scenario.fault.channel]
+    return {"healthy": HEALTHY, f"{_channel(scenario)} dead": dead}

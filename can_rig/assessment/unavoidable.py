@@ -18,9 +18,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from can_rig.plant.faults import CHANNELS
 from can_rig.scenario.build import continuous_plant, target
-from can_rig.scenario.settings import Scenario
+from can_rig.scenario.settings import CHANNELS, Scenario
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.target.structs import FloatArray
 

@@ -23,6 +23,7 @@ from can_rig.errors import BusError, BusLostError, one_line
 
 _NETWORK: Final = Path("/sys/class/net")
 _IFF_UP: Final = 1
+_ALWAYS_FD = ("local", "virtual", "udp_multicast")  # or without an argument for it
 _NO_CAN: Final = {errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT}
 
 # Interfaces that need another package, and the extra of python-can that installs it.
@@ -78,20 +79,25 @@ def _quiet() -> Iterator[None]:
         logger.propagate = propagate
 
 
-def open_for_node(name: str, identifiers: Collection[int], overhear: bool) -> can.BusABC:
+def open_for_node(
+    name: str, identifiers: Collection[int], overhear: bool, fd: bool = False
+) -> can.BusABC:
     """Open the bus called ``name`` for a node of the rig.
 
     On SocketCAN it is a `NodeSocketcanBus`, on which other traffic cannot displace frames with the
-    11-bit ``identifiers``, and is received only if ``overhear`` is set; else as `open_bus`.
+    ``identifiers`` (of 29 bits with bit 31 set), and is received only if ``overhear`` is set; else
+    as `open_bus`. With ``fd`` it carries CAN FD frames.
 
     Raises:
         BusError: as `open_bus`.
     """
-    if _parse(name)[0] != "socketcan":
-        return open_bus(name)
+    interface = _parse(name)[0]
+    flexible = {"fd": True} if fd and interface not in _ALWAYS_FD else {}
+    if interface != "socketcan":
+        return open_bus(name, **flexible)
 
     def opened(**kwargs: Any) -> can.BusABC:
-        return open_bus(name, **kwargs)
+        return open_bus(name, **flexible, **kwargs)
 
     return NodeSocketcanBus(opened, identifiers, overhear)
 

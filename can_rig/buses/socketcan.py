@@ -29,6 +29,8 @@ _MEMINFO: Final = struct.Struct("9I")
 _DROPS: Final = 8
 _SOL_CAN_RAW: Final = 101
 _CAN_RAW_JOIN_FILTERS: Final = 6
+_EXTENDED_FLAG: Final = 1 << 31
+_ANY_ID: Final = (1 << 29) - 1
 _CAN_INV_FILTER: Final = 0x20000000
 _STALE_MAX: Final = 20_000
 
@@ -38,7 +40,7 @@ class NodeSocketcanBus(can.BusABC):
 
     Args:
         opened: opens a python-can bus on the interface, given the arguments of its class.
-        identifiers: 11-bit identifiers with a queue of their own.
+        identifiers: those with a queue of their own; of 29 bits with bit 31 set.
         overhear: whether to receive all other frames too.
 
     Raises:
@@ -49,7 +51,11 @@ class NodeSocketcanBus(can.BusABC):
         self, opened: Callable[..., can.BusABC], identifiers: Collection[int], overhear: bool
     ) -> None:
         own: list[can.typechecking.CanFilter] = [
-            {"can_id": identifier, "can_mask": 0x7FF, "extended": False}
+            {
+                "can_id": identifier & _ANY_ID,
+                "can_mask": _ANY_ID if identifier & _EXTENDED_FLAG else 0x7FF,
+                "extended": bool(identifier & _EXTENDED_FLAG),
+            }
             for identifier in identifiers
         ]
         self._own = _socketcan(opened(can_filters=own))

@@ -21,11 +21,11 @@ from typing import Any, Final
 import numpy as np
 from cantools.database.can import Database
 
-from can_rig.decoding.database import load_database
 from can_rig.decoding.database_decoder import DatabaseDecoder, message_decoders, require_names
 from can_rig.decoding.j1939_transport import Transport
 from can_rig.decoding.message_columns import MessageColumns, joined
 from can_rig.decoding.message_decoder import Counts
+from can_rig.frames.mapped.database import load_database
 from can_rig.logs.frames import ERROR, EXTENDED, Frames
 from can_rig.logs.reading import read_log
 

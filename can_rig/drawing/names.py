@@ -1,34 +1,66 @@
-"""What people call the signals of the two networks, and units as print has them."""
+"""What people call the signals of a plant, and units as print has them."""
 
 from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from can_rig.frames.network import Network
-from can_rig.scenario.settings import FaultSettings
+from can_rig.scenario.plant_settings import PlantSettings
+from can_rig.scenario.settings import CHANNELS, FaultSettings
+from can_rig.scenario.tables.numbers import SignalSettings
+
+
+class Signal(NamedTuple):
+    """A signal of the plant, wherever a person reads of it."""
+
+    name: str
+    unit: str = ""
+    """As print has it; empty where dimensionless."""
+    short: str = ""
+    """In the heading of a column."""
+    said: str = ""
+    """In a sentence."""
 
 
 class Names(NamedTuple):
-    """One name for each signal, wherever a person reads it."""
+    """The signals of a plant."""
 
-    output: str
-    command_1: str
-    command_2: str
+    output: Signal
+    command_1: Signal
+    command_2: Signal
 
-    def lost_by(self, fault: FaultSettings) -> str:
+    def lost_by(self, fault: FaultSettings) -> Signal:
         """The signal that ``fault`` takes away or, of a biased sensor, falsifies."""
         if not fault.loses_a_channel:
             return self.output
-        return self.command_1 if fault.channel == "torque" else self.command_2
+        return self.command_1 if fault.channel == CHANNELS[0] else self.command_2
 
 
-CAR: Final = Names("D*", "steering torque", "rear force difference")
-CHAPTER_2: Final = Names("output y", "input 1", "input 2")
+CAR: Final = Names(
+    Signal("D*", "m/s²", "D*", "D*"),
+    Signal("steering torque", "N m", "torque", "the torque"),
+    Signal("rear force difference", "N", "X_diff", "X_diff"),
+)
+BY_NUMBERS: Final = ("output y", "input 1", "input 2")
+"""What signals are called that the scenario gives no name."""
 
 
-def names_of(network: Network) -> Names:
-    """The names of ``network``'s signals: those of a car, or of the abstract plant."""
-    return CAR if network.feedback.signal_name == "DStar" else CHAPTER_2
+def names_of(plant: PlantSettings) -> Names:
+    """The signals of ``plant``: those of the car, or what the scenario calls them."""
+    own = CAR if plant.is_car else Names(*(Signal(name, "", name, name) for name in BY_NUMBERS))
+    given = (plant.output, plant.input_1, plant.input_2)
+    return Names(*(_called(*pair) for pair in zip(own, given, strict=True)))
+
+
+def _called(own: Signal, given: SignalSettings) -> Signal:
+    unit = own.unit if given.unit is None else given.unit
+    if given.name is None:
+        return own._replace(unit=unit)
+    return Signal(given.name, unit, given.name, given.name)
+
+
+def with_unit(text: str, unit: str) -> str:
+    """``text``, and the unit where there is one."""
+    return f"{text} {unit}".rstrip()
 
 
 def printed(unit: str) -> str:

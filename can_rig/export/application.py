@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from typing import Final
 
+from can_rig.errors import ExportError
 from can_rig.export.constants import constants_header, constants_source
 from can_rig.export.law import filled, law_files, support
 from can_rig.export.writing.c_text import comment
 from can_rig.frames.codec import MessageCodec
+from can_rig.frames.layout import RigLayout
 from can_rig.frames.network import Network
 from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.settings import Scenario
@@ -20,9 +22,15 @@ def application(scenario: Scenario) -> dict[str, str]:
 
     Raises:
         ScenarioError: a design that cannot be made.
-        ExportError: the law is outside the subset that becomes C.
+        ExportError: the law is outside the subset that becomes C, or the frames are those of
+            another database.
     """
     network = network_of(scenario)
+    if not network.is_the_rigs:
+        raise ExportError(
+            f"network.dbc = {scenario.network.dbc!r}: must be left out; "
+            "the controller in C has the rig's own frames"
+        )
     table = controller_table(scenario, network)
     precision = scenario.design.precision
     title = f"The constants of the controller of scenario {scenario.name}."
@@ -59,9 +67,8 @@ def _network_source(network: Network, dbc: str) -> str:
             "raw_minimum": str(codec.raw_minimum),
             "raw_maximum": str(codec.raw_maximum),
         }
-        if codec.modes:
-            numbers["mode_shift"] = str(codec.mode_shift)
-            numbers["fault_state_shift"] = str(codec.fault_state_shift)
+        if codec.modes and isinstance(codec.layout, RigLayout):
+            numbers["mode_shift"], numbers["fault_state_shift"] = map(str, codec.layout.shifts)
         lines += ["", *comment(f"{codec.name}: {_signal(codec)}")]
         lines.append(f"const struct frame frame_{codec.role} = {{")
         lines += [f"    .{name} = {value}," for name, value in numbers.items()]

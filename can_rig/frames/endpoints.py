@@ -7,7 +7,7 @@ from typing import Final
 from can import Message
 
 from can_rig.frames.codec import MessageCodec, Record
-from can_rig.frames.protection import FRAME_BYTES, USABLE, Checker, Protector
+from can_rig.frames.protection import USABLE, Checker, Protector, Unprotected
 
 
 class Transmitter:
@@ -15,7 +15,7 @@ class Transmitter:
 
     def __init__(self, codec: MessageCodec) -> None:
         self.codec: Final = codec
-        self._protector = Protector(codec.data_id)
+        self._protector = None if codec.data_id is None else Protector(codec.data_id)
 
     def frame(
         self,
@@ -25,9 +25,13 @@ class Transmitter:
         fault_state: int = 0,
     ) -> Message:
         """The next frame, ready to send; for the arguments see `MessageCodec.encode`."""
-        data = self.codec.encode(value, tick, mode, fault_state)
-        self._protector.protect(data)
-        return Message(0.0, self.codec.frame_id, False, False, False, None, FRAME_BYTES, data)
+        codec = self.codec
+        data = codec.encode(value, tick, mode, fault_state)
+        if self._protector is not None:
+            self._protector.protect(data)
+        return Message(
+            0.0, codec.frame_id, codec.extended, False, False, None, len(data), data, codec.fd
+        )
 
 
 class Receiver:
@@ -40,11 +44,20 @@ class Receiver:
 
     def __init__(self, codec: MessageCodec, max_delta_counter: int = 1) -> None:
         self.codec: Final = codec
-        self.checker: Final = Checker(codec.data_id, max_delta_counter)
+        length = codec.layout.length
+        self.checker: Final = (
+            Unprotected(length)
+            if codec.data_id is None
+            else Checker(codec.data_id, max_delta_counter, length)
+        )
+        self._length = length
+        self._has_tick = codec.layout.has_tick
         self._judged = False  # whether the checker has judged a frame of this tick
 
     def accept(self, message: Message, tick: int | None = None) -> Record | None:
         """The content of a frame; None if it must not be used, for a reason that is counted.
+
+        A frame that says no tick is of ``tick``, or of tick 0 without one.
 
         Call `end_tick` at the end of each tick. The value is nan where it is NOT_AVAILABLE.
 
@@ -54,10 +67,17 @@ class Receiver:
                 frame of any tick is.
         """
         data = message.data
-        if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
+        if (
+            message.is_extended_id != self.codec.extended
+            or message.is_fd != self.codec.fd
+            or message.is_remote_frame
+            or message.is_error_frame
+        ):
             return None  # another kind of frame with the same number
-        if len(data) == FRAME_BYTES:
+        if len(data) == self._length:
             record = self.codec.decode(data)
+            if not self._has_tick:
+                record = record._replace(tick=(tick or 0) & 0xFFFF)
             if tick is None or record.tick == tick & 0xFFFF:
                 self._judged = True
                 return record if self.checker.check(data) in USABLE else None

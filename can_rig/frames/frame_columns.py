@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 
 from can_rig.frames.codec import MessageCodec
 from can_rig.frames.crc_columns import UInt8s, crcs
-from can_rig.frames.layout import NOT_AVAILABLE
+from can_rig.frames.layout import NOT_AVAILABLE, RigLayout
 from can_rig.frames.protection import COUNTERS, FRAME_BYTES
 from can_rig.frames.wire_tick import WIRE_TICKS
 from firmware_model.target.structs import FloatArray
@@ -25,21 +25,24 @@ def payloads(
     """(n, 8), what a `Transmitter` that has sent a frame in every tick from 0 on sends next.
 
     Args:
-        codec: the frame.
+        codec: the frame, one of the rig's own.
         values: (n,), in the unit of the DBC; see `MessageCodec.encode`.
         first_tick: that of the first value.
         mode: (n,), of the status frame.
         fault_state: (n,), likewise.
     """
+    layout, data_id = codec.layout, codec.data_id
+    assert isinstance(layout, RigLayout) and data_id is not None
     ticks = first_tick + np.arange(len(values), dtype=np.int64)
     bits = ticks % COUNTERS
     if mode is not None and fault_state is not None:
-        bits |= mode << codec.mode_shift | fault_state << codec.fault_state_shift
+        mode_shift, fault_state_shift = layout.shifts
+        bits |= mode << mode_shift | fault_state << fault_state_shift
     data = np.zeros((len(values), FRAME_BYTES), dtype=np.uint8)
     data[:, 1] = bits
     data[:, 2:4] = (ticks % WIRE_TICKS).astype("<u2")[:, np.newaxis].view(np.uint8)
     data[:, 4:8] = raw_values(codec, values).astype("<i4")[:, np.newaxis].view(np.uint8)
-    data[:, 0] = crcs(data, codec.data_id)
+    data[:, 0] = crcs(data, data_id)
     return data
 
 
@@ -56,6 +59,8 @@ def raw_values(codec: MessageCodec, values: FloatArray) -> Ints:
 
 def quantised(codec: MessageCodec, values: FloatArray) -> FloatArray:
     """(n,) ``values`` as a receiver gets them; see `MessageCodec.quantise`."""
+    if codec.lsb == 0.0:  # a float
+        return np.array([codec.quantise(value) for value in values.tolist()])
     received = raw_values(codec, values).astype(np.float64) * codec.lsb
     received[np.isnan(values)] = np.nan
     return received

@@ -12,15 +12,19 @@ loaded, so that the loop can pack and unpack a whole frame with one `Struct`.
 """
 
 from struct import Struct
-from typing import Final
+from typing import Final, Protocol
 
 from cantools.database.can import Message, Signal
 
 from can_rig.errors import DbcError
 from can_rig.frames.protection import FRAME_BYTES
+from can_rig.frames.wire_tick import tick_on
 
 FRAME: Final = Struct("<BBHi")
 """Checksum; counter and status bits; tick; raw value."""
+
+Unpacked = tuple[float, int, int, int]
+"""What a frame says: steps of the value's factor, tick, mode, fault state."""
 
 NOT_AVAILABLE: Final = -(2**31)
 """Raw value of a signal without a value: the one integer without a positive counterpart."""
@@ -33,6 +37,61 @@ _STATUS: Final = ("Mode", "FaultState")
 _STATUS_STARTS: Final = (12, 14)  # two bits each, in either order
 _VALUE: Final = (32, 32)
 _GRID_TOLERANCE: Final = 1e-3  # of an LSB; float64 resolves 5e-7 LSB at the end of 32 bits
+
+
+class Layout(Protocol):
+    """How the bytes of one frame say what it says."""
+
+    @property
+    def length(self) -> int:
+        """Bytes of the frame."""
+
+    @property
+    def has_tick(self) -> bool:
+        """Whether it says the tick that it belongs to."""
+
+    def pack(self, k: float, tick: int, mode: int, fault_state: int) -> bytearray:
+        """The bytes of a frame, its protection still zero; the tick is taken modulo 65536."""
+
+    def unpack(self, data: bytes | bytearray) -> Unpacked:
+        """What a frame of the right length says."""
+
+    def tick(self, data: bytes | bytearray) -> int | None:
+        """The tick that it says, modulo 65536, whatever its length; None: it says none."""
+
+
+class RigLayout:
+    """The rig's own: one ``struct`` call, bit for bit what cantools does in ten times as long.
+
+    Args:
+        shifts: of mode and fault state in byte 1; None for a frame without them.
+    """
+
+    length: Final = FRAME_BYTES
+    has_tick: Final = True
+
+    def __init__(self, shifts: tuple[int, int] | None = None) -> None:
+        self.shifts: Final = shifts or (0, 0)
+        self._has_status: Final = shifts is not None
+
+    def pack(self, k: float, tick: int, mode: int, fault_state: int) -> bytearray:
+        """See ``Layout``."""
+        bits = 0
+        if self._has_status:
+            bits = min(max(mode, 0), 3) << self.shifts[0]
+            bits |= min(max(fault_state, 0), 3) << self.shifts[1]
+        return bytearray(FRAME.pack(0, bits, tick & 0xFFFF, k))
+
+    def unpack(self, data: bytes | bytearray) -> Unpacked:
+        """See ``Layout``."""
+        _, bits, tick, raw = FRAME.unpack(data)
+        if not self._has_status:
+            return raw, tick, 0, 0
+        return raw, tick, bits >> self.shifts[0] & 3, bits >> self.shifts[1] & 3
+
+    def tick(self, data: bytes | bytearray) -> int | None:
+        """See ``Layout``."""
+        return tick_on(data)
 
 
 def value_signal(message: Message) -> Signal:

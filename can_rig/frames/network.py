@@ -16,8 +16,10 @@ from cantools.database.can import Signal
 from can_rig.errors import DbcError
 from can_rig.frames.codec import MessageCodec
 from can_rig.frames.dbc import attribute, load_dbc
-from can_rig.frames.layout import ROLES, require_layout, value_signal
+from can_rig.frames.layout import ROLES, RigLayout, require_layout, value_signal
 from can_rig.frames.protection import FRAME_BYTES, Protector
+
+EXTENDED_FLAG = 1 << 31
 
 
 @dataclass(frozen=True, slots=True)
@@ -29,15 +31,37 @@ class Network:
     command_1: MessageCodec
     command_2: MessageCodec
     status: MessageCodec
+    collisions: tuple[str, ...] = ()
+    """Messages of the database with the identifier of one of them."""
 
     def __iter__(self) -> Iterator[MessageCodec]:
         """The frames in the order of `ROLES`."""
         return (getattr(self, role) for role in ROLES)
 
     @property
+    def has_ticks(self) -> bool:
+        """Whether every frame says the tick that it belongs to, which lockstep needs."""
+        return all(codec.layout.has_tick for codec in self)
+
+    @property
+    def is_the_rigs(self) -> bool:
+        """Whether all frames have the layout of the rig's own."""
+        return all(isinstance(codec.layout, RigLayout) for codec in self)
+
+    @property
+    def unprotected(self) -> tuple[str, ...]:
+        """Messages without end-to-end protection."""
+        return tuple(codec.name for codec in self if not codec.protected)
+
+    @property
+    def fd(self) -> bool:
+        """Whether one of them is a CAN FD frame."""
+        return any(codec.fd for codec in self)
+
+    @property
     def identifiers(self) -> tuple[int, ...]:
-        """Their CAN identifiers, in the order of `ROLES`."""
-        return tuple(codec.frame_id for codec in self)
+        """Their CAN identifiers, in the order of `ROLES`; with bit 31 set if of 29 bits."""
+        return tuple(codec.frame_id | codec.extended * EXTENDED_FLAG for codec in self)
 
 
 def load_network(path: str | Path) -> Network:
@@ -61,8 +85,9 @@ def load_network(path: str | Path) -> Network:
     for role in ROLES:
         if role not in by_role:
             raise DbcError(f"{path}: no message has RigRole {role}; exactly one must")
-    network = Network(*(_codec(by_role[role], role, path) for role in ROLES))
-    _require_distinct_data_ids(network, path)
+    first, second, third, fourth, last = (_codec(by_role[role], role, path) for role in ROLES)
+    network = Network(first, second, third, fourth, last)
+    require_distinct_data_ids(network, path)
     return network
 
 
@@ -91,23 +116,30 @@ def _codec(message: DbcMessage, role: str, path: str | Path) -> MessageCodec:
         raw_maximum=raw_maximum,
         minimum=raw_minimum * lsb,
         maximum=raw_maximum * lsb,
-        modes=_words(mode),
-        fault_states=_words(fault_state),
-        mode_shift=mode.start - 8 if mode else 0,  # within byte 1
-        fault_state_shift=fault_state.start - 8 if fault_state else 0,
+        modes=words_of(mode),
+        fault_states=words_of(fault_state),
+        layout=RigLayout(
+            (mode.start - 8, fault_state.start - 8) if mode and fault_state else None
+        ),  # within byte 1
     )
 
 
-def _words(signal: Signal | None) -> dict[int, str]:
+def words_of(signal: Signal | None) -> dict[int, str]:
     """The value table of a signal, with words as text."""
     choices = signal.choices if signal and signal.choices else {}
     return {int(number): str(word) for number, word in choices.items()}
 
 
-def _require_distinct_data_ids(network: Network, path: str | Path) -> None:
-    """Refuse two 16-bit data identifiers that give the same 8-bit CRC."""
+def require_distinct_data_ids(network: Network, path: str | Path) -> None:
+    """Refuse two 16-bit data identifiers that give the same 8-bit CRC.
+
+    Raises:
+        DbcError: names both messages.
+    """
     by_crc: dict[int, MessageCodec] = {}
     for codec in network:
+        if codec.data_id is None:
+            continue
         frame = bytearray(FRAME_BYTES)
         Protector(codec.data_id).protect(frame)
         other = by_crc.setdefault(frame[0], codec)

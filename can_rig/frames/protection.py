@@ -1,10 +1,11 @@
-"""AUTOSAR end-to-end protection, profile 1 (variant 1A), of a frame of 8 bytes.
+"""AUTOSAR end-to-end protection, profile 1 (variant 1A), of a frame of 8 bytes or any other length.
 
 Byte 0 is a CRC-8 (SAE J1850, polynomial 0x1D) over the low byte and the high byte of the data
-identifier and bytes 1 to 7; the low nibble of byte 1 is a counter 0..14. The CRC detects damage
-and a frame of another sender, the counter detects repetition, loss and wrong order. Every burst of
-up to 8 bits is detected, except for 5 of the 769 that straddle bytes 0 and 1: the polynomial needs
-the CRC after the data, and the profile sends it before. The CRC-15 of CAN detects those.
+identifier and the bytes from 1 on; the low nibble of byte 1 is a counter 0..14. The CRC detects
+damage and a frame of another sender, the counter detects repetition, loss and wrong order. Every
+burst of up to 8 bits is detected, except for 5 of the 769 that straddle bytes 0 and 1: the
+polynomial needs the CRC after the data, and the profile sends it before. The CRC-15 of CAN detects
+those.
 
 Source: AUTOSAR SWS E2E Library (Doc. 428), "Specification of E2E Profile 1": data identifier mode
 E2E_P01_DATAID_BOTH, E2E_P01Protect and E2E_P01Check. Of its configuration, SyncCounterInit is 1
@@ -17,7 +18,7 @@ from typing import Final
 from e2e.p01 import e2e_p01_check, e2e_p01_protect
 
 FRAME_BYTES: Final = 8
-"""Length of every protected frame [byte]."""
+"""Length of every frame of the rig's own [byte]."""
 
 COUNTERS: Final = 15
 """Counters are 0..14; 15 is never sent."""
@@ -45,7 +46,7 @@ class CheckStatus(IntEnum):
     WRONG_CRC = 6
     """Damaged, another sender's frame, or the counter 15, which no sender uses."""
     WRONG_LENGTH = 7
-    """Not 8 bytes."""
+    """Not as long as its frames are."""
     NO_NEW_DATA = 8
     """No frame at all where one was due."""
     WRONG_TICK = 9
@@ -85,7 +86,7 @@ class Protector:
         self._counter = _LARGEST_DELTA  # so that 0 is sent first, as in SWS E2E
 
     def protect(self, data: bytearray) -> None:
-        """Write the next counter and the CRC into the 8 bytes of `data`, in place."""
+        """Write the next counter and the CRC into `data`, in place."""
         # The library increments the counter that it finds in the frame; 0 follows 14.
         data[1] = (data[1] & 0xF0) | self._counter
         e2e_p01_protect(data, self.data_id)
@@ -105,18 +106,22 @@ class Checker:
         data_id: identifier of the frame, as at the sender.
         max_delta_counter: tolerated number of frames lost between two that arrive in successive
             calls, 1..14 (MaxDeltaCounterInit).
+        length: of its frames [byte].
 
     Raises:
         ValueError: an argument is out of its range.
     """
 
-    __slots__ = ("_counts", "_last", "_next", "_sync", "_window", "data_id", "max_delta_counter")
+    __slots__ = (
+        "_counts", "_last", "_length", "_next", "_sync", "_window", "data_id", "max_delta_counter",
+    )  # fmt: skip
 
-    def __init__(self, data_id: int, max_delta_counter: int = 1) -> None:
+    def __init__(self, data_id: int, max_delta_counter: int = 1, length: int = FRAME_BYTES) -> None:
         if not 1 <= max_delta_counter <= _LARGEST_DELTA:
             raise ValueError(f"max_delta_counter is {max_delta_counter}; it must be 1..14")
         self.data_id: Final = _require_data_id(data_id)
         self.max_delta_counter: Final = max_delta_counter
+        self._length = length
         self._last: int | None = None  # counter of the last frame that was accepted
         self._next: int | None = None  # the counter of an OK frame; None where that is not enough
         self._window = max_delta_counter  # largest step that was tolerated at the last call
@@ -130,7 +135,7 @@ class Checker:
 
     def check(self, data: bytearray) -> CheckStatus:
         """Judge one received frame; never raises, whatever its content or length."""
-        intact = len(data) == FRAME_BYTES and e2e_p01_check(data, self.data_id)
+        intact = len(data) == self._length and e2e_p01_check(data, self.data_id)
         if intact and data[1] & 0x0F == self._next:  # the usual case, made quick
             self._last, self._next = self._next, _AFTER[self._next]
             self._window = self.max_delta_counter
@@ -146,13 +151,12 @@ class Checker:
 
         So a forged frame must also have the current tick before it can disturb the counter.
         """
-        intact = len(data) == FRAME_BYTES and e2e_p01_check(data, self.data_id)
+        intact = len(data) == self._length and e2e_p01_check(data, self.data_id)
         self._counts[_WRONG_TICK if intact else self._damage(data)] += 1
 
-    @staticmethod
-    def _damage(data: bytearray) -> CheckStatus:
+    def _damage(self, data: bytearray) -> CheckStatus:
         """What is wrong with a frame that is not intact."""
-        return _WRONG_LENGTH if len(data) != FRAME_BYTES else _WRONG_CRC
+        return _WRONG_LENGTH if len(data) != self._length else _WRONG_CRC
 
     def no_new_data(self) -> CheckStatus:
         """Note that a frame was due and none arrived."""
@@ -181,3 +185,31 @@ class Checker:
         self._next = None if self._sync else _AFTER[received]
         self._window = self.max_delta_counter
         return status
+
+
+class Unprotected:
+    """The receiving end of a frame without protection: what is as long as it should be is used."""
+
+    def __init__(self, length: int) -> None:
+        self._length = length
+        self._counts = [0] * len(CheckStatus)
+
+    @property
+    def counts(self) -> dict[CheckStatus, int]:
+        """As that of `Checker`."""
+        return dict(zip(CheckStatus, self._counts, strict=True))
+
+    def check(self, data: bytearray) -> CheckStatus:
+        """As that of `Checker`."""
+        status = _OK if len(data) == self._length else _WRONG_LENGTH
+        self._counts[status] += 1
+        return status
+
+    def reject(self, data: bytearray) -> None:
+        """As that of `Checker`."""
+        self._counts[_WRONG_TICK if len(data) == self._length else _WRONG_LENGTH] += 1
+
+    def no_new_data(self) -> CheckStatus:
+        """As that of `Checker`."""
+        self._counts[CheckStatus.NO_NEW_DATA] += 1
+        return CheckStatus.NO_NEW_DATA

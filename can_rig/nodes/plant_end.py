@@ -9,6 +9,7 @@ import can
 from can_rig.frames.codec import Record
 from can_rig.frames.endpoints import Receiver, Transmitter
 from can_rig.frames.network import Network
+from can_rig.frames.wire_tick import ticks_ahead
 from can_rig.nodes.bus_access import Send
 from can_rig.nodes.recording.plant_recorder import PlantRecorder
 from can_rig.nodes.recording.recorder import Log
@@ -81,6 +82,12 @@ class PlantEnd:
             return None
         record = self._receivers[at].accept(message, tick)
         return None if record is None else (at, record)
+
+    def age(self, message: can.Message, tick: int) -> int:
+        """How many ticks before ``tick`` a frame's own tick lies; 0 for one that says none."""
+        at = self._by_id.get(message.arbitration_id)
+        says = None if at is None else self._receivers[at].codec.layout.tick(message.data)
+        return 0 if says is None else -ticks_ahead(says, tick)
 
     def advance(self, tick: int, command_1: float | None, command_2: float | None) -> None:
         """The plant one tick on, with the valid commands of ``tick`` (None: there was none)."""

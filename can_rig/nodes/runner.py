@@ -154,8 +154,8 @@ def run_in_process(
     network, clock = network_of(scenario), SYSTEM_CLOCK
     timeouts = Timeouts(first_s=Timeouts.silence_s)  # the other node is there already
     with (
-        open_for_node(bus_name, network.identifiers, overhear=True) as plant_bus,
-        open_for_node(bus_name, network.identifiers, overhear=False) as controller_bus,
+        open_for_node(bus_name, network.identifiers, True, network.fd) as plant_bus,
+        open_for_node(bus_name, network.identifiers, False, network.fd) as controller_bus,
         Recorder(log, scenario.tick_ns) as recorder,
         PlantRecorder(log) as reports,
         ExitStack() as stack,
@@ -213,9 +213,9 @@ def _open(
     bus_name: str, scenario: Scenario, node: NodeName, by_hand: bool, overhear: bool
 ) -> Iterator[NodeBus]:
     """The bus, and for a node that was started by hand the comparison of scenarios on it."""
-    identifiers = network_of(scenario).identifiers
+    network = network_of(scenario)
     compared = tuple(ComparisonFrame(each).frame_id for each in SENDERS) if by_hand else ()
-    with open_for_node(bus_name, (*identifiers, *compared), overhear) as bus:
+    with open_for_node(bus_name, (*network.identifiers, *compared), overhear, network.fd) as bus:
         if not by_hand:
             yield bus
             return

@@ -7,10 +7,8 @@ import random
 import can
 import numpy as np
 
-from can_rig.scenario.settings import Scenario
+from can_rig.scenario.settings import CHANNELS, Scenario
 from firmware_model.target.structs import FloatArray
-
-CHANNELS = ("torque", "force-difference")
 
 
 class ActuatorFault:

@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
 from can_rig.frames.codec import MessageCodec
-from can_rig.frames.layout import FRAME, NOT_AVAILABLE
+from can_rig.frames.layout import Unpacked
 from can_rig.frames.network import Network
 from can_rig.logs.frames import NS_PER_S
 from can_rig.replay.gaps import Row
@@ -54,24 +54,29 @@ class SignalComparison:
         return values
 
 
+VALUE, MODE, FAULT_STATE = 0, 2, 3
+"""Where a frame that is unpacked says what."""
+
+
 @dataclass
 class _Signal:
     """Where a signal lies in its frame, and the comparison of it."""
 
     result: SignalComparison
-    lsb: float
-    shift: int | None = None  # of a code in the status bits; None: the scaled value
-    words: dict[int, str] = field(default_factory=dict)
+    codec: MessageCodec
+    at: int = VALUE
+    words: Mapping[int, str] = field(default_factory=dict)
 
-    def raw(self, fields: tuple[int, int, int, int]) -> int:
-        return fields[3] if self.shift is None else fields[1] >> self.shift & 3
+    def raw(self, said: Unpacked) -> float:
+        return said[self.at]
 
-    def shown(self, raw: int) -> float | str:
-        if self.shift is not None:
-            return self.words.get(raw, str(raw))
-        return "not available" if raw == NOT_AVAILABLE else raw * self.lsb
+    def shown(self, raw: float) -> float | str:
+        if self.at != VALUE:
+            return self.words.get(int(raw), str(raw))
+        value = self.codec.from_raw(raw)
+        return "not available" if math.isnan(value) else value
 
-    def compare(self, tick: int, time_ns: int, logged: int, replayed: int) -> None:
+    def compare(self, tick: int, time_ns: int, logged: float, replayed: float) -> None:
         result = self.result
         result.compared += 1
         if logged == replayed:
@@ -80,8 +85,10 @@ class _Signal:
         place = Place(tick, time_ns / NS_PER_S, self.shown(logged), self.shown(replayed))
         if result.first is None:
             result.first = place
-        countable = self.shift is None and NOT_AVAILABLE not in (logged, replayed)
-        size = abs(logged - replayed) * self.lsb if countable else math.nan
+        size = math.nan
+        if self.at == VALUE:  # nan where one is not available
+            steps = abs(logged - replayed) * (self.codec.lsb or 1.0)
+            size = steps + 0.0 * (self.codec.from_raw(logged) + self.codec.from_raw(replayed))
         # A difference that has a size says more than one that has none.
         if result.largest_at is None or size > result.largest or math.isnan(result.largest):
             result.largest, result.largest_at = size, place
@@ -110,6 +117,7 @@ class Comparison:
         self.other_counter = 0
         """Frames that say the same with another counter."""
         self._names = [codec.name for codec in codecs]
+        self._layouts = [codec.layout for codec in codecs]
 
     @property
     def signals(self) -> list[SignalComparison]:
@@ -144,7 +152,8 @@ class Comparison:
                 for signal in self._signals[at]:
                     signal.result.compared += 1
                 continue
-            one, other = FRAME.unpack(logged), FRAME.unpack(replayed)
+            layout = self._layouts[at]
+            one, other = layout.unpack(logged), layout.unpack(replayed)
             pairs = [(signal.raw(one), signal.raw(other)) for signal in self._signals[at]]
             self.other_counter += all(a == b for a, b in pairs)
             for signal, (a, b) in zip(self._signals[at], pairs, strict=True):
@@ -154,11 +163,10 @@ class Comparison:
 
 def _signals(codec: MessageCodec) -> list[_Signal]:
     def signal(name: str, unit: str, **where: Any) -> _Signal:
-        return _Signal(SignalComparison(codec.name, name, unit), codec.lsb, **where)
+        return _Signal(SignalComparison(codec.name, name, unit), codec, **where)
 
     found = [signal(codec.signal_name, codec.unit)]
     if codec.modes:
-        found.append(signal("Mode", "", shift=codec.mode_shift, words=dict(codec.modes)))
-        shift, words = codec.fault_state_shift, dict(codec.fault_states)
-        found.append(signal("FaultState", "", shift=shift, words=words))
+        found.append(signal("Mode", "", at=MODE, words=codec.modes))
+        found.append(signal("FaultState", "", at=FAULT_STATE, words=codec.fault_states))
     return found

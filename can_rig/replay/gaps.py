@@ -24,7 +24,7 @@ from typing import Final, NamedTuple, TextIO
 
 from can_rig.frames.layout import ROLES
 from can_rig.frames.network import Network
-from can_rig.frames.protection import COUNTERS, FRAME_BYTES
+from can_rig.frames.protection import COUNTERS
 from can_rig.logs.frames import NS_PER_S
 from can_rig.replay.rig_frames import INPUTS, RigFrame
 
@@ -72,6 +72,7 @@ class Account:
 
     def __init__(self, network: Network, tick_ns: int, on_gap: Callable[[Gap], None]) -> None:
         self._names = [codec.name for codec in network]
+        self._lengths = [codec.layout.length for codec in network]
         self._tick_ns = tick_ns
         self._on_gap = on_gap
         self.counts: Counter[tuple[str, str]] = Counter()
@@ -97,7 +98,8 @@ class Account:
         """
         role = frame.role
         if not frame.intact:
-            word = "wrong CRC" if len(frame.data) == FRAME_BYTES else "wrong length"
+            whole = len(frame.data) == self._lengths[role]
+            word = "wrong CRC" if whole else "wrong length"
             self.note(tick, frame.time_ns, role, word)
             if row is not None:
                 row.damaged.add(role)

@@ -58,7 +58,7 @@ class OpenLoop:
     ) -> None:
         self._tick_s = scenario.tick_s
         self._network = network
-        self._identifiers = [codec.frame_id for codec in network]
+        self._codecs = tuple(network)
         self._sent: list[bytes] = []
         self._node = ControllerNode(
             scenario.healthy,
@@ -143,8 +143,11 @@ class OpenLoop:
     def _serve(self, frame: RigFrame) -> None:
         """Let the node have a frame, and take what it answers."""
         time_s = frame.time_ns / NS_PER_S
-        identifier = self._identifiers[frame.role]
-        self._node.take(can.Message(time_s, identifier, False, data=frame.data))
+        codec = self._codecs[frame.role]
+        message = can.Message(
+            time_s, codec.frame_id, codec.extended, data=frame.data, is_fd=codec.fd
+        )
+        self._node.take(message)
         if self.first_tick is None and self._sent and self._node.expected is not None:
             tick = self._node.expected - 1
             self.first_tick = self._open = tick_at(tick, time_s, self._tick_s)

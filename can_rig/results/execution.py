@@ -160,14 +160,14 @@ def execute(
             recorded stays, and the line says where.
         RigError: it failed before anything was recorded: then there is no folder.
     """
+    network = network_of(scenario)
     if bus is None:
-        without = runner is in_process and _needs_no_bus(scenario, controller)
+        without = runner is in_process and _needs_no_bus(scenario, network, controller)
         bus = NO_BUS if without else f"local:run-{os.getpid()}"
     if runner is real_time:
         require_causal(scenario)
     if runner is not in_process:
         _require_shared(bus)
-    network = network_of(scenario)
     folder = RunFolder.create(out, scenario, force)
     try:
         made_here, final = _with_reference(scenario, folder, reference_csv)
@@ -196,12 +196,13 @@ def execute(
     return Execution(folder.path, final, network, outcome, values, failure)
 
 
-def _needs_no_bus(scenario: Scenario, controller: Controller) -> bool:
+def _needs_no_bus(scenario: Scenario, network: Network, controller: Controller) -> bool:
     """Whether a run without frames has the same log.
 
     Single precision has not: an actuator gets what the frame carries, in double precision.
     """
-    return controller is PYTHON and scenario.design.precision == "float64"
+    exact = scenario.design.precision == "float64"
+    return exact and controller is PYTHON and network.is_the_rigs
 
 
 def _require_shared(bus: str) -> None:

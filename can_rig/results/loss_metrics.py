@@ -6,9 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig.assessment.unavoidable import Unavoidable, unavoidable
-from can_rig.plant.faults import CHANNELS
 from can_rig.results.signals import Signals
-from can_rig.scenario.settings import Scenario
+from can_rig.scenario.settings import CHANNELS, Scenario
 from firmware_model.discretisation.targets import HOUR_S
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray

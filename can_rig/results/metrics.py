@@ -9,12 +9,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig.assessment.control_authority import control_authority
-from can_rig.drawing.names import names_of, printed
-from can_rig.frames.network import Network
+from can_rig.drawing.names import names_of
 from can_rig.results.counterfactual import fault_free, noise_free
 from can_rig.results.loss_metrics import decision_metrics, unavoidable_deviation
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of
+from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import FloatArray
 
@@ -73,7 +73,7 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
     picture have D* as measured. What X_diff needs and can carry is there where the torque is lost.
     """
     window = windows(scenario, signals)
-    closed = scenario.model.closed_loop
+    closed = scenario.design.feedback
     bias = sensor_bias(scenario, signals)
     error = np.abs(signals.error_mps2 + bias) if closed else np.full(len(signals), np.nan)
     estimate = np.abs(signals.fault_estimate_mps2)
@@ -138,15 +138,16 @@ def _integral(values: FloatArray, tick_s: float) -> float | None:
     return float(np.nansum(values)) * tick_s if np.isfinite(values).any() else None
 
 
-def rows(values: Metrics, network: Network) -> list[tuple[str, str]]:
+def rows(values: Metrics, plant: PlantSettings) -> list[tuple[str, str]]:
     """The closing table, label and text: the metrics that mean something in this run."""
-    names = names_of(network)._asdict()
-    output = printed(network.feedback.unit)
+    signals = names_of(plant)
+    names = {key: signal.name for key, signal in signals._asdict().items()}
+    output = signals.output.unit
     units = {
         "y": output,
         "y.s": f"{output} s".lstrip(),
-        "u1": printed(network.command_1.unit),
-        "u2": printed(network.command_2.unit),
+        "u1": signals.command_1.unit,
+        "u2": signals.command_2.unit,
     }
     faulted = values.get("deviation_peak_after_fault_mps2") is not None
     out: list[tuple[str, str]] = []
@@ -201,5 +202,5 @@ _TABLE = (
         "u2",
     ),
     ("force_difference_settled_n", "|{command_2}|, settled", "|{command_2}|, settled", "u2"),
-    ("dstar_carried_mps2", "|D*| that the {command_2} can hold alone", "", "y"),
+    ("dstar_carried_mps2", "|{output}| that the {command_2} can hold alone", "", "y"),
 )

@@ -15,8 +15,8 @@ from numpy.typing import NDArray
 from can_rig.frames.endpoints import Receiver
 from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
-from can_rig.frames.wire_tick import tick_at, tick_on, ticks_ahead
-from can_rig.logs.frames import SENT
+from can_rig.frames.wire_tick import WIRE_TICKS, tick_at, ticks_ahead
+from can_rig.logs.frames import ERROR, REMOTE
 from can_rig.logs.plant_signals import PlantSignals, read_plant_signals
 from can_rig.logs.reading import read_log
 from can_rig.nodes.summary import RunColumns
@@ -91,7 +91,7 @@ def read_signals(log: Path, network: Network, tick_s: float, in_time_ticks: int 
     Raises:
         LogError: the log cannot be read, or something in it is no frame.
     """
-    signals = signals_of(plain_frames(log), network, tick_s, in_time_ticks)
+    signals = signals_of(data_frames(log), network, tick_s, in_time_ticks)
     return with_plant_signals(signals, log, tick_s)
 
 
@@ -140,14 +140,14 @@ def signals_of(
     return Signals(ticks * tick_s, *columns)
 
 
-def plain_frames(log: Path) -> Iterator[Message]:
-    """Classic data frames with 11-bit identifiers of a log, in order; the rig's are such.
+def data_frames(log: Path) -> Iterator[Message]:
+    """Frames of a log that carry data, in order.
 
     Raises:
         LogError: as ``read_signals``.
     """
     for frames in read_log(log):
-        yield from frames[~frames.has(~SENT & 0xFF)].messages()
+        yield from frames[~frames.has(REMOTE | ERROR)].messages()
 
 
 class _Table:
@@ -175,32 +175,49 @@ class _Table:
         receiver = self._receivers[at]
         row = -1
         if at >= OWN:
-            age = self._age(message)
+            age = self._age(at, message)
             record = receiver.accept(message, self._tick - age) if self.rows else None
             row -= age
         else:
-            ahead = self._ticks_ahead(message)
+            ahead = self._ticks_ahead(at, message)
             if ahead and self.rows:
                 self._end_ticks(at, ahead)
-            record = receiver.accept(message, None if ahead else self._tick)
+            record = receiver.accept(message, self._tick_of(at, message, ahead))
             if record is not None and ahead:
                 self._begin(at, record.tick, message.timestamp, ahead)
         if record is None or not math.isfinite(record.value):
             return
         self.rows[row][at] = record.value
-        if at == STATUS:
+        if at == STATUS and receiver.codec.modes:
             self.rows[row][-2:] = [record.mode, record.fault_state]
 
-    def _age(self, message: Message) -> int:
+    def _age(self, at: int, message: Message) -> int:
         """How many ticks ago a command's tick was, if it is in time; 0 otherwise."""
-        age = -ticks_ahead(tick_on(message.data), self._tick)
+        says = self._receivers[at].codec.layout.tick(message.data)
+        age = 0 if says is None else -ticks_ahead(says, self._tick)
         return age if 0 <= age < min(self._in_time_ticks, len(self.rows)) else 0
 
-    def _ticks_ahead(self, message: Message) -> int:
-        """How far the frame says that time has gone on; 0: it is of this tick, or of an old one."""
+    def _ticks_ahead(self, at: int, message: Message) -> int:
+        """How far the frame says that time has gone on; 0: it is of this tick, or of an old one.
+
+        One that says no tick begins the next when this one has its like.
+        """
         if not self.rows:
             return 1
-        return max(0, ticks_ahead(tick_on(message.data), self._tick))
+        says = self._receivers[at].codec.layout.tick(message.data)
+        if says is None:
+            return int(math.isfinite(self.rows[-1][at]))
+        return max(0, ticks_ahead(says, self._tick))
+
+    def _tick_of(self, at: int, message: Message, ahead: int) -> int | None:
+        """The tick that a frame must be of; None: any, as it says one that begins now."""
+        if not ahead:
+            return self._tick
+        if self._receivers[at].codec.layout.has_tick:
+            return None
+        if self.rows:
+            return self._tick + ahead
+        return round(message.timestamp / self._tick_s) % WIRE_TICKS
 
     def _begin(self, announced_by: int, wire_tick: int, timestamp_s: float, ahead: int) -> None:
         """Start the row of another tick, after rows of nan for those in between."""

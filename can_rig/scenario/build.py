@@ -3,20 +3,22 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import asdict, replace
 from functools import cache
+from pathlib import Path
 from typing import Final
 
 from can_rig.errors import ScenarioError
 from can_rig.frames.dbc import shipped_dbc
+from can_rig.frames.mapped.network import Roles, map_network
 from can_rig.frames.network import Network, load_network
+from can_rig.scenario.box import in_box, uncertain, with_lags
 from can_rig.scenario.plant_settings import PlantSettings
-from can_rig.scenario.settings import Scenario
+from can_rig.scenario.settings import CHANNELS, Scenario
 from firmware_model.design import plants
 from firmware_model.design.actuator_dynamics import behind
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
-from firmware_model.design.mismatch import TRUSTED, Mismatch, principal_mismatch
+from firmware_model.design.mismatch import Mismatch, principal_mismatch
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
@@ -29,16 +31,41 @@ _TABLES: Final[dict[str, Record]] = {}
 """The last ones that were computed, by everything that they follow from."""
 
 GOVERNED = 0.5  # share of the motor's limit that may go into the second derivative of D*
+CAR_DECAYS_PER_S = 3.5  # the slowest mode of the car's F̂
+LONGEST_TICKS = 20_000  # for what a car does in a second
+SHAPED = 2  # relative degree of a G1 whose C asks for the second derivative
 
 
 def network_of(scenario: Scenario) -> Network:
-    """The scenario's frames, from its DBC."""
-    return _network(scenario.dbc)
+    """The scenario's frames, from its DBC or from a database of the user's.
+
+    Raises:
+        DbcError: that cannot be read, or does not have what ``network.signals`` names.
+        ScenarioError: a fault that cannot be told in these frames.
+    """
+    chosen = scenario.network
+    if not chosen.signals:
+        return _network(dbc_of(scenario))
+    data_ids = {role: number for role, number in asdict(chosen.data_ids).items() if number}
+    network = map_network(chosen.dbc, Roles(asdict(chosen.signals), chosen.tick, data_ids))
+    command = (network.command_1, network.command_2)[CHANNELS.index(scenario.fault.channel)]
+    if scenario.fault.kind == "frames-corrupted" and not command.protected:
+        raise ScenarioError(
+            f"scenario {scenario.name}: fault.kind = 'frames-corrupted': must be another, or "
+            f"network.data_ids.{command.role} must be set: nothing tells that {command.name} "
+            "is corrupted"
+        )
+    return network
+
+
+def dbc_of(scenario: Scenario) -> Path:
+    """The file of the scenario's frames."""
+    return Path(scenario.network.dbc) if scenario.network.dbc else shipped_dbc(scenario.dbc)
 
 
 @cache
-def _network(dbc: str) -> Network:
-    return load_network(shipped_dbc(dbc))
+def _network(dbc: Path) -> Network:
+    return load_network(dbc)
 
 
 def continuous_car(settings: PlantSettings) -> plants.Plant:
@@ -51,9 +78,24 @@ def continuous_car(settings: PlantSettings) -> plants.Plant:
         ScenarioError: parameters with which the car is not stable.
     """
     try:
-        return settings.linear.make(settings, settings.variant)
+        return settings.linear.make(settings)
     except DesignError as error:
         raise ScenarioError(f"plant: {error}") from None
+
+
+def slowness(scenario: Scenario) -> float:
+    """How many times longer than a car the model takes to settle, by its slowest pole or zero.
+
+    1 for a car and for what is faster; no more than ``LONGEST_TICKS`` can show.
+    """
+    if scenario.model.is_car:
+        return 1.0
+    model = continuous_car(scenario.model)
+    roots = (*model.g1.poles, *model.g1.zeros, *model.g2.poles, *model.g2.zeros)
+    slowest = min(abs(root.real) for root in roots)
+    if slowest * LONGEST_TICKS * scenario.tick_s < CAR_DECAYS_PER_S:
+        return max(1.0, LONGEST_TICKS * scenario.tick_s)
+    return max(1.0, CAR_DECAYS_PER_S / slowest)
 
 
 def continuous_plant(settings: PlantSettings) -> plants.Plant:
@@ -78,7 +120,7 @@ def continuous_design(scenario: Scenario) -> ContinuousDesign:
         tau_q_s=chosen.tau_q_s,
         alpha_q=chosen.alpha_q,
         compensation=chosen.compensation != "off",
-        feedback=scenario.model.closed_loop,
+        feedback=chosen.feedback,
     )
     plant = continuous_plant(scenario.model)
     _refuse_slow_sensor(scenario)
@@ -95,7 +137,7 @@ def _refuse_slow_sensor(scenario: Scenario) -> None:
     above the corner.
     """
     corner_hz, chosen = scenario.model.sensor.corner_hz, scenario.design
-    if corner_hz is None or not scenario.model.closed_loop:
+    if corner_hz is None or not chosen.feedback:
         return
     bandwidth = math.sqrt(2.0 ** (1.0 / chosen.alpha_q) - 1.0) / (2.0 * math.pi)
     least_hz = bandwidth / chosen.tau_q_s
@@ -155,30 +197,19 @@ def target(scenario: Scenario, network: Network | None) -> Target:
     )
 
 
-UNCERTAIN: Final = (
-    "mass_kg",
-    "front_cornering_stiffness_n_per_rad",
-    "rear_cornering_stiffness_n_per_rad",
-    "speed_mps",
-)
-"""Parameters that differ from car to car and from day to day; the rest of Table 3.1 is known."""
-
-
 def mismatch(scenario: Scenario) -> Mismatch:
-    """The cars that are not the model, along the principal directions of the budget's box."""
+    """The plants that are not the model, along the principal directions of the budget's box."""
     model, budget, chosen = scenario.model, scenario.budget, scenario.design
-    if not model.is_car:
-        return TRUSTED
-    keys = UNCERTAIN if budget.box > 0.0 else ()
+    keys = tuple(uncertain(model)) if budget.box > 0.0 else ()
     late = budget.actuator_box > 0.0 and model.torque_actuator.lags
 
     def channels(place: FloatArray) -> tuple[ZeroPoleGain, ZeroPoleGain]:
-        car = in_box(
+        other = in_box(
             model, {key: budget.box * float(x) for key, x in zip(keys, place, strict=False)}
         )
         if late:
-            car = with_lags(car, 1.0 + budget.actuator_box * float(place[-1]))
-        plant = continuous_plant(car)
+            other = with_lags(other, 1.0 + budget.actuator_box * float(place[-1]))
+        plant = continuous_plant(other)
         return plant.g1, plant.g2
 
     return principal_mismatch(
@@ -186,35 +217,22 @@ def mismatch(scenario: Scenario) -> Mismatch:
     )
 
 
-def in_box(model: PlantSettings, shares: Mapping[str, float]) -> PlantSettings:
-    """``model`` with parameters that are greater by these shares, 0.2 for 20 %."""
-    values = {key: getattr(model, key) * (1.0 + share) for key, share in shares.items()}
-    return replace(model, **values)
-
-
-def with_lags(model: PlantSettings, factor: float) -> PlantSettings:
-    """``model`` with actuators that are slower by ``factor``."""
-    return replace(
-        model,
-        torque_actuator=model.torque_actuator.slower(factor),
-        force_difference_actuator=model.force_difference_actuator.slower(factor),
-    )
-
-
 def reference_acceleration(scenario: Scenario) -> float:
     """How fast a reference C may follow, m/s⁴: what ``GOVERNED`` of the motor's limits can do.
 
-    u1 = r̈/g1 and the rest of D/N1, so half of the limit goes to r̈. A turn from full ahead to full
-    back is 2R/g1, smoothed by q̂: at most 0.37·2R/(g1 τ_q) a second for α_q = 2, less for more, and
-    as much again is left for the rest.
+    Of a G1 of relative degree two, as a car's: u1 = r̈/g1 and the rest of D/N1, so half of the
+    limit goes to r̈. A turn from full ahead to full back is 2R/g1, smoothed by q̂: at most
+    0.37·2R/(g1 τ_q) a second for α_q = 2, less for more, and as much again is left for the rest.
+    Other plants follow the reference as it is, within what q̂ makes of it.
     """
     limits = scenario.limits
-    if not scenario.model.closed_loop:  # no C that would follow
+    g1 = continuous_car(scenario.model).g1
+    if not scenario.design.feedback or g1.relative_degree != SHAPED:  # no C that would ask for r̈
         return math.inf
     torque = math.inf if limits.torque_nm is None else limits.torque_nm
     if limits.torque_rate_nm_per_s is not None:
         torque = min(torque, limits.torque_rate_nm_per_s * scenario.design.tau_q_s)
-    return GOVERNED * torque * abs(continuous_car(scenario.model).g1.gain)
+    return GOVERNED * torque * abs(g1.gain)
 
 
 def controller_table(scenario: Scenario, network: Network | None) -> Record:

@@ -12,6 +12,7 @@ import json
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from itertools import product
 from pathlib import Path
 from typing import Any, Final
 
@@ -19,19 +20,24 @@ from pydantic import TypeAdapter, ValidationError
 
 from can_rig.errors import ScenarioError
 from can_rig.scenario.catalogue import shipped
-from can_rig.scenario.plant_settings import CAR
+from can_rig.scenario.plant_settings import CAR, NUMBERS, SIGNALS
 from can_rig.scenario.refusal import refusal
 from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.numbers import FACTORED, POLYNOMIAL
 
 FROM_BUS: Final = ("latency_ticks", "from-bus")
 """A key, and the word that may stand there for its number."""
 
 ACTUATORS: Final = ("torque_actuator", "force_difference_actuator")
-LAGS: Final = (
+INSTEAD: Final = (
     ("lag_s", "natural_frequency_rad_per_s"),
     ("natural_frequency_rad_per_s", "lag_s"),
+    *product(POLYNOMIAL, FACTORED),
+    *product(FACTORED, POLYNOMIAL),
 )
-"""A lag, and the one that it replaces."""
+"""A key, and one that it replaces: the two lags, the two forms of a transfer function."""
+FILES: Final = (("reference", "file"), ("network", "dbc"))
+"""Keys that name a file."""
 LIMITS: Final = ("limit_", "rate_")
 """Begins of the keys that an actuator has and a belief about it has not."""
 
@@ -67,10 +73,11 @@ def read(name: str, settings: Iterable[str] = ()) -> Draft:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ScenarioError(f"scenario {name}: not readable as TOML: {error}") from None
-    table = values.get("reference")
-    if isinstance(table, dict) and isinstance(table.get("file"), str):
-        # in a scenario relative to it, as everywhere else; in --set to the working directory
-        table["file"] = str(path.parent / table["file"])
+    for name_of_table, key in FILES:
+        table = values.get(name_of_table)
+        if isinstance(table, dict) and isinstance(table.get(key), str):
+            # in a scenario relative to it, as everywhere else; in --set to the working directory
+            table[key] = str(path.parent / table[key])
     for setting in settings:
         _change(values, setting)
     if "name" in values:
@@ -125,19 +132,22 @@ def _believed(plant: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str, A
     """``model`` with what it does not name as the plant has it, but nothing that is no belief.
 
     A class and its parameters stand for the linear car; limits are believed in ``limits``. An
-    actuator's lag in ``model`` replaces any other of the plant's.
+    actuator's lag in ``model`` replaces any other of the plant's, and the form of a transfer
+    function does so too.
     """
-    inherited = {key: value for key, value in plant.items() if key != "parameters"}
+    inherited = {k: v for k, v in plant.items() if k not in ("parameters", *SIGNALS)}
     if ":" in str(plant.get("kind")):
         inherited["kind"] = CAR
+    if model.get("kind", inherited.get("kind")) != inherited.get("kind"):
+        inherited = {k: v for k, v in inherited.items() if k not in NUMBERS}
     for key in ACTUATORS:
         if isinstance(own := inherited.get(key), Mapping):
             inherited[key] = {k: v for k, v in own.items() if not k.startswith(LIMITS)}
     believed = {**inherited, **model}
-    for key in (*ACTUATORS, "sensor"):
+    for key in (*ACTUATORS, "sensor", "g1", "g2"):
         ours, theirs = inherited.get(key), model.get(key)
         if isinstance(ours, Mapping) and isinstance(theirs, Mapping):
-            replaced = {other for lag, other in LAGS if theirs.get(lag) is not None}
+            replaced = {other for own, other in INSTEAD if theirs.get(own) is not None}
             kept = {k: v for k, v in ours.items() if k not in replaced}
             believed[key] = {**kept, **theirs}
     return believed

@@ -13,6 +13,8 @@ WORDS: Final = {
     "Input should": "must",
     "greater than or equal to": "at least",
     "less than or equal to": "at most",
+    "a valid array": "a list",
+    "a valid tuple": "a list",
 }
 """What pydantic says, and what a line of the rig says."""
 

@@ -9,18 +9,22 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal, get_args
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat
 from pydantic.dataclasses import dataclass
 
-from can_rig.scenario.plant_settings import BUILT_IN, PlantSettings
+from can_rig.scenario.plant_settings import BUILT_IN, SIGNALS, PlantSettings
 from can_rig.scenario.stage_settings import STRICT
+from can_rig.scenario.tables.network import NetworkSettings
+from can_rig.scenario.tables.numbers import SignalSettings
 from firmware_model.discretisation.rules import Rule
 from firmware_model.target.structs import MAX_LATENCY_TICKS, Precision
 
 FaultKind = Literal["none", "actuator-dead", "frames-missing", "frames-corrupted", "sensor-biased"]
 Channel = Literal["torque", "force-difference"]
+CHANNELS: Final[tuple[Channel, Channel]] = get_args(Channel)
+"""The words for input 1 and input 2, of any plant."""
 ReferenceKind = Literal["step", "sine", "lane-change", "csv"]
 
 MAX_TICKS = 10_000_000  # of a run: a log of 2 GB
@@ -46,6 +50,7 @@ class DesignSettings:
     alpha: Order = 1
     tau_q_s: PositiveFloat = 0.001
     alpha_q: Order = 2
+    feedback: bool = True
     estimator: Literal[Rule, "kalman"] = "tustin"
     share_drift: PositiveFloat = 1.0
     compensation: Literal["always", "on-confirmation", "off"] = "always"
@@ -175,6 +180,7 @@ class Scenario:
     fault: FaultSettings = dataclasses.field(default_factory=FaultSettings)
     limits: LimitSettings = dataclasses.field(default_factory=LimitSettings)
     actuator: ActuatorSettings = dataclasses.field(default_factory=ActuatorSettings)
+    network: NetworkSettings = dataclasses.field(default_factory=NetworkSettings)
     bus: BusSettings = dataclasses.field(default_factory=BusSettings)
 
     def __post_init__(self) -> None:
@@ -194,6 +200,9 @@ class Scenario:
             raise ValueError(
                 f"model.kind = {self.model.kind!r}: must be linear, {' or '.join(BUILT_IN)}"
             )
+        for key in SIGNALS:
+            if getattr(self.model, key) != SignalSettings():
+                raise ValueError(f"model.{key}: must be plant.{key}; a signal has one name")
         _refuse_limits_of_the_model(self.model)
         _refuse_long_dead_times("plant", self.plant, self.tick_s)
         _refuse_long_dead_times("model", self.model, self.tick_s)

@@ -1,4 +1,8 @@
-"""The curves of the thesis's Figs. 2.2-2.4, 3.5 and 3.6, by the firmware and in continuous time."""
+"""The curves of the thesis's Figs. 2.2-2.4, 3.5 and 3.6, by the firmware and in continuous time.
+
+Those of Figs. 2.2-2.4, the fault estimate and what compensation makes of the loss, are there for
+any other scenario with a linear plant too.
+"""
 
 from __future__ import annotations
 
@@ -8,11 +12,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from can_rig.assessment.resolve import load
+from can_rig.drawing.names import names_of
 from can_rig.errors import ScenarioError
 from can_rig.plant.faults import ActuatorFault
 from can_rig.scenario.build import continuous_plant, controller_table, network_of
+from can_rig.scenario.plant_settings import BUILT_IN
 from can_rig.scenario.reference import reference
-from can_rig.scenario.settings import Scenario
+from can_rig.scenario.settings import CHANNELS, Scenario
 from can_rig.thesis.continuous import Solution, solve
 from firmware_model.analysis.sampled_plant import SampledPlant, advance_plant, measure_plant, sample
 from firmware_model.analysis.simulation import simulate
@@ -43,6 +49,7 @@ class Comparison:
     """The curves of one figure and the run that they come from."""
 
     figure: str
+    """Of the thesis, or the name of a picture of a scenario."""
     caption: str
     unit: str
     scenario: Scenario
@@ -133,29 +140,68 @@ def _response(car: SampledPlant, u1: FloatArray, u2: FloatArray) -> FloatArray:
     return y
 
 
+def compare_scenario(name: str, settings: Sequence[str] = ()) -> list[Comparison]:
+    """The same curves of any scenario: d̂ healthy, d̂ lost from the start, the loss of its fault.
+
+    Raises:
+        ScenarioError: a plant that is a class, or a reference or a fault without a continuous
+            counterpart; as ``load``.
+    """
+    scenario = load(name, settings)
+    if scenario.plant.is_class:
+        raise ScenarioError(
+            f"scenario {scenario.name}: plant.kind = {scenario.plant.kind!r}: must be linear for "
+            f"figures, {', '.join(BUILT_IN)}"
+        )
+    return [
+        _healthy("healthy", scenario),
+        _lost_from_the_start("lost", scenario),
+        _compensated("loss", scenario),
+    ]
+
+
 def _compared(figure: str, caption: str, loop: _Loop, *curves: Curve) -> Comparison:
-    unit = network_of(loop.scenario).feedback.unit.replace("^2", "²")
+    unit = names_of(loop.scenario.plant).output.unit
     return Comparison(figure, caption, unit, loop.scenario, loop.continuous.time_s, curves)
 
 
 def _fig_2_2(settings: Sequence[str]) -> Comparison:
-    loop = both(load(OPEN_LOOP, settings).healthy)
-    caption = "$\\hat d$ and $G_1 u_1$ while the plant is healthy"
-    return _compared("2.2", caption, loop, *_estimate_and_channel(loop))
+    return _healthy("2.2", load(OPEN_LOOP, settings))
 
 
 def _fig_2_3(settings: Sequence[str]) -> Comparison:
-    scenario = load(OPEN_LOOP, settings)
-    loop = both(replace(scenario, fault=replace(scenario.fault, at_s=0.0)))
-    caption = "$\\hat d$ and $G_1 u_1$, channel 1 lost from the start"
-    return _compared("2.3", caption, loop, *_estimate_and_channel(loop))
+    return _lost_from_the_start("2.3", load(OPEN_LOOP, settings))
 
 
 def _fig_2_4(settings: Sequence[str]) -> Comparison:
-    loop = both(load(OPEN_LOOP, settings))
-    caption = f"$y$ and $G_2 u_2$, channel 1 lost at {loop.scenario.fault.at_s:g} s"
-    y = loop.curve("y", lambda s: s.measurement)
-    return _compared("2.4", caption, loop, y, loop.curve("G2 u2", lambda s: s.model_2))
+    return _compensated("2.4", load(OPEN_LOOP, settings))
+
+
+def _healthy(figure: str, scenario: Scenario) -> Comparison:
+    loop = both(scenario.healthy)
+    caption = "$\\hat d$ and $G_1 u_1$ while the plant is healthy"
+    return _compared(figure, caption, loop, *_estimate_and_channel(loop))
+
+
+def _lost_from_the_start(figure: str, scenario: Scenario) -> Comparison:
+    fault = replace(scenario.fault, kind="actuator-dead", channel=CHANNELS[0], at_s=0.0)
+    loop = both(replace(scenario, fault=fault))
+    caption = "$\\hat d$ and $G_1 u_1$, channel 1 lost from the start"
+    return _compared(figure, caption, loop, *_estimate_and_channel(loop))
+
+
+def _compensated(figure: str, scenario: Scenario) -> Comparison:
+    """The error of a closed loop; an open one follows nothing and has y beside G2 u2."""
+    loop = both(scenario)
+    fault = scenario.fault
+    lost = f"channel {1 + CHANNELS.index(fault.channel)} lost at {fault.at_s:g} s"
+    if fault.kind == "none":
+        lost = "nothing lost"
+    if scenario.design.feedback:
+        error = loop.curve("e", lambda s: s.error)
+        return _compared(figure, f"error $e = r - y$, {lost}", loop, error)
+    y, model_2 = loop.curve("y", lambda s: s.measurement), loop.curve("G2 u2", lambda s: s.model_2)
+    return _compared(figure, f"$y$ and $G_2 u_2$, {lost}", loop, y, model_2)
 
 
 def _fig_3_5(settings: Sequence[str]) -> Comparison:

@@ -23,9 +23,8 @@ import numpy as np
 from scipy import linalg
 
 from can_rig.errors import ScenarioError
-from can_rig.plant.faults import CHANNELS
 from can_rig.scenario.build import continuous_plant
-from can_rig.scenario.settings import Scenario
+from can_rig.scenario.settings import CHANNELS, Scenario
 from firmware_model.design.plants import Plant
 from firmware_model.target.structs import FloatArray
 
@@ -99,7 +98,7 @@ def closed_loop(scenario: Scenario, left: tuple[float, float]) -> StateSpace:
     """
     car, model = continuous_plant(scenario.plant), continuous_plant(scenario.model)
     chosen = scenario.design
-    closed = scenario.model.closed_loop
+    closed = scenario.design.feedback
     blocks = [
         control.ss(car.a, car.b * left, car.c, 0.0, inputs=["u1", "u2"], outputs=["y"]),
         control.ss(model.a, model.b[:, :1], model.c, 0.0, inputs=["u1"], outputs=["g1u1"]),

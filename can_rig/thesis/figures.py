@@ -1,12 +1,14 @@
 """Figs. 2.2-2.4, 3.5 and 3.6 of the thesis: the sampled firmware over the continuous solution.
 
+Or the like of Figs. 2.2-2.4 for a scenario.
+
 The upper panel of each figure shows what the thesis prints: the continuous solution wide and pale,
 the firmware thin and dark on top of it. The lower one shows the difference of the two.
 """
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -31,7 +33,7 @@ def draw_figures(folder: Path, comparisons: Sequence[Comparison], force: bool) -
     Raises:
         LogError: one is there already and ``force`` is not given, or cannot be written.
     """
-    refuse_existing(folder, force)
+    refuse_existing(folder, force, [comparison.figure for comparison in comparisons])
     paths = [folder / f"fig-{comparison.figure}.png" for comparison in comparisons]
     for path, comparison in zip(paths, comparisons, strict=True):
         with files.atomic(path) as part:
@@ -39,13 +41,13 @@ def draw_figures(folder: Path, comparisons: Sequence[Comparison], force: bool) -
     return paths
 
 
-def refuse_existing(folder: Path, force: bool) -> None:
+def refuse_existing(folder: Path, force: bool, names: Iterable[str] = MAKERS) -> None:
     """Refuse a folder that has one of the figures already, unless it may be replaced.
 
     Raises:
         LogError: the first that is there.
     """
-    for figure in MAKERS:
+    for figure in names:
         path = folder / f"fig-{figure}.png"
         files.refuse_existing(path, force, "--out", new_folder=True)
 
@@ -78,7 +80,7 @@ def _draw(path: Path, comparison: Comparison) -> None:
             *upper.get_legend_handles_labels(), loc="outside lower center", ncols=4, **LEGEND
         )
     figure.suptitle(
-        f"Fig. {comparison.figure}: {comparison.caption}\n"
+        f"{_whose(comparison)}: {comparison.caption}\n"
         f"tick {scenario.tick_s * 1e3:g} ms, latency {ticks_text(scenario.latency_ticks)}, "
         f"estimator {scenario.design.estimator}",
         fontsize=10,
@@ -111,12 +113,9 @@ def _signals(
             ms=3,
             label=f"{_math(curve.name)}, sampled",
         )
-    axis.set_ylabel(
-        f"$e$ in {comparison.unit}"
-        if comparison.unit
-        else ", ".join(_math(curve.name) for curve in curves),
-        fontsize=9,
-    )
+    symbols = dict.fromkeys(_math(curve.name.partition(",")[0]) for curve in curves)
+    unit = f" in {comparison.unit}" if comparison.unit else ""
+    axis.set_ylabel(f"{', '.join(symbols)}{unit}", fontsize=9)
     _finish(axis, comparison, place)
 
 
@@ -144,6 +143,13 @@ def _finish(axis: Axes, comparison: Comparison, place: tuple[float, float]) -> N
 
 def _inside(comparison: Comparison, place: tuple[float, float]) -> NDArray[np.bool_]:
     return (comparison.time_s >= place[0]) & (comparison.time_s <= place[1])
+
+
+def _whose(comparison: Comparison) -> str:
+    """A figure of the thesis by its number, of a scenario by its name."""
+    if comparison.figure in MAKERS:
+        return f"Fig. {comparison.figure}"
+    return comparison.scenario.name
 
 
 def _math(name: str) -> str:

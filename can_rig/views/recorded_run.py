@@ -129,7 +129,7 @@ class RecordedRun:
         self.plot().savefig(picture, dpi=PICTURE_DPI, format="png")
         encoded = base64.b64encode(picture.getvalue()).decode()
         lines = [("scenario", self.scenario.name), ("outcome", self._outcome)]
-        lines += rows(self.metrics, network_of(self.scenario))
+        lines += rows(self.metrics, self.scenario.plant)
         table = "".join(
             f"<tr><th style='text-align:left'>{html.escape(label)}</th>"
             f"<td>{html.escape(text)}</td></tr>"

@@ -12,14 +12,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig.assessment.resolve import load_run
-from can_rig.drawing.names import CAR, Names, names_of, printed
+from can_rig.drawing.names import CAR, Names, names_of
 from can_rig.errors import LogError, ScenarioError
-from can_rig.frames.network import Network
 from can_rig.logs.formats import content_format
 from can_rig.logs.frames import NS_PER_S
 from can_rig.logs.log import Window
 from can_rig.logs.reading import read_log
-from can_rig.plant.columns import ON_THE_BUS
+from can_rig.plant.columns import APPLIED, ON_THE_BUS, TRUE_OUTPUT
 from can_rig.results.run_folder import SIGNALS, SUMMARY
 from can_rig.results.signals import Signals, cell, signals_of, with_plant_signals
 from can_rig.results.source import log_path
@@ -77,10 +76,10 @@ class SignalTable:
 
     def name_and_unit(self, column: str) -> tuple[str, str]:
         """What a column is called in print, and its unit there; "" without one."""
-        network = None if self.scenario is None else network_of(self.scenario)
-        own = {} if network is None else units_of(network)
-        name = _names(CAR if network is None else names_of(network)).get(column)
-        return name or column.replace("_", " "), own.get(column, unit(column))
+        other = column.replace("_", " "), unit(column)
+        if self.scenario is None:
+            return COLUMNS_OF_CAR.get(column, other)
+        return _columns(names_of(self.scenario.plant)).get(column, other)
 
 
 def unit(column: str) -> str:
@@ -88,15 +87,26 @@ def unit(column: str) -> str:
     return next((text for suffix, text in _UNITS if column.endswith(suffix)), "")
 
 
-def _names(names: Names) -> dict[str, str]:
-    return {
-        "reference_mps2": "reference",
-        "dstar_mps2": names.output,
-        "error_mps2": "error",
-        "torque_nm": names.command_1,
-        "force_difference_n": names.command_2,
-        "fault_estimate_mps2": "fault estimate",
+def _columns(names: Names) -> dict[str, tuple[str, str]]:
+    """Name and unit of each column that is on the bus; the columns keep the names of the car's."""
+    output, command_1, command_2 = names
+    applied = {
+        column: (f"{command.name} as applied", command.unit)
+        for column, command in zip(APPLIED, (command_1, command_2), strict=True)
     }
+    return {
+        "reference_mps2": ("reference", output.unit),
+        "dstar_mps2": (output.name, output.unit),
+        "error_mps2": ("error", output.unit),
+        "torque_nm": (command_1.name, command_1.unit),
+        "force_difference_n": (command_2.name, command_2.unit),
+        "fault_estimate_mps2": ("fault estimate", output.unit),
+        TRUE_OUTPUT: (f"true {output.name}", output.unit),
+        **applied,
+    }
+
+
+COLUMNS_OF_CAR: Final = _columns(CAR)
 
 
 def titles(a: SignalTable, b: SignalTable) -> tuple[str, str]:
@@ -150,19 +160,6 @@ def table_of(signals: Signals, label: str, scenario: Scenario | None = None) -> 
         for name, column in signals.plant.items()
     }
     return SignalTable(label, _whole_ns(signals.time_s), columns, scenario)
-
-
-def units_of(network: Network) -> dict[str, str]:
-    """Units of the columns in ``network``, which for an abstract plant are not what they say."""
-    codecs = {
-        "reference_mps2": network.reference,
-        "dstar_mps2": network.feedback,
-        "error_mps2": network.feedback,
-        "torque_nm": network.command_1,
-        "force_difference_n": network.command_2,
-        "fault_estimate_mps2": network.status,
-    }
-    return {name: printed(codec.unit) for name, codec in codecs.items()}
 
 
 def scenario_of(folder: Path) -> Scenario | None:

@@ -57,7 +57,7 @@ def principal_mismatch(
     if parameters == 0:
         return TRUSTED
     nominal = make(np.zeros(parameters))
-    omega = np.geomspace(0.3, 10.0 / tracking_lag_s, FREQUENCIES)
+    omega = np.geomspace(min(0.3, 0.1 / tracking_lag_s), 10.0 / tracking_lag_s, FREQUENCIES)
     # d̂ on a step 1/s of the reference, which G1 follows, or G2 instead: the relative difference
     s = np.asarray(1j * omega, dtype=np.complex128)
     weight = np.sqrt(np.gradient(omega)) / np.abs(s * (1.0 + s * tracking_lag_s) ** 2)

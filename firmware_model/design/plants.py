@@ -8,6 +8,7 @@ where a structural zero of A, B, C stays exactly zero, so a relative degree is n
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -85,6 +86,19 @@ class Plant:
         g1, g2 = (ZeroPoleGain(row.zeros, poles, row.gain) for row in rows)
         return cls(name, a, b, c, g1, g2)
 
+    @classmethod
+    def from_transfer_functions(cls, name: str, g1: ZeroPoleGain, g2: ZeroPoleGain) -> Self:
+        """The plant of two stable channels with fewer zeros than poles, which share no state.
+
+        Raises what ``Plant`` raises, and ``ParameterError`` for a channel that feeds through.
+        """
+        a1, b1, c1 = _realised(g1, "G1")
+        a2, b2, c2 = _realised(g2, "G2")
+        a = np.block([[a1, np.zeros((len(a1), len(a2)))], [np.zeros((len(a2), len(a1))), a2]])
+        b = np.zeros((len(a), 2))
+        b[: len(a1), 0], b[len(a1) :, 1] = b1, b2
+        return cls(name, a, b, np.concatenate([c1, c2])[np.newaxis], g1, g2)
+
 
 def steer_by_wire(parameters: VehicleParameters = TABLE_3_2, variant: Variant = "physics") -> Plant:
     """The car of §3.2: steering torque [N m] and rear force difference [N] to D* [m/s²].
@@ -99,14 +113,8 @@ def steer_by_wire(parameters: VehicleParameters = TABLE_3_2, variant: Variant = 
 
 def chapter_2() -> Plant:
     """The example (2.38), ``[(s+3)/((s+1)(s+2))  (s+6)/((s+4)(s+5))]``; states block-diagonal."""
-    return Plant(
-        name="chapter-2",
-        a=np.array([[0.0, 1, 0, 0], [-2, -3, 0, 0], [0, 0, 0, 1], [0, 0, -20, -9]]),
-        b=np.array([[0.0, 0], [1, 0], [0, 0], [0, 1]]),
-        c=np.array([[3.0, 1, 6, 1]]),
-        g1=ZeroPoleGain((-3,), (-1, -2), 1.0),
-        g2=ZeroPoleGain((-6,), (-4, -5), 1.0),
-    )
+    g1, g2 = ZeroPoleGain((-3,), (-1, -2), 1.0), ZeroPoleGain((-6,), (-4, -5), 1.0)
+    return Plant.from_transfer_functions("chapter-2", g1, g2)
 
 
 def numerators(a: Matrix, b: Matrix, c: Matrix) -> Matrix:
@@ -164,3 +172,48 @@ def _refuse_disagreement(plant: Plant) -> None:
                 f"{plant.name}: [G1 G2] = {given} at {omega:.6g} rad/s,"
                 f" but C(sI - A)^-1 B = {response}"
             )
+
+
+def _realised(g: ZeroPoleGain, name: str) -> tuple[Matrix, Matrix, Matrix]:
+    """A (n, n), b (n,) and c (n,) with ``g`` = c (sI - A)⁻¹ b, n its poles.
+
+    One companion form of the whole would hold the coefficients of a polynomial of high order, which
+    lose their digits; each section of a chain holds those of two roots:
+
+        x1' = x2,  x2' = -a0 x1 - a1 x2 + u,  y = c0 x1 + c1 x2 + d u
+
+    Raises:
+        ParameterError: ``g`` does not have fewer zeros than poles; ``name`` is what it is called.
+    """
+    if g.gain != 0.0 and g.relative_degree < 1:
+        raise ParameterError(
+            f"{name} has {len(g.zeros)} zeros and {g.order} poles: must have fewer zeros than "
+            "poles, as a plant that its input reaches only through states"
+        )
+    numerators, denominators = _sections(g.zeros), _sections(g.poles)
+    numerators += [np.ones(1)] * (len(denominators) - len(numerators))
+    a, b, c, feedthrough = np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0
+    for num, den in zip(numerators, denominators, strict=True):
+        order, before = len(den) - 1, len(a)
+        padded = np.concatenate([num, np.zeros(order + 1 - len(num))])
+        own_b, own_d = np.eye(order)[-1], float(padded[-1])
+        own_c = padded[:-1] - own_d * den[:-1]
+        own_a = np.eye(order, k=1)
+        own_a[-1] -= den[:-1]
+        a = np.block([[a, np.zeros((before, order))], [np.outer(own_b, c), own_a]])
+        b = np.concatenate([b, feedthrough * own_b])
+        c = np.concatenate([own_d * c, own_c])
+        feedthrough *= own_d
+    return a, b, g.gain * c
+
+
+def _sections(roots: Sequence[complex]) -> list[Matrix]:
+    """Monic polynomials of the roots in twos, lowest power first; the last may be of one root.
+
+    ``roots`` are in the order of ``ZeroPoleGain``: those that are real come first.
+    """
+    real = [root.real for root in roots if root.imag == 0]
+    pairs = [np.array([abs(root) ** 2, -2.0 * root.real, 1.0]) for root in roots if root.imag > 0]
+    twos = [np.array([r * q, -(r + q), 1.0]) for r, q in zip(real[::2], real[1::2], strict=False)]
+    last = [np.array([-real[-1], 1.0])] if len(real) % 2 else []
+    return [*twos, *pairs, *last]

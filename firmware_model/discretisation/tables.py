@@ -22,11 +22,13 @@ SLOWEST_TRANSFER_S = 0.05  # some time constants of w, 1/17.7 s for this car
 HASTE = 2.0  # of a transfer, against the time that its beginning took
 SHARE = 0.8  # of the torque whose loss is looked for: of all of it, a half still counts
 RESTART = -1.0  # evidence of a candidate that is given up
-IDLE, FRESHNESS = 1.0, 1.5  # likewise, where the information no longer doubles as the age does
+FRESHNESS = 1.1  # growth of the information of a candidate whose age doubles, at least
+DEVIATIONS, NEVER = 3.0, 1e9  # by which more is lost than the model has, where cars may differ
 SHARE_VARIANCE = 0.09  # of the share of a loss when that is confirmed, at most
 LARGEST_SHARE_VARIANCE = 1.0  # of a share that is followed, when nothing has shown for long
 RECOVER = 5.0  # evidence that ends a loss, over that which confirms it
 MOMENT = 0.5  # deviation of the moment of a loss, as a part of the time to its confirmation
+LEAST_DOUBT = 0.01  # of cars whose G1 is not the model's
 DOUBT = 9.0  # over 1, as the moment of the loss is not known either
 FOLLOW_S, FOLLOW_TICKS = 0.01, 3.0  # of each of the two lags by which F̂ gets it
 HORIZON_S = 1.0  # a loss that would take longer to show cannot be told
@@ -227,12 +229,13 @@ def _fill_decision(table: Record, target: Target) -> None:
     decision.pause_ticks = round(target.probe_pause_s / target.tick_s)
     table.loss_model.share_variance = SHARE_VARIANCE
     table.loss_model.doubt = DOUBT
+    table.loss_model.least_doubt = LEAST_DOUBT if target.mismatch.cars else 0.0
     table.loss_model.moment = MOMENT
     table.loss_model.follow = target.tick_s / max(FOLLOW_S, FOLLOW_TICKS * target.tick_s)
     test.share = SHARE
     test.restart = RESTART
-    test.idle = IDLE
     test.freshness = FRESHNESS
+    test.deviations = DEVIATIONS if target.mismatch.cars else NEVER
 
 
 def _fill_mismatch(table: Record, target: Target) -> None:

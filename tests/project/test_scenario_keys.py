@@ -44,6 +44,7 @@ def test_it_has_every_key_of_a_scenario_with_its_default() -> None:
         part = parts[f"`[{section}]`" if section else "Top level"]
         for key, value in table.items():
             shown = "not set" if value is None else f"`{value!r}`".replace("'", '"')
+            shown = shown.lower() if isinstance(value, bool) else shown
             (row,) = (line for line in part.splitlines() if line.startswith(f"| `{key}` |"))
             assert row.split(" | ")[2] == shown
 
@@ -74,6 +75,13 @@ def test_a_meaning_without_a_key_is_refused(schema: dict[str, Any]) -> None:
         ({"type": "number", "minimum": 1e-5, "exclusiveMaximum": 1.0}, "number, ≥ 1e-05, < 1"),
         ({"anyOf": [{"type": "number"}, {"type": "null"}]}, "number"),
         ({"anyOf": [{"type": "integer"}, {"const": "from-bus"}]}, 'whole number or `"from-bus"`'),
+        ({"type": "array", "items": {"type": "number"}}, "list of numbers"),
+        (
+            {"type": "array", "items": {"type": "array", "items": {"type": "number"}}},
+            "list of lists of numbers",
+        ),
+        ({"type": "array", "items": {}}, "list of numbers or pairs"),
+        ({"type": "boolean"}, "true or false"),
         ({"enum": ["a", "b"], "type": "string"}, '`"a"`, `"b"`'),
     ],
 )

@@ -24,13 +24,12 @@ from typing import Final, NamedTuple
 from can import Message
 
 from can_rig.errors import RigError
+from can_rig.frames.mapped.layout import FD_LENGTHS
 
 INTERMISSION_BITS: Final = 3
 """Recessive bits after the end of frame before the next start of frame."""
 
 CLASSIC_BYTES: Final = 8
-FD_LENGTHS: Final = (*range(9), 12, 16, 20, 24, 32, 48, 64)
-"""Data lengths that a CAN FD frame can have [bytes], by DLC."""
 
 _CRC_15: Final = 1 << 15 | 0x4599
 _TAIL_BITS: Final = 10  # CRC delimiter, ACK slot, ACK delimiter, end of frame

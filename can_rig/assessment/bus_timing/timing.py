@@ -22,7 +22,7 @@ from typing import Final
 
 from cantools.database.can import Message as DbcMessage
 
-from can_rig.assessment.bus_timing.frame_length import CLASSIC_BYTES, FD_LENGTHS, worst_case_bits
+from can_rig.assessment.bus_timing.frame_length import CLASSIC_BYTES, worst_case_bits
 from can_rig.assessment.bus_timing.response_time import (
     PeriodicFrame,
     Response,
@@ -34,8 +34,8 @@ from can_rig.assessment.bus_timing.response_time import (
 from can_rig.errors import RigError
 from can_rig.frames.codec import MessageCodec
 from can_rig.frames.dbc import load_dbc
+from can_rig.frames.mapped.layout import FD_LENGTHS
 from can_rig.frames.network import Network
-from can_rig.frames.protection import FRAME_BYTES
 
 MAX_SETTLING_TICKS: Final = 64  # more latency than a controller's table can hold
 
@@ -164,7 +164,8 @@ def dbc_timing(path: str | Path, bitrate: int, data_bitrate: int | None = None) 
 
 
 def _of_tick(codec: MessageCodec, tick: Fraction) -> PeriodicFrame:
-    return PeriodicFrame(codec.name, codec.frame_id, worst_case_bits(FRAME_BYTES), tick)
+    bits = worst_case_bits(codec.layout.length, extended=codec.extended, fd=codec.fd)
+    return PeriodicFrame(codec.name, codec.frame_id, bits, tick, extended=codec.extended)
 
 
 def _of_dbc(message: DbcMessage, cycle_time_ms: int, switches: bool) -> PeriodicFrame:

@@ -12,12 +12,12 @@ import dataclasses
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import product
-from typing import Any
 
 from pydantic import ValidationError
 
 from can_rig.errors import ScenarioError
-from can_rig.scenario.build import UNCERTAIN, continuous_plant, with_lags
+from can_rig.scenario.box import uncertain, with_lags, with_values
+from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.refusal import refusal
 from can_rig.scenario.settings import Scenario
@@ -60,8 +60,8 @@ def parameter_ranges(
 
     Args:
         nominal: the car in its middle.
-        share: by how much each of ``UNCERTAIN`` may differ, 0.2 for ±20 %; 0 for not at all.
-        settings: ``plant.KEY=LOW..HIGH``, for these or other parameters.
+        share: by how much each of ``uncertain`` may differ, 0.2 for ±20 %; 0 for not at all.
+        settings: ``plant.KEY=LOW..HIGH``, for these or, of a car, other parameters.
 
     Raises:
         ScenarioError: a share outside 0..1, a setting that cannot be read, too many parameters.
@@ -70,9 +70,9 @@ def parameter_ranges(
         raise ScenarioError(f"--box {share:g}: must be 0 to below 1, as in 0.2 for ±20 %")
     box: dict[str, Range] = {}
     if share > 0.0:
-        for key in UNCERTAIN:
-            value = getattr(nominal, key)
+        for key, value in uncertain(nominal).items():
             box[key] = (value * (1.0 - share), value * (1.0 + share))
+    keys = KEYS if nominal.is_car else tuple(uncertain(nominal))
     for setting in settings:
         key, _, text = setting.removeprefix("plant.").partition("=")
         low, _, high = text.partition("..")
@@ -80,9 +80,10 @@ def parameter_ranges(
             box[key] = (float(low), float(high))
         except ValueError:
             box[key] = (1.0, 0.0)
-        if key not in KEYS or not box[key][0] <= box[key][1]:
+        if key not in keys or not box[key][0] <= box[key][1]:
+            example = "plant.speed_mps=8..12" if nominal.is_car else f"plant.{keys[0]}=0.8..1.2"
             raise ScenarioError(
-                f"--box-set {setting}: must be plant.KEY=LOW..HIGH, as in plant.speed_mps=8..12"
+                f"--box-set {setting}: must be plant.KEY=LOW..HIGH, as in {example}"
             )
     if len(box) > MAX_KEYS:
         raise ScenarioError(f"box: {len(box)} parameters; must be at most {MAX_KEYS}")
@@ -114,10 +115,10 @@ def cars(nominal: PlantSettings, box: Mapping[str, Range], lag_share: float = 0.
     lags = (lag_share,) if nominal.torque_actuator.lags and lag_share > 0.0 else ()
     corners = product(*box.values(), *((1.0 - share, 1.0 + share) for share in lags))
     for corner in corners if box or lags else ():
-        values: dict[str, Any] = dict(zip(box, corner, strict=False))
+        values = dict(zip(box, corner, strict=False))
         label = ", ".join(f"{key} = {value:g}" for key, value in values.items())
         try:
-            settings = dataclasses.replace(nominal, **values)
+            settings = with_values(nominal, values)
             if lags:
                 settings = with_lags(settings, corner[-1])
                 label += f", lags × {corner[-1]:g}"

@@ -13,7 +13,7 @@ from can_rig.assessment.tuning.box import Car, is_stable, loops
 from can_rig.assessment.tuning.refusals import Refusal
 from can_rig.assessment.unavoidable import unavoidable
 from can_rig.errors import ScenarioError
-from can_rig.scenario.build import continuous_design, continuous_plant, target
+from can_rig.scenario.build import continuous_design, continuous_plant, slowness, target
 from can_rig.scenario.settings import DesignSettings, Scenario
 from firmware_model.analysis.margins import noise_gain
 from firmware_model.analysis.sampled_plant import sample
@@ -33,7 +33,7 @@ RESPONSE_TICKS, RESPONSE_S = (
 )  # largest lag of D* behind the reference, α_q τ_q: the longer
 ORDERS, TRACKING_ORDERS = 2, 3  # from the least that the car allows upwards
 
-BEFORE_S, AFTER_S = 2.0, 2.0  # the loss; the slowest mode of F̂ decays with 3.5 rad/s
+BEFORE_S, AFTER_S = 2.0, 2.0  # the loss; times ``slowness`` of a plant that is no car
 NOISE_SIGMAS = 3.0  # of the noise in a command that must fit below its limit
 DECAYED = 0.5  # largest part of the peak in the last quarter of a transient that decays
 
@@ -149,8 +149,9 @@ def _lose_torque(scenario: Scenario, table: Record, noise: tuple[float, float]) 
 
 def loss_in_a_step(scenario: Scenario) -> tuple[int, FloatArray, FloatArray]:
     """The tick of the loss, the reference (ticks,), what is left of the actuators (ticks, 2)."""
-    loss = round(BEFORE_S / scenario.tick_s)
-    ticks = loss + round(AFTER_S / scenario.tick_s)
+    slow = slowness(scenario)
+    loss = round(BEFORE_S * slow / scenario.tick_s)
+    ticks = loss + round(AFTER_S * slow / scenario.tick_s)
     left = np.ones((ticks, 2))
     left[loss:, 0] = 0.0
     return loss, np.full(ticks, scenario.reference.amplitude_mps2), left

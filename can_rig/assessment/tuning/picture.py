@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 
 from can_rig.assessment.tuning.search import Tunings
 from can_rig.drawing import style
-from can_rig.drawing.names import ticks_text
+from can_rig.drawing.names import names_of, ticks_text, with_unit
 
 
 def draw_tunings(path: Path, found: Tunings) -> None:
@@ -62,9 +62,11 @@ def picture(found: Tunings) -> Figure:
         axis.axvline(
             found.noise_limit_n, color=style.INK, lw=1.0, ls=style.DOTTED, label="noise limit"
         )
-    per = "" if scenario.model.sensor.noise_mps2 else " per m/s² of noise in D*"
-    axis.set_xlabel(f"noise in $X_{{diff}}$, rms in N{per}")
-    axis.set_ylabel("deviation after the loss, peak in m/s²")
+    output, _, second = names_of(scenario.plant)
+    unit = f" in {second.unit}" if second.unit else ""
+    per = "" if scenario.model.sensor.noise_mps2 else f" per {output.unit or 1} of noise in "
+    axis.set_xlabel(f"noise in {_drawn(second.short)}, rms{unit}{per and per + output.name}")
+    axis.set_ylabel(with_unit("deviation after the loss, peak in", output.unit or "1"))
     axis.grid(alpha=0.35, lw=0.5)
     axis.legend(frameon=True, framealpha=0.9, edgecolor="none", fontsize=8, loc="upper right")
     axis.set_title(
@@ -74,3 +76,7 @@ def picture(found: Tunings) -> Figure:
         fontsize=9,
     )
     return figure
+
+
+def _drawn(name: str) -> str:
+    return "$X_{diff}$" if name == "X_diff" else name

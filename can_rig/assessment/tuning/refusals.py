@@ -7,7 +7,9 @@ from collections.abc import Iterable
 from enum import StrEnum
 
 from can_rig.assessment.tuning.box import Car
+from can_rig.drawing.names import names_of, with_unit
 from can_rig.errors import ScenarioError
+from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
 
 
@@ -15,27 +17,37 @@ class Refusal(StrEnum):
     """The first test that a tuning fails, in the order of the tests."""
 
     DESIGN = "no such design, or none that can be discretised"
-    NOMINAL = "unstable with the nominal car"
-    NOMINAL_SPARE = "unstable with the nominal car, only because of the ticks to spare"
+    NOMINAL = "unstable with the nominal {car}"
+    NOMINAL_SPARE = "unstable with the nominal {car}, only because of the ticks to spare"
     NOISE = "noise in a command without bound"
-    TORQUE_NOISE = "torque noise above --torque-noise-limit"
-    FORCE_NOISE = "X_diff noise above --noise-limit"
-    TRANSIENT = "the transient after the loss does not decay with the nominal car"
-    BOX = "unstable with a car of the box"
-    BOX_SPARE = "unstable with a car of the box, only because of the ticks to spare"
-    FALSE_ALARM = "a car of the box is taken for one that has lost its torque"
-    REST_SPARE = "a car of the box does not come to rest, only because of the ticks to spare"
-    REST = "a car of the box does not come to rest"
-    BOTH_LIMITS = "a car of the box does not come to rest because of the limits of both commands"
-    TORQUE_LIMIT = "a car of the box does not come to rest because of the limit of the torque"
-    FORCE_LIMIT = "a car of the box does not come to rest because of the limit of X_diff"
+    TORQUE_NOISE = "{first} noise above --torque-noise-limit"
+    FORCE_NOISE = "{second} noise above --noise-limit"
+    TRANSIENT = "the transient after the loss does not decay with the nominal {car}"
+    BOX = "unstable with a {car} of the box"
+    BOX_SPARE = "unstable with a {car} of the box, only because of the ticks to spare"
+    FALSE_ALARM = "a {car} of the box is taken for one that has lost {first_said}"
+    REST_SPARE = "a {car} of the box does not come to rest, only because of the ticks to spare"
+    REST = "a {car} of the box does not come to rest"
+    BOTH_LIMITS = "a {car} of the box does not come to rest because of the limits of both commands"
+    TORQUE_LIMIT = "a {car} of the box does not come to rest because of the limit of {first_said}"
+    FORCE_LIMIT = "a {car} of the box does not come to rest because of the limit of {second}"
+
+    def text(self, plant: PlantSettings) -> str:
+        """In the words of ``plant``."""
+        _, first, second = names_of(plant)
+        return str(self).format(
+            car="car" if plant.is_car else "plant",
+            first=first.short,
+            first_said=first.said,
+            second=second.short,
+        )
 
 
 class NoTuningError(ScenarioError):
     """No tuning passes every test.
 
     Attributes:
-        refusals: how many fail each test.
+        refusals: how many fail each test; ``rows`` in words, in the order of the tests.
         advice: which change would help most.
     """
 
@@ -43,17 +55,18 @@ class NoTuningError(ScenarioError):
 
     def __init__(self, scenario: Scenario, refusals: Counter[Refusal], advice: str) -> None:
         self.refusals = refusals
+        self.rows = [
+            (reason.text(scenario.plant), refusals[reason])
+            for reason in Refusal
+            if refusals[reason]
+        ]
         self.advice = advice
         tried = refusals.total()
         most, count = refusals.most_common(1)[0]
         super().__init__(
-            f"scenario {scenario.name}: none of {tried} tunings passes; {count}: {most}; {advice}"
+            f"scenario {scenario.name}: none of {tried} tunings passes; {count}: "
+            f"{most.text(scenario.plant)}; {advice}"
         )
-
-
-def refusal_rows(refusals: Counter[Refusal]) -> list[tuple[str, int]]:
-    """Reason and number, in the order of the tests."""
-    return [(str(reason), refusals[reason]) for reason in Refusal if refusals[reason]]
 
 
 def refusals_as_dict(refusals: Counter[Refusal]) -> dict[str, int]:
@@ -73,15 +86,25 @@ def advice(scenario: Scenario, cars: Iterable[Car], refusals: Counter[Refusal]) 
         *(car.steady_commands(scenario.reference.amplitude_mps2) for car in cars), strict=True
     )
     torque_nm, force_n = (max(need) for need in needs)
-    limits = scenario.limits
+    limits, (_, first, second) = scenario.limits, names_of(scenario.plant)
+    car = "car" if scenario.plant.is_car else "plant"
+
+    def need(size: float, unit: str) -> str:
+        return f"the most demanding {car} needs {with_unit(f'{size:.4g}', unit)} to hold the step"
+
     return _ADVICE[furthest].format(
-        torque=_limit("limits.torque_nm", limits.torque_nm, torque_nm, "N m"),
-        force=_limit("limits.force_difference_n", limits.force_difference_n, force_n, "N"),
+        car=car,
+        torque=_limit("limits.torque_nm", limits.torque_nm, torque_nm, need(torque_nm, first.unit)),
+        force=_limit(
+            "limits.force_difference_n",
+            limits.force_difference_n,
+            force_n,
+            need(force_n, second.unit),
+        ),
     )
 
 
-def _limit(key: str, limit: float | None, needed: float, unit: str) -> str:
-    need = f"the most demanding car needs {needed:.4g} {unit} to hold the step"
+def _limit(key: str, limit: float | None, needed: float, need: str) -> str:
     if limit is None:
         return f"{key} is not set, and {need}"
     if needed > limit:
@@ -93,7 +116,7 @@ _AT_REST = (Refusal.FORCE_LIMIT, Refusal.TORQUE_LIMIT, Refusal.BOTH_LIMITS, Refu
 _FASTER = "a smaller latency_ticks or a shorter tick_s would help most"
 _SMALLER = "a smaller --box or a smaller reference.amplitude_mps2 would help too"
 _ADVICE = {
-    Refusal.DESIGN: "the car must be one that can be designed for; can-rig check says why",
+    Refusal.DESIGN: "the {car} must be one that can be designed for; can-rig check says why",
     Refusal.NOMINAL: _FASTER,
     Refusal.NOMINAL_SPARE: "fewer --spare-ticks would help most",
     Refusal.NOISE: _FASTER,

@@ -10,11 +10,25 @@ from can_rig.assessment.tuning.box import MAX_DELAY_TICKS
 from can_rig.assessment.tuning.candidate import Tuning
 from can_rig.assessment.tuning.refusals import refusals_as_dict
 from can_rig.assessment.tuning.search import EQUAL_PEAKS, Tunings
-from can_rig.drawing.names import ticks_text
+from can_rig.drawing.names import names_of, ticks_text, with_unit
 
 ROW_RATIO = 1.6  # factor in peak or noise from one row of the table to the next
-HEADINGS = ("τ", "τ_q", "α", "α_q", "margin", "peak", "of least", "X_diff", "torque", "torque")
-UNITS = ("ms", "ms", "", "", "ticks", "m/s²", "possible", "rms", "rms", "peak N m")
+HEADINGS = (("τ", "ms"), ("τ_q", "ms"), ("α", ""), ("α_q", ""), ("margin", "ticks"))
+
+
+def headings(found: Tunings) -> list[str]:
+    """Of the columns of ``rows``, the unit in a second line."""
+    output, first, second = names_of(found.scenario.plant)
+    units = noise_unit(found, second.unit), noise_unit(found, first.unit)
+    columns = (
+        *HEADINGS,
+        ("peak", output.unit),
+        ("of least", "possible"),
+        (second.short, f"rms {units[0]}"),
+        (first.short, f"rms {units[1]}"),
+        (first.short, f"peak {first.unit}"),
+    )
+    return [f"{name}\n{unit.strip()}" for name, unit in columns]
 
 
 def options(found: Tunings, tuning: Tuning) -> str:
@@ -31,11 +45,13 @@ def why(found: Tunings) -> str:
     else:
         reason = f"within {EQUAL_PEAKS - 1.0:.0%} of the least peak, and of those the least noise"
     if limit is not None:
-        reason += f", all within {limit:g} N rms of X_diff noise"
+        second = names_of(found.scenario.plant).command_2
+        size = with_unit(f"{limit:g}", second.unit)
+        reason += f", all within {size} rms of {second.short} noise"
     held = "" if chosen.within_limits else "; its commands reach the limits, as all of these do"
     return (
-        f"{reason}, stable with {ticks_text(found.spare_ticks)} to spare, healthy and with the "
-        f"torque lost, for {_cars(found.cars)}{held}"
+        f"{reason}, stable with {ticks_text(found.spare_ticks)} to spare, healthy and with "
+        f"{names_of(found.scenario.plant).command_1.said} lost, for {_cars(found)}{held}"
     )
 
 
@@ -87,9 +103,13 @@ def rows(found: Tunings) -> Iterator[tuple[Tuning, tuple[str, ...]]]:
         )
 
 
-def noise_unit(found: Tunings) -> str:
-    """The unit of ``Tunings.noise_n``."""
-    return "N" if found.scenario.model.sensor.noise_mps2 else "N/(m/s²)"
+def noise_unit(found: Tunings, command_unit: str) -> str:
+    """The unit of the noise in a command; of an output without noise, for each unit of it."""
+    output = names_of(found.scenario.plant).output.unit
+    if found.scenario.model.sensor.noise_mps2 or not output:
+        return command_unit
+    per = f"({output})" if "/" in output else output
+    return f"{command_unit or 1}/{per}"
 
 
 def _values(tuning: Tuning) -> dict[str, Any]:
@@ -110,5 +130,6 @@ def _values(tuning: Tuning) -> dict[str, Any]:
     }
 
 
-def _cars(count: int) -> str:
-    return "the nominal car" if count == 1 else f"the nominal car and {count - 1} around it"
+def _cars(found: Tunings) -> str:
+    nominal = f"the nominal {'car' if found.scenario.plant.is_car else 'plant'}"
+    return nominal if found.cars == 1 else f"{nominal} and {found.cars - 1} around it"

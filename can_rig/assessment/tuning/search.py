@@ -36,7 +36,6 @@ from can_rig.assessment.tuning.refusals import NoTuningError, Refusal, advice
 from can_rig.assessment.tuning.robustness import box_refusal, has_control_authority
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_plant
-from can_rig.scenario.plant_settings import CAR
 from can_rig.scenario.settings import Scenario
 
 FEWEST_A_WORKER = 16  # candidates, of which one takes some 20 ms
@@ -204,10 +203,8 @@ def _front(
 
 def _refuse(scenario: Scenario, spare_ticks: int) -> None:
     where = f"scenario {scenario.name}:"
-    if not scenario.model.is_car:
-        raise ScenarioError(
-            f"{where} model.kind = {scenario.model.kind!r}: must be a car, such as {CAR}"
-        )
+    if not scenario.design.feedback:
+        raise ScenarioError(f"{where} design.feedback = false: must be true, for there is no C")
     if scenario.design.compensation == "off":
         raise ScenarioError(
             f"{where} design.compensation = 'off': must be on-confirmation or always"

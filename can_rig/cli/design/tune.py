@@ -9,12 +9,10 @@ import click
 
 from can_rig.assessment.resolve import load
 from can_rig.assessment.tuning.box import cars_of
-from can_rig.assessment.tuning.refusals import NoTuningError, refusal_rows, refusals_as_dict
+from can_rig.assessment.tuning.refusals import NoTuningError, refusals_as_dict
 from can_rig.assessment.tuning.report import (
-    HEADINGS,
-    UNITS,
     as_dict,
-    noise_unit,
+    headings,
     options,
     rows,
     why,
@@ -35,14 +33,16 @@ PICTURE = "tuning.png"
     default=0.2,
     show_default=True,
     metavar="SHARE",
-    help="By how much mass, both cornering stiffnesses and speed may differ: 0.2 for ±20 %.",
+    help="By how much mass, both cornering stiffnesses and speed may differ, or gains and speeds "
+    "of a plant by numbers: 0.2 for ±20 %.",
 )
 @click.option(
     "--box-set",
     "box_settings",
     multiple=True,
     metavar="KEY=LOW..HIGH",
-    help="Range of one parameter of the car, as in plant.speed_mps=8..12; repeatable.",
+    help="Range of one parameter of the car, as in plant.speed_mps=8..12, or of a plant by "
+    "numbers, as in plant.gain_1=0.7..1.3; repeatable.",
 )
 @click.option(
     "--spare-ticks",
@@ -56,14 +56,15 @@ PICTURE = "tuning.png"
     "noise_limit_n",
     type=float,
     metavar="N",
-    help="Largest rms of X_diff that plant.sensor.noise_mps2 may cause, in N.  [default: any]",
+    help="Largest rms of X_diff, or of input 2, that plant.sensor.noise_mps2 may cause, in N or "
+    "its own unit.  [default: any]",
 )
 @click.option(
     "--torque-noise-limit",
     "torque_noise_limit_nm",
     type=float,
     metavar="NM",
-    help="Largest rms of the torque that it may cause, in N m.  [default: any]",
+    help="Largest rms of the torque, or of input 1, that it may cause.  [default: any]",
 )
 @click.option(
     "--out",
@@ -115,9 +116,7 @@ def command(
 
 
 def _print(found: Tunings, picture: Path) -> None:
-    force = noise_unit(found)
-    units = (*UNITS[:-3], f"rms {force}", f"rms {force.replace('N', 'N m', 1)}", UNITS[-1])
-    tunings = table("", *(f"{name}\n{unit}" for name, unit in zip(HEADINGS, units, strict=True)))
+    tunings = table("", *headings(found))
     for tuning, cells in rows(found):
         chosen = tuning is found.chosen
         tunings.add_row(">" if chosen else "", *cells, style="bold" if chosen else None)
@@ -132,7 +131,7 @@ def _tell_refusals(error: NoTuningError, as_json: bool) -> None:
         return
     refused_rows = table("tunings", "refused because", left=0)
     refused_rows.columns[1].justify = "left"
-    for reason, count in refusal_rows(error.refusals):
+    for reason, count in error.rows:
         refused_rows.add_row(str(count), reason)
     show(refused_rows)
     say(f"none of {error.refusals.total()} tunings passes: {error.advice}")

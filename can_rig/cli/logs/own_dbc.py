@@ -8,11 +8,12 @@ from typing import Final
 
 from cantools.database.can import Database
 
-from can_rig.decoding.database import load_database
 from can_rig.decoding.decode import Databases
 from can_rig.errors import RigError
 from can_rig.frames.dbc import shipped_dbc
+from can_rig.frames.mapped.database import load_database
 from can_rig.results.source import source_of
+from can_rig.scenario.build import dbc_of
 
 CAR: Final = "steer_by_wire.dbc"
 
@@ -40,6 +41,6 @@ def own_dbc(source: Path) -> Path:
     if not source.is_dir():
         return shipped_dbc(CAR)
     try:
-        return shipped_dbc(source_of(source, None, ()).scenario.dbc)
+        return dbc_of(source_of(source, None, ()).scenario)
     except RigError:  # a run that was killed before its run.json
         return shipped_dbc(CAR)

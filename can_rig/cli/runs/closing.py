@@ -6,23 +6,20 @@ from collections import Counter
 from pathlib import Path
 
 from can_rig.cli.output import say, show, table
-from can_rig.frames.network import Network
 from can_rig.nodes.realtime import timing
 from can_rig.results.metrics import Metrics, rows
 from can_rig.results.run_folder import Outcome
 from can_rig.scenario.settings import Scenario
 
 
-def closing_table(
-    scenario: Scenario, network: Network, values: Metrics, outcome: Outcome, folder: Path
-) -> None:
+def closing_table(scenario: Scenario, values: Metrics, outcome: Outcome, folder: Path) -> None:
     """Metrics, rate, frames not used and the folder of a run that has ended.
 
     No metrics and no rate where no command was recorded, and so no whole tick.
     """
     closing = table("", "")
     if values.get("torque_peak_nm") is not None:
-        for label, text in rows(values, network):
+        for label, text in rows(values, scenario.plant):
             closing.add_row(label, text)
         factor = outcome.ticks_per_s * scenario.tick_s
         closing.add_row("rate", f"{outcome.ticks_per_s:.0f} ticks/s, {factor:.1f} x real time")

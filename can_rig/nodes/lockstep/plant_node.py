@@ -9,6 +9,7 @@ from typing import Final
 
 import can
 
+from can_rig.errors import ScenarioError
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import NodeBus, Send
 from can_rig.nodes.clock import NS_PER_S, Clock
@@ -36,7 +37,8 @@ class PlantNode:
         reports: gets what the plant reports of every tick; None records nothing.
 
     Raises:
-        ScenarioError: a reference that does not fit its frame, a plant that is none.
+        ScenarioError: a reference that does not fit its frame, a plant that is none, frames
+            without a tick.
     """
 
     def __init__(
@@ -47,6 +49,12 @@ class PlantNode:
         recorder: Recorder | None = None,
         reports: PlantRecorder | None = None,
     ) -> None:
+        if not network.has_ticks:
+            raise ScenarioError(
+                f"scenario {scenario.name}: network.tick: must name the signal that counts the "
+                "ticks in every message, or the run be in real time (--realtime): in lockstep a "
+                "frame must say which tick it is of"
+            )
         self.ticks: Final = scenario.ticks
         self._recorder = recorder
         self._end = PlantEnd(scenario, network, send, recorder, reports)

@@ -25,7 +25,7 @@ import can
 from can_rig.errors import BusError
 from can_rig.frames.codec import Record
 from can_rig.frames.network import Network
-from can_rig.frames.wire_tick import tick_from, tick_on, ticks_ahead
+from can_rig.frames.wire_tick import tick_from, ticks_ahead
 from can_rig.nodes.bus_access import NodeBus
 from can_rig.nodes.clock import Clock
 from can_rig.nodes.controller_end import ControllerEnd, started
@@ -167,7 +167,9 @@ class RealTimeControllerNode:
     def _take_in(self, message: can.Message) -> None:
         number = message.arbitration_id
         if number == self._end.reference.codec.frame_id:
-            self._reference_now = self._end.reference.accept(message) or self._reference_now
+            reference = self._end.reference
+            tick = None if reference.codec.layout.has_tick else self._expected
+            self._reference_now = reference.accept(message, tick) or self._reference_now
             self._offered_s = message.timestamp
         elif number == self._end.feedback.codec.frame_id:
             self._take_in_feedback(message)
@@ -178,10 +180,11 @@ class RealTimeControllerNode:
 
     def _take_in_feedback(self, message: can.Message) -> None:
         feedback, due = self._end.feedback, self._expected
-        if due is not None and ticks_ahead(tick_on(message.data), due) < 0:
+        says = feedback.codec.layout.tick(message.data)
+        if due is not None and says is not None and ticks_ahead(says, due) < 0:
             feedback.accept(message, due)  # an old one, which it counts
             return
-        record = feedback.accept(message)
+        record = feedback.accept(message, None if says is not None else due)
         if record is None:
             return
         tick = tick_from(record.tick, due or 0)

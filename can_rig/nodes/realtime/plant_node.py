@@ -28,7 +28,6 @@ import can
 
 from can_rig.errors import SilentNodeError
 from can_rig.frames.network import Network
-from can_rig.frames.wire_tick import tick_on, ticks_ahead
 from can_rig.nodes.bus_access import NodeBus
 from can_rig.nodes.clock import NS_PER_S, Clock
 from can_rig.nodes.plant_end import COMMANDS, PlantEnd
@@ -169,7 +168,7 @@ class RealTimePlantNode:
             if self._answered:
                 self._recorder.at(now_ns - self._schedule.start_ns)
             self._recorder.record(message, sent=False)
-        age = -ticks_ahead(tick_on(message.data), tick)
+        age = self._end.age(message, tick)
         in_time = 0 <= age < self._latency_ticks
         judged = self._end.judge(message, tick - age if in_time else tick)
         if judged is None:

@@ -76,7 +76,12 @@ class CandumpLines:
         """Note one frame, ``sent`` by this node or received."""
         time_us = self._time_us
         self._time_us += 1  # candump's resolution keeps the frames of a tick in order
-        if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
+        if (
+            message.is_extended_id
+            or message.is_remote_frame
+            or message.is_error_frame
+            or message.is_fd
+        ):
             self.waiting.append(_other_line(message, sent, time_us))
             return
         head = self._heads.get(message.arbitration_id)
@@ -134,7 +139,7 @@ class Recorder:
 
 
 def _other_line(message: can.Message, sent: bool, time_us: int) -> str:
-    """The line of an extended, remote or error frame, by python-can's own writer."""
+    """The line of an extended, remote, error or FD frame, by python-can's own writer."""
     message.timestamp, message.channel, message.is_rx = time_us * 1e-6, CHANNEL, not sent
     text = io.StringIO()
     CanutilsLogWriter(text).on_message_received(message)

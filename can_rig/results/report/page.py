@@ -60,9 +60,9 @@ def page(
     axes: list[Axes] = list(
         signals_part.subplots(5, 1, sharex=True, height_ratios=(1.25, 1, 1, 1, 1))
     )
-    names, time_s = names_of(network), signals.time_s
+    names, time_s = names_of(scenario.plant), signals.time_s
     beside, label, distance = signals.reference_mps2, "reference", "|error|"
-    if not scenario.model.closed_loop:
+    if not scenario.design.feedback:
         beside = fault_free(scenario, signals).dstar_mps2
         label, distance = "without the fault", "|deviation|"
     for axis in axes:
@@ -72,14 +72,15 @@ def page(
     _distance(axes[1], time_s, beside - signals.dstar_mps2, network.feedback.lsb)
     _commands(axes[2:4], scenario, network, signals)
     _estimate(axes[4], signals)
-    for axis, name, codec in zip(
+    output, *commands = names
+    for axis, name, unit in zip(
         axes,
-        (_output_name(scenario, names), distance, names.command_1, names.command_2,
+        (_output_name(scenario, names), distance, *(each.name for each in commands),
          "fault estimate"),
-        (network.feedback, network.feedback, network.command_1, network.command_2, network.status),
+        (output.unit, output.unit, *(each.unit for each in commands), output.unit),
         strict=True,
     ):  # fmt: skip
-        axis.set_ylabel(style.labelled(name, codec.unit), fontsize=9)
+        axis.set_ylabel(style.labelled(name, unit), fontsize=9)
     axes[4].set_xlabel("time in s")
     _mark_loss(axes, scenario, names)
     signals_part.align_ylabels(axes)
@@ -88,7 +89,7 @@ def page(
 
 
 def _output_name(scenario: Scenario, names: Names) -> str:
-    return names.output + (" as measured" if scenario.fault.kind == "sensor-biased" else "")
+    return names.output.name + (" as measured" if scenario.fault.kind == "sensor-biased" else "")
 
 
 def _output(
@@ -118,10 +119,10 @@ def _counterpart(
 ) -> tuple[FloatArray, str] | None:
     """What shows the point: the same run without compensation, or what a biased sensor hides."""
     if not scenario.fault.loses_a_channel:
-        return signals.dstar_mps2 - sensor_bias(scenario, signals), f"{names.output} itself"
+        return signals.dstar_mps2 - sensor_bias(scenario, signals), f"{names.output.name} itself"
     if scenario.design.compensation == "off":
         return None
-    return uncompensated(scenario, signals).dstar_mps2, f"{names.output} without compensation"
+    return uncompensated(scenario, signals).dstar_mps2, f"{names.output.name} without compensation"
 
 
 def _distance(axis: Axes, time_s: FloatArray, values: FloatArray, floor: float) -> None:
@@ -134,21 +135,20 @@ def _distance(axis: Axes, time_s: FloatArray, values: FloatArray, floor: float) 
 
 def _commands(axes: list[Axes], scenario: Scenario, network: Network, signals: Signals) -> None:
     """Both commands; of the channel that is lost, what its actuator applies as well."""
-    names, lost = names_of(network), None
+    names, lost = names_of(scenario.plant), None
     if scenario.fault.loses_a_channel and windows(scenario, signals).after.any():
         lost = names.lost_by(scenario.fault)
     commanded = (signals.torque_nm, signals.force_difference_n)
-    for axis, name, command, applied, codec in zip(
-        axes, names[1:], commanded, applied_commands(scenario, signals),
-        (network.command_1, network.command_2), strict=True,
-    ):  # fmt: skip
-        if name == lost:
+    for axis, name, command, applied in zip(
+        axes, names[1:], commanded, applied_commands(scenario, signals), strict=True
+    ):
+        if name is lost:
             axis.plot(signals.time_s, command, color=style.PALE_ORANGE, lw=2.4, label="commanded")
             axis.plot(signals.time_s, applied, color=style.ORANGE, lw=1.0, label="applied")
             style.legend_above(axis)
         else:
             axis.plot(signals.time_s, command, color=style.ORANGE, lw=1.0)
-        scales.clip_spikes(axis, signals.time_s, command, codec.unit)
+        scales.clip_spikes(axis, signals.time_s, command, name.unit)
     _control_authority(axes[1], scenario, network, signals)
 
 

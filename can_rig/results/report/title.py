@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from can_rig.drawing.names import Names, ticks_text
+from can_rig.drawing.names import Names, ticks_text, with_unit
 from can_rig.results.signals import Signals
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import FaultSettings, Scenario
@@ -21,7 +21,7 @@ def page_title(scenario: Scenario, names: Names, signals: Signals) -> str:
 
 def loss_label(fault: FaultSettings, names: Names) -> str:
     """What is wrong while ``fault`` is active, in a few words."""
-    name = names.lost_by(fault)
+    name = names.lost_by(fault).name
     if not fault.loses_a_channel:
         return f"{name} biased"
     share = f"{100.0 * (1.0 - fault.left):g} % of " if fault.left else ""
@@ -38,7 +38,8 @@ def _fault(scenario: Scenario, names: Names, end_s: float) -> str:
     if fault.at_s >= end_s:
         when += ", after the end of the run"
     if not fault.loses_a_channel:
-        return f"{names.output} biased by {fault.bias_mps2:g} m/s² {when}"
+        bias = with_unit(f"{fault.bias_mps2:g}", names.output.unit)
+        return f"{names.output.name} biased by {bias} {when}"
     return f"{loss_label(fault, names)} {when} ({fault.kind.replace('-', ' ')})"
 
 

@@ -29,6 +29,7 @@ from firmware_model.target.fault_decision.loss_model import (
     known_share,
     loss_output,
     loss_shown,
+    possible_share,
     take_over_candidate,
 )
 from firmware_model.target.fault_decision.mismatch import innovation, learn_loss, predict_mismatch
@@ -110,7 +111,9 @@ def decide(table: Record, state: Record, residual: float, model_1: float, model_
     elif test.evidence > constants.suspect or (before == SUSPECTED and test.evidence > 0.0):
         state.fault_state = SUSPECTED
         if before != SUSPECTED and not probing:
-            state.decision.suspected_share = max(lost_share(test), share)
+            state.decision.suspected_share = possible_share(
+                max(lost_share(table.sequential_test, test), share)
+            )
             transfer_to_losses(table, state, state.decision.suspected_share)
     else:
         shows = constants.horizon * model_1 * model_1
@@ -148,7 +151,12 @@ def evaluate_probe(table: Record, state: Record, residual: float) -> None:
 @firmware
 def confirm(table: Record, state: Record) -> None:
     """Take channel 1 for lost since the start of the candidate."""
-    take_candidate(table, state, lost_share(state.sequential_test), real(1.0, state.command_1))
+    take_candidate(
+        table,
+        state,
+        lost_share(table.sequential_test, state.sequential_test),
+        real(1.0, state.command_1),
+    )
     state.fault_state = CONFIRMED
 
 
@@ -168,8 +176,9 @@ def take_candidate(table: Record, state: Record, share: float, sign: float) -> N
     constants, test = table.loss_model, state.sequential_test
     share = max(share, real(LEAST_SHARE, share))
     doubt = constants.doubt / max(test.information, table.decision.suspect)
+    doubt = max(doubt, constants.least_doubt)
     moment = constants.moment * test.age
-    transfer_to_losses(table, state, sign * share)
+    transfer_to_losses(table, state, sign * possible_share(share))
     take_over_candidate(table, state, share, sign)
     forget_candidate(table, state, sign * share)
     learn_loss(state.mismatch, min(constants.share_variance, doubt), moment * moment)

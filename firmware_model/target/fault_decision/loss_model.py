@@ -22,6 +22,7 @@ CONFIRMED = int(FaultState.CONFIRMED)
 CONSTANTS = (
     Field("share_variance", "1", "largest of s, when a loss is confirmed"),
     Field("doubt", "1", "variance of s then, times the information on it"),
+    Field("least_doubt", "1", "variance of s at least: of a car whose G1 is another"),
     Field("moment", "1", "deviation of the moment then, as a part of the time that it took"),
     Field("follow", "1", "part of the distance to s that a lag covers in a tick"),
 )
@@ -64,9 +65,14 @@ def earlier_shown(table: Record, state: Record) -> float:
 @firmware
 def known_share(state: Record) -> float:
     """s as far as it is known now, 0..1."""
-    share = state.loss_model.share + state.mismatch.theta[0]
-    known: float = min(max(share, real(0.0, share)), real(1.0, share))
-    return known
+    return possible_share(state.loss_model.share + state.mismatch.theta[0])
+
+
+@firmware
+def possible_share(share: float) -> float:
+    """``share`` as a part of command 1 that does not act, 0..1."""
+    possible: float = min(max(share, real(0.0, share)), real(1.0, share))
+    return possible
 
 
 @firmware
@@ -117,7 +123,8 @@ def take_over_candidate(table: Record, state: Record, share: float, sign: float)
     for i in range(table.estimator.shown_ticks_1):
         loss.delay[i] = earlier * loss.delay[i] + sign * test.delay[i]
     loss.previous_output = earlier * loss.previous_output + sign * test.previous_output
-    loss.share = loss.between = loss.followed = share
+    loss.share = share
+    loss.between = loss.followed = possible_share(share)
 
 
 @firmware

@@ -10,7 +10,7 @@ signature: Basseville and Nikiforov, Detection of Abrupt Changes, 1993, 7.2.4):
 with ν the innovation of d̂ (``mismatch``), S its variance, and f what a loss of ``share`` would have
 added to ν: w, whitened as the noise is, less what the estimates of the car would have made of it.
 A g below -1 says: not from then on, and the candidate begins again at this tick. So it does where
-next to nothing speaks for it and, since f has faded, nothing more will. The chance that a
+f has faded before anything was decided, for nothing more will be. The chance that a
 healthy car takes one candidate beyond h is e^-h at most (Wald), and there is at most one a tick: so
 h is the logarithm of the ticks between two false alarms, whatever the drive, and needs no tuning.
 
@@ -18,6 +18,8 @@ The test for the return of a lost channel is the same with the opposite sign.
 """
 
 from __future__ import annotations
+
+import numpy as np
 
 from firmware_model.compiled import firmware
 from firmware_model.target.fault_decision.covariance import MAX_STATES
@@ -30,8 +32,10 @@ from firmware_model.target.structs import MAX_SHOWN_TICKS, Field, Record
 CONSTANTS = (
     Field("share", "1", "of channel 1 whose loss is looked for"),
     Field("restart", "1", "log-likelihood ratio below which the candidate begins again"),
-    Field("idle", "1", "log-likelihood ratio below which it does so where no more is learnt"),
-    Field("freshness", "1", "growth of the information, while the age doubles, from which it is"),
+    Field(
+        "freshness", "1", "growth of the information, as the age doubles, below which it does too"
+    ),
+    Field("deviations", "1", "by which a share above 1 must be above it"),
 )
 STATE = (
     Field("channel_1", "y", "state of G1 driven by the commands since the start", biquad.STATE),
@@ -81,14 +85,14 @@ def update_test(table: Record, state: Record, innovation: float, share: float) -
 
 @firmware
 def is_stale(constants: Record, test: Record) -> bool:
-    """Whether a candidate without evidence, now twice as old, has learnt hardly more meanwhile."""
+    """Whether a candidate that is twice as old now has learnt hardly more meanwhile."""
     two = real(2.0, test.age)
     if test.age < two * max(test.half_age, two):
         return False
     fresh = constants.freshness * test.half_information
     test.half_age = test.age
     test.half_information = test.information
-    stale: bool = test.information < fresh and test.evidence < constants.idle
+    stale: bool = test.information < fresh
     return stale
 
 
@@ -144,10 +148,15 @@ def forget_candidate(table: Record, state: Record, share: float) -> None:
 
 
 @firmware
-def lost_share(test: Record) -> float:
-    """The share of channel 1 that explains ``innovation`` best, 0..1, by least squares."""
+def lost_share(constants: Record, test: Record) -> float:
+    """The share of channel 1 that explains ``innovation`` best, by least squares, 0 or above.
+
+    Above 1 only as far as it must be: then channel 1 does more to this car than to the model.
+    """
     zero, one = real(0.0, test.evidence), real(1.0, test.evidence)
     if not test.information > zero:
         return one
-    share: float = min(max(test.correlation / test.information, zero), one)
+    best = test.correlation / test.information
+    least = best - constants.deviations / np.sqrt(test.information)
+    share: float = min(max(best, zero), max(one, least))
     return share

@@ -113,7 +113,7 @@ def test_motion_is_measured_against_extent() -> None:
 def test_a_rule_that_is_not_exact_leaves_a_tick_s_change_of_the_model() -> None:
     """Without other cars: the remainder alone, for a rule that lags or leads by up to a tick."""
     exact = predicted(tables_of(0)[0])
-    np.testing.assert_allclose(exact[:, 1], whitened(np.diff(LOST, prepend=0.0)), atol=1e-12)
+    np.testing.assert_allclose(exact[:, 1], whitened(EARLIER), atol=1e-12)
     assert not exact[:, 2:].any()
     held = predicted(build(DESIGN, Target(TICK_S, 0, "tustin-held", noise_pole=COLOUR)))
     np.testing.assert_allclose(held[:, 2], 1.0 - COLOUR)
@@ -134,15 +134,15 @@ def test_a_new_loss_has_no_past() -> None:
     table = tables_of(2)[0]
     state = controller.init(table)[0]
     for command, model in zip(COMMANDS[:9], MODELLED, strict=False):
-        predict(table, state, command, model, 0.3)
+        predict(table, state, command, model, 0.3, 0.2)
         innovation(table.mismatch, state.mismatch, 0.1)
     before = state.mismatch.copy()
     learn_loss(state.mismatch, 0.09, 25.0)
     assert state.mismatch.theta[:2].tolist() == state.mismatch.x[:2].tolist() == [0.0, 0.0]
     for name in ("theta", "x"):
         np.testing.assert_array_equal(state.mismatch[name][2:], before[name][2:])
-    predict(table, state, COMMANDS[9], MODELLED[9], 0.7)
-    assert state.mismatch.regressor[:2].tolist() == [0.7, 0.7]
+    predict(table, state, COMMANDS[9], MODELLED[9], 0.7, 0.4)
+    assert state.mismatch.regressor[:2].tolist() == [0.7, 0.4]
 
 
 STILL = {"forgetting": 0.0, "growth": 0.0, "white": 0.0}

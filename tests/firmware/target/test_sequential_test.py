@@ -68,7 +68,8 @@ def drive(tables: RecordArray, measured: FloatArray, starts: tuple[int, ...] = (
         rows.append((
             state.command_1, state.fault_estimate, state.sequential_test.evidence,
             known.regressor.copy(), known.memory.copy(),
-            known.extent, known.change, known.remainder, lost_share(state.sequential_test),
+            known.extent, known.change, known.remainder,
+            lost_share(tables[0].sequential_test, state.sequential_test),
         ))  # fmt: skip
     return Run(*(np.array(column, dtype=np.float64) for column in zip(*rows, strict=True)))
 
@@ -194,7 +195,7 @@ def test_the_share_is_the_part_of_the_torque_that_is_lost(left: float) -> None:
         working = left if k >= lost else 1.0
         u1, u2 = working * float(state.command_1), float(state.command_2)
         y = follow_plant(PLANT.phi, PLANT.gamma, PLANT.c, x, u1, u2)
-        shares = float(lost_share(state.sequential_test))
+        shares = float(lost_share(tables[0].sequential_test, state.sequential_test))
     assert shares == pytest.approx(1.0 - left, abs=0.02)
 
 
@@ -203,9 +204,23 @@ def test_the_share_is_the_part_of_the_torque_that_is_lost(left: float) -> None:
     [(1.0, 4.0, 0.25), (-1.0, 4.0, 0.0), (9.0, 4.0, 1.0), (0.0, 0.0, 1.0), (3.0, math.nan, 1.0)],
 )
 def test_a_share_is_none_to_all(correlation: float, information: float, share: float) -> None:
-    test = controller.init(build(DESIGN, target()))[0].sequential_test
+    table = build(DESIGN, target())
+    test = controller.init(table)[0].sequential_test
     test.correlation, test.information = correlation, information
-    assert lost_share(test) == share
+    assert lost_share(table.sequential_test, test) == share
+
+
+@pytest.mark.parametrize(
+    ("best", "information", "share"), [(0.9, 1e2, 0.9), (1.2, 1e2, 1.0), (1.2, 1e4, 1.17)]
+)
+def test_more_than_all_is_lost_where_cars_differ_by_three_deviations(
+    best: float, information: float, share: float
+) -> None:
+    """1/√(Σ f²/S) is that of least squares; a channel 1 may do more to a car than to the model."""
+    table = build(DESIGN, target(1, other_cars(1)))
+    test = controller.init(table)[0].sequential_test
+    test.correlation, test.information = best * information, information
+    assert lost_share(table.sequential_test, test) == pytest.approx(share, rel=1e-9)
 
 
 @pytest.mark.parametrize("latency", [0, 1, 3])
@@ -230,12 +245,12 @@ def test_a_loss_that_is_a_tick_older_adds_the_answer_to_one_command(latency: int
 
 @pytest.mark.parametrize(
     ("evidence", "grown", "again"),
-    [(0.5, 1.0, True), (0.5, 2.0, False), (2.0, 1.0, False), (-2.0, 2.0, True)],
+    [(0.5, 1.05, True), (0.5, 1.15, False), (9.0, 1.05, True), (-2.0, 2.0, True)],
 )
 def test_a_candidate_that_learns_no_more_begins_again(
     evidence: float, grown: float, again: bool
 ) -> None:
-    """At twice its age: without evidence, and with less than half as much information again."""
+    """At twice its age, with less than a tenth more information; or without evidence."""
     table = build(DESIGN, target())
     state = controller.init(table)[0]
     test = state.sequential_test

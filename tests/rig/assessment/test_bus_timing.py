@@ -147,7 +147,7 @@ def test_commands_more_important_than_measurements_are_settled_too():
 
 
 def test_both_networks_take_the_same_time():
-    other = load_network(DBC / "chapter_2.dbc")
+    other = load_network(DBC / "plant_by_numbers.dbc")
     times = [
         in_us(network_timing(network, 1_000_000, 0.001, 0.0002), "arrival_s")
         for network in (STEER_BY_WIRE, other)

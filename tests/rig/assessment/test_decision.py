@@ -12,7 +12,7 @@ from can_rig.assessment.decision import decision_figures
 from can_rig.assessment.resolve import load
 from can_rig.plant.frameless import frameless
 from can_rig.scenario.build import network_of
-from can_rig.scenario.settings import BudgetSettings, Scenario
+from can_rig.scenario.settings import Scenario
 from firmware_model.target.status import FaultState
 
 STEADY_NM = 42.5  # for 1 m/s², docs/design.md
@@ -69,7 +69,7 @@ def test_fewer_alarms_take_longer_and_a_loss_that_does_nothing_is_never_found() 
     for change in ("reference.amplitude_mps2=0", "fault.at_s=5"):
         nothing = figures(load("default", [*short, change]))
         assert nothing.expected_delay_s is None
-        assert "is not found on average" in next(nothing.describe(BudgetSettings()))
+        assert "is not found on average" in next(nothing.describe(load("default")))
 
 
 def test_noise_and_rounding_add_up() -> None:
@@ -95,10 +95,10 @@ def test_the_least_torque_is_the_one_below_which_the_state_is_cannot_tell() -> N
 
 
 def test_the_words_say_the_box() -> None:
-    lines = list(figures(load("default")).describe(load("default").budget))
+    lines = list(figures(load("default")).describe(load("default")))
     assert "confirmed after" in lines[0] and "at most 0.001 false alarms an hour" in lines[0]
     assert lines[1] == "other cars: within ±20% of the model are not taken for a loss"
-    none = list(figures(load("thesis-step")).describe(load("thesis-step").budget))
+    none = list(figures(load("thesis-step")).describe(load("thesis-step")))
     assert "none: budget.box says by how much" in none[1]
 
 

@@ -12,7 +12,8 @@ from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import check_stability, refuse_unstable
 from can_rig.errors import ScenarioError
 from can_rig.plant.frameless import frameless
-from can_rig.scenario.build import UNCERTAIN, network_of
+from can_rig.scenario.box import CAR as UNCERTAIN
+from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.status import FaultState
 

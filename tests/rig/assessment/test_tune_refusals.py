@@ -11,7 +11,7 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.assessment.tuning.box import cars, parameter_ranges
 from can_rig.assessment.tuning.candidate import assess, grid
-from can_rig.assessment.tuning.refusals import NoTuningError, Refusal, advice, refusal_rows
+from can_rig.assessment.tuning.refusals import NoTuningError, Refusal, advice
 from can_rig.assessment.tuning.report import why
 from can_rig.assessment.tuning.search import EQUAL_PEAKS
 from can_rig.scenario.build import continuous_plant
@@ -143,8 +143,8 @@ def test_what_is_refused_is_counted_by_the_first_test_that_it_fails() -> None:
     assert "fewer --spare-ticks" in tiny.advice
     ample = found_for(ALWAYS, share=0.0, spare=0)
     assert ample.refusals[Refusal.NOMINAL_SPARE] == 0
-    assert [reason for reason, _ in refusal_rows(tiny.refusals)] == [
-        str(reason) for reason in Refusal if reason in tiny.refusals
+    assert [reason for reason, _ in tiny.rows] == [
+        reason.text(scenario_of().plant) for reason in Refusal if reason in tiny.refusals
     ]
 
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 from can import Message
 
-from can_rig.decoding.database import load_database
 from can_rig.decoding.decode import Decoder
 from can_rig.errors import DbcError
+from can_rig.frames.mapped.database import load_database
 from can_rig.logs.frames import from_messages
 from tests.helpers import DBC, rig
 
@@ -153,3 +153,62 @@ def test_no_library_prints_beside_the_command(tmp_path: Path) -> None:
     log.write_text("(1.0) can0 100#0500\n", "ascii")
     done = rig("decode", log, "--dbc", path)
     assert (done.returncode, done.stderr) == (0, "")
+
+
+NAMED_ALIKE = """\
+VERSION ""
+BU_: A
+BO_ 256 ONE: 3 A
+ SG_ A : 0|8@1+ (1,0) [0|0] "" A
+ SG_ B : 8|8@1+ (1,0) [0|0] "" A
+ SG_ C : 16|8@1+ (1,0) [0|0] "" A
+BA_DEF_ SG_ "SystemSignalLongSymbol" STRING ;
+BA_DEF_DEF_ "SystemSignalLongSymbol" "";
+BA_ "SystemSignalLongSymbol" SG_ 256 A "Lock State";
+BA_ "SystemSignalLongSymbol" SG_ 256 B "Lock State";
+"""
+UNMARKED = """\
+VERSION ""
+BU_: A
+BO_ 107135027 LEFT: 1 A
+ SG_ X : 0|8@1+ (2,0) [0|0] "" A
+BO_ 256 SHORT: 1 A
+ SG_ X : 0|8@1+ (1,0) [0|0] "" A
+CM_ BO_ 107135027 "an identifier of 29 bits without the mark of one";
+BA_DEF_ SG_ "GenSigStartValue" INT 0 255;
+BA_DEF_DEF_ "GenSigStartValue" 0;
+BA_ "GenSigStartValue" SG_ 107135027 X 3;
+VAL_ 107135027 X 1 "one; two" 2 "two" ;
+VAL_ 256 GONE 1 "one" ;
+VAL_ 999 X 1 "one" ;
+VAL_ 256 X 1 "on" ;
+"""
+
+
+def test_two_signals_of_one_name_are_two_signals(tmp_path: Path) -> None:
+    """As in canmatrix's j1939.dbc, whose long names are the same where the short ones are not."""
+    path = written(tmp_path, NAMED_ALIKE)
+    with pytest.raises(DbcError, match="Lock State and Lock State are overlapping"):
+        load_database(path)  # which is what cantools takes them for
+    decoder = Decoder(load_database(path, strict=False))
+    found = decoder.decode(from_messages([frame(256, b"\1\2\3")]))
+    values = {name: column.tolist() for name, column in found["ONE"].signals.items()}
+    assert values == {"Lock State_0": [1], "Lock State_8": [2], "C": [3]}
+
+
+def test_a_dbc_as_opendbc_has_them(tmp_path: Path) -> None:
+    """Extended identifiers without bit 31, and value tables of signals that there are not."""
+    path = written(tmp_path, UNMARKED)
+    with pytest.raises(DbcError, match="more than 11 bits"):
+        load_database(path)
+    database = load_database(path, strict=False)
+    left = database.get_message_by_name("LEFT")
+    assert (left.frame_id, left.is_extended_frame) == (107135027, True)
+    assert left.comment == "an identifier of 29 bits without the mark of one"
+    assert left.get_signal_by_name("X").raw_initial == 3
+    assert dict(left.get_signal_by_name("X").choices) == {1: "one; two", 2: "two"}
+    decoder = Decoder(database)
+    long = Message(arbitration_id=107135027, is_extended_id=True, data=b"\4")
+    found = decoder.decode(from_messages([long, frame(256, b"\1")]))
+    assert found["LEFT"].signals["X"].tolist() == [8]
+    assert found["SHORT"].words("X").tolist() == ["on"]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
 
 import pytest
@@ -9,10 +10,10 @@ from can import Message
 from hypothesis import given
 from hypothesis import strategies as st
 
-from can_rig.decoding.database import load_database
-from can_rig.decoding.decode import Decoder
+from can_rig.decoding.decode import Decoder, decode_log
 from can_rig.decoding.j1939 import group_key
 from can_rig.errors import DbcError
+from can_rig.frames.mapped.database import load_database
 from can_rig.logs.frames import from_messages
 from tests.helpers import asked
 
@@ -109,3 +110,44 @@ def test_a_group_is_the_identifier_without_priority_and_addresses(
     assert group_key(identifier) != group_key(identifier ^ 1 << 16)
     if not to_one:
         assert group_key(identifier) != group_key(identifier ^ 1 << 8)
+
+
+@pytest.mark.parametrize("suffix", [".log", ".log.gz", ".asc", ".blf", ".trc", ".mf4"])
+def test_can_fd_j1939_and_classic_buses_in_one_log(tmp_path: Path, suffix: str) -> None:
+    """CAN FD of 64 bytes, J1939 with long messages, a classic bus, and one without a database."""
+    fd = 'VERSION ""\nBU_: A\nBO_ 256 LONG: 64 A\n SG_ LAST : 488|24@1- (0.5,1) [0|0] "" A\n'
+    files = [
+        written(tmp_path, fd, "fd.dbc"),
+        written(tmp_path, J1939.replace("EEC1: 8", "EEC1: 30"), "j1939.dbc"),
+        written(tmp_path, ONE.format(name="SHORT", factor=3), "classic.dbc"),
+    ]
+    lines = []
+    for at in range(10):
+        speed = (at * 100).to_bytes(2, "little").hex()
+        packets = [f"0{n + 1}" + "00" * 7 for n in range(5)]
+        packets[0] = f"01000000{speed}0000"
+        frames = [f"can0 100##1{'00' * 61}{at:02X}0080", f"can2 100#{at:02X}", f"can3 7{at:02X}#"]
+        frames += ["can1 1CECFF21#201E0005FF04F000", *(f"can1 1CEBFF21#{p}" for p in packets)]
+        lines += [f"({at}.{place:03d}000) {text} R\n" for place, text in enumerate(frames)]
+    log = written(tmp_path, "".join(lines), "all.log")
+    if suffix != ".log":
+        assert asked("convert", log, tmp_path / f"all{suffix}").returncode == 0
+        log = tmp_path / f"all{suffix}"
+    first = 1 if suffix == ".trc" else 0  # PEAK counts buses from 1
+    prefix = "can" if suffix.startswith(".log") else ""
+    each = [f"{prefix}{at + first}={path}" for at, path in enumerate(files)]
+    done = asked("decode", log, *(word for one in each for word in ("--dbc", one)), "--json")
+    said = json.loads(done.stdout)
+    names = [f"{prefix}{at + first}.{name}" for at, name in enumerate(["LONG", "EEC1", "SHORT"])]
+    assert {name: said["messages"][name]["decoded"] for name in names} == dict.fromkeys(names, 10)
+    assert said["transport"] == {"messages": 10, "incomplete": 0, "unknown": {}}
+    assert sum(said["unknown"].values()) == 10
+    databases = [
+        (name.split(".")[0], load_database(path)) for name, path in zip(names, files, strict=True)
+    ]
+    decoded = decode_log(log, databases)
+    last = [(at - (1 << 23)) * 0.5 + 1 for at in range(10)]
+    assert decoded[names[0]].signals["LAST"].tolist() == last
+    assert decoded[names[1]].signals["Speed"].tolist() == [at * 12.5 for at in range(10)]
+    assert decoded[names[1]].signals["SourceAddress"].tolist() == [0x21] * 10
+    assert decoded[names[2]].signals["X"].tolist() == [at * 3 for at in range(10)]

@@ -11,7 +11,7 @@ DBC = Path(__file__).parents[3] / "dbc"
 STEER_BY_WIRE = DBC / "steer_by_wire.dbc"
 PAIRS = [
     (codec, cantools.database.load_file(path, strict=True).get_message_by_name(codec.name))
-    for path in (STEER_BY_WIRE, DBC / "chapter_2.dbc")
+    for path in (STEER_BY_WIRE, DBC / "plant_by_numbers.dbc")
     for codec in load_network(path)
 ]
 

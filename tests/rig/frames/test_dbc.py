@@ -15,7 +15,7 @@ from can_rig.frames.layout import ROLES
 from can_rig.frames.network import load_network
 
 DBC = Path(__file__).parents[3] / "dbc"
-FILES = ("steer_by_wire.dbc", "chapter_2.dbc")
+FILES = ("steer_by_wire.dbc", "plant_by_numbers.dbc")
 
 both = pytest.mark.parametrize("name", FILES)
 

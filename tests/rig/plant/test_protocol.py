@@ -184,8 +184,9 @@ def test_the_linear_plant_through_the_protocol_writes_the_log_of_the_built_in_on
 
 
 def test_every_plant_of_this_package_is_one():
-    for kind in ("steer-by-wire", "chapter-2", "can_rig.plant.nonlinear_car:NonlinearCar"):
-        assert plant_behind(PlantSettings(kind=kind), 0.001).follow(0.0, 0.0, 1.0, 1.0) == (0, 0)
+    kinds = ("steer-by-wire", "can_rig.plant.nonlinear_car:NonlinearCar")
+    for settings in (*(PlantSettings(kind=kind) for kind in kinds), load("chapter-2").plant):
+        assert plant_behind(settings, 0.001).follow(0.0, 0.0, 1.0, 1.0) == (0, 0)
     names = [name for name in inspect.signature(NonlinearCar.advance).parameters if name != "self"]
     assert names == ["dt_s", "torque_nm", "force_difference_n"]
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from can import Message
 
-from can_rig.results.signals import plain_frames
+from can_rig.results.signals import data_frames
 from tests.helpers import record
 from tests.rig.replay.drive import SETTINGS
 
@@ -20,4 +20,4 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture(scope="module")
 def frames(drive: Path) -> list[Message]:
-    return list(plain_frames(drive))
+    return list(data_frames(drive))

@@ -11,7 +11,6 @@ from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import check_stability
 from can_rig.results.metrics import Metrics, metrics, rows
 from can_rig.results.signals import Signals
-from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from can_rig.thesis.continuous import solve
 from tests.rig.results.quiet import Run, quiet
@@ -40,7 +39,7 @@ def test_a_fault_where_nothing_acts_changes_nothing(run: Run) -> None:
     deviation = values["deviation_peak_after_fault_mps2"]
     assert deviation is not None and deviation < 1e-6
     assert values["detection_delay_s"] is None
-    assert ("loss confirmed after", "never") in rows(values, network_of(load("thesis-step")))
+    assert ("loss confirmed after", "never") in rows(values, load("thesis-step").plant)
 
 
 @pytest.mark.parametrize(
@@ -158,8 +157,7 @@ def test_peaks_belong_to_their_windows() -> None:
 
 
 def labels(scenario: Scenario, values: Metrics) -> str:
-    network = network_of(load("thesis-step"))
-    return "\n".join(f"{label}: {text}" for label, text in rows(values, network))
+    return "\n".join(f"{label}: {text}" for label, text in rows(values, scenario.plant))
 
 
 def test_rows_say_only_what_the_run_has() -> None:
@@ -181,7 +179,7 @@ def test_a_run_without_a_tick_has_no_numbers() -> None:
     empty = Signals(*(np.empty(0) for _ in COLUMNS))
     values = metrics(scenario, empty)
     assert set(values.values()) == {None}
-    assert rows(values, network_of(load("thesis-step"))) == []
+    assert rows(values, load("thesis-step").plant) == []
 
 
 def test_every_key_says_its_unit() -> None:

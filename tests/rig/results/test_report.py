@@ -189,7 +189,7 @@ def test_title_shade_panel_and_closing_table_use_one_name(tmp_path: Path, name: 
     assert f"{lost} lost at 0.1 s" in page.get_suptitle()
     assert [text.get_text() for text in page.axes[0].texts] == [f"{lost} lost"]
     assert page.axes[3].get_ylabel().splitlines()[0] == lost
-    labels = [label for label, _ in rows(metrics(scenario, signals), network)]
+    labels = [label for label, _ in rows(metrics(scenario, signals), scenario.plant)]
     assert f"|{lost}|, peak" in labels
 
 

@@ -71,7 +71,7 @@ def test_without_a_whole_tick_there_are_no_metrics(
     folder.mkdir()
     (folder / LOG).write_text("".join(log.read_text().splitlines(keepends=True)[:lines]))
     values = finish(folder, scenario, network, outcome)
-    closing_table(scenario, network, values, outcome, folder)
+    closing_table(scenario, values, outcome, folder)
     shown = capsys.readouterr().out
     assert ("false alarms" in shown) == has_table
     assert ("ticks/s" in shown) == has_table

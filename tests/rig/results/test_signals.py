@@ -18,7 +18,7 @@ from can_rig.frames.network import Network
 from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.watchdog import StopRequest
 from can_rig.plant.columns import ON_THE_BUS as COLUMNS
-from can_rig.results.signals import Signals, plain_frames, read_signals
+from can_rig.results.signals import Signals, data_frames, read_signals
 from can_rig.scenario.build import network_of
 
 SCENARIO = load(
@@ -82,7 +82,7 @@ def test_rows_are_cantools_own_decode(tmp_path: Path, lines: list[str]) -> None:
 def test_frames_are_those_of_python_can(tmp_path: Path, lines: list[str]) -> None:
     log = tmp_path / "bus.log"
     log.write_text("".join(lines))
-    ours = [(m.timestamp, m.arbitration_id, bytes(m.data)) for m in plain_frames(log)]
+    ours = [(m.timestamp, m.arbitration_id, bytes(m.data)) for m in data_frames(log)]
     assert ours == [(m.timestamp, m.arbitration_id, bytes(m.data)) for m in LogReader(log)]
     assert len(ours) == len(lines) == 300
 

@@ -28,8 +28,8 @@ LINES = {
     "plant.mass_kg=heavy": "plant.mass_kg = 'heavy': must be a valid number",
     "plant.speed_mps=1e6": "plant.speed_mps = 1000000.0: must be at most 200",
     "plant.lateral_weight=1.5": "plant.lateral_weight = 1.5: must be at most 1",
-    "plant.kind=boat": "plant.kind = 'boat': must be steer-by-wire, chapter-2 or "
-    "package.module:Class",
+    "plant.kind=boat": "plant.kind = 'boat': must be steer-by-wire, transfer-functions, "
+    "state-space or package.module:Class",
     "fault.left=1": "fault.left = 1: must be less than 1",
     "tick_s=0": "tick_s = 0: must be at least 0.00001",
     "tick_s=nan": "tick_s = nan: must be a finite number",
@@ -94,10 +94,10 @@ def test_a_bound_holds_wherever_settings_are_made(make: Any) -> None:
 
 
 def test_what_a_kind_of_plant_is_follows_from_one_table() -> None:
-    car, example = PlantSettings(), PlantSettings(kind="chapter-2")
+    car, example = PlantSettings(), load("chapter-2").plant
     own = PlantSettings(kind="mycar:Car")
-    assert (car.closed_loop, car.is_car, car.is_class) == (True, True, False)
-    assert (example.closed_loop, example.is_car) == (False, False)
-    assert (own.closed_loop, own.is_car, own.is_class) == (True, True, True)
-    assert {kind.dbc for kind in BUILT_IN.values()} == {"steer_by_wire.dbc", "chapter_2.dbc"}
-    assert load("chapter-2").dbc == "chapter_2.dbc"
+    assert (car.is_car, car.is_class) == (True, False)
+    assert (example.is_car, example.is_class) == (False, False)
+    assert (own.is_car, own.is_class) == (True, True)
+    assert {kind.dbc for kind in BUILT_IN.values()} == {"steer_by_wire.dbc", "plant_by_numbers.dbc"}
+    assert load("chapter-2").dbc == "plant_by_numbers.dbc"

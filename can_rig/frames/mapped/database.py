@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 import re
+from collections import Counter
 from pathlib import Path
 from typing import Final
 
 import cantools
-from cantools.database.can import Database
+from cantools.database.can import Database, Message
 
 from can_rig.errors import DbcError, one_line
 from can_rig.frames.dbc import load_dbc
@@ -40,6 +41,15 @@ _SIZES: Final = {  # places and lengths, and the most that cantools deals with i
     ),
 }
 _MOST_IDENTIFIER: Final = (1 << 29) - 1
+_MOST_STANDARD: Final = (1 << 11) - 1
+_EXTENDED_BIT: Final = 1 << 31
+_IDENTIFIER: Final = re.compile(  # of a message, wherever a DBC has one
+    r"^(\s*(?:BO_|VAL_|SIG_VALTYPE_|SG_MUL_VAL_|SIG_GROUP_|BO_TX_BU_|"
+    r"(?:CM_|BA_\s+\"[^\"]*\")\s+(?:BO_|SG_))\s+)(\d{4,10})\b",
+    re.M,
+)
+_MESSAGE_OR_SIGNAL: Final = re.compile(r"^\s*(?:BO_\s+(\d+)|SG_\s+(\w+))\b", re.M)
+_VALUE_TABLE: Final = re.compile(r"^\s*VAL_\s+(\d+)\s+(\w+)(?:\s+-?\d+\s+\"[^\"]*\")*\s*;", re.M)
 
 
 def load_database(path: str | Path, strict: bool = True) -> Database:
@@ -47,26 +57,42 @@ def load_database(path: str | Path, strict: bool = True) -> Database:
 
     Args:
         path: the file.
-        strict: whether signals must not overlap, and must fit into their messages.
+        strict: whether signals must not overlap, and must fit into their messages; a DBC also must
+            mark extended identifiers, and have value tables of its own signals alone.
 
     Raises:
         DbcError: it cannot be read or loaded.
     """
     kind = _format_of(Path(path))
-    loaded = load_dbc(path, strict) if kind == "dbc" else _load(path, kind, strict)
+    loaded = load_dbc(path) if kind == "dbc" and strict else _load(path, kind, strict)
     for message in loaded.messages:
-        names = [message.name, *(signal.name for signal in message.signals)]
-        if not all(isinstance(name, str) for name in names):
+        names = [signal.name for signal in message.signals]
+        if not all(isinstance(name, str) for name in (message.name, *names)):
             raise DbcError(f"{path}: message 0x{message.frame_id:X} or a signal of it has no name")
         if not 0 <= message.frame_id <= _MOST_IDENTIFIER:
             raise DbcError(f"{path}: message {message.name} must have 11 or 29 bits of identifier")
+        if len(set(names)) < len(names):
+            _tell_apart(message, strict)
     return loaded
+
+
+def _tell_apart(message: Message, strict: bool) -> None:
+    """Put its start bit after the name of each signal that has another's name."""
+    every = Counter(signal.name for signal in message.signals)
+    for signal in message.signals:
+        if every[signal.name] > 1 and not signal.is_multiplexer:
+            signal.name = f"{signal.name}_{signal.start}"
+    message.refresh(strict)
 
 
 def _load(path: str | Path, kind: str, strict: bool) -> Database:
     try:
-        encoding = "cp1252" if kind == "sym" else "utf-8"
-        loaded = cantools.database.load_file(path, kind, encoding, strict=strict)
+        encoding = "cp1252" if kind in ("sym", "dbc") else "utf-8"
+        if kind == "dbc":
+            text = _mended(Path(path).read_text(encoding, "replace"))
+            loaded = cantools.database.load_string(text, kind, strict=strict)
+        else:
+            loaded = cantools.database.load_file(path, kind, encoding, strict=strict)
     except OSError as error:
         raise DbcError(f"{path}: cannot be read: {error.strerror}") from error
     except Exception as error:  # its readers of XML raise whatever a damaged file leads to
@@ -74,6 +100,23 @@ def _load(path: str | Path, kind: str, strict: bool) -> Database:
     if not isinstance(loaded, Database):
         raise DbcError(f"{path}: holds no CAN messages")
     return loaded
+
+
+def _mended(text: str) -> str:
+    """A DBC whose extended identifiers are marked as such, without value tables of nothing."""
+
+    def marked(found: re.Match[str]) -> str:
+        identifier = int(found[2])
+        if _MOST_STANDARD < identifier <= _MOST_IDENTIFIER:
+            identifier |= _EXTENDED_BIT
+        return f"{found[1]}{identifier}"
+
+    text = _IDENTIFIER.sub(marked, text)
+    message, signals = "", set()
+    for found in _MESSAGE_OR_SIGNAL.finditer(text):
+        message = found[1] or message
+        signals.add((message, found[2]))
+    return _VALUE_TABLE.sub(lambda v: v[0] if (v[1], v[2]) in signals else "", text)
 
 
 def _format_of(path: Path) -> str:

@@ -1,0 +1,200 @@
+"""A frame of any layout: cantools packs and unpacks it, whatever its signals look like.
+
+A signal counts steps k of its factor from the value 0, so that a record means the same whatever
+the offset: k = raw + offset/factor, value = k · factor. Of a float k is the value itself.
+"""
+
+from __future__ import annotations
+
+import math
+import struct
+from dataclasses import dataclass
+from typing import Any, Final
+
+from cantools.database.can import Message, Signal
+
+from can_rig.errors import DbcError
+from can_rig.frames.layout import Unpacked
+
+FD_LENGTHS: Final[tuple[int, ...]] = (*range(9), 12, 16, 20, 24, 32, 48, 64)
+"""Data lengths that a CAN FD frame can have [bytes], by DLC."""
+FLOATS: Final = {16: "<e", 32: "<f", 64: "<d"}
+ON_GRID: Final = 1e-6  # of a step
+CODES: Final = 3  # the largest Mode and FaultState
+TICK_BITS: Final = 16
+
+
+@dataclass(frozen=True)
+class Places:
+    """The signals of a message that mean something to the rig."""
+
+    value: Signal
+    tick: Signal | None = None
+    mode: Signal | None = None
+    fault_state: Signal | None = None
+
+
+class AnyLayout:
+    """The layout of one message of a database.
+
+    Args:
+        message: of the database.
+        places: its signals; all others are sent with their initial value, or raw 0.
+        where: begins the line of a refusal.
+
+    Raises:
+        DbcError: a message that no frame holds, a signal that the rig cannot use.
+    """
+
+    def __init__(self, message: Message, places: Places, where: str) -> None:
+        self._message, self._places = message, places
+        self.has_tick: Final = places.tick is not None
+        self.length: Final = _frame_length(message, where)
+        for signal in (places.value, places.tick, places.mode, places.fault_state):
+            if signal is not None and signal.multiplexer_ids:
+                raise DbcError(
+                    f"{where}: signal {signal.name} is multiplexed: must be in every frame"
+                )
+        self._from_zero = 0 if is_float(places.value) else _steps_to_zero(places.value, where)
+        self._rest = {s.name: _initial(message, s) for s in message.signals}
+        if places.tick is not None:
+            _require_counter(places.tick, where)
+            self._tick_mask = (1 << places.tick.length) - 1
+        for code in (places.mode, places.fault_state):
+            if code is not None and not _holds(code, CODES):
+                raise DbcError(
+                    f"{where}: signal {code.name}: must be an integer of at least 2 bits, "
+                    "factor 1, offset 0"
+                )
+
+    def pack(self, k: float, tick: int, mode: int, fault_state: int) -> bytearray:
+        """The bytes of a frame, with those of the signals that mean nothing to the rig."""
+        places, raw = self._places, self._rest
+        raw[places.value.name] = k if is_float(places.value) else int(k) - self._from_zero
+        if places.tick is not None:
+            raw[places.tick.name] = tick & 0xFFFF & self._tick_mask
+        for signal, code in ((places.mode, mode), (places.fault_state, fault_state)):
+            if signal is not None:
+                raw[signal.name] = min(max(code, 0), CODES)
+        data = bytearray(self._message.encode(raw, scaling=False, strict=False))
+        data.extend(bytes(self.length - len(data)))
+        return data
+
+    def unpack(self, data: bytes | bytearray) -> Unpacked:
+        """What a frame of the right length says."""
+        raw: Any = self._message.decode(bytes(data), decode_choices=False, scaling=False)
+        places = self._places
+        k = raw[places.value.name]
+        return (
+            k if is_float(places.value) else k + self._from_zero,
+            0 if places.tick is None else int(raw[places.tick.name]) & 0xFFFF,
+            0 if places.mode is None else raw[places.mode.name],
+            0 if places.fault_state is None else raw[places.fault_state.name],
+        )
+
+    def tick(self, data: bytes | bytearray) -> int | None:
+        """The tick that a frame says, modulo 65536; None: it says none."""
+        if not self.has_tick:
+            return None
+        return self.unpack(data)[1] if len(data) == self.length else 0
+
+
+@dataclass(frozen=True)
+class Scale:
+    """Steps of a signal, as the fields of ``MessageCodec`` that describe it."""
+
+    lsb: float
+    raw_maximum: int | float
+    not_available: int | float
+    """What not-a-number is sent as."""
+    float_format: str = ""
+
+
+def scale_of(signal: Signal, where: str) -> Scale:
+    """The steps of ``signal`` that reach as far down as up.
+
+    Raises:
+        DbcError: a range that has only one sign, a factor that is not above 0.
+    """
+    low, high = signal.minimum, signal.maximum
+    if is_float(signal):
+        if (signal.scale, signal.offset) != (1, 0):
+            raise DbcError(
+                f"{where}: signal {signal.name} is a float: must have factor 1, offset 0"
+            )
+        form = FLOATS[signal.length]
+        largest = _largest(form)
+        reach = min(-(low or -largest), high or largest, largest)
+        if not reach > 0.0:
+            raise DbcError(_one_sign(signal, f"{low}..{high}", where))
+        return Scale(0.0, reach, math.nan, form)
+    offset, lsb = _steps_to_zero(signal, where), float(signal.scale)
+    bits = signal.length
+    lowest = (-(1 << (bits - 1)) if signal.is_signed else 0) + offset
+    highest = lowest + (1 << bits) - 1
+    first = lowest if low is None else max(lowest, math.ceil(low / lsb - ON_GRID))
+    last = highest if high is None else min(highest, math.floor(high / lsb + ON_GRID))
+    reach = min(last, -first)
+    if reach < 1:
+        raise DbcError(_one_sign(signal, f"{first * lsb:g}..{last * lsb:g}", where))
+    # 2^n values are an even number, and those from -reach to reach an odd one: one is left
+    return Scale(lsb, reach, lowest if lowest < -reach else highest)
+
+
+def is_float(signal: Signal) -> bool:
+    """Whether it is an IEEE 754 number."""
+    return bool(signal.is_float)
+
+
+def _one_sign(signal: Signal, carries: str, where: str) -> str:
+    return f"{where}: signal {signal.name} carries {carries}: must reach below 0 and above 0"
+
+
+def _steps_to_zero(signal: Signal, where: str) -> int:
+    """Steps from raw 0 to the value 0, negative: what is added to a raw value."""
+    if not signal.scale > 0:
+        raise DbcError(f"{where}: signal {signal.name}: factor {signal.scale}: must be above 0")
+    steps = float(signal.offset) / float(signal.scale)
+    if abs(steps - round(steps)) > ON_GRID * max(1.0, abs(steps)):
+        raise DbcError(
+            f"{where}: signal {signal.name}: offset {signal.offset}: must be a multiple of the "
+            f"factor {signal.scale}, so that 0 can be sent"
+        )
+    return round(steps)
+
+
+def _largest(form: str) -> float:
+    """The largest finite float of a format."""
+    ones = {"<e": "ff7b", "<f": "ffff7f7f", "<d": "ffffffffffffef7f"}[form]
+    return float(struct.unpack(form, bytes.fromhex(ones))[0])
+
+
+def _frame_length(message: Message, where: str) -> int:
+    longest, own = FD_LENGTHS[-1] if message.is_fd else 8, int(message.length)
+    if not 0 < own <= longest:
+        raise DbcError(f"{where}: {own} bytes: must be 1 to {longest}")
+    return min(length for length in FD_LENGTHS if length >= own)
+
+
+def _holds(signal: Signal, largest: int) -> bool:
+    bits = int(signal.length) - bool(signal.is_signed)
+    plain = not is_float(signal) and (signal.scale, signal.offset) == (1, 0)
+    return bool(plain and largest >> bits == 0)
+
+
+def _require_counter(signal: Signal, where: str) -> None:
+    if signal.is_signed or not _holds(signal, (1 << TICK_BITS) - 1):
+        raise DbcError(
+            f"{where}: signal {signal.name}: must be an unsigned integer of at least "
+            f"{TICK_BITS} bits, factor 1, offset 0, to count the ticks"
+        )
+
+
+def _initial(message: Message, signal: Signal) -> int | float:
+    """What is sent of a signal that means nothing to the rig."""
+    if signal.is_multiplexer:
+        for other in message.signals:
+            if other.multiplexer_signal == signal.name and other.multiplexer_ids:
+                return int(other.multiplexer_ids[0])
+    initial: float = signal.raw_initial or 0
+    return initial

@@ -1,0 +1,75 @@
+"""Other plants than the model: what may differ, by how much, and the settings of one that does.
+
+Of a car, mass, both cornering stiffnesses and speed differ from car to car and from day to day; the
+rest of Table 3.1 is known. Of a plant by numbers nothing is known of the kind, so what differs is
+how strongly each input acts (``gain_1``, ``gain_2``) and how fast the plant answers: the frequency
+of every pole and zero, with damping and steady gain as they are, for each channel (``speed_1``,
+``speed_2``) where each has a transfer function of its own, and for the whole (``speed``) where they
+share a state.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import Any, Final
+
+from can_rig.scenario.plant_settings import STATE_SPACE, TRANSFER_FUNCTIONS, PlantSettings
+
+CAR: Final = (
+    "mass_kg",
+    "front_cornering_stiffness_n_per_rad",
+    "rear_cornering_stiffness_n_per_rad",
+    "speed_mps",
+)
+FACTORS: Final = {
+    TRANSFER_FUNCTIONS: ("gain_1", "gain_2", "speed_1", "speed_2"),
+    STATE_SPACE: ("gain_1", "gain_2", "speed"),
+}
+"""What is multiplied with 1 in the plant as given, by kind."""
+
+
+def uncertain(settings: PlantSettings) -> dict[str, float]:
+    """What may differ, with the values of ``settings``."""
+    if settings.is_car:
+        return {key: float(getattr(settings, key)) for key in CAR}
+    return dict.fromkeys(FACTORS[settings.kind], 1.0)
+
+
+def with_values(settings: PlantSettings, values: Mapping[str, float]) -> PlantSettings:
+    """``settings`` with other values of what may differ, or of other parameters of a car."""
+    if settings.is_car:
+        changes: dict[str, Any] = dict(values)
+        return replace(settings, **changes)
+    gain_1, gain_2 = values.get("gain_1", 1.0), values.get("gain_2", 1.0)
+    if settings.kind == TRANSFER_FUNCTIONS:
+        return replace(
+            settings,
+            g1=settings.g1.scaled(gain_1, values.get("speed_1", 1.0)),
+            g2=settings.g2.scaled(gain_2, values.get("speed_2", 1.0)),
+        )
+    speed = values.get("speed", 1.0)
+    return replace(
+        settings,
+        a=tuple(tuple(speed * each for each in row) for row in settings.a or ()),
+        b=tuple(
+            (speed * gain_1 * first, speed * gain_2 * second) for first, second in settings.b or ()
+        ),
+    )
+
+
+def in_box(settings: PlantSettings, shares: Mapping[str, float]) -> PlantSettings:
+    """``settings`` with what may differ greater by these shares, 0.2 for 20 %."""
+    nominal = uncertain(settings)
+    return with_values(
+        settings, {key: nominal[key] * (1.0 + share) for key, share in shares.items()}
+    )
+
+
+def with_lags(settings: PlantSettings, factor: float) -> PlantSettings:
+    """``settings`` with actuators that are slower by ``factor``."""
+    return replace(
+        settings,
+        torque_actuator=settings.torque_actuator.slower(factor),
+        force_difference_actuator=settings.force_difference_actuator.slower(factor),
+    )

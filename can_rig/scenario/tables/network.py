@@ -1,0 +1,75 @@
+"""The network of a scenario: anybody's database, and which of its signals play which role."""
+
+from __future__ import annotations
+
+import dataclasses
+from typing import Annotated, Final
+
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from can_rig.scenario.stage_settings import STRICT
+
+DataId = Annotated[int, Field(ge=1, le=0xFFFF)]
+"""Of AUTOSAR E2E profile 1."""
+OPTIONAL: Final = ("mode", "fault_state")
+
+
+@dataclass(frozen=True, config=STRICT)
+class SignalNames:
+    """The signal of each role, as ``Message.Signal``; all but the last two are needed."""
+
+    reference: str = ""
+    feedback: str = ""
+    command_1: str = ""
+    command_2: str = ""
+    fault_estimate: str = ""
+    mode: str = ""
+    fault_state: str = ""
+
+    def __post_init__(self) -> None:
+        given = dataclasses.asdict(self)
+        for key, name in given.items():
+            message, dot, signal = name.partition(".")
+            if name and not (message and dot and signal):
+                raise ValueError(f"{key} = {name!r}: must be Message.Signal")
+        for key, name in given.items():
+            if any(given.values()) and not name and key not in OPTIONAL:
+                raise ValueError(f"{key}: must be set beside the other signals, as Message.Signal")
+
+    def __bool__(self) -> bool:
+        """Whether any is given."""
+        return any(dataclasses.asdict(self).values())
+
+
+@dataclass(frozen=True, config=STRICT)
+class DataIds:
+    """E2E data identifiers of the messages that are protected by profile 1, by role."""
+
+    reference: DataId | None = None
+    feedback: DataId | None = None
+    command_1: DataId | None = None
+    command_2: DataId | None = None
+    status: DataId | None = None
+
+
+@dataclass(frozen=True, config=STRICT)
+class NetworkSettings:
+    """Frames of one's own in place of the rig's.
+
+    ``dbc`` is any database that cantools reads. With ``signals`` its frames are as they are;
+    without them it must be one of the rig's, with RigRole and its layout. ``tick`` is the signal
+    that counts the ticks, of the same name in all five messages; "" for none.
+    """
+
+    dbc: str = ""
+    tick: str = ""
+    signals: SignalNames = dataclasses.field(default_factory=SignalNames)
+    data_ids: DataIds = dataclasses.field(default_factory=DataIds)
+
+    def __post_init__(self) -> None:
+        if self.signals and not self.dbc:
+            raise ValueError("dbc: must name the database of network.signals")
+        others = self.tick or any(v is not None for v in dataclasses.asdict(self.data_ids).values())
+        if others and not self.signals:
+            raise ValueError("signals: must be set beside network.tick and network.data_ids")
