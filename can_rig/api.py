@@ -12,10 +12,9 @@ its keys, as ``--set`` of the command line has them. What the caller can put rig
 
 from __future__ import annotations
 
-import json
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 from can_rig.assessment.resolve import load as load_scenario
 from can_rig.assessment.resolve import load_run
@@ -24,14 +23,13 @@ from can_rig.assessment.tuning.box import cars_of
 from can_rig.assessment.tuning.search import Tunings
 from can_rig.assessment.tuning.search import tune as search
 from can_rig.decoding.decode import decode_log
-from can_rig.errors import ScenarioError, require
+from can_rig.errors import require
+from can_rig.scenario.loading import Changes, as_settings
 from can_rig.scenario.settings import Scenario
 from can_rig.views.recorded_run import RecordedRun, record
 
 if TYPE_CHECKING:
     import pandas as pd
-
-Changes = Mapping[str, Any]
 
 __all__ = ["RecordedRun", "Scenario", "check", "decode", "load", "run", "scenario", "tune"]
 
@@ -46,7 +44,7 @@ def scenario(name: str | Path | Scenario = "default", changes: Changes | None = 
     Raises:
         ScenarioError: no such scenario, an unknown key, a bad value.
     """
-    settings = [f"{key}={_toml(key, value)}" for key, value in _flat(changes or {})]
+    settings = as_settings(changes or {})
     if isinstance(name, Scenario):
         return load_run(name.as_dict(), settings) if settings else name
     return load_scenario(str(name), settings)
@@ -138,6 +136,8 @@ def decode(
     *,
     messages: Sequence[str] | None = None,
     signals: Sequence[str] | None = None,
+    from_s: float | None = None,
+    to_s: float | None = None,
 ) -> dict[str, pd.DataFrame]:
     """Any log through any database that cantools reads: a table for each message.
 
@@ -148,6 +148,8 @@ def decode(
         dbc: the database.
         messages: only these; None: all.
         signals: only these, as ``Signal`` or ``Message.Signal``; None: all.
+        from_s: only frames from so many seconds after the start of the recording on.
+        to_s: only frames before so many seconds after it.
 
     Raises:
         LogError: the log cannot be read.
@@ -156,31 +158,9 @@ def decode(
     """
     require("pandas", extra="logs")
     tables = {}
-    for name, columns in decode_log(log, dbc, messages, signals).items():
+    decoded = decode_log(log, dbc, messages, signals, from_s=from_s, to_s=to_s)
+    for name, columns in decoded.items():
         tables[name] = table = columns.to_pandas()
         units = {signal: layout.unit for signal, layout in columns.layout.items()}
         table.attrs["units"] = {signal: unit or "" for signal, unit in units.items()}
     return tables
-
-
-def _flat(changes: Changes, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Keys with dots, also of tables within tables."""
-    for key, value in changes.items():
-        if isinstance(value, Mapping):
-            yield from _flat(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value
-
-
-def _toml(key: str, value: Any) -> str:
-    """A value as TOML has it."""
-    plain = value.item() if hasattr(value, "item") else value  # a number of numpy's
-    if isinstance(plain, bool):
-        return str(plain).lower()
-    if isinstance(plain, int | float):
-        return repr(plain)
-    if isinstance(plain, str | Path):
-        return json.dumps(str(plain))
-    if isinstance(plain, list | tuple):
-        return f"[{', '.join(_toml(key, each) for each in plain)}]"
-    raise ScenarioError(f"{key} = {value!r}: must be a number, a string, true or false, or a list")

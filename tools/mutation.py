@@ -173,9 +173,12 @@ def report(every: list[Site], listed: set[tuple[str, str, str]]) -> bool:
         row = [len(here), len(killed), len(alive), len(excused), len(rest) - len(alive)]
         total = [a + b for a, b in zip(total, row, strict=True)]
         table.add_row(module, *map(str, row))
-        for site in killed:
-            if site.change in listed:
-                print(f"note: in {SETTINGS.name}, but killed: {site}", file=sys.stderr)
+        lines = Counter(site.change for site in here if site.change in listed)
+        noticed = Counter(site.change for site in killed)
+        for change in lines:
+            if noticed[change] == lines[change]:
+                note = f"note: in {SETTINGS.name}, but killed: {'  →  '.join(change)}"
+                print(note, file=sys.stderr)
     table.add_row("", *map(str, total))
     Console().print(table)
     for site in survivors:

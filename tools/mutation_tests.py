@@ -69,15 +69,16 @@ class Plugin:
         self.order(items)
 
     def order(self, items: list[pytest.Item]) -> None:
-        """Sort them; files stay together, for the fixtures that their tests share."""
+        """The quick ones first; files stay together, for the fixtures that their tests share."""
         file_s: dict[str, float] = defaultdict(float)
         for test, test_s in self.tests.cpu_s.items():
             file_s[test.partition("::")[0]] += test_s
         own = f"/test_{self.module}.py"
 
-        def place(item: pytest.Item) -> tuple[bool, int, float]:
-            file = item.nodeid.partition("::")[0]
-            return not file.endswith(own), -self.tests.kills[item.nodeid], file_s[file]
+        def place(item: pytest.Item) -> tuple[bool, int, float, float]:
+            name = item.nodeid
+            file, test_s = name.partition("::")[0], self.tests.cpu_s.get(name, 0.0)
+            return not file.endswith(own), -self.tests.kills[name], file_s[file], test_s
 
         items.sort(key=place)
 

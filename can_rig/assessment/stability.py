@@ -18,6 +18,7 @@ from typing import Any
 from can_rig.assessment.control_authority import ControlAuthority, control_authority
 from can_rig.assessment.decision import DecisionFigures, decision_figures
 from can_rig.assessment.drives import Drives, Finding, box_findings, own_findings
+from can_rig.assessment.network_notes import frame_notes, signal_notes
 from can_rig.assessment.stability_table import finite_or_null
 from can_rig.drawing.names import names_of, with_unit
 from can_rig.errors import ScenarioError
@@ -89,7 +90,7 @@ class StabilityCheck:
 
     @property
     def notes(self) -> Iterator[str]:
-        """A line each: whose margins, the decision, isolation, control authority."""
+        """A line each: whose margins, the decision, isolation, control authority, the frames."""
         scenario = self.scenario
         if scenario.plant.is_class:
             yield f"margins: of the linear car with its parameters, not of {scenario.plant.kind}"
@@ -98,6 +99,17 @@ class StabilityCheck:
             yield _isolation(scenario)
         if self.control_authority is not None:
             yield str(self.control_authority)
+        yield from self.network_notes
+
+    @property
+    def network_notes(self) -> Iterator[str]:
+        """What to know of the frames; nothing of the rig's own."""
+        network = network_of(self.scenario)
+        yield from frame_notes(network)
+        ends = [margins for margins in (self.healthy, self.faulted) if margins.stable]
+        largest_1 = max((each.noise_to_command_1 for each in ends), default=0.0)
+        largest_2 = max((each.noise_to_command_2 for each in ends), default=0.0)
+        yield from signal_notes(self.scenario, network, (largest_1, largest_2))
 
     @property
     def verdict(self) -> str:
@@ -120,6 +132,7 @@ class StabilityCheck:
             "scenario": self.scenario.name,
             "stable": self.stable,
             "findings": [asdict(finding) for finding in self.findings],
+            "network": list(self.network_notes),
             "healthy": asdict(self.healthy),
             "faulted": asdict(self.faulted),
             "partly_lost": {f"{left:g}": asdict(m) for left, m in self.partly_lost.items()},

@@ -15,6 +15,7 @@ from can_rig.errors import INTERRUPTED, RigError
 
 COMMANDS: Final = {
     "run": ("runs.run", "Run both nodes through SCENARIO and collect the run folder."),
+    "campaign": ("runs.campaign", "Run thousands of variants of a scenario, and report."),
     "plant": ("runs.plant", "Run the plant node: the simulated car."),
     "controller": ("runs.controller", "Run the controller node: the firmware."),
     "scenarios": ("design.scenarios", "List the scenarios that come with the package."),

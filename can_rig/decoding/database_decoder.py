@@ -70,6 +70,14 @@ class DatabaseDecoder:
         """Whether there are J1939 messages in the database."""
         return any(self._groups)
 
+    def name_of(self, identifier: int, is_extended: bool) -> str | None:
+        """What the message of an identifier is called, J1939 by its parameter group."""
+        extended = np.array([identifier | is_extended << _EXTENDED_BIT], np.uint32)
+        place = int(self._find(extended)[0]) if self._names else 0
+        if place == len(self._names) and is_extended and self.has_groups:
+            place = int(self._find(group_keys(np.array([identifier], np.uint32)))[0])
+        return self._names[place] if place < len(self._names) else None
+
     def decode(
         self, sources: Sequence[Numbered]
     ) -> tuple[dict[str, MessageColumns], list[NDArray[np.bool_]]]:

@@ -27,6 +27,7 @@ from can_rig.decoding.message_columns import MessageColumns, joined
 from can_rig.decoding.message_decoder import Counts
 from can_rig.frames.mapped.database import load_database
 from can_rig.logs.frames import ERROR, EXTENDED, Frames
+from can_rig.logs.log import window_of
 from can_rig.logs.reading import read_log
 
 Databases = Database | Sequence[tuple[str | None, Database]]
@@ -109,6 +110,11 @@ class Decoder:
             for name, decoder in self.messages.items()
         }
 
+    def name_of(self, identifier: int, is_extended: bool, bus: str) -> str | None:
+        """What the message of an identifier on a bus is called; None: no database has it."""
+        found = (p.name_of(identifier, is_extended) for on, p in self._parts if on in (None, bus))
+        return next((name for name in found if name is not None), None)
+
     def decode(self, frames: Frames) -> dict[str, MessageColumns]:
         """The columns of a chunk, by message; only messages with a frame in it."""
         rows = np.arange(self.frames, self.frames + len(frames))
@@ -180,8 +186,11 @@ def decode_log(
     messages: Collection[str] | None = None,
     signals: Collection[str] | None = None,
     channel: str | None = None,
+    *,
+    from_s: float | None = None,
+    to_s: float | None = None,
 ) -> DecodedLog:
-    """Decode a whole log in memory.
+    """Decode a log, or a part of it, in memory.
 
     Args:
         path: a log of any format that `read_log` reads.
@@ -189,6 +198,8 @@ def decode_log(
         messages: see `Decoder`.
         signals: see `Decoder`.
         channel: see `Decoder`.
+        from_s: only frames from so many seconds after the start of the recording on.
+        to_s: only frames before so many seconds after it.
 
     Raises:
         LogError: the log cannot be read.
@@ -197,7 +208,7 @@ def decode_log(
     if isinstance(database, str | Path):
         database = load_database(database)
     decoder = Decoder(database, messages, signals, channel)
-    log = read_log(path)
+    log = read_log(path, window=window_of(from_s, to_s))
     parts: dict[str, list[MessageColumns]] = {}
     for frames in log:
         for name, columns in decoder.decode(frames).items():

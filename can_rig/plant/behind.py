@@ -18,6 +18,7 @@ from can_rig.plant.protocol import GuardedPlant, load_plant
 from can_rig.plant.sensor import FilteredSamples
 from can_rig.scenario.build import continuous_car, continuous_plant
 from can_rig.scenario.plant_settings import PlantSettings
+from can_rig.scenario.remembered import remembered
 from firmware_model.analysis.sampled_plant import SampledPlant, follow, sample
 from firmware_model.design.actuator_dynamics import IDEAL
 from firmware_model.target.structs import FloatArray
@@ -58,11 +59,21 @@ def plant_behind(settings: PlantSettings, tick_s: float) -> PlantBehind:
     return LinearBehind(settings, tick_s)
 
 
+@remembered(16)
+def sampled_plant(settings: PlantSettings, tick_s: float) -> SampledPlant:
+    """A linear plant behind its actuators and its sensor between two ticks.
+
+    Raises:
+        ScenarioError: a car that is not stable.
+    """
+    return sample(continuous_plant(settings), tick_s)
+
+
 class LinearBehind:
     """The plants of the thesis: one matrix for car, actuators and sensor."""
 
     def __init__(self, settings: PlantSettings, tick_s: float) -> None:
-        self.sampled: SampledPlant = sample(continuous_plant(settings), tick_s)
+        self.sampled = sampled_plant(settings, tick_s)
         self._constants, self._memory = self.sampled.constants, self.sampled.memory
         # Compiles before the first tick needs it, on a memory of its own.
         follow(self._constants, self.sampled.memory, 0, 0.0, 0.0, 1.0, 1.0)

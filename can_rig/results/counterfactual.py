@@ -10,6 +10,7 @@ import numpy as np
 from can_rig.plant.frameless import frameless
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of
+from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import FloatArray
 
@@ -29,7 +30,8 @@ def fault_free(scenario: Scenario, signals: Signals) -> Counterfactual:
 
 def noise_free(scenario: Scenario, signals: Signals) -> Counterfactual:
     """The same run without its fault and without the sensor's noise."""
-    return _instead(scenario.healthy.noise_free, signals)
+    silent = replace(scenario.healthy.noise_free, seed=0)  # of which nothing is drawn
+    return _instead(silent, signals)
 
 
 def uncompensated(scenario: Scenario, signals: Signals) -> Counterfactual:
@@ -44,6 +46,12 @@ def _instead(scenario: Scenario, signals: Signals) -> Counterfactual:
     first = round(float(signals.time_s[0]) / scenario.tick_s)
     ticks = first + len(signals)
     as_long = replace(scenario, duration_s=max(scenario.duration_s, ticks * scenario.tick_s))
-    trace = frameless(as_long, network_of(as_long))
+    measured, force = _driven(as_long)
+    return Counterfactual(measured[first:ticks], force[first:ticks])
+
+
+@remembered(2)
+def _driven(scenario: Scenario) -> Counterfactual:
+    trace = frameless(scenario, network_of(scenario))
     force = np.where(np.isnan(trace.measured), np.nan, trace.command_2)
-    return Counterfactual(trace.measured[first:ticks], force[first:ticks])
+    return Counterfactual(trace.measured, force)

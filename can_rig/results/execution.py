@@ -73,7 +73,7 @@ def in_process(
 ) -> NodeSummary:
     """Both nodes in this process: turn by turn on a bus, or many ticks at once without one."""
     with progress() as on_tick:
-        if bus == NO_BUS:
+        if bus == NO_BUS and controller is PYTHON:
             return run_without_bus(scenario, log, stop, on_tick)
         summary = run_in_process(scenario, bus, log, stop, Throttled(on_tick), controller)
         on_tick(summary.ticks)
@@ -161,9 +161,8 @@ def execute(
         RigError: it failed before anything was recorded: then there is no folder.
     """
     network = network_of(scenario)
-    if bus is None:
-        without = runner is in_process and _needs_no_bus(scenario, network, controller)
-        bus = NO_BUS if without else f"local:run-{os.getpid()}"
+    without = runner is in_process and _needs_no_bus(scenario, network, controller)
+    bus = bus or (NO_BUS if without else f"local:run-{os.getpid()}")
     if runner is real_time:
         require_causal(scenario)
     if runner is not in_process:
@@ -197,12 +196,12 @@ def execute(
 
 
 def _needs_no_bus(scenario: Scenario, network: Network, controller: Controller) -> bool:
-    """Whether a run without frames has the same log.
+    """Whether a run without a bus has the same log.
 
     Single precision has not: an actuator gets what the frame carries, in double precision.
     """
-    exact = scenario.design.precision == "float64"
-    return exact and controller is PYTHON and network.is_the_rigs
+    ours = controller is PYTHON and network.is_the_rigs
+    return ours and scenario.design.precision == "float64"
 
 
 def _require_shared(bus: str) -> None:

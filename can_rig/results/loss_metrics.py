@@ -38,13 +38,12 @@ def decision_metrics(
     A loss is missed if it is never confirmed; None where it could not show: the torque did so
     little all the time that the firmware itself says CANNOT_TELL, or X_diff is what was lost and
     was zero all that time. None as well where there was no loss. A false alarm is a confirmation
-    while nothing is lost.
+    while nothing is lost, and so is a suspicion that is counted.
     """
     state = signals.fault_state
     confirmed = state == FaultState.CONFIRMED
     suspected = confirmed | (state == FaultState.SUSPECTED)
-    begun = confirmed & ~np.concatenate([[False], confirmed[:-1]])
-    alarms = int((begun & ~lost).sum())
+    alarms = _begun(confirmed & ~lost, confirmed)
     healthy_h = float((~lost).sum()) * scenario.tick_s / HOUR_S
     known = lost & np.isfinite(state)
     told = bool((state[known] != FaultState.CANNOT_TELL).any()) and _acted(scenario, signals, lost)
@@ -52,9 +51,15 @@ def decision_metrics(
         "suspected_after_s": _delay(scenario, signals.time_s[suspected & lost]),
         "detection_delay_s": _delay(scenario, signals.time_s[confirmed & lost]),
         "missed_detection": not bool(confirmed[lost].any()) if told else None,
+        "suspicions": _begun(suspected & ~lost, suspected) if len(signals) else None,
         "false_alarms": alarms if len(signals) else None,
         "false_alarms_per_hour": alarms / healthy_h if healthy_h > 0.0 else None,
     }
+
+
+def _begun(wanted: Mask, state: Mask) -> int:
+    """How often ``state`` begins at a tick that is ``wanted``."""
+    return int((wanted & ~np.concatenate([[False], state[:-1]])).sum())
 
 
 def _acted(scenario: Scenario, signals: Signals, lost: Mask) -> bool:

@@ -89,6 +89,10 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
     bound = unavoidable_deviation(scenario, signals)
     unavoidable = None if bound is None else bound.deviation_mps2
     peak = _peak(deviation[window.after])
+    decided = decision_metrics(scenario, signals, window.lost)
+    delay, least_s = decided["detection_delay_s"], None
+    if bound is not None:
+        least_s = round(bound.detection_ticks * scenario.tick_s, 9)
     return {
         "error_before_fault_mps2": _peak(error[window.settled_before]),
         "error_peak_after_fault_mps2": _peak(error[window.after]),
@@ -97,16 +101,16 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
         "error_integral_after_fault_mps": _integral(error[window.after], scenario.tick_s),
         "deviation_peak_after_fault_mps2": peak,
         "unavoidable_deviation_mps2": unavoidable,
-        "unavoidable_detection_delay_s": (
-            None if bound is None else round(bound.detection_ticks * scenario.tick_s, 9)
-        ),
+        "unavoidable_detection_delay_s": least_s,
+        "detection_over_unavoidable": delay / least_s if delay and least_s else None,
         "deviation_over_unavoidable": peak / unavoidable if peak and unavoidable else None,
         "deviation_settled_after_fault_mps2": _peak(deviation[window.settled_after]),
         "fault_estimate_peak_before_fault_mps2": _peak(estimate[window.before]),
         "fault_estimate_peak_while_lost_mps2": _peak(estimate[window.lost]),
         "fault_estimate_settled_mps2": _peak(estimate[window.settled_after]),
-        **decision_metrics(scenario, signals, window.lost),
+        **decided,
         "torque_peak_nm": _peak(torque),
+        "torque_at_fault_nm": _peak(torque[np.flatnonzero(window.after)[:1]]),
         "torque_peak_after_fault_nm": _peak(torque[window.after]),
         "force_difference_peak_n": _peak(force),
         "force_difference_settled_n": _peak(force[settled]),

@@ -21,6 +21,7 @@ from can_rig.logs.plant_signals import PlantSignals, read_plant_signals
 from can_rig.logs.reading import read_log
 from can_rig.nodes.summary import RunColumns
 from can_rig.plant.columns import ON_THE_BUS
+from firmware_model.analysis.simulation import BoolArray, Trace
 from firmware_model.target.structs import FloatArray
 
 ROLE_COLUMNS: Final = 5  # one of each frame; mode and fault state follow
@@ -101,8 +102,19 @@ def signals_of_columns(columns: RunColumns, network: Network, tick_s: float, log
     Raises:
         LogError: what the plant reported cannot be read.
     """
-    trace, used, done = columns.trace, columns.delivery.used, slice(columns.ticks)
-    signals = Signals(
+    signals = signals_of_trace(columns.trace, columns.delivery.used, columns.ticks, network)
+    if columns.plant is None:
+        return with_plant_signals(signals, log, tick_s)
+    return replace(signals, plant=columns.plant)
+
+
+def signals_of_trace(trace: Trace, used: BoolArray, ticks: int, network: Network) -> Signals:
+    """The first ``ticks`` of a loop without frames as its log would have them.
+
+    ``used`` (ticks, 2) says which commands reach their actuators.
+    """
+    done = slice(ticks)
+    return Signals(
         time_s=trace.time_s[done],
         reference_mps2=trace.reference[done],
         dstar_mps2=trace.measured[done] + 0.0,  # a frame has no negative zero
@@ -112,9 +124,6 @@ def signals_of_columns(columns: RunColumns, network: Network, tick_s: float, log
         mode=trace.mode[done].astype(np.float64),
         fault_state=trace.fault_state[done].astype(np.float64),
     )
-    if columns.plant is None:
-        return with_plant_signals(signals, log, tick_s)
-    return replace(signals, plant=columns.plant)
 
 
 def with_plant_signals(signals: Signals, log: Path, tick_s: float) -> Signals:

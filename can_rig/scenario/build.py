@@ -14,6 +14,7 @@ from can_rig.frames.mapped.network import Roles, map_network
 from can_rig.frames.network import Network, load_network
 from can_rig.scenario.box import in_box, uncertain, with_lags
 from can_rig.scenario.plant_settings import PlantSettings
+from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import CHANNELS, Scenario
 from firmware_model.design import plants
 from firmware_model.design.actuator_dynamics import behind
@@ -26,7 +27,7 @@ from firmware_model.errors import DesignError
 from firmware_model.target.fault_decision.covariance import MAX_DIRECTIONS
 from firmware_model.target.structs import FloatArray, Record
 
-MOST_TABLES: Final = 16
+MOST_PLANTS, MOST_TABLES = 16, 16  # that are remembered
 _TABLES: Final[dict[str, Record]] = {}
 """The last ones that were computed, by everything that they follow from."""
 
@@ -68,6 +69,7 @@ def _network(dbc: Path) -> Network:
     return load_network(dbc)
 
 
+@remembered(MOST_PLANTS)
 def continuous_car(settings: PlantSettings) -> plants.Plant:
     """The linear plant that ``settings`` describe, without its actuators and its sensor.
 
@@ -98,6 +100,7 @@ def slowness(scenario: Scenario) -> float:
     return max(1.0, CAR_DECAYS_PER_S / slowest)
 
 
+@remembered(MOST_PLANTS)
 def continuous_plant(settings: PlantSettings) -> plants.Plant:
     """``continuous_car`` behind its actuators and its sensor, as far as they are linear.
 

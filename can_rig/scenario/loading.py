@@ -7,10 +7,11 @@ may be given as a word, ``latency_ticks = "from-bus"``: a ``Draft`` keeps it, an
 
 from __future__ import annotations
 
+import copy
 import difflib
 import json
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -41,6 +42,9 @@ FILES: Final = (("reference", "file"), ("network", "dbc"))
 LIMITS: Final = ("limit_", "rate_")
 """Begins of the keys that an actuator has and a belief about it has not."""
 
+Changes = Mapping[str, Any]
+"""Key → value; keys with dots, or tables within tables."""
+
 _ADAPTER: Final = TypeAdapter(Scenario)
 
 
@@ -58,6 +62,30 @@ def read(name: str, settings: Iterable[str] = ()) -> Draft:
 
     Raises:
         ScenarioError: no such scenario, not TOML, an unknown key, a bad value.
+    """
+    return changed(written(name), settings)
+
+
+@dataclass(frozen=True)
+class Written:
+    """A scenario as its file has it.
+
+    Attributes:
+        given: what names it: a shipped one, or a path.
+        name: its own.
+        values: its keys, without a default.
+    """
+
+    given: str
+    name: str
+    values: dict[str, Any]
+
+
+def written(name: str) -> Written:
+    """The file of the scenario ``name``, a shipped one or a path, before its keys are looked at.
+
+    Raises:
+        ScenarioError: no such scenario, or not TOML.
     """
     known = shipped()
     path = Path(name)
@@ -78,11 +106,23 @@ def read(name: str, settings: Iterable[str] = ()) -> Draft:
         if isinstance(table, dict) and isinstance(table.get(key), str):
             # in a scenario relative to it, as everywhere else; in --set to the working directory
             table[key] = str(path.parent / table[key])
+    return Written(name, path.stem, values)
+
+
+def changed(file: Written, settings: Iterable[str] = ()) -> Draft:
+    """A scenario that was written, with ``KEY=VALUE`` changes.
+
+    Raises:
+        ScenarioError: an unknown key, a bad value.
+    """
+    values = copy.deepcopy(file.values)
     for setting in settings:
-        _change(values, setting)
+        change(values, setting)
     if "name" in values:
-        raise ScenarioError(f"scenario {name}: name: unknown key; a scenario is named by its file")
-    return draft(path.stem, values)
+        raise ScenarioError(
+            f"scenario {file.given}: name: unknown key; a scenario is named by its file"
+        )
+    return draft(file.name, values)
 
 
 def of_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Draft:
@@ -102,7 +142,7 @@ def of_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Draft:
     if isinstance(plant, dict) and isinstance(model, dict):
         changed["model"] = _other_than(plant, model)
     for setting in settings:
-        _change(changed, setting)
+        change(changed, setting)
     return draft(str(changed.get("name", "run")), changed)
 
 
@@ -179,7 +219,7 @@ def _take(values: dict[str, Any], key: str, word: str) -> bool:
     return True
 
 
-def _change(values: dict[str, Any], setting: str) -> None:
+def change(values: dict[str, Any], setting: str) -> None:
     """Apply one ``KEY=VALUE``; a value that is not TOML is a string, so quotes are optional."""
     key, equals, text = setting.partition("=")
     parts = key.strip().split(".")
@@ -195,3 +235,35 @@ def _change(values: dict[str, Any], setting: str) -> None:
         if not isinstance(table, dict):
             raise ScenarioError(f"--set {setting}: {part} is a value and has no keys")
     table[parts[-1]] = value
+
+
+def as_settings(changes: Changes) -> list[str]:
+    """``KEY=VALUE`` for each change, exact.
+
+    Raises:
+        ScenarioError: a value that TOML does not know.
+    """
+    return [f"{key}={toml_text(key, value)}" for key, value in flat(changes)]
+
+
+def flat(changes: Changes, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Keys with dots, also of tables within tables."""
+    for key, value in changes.items():
+        if isinstance(value, Mapping):
+            yield from flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def toml_text(key: str, value: Any) -> str:
+    """A value as TOML has it."""
+    plain = value.item() if hasattr(value, "item") else value  # a number of numpy's
+    if isinstance(plain, bool):
+        return str(plain).lower()
+    if isinstance(plain, int | float):
+        return repr(plain)
+    if isinstance(plain, str | Path):
+        return json.dumps(str(plain))
+    if isinstance(plain, list | tuple):
+        return f"[{', '.join(toml_text(key, each) for each in plain)}]"
+    raise ScenarioError(f"{key} = {value!r}: must be a number, a string, true or false, or a list")

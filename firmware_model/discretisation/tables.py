@@ -22,7 +22,7 @@ SLOWEST_TRANSFER_S = 0.05  # some time constants of w, 1/17.7 s for this car
 HASTE = 2.0  # of a transfer, against the time that its beginning took
 SHARE = 0.8  # of the torque whose loss is looked for: of all of it, a half still counts
 RESTART = -1.0  # evidence of a candidate that is given up
-FRESHNESS = 1.1  # growth of the information of a candidate whose age doubles, at least
+FRESHNESS = 0.1  # by which the information of a candidate grows at least as its age doubles
 DEVIATIONS, NEVER = 3.0, 1e9  # by which more is lost than the model has, where cars may differ
 SHARE_VARIANCE = 0.09  # of the share of a loss when that is confirmed, at most
 LARGEST_SHARE_VARIANCE = 1.0  # of a share that is followed, when nothing has shown for long
@@ -235,6 +235,8 @@ def _fill_decision(table: Record, target: Target) -> None:
     test.share = SHARE
     test.restart = RESTART
     test.freshness = FRESHNESS
+    test.needed = decision.confirm
+    test.promising = decision.suspect
     test.deviations = DEVIATIONS if target.mismatch.cars else NEVER
 
 

@@ -13,6 +13,8 @@ import click
 import pytest
 
 from can_rig.assessment.resolve import load
+from can_rig.campaigns.plan import plan
+from can_rig.campaigns.settings import read_campaign
 from can_rig.cli.main import main
 from can_rig.plant.protocol import PlantProtocol, load_plant
 from can_rig.scenario.build import controller_table, network_of
@@ -67,7 +69,10 @@ def test_a_command_parses_and_its_scenario_loads(line: str) -> None:
     command = main.get_command(click.Context(main), name)
     assert command is not None
     context = command.make_context(name, list(arguments))
-    if "scenario" in context.params:
+    if name == "campaign":
+        keys = {key: context.params[key] for key in ("scenario", "runs", "seed")}
+        plan(read_campaign(context.params["campaign"], context.params["settings"], **keys))
+    elif "scenario" in context.params:
         load(context.params["scenario"], context.params["settings"])
 
 
@@ -85,13 +90,20 @@ def test_every_command_that_the_text_mentions_is_there(page: Path) -> None:
     assert set(re.findall(r"`can-rig ([a-z]+)", page.read_text("utf-8"))) <= set(COMMANDS)
 
 
+CHASSIS = ROOT / "tests" / "rig" / "own_frames" / "motorola.dbc"
+
+
 @pytest.mark.parametrize("page", PAGES, ids=ids)
 def test_every_scenario_loads(page: Path, tmp_path: Path) -> None:
     for block in blocks(page.read_text("utf-8"), "toml"):
         tomllib.loads(block)
         file = tmp_path / "my-car.toml"
         file.write_text(block, "utf-8")
-        scenario = load(str(file))
+        (tmp_path / "chassis.dbc").write_bytes(CHASSIS.read_bytes())  # that of the page on buses
+        if block.startswith("# my-campaign.toml"):
+            scenario = plan(read_campaign(str(file))).scenario_of(1)
+        else:
+            scenario = load(str(file))
         controller_table(scenario, network_of(scenario))
 
 

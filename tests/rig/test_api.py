@@ -174,6 +174,8 @@ def test_decode_is_a_table_for_each_message(run: RecordedRun) -> None:
         run.folder / LOG, DBC / "steer_by_wire.dbc", messages=["DSTAR_FEEDBACK"], signals=["DStar"]
     )
     assert {name: list(table) for name, table in chosen.items()} == {"DSTAR_FEEDBACK": ["DStar"]}
+    part = can_rig.decode(run.folder / LOG, DBC / "steer_by_wire.dbc", from_s=0.01, to_s=0.02)
+    assert {len(table) for table in part.values()} == {10}
 
 
 BAD: dict[str, tuple[Any, type[errors.RigError], str]] = {

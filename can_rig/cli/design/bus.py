@@ -11,6 +11,7 @@ from typing import Any
 import click
 
 from can_rig.assessment.bus_timing.timing import BusTiming, FrameTiming, dbc_timing, network_timing
+from can_rig.assessment.network_notes import frame_notes
 from can_rig.cli.options import json_option, scenario_options
 from can_rig.cli.output import json_line, say, show, table
 from can_rig.plant.protocol import load_plant
@@ -55,17 +56,21 @@ def command(
     """
     chosen = read(scenario, settings).scenario  # its latency is what is asked for
     bitrate = bitrate or chosen.bus.bitrate
+    notes: list[str] = []
     if dbc is not None:
         timing = dbc_timing(dbc, bitrate, data_bitrate)
     else:
         if chosen.plant.is_class:
             load_plant(chosen.plant.kind, chosen.plant)  # no timing for what cannot run
         compute_s = chosen.bus.compute_s
-        timing = network_timing(network_of(chosen), bitrate, chosen.tick_s, compute_s)
+        network = network_of(chosen)
+        timing = network_timing(network, bitrate, chosen.tick_s, compute_s)
+        notes += frame_notes(network)
     if as_json:
-        json_line(**as_dict(timing))
+        json_line(**as_dict(timing), network=notes)
     else:
         _print(timing, None if dbc else chosen.tick_s)
+        say(*notes)
     sys.exit(0 if timing.schedulable else 1)
 
 

@@ -13,7 +13,7 @@ from can_rig.thesis.comparisons import compare, compare_scenario
 
 
 @click.command("figures")
-@click.argument("scenario", required=False)
+@click.argument("own", metavar="[SCENARIO]", required=False)
 @click.option(
     "--out",
     type=click.Path(path_type=Path, file_okay=False),
@@ -23,17 +23,17 @@ from can_rig.thesis.comparisons import compare, compare_scenario
 )
 @set_option("Change one key of every figure's scenario")
 @click.option("--force", is_flag=True, help="Replace figures that exist.")
-def command(scenario: str | None, out: Path, settings: tuple[str, ...], force: bool) -> None:
+def command(own: str | None, out: Path, settings: tuple[str, ...], force: bool) -> None:
     """Draw Figs. 2.2-2.4, 3.5, 3.6 of the thesis: the firmware over the continuous loop.
 
     With SCENARIO, the like of Figs. 2.2-2.4 for its own plant: the fault estimate healthy and with
     channel 1 lost from the start, and what compensation makes of the loss.
     """
-    if scenario is None:
+    if own is None:
         figures.refuse_existing(out, force)
         comparisons = compare(settings)
     else:
-        comparisons = compare_scenario(scenario, settings)
+        comparisons = compare_scenario(own, settings)
     headings = ("figure", "signal", "whole run", "of its size", "after the loss", "tick")
     distances = table(*headings, left=2, title="largest distance, sampled - continuous")
     for comparison in comparisons:

@@ -87,11 +87,10 @@ def command(
 
 
 def _summary(statistics: LogStatistics, decoder: Decoder) -> dict[str, Any]:
-    names = decoder.names()
     rows = []
     for found in sorted(statistics.identifiers.values(), key=lambda one: (one.bus, one.identifier)):
         row = found.as_dict()
-        row["message"] = names.get((found.identifier, found.is_extended), "")
+        row["message"] = decoder.name_of(found.identifier, found.is_extended, found.bus) or ""
         row["per_s"] = found.frames / statistics.span_s if statistics.span_s else None
         rows.append(row)
     load = {}

@@ -32,9 +32,9 @@ from firmware_model.target.structs import MAX_SHOWN_TICKS, Field, Record
 CONSTANTS = (
     Field("share", "1", "of channel 1 whose loss is looked for"),
     Field("restart", "1", "log-likelihood ratio below which the candidate begins again"),
-    Field(
-        "freshness", "1", "growth of the information, as the age doubles, below which it does too"
-    ),
+    Field("freshness", "1", "part of its information that is new as its age doubles, or it ends"),
+    Field("needed", "1", "information that decides, and is enough if it comes"),
+    Field("promising", "1", "evidence with which a candidate for a loss is kept all the same"),
     Field("deviations", "1", "by which a share above 1 must be above it"),
 )
 STATE = (
@@ -79,20 +79,27 @@ def update_test(table: Record, state: Record, innovation: float, share: float) -
     test.correlation += correlation
     test.information += information
     test.age += real(1.0, share)
-    if is_stale(table.sequential_test, test) or not test.evidence > table.sequential_test.restart:
+    constants, none = table.sequential_test, real(0.0, share)
+    suspected = share > none and test.evidence > constants.promising  # and acted upon
+    stale = is_stale(constants, test) and not suspected
+    if stale or not test.evidence > constants.restart:
         start_candidate(table, state)
 
 
 @firmware
 def is_stale(constants: Record, test: Record) -> bool:
-    """Whether a candidate that is twice as old now has learnt hardly more meanwhile."""
+    """Whether a candidate that is twice as old now has learnt hardly more meanwhile.
+
+    Neither much of what it has, nor what a decision takes.
+    """
     two = real(2.0, test.age)
     if test.age < two * max(test.half_age, two):
         return False
-    fresh = constants.freshness * test.half_information
+    learnt = test.information - test.half_information
+    fresh = min(constants.freshness * test.half_information, constants.needed)
     test.half_age = test.age
     test.half_information = test.information
-    stale: bool = test.information < fresh
+    stale: bool = learnt < fresh
     return stale
 
 

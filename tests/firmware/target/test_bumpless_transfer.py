@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from firmware_model.analysis.sampled_plant import sample
@@ -61,6 +61,33 @@ def test_of_a_square_of_time_hardly_more_is_missed(missed: float, ticks: int) ->
     left = [-transfer(state, 0.0) for _ in range(4 * ticks)]
     assert max(left) <= 1.5 * math.exp(-1.0 / 3.0) * missed * (1.0 + 1e-9)
     assert left[-1] < 0.01 * missed
+
+
+@given(missed=sizes, speed=sizes, carried=sizes, earlier=sizes)
+@example(missed=1.0, speed=0.5, carried=0.0, earlier=0.0)
+def test_what_is_carried_already_is_not_missed(
+    missed: float, speed: float, carried: float, earlier: float
+) -> None:
+    """F̂'s input goes on from its value and its speed, here ``carried`` after ``earlier``."""
+    table = build(DESIGN, late())
+    state = controller.init(table)[0].bumpless_transfer
+    transfer(state, earlier)
+    transfer(state, carried)
+    value, change = missed + carried, speed + carried - earlier
+    begin_transfer(table.bumpless_transfer, state, value, change)
+    missed, speed = value - carried, change - (carried - earlier)  # as rounding has them
+    pace = max(HASTE * abs(speed / missed), SLOWEST)
+    left = [-transfer(state, 0.0) for _ in range(20)]
+    k = np.arange(1, 21)
+    expected = (missed + (speed + pace * missed) * k) * np.exp(-pace * k)
+    np.testing.assert_allclose(left, expected, rtol=1e-6, atol=1e-9)
+
+
+def test_a_transfer_ends_where_nothing_is_missed() -> None:
+    table, state = begun(0.5, 0.03)
+    transfer(state, 0.6)
+    begin_transfer(table.bumpless_transfer, state, float(state.carried), 0.2)
+    assert [transfer(state, lost) for lost in (0.3, 0.4)] == [0.3, 0.4]
 
 
 def test_where_nothing_was_missed_all_is_carried_at_once() -> None:

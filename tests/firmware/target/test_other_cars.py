@@ -81,7 +81,9 @@ def test_settled_cars_stay_and_cleared_cars_rest(parameters: int) -> None:
     shown(table, state, random_commands(20))
     steady = np.array([[3.0], [-40.0]])
     settle_other_cars(table, state, *steady[:, 0])
+    at_once = state.other_cars.shown.copy()
     stays = shown(table, state, np.repeat(steady, 5, axis=1))
+    np.testing.assert_array_equal(stays[:, 0], at_once)
     for x, (g1, g2) in zip(stays, mismatch.cars, strict=False):
         by_gain = 3.0 * (g1.dc_gain - CAR.g1.dc_gain) - 40.0 * (g2.dc_gain - CAR.g2.dc_gain)
         np.testing.assert_allclose(x, by_gain / 0.05, rtol=1e-9)

@@ -51,7 +51,7 @@ def drive(of: Target, left: float = 1.0, bias: float = 0.0, car=CAR, rms: float 
 
 
 @settings(max_examples=30)
-@given(st.floats(-1.0, 2.0), st.floats(-10.0, 10.0), st.floats(0.1, 100.0), st.floats(0.0, 6.2))
+@given(st.floats(-1.0, 2.0), st.floats(-10.0, 10.0), st.floats(1e-3, 100.0), st.floats(0.0, 6.2))
 def test_share_is_that_of_w_in_the_estimate_whatever_is_constant(
     share: float, constant: float, size: float, angle: float
 ) -> None:
@@ -66,6 +66,31 @@ def test_share_is_that_of_w_in_the_estimate_whatever_is_constant(
     assert over
     assert end_probe(state.probe) == pytest.approx(share, abs=1e-9 * (1.0 + abs(constant) / size))
     assert state.probe.tick == 0
+
+
+def test_what_comes_a_quarter_of_a_period_late_is_no_part_of_w() -> None:
+    table = build(TUNED, target(probe_rad_per_s=200.0))
+    state = controller.init(table)[0].probe
+    begin_probe(state)
+    for angle in 4.0 * np.pi * np.arange(table.probe.ticks) / table.probe.ticks + np.pi / 4.0:
+        correlate(table.probe, state, np.cos(angle), np.sin(angle))
+    assert end_probe(state) == pytest.approx(0.0, abs=1e-12)
+
+
+@pytest.mark.parametrize("before", [1, 40])
+def test_a_probe_knows_nothing_of_the_one_before(before: int) -> None:
+    table = build(TUNED, target(probe_rad_per_s=200.0))
+    fresh, used = (controller.init(table)[0].probe for _ in range(2))
+    begin_probe(used)
+    for _ in range(before):
+        correlate(table.probe, used, 0.7, 0.4)
+    for state in (fresh, used):
+        begin_probe(state)
+    for _ in range(int(table.probe.ticks)):
+        assert probe_torque(table.probe, used) == probe_torque(table.probe, fresh)
+        for state in (fresh, used):
+            correlate(table.probe, state, 0.1 * float(state.sine), float(state.cosine))
+    assert used == fresh
 
 
 @pytest.mark.parametrize("rad_per_s", [5.0, 10.0, 31.0])

@@ -223,6 +223,17 @@ def test_more_than_all_is_lost_where_cars_differ_by_three_deviations(
     assert lost_share(table.sequential_test, test) == pytest.approx(share, rel=1e-9)
 
 
+def test_a_candidate_is_as_old_as_the_ticks_that_it_has_seen() -> None:
+    tables = changed(build(DESIGN, target()), **FOR_EVER)
+    state, ages = controller.init(tables[0])[0], []
+    for k in range(8):
+        if k == 5:
+            start_candidate(tables[0], state)
+        controller.step(tables[0], state, 0.1 * k, 0.0)
+        ages.append(int(state.sequential_test.age))
+    assert ages == [1, 2, 3, 4, 5, 1, 2, 3]
+
+
 @pytest.mark.parametrize("latency", [0, 1, 3])
 def test_a_loss_that_is_a_tick_older_adds_the_answer_to_one_command(latency: int) -> None:
     """The pulse response of G1, by scipy; of a command that is gone the next one stands for it."""
@@ -245,12 +256,12 @@ def test_a_loss_that_is_a_tick_older_adds_the_answer_to_one_command(latency: int
 
 @pytest.mark.parametrize(
     ("evidence", "grown", "again"),
-    [(0.5, 1.05, True), (0.5, 1.15, False), (9.0, 1.05, True), (-2.0, 2.0, True)],
+    [(0.5, 1.05, True), (0.5, 1.15, False), (9.0, 1.05, False), (-2.0, 2.0, True)],
 )
 def test_a_candidate_that_learns_no_more_begins_again(
     evidence: float, grown: float, again: bool
 ) -> None:
-    """At twice its age, with less than a tenth more information; or without evidence."""
+    """At twice its age with less than a tenth more information, unless it is a suspicion."""
     table = build(DESIGN, target())
     state = controller.init(table)[0]
     test = state.sequential_test

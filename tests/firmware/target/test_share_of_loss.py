@@ -19,7 +19,7 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import zoh
 from firmware_model.target import controller
 from firmware_model.target.fault_decision.decision import confirm, recover
-from firmware_model.target.fault_decision.loss_model import follow_share, known_share
+from firmware_model.target.fault_decision.loss_model import known_share
 from firmware_model.target.fault_decision.mismatch import innovation, predict_mismatch
 from firmware_model.target.fault_decision.other_cars import advance_other_cars, show_other_cars
 from firmware_model.target.fault_decision.sequential_test import (
@@ -152,27 +152,6 @@ def test_a_share_that_is_off_at_its_confirmation_is_right_a_second_later(
     assert lost < confirmed < lost + 300
     assert shares[confirmed][0] == pytest.approx(0.5 + off, abs=0.01)
     assert shares[-1] == pytest.approx((0.5, 0.5), abs=0.05)
-
-
-def test_the_share_that_is_compensated_follows_by_two_lags() -> None:
-    """1 - (1 + t/τ) exp(-t/τ), τ of 10 ms, to first order in the tick."""
-    table, state = learner()
-    state.loss_model.share = 1.0
-    followed = []
-    for _ in range(60):
-        follow_share(table.loss_model, state)
-        followed.append(float(state.loss_model.followed))
-    expected = signal.lfilter([0.01], np.poly([0.9, 0.9]), np.ones(60))
-    np.testing.assert_allclose(followed, expected, rtol=1e-9)
-
-
-@pytest.mark.parametrize(
-    ("share", "off", "known"), [(0.9, 0.4, 1.0), (0.1, -0.4, 0.0), (0.5, 0.1, 0.6)]
-)
-def test_a_known_share_is_none_to_all(share: float, off: float, known: float) -> None:
-    _, state = learner()
-    state.loss_model.share, state.mismatch.theta[0] = share, off
-    assert known_share(state) == pytest.approx(known)
 
 
 @pytest.mark.long

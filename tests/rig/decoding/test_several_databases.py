@@ -151,3 +151,17 @@ def test_can_fd_j1939_and_classic_buses_in_one_log(tmp_path: Path, suffix: str) 
     assert decoded[names[1]].signals["Speed"].tolist() == [at * 12.5 for at in range(10)]
     assert decoded[names[1]].signals["SourceAddress"].tolist() == [0x21] * 10
     assert decoded[names[2]].signals["X"].tolist() == [at * 3 for at in range(10)]
+
+
+def test_statistics_name_messages_by_bus_and_parameter_group(tmp_path: Path) -> None:
+    log = written(tmp_path, "(0.0) can0 0CF00417#00\n(0.1) can1 100#01\n(0.2) can0 100#\n", "a.log")
+    one = written(tmp_path, ONE.format(name="SHORT", factor=3), "one.dbc")
+    other = written(tmp_path, J1939, "other.dbc")
+    done = asked("stats", log, "--dbc", other, "--dbc", f"can1={one}", "--json")
+    rows = json.loads(done.stdout)["identifiers"]
+    named = {(row["bus"], row["identifier"]): row["message"] for row in rows}
+    assert named == {
+        ("can0", "0CF00417"): "EEC1",
+        ("can1", "100"): "can1.SHORT",
+        ("can0", "100"): "",
+    }

@@ -107,7 +107,7 @@ def test_a_log_cut_off_within_a_tick(frames: list[Message]) -> None:
     assert listed(gaps) == Counter({(300, name, "missing"): 1 for name in NAMES[1:]})
 
 
-@pytest.mark.parametrize("suffix", [".asc", ".blf", ".mf4", ".trc", ".log.gz"])
+@pytest.mark.parametrize("suffix", [".asc", ".blf", ".mf4", ".trc", ".csv", ".log.gz"])
 def test_other_formats_replay_alike(drive: Path, tmp_path: Path, suffix: str) -> None:
     copy = tmp_path / f"drive{suffix}"
     write_log(read_log(drive), copy)

@@ -49,7 +49,7 @@ def test_the_array_is_orthogonal() -> None:
 @pytest.mark.parametrize("levels", L9)
 @pytest.mark.parametrize("name", ["default", "noisy", "lane-change"])
 def test_cars_that_are_20_percent_off_raise_no_alarm(name: str, levels: str) -> None:
-    """All 81 of them: ``tools/campaign cars``."""
+    """All 81 of them: ``can-rig campaign cars``."""
     scenario = load(name, [] if name == "lane-change" else ["duration_s=11"])
     shares = {key: 0.2 * (int(level) - 1) for key, level in zip(UNCERTAIN, levels, strict=True)}
     car = replace(scenario, plant=in_box(scenario.plant, shares))

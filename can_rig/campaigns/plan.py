@@ -1,0 +1,215 @@
+"""From a campaign's keys to the settings of each of its runs, which its number alone decides."""
+
+from __future__ import annotations
+
+import math
+import shlex
+import warnings
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Any, Final
+
+import numpy as np
+from scipy.stats import qmc
+
+from can_rig.assessment.resolve import resolve
+from can_rig.campaigns.settings import MOST_RUNS, AxisSettings, CampaignSettings, Scalar
+from can_rig.errors import ScenarioError
+from can_rig.scenario.loading import LIMITS, Written, as_settings, changed, toml_text, written
+from can_rig.scenario.settings import Scenario
+from firmware_model.target.structs import FloatArray
+
+DIGITS: Final = 9
+"""Significant ones of a value that is drawn: as a person can read it, it is used."""
+
+LAGS: Final = ("lag_s", "natural_frequency_rad_per_s")
+"""Of an actuator, which has one of them."""
+
+NOT_BELIEVED: Final = ("kind", "variant", "parameters", "friction")
+"""Keys of the plant that ``model`` need not keep, or has not."""
+
+
+@dataclass(frozen=True)
+class Plan:
+    """A campaign that can run.
+
+    Attributes:
+        settings: its keys.
+        file: the scenario as it is written.
+    """
+
+    settings: CampaignSettings
+    file: Written
+
+    @cached_property
+    def base(self) -> Scenario:
+        """The scenario with the campaign's settings, before any axis changes it."""
+        return resolve(changed(self.file, self._common))
+
+    @cached_property
+    def runs(self) -> int:
+        """How many there are."""
+        if self.settings.sampling != "grid":
+            return self.settings.runs or 0
+        return math.prod(self._shape) * self.settings.repeats
+
+    def values_of(self, run: int) -> dict[str, Scalar]:
+        """What every axis has in ``run``."""
+        axes = self.settings.axes
+        if self.settings.sampling == "grid":
+            places = np.unravel_index(run // self.settings.repeats, self._shape)
+            grid = [values[int(at)] for values, at in zip(self._grid, places, strict=True)]
+            return dict(zip(axes, grid, strict=True))
+        unit = self._unit_points[run].tolist()
+        return {key: self._drawn(key, u) for key, u in zip(axes, unit, strict=True)}
+
+    def seed_of(self, run: int) -> int:
+        """The scenario's seed in ``run``, where neither settings nor axes say it."""
+        word = np.random.SeedSequence([self.settings.seed, run]).generate_state(1, np.uint32)
+        return int(word[0])
+
+    def changes_of(self, run: int) -> list[str]:
+        """``KEY=VALUE`` of everything that makes the scenario that of ``run``."""
+        values = self.values_of(run)
+        seed = [] if self._has_seed else [f"seed={self.seed_of(run)}"]
+        own = [f"{key}={toml_text(key, value)}" for key, value in values.items()]
+        return [*self._common, *self._kept_beliefs, *own, *seed]
+
+    def scenario_of(self, run: int) -> Scenario:
+        """The scenario of ``run``.
+
+        Raises:
+            ScenarioError: its values do not make one.
+        """
+        return resolve(changed(self.file, self.changes_of(run)))
+
+    def command_of(self, run: int) -> str:
+        """What repeats ``run``, with all its frames."""
+        words = ["can-rig", "run", self.file.given, "--in-process", "--allow-unstable"]
+        for change in self.changes_of(run):
+            words += ["--set", change]
+        return shlex.join(words)
+
+    @cached_property
+    def _common(self) -> list[str]:
+        return as_settings(self.settings.settings)
+
+    @cached_property
+    def _has_seed(self) -> bool:
+        return "seed" in self.settings.axes or "seed" in self.settings.settings
+
+    @cached_property
+    def _kept_beliefs(self) -> list[str]:
+        """Settings that keep what the controller believes where an axis changes the car."""
+        if self.settings.redesign:
+            return []
+        kept: dict[str, Any] = {}
+        for key in self.settings.axes:
+            table, _, part = key.partition(".")
+            last = part.rpartition(".")[2]
+            if table != "plant" or part.startswith(NOT_BELIEVED) or last.startswith(LIMITS):
+                continue
+            if not has_key(self.base, f"model.{part}"):  # the run will say so
+                continue
+            stage = part.rpartition(".")[0]
+            parts = [f"{stage}.{lag}" for lag in LAGS] if last in LAGS else [part]
+            known = {each: value_at(self.base, f"model.{each}") for each in parts}
+            if not any(known.values()) and last in LAGS:
+                known = {f"{stage}.lag_s": 0.0}
+            for each, value in known.items():
+                if value is None and len(known) == 1:
+                    raise ScenarioError(
+                        f"campaign {self.settings.name}: axes.{key}: model.{part} must be set, so "
+                        "that the controller's belief stays as it is, or redesign = true"
+                    )
+                if value or len(known) == 1:
+                    kept[f"model.{each}"] = value
+        return as_settings({k: v for k, v in kept.items() if k not in self.settings.axes})
+
+    @cached_property
+    def _shape(self) -> tuple[int, ...]:
+        return tuple(len(values) for values in self._grid)
+
+    @cached_property
+    def _grid(self) -> list[list[Scalar]]:
+        return [
+            axis.values
+            if axis.values is not None
+            else [self._drawn(key, u) for u in np.linspace(0.0, 1.0, axis.points or 0).tolist()]
+            for key, axis in self.settings.axes.items()
+        ]
+
+    @cached_property
+    def _unit_points(self) -> FloatArray:
+        """(runs, axes) in [0, 1)."""
+        runs, axes = self.runs, len(self.settings.axes)
+        draw = np.random.default_rng(self.settings.seed)
+        if axes == 0:
+            return np.empty((runs, 0))
+        if self.settings.sampling == "random":
+            return draw.random((runs, axes))
+        if self.settings.sampling == "latin-hypercube":
+            return np.asarray(qmc.LatinHypercube(axes, seed=draw).random(runs))
+        with warnings.catch_warnings(action="ignore"):  # of a number that is no power of two
+            return np.asarray(qmc.Sobol(axes, seed=draw).random(runs))
+
+    def _drawn(self, key: str, unit: float) -> Scalar:
+        """The value of an axis at a place in [0, 1] of it."""
+        axis = self.settings.axes[key]
+        if axis.values is not None:
+            return axis.values[min(int(unit * len(axis.values)), len(axis.values) - 1)]
+        low, high = self._ends(key, axis)
+        if axis.scale == "log":
+            value = math.exp(math.log(low) + unit * (math.log(high) - math.log(low)))
+        else:
+            value = low + unit * (high - low)
+        if isinstance(value_at(self.base, key), int):
+            if self.settings.sampling == "grid":
+                return round(value)
+            return min(math.floor(low + unit * (high + 1.0 - low)), math.floor(high))
+        return float(f"{value:.{DIGITS}g}")
+
+    def _ends(self, key: str, axis: AxisSettings) -> tuple[float, float]:
+        if axis.range is not None:
+            return axis.range
+        own = value_at(self.base, key)
+        if isinstance(own, bool) or not isinstance(own, int | float) or own == 0.0:
+            raise ScenarioError(
+                f"campaign {self.settings.name}: axes.{key}.share = {axis.share}: {key} = {own!r} "
+                "in the scenario; must be a number other than 0, or the axis have a range"
+            )
+        share = axis.share or 0.0
+        low, high = own * (1.0 - share), own * (1.0 + share)
+        return (low, high) if own > 0.0 else (high, low)
+
+
+def value_at(scenario: Scenario, key: str) -> Any:
+    """What ``key`` is in a scenario; None where it is not set, or there is no such key."""
+    value: Any = scenario.as_dict()
+    for part in key.split("."):
+        if not isinstance(value, dict):
+            return None
+        value = value.get(part)
+    return value
+
+
+def has_key(scenario: Scenario, key: str) -> bool:
+    """Whether there is such a key, set or not."""
+    table = value_at(scenario, key.rpartition(".")[0])
+    return isinstance(table, dict) and key.rpartition(".")[2] in table
+
+
+def plan(settings: CampaignSettings) -> Plan:
+    """A campaign with its scenario, its first run tried as far as its settings.
+
+    Raises:
+        ScenarioError: no such scenario, an axis or a setting that is no key of it, or too many
+            runs.
+    """
+    made = Plan(settings, written(settings.scenario))
+    if made.runs > MOST_RUNS:
+        raise ScenarioError(
+            f"campaign {settings.name}: {made.runs} runs; must be at most {MOST_RUNS}"
+        )
+    made.scenario_of(0)
+    return made

@@ -1,0 +1,171 @@
+"""The keys of a campaign's TOML file.
+
+scenario = "default"
+sampling = "latin-hypercube"
+runs = 2000
+
+[settings]                                  # of the scenario, in every run
+duration_s = 14.0
+
+[axes]                                      # what differs from run to run
+"fault.at_s" = { range = [2.0, 10.0] }
+"plant.mass_kg" = { share = 0.2 }           # of the scenario's own value, either way
+
+[requirements]                              # over the metrics of run.json
+found = "not missed_detection and detection_delay_s <= 0.5"
+"""
+
+from __future__ import annotations
+
+import dataclasses
+import difflib
+import json
+import tomllib
+from collections.abc import Iterable
+from pathlib import Path
+from typing import Annotated, Any, Final, Literal
+
+from pydantic import Field, NonNegativeInt, TypeAdapter, ValidationError
+from pydantic.dataclasses import dataclass
+
+from can_rig.errors import ScenarioError
+from can_rig.scenario.loading import change
+from can_rig.scenario.refusal import refusal
+from can_rig.scenario.stage_settings import STRICT
+
+SHIPPED: Final = Path(__file__).parent / "shipped"
+MOST_RUNS: Final = 10_000_000
+
+Sampling = Literal["grid", "random", "latin-hypercube", "sobol"]
+Scalar = bool | int | float | str
+
+
+@dataclass(frozen=True, config=STRICT)
+class AxisSettings:
+    """Which values a key takes: ``values``, or a ``range``, or a ``share`` of the scenario's own.
+
+    ``points`` are those of a grid on a range, its ends included; ``scale`` is that of the range.
+    """
+
+    values: list[Scalar] | None = None
+    range: tuple[float, float] | None = None
+    share: Annotated[float, Field(gt=0.0, le=10.0)] | None = None
+    scale: Literal["linear", "log"] = "linear"
+    points: Annotated[int, Field(ge=2, le=MOST_RUNS)] | None = None
+
+    def __post_init__(self) -> None:
+        given = [name for name in ("values", "range", "share") if getattr(self, name) is not None]
+        if len(given) != 1:
+            raise ValueError(
+                f"values, range, share: {' and '.join(given) or 'none'} given: must be one of them"
+            )
+        if self.values is not None and not self.values:
+            raise ValueError("values = []: must have at least one")
+        if self.range is not None:
+            low, high = self.range
+            if not low < high:
+                raise ValueError(f"range = [{low:g}, {high:g}]: must increase")
+            if self.scale == "log" and low <= 0.0:
+                raise ValueError(f"range = [{low:g}, {high:g}]: must be above 0 where it is log")
+
+
+@dataclass(frozen=True, config=STRICT)
+class CampaignSettings:
+    """One campaign, whole. ``name`` is the file's own and no key of it.
+
+    ``seed`` and a run's number decide what is drawn for it, nothing else does. Without ``redesign``
+    an axis over ``plant`` changes the car and not what the controller believes of it.
+    """
+
+    name: str
+    description: str = ""
+    scenario: str = "default"
+    sampling: Sampling = "random"
+    runs: Annotated[int, Field(ge=1, le=MOST_RUNS)] | None = None
+    repeats: Annotated[int, Field(ge=1, le=MOST_RUNS)] = 1
+    seed: NonNegativeInt = 0
+    redesign: bool = False
+    settings: dict[str, Any] = dataclasses.field(default_factory=dict)
+    axes: dict[str, AxisSettings] = dataclasses.field(default_factory=dict)
+    requirements: dict[str, str] = dataclasses.field(default_factory=dict)
+
+    def __post_init__(self) -> None:
+        if self.sampling == "grid":
+            if self.runs is not None:
+                raise ValueError(
+                    f"runs = {self.runs}: must not be set of a grid, whose axes say it; "
+                    "repeats is how often each of its points is run"
+                )
+            for key, axis in self.axes.items():
+                if axis.values is None and axis.points is None:
+                    raise ValueError(f"axes.{key}: must have points, or values, on a grid")
+            return
+        if self.runs is None:
+            raise ValueError(f'runs: must be set where sampling = "{self.sampling}"')
+        if self.repeats != 1:
+            raise ValueError(f"repeats = {self.repeats}: must not be set but of a grid")
+        for key, axis in self.axes.items():
+            if axis.points is not None:
+                raise ValueError(
+                    f"axes.{key}.points = {axis.points}: must not be set but of a grid"
+                )
+
+    def as_dict(self) -> dict[str, Any]:
+        """Every key and value."""
+        return dataclasses.asdict(self)
+
+
+_ADAPTER: Final = TypeAdapter(CampaignSettings)
+
+
+def shipped() -> dict[str, Path]:
+    """Name → file of the campaigns that come with the package, sorted."""
+    return {path.stem: path for path in sorted(SHIPPED.glob("*.toml"))}
+
+
+def read_campaign(name: str, settings: Iterable[str] = (), **keys: Any) -> CampaignSettings:
+    """The campaign ``name``, a shipped one or a path to a TOML file.
+
+    Args:
+        name: of the campaign.
+        settings: ``KEY=VALUE`` of its scenario, in every run.
+        keys: of the campaign in place of the file's own; None: the file's.
+
+    Raises:
+        ScenarioError: no such campaign, not TOML, an unknown key, a bad value.
+    """
+    known, path = shipped(), Path(name)
+    if name in known:
+        path = known[name]
+    elif not path.is_file():
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"shipped ones: {', '.join(known)}"
+        raise ScenarioError(f"campaign {name}: no such campaign and no such file; {hint}")
+    try:
+        values = tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+        raise ScenarioError(f"campaign {name}: not readable as TOML: {error}") from None
+    scenario = values.get("scenario")
+    if isinstance(scenario, str) and scenario.endswith(".toml"):
+        values["scenario"] = str(path.parent / scenario)
+    if "name" in values:
+        raise ScenarioError(f"campaign {name}: name: unknown key; a campaign is named by its file")
+    values |= {key: value for key, value in keys.items() if value is not None}
+    common = values.setdefault("settings", {})
+    for setting in settings:
+        if not isinstance(common, dict):
+            raise ScenarioError(f"campaign {name}: settings = {common!r}: must be a table")
+        change(common, setting)
+    return campaign_of(path.stem, values)
+
+
+def campaign_of(name: str, values: dict[str, Any]) -> CampaignSettings:
+    """A campaign from plain values.
+
+    Raises:
+        ScenarioError: an unknown key, a bad value.
+    """
+    try:
+        return _ADAPTER.validate_json(json.dumps({**values, "name": name}, default=str))
+    except ValidationError as error:
+        raise ScenarioError(f"campaign {name}: {refusal(error, CampaignSettings)}") from None

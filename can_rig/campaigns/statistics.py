@@ -1,0 +1,204 @@
+"""What a campaign's table says: how often each requirement holds, the worst runs, what matters."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Any, Final
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.stats import binomtest, chi2
+
+from can_rig.campaigns.plan import Plan
+from can_rig.campaigns.requirements import Requirement
+from can_rig.campaigns.table import TRUTHS
+from firmware_model.target.structs import FloatArray
+
+CONFIDENCE: Final = 0.95
+BINS: Final = 8
+"""Into which a continuous axis is cut, each with as many runs."""
+WORST: Final = 10
+HOUR_S: Final = 3600.0
+ALWAYS_SHOWN: Final = ("detection_delay_s", "deviation_peak_after_fault_mps2")
+
+Columns = dict[str, list[Any]]
+
+
+@dataclass(frozen=True)
+class Rate:
+    """How often something holds, of the runs in which it means something.
+
+    Attributes:
+        name: of the requirement. text: its expression.
+        passed, failed, unknown: numbers of runs.
+        share: of ``passed`` in both; None where there is none.
+        low, high: the exact (Clopper-Pearson) interval of ``CONFIDENCE``; for a grid, whose runs
+            are not drawn, it says what as many drawn ones would tell.
+    """
+
+    name: str
+    text: str
+    passed: int
+    failed: int
+    unknown: int
+    share: float | None
+    low: float | None
+    high: float | None
+
+
+@dataclass(frozen=True)
+class Spread:
+    """A metric over all runs that have it."""
+
+    name: str
+    runs: int
+    least: float
+    median: float
+    percentile_99: float
+    greatest: float
+
+
+@dataclass(frozen=True)
+class Summary:
+    """A campaign in numbers.
+
+    Attributes:
+        runs, failed: how many there are, and how many gave no metrics.
+        reasons: why those did not, the most frequent first.
+        hours: simulated.
+        false_alarms: in them, and per hour with the exact (Poisson) interval of ``CONFIDENCE``.
+        rates: of the requirements, and of all of them at once.
+        spreads: of the metrics that the requirements are about.
+        worst: rows of the runs with the least margin.
+        sensitivities: of each metric, the share of its variance that each axis explains alone.
+    """
+
+    runs: int
+    failed: int
+    reasons: dict[str, int]
+    hours: float
+    false_alarms: dict[str, float | None]
+    rates: list[Rate]
+    spreads: list[Spread]
+    worst: list[dict[str, Any]]
+    sensitivities: dict[str, dict[str, float | None]]
+
+
+def summarise(plan: Plan, required: Sequence[Requirement], columns: Columns) -> Summary:
+    """The summary of a table that ``table.read_columns`` has read."""
+    reasons = Counter(reason for reason in columns["failure"] if reason is not None)
+    shown = metrics_shown(required)
+    hours = sum(s or 0.0 for s in columns["simulated_s"]) / HOUR_S
+    alarms = round(sum(n or 0 for n in columns["false_alarms"]))
+    low, high = poisson_interval(alarms)
+    per_hour = {
+        "false_alarms": alarms,
+        "per_hour": alarms / hours if hours else None,
+        "low": low / hours if hours else None,
+        "high": high / hours if hours else None,
+    }
+    verdicts = {each.name: columns[f"passed.{each.name}"] for each in required}
+    rates = [rate(each.name, each.text, verdicts[each.name]) for each in required]
+    if len(required) > 1:
+        rates.append(rate("all", "all of them", _together(list(verdicts.values()))))
+    axes = {key: columns[key] for key in plan.settings.axes}
+    return Summary(
+        runs=len(columns["run"]),
+        failed=sum(reasons.values()),
+        reasons=dict(reasons.most_common()),
+        hours=hours,
+        false_alarms=per_hour,
+        rates=rates,
+        spreads=[each for name in shown if (each := spread(name, columns[name])) is not None],
+        worst=worst(columns, axes),
+        sensitivities={
+            name: {key: explained(values, numbers(columns[name])) for key, values in axes.items()}
+            for name in (*shown, "margin")
+        },
+    )
+
+
+def metrics_shown(required: Sequence[Requirement]) -> list[str]:
+    """The numbers that a report is about: those of the requirements, and ``ALWAYS_SHOWN``."""
+    named = [name for each in required for name in sorted(each.names)]
+    return [name for name in dict.fromkeys([*named, *ALWAYS_SHOWN]) if name not in TRUTHS]
+
+
+def rate(name: str, text: str, verdicts: Sequence[bool | None]) -> Rate:
+    """How often ``verdicts`` are true."""
+    passed, failed = (sum(each is wanted for each in verdicts) for wanted in (True, False))
+    known = passed + failed
+    if not known:
+        return Rate(name, text, 0, 0, len(verdicts), None, None, None)
+    interval = binomtest(passed, known).proportion_ci(CONFIDENCE, method="exact")
+    return Rate(
+        name, text, passed, failed, len(verdicts) - known,
+        passed / known, float(interval.low), float(interval.high),
+    )  # fmt: skip
+
+
+def poisson_interval(events: int) -> tuple[float, float]:
+    """The exact interval of the expected number where ``events`` were counted."""
+    rest = (1.0 - CONFIDENCE) / 2.0
+    low = float(chi2.ppf(rest, 2 * events)) / 2.0 if events else 0.0
+    return low, float(chi2.ppf(1.0 - rest, 2 * events + 2)) / 2.0
+
+
+def spread(name: str, values: Sequence[float | None]) -> Spread | None:
+    """None where no run has the metric."""
+    found = numbers(values)
+    found = found[np.isfinite(found)]
+    if not len(found):
+        return None
+    least, median, high, greatest = np.percentile(found, [0, 50, 99, 100]).tolist()
+    return Spread(name, len(found), least, median, high, greatest)
+
+
+def worst(columns: Columns, axes: Columns) -> list[dict[str, Any]]:
+    """The rows of least margin, the worst first; of equal ones the first runs."""
+    margins = numbers(columns["margin"])
+    order = np.argsort(np.where(np.isnan(margins), np.inf, margins), kind="stable")[:WORST]
+    shown = ["run", *axes, "margin", "command"]
+    rows = [at for at in order.tolist() if not np.isnan(margins[at])]
+    return [{name: columns[name][at] for name in shown} for at in rows]
+
+
+def explained(axis: Sequence[Any], metric: FloatArray) -> float | None:
+    """The share of the metric's variance between parts of the axis, η², less that of chance.
+
+    None where there is nothing to explain: the metric does not vary, or the axis does not.
+    """
+    known = np.isfinite(metric)
+    parts, values = parts_of(axis)[known], metric[known]
+    groups = np.unique(parts)
+    n, k = len(values), len(groups)
+    total = float(np.sum((values - values.mean()) ** 2)) if n else 0.0
+    if k < 2 or n <= k or total <= 0.0:
+        return None
+    within = sum(len(some) * float(np.var(some)) for some in (values[parts == g] for g in groups))
+    return max(0.0, 1.0 - (within / (n - k)) / (total / (n - 1)))  # adjusted: 0 for pure chance
+
+
+def parts_of(axis: Sequence[Any]) -> NDArray[np.int64]:
+    """Which part of the axis each run is in: each value one, or quantiles of many values."""
+    distinct = sorted(set(axis), key=lambda value: (str(type(value)), value))
+    if len(distinct) <= BINS or isinstance(distinct[0], str):
+        return np.array([distinct.index(value) for value in axis], dtype=np.int64)
+    values = np.array(axis, dtype=np.float64)
+    edges = np.quantile(values, np.linspace(0.0, 1.0, BINS + 1)[1:-1])
+    return np.searchsorted(edges, values, side="right")
+
+
+def numbers(values: Sequence[float | bool | None]) -> FloatArray:
+    """As floats; not a number where there is none."""
+    return np.array([np.nan if value is None else float(value) for value in values])
+
+
+def _together(verdicts: Sequence[Sequence[bool | None]]) -> list[bool | None]:
+    """Whether all hold, run by run: one that does not decides."""
+    return [
+        False if False in row else None if None in row else True
+        for row in zip(*verdicts, strict=True)
+    ]

@@ -1,0 +1,132 @@
+"""The table of a campaign: a row a run, as Parquet, in blocks that are whole or not there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final
+
+from can_rig.campaigns.plan import Plan, value_at
+from can_rig.files import atomic
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+METRICS: Final = (
+    "error_before_fault_mps2",
+    "error_peak_after_fault_mps2",
+    "error_peak_while_lost_mps2",
+    "error_settled_after_fault_mps2",
+    "error_integral_after_fault_mps",
+    "deviation_peak_after_fault_mps2",
+    "unavoidable_deviation_mps2",
+    "unavoidable_detection_delay_s",
+    "detection_over_unavoidable",
+    "deviation_over_unavoidable",
+    "deviation_settled_after_fault_mps2",
+    "fault_estimate_peak_before_fault_mps2",
+    "fault_estimate_peak_while_lost_mps2",
+    "fault_estimate_settled_mps2",
+    "suspected_after_s",
+    "detection_delay_s",
+    "missed_detection",
+    "suspicions",
+    "false_alarms",
+    "false_alarms_per_hour",
+    "torque_peak_nm",
+    "torque_at_fault_nm",
+    "torque_peak_after_fault_nm",
+    "force_difference_peak_n",
+    "force_difference_settled_n",
+    "force_difference_noise_rms_n",
+    "force_difference_needed_n",
+    "force_difference_available_n",
+    "dstar_carried_mps2",
+)
+"""Those of ``run.json``, in their order."""
+
+TRUTHS: Final = {"missed_detection"}
+"""Which of them are true or false."""
+
+ROW_GROUP: Final = 16384
+"""Rows that are held at once when blocks are put together."""
+
+
+def schema(plan: Plan) -> pa.Schema:
+    """Names and types of the columns; ``run`` is the number of the run."""
+    import pyarrow as pa  # noqa: PLC0415 (an extra)
+
+    kinds = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}
+    columns: dict[str, pa.DataType] = {"run": pa.int64(), "seed": pa.int64()}
+    for key, axis in plan.settings.axes.items():
+        some: Sequence[Any] = [value_at(plan.base, key), *(axis.values or [])]
+        found = {type(value) for value in some if value is not None} or {float}
+        if axis.values is None and value_at(plan.base, key) is None:
+            found = {float}
+        kind = found.pop() if len(found) == 1 else float if found == {int, float} else str
+        columns[key] = kinds[kind]
+    columns["simulated_s"] = pa.float64()
+    for name in METRICS:
+        columns[name] = pa.bool_() if name in TRUTHS else pa.float64()
+    for name in plan.settings.requirements:
+        columns[f"passed.{name}"] = pa.bool_()
+    columns |= {"margin": pa.float64(), "failure": pa.string(), "command": pa.string()}
+    return pa.schema(list(columns.items()))
+
+
+def write_block(path: Path, rows: Iterable[dict[str, Any]], columns: pa.Schema) -> None:
+    """The rows of a block; ``path`` exists, complete, when this returns, and not before.
+
+    Raises:
+        LogError: it cannot be written.
+    """
+    import pyarrow as pa  # noqa: PLC0415 (an extra)
+    from pyarrow import parquet  # noqa: PLC0415
+
+    rows = list(rows)
+    arrays = [
+        pa.array([_cell(row.get(field.name), field.type) for row in rows], field.type)
+        for field in columns
+    ]
+    with atomic(path) as part:
+        parquet.write_table(pa.Table.from_arrays(arrays, schema=columns), part)
+
+
+def _cell(value: Any, kind: pa.DataType) -> Any:
+    """A value as its column has it."""
+    import pyarrow as pa  # noqa: PLC0415 (an extra)
+
+    if value is None:
+        return None
+    if pa.types.is_string(kind):
+        return value if isinstance(value, str) else repr(value)
+    return float(value) if pa.types.is_floating(kind) else value
+
+
+def put_together(blocks: Sequence[Path], path: Path) -> None:
+    """All blocks, in the order of their runs, as one file; no more of it is held than a row group.
+
+    Raises:
+        LogError: it cannot be written.
+    """
+    import pyarrow as pa  # noqa: PLC0415 (an extra)
+    from pyarrow import parquet  # noqa: PLC0415
+
+    columns = parquet.read_schema(blocks[0])
+    with atomic(path) as part, parquet.ParquetWriter(part, columns) as writer:
+        waiting: list[pa.Table] = []
+        for block in blocks:
+            waiting.append(parquet.read_table(block))
+            if sum(len(table) for table in waiting) >= ROW_GROUP:
+                writer.write_table(pa.concat_tables(waiting))
+                waiting = []
+        if waiting:
+            writer.write_table(pa.concat_tables(waiting))
+
+
+def read_columns(path: Path, names: Sequence[str] | None = None) -> dict[str, list[Any]]:
+    """Columns of a table by name; None: all."""
+    from pyarrow import parquet  # noqa: PLC0415 (an extra)
+
+    table = parquet.read_table(path, columns=None if names is None else list(names))
+    return {str(name): table[name].to_pylist() for name in table.column_names}

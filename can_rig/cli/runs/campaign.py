@@ -1,0 +1,113 @@
+"""``can-rig campaign``: thousands of runs, a table, a report."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+
+from can_rig.campaigns.campaign import CampaignFolder, execute, open_folder
+from can_rig.campaigns.plan import plan
+from can_rig.campaigns.report import write_report
+from can_rig.campaigns.settings import read_campaign
+from can_rig.campaigns.statistics import Summary
+from can_rig.cli.options import json_option, set_option
+from can_rig.cli.output import json_line, say, table, wide
+from can_rig.cli.progress import counting
+from can_rig.errors import INTERRUPTED
+from can_rig.nodes.watchdog import StopRequest
+
+
+@click.command("campaign")
+@click.argument("campaign", metavar="CAMPAIGN")
+@click.option("--scenario", metavar="NAME", help="In place of the campaign's own.")
+@set_option("Change one key of the scenario in every run")
+@click.option("--runs", type=click.IntRange(1), help="In place of the campaign's own number.")
+@click.option("--seed", type=click.IntRange(0), help="In place of the campaign's own.")
+@click.option(
+    "--workers",
+    type=click.IntRange(1),
+    help="Processes; the result does not depend on it.  [default: the cores]",
+)
+@click.option("--out", type=click.Path(path_type=Path), help="Folder [campaigns/CAMPAIGN-TIME].")
+@click.option("--resume", is_flag=True, help="Go on with the campaign that is in --out.")
+@click.option("--force", is_flag=True, help="Replace the campaign that is in --out.")
+@json_option("The summary as one JSON object.")
+def command(
+    campaign: str,
+    scenario: str | None,
+    settings: tuple[str, ...],
+    runs: int | None,
+    seed: int | None,
+    workers: int | None,
+    out: Path | None,
+    resume: bool,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Run CAMPAIGN, a TOML file or a shipped one: cars, hours, latency, losses.
+
+    Every run is a row of runs.parquet with the command that repeats it; report.html says how often
+    the requirements hold, which runs are the worst, and which axis matters. Ctrl-C keeps what is
+    done.
+    """
+    if resume and (out is None or force):
+        raise click.UsageError("--resume: must come with --out, and not with --force")
+    planned = plan(read_campaign(campaign, settings, scenario=scenario, runs=runs, seed=seed))
+    folder = open_folder(out, planned, resume=resume, force=force)
+    stop = StopRequest().on_signals()
+    with counting(planned.settings.name, "runs", planned.runs) as on_done, _told(folder):
+        cores = workers or len(os.sched_getaffinity(0))
+        whole = execute(folder, min(cores, planned.runs), lambda: stop.wanted, on_done)
+    if not whole:
+        say(f"{folder.done} of {planned.runs} runs are done; --resume --out {folder.path} goes on")
+        sys.exit(INTERRUPTED)
+    summary = write_report(folder)
+    if as_json:
+        json_line(folder=str(folder.path), **asdict(summary))
+    else:
+        _print(summary, folder)
+    sys.exit(1 if any(rate.failed for rate in summary.rates) or summary.failed else 0)
+
+
+@contextmanager
+def _told(folder: CampaignFolder) -> Iterator[None]:
+    """Say where the campaign is, whatever ends it."""
+    try:
+        yield
+    except BaseException:
+        say(f"campaign folder  {folder.path}")
+        raise
+
+
+def _print(summary: Summary, folder: CampaignFolder) -> None:
+    rates = table("requirement", "passed", "failed", "without", "rate", "95 %", "", left=1)
+    rates.columns[-1].justify = "left"
+    for rate in summary.rates:
+        share = "-" if rate.share is None else f"{rate.share:.2%}"
+        interval = "-" if rate.low is None else f"{rate.low:.2%} .. {rate.high:.2%}"
+        numbers = (str(number) for number in (rate.passed, rate.failed, rate.unknown))
+        rates.add_row(rate.name, *numbers, share, interval, rate.text)
+    console = wide()
+    console.print(rates)
+    spreads = table("metric", "runs", "least", "median", "99 %", "greatest")
+    for each in summary.spreads:
+        values = (each.least, each.median, each.percentile_99, each.greatest)
+        spreads.add_row(each.name, str(each.runs), *(f"{number:.4g}" for number in values))
+    console.print(spreads)
+    alarms = summary.false_alarms
+    if alarms["per_hour"] is not None:
+        say(
+            f"false alarms  {alarms['false_alarms']} in {summary.hours:.4g} h, "
+            f"{alarms['per_hour']:.3g} an hour (95 %: {alarms['low']:.3g} .. {alarms['high']:.3g})"
+        )
+    for reason, count in list(summary.reasons.items())[:3]:
+        say(f"{count} runs failed: {reason}")
+    if summary.worst:
+        say(f"worst run  {summary.worst[0]['command']}")
+    say(f"campaign folder  {folder.path}")

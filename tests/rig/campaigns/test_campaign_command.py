@@ -1,0 +1,116 @@
+"""``can-rig campaign``: a table, a report that a person can open, and one line for bad input."""
+
+from __future__ import annotations
+
+import base64
+import html
+import json
+import re
+from html.parser import HTMLParser
+from pathlib import Path
+
+import pytest
+
+from tests.helpers import asked
+
+FEW = ("--set", "duration_s=0.3", "--set", "fault.at_s=0.2", "--workers", "1")
+OWN = """
+description = "a < b & c"
+runs = 6
+[settings]
+duration_s = 0.3
+fault.at_s = 0.2
+fault.kind = "actuator-dead"
+[axes]
+"fault.channel" = {{ values = ["torque", "force-difference"] }}
+"fault.left" = {{ range = [0.0, 0.5] }}
+[requirements]
+bound = "deviation_peak_after_fault_mps2 <= {bound}"
+"""
+
+
+class Page(HTMLParser):
+    """Tags that are open, and the pictures."""
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.pictures: list[bytes] = []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        if tag == "img":
+            encoded = (dict(attrs)["src"] or "").partition("base64,")[2]
+            self.pictures.append(base64.b64decode(encoded))
+        elif tag != "meta":
+            self.open.append(tag)
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+
+@pytest.mark.parametrize(("bound", "status"), [(1e3, 0), (-1.0, 1)])
+def test_a_campaign_leaves_table_report_and_summary(
+    bound: float, status: int, tmp_path: Path
+) -> None:
+    (tmp_path / "own.toml").write_text(OWN.format(bound=bound))
+    out = tmp_path / "out"
+    done = asked("campaign", tmp_path / "own.toml", "--out", out, "--workers", 1)
+    assert done.returncode == status, done.stderr
+    assert {path.name for path in out.iterdir()} == {
+        "campaign.json", "runs.parquet", "report.html", "report.png", "summary.json",
+    }  # fmt: skip
+    summary = json.loads((out / "summary.json").read_text())
+    assert summary["rates"][0]["passed" if status == 0 else "failed"] == 6
+    page = Page()
+    text = (out / "report.html").read_text("utf-8")
+    page.feed(text)
+    assert page.open == []
+    assert [picture[:4] for picture in page.pictures] == [b"\x89PNG"]
+    assert "a &lt; b &amp; c" in text
+    for word in (summary["worst"][0]["command"], "fault.left", "bound"):
+        assert html.escape(word) in text
+        assert word in done.stdout or word == "fault.left"
+    # Once more the report of a campaign that is done.
+    again = asked("campaign", tmp_path / "own.toml", "--out", out, "--resume", "--json")
+    assert again.returncode == status
+    assert json.loads(again.stdout)["rates"] == summary["rates"]
+
+
+def test_a_shipped_campaign_by_name(tmp_path: Path) -> None:
+    done = asked("campaign", "losses", "--runs", 2, *FEW, "--set", "reference.kind=step",
+                 "--seed", 4, "--scenario", "ideal", "--out", tmp_path / "out")  # fmt: skip
+    assert done.returncode in {0, 1}, done.stderr
+    said = json.loads((tmp_path / "out" / "campaign.json").read_text())
+    assert said["scenario"]["name"] == "ideal"
+    assert (said["campaign"]["runs"], said["campaign"]["seed"]) == (2, 4)
+
+
+@pytest.mark.parametrize(
+    ("arguments", "line"),
+    [
+        (["nothing"], "no such campaign and no such file"),
+        (["cars", "--resume"], "--resume: must come with --out"),
+        (["cars", "--runs", "3"], "runs = 3: must not be set of a grid"),
+        (["cars", "--set", "plant.mas=1"], "mas: unknown key"),
+        (["cars", "--workers", "0"], "0 is not in the range"),
+        (["cars", "--out", "."], "there already"),
+    ],
+)
+def test_bad_input_is_one_line(
+    arguments: list[str], line: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    done = asked("campaign", *arguments)
+    assert done.returncode == 2
+    assert line in re.sub(r"\s+", " ", done.stderr)
+    assert "Traceback" not in done.stderr
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_run_that_fails_makes_the_status_1(tmp_path: Path) -> None:
+    (tmp_path / "own.toml").write_text(
+        OWN.format(bound=1e3) + '\n[axes."tick_s"]\nvalues = [1e-9]\n'
+    )
+    done = asked("campaign", tmp_path / "own.toml", "--out", tmp_path / "out", "--workers", 1)
+    assert done.returncode in {1, 2}
+    assert "tick_s = 1e-09: must be" in done.stdout + done.stderr

@@ -1,0 +1,179 @@
+"""What the runs of a campaign are: by their number and the campaign's seed, and nothing else."""
+
+from __future__ import annotations
+
+import pickle
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from can_rig.assessment.resolve import load
+from can_rig.campaigns.plan import plan
+from can_rig.campaigns.run import requirements_of
+from can_rig.campaigns.settings import campaign_of, read_campaign, shipped
+from can_rig.errors import ScenarioError
+
+MASS = {"plant.mass_kg": {"share": 0.2}}
+
+
+def planned(**values: Any) -> Any:
+    return plan(campaign_of("some", values))
+
+
+def grid(**axes: Any) -> Any:
+    return planned(sampling="grid", axes={k.replace("__", "."): v for k, v in axes.items()})
+
+
+@pytest.mark.parametrize("name", shipped())
+def test_every_shipped_campaign_can_run(name: str) -> None:
+    made = plan(read_campaign(name))
+    requirements_of(made)
+    made.scenario_of(made.runs - 1)
+    assert made.settings.description
+
+
+def test_cars_are_the_81_corners_middles_and_the_model() -> None:
+    made = plan(read_campaign("cars"))
+    nominal = load("default")
+    assert made.runs == 81
+    cars = {tuple(made.values_of(run).values()) for run in range(81)}
+    assert len(cars) == 81
+    plant = nominal.plant
+    for at, value in enumerate(
+        (plant.mass_kg, plant.front_cornering_stiffness_n_per_rad,
+         plant.rear_cornering_stiffness_n_per_rad, plant.speed_mps)
+    ):  # fmt: skip
+        assert sorted({car[at] for car in cars}) == pytest.approx([0.8 * value, value, 1.2 * value])
+    for run in (0, 40, 80):
+        assert made.scenario_of(run).model == nominal.model  # the design has not seen them
+
+
+def test_a_redesign_believes_in_each_car() -> None:
+    made = planned(runs=3, axes=MASS, redesign=True)
+    scenario = made.scenario_of(1)
+    assert scenario.model.mass_kg == scenario.plant.mass_kg == made.values_of(1)["plant.mass_kg"]
+    kept = planned(runs=3, axes=MASS).scenario_of(1)
+    assert kept.model.mass_kg == load("default").model.mass_kg != kept.plant.mass_kg
+
+
+FREQUENCY = {"plant.torque_actuator.natural_frequency_rad_per_s": 200.0}
+NO_LAG = {"plant.torque_actuator.lag_s": 0.0}
+
+
+@pytest.mark.parametrize(
+    ("scenario", "settings"), [("default", {}), ("ideal", {}), ("ideal", FREQUENCY)]
+)
+@pytest.mark.parametrize(
+    ("key", "value", "other"),
+    [("lag_s", 0.02, {}), ("natural_frequency_rad_per_s", 300.0, NO_LAG)],
+)
+def test_an_axis_over_a_lag_keeps_what_is_believed_of_it(
+    scenario: str, settings: dict[str, float], key: str, value: float, other: dict[str, float]
+) -> None:
+    axes = {f"plant.torque_actuator.{key}": {"values": [value]}}
+    if key == "lag_s" and settings:
+        return  # one actuator has one lag
+    made = planned(runs=1, axes=axes, scenario=scenario, settings={**settings, **other})
+    changed = made.scenario_of(0)
+    assert changed.model == made.base.model
+    assert getattr(changed.plant.torque_actuator, key) == value
+
+
+def test_repeats_of_a_grid_differ_in_their_seed_alone() -> None:
+    made = planned(sampling="grid", repeats=3, axes={"latency_ticks": {"values": [1, 2]}})
+    assert made.runs == 6
+    assert [made.values_of(run)["latency_ticks"] for run in range(6)] == [1, 1, 1, 2, 2, 2]
+    assert len({made.seed_of(run) for run in range(6)}) == 6
+
+
+def test_points_of_a_whole_number_are_whole_and_each_there() -> None:
+    made = grid(latency_ticks={"range": [0.0, 8.0], "points": 9})
+    assert [made.values_of(run)["latency_ticks"] for run in range(9)] == list(range(9))
+    drawn = planned(runs=4000, axes={"latency_ticks": {"range": [0.0, 3.0]}})
+    counts = np.bincount([drawn.values_of(run)["latency_ticks"] for run in range(4000)])
+    assert len(counts) == 4
+    assert counts.min() > 900  # a quarter of 4,000, less 3.6 sigmas
+
+
+@pytest.mark.parametrize("sampling", ["latin-hypercube", "sobol"])
+def test_even_samplings_are_even(sampling: str) -> None:
+    axes = {"fault.at_s": {"range": [2.0, 6.0]}, "fault.left": {"range": [0.0, 0.5]}}
+    made = planned(runs=256, sampling=sampling, axes=axes)
+    for key, (low, high) in {"fault.at_s": (2.0, 6.0), "fault.left": (0.0, 0.5)}.items():
+        values = np.array([made.values_of(run)[key] for run in range(256)])
+        cells = np.floor((values - low) / (high - low) * 256.0 - 1e-6).astype(int).clip(0)
+        assert len(set(cells)) >= 250  # one in each, but for what rounding to nine digits moves
+
+
+def test_a_log_scale_has_as_much_in_each_decade() -> None:
+    axes = {"plant.sensor.noise_mps2": {"range": [1e-4, 1e-1], "scale": "log"}}
+    made = planned(runs=300, sampling="latin-hypercube", axes=axes)
+    values = [made.values_of(run)["plant.sensor.noise_mps2"] for run in range(300)]
+    assert np.histogram(np.log10(values), [-4, -3, -2, -1])[0].tolist() == [100, 100, 100]
+
+
+def test_the_number_and_the_seed_decide_and_nothing_else() -> None:
+    made, again = (planned(runs=50, seed=3, axes=MASS) for _ in range(2))
+    backwards = [again.changes_of(run) for run in reversed(range(50))][::-1]
+    assert [made.changes_of(run) for run in range(50)] == backwards
+    assert pickle.loads(pickle.dumps(made)).changes_of(7) == made.changes_of(7)
+    other = planned(runs=50, seed=4, axes=MASS)
+    assert all(made.changes_of(run) != other.changes_of(run) for run in range(50))
+    assert len({made.seed_of(run) for run in range(50)}) == 50
+    longer = planned(runs=80, seed=3, axes=MASS)
+    assert longer.seed_of(49) == made.seed_of(49)
+
+
+def test_a_seed_of_one_s_own_stays() -> None:
+    assert planned(runs=2, settings={"seed": 5}).scenario_of(1).seed == 5
+    assert grid(seed={"values": [7, 8]}).scenario_of(1).seed == 8
+
+
+@pytest.mark.parametrize(
+    ("values", "line"),
+    [
+        ({}, 'runs: must be set where sampling = "random"'),
+        ({"runs": 0}, "runs = 0: must be at least 1"),
+        ({"runs": 3, "sampling": "grid"}, "must not be set of a grid"),
+        ({"runs": 3, "repeats": 2}, "repeats = 2: must not be set but of a grid"),
+        ({"runs": 3, "sampling": "sobbol"}, "sampling = 'sobbol': must"),
+        ({"runs": 3, "axis": {}}, "axis: unknown key; did you mean axes?"),
+        ({"runs": 3, "axes": {"plant.mass_kg": {}}}, "none given: must be one of them"),
+        ({"runs": 3, "axes": {"plant.mass_kg": {"share": 0.1, "range": [1.0, 2.0]}}},
+         "range and share given"),
+        ({"runs": 3, "axes": {"plant.mass_kg": {"range": [2.0, 1.0]}}}, "must increase"),
+        ({"runs": 3, "axes": {"plant.mass_kg": {"range": [0.0, 1.0], "scale": "log"}}},
+         "above 0"),
+        ({"runs": 3, "axes": {"plant.mass_kg": {"share": 0.1, "points": 3}}},
+         "points = 3: must not be set but of a grid"),
+        ({"sampling": "grid", "axes": MASS}, "must have points"),
+        ({"runs": 3, "axes": {"plant.mas_kg": {"range": [1.0, 2.0]}}}, "mas_kg: unknown key"),
+        ({"runs": 3, "axes": {"plant.mas_kg": {"share": 0.1}}}, "share = 0.1: plant.mas_kg = None"),
+        ({"runs": 3, "axes": {"seed": {"share": 0.1}}}, "must be a number other than 0"),
+        ({"runs": 3, "settings": {"tick": 1}}, "tick: unknown key"),
+        ({"runs": 3, "scenario": "nowhere"}, "no such scenario"),
+        ({"runs": 3, "axes": {"plant.sensor.corner_hz": {"range": [50.0, 99.0]}}},
+         "model.sensor.corner_hz must be set"),
+    ],
+)  # fmt: skip
+def test_what_makes_no_campaign_is_named_in_a_line(values: dict[str, Any], line: str) -> None:
+    with pytest.raises(ScenarioError, match=re.escape(line)) as error:
+        planned(**values)
+    assert "\n" not in str(error.value)
+
+
+def test_a_file_names_its_scenario_from_where_it_lies(tmp_path: Path) -> None:
+    (tmp_path / "mine.toml").write_text("duration_s = 0.3\n")
+    (tmp_path / "many.toml").write_text('scenario = "mine.toml"\nruns = 2\n')
+    made = plan(read_campaign(str(tmp_path / "many.toml"), ["fault.kind=none"], runs=5))
+    assert (made.runs, made.base.duration_s, made.base.fault.kind) == (5, 0.3, "none")
+    for text, line in (("runs = ", "not readable as TOML"), ('name = "x"', "named by its file"),
+                       ("settings = 3\nruns = 1", "must be a table")):  # fmt: skip
+        (tmp_path / "bad.toml").write_text(text)
+        with pytest.raises(ScenarioError, match=line):
+            read_campaign(str(tmp_path / "bad.toml"), ["seed=1"])
+    with pytest.raises(ScenarioError, match=r"did you mean losses\?"):
+        read_campaign("losse")

@@ -1,0 +1,167 @@
+"""Signals of any layout: what is sent is what cantools says that it is."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import cantools
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from can_rig.errors import DbcError
+from can_rig.frames.endpoints import Receiver, Transmitter
+from can_rig.frames.mapped.network import Roles, map_network
+from can_rig.frames.network import Network
+from can_rig.frames.protection import CheckStatus
+from tests.rig.own_frames.scenarios import FD_SIGNALS, MOTOROLA, SIGNALS, database
+
+VALUES = st.floats(allow_nan=False, allow_infinity=True)
+
+
+def network(folder: Path, text: str, **roles: object) -> Network:
+    path = folder / "own.dbc"
+    path.write_text(text)
+    return map_network(path, Roles(FD_SIGNALS, **roles))  # type: ignore[arg-type]
+
+
+@st.composite
+def layouts(draw: st.DrawFn) -> tuple[str, float, int, bool]:
+    """A value above bit 32 of 8 bytes: its line in a DBC, factor, offset in factors, sign."""
+    bits = draw(st.integers(2, 32))
+    signed, factor = draw(st.booleans()), draw(st.sampled_from([1.0, 0.5, 0.001, 3.0]))
+    lowest = -(2 ** (bits - 1)) if signed else 0
+    offset = draw(st.integers(2 - 2**bits - lowest, -1 - lowest))  # both signs can be sent
+    start = draw(st.integers(32, 64 - bits))
+    motorola = draw(st.booleans())
+    if motorola:  # its most significant bit, so many bits before the end of the frame
+        at = draw(st.integers(0, 32 - bits))
+        start = 8 * (4 + at // 8) + 7 - at % 8
+    order, sign = ("0" if motorola else "1"), ("-" if signed else "+")
+    line = f"{start}|{bits}@{order}{sign} ({factor:g},{offset * factor:.17g}) [0|0]"
+    return line, factor, bits, signed
+
+
+@settings(max_examples=60)
+@given(layout=layouts(), values=st.lists(VALUES, min_size=1, max_size=5))
+def test_cantools_reads_what_is_sent(
+    tmp_path_factory: pytest.TempPathFactory,
+    layout: tuple[str, float, int, bool],
+    values: list[float],
+) -> None:
+    line, factor, _, _ = layout
+    text = database(line, 8)
+    codec = network(tmp_path_factory.mktemp("n"), text, tick="Count").command_1
+    theirs = cantools.database.load_string(text, "dbc")
+    transmitter, receiver = Transmitter(codec), Receiver(codec)
+    for tick, value in enumerate((*values, 0.0, math.nan), 65534):
+        frame = transmitter.frame(value, tick)
+        said = theirs.decode_message(frame.arbitration_id, frame.data)
+        record = receiver.accept(frame, tick)
+        assert record is not None and said["Count"] == tick & 0xFFFF == record.tick
+        if math.isnan(value):
+            assert math.isnan(record.value)
+            assert not codec.minimum <= said["Value"] <= codec.maximum
+            continue
+        assert said["Value"] == pytest.approx(record.value, abs=1e-9 * factor, rel=1e-12)
+        nearest = min(max(value, codec.minimum), codec.maximum)
+        assert abs(record.value - nearest) <= factor / 2 * (1 + 1e-9)
+        assert record.value == codec.quantise(value)
+
+
+@pytest.mark.parametrize(("bits", "types"), [(32, "1"), (64, "2")])
+def test_floats_have_their_own_not_a_number(tmp_path: Path, bits: int, types: str) -> None:
+    text = database(f"{64}|{bits}@1- (1,0) [0|0]", 16, types=types, fd=True)
+    codec = network(tmp_path, text, tick="Count").feedback
+    theirs = cantools.database.load_string(text, "dbc")
+    assert (codec.lsb, codec.fd, codec.layout.length) == (0.0, True, 16)
+    for value in (0.1, -1e30, math.inf, math.nan):
+        frame = Transmitter(codec).frame(value, 7)
+        assert frame.is_fd and len(frame.data) == 16
+        record = Receiver(codec).accept(frame, 7)
+        assert record is not None
+        said = theirs.decode_message(frame.arbitration_id, frame.data)["Value"]
+        assert record.value == said or (math.isnan(value) and math.isnan(record.value))
+        if abs(value) <= codec.maximum:
+            assert record.value == pytest.approx(value, rel=2.0 ** (-24 if bits == 32 else -53))
+
+
+def test_a_frame_takes_the_next_length_of_can_fd(tmp_path: Path) -> None:
+    text = database("64|16@1- (0.01,0) [0|0]", 10, fd=True, first_id=0x98FF0000)
+    codec = network(tmp_path, text, tick="Count").status
+    frame = Transmitter(codec).frame(1.0, 5, mode=1, fault_state=2)
+    assert len(frame.data) == 12 and frame.is_extended_id and frame.is_fd
+    record = Receiver(codec).accept(frame, 5)
+    assert record is not None and record == (1.0, 5, 1, 2)
+    frame.is_extended_id = False
+    assert Receiver(codec).accept(frame, 5) is None
+
+
+def test_protection_of_any_length_finds_what_is_damaged(tmp_path: Path) -> None:
+    ids = {"reference": 1, "feedback": 2, "command_1": 3, "command_2": 4, "status": 5}
+    text = database("64|16@1- (0.01,0) [0|0]", 12, fd=True)
+    protected = network(tmp_path, text, tick="Count", data_ids=ids)
+    assert protected.unprotected == ()
+    codec = protected.command_2
+    frame = Transmitter(codec).frame(1.0, 5)
+    for byte in range(12):
+        frame.data[byte] ^= 0x10
+        receiver = Receiver(codec)
+        assert receiver.accept(frame) is None
+        assert receiver.checker.counts[CheckStatus.WRONG_CRC] == 1
+        frame.data[byte] ^= 0x10
+    assert Receiver(codec).accept(frame) is not None
+    bare = network(tmp_path, text, tick="Count")
+    assert bare.unprotected == ("M1", "M2", "M3", "M4", "M5")
+    frame.data[9] ^= 0x10
+    assert Receiver(bare.command_2).accept(frame, 5) is not None
+    frame.data.append(0)
+    assert Receiver(bare.command_2).rejected == {}
+
+
+@pytest.mark.parametrize("kind", ["kcd", "sym"])
+def test_other_databases_are_read_too(tmp_path: Path, kind: str) -> None:
+    theirs = cantools.database.load_file(MOTOROLA)
+    text = theirs.as_kcd_string() if kind == "kcd" else theirs.as_sym_string()
+    path = tmp_path / f"own.{kind}"
+    path.write_text(text, encoding="utf-8" if kind == "kcd" else "cp1252")
+    ours, dbc = (map_network(p, Roles(SIGNALS, "Count")) for p in (path, MOTOROLA))
+    for one, other in zip(ours, dbc, strict=True):
+        assert (one.lsb, one.maximum, one.frame_id) == (other.lsb, other.maximum, other.frame_id)
+        assert one.encode(1.0, 300, 1, 2) == other.encode(1.0, 300, 1, 2)
+
+
+BAD = {
+    "one sign": ("32|16@1+ (0.01,0) [0|0]", {}, "Value carries 0..655.35: must reach below 0"),
+    "offset": ("32|16@1- (0.01,0.005) [0|0]", {}, "offset 0.005: must be a multiple of the factor"),
+    "factor": ("32|16@1- (-1,0) [0|0]", {}, "factor -1: must be above 0"),
+    "tick": ("32|16@1- (1,0) [0|0]", {"tick": "Cnt"}, "network.tick = 'Cnt'"),
+    "tick is the value": (
+        "32|16@1- (1,0) [0|0]", {"tick": "Value"}, "must be an unsigned integer of at least 16",
+    ),
+    "room": (
+        "4|4@1- (1,0) [0|0]", {"data_ids": {"command_1": 7}},
+        "Value lies in byte 0 or the low half of byte 1: must leave them to the CRC",
+    ),
+    "alike": (
+        "32|16@1- (1,0) [0|0]", {"data_ids": {"command_1": 7, "command_2": 7}}, "give the same CRC",
+    ),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize(("value", "roles", "line"), BAD.values(), ids=BAD)
+def test_a_signal_that_cannot_do_is_one_line(
+    tmp_path: Path, value: str, roles: dict[str, object], line: str
+) -> None:
+    with pytest.raises(DbcError) as caught:
+        network(tmp_path, database(value, 8), **roles)
+    assert line in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_the_other_signals_of_a_message_have_their_initial_values() -> None:
+    theirs = cantools.database.load_file(MOTOROLA)
+    codec = map_network(MOTOROLA, Roles(SIGNALS, "Count")).feedback
+    said = theirs.decode_message(codec.frame_id, codec.encode(1.5, 4))
+    assert said == {"DStarMeas": 1.5, "Valid": 0, "Count": 4}

@@ -1,0 +1,173 @@
+"""The whole rig on frames of one's own: what others read in the log is what the rig has."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from can_rig.assessment.resolve import load
+from can_rig.errors import DbcError, ScenarioError
+from can_rig.plant.frameless import frameless
+from can_rig.results.signals import Signals, read_signals
+from can_rig.scenario.build import network_of
+from firmware_model.target.status import FaultState
+from tests.helpers import asked, record, rig
+from tests.rig.own_frames.scenarios import (
+    FD_SIGNALS,
+    MOTOROLA,
+    SIGNALS,
+    database,
+    options,
+)
+
+DRIVE = ["duration_s=1.5", "fault.at_s=1.0"]
+CHASSIS = [
+    "tick_s=0.02", "latency_ticks=1", "design.tau_s=0.02", "design.tau_q_s=0.1", "duration_s=2.0",
+    "fault.at_s=1.0",
+]  # fmt: skip
+COLUMNS = {
+    "reference": "reference_mps2", "feedback": "dstar_mps2", "command_1": "torque_nm",
+    "command_2": "force_difference_n", "fault_estimate": "fault_estimate_mps2", "mode": "mode",
+}  # fmt: skip
+
+
+def run(folder: Path, words: list[str]) -> tuple[Path, Signals]:
+    log, summary, scenario = record(folder, *words, name="default")
+    assert summary.ticks == scenario.ticks
+    return log, read_signals(log, network_of(scenario), scenario.tick_s)
+
+
+def by_cantools(log: Path, dbc: Path, signals: dict[str, str]) -> dict[str, list[float]]:
+    """The signal of each role, as the command line of cantools has it."""
+    with log.open() as lines:
+        done = subprocess.run(
+            [sys.executable, "-m", "cantools", "decode", "--single-line", "--no-strict",
+             "--no-decode-choices", str(dbc)],
+            stdin=lines, capture_output=True, text=True, check=True,
+        )  # fmt: skip
+    found: dict[str, list[float]] = {role: [] for role in signals}
+    for line in done.stdout.splitlines():
+        for role, name in signals.items():
+            message, _, signal = name.partition(".")
+            if match := re.search(rf":: {message}\(.*\b{signal}: (\S+?)[ ,)]", line):
+                found[role].append(float(match[1]))
+    return found
+
+
+def require_agreement(log: Path, dbc: Path, names: dict[str, str], signals: Signals) -> None:
+    theirs = by_cantools(log, dbc, names)
+    for role, column in COLUMNS.items():
+        ours = getattr(signals, column)
+        assert len(theirs[role]) == len(ours), role
+        np.testing.assert_allclose(theirs[role], ours, rtol=1e-7, atol=1e-12, err_msg=role)
+
+
+def test_16_bit_big_endian_without_protection(tmp_path: Path) -> None:
+    log, signals = run(tmp_path, [*DRIVE, *options(MOTOROLA, SIGNALS)])
+    require_agreement(log, MOTOROLA, SIGNALS, signals)
+    confirmed = np.flatnonzero(signals.fault_state == FaultState.CONFIRMED)
+    assert 1000 < confirmed[0] < 1100
+    assert np.abs(signals.error_mps2[-100:]).max() < 0.05
+    again, _ = run(tmp_path, [*DRIVE, *options(MOTOROLA, SIGNALS)])
+    assert log.read_bytes() == again.read_bytes()
+
+
+def test_it_is_the_run_without_frames(tmp_path: Path) -> None:
+    words = [*DRIVE, *options(MOTOROLA, SIGNALS)]
+    _, signals = run(tmp_path, words)
+    scenario = load("default", words)
+    trace = frameless(scenario, network_of(scenario))
+    np.testing.assert_allclose(trace.command_1, signals.torque_nm, atol=1e-9)
+    np.testing.assert_allclose(trace.command_2, signals.force_difference_n, atol=1e-9)
+
+
+def test_can_fd_with_floats_29_bits_and_protection(tmp_path: Path) -> None:
+    dbc = tmp_path / "fd.dbc"
+    dbc.write_text(database("64|32@1- (1,0) [0|0]", 12, 0x98FF0000, types="1", fd=True))
+    ids = {"reference": 1, "feedback": 2, "command_1": 3, "command_2": 4, "status": 5}
+    log, signals = run(tmp_path, [*DRIVE, *options(dbc, FD_SIGNALS, data_ids=ids)])
+    assert " 18FF0001##0" in log.read_text().splitlines()[0]
+    require_agreement(log, dbc, FD_SIGNALS, signals)
+    assert np.abs(signals.error_mps2[-100:]).max() < 0.05
+
+
+def test_a_run_folder_is_replayed_and_decoded_by_its_own_database(tmp_path: Path) -> None:
+    words = [w for word in [*CHASSIS, *options(MOTOROLA, SIGNALS)] for w in ("--set", word)]
+    done = asked("run", "default", *words, "--out", tmp_path / "run")
+    assert done.returncode == 0, done.stderr
+    again = asked("replay", tmp_path / "run")
+    assert again.returncode == 0 and "identical, bit for bit" in again.stdout
+    other = asked("replay", tmp_path / "run", "--set", "design.tau_q_s=0.12")
+    assert other.returncode == 1 and "MotorTorque" in other.stdout
+
+
+def test_real_time_needs_no_tick(tmp_path: Path) -> None:
+    words = [w for word in [*CHASSIS, *options(MOTOROLA, SIGNALS, "")] for w in ("--set", word)]
+    refused = asked("run", "default", *words, "--out", tmp_path / "lockstep")
+    assert refused.returncode == 2
+    assert "network.tick: must name the signal that counts the ticks" in refused.stderr
+    done = rig("run", "default", *words, "--realtime", "--out", tmp_path / "run")
+    assert done.returncode == 0, done.stderr
+    scenario = load("default", [*CHASSIS, *options(MOTOROLA, SIGNALS, "")])
+    signals = read_signals(tmp_path / "run" / "bus.log", network_of(scenario), scenario.tick_s)
+    assert len(signals) == scenario.ticks
+    require_agreement(tmp_path / "run" / "bus.log", MOTOROLA, SIGNALS, signals)
+
+
+def test_check_and_bus_say_what_the_frames_cannot(tmp_path: Path) -> None:
+    words = [*CHASSIS, *options(MOTOROLA, SIGNALS), "limits.torque_nm=9000"]
+    settings = [w for word in words for w in ("--set", word)]
+    said = " ".join(asked("check", "default", *settings).stdout.split())
+    assert "5 of 5 frames unprotected" in said
+    assert "limits.torque_nm = 9000: EPS_Command.MotorTorque carries ±4095.88 N m only" in said
+    coarse = tmp_path / "coarse.dbc"
+    text = MOTOROLA.read_text().replace("(0.001,-32.768) [-32.768|32.767]", "(1,-32768) [0|0]")
+    coarse.write_text(text.replace("BO_ 1304 ESP_Other", "BO_ 1301 ESP_Other"))
+    settings = [w for word in [*CHASSIS, *options(coarse, SIGNALS)] for w in ("--set", word)]
+    said = " ".join(asked("check", "default", *settings).stdout.split())
+    assert "ESP_Motion.DStarMeas is too coarse: its step of 1 moves" in said
+    done = asked("bus", "default", *settings)
+    assert "5 of 5 frames unprotected" in done.stdout
+    assert "collide: ESP_Other has identifier 0x515 of command_1 too" in done.stdout.replace(
+        "\n", " "
+    )
+    assert "0x18FECA15" in done.stdout
+
+
+KEYS = {
+    "network.dbc=missing.dbc": "missing.dbc: cannot be read: No such file",
+    "network.signals.feedback=ESP_Motion": "network.signals.feedback = 'ESP_Motion': must be Mess",
+    "network.signals.feedback=ESP_Moton.DStarMeas": "no message ESP_Moton; did you mean ESP_Motio",
+    "network.signals.feedback=ESP_Motion.DStarMes": "has no signal DStarMes; did you mean DS",
+    "network.signals.feedback=VMC_Request.Speed": "reference and feedback both have identifier",
+    "network.signals.feedback=''": "network.signals.feedback: must be set beside the other",
+    "network.signals.mode=ESP_Motion.Valid": "must be in message EPS_Status, with the fault",
+    "network.signals.mode=EPS_Status.Estimate": "Estimate: must be an integer of at least 2 bits",
+    "network.signals.torque=A.B": "network.signals.torque: unknown key",
+    "network.tick=Tick": "network.tick = 'Tick'",
+    "network.dbc=''": "network.dbc: must name the database of network.signals",
+    "network.data_ids.feedback=0": "network.data_ids.feedback = 0: must be at least 1",
+    "network.data_ids.status=70000": "network.data_ids.status = 70000: must be at most 65535",
+    "network.data_ids.command_1=9": "MotorTorque lies in byte 0 or the low half of byte 1",
+    "fault.kind=frames-corrupted": "network.data_ids.command_1 must be set: nothing tells that",
+}
+
+
+@pytest.mark.parametrize(("setting", "line"), KEYS.items(), ids=KEYS)
+def test_a_bad_key_is_one_line_that_names_it(setting: str, line: str) -> None:
+    with pytest.raises((ScenarioError, DbcError)) as caught:
+        network_of(load("default", [*options(MOTOROLA, SIGNALS), setting]))
+    assert line in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_keys_that_need_the_signals_say_so() -> None:
+    with pytest.raises(ScenarioError, match=r"network.signals: must be set beside network.tick"):
+        load("default", [f"network.dbc={MOTOROLA}", "network.tick=Count"])
+    with pytest.raises(DbcError, match=r"no message has RigRole reference"):
+        network_of(load("default", [f"network.dbc={MOTOROLA}"]))
