@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from can_rig.export.writing.c_text import INDENT, WIDTH, comment, name, number
+from can_rig.export.writing.c_text import INDENT, WIDTH, comment, name, number, wrapped
 from firmware_model.target.layout import TABLE, precision_of
 from firmware_model.target.structs import Field, Precision, Record, Struct
 
@@ -56,14 +56,17 @@ def _members(struct: Struct, record: Any, precision: Precision, indent: str) -> 
 def _member(field: Field, value: Any, precision: Precision, indent: str) -> Iterator[str]:
     unit = "" if field.unit == "1" else f"[{field.unit}] "
     remark = f" /* {unit}{field.meaning} */".replace("*/ */", "*/")
-    line = f"{indent}.{name(field.name)} = {_initialiser(field, value, precision)},"
     if value.ndim < 2:
-        yield from [line + remark] if len(line + remark) <= WIDTH else [indent + remark[1:], line]
+        text = f".{name(field.name)} = {_initialiser(field, value, precision)},"
+        if len(indent + text + remark) <= WIDTH:
+            yield indent + text + remark
+        else:
+            yield from (indent + remark[1:], *wrapped(text, indent))
         return
     yield f"{indent}.{name(field.name)} = {{{remark}"
     last = max(at for at, row in enumerate(value) if not _is_zero(row))
     for row in value[: last + 1]:
-        yield f"{indent}{INDENT}{_initialiser(field, row, precision)},"
+        yield from wrapped(f"{_initialiser(field, row, precision)},", indent + INDENT)
     yield f"{indent}}},"
 
 

@@ -13,6 +13,7 @@ from firmware_model.target.structs import Precision
 
 WIDTH: Final = 100
 INDENT: Final = "    "
+LAST_RESORT: Final = 99  # as deep as nothing is
 
 WORDS: Final = """
     auto break case char const continue default do double else enum extern float for goto if inline
@@ -64,8 +65,8 @@ def with_comment(line: str, text: str, indent: str) -> list[str]:
     return [*comment(text, indent), line]
 
 
-def wrapped(line: str, indent: str) -> list[str]:
-    """``line`` broken where its outermost operands or arguments begin."""
+def wrapped(line: str, indent: str, inner: str | None = None) -> list[str]:
+    """``line`` broken where its outermost operands or arguments begin; what follows is deeper."""
     if len(indent) + len(line) <= WIDTH:
         return [indent + line]
     places = [
@@ -78,8 +79,8 @@ def wrapped(line: str, indent: str) -> list[str]:
     least = min(rank for rank, _ in places)
     at = max(place for rank, place in places if rank == least)
     at += 1 if line[at] == "," else 0
-    inner = indent if indent.endswith(INDENT * 2 + " ") else indent + INDENT * 2
-    return [indent + line[:at].rstrip(), *wrapped(line[at:].lstrip(), inner)]
+    inner = indent + INDENT * 2 if inner is None else inner
+    return [indent + line[:at].rstrip(), *wrapped(line[at:].lstrip(), inner, inner)]
 
 
 def _breaks(line: str) -> list[tuple[tuple[int, int], int]]:
@@ -88,10 +89,14 @@ def _breaks(line: str) -> list[tuple[tuple[int, int], int]]:
     for at, letter in enumerate(line):
         if letter in "([{":
             depth += 1
+            if letter == "(":
+                found.append(((LAST_RESORT, depth), at + 1))
         elif letter in ")]}":
             depth -= 1
         elif letter == ",":
             found.append(((depth, 0), at))
+        elif line[at : at + 3] == " = ":
+            found.append(((LAST_RESORT, 0), at + 2))
         else:
             for tightness, operators in enumerate((" [?:] ", r" (&&|\|\|) ", " [-+] ", " [*/] ")):
                 if re.match(operators, line[at:]):

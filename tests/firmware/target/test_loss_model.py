@@ -17,10 +17,12 @@ from firmware_model.target import controller
 from firmware_model.target.fault_decision.loss_model import (
     advance_loss_model,
     clear_loss_model,
+    earlier_shown,
     follow_share,
     known_share,
     loss_output,
     loss_shown,
+    settle_loss_model,
     take_over_candidate,
 )
 from firmware_model.target.fault_decision.sequential_test import (
@@ -29,10 +31,11 @@ from firmware_model.target.fault_decision.sequential_test import (
     candidate_shown,
     start_candidate,
 )
+from firmware_model.target.filters.biquad import output
 from firmware_model.target.filters.estimator import advance_model
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray, Record
-from tests.firmware.target.cases import CAR, TICK_S
+from tests.firmware.target.cases import CAR, TICK_S, changed
 
 DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 COMMANDS = np.cumsum(np.random.default_rng(1).standard_normal(30))
@@ -129,8 +132,30 @@ def test_s_w_is_continuous_where_a_candidate_is_taken_over(
             expected = known * known_w(table, apart) + sign * share * its_w(table, apart)
             assert share * known_w(table, together) == pytest.approx(expected, abs=1e-12)
             assert abs(expected) > 1e-6
+        older = output(table.estimator.channel_1, apart.sequential_test.earlier, 0.0)
+        assert earlier_shown(table, together) == pytest.approx(older, rel=1e-12)
+        assert abs(older) > 1e-9
         advance(table, apart, 0.0)
         advance(table, together, 0.0)
+
+
+@pytest.mark.parametrize("latency", LATENCIES)
+def test_where_the_share_is_followed_at_all_times_w_settles_too(latency: int) -> None:
+    """All of G1 u1 may be lost then, whatever the fault state; of a settled one nothing is."""
+    tables = changed(build(DESIGN, Target(TICK_S, latency)), decision={"tracks_share": 1})
+    table, state = tables[0], controller.init(tables[0])[0]
+    for command in COMMANDS:
+        advance(table, state, command)
+    state.loss_model.share = state.loss_model.followed = 0.4
+    state.command_1 = 3.0
+    settle_loss_model(table, state)
+    assert (state.loss_model.share, state.loss_model.followed) == (0.0, 0.0)
+    steady = pytest.approx(3.0 * CAR.g1.dc_gain, rel=1e-9)
+    assert state.loss_model.previous_output == steady
+    for _ in range(5):
+        assert loss_output(table, state) == steady
+        assert loss_shown(table, state) == steady
+        advance(table, state, 3.0)
 
 
 def test_what_is_cleared_is_nothing() -> None:

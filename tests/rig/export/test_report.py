@@ -6,12 +6,12 @@ import shutil
 
 import numpy as np
 import pytest
-from can_rig.export.emulated_ecu import COMPILER, EMULATOR
 
 from can_rig.assessment.resolve import load
 from can_rig.export.folder import exported
 from can_rig.export.law import law_files
 from can_rig.export.report import cost, findings, inputs_of_run, instructions
+from can_rig.export.running.emulated_ecu import COMPILER, EMULATOR
 
 pytestmark = pytest.mark.skipif(
     shutil.which(COMPILER) is None or shutil.which(EMULATOR) is None,
