@@ -173,6 +173,8 @@ class Plan:
         if axis.range is not None:
             return axis.range
         own = value_at(self.base, key)
+        if not has_key(self.base, key):
+            resolve(changed(self.file, [*self._common, f"{key}=1"]))  # says which keys there are
         if isinstance(own, bool) or not isinstance(own, int | float) or own == 0.0:
             raise ScenarioError(
                 f"campaign {self.settings.name}: axes.{key}.share = {axis.share}: {key} = {own!r} "
