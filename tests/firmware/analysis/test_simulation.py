@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from firmware_model.analysis.sampled_plant import SampledPlant, follow_plant, sample
-from firmware_model.analysis.simulation import Trace, simulate
+from firmware_model.analysis.simulation import Simulation, Trace, simulate
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from tests.firmware.analysis.loops import CAR, SLOW
@@ -81,3 +81,21 @@ def test_a_sensor_reads_in_whole_steps_of_its_resolution() -> None:
     np.testing.assert_allclose(run.measured, np.round(run.measured / step) * step, atol=1e-15)
     np.testing.assert_allclose(run.measured, run.measurement, atol=step / 2 * (1 + 1e-9))
     assert np.abs(run.measured - run.measurement).max() > 0.1 * step
+
+
+def test_in_pieces_it_is_the_same_run_with_what_its_plant_did() -> None:
+    """States of each tick, whose output is D*; commands as a weak actuator could follow them."""
+    plant, weak = sample(CAR, TICK_S), 2.0
+    whole = simulate(TABLE, plant, REFERENCE)
+    limits = np.array([[weak, np.inf], [np.inf, np.inf]])
+    in_pieces = Simulation(TABLE, plant, REFERENCE, keeps_states=True)
+    limited = Simulation(TABLE, plant, REFERENCE, limits=limits)
+    for until in (1, 17, None):
+        in_pieces.run(until)
+        limited.run(until)
+    np.testing.assert_array_equal(in_pieces.trace.command_1, whole.command_1)
+    np.testing.assert_allclose(in_pieces.plant_states @ plant.c, whole.measurement, atol=1e-15)
+    for run, limit in ((in_pieces, np.inf), (limited, weak)):
+        sent = np.concatenate([np.zeros(LATENCY), run.trace.command_1[:-LATENCY]])
+        np.testing.assert_array_equal(run.reached[0], np.clip(sent, -limit, limit))
+    assert np.abs(limited.trace.command_1).max() > weak

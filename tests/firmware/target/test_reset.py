@@ -10,11 +10,13 @@ import pytest
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
 from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.design.mismatch import TRUSTED, Mismatch
 from firmware_model.design.plants import chapter_2, steer_by_wire
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
 from firmware_model.target.status import FaultState, Mode
+from tests.firmware.target.cases import other_cars
 
 CAR = steer_by_wire()
 DESIGN = design(CAR, DesignSpecification())
@@ -60,12 +62,15 @@ def test_an_overflow_is_forgotten_and_not_kept() -> None:
     assert np.isfinite(after[:3]).all()
 
 
+@pytest.mark.parametrize("mismatch", [TRUSTED, other_cars(2)], ids=["trusted", "other cars"])
 @pytest.mark.parametrize("overflow", [1.7e308, -1.7e308])
 def test_an_overflow_of_the_measurement_leaves_a_confirmed_loss_compensated(
-    overflow: float,
+    overflow: float, mismatch: Mismatch
 ) -> None:
     """F1, w and F̂ follow commands, which are finite: only C, that sees D*, begins anew."""
-    target = Target(1e-3, 1, "zoh", limit_1=400.0, limit_2=1e4, on_confirmation=True)
+    target = Target(
+        1e-3, 1, "zoh", limit_1=400.0, limit_2=1e4, mismatch=mismatch, on_confirmation=True
+    )
     tame = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
     left, noise = np.ones((3000, 2)), np.zeros(3000)
     left[300:, 0] = 0.0
@@ -75,7 +80,7 @@ def test_an_overflow_of_the_measurement_leaves_a_confirmed_loss_compensated(
     assert trace.fault_state[999] == FaultState.CONFIRMED
     assert trace.mode[1000] == Mode.HOLD
     assert (trace.fault_state[1000:] == FaultState.CONFIRMED).all()
-    assert np.abs(trace.fault_estimate[1001:] - 1.0).max() < 0.5
+    assert np.abs(trace.error[1001:]).max() < 0.5
     assert abs(trace.error[-1]) < 0.01
     assert trace.command_2[-1] == pytest.approx(1.0 / CAR.g2.dc_gain, rel=0.01)
 
