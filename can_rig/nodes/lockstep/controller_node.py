@@ -3,8 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Final, Protocol
+from typing import Protocol
 
 import can
 
@@ -14,7 +13,7 @@ from can_rig.frames.network import Network
 from can_rig.frames.wire_tick import WIRE_TICKS, tick_from
 from can_rig.nodes.bus_access import Send
 from can_rig.nodes.controller_end import ControllerEnd, started
-from can_rig.nodes.watchdog import Interrupted, Watchdog
+from can_rig.nodes.lockstep.answering import AnsweringNode
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, Firmware, Law
 
@@ -29,7 +28,7 @@ class Actuation(Protocol):
         """Note the commands of a tick."""
 
 
-class ControllerNode:
+class ControllerNode(AnsweringNode):
     """Answers each feedback frame with two commands and a status.
 
     Args:
@@ -52,7 +51,7 @@ class ControllerNode:
         law: Law = PYTHON_LAW,
     ) -> None:
         self._actuation = actuation
-        self.ticks: Final = scenario.ticks
+        self.ticks = scenario.ticks
         self._end = ControllerEnd(scenario, network, send)
         _, self._firmware = started(scenario, network, law)
         self._reference_now = Record(math.nan, -1)
@@ -60,30 +59,10 @@ class ControllerNode:
         self._expected: int | None = None  # the first contact says which tick it is
         self._first_reference: can.Message | None = None
 
-    def run(self, watchdog: Watchdog, on_tick: Callable[[int], None]) -> int:
-        """Answer ticks to the end of the run or to a stop request; the number answered.
-
-        Raises:
-            SilentNodeError: the plant node is silent.
-            BusLostError: the bus carries nothing any more.
-        """
-        while self._tick < self.ticks and not watchdog.stop.wanted:
-            try:
-                self.serve(watchdog)
-            except Interrupted:
-                break
-            on_tick(self._tick)
+    @property
+    def tick(self) -> int:
+        """The tick that is answered next."""
         return self._tick
-
-    def serve(self, watchdog: Watchdog) -> None:
-        """Wait for one tick's feedback and answer it.
-
-        Raises:
-            SilentNodeError, BusLostError, Interrupted: see ``Watchdog.receive``.
-        """
-        while not self.take(watchdog.receive(self._tick)):
-            watchdog.go_on_waiting(self._tick)
-        watchdog.hear()
 
     def take(self, message: can.Message) -> bool:
         """Take in a frame, and answer the tick that it completes; whether it did."""

@@ -6,24 +6,21 @@ faults of frames.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Final
-
 import can
 
 from can_rig.export.running.ecu import COUNTS, Ecu, rejected
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import Send
-from can_rig.nodes.watchdog import Interrupted, Watchdog
+from can_rig.nodes.lockstep.answering import AnsweringNode
 from can_rig.plant.faults import FrameFault
 from can_rig.scenario.settings import Scenario
 
 
-class EcuNode:
+class EcuNode(AnsweringNode):
     """As ``ControllerNode``, with ``ecu`` in place of what that does with a frame."""
 
     def __init__(self, scenario: Scenario, network: Network, send: Send, ecu: Ecu) -> None:
-        self.ticks: Final = scenario.ticks
+        self.ticks = scenario.ticks
         self._send = send
         self._ecu = ecu
         self._inputs = (network.reference, network.feedback)
@@ -33,30 +30,10 @@ class EcuNode:
         self._fault = FrameFault(scenario)
         self._tick = 0  # the next one
 
-    def run(self, watchdog: Watchdog, on_tick: Callable[[int], None]) -> int:
-        """Answer ticks to the end of the run or to a stop request; the number answered.
-
-        Raises:
-            SilentNodeError, BusLostError: see ``Watchdog.receive``.
-            ExportError: the program has ended.
-        """
-        while self._tick < self.ticks and not watchdog.stop.wanted:
-            try:
-                self.serve(watchdog)
-            except Interrupted:
-                break
-            on_tick(self._tick)
+    @property
+    def tick(self) -> int:
+        """The tick that is answered next."""
         return self._tick
-
-    def serve(self, watchdog: Watchdog) -> None:
-        """Wait for one tick's feedback and let it be answered.
-
-        Raises:
-            SilentNodeError, BusLostError, Interrupted: see ``Watchdog.receive``.
-        """
-        while not self.take(watchdog.receive(self._tick)):
-            watchdog.go_on_waiting(self._tick)
-        watchdog.hear()
 
     def take(self, message: can.Message) -> bool:
         """Hand on a frame, and send the answer to the tick that it completes; whether it did."""
