@@ -17,7 +17,10 @@ def load_page(statistics: LogStatistics) -> Figure:
     for (axis,), bus in zip(grid, buses, strict=False):
         second, share = statistics.load(bus)
         edges = np.stack([second, second, second + 1, second + 1], axis=1).ravel()
-        heights = np.stack([0 * share, share, share, 0 * share], axis=1).ravel()
+        begins = np.diff(second, prepend=-np.inf) > 1  # nothing in the second before
+        ends = np.diff(second, append=np.inf) > 1
+        first, last = np.where(begins, 0.0, share), np.where(ends, 0.0, share)
+        heights = np.stack([first, share, share, last], axis=1).ravel()
         axis.plot(edges, 100 * heights, color=style.BLUE, lw=1.2)
         axis.set_ylabel(style.labelled(f"load of {bus}", "%"))
         axis.set_ylim(bottom=0.0)
