@@ -10,6 +10,7 @@ import numpy as np
 from firmware_model.design.continuous_design import ContinuousDesign
 from firmware_model.design.mismatch import STEP
 from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.discretisation.coprime import sampled_factors
 from firmware_model.discretisation.sections import Sections
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import RULES, tustin
@@ -54,6 +55,8 @@ class Filters:
     tracking: Sections
     estimator_1: Sections
     estimator_2: Sections
+    measurement: Sections
+    stabiliser: Sections | None
     one_plus_q: Sections
     compensator: Sections
 
@@ -65,18 +68,21 @@ def discretise(design: ContinuousDesign, target: Target) -> Filters:
         DesignError: a tick out of range, or a filter of too high an order for the fixed layout.
     """
     tick_s, prewarp = target.tick_s, target.prewarp_rad_per_s
-    rule = RULES[target.estimator]
     nothing, unity = ZeroPoleGain.constant(0.0), ZeroPoleGain.constant(1.0)
-    g1, g2 = design.plant.g1, design.plant.g2
+    factors = sampled_factors(design.plant, target.estimator, tick_s)
+    follow = design.tracking
+    stabiliser = follow.stabiliser if follow else None
     filters = Filters(
-        tracking=tustin(design.tracking_filter or unity, tick_s, prewarp),
-        estimator_1=rule(g1, tick_s),
-        estimator_2=rule(g2, tick_s),
+        tracking=tustin(follow.filter if follow else unity, tick_s, prewarp),
+        estimator_1=factors.numerators[0],
+        estimator_2=factors.numerators[1],
+        measurement=factors.denominator,
+        stabiliser=tustin(stabiliser, tick_s, prewarp) if stabiliser else None,
         one_plus_q=tustin(design.estimator.one_plus_q, tick_s),
         compensator=tustin(design.compensator or nothing, tick_s, prewarp),
     )
     for name, sections in vars(filters).items():
-        if len(sections.coefficients) > MAX_SECTIONS:
+        if sections is not None and len(sections.coefficients) > MAX_SECTIONS:
             raise ParameterError(
                 f"{name}: order {2 * len(sections.coefficients)} is more than the "
                 f"{2 * MAX_SECTIONS} that the controller's layout holds; lower alpha or alpha_q"
@@ -117,10 +123,11 @@ def algebraic_loop_gain(filters: Filters, delay_ticks: int) -> float:
 
 
 def tracking_loop_gain(filters: Filters, target: Target, dead: tuple[int, int]) -> float:
-    """Gain of the loop u1 → G1 u1 → u1 within one tick: Q and G1 at z → ∞."""
+    """Gain of the loop u1 → N1 u1 → u1 within one tick: U, N1 and R at z → ∞."""
+    gain = filters.stabiliser.feedthrough if filters.stabiliser else 0.0
     if target.latency_ticks + dead[0] > 0:
-        return 0.0
-    return filters.tracking.feedthrough * filters.estimator_1.feedthrough
+        return gain
+    return gain + filters.tracking.feedthrough * filters.estimator_1.feedthrough
 
 
 def build(design: ContinuousDesign, target: Target) -> Record:
@@ -170,6 +177,9 @@ def _fill_loop(
     shaper.acceleration = target.reference_acceleration * target.tick_s**2
     _fill_filter(tracking.filter, filters.tracking)
     tracking.feedback = closed
+    if filters.stabiliser:
+        _fill_filter(tracking.stabiliser, filters.stabiliser)
+    tracking.excuses_limits = filters.stabiliser is None
     tracking.loop_inverse = 1.0 / (1.0 - closed * tracking_loop_gain(filters, target, dead))
     for actuator, limit, rate, lsb in (
         (table.actuator_1, target.limit_1, target.rate_1, target.lsb_1),
@@ -193,6 +203,7 @@ def _fill_estimator(
     _fill_filter(estimator.channel_1, filters.estimator_1)
     _fill_filter(estimator.channel_2, filters.estimator_2)
     _fill_filter(estimator.one_plus_q, filters.one_plus_q)
+    _fill_filter(estimator.measurement, filters.measurement)
     if target.latency_ticks + dead[1] == 0:
         estimator.feedthrough_2 = filters.estimator_2.feedthrough
     estimator.one_plus_q_feedthrough = filters.one_plus_q.feedthrough
