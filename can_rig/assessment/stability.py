@@ -18,6 +18,7 @@ from typing import Any
 from can_rig.assessment.control_authority import ControlAuthority, control_authority
 from can_rig.assessment.decision import DecisionFigures, decision_figures
 from can_rig.assessment.drives import Drives, Finding, box_findings, own_findings
+from can_rig.assessment.limitations import describe, plant_limitations
 from can_rig.assessment.network_notes import frame_notes, signal_notes
 from can_rig.assessment.stability_table import finite_or_null
 from can_rig.drawing.names import names_of, with_unit
@@ -40,6 +41,7 @@ from firmware_model.analysis.margins import (
     margins,
 )
 from firmware_model.analysis.sampled_loop import sampled_loop
+from firmware_model.design.limitations import Limitations
 from firmware_model.discretisation.rules import RULE_NAMES
 
 Effectiveness = tuple[float, float]
@@ -67,6 +69,7 @@ class StabilityCheck:
     false_alarm: Margins | None
     decision: DecisionFigures
     control_authority: ControlAuthority | None
+    limitations: dict[str, Limitations]
     findings: list[Finding]
 
     @property
@@ -90,10 +93,11 @@ class StabilityCheck:
 
     @property
     def notes(self) -> Iterator[str]:
-        """A line each: whose margins, the decision, isolation, control authority, the frames."""
+        """A line each: whose margins, the plant's limits, the decision, isolation and so on."""
         scenario = self.scenario
         if scenario.plant.is_class:
             yield f"margins: of the linear car with its parameters, not of {scenario.plant.kind}"
+        yield from describe(scenario, self.limitations)
         if self.healthy.stable:
             yield from self.decision.describe(scenario)
             yield _isolation(scenario)
@@ -141,6 +145,7 @@ class StabilityCheck:
             "control_authority": None
             if self.control_authority is None
             else self.control_authority.as_dict(),
+            "limitations": {key: _figures(found) for key, found in self.limitations.items()},
         }
         return {key: finite_or_null(value) for key, value in values.items()}
 
@@ -180,6 +185,7 @@ def check_stability(
         ),
         decision=decision_figures(scenario, network),
         control_authority=control_authority(scenario, network),
+        limitations=plant_limitations(scenario),
         findings=findings,
     )
 
@@ -242,6 +248,15 @@ def _reason(scenario: Scenario, state: str, radius: float) -> str:
         f"unstable ({state}): the spectral radius is {radius:.4f} and must be below 1; "
         f"this tuning is stable with {survived}; {tuning} works"
     )
+
+
+def _figures(found: Limitations) -> dict[str, float]:
+    """Without the roots, which JSON has no numbers for."""
+    return {
+        "sensitivity": found.sensitivity,
+        "complementary": found.complementary,
+        "halving_rad_per_s": found.halving_rad_per_s,
+    }
 
 
 def _isolation(scenario: Scenario) -> str:

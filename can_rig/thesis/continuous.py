@@ -25,6 +25,7 @@ from scipy import linalg
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.settings import CHANNELS, Scenario
+from firmware_model.design.coprime import unstable
 from firmware_model.design.plants import Plant
 from firmware_model.target.structs import FloatArray
 
@@ -97,6 +98,8 @@ def closed_loop(scenario: Scenario, left: tuple[float, float]) -> StateSpace:
         ScenarioError: a filter that is improper or unstable.
     """
     car, model = continuous_plant(scenario.plant), continuous_plant(scenario.model)
+    if unstable(model.g1):
+        raise ScenarioError("plant: unstable: must be stable for the continuous loop")
     chosen = scenario.design
     closed = scenario.design.feedback
     blocks = [
