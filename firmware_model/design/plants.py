@@ -186,13 +186,14 @@ def _refuse_unshared(name: str, g1: ZeroPoleGain, g2: ZeroPoleGain) -> None:
     first, second = unstable(g1), unstable(g2)
     if Counter(first) != Counter(second):
         raise UnstablePlantError(
-            f"{name}: unstable poles of G1 at {_listed(first)} and of G2 at {_listed(second)}: "
-            "must be the same, or one input alone cannot hold them"
+            f"{name}: unstable poles of G1: {_listed(first)}; of G2: {_listed(second)}: must be "
+            "the same, or one input alone cannot hold them"
         )
 
 
 def _listed(roots: Roots) -> str:
-    return f"{', '.join(f'{root:.6g}' for root in roots)} rad/s" if roots else "none"
+    words = [f"{root if root.imag else root.real:.6g}" for root in roots]
+    return f"{', '.join(words)} rad/s" if roots else "none"
 
 
 def _refuse_disagreement(plant: Plant) -> None:
