@@ -10,8 +10,7 @@ import numpy as np
 from firmware_model.design.continuous_design import ContinuousDesign
 from firmware_model.design.mismatch import STEP
 from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.discretisation.make_up import make_up_gain
-from firmware_model.discretisation.sections import Sections
+from firmware_model.discretisation.sections import Sections, make_up_gain
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import RULES, tustin
 from firmware_model.errors import DesignError, ParameterError

@@ -14,8 +14,7 @@ from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import Trace, simulate
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.plants import steer_by_wire
-from firmware_model.discretisation.make_up import make_up_gain
-from firmware_model.discretisation.sections import Sections
+from firmware_model.discretisation.sections import Sections, make_up_gain
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import RULES
