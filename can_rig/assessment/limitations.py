@@ -12,8 +12,8 @@ from collections.abc import Iterator
 from can_rig.drawing.names import names_of
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.settings import Scenario
-from firmware_model.design.coprime import unstable
-from firmware_model.design.limitations import Limitations, limitations
+from firmware_model.design.factors.coprime import unstable
+from firmware_model.design.factors.limitations import Limitations, limitations
 from firmware_model.design.zpk import Roots, ZeroPoleGain
 
 MENTIONED = 1.01

@@ -41,7 +41,7 @@ from firmware_model.analysis.margins import (
     margins,
 )
 from firmware_model.analysis.sampled_loop import sampled_loop
-from firmware_model.design.limitations import Limitations
+from firmware_model.design.factors.limitations import Limitations
 from firmware_model.discretisation.rules import RULE_NAMES
 
 Effectiveness = tuple[float, float]

@@ -19,7 +19,7 @@ from can_rig.scenario.settings import CHANNELS, Scenario
 from firmware_model.design import plants
 from firmware_model.design.actuator_dynamics import behind
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
-from firmware_model.design.coprime import unstable
+from firmware_model.design.factors.coprime import unstable
 from firmware_model.design.mismatch import Mismatch, principal_mismatch
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.tables import build

@@ -25,7 +25,7 @@ from scipy import linalg
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.settings import CHANNELS, Scenario
-from firmware_model.design.coprime import unstable
+from firmware_model.design.factors.coprime import unstable
 from firmware_model.design.plants import Plant
 from firmware_model.target.structs import FloatArray
 

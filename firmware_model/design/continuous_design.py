@@ -6,9 +6,9 @@ Chapter 3 closes the loop: u1 = C (r - y), u2 = F̂2 d̂. Chapter 2 leaves it op
 from dataclasses import dataclass
 
 from firmware_model.design.compensator import compensator
-from firmware_model.design.coprime import unstable
 from firmware_model.design.estimator import FaultEstimator, fault_estimator
 from firmware_model.design.factorisation import inner_outer
+from firmware_model.design.factors.coprime import unstable
 from firmware_model.design.plants import Plant
 from firmware_model.design.tracking import Tracking, tracking
 from firmware_model.design.zpk import ZeroPoleGain

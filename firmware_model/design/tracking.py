@@ -23,9 +23,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from firmware_model.design.coprime import left_coprime, unstable
 from firmware_model.design.factorisation import inner_outer, refuse_axis_zeros
-from firmware_model.design.interpolation import Interpolation, interpolate
+from firmware_model.design.factors.coprime import left_coprime, unstable
+from firmware_model.design.factors.interpolation import Interpolation, interpolate
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.errors import ImproperError, require_order, require_positive
 

@@ -3,21 +3,26 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from firmware_model.design.continuous_design import ContinuousDesign
 from firmware_model.design.mismatch import STEP
 from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.discretisation.coprime import sampled_factors
-from firmware_model.discretisation.sections import Sections
+from firmware_model.discretisation.law.coprime import sampled_factors
+from firmware_model.discretisation.law.loop_gains import (
+    Filters,
+    algebraic_loop_gain,
+    dead_ticks,
+    tracking_loop_gain,
+)
+from firmware_model.discretisation.sections import Sections, make_up_gain
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import RULES, tustin
 from firmware_model.errors import DesignError, ParameterError
 from firmware_model.target.fault_decision.covariance import LOSS_STATES, MAX_DIRECTIONS
 from firmware_model.target.layout import table_type
-from firmware_model.target.structs import MAX_LATENCY_TICKS, MAX_SECTIONS, Precision, Record
+from firmware_model.target.structs import MAX_SECTIONS, Precision, Record
 
 SLOWEST_TRANSFER_S = 0.05  # some time constants of w, 1/17.7 s for this car
 HASTE = 2.0  # of a transfer, against the time that its beginning took
@@ -46,19 +51,6 @@ NO_NOISE: dict[Precision, float] = {"float64": 1e-9, "float32": 1e-6}
 LEAST_EVIDENCE = 1.0  # log-likelihood ratio of about 3 to 1
 PROBE_PERIODS = 2  # the half phase of ``probe`` goes once around
 PROBE_SHARE = 0.4  # missing that confirms; a car that is 20 % off looks like 0.3 at 10 rad/s
-
-
-@dataclass(frozen=True)
-class Filters:
-    """The discretised filters of the control law, for whoever wants to look at them."""
-
-    tracking: Sections
-    estimator_1: Sections
-    estimator_2: Sections
-    measurement: Sections
-    stabiliser: Sections | None
-    one_plus_q: Sections
-    compensator: Sections
 
 
 def discretise(design: ContinuousDesign, target: Target) -> Filters:
@@ -90,46 +82,6 @@ def discretise(design: ContinuousDesign, target: Target) -> Filters:
     return filters
 
 
-def dead_ticks(design: ContinuousDesign, target: Target) -> tuple[int, int]:
-    """The dead times that the design knows of, from each command to the measurement, in ticks.
-
-    Raises:
-        ParameterError: more than the controller's rings hold.
-    """
-    first, second = (
-        round(dead_time_s / target.tick_s) for dead_time_s in design.plant.path_dead_times_s
-    )
-    for channel, ticks in ((1, first), (2, second)):
-        if ticks > MAX_LATENCY_TICKS:
-            raise ParameterError(
-                f"dead time of channel {channel}: {ticks} ticks; must be at most "
-                f"{MAX_LATENCY_TICKS}, {MAX_LATENCY_TICKS * target.tick_s:g} s"
-            )
-    return first, second
-
-
-def algebraic_loop_gain(filters: Filters, delay_ticks: int) -> float:
-    """Gain of the loop d̂ → u2 → d̂ within one tick: F̂, G2 and 1 + Q at z → ∞; T/(2τ+T) for α = 1.
-
-    With any delay of u2, by the bus or by a dead time, there is no such loop.
-    """
-    if delay_ticks > 0:
-        return 0.0
-    return (
-        filters.compensator.feedthrough
-        * filters.estimator_2.feedthrough
-        * filters.one_plus_q.feedthrough
-    )
-
-
-def tracking_loop_gain(filters: Filters, target: Target, dead: tuple[int, int]) -> float:
-    """Gain of the loop u1 → N1 u1 → u1 within one tick: U, N1 and R at z → ∞."""
-    gain = filters.stabiliser.feedthrough if filters.stabiliser else 0.0
-    if target.latency_ticks + dead[0] > 0:
-        return gain
-    return gain + filters.tracking.feedthrough * filters.estimator_1.feedthrough
-
-
 def build(design: ContinuousDesign, target: Target) -> Record:
     """The table of ``design`` on ``target``: a read-only record of ``layout.table_type``.
 
@@ -150,6 +102,11 @@ def build(design: ContinuousDesign, target: Target) -> Record:
     _fill_loop(table, design, target, filters, dead)
     _fill_estimator(table.estimator, target, filters, dead)
     _fill_compensator(table, design, target, filters, loop_gain)
+    for shortfall, model in (
+        (table.shortfall_1, filters.estimator_1),
+        (table.shortfall_2, filters.estimator_2),
+    ):
+        shortfall.gain[: len(model.coefficients)] = make_up_gain(model)
     _fill_decision(table, target)
     _fill_mismatch(table, target)
     if target.probe > 0.0:

@@ -1,7 +1,7 @@
 """The fault estimator d̂ = (1 + Q)(G1 u1 + G2 u2 - y) of (2.1): the model of the plant, its bus.
 
 Of a plant that is not stable the models are N1 and N2 of its left-coprime factors, and M y is what
-they are compared with (``discretisation.coprime``); of a stable one M is 1.
+they are compared with (``discretisation.law.coprime``); of a stable one M is 1.
 
 The model gets each command when the plant gets it, ``latency_ticks`` after it was computed, and
 whether it was computed or held: an actuator that hears nothing new goes on with what it has. What

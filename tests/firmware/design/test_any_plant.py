@@ -6,7 +6,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from firmware_model.design.coprime import left_coprime, unstable
+from firmware_model.design.factors.coprime import left_coprime, unstable
 from firmware_model.design.plants import Plant
 from firmware_model.design.tracking import tracking
 from firmware_model.design.zpk import ZeroPoleGain

@@ -169,7 +169,7 @@ BAD = {
     'plant.output.unit="\\u0007"': "plant.output.unit = ",
 }
 BUILT = {
-    "plant.g1.poles=[1, -2]": "plant: transfer-functions: unstable poles of G1: 1 rad/s; of G2: none",
+    "plant.g1.poles=[1, -2]": "unstable poles of G1: 1 rad/s; of G2: none: must be the same",
     "plant.g1.zeros=[-3, -4]": "plant: G1 has 2 zeros and 2 poles: must have fewer zeros",
     "plant.g1.gain=0": "plant: transfer-functions: G1(s) is identically zero",
     "plant.g2.zeros=[0]": "G has a zero at 0+0j rad/s, on the imaginary axis",

@@ -13,7 +13,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from firmware_model.design.coprime import unstable
+from firmware_model.design.factors.coprime import unstable
 from firmware_model.design.plants import Plant
 from firmware_model.discretisation.rules import Rule
 from firmware_model.discretisation.sections import Sections, from_delta_zpk

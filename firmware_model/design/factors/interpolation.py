@@ -15,7 +15,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from firmware_model.design.polynomials import congruent, monic
+from firmware_model.design.factors.polynomials import congruent, monic
 from firmware_model.design.zpk import Roots
 
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_model.design.coprime import unstable
-from firmware_model.design.polynomials import congruent, monic
+from firmware_model.design.factors.coprime import unstable
+from firmware_model.design.factors.polynomials import congruent, monic
 from firmware_model.design.zpk import Roots, ZeroPoleGain
 from firmware_model.errors import ParameterError
 
