@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import re
 from pathlib import Path
 
 import numpy as np
@@ -10,6 +11,7 @@ import pytest
 
 from can_rig.assessment.limitations import plant_limitations
 from can_rig.assessment.resolve import load
+from can_rig.assessment.stability import refuse_unstable
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_plant, controller_table
 from can_rig.thesis.continuous import solve
@@ -105,3 +107,12 @@ def test_what_cannot_be_is_refused_in_one_line(setting: str) -> None:
 def test_the_thesis_s_continuous_loop_is_of_stable_plants() -> None:
     with pytest.raises(ScenarioError, match="unstable: must be stable for the continuous loop"):
         solve(load("pendulum", LINEAR))
+
+
+def test_the_tuning_that_is_named_for_an_unstable_car_holds_it() -> None:
+    car = ("plant.speed_mps=60", "plant.rear_cornering_stiffness_n_per_rad=1e3")
+    with pytest.raises(ScenarioError, match=r"unstable \(healthy\)") as refused:
+        refuse_unstable(load("thesis-step", car))
+    settings = re.findall(r"--set (\S+)", str(refused.value))
+    assert len(settings) == 3
+    refuse_unstable(load("thesis-step", [*car, *settings]))
