@@ -143,3 +143,29 @@ def test_filtered_samples_are_exact_for_a_straight_line():
     found = [sensor.next(step_s * k) for k in range(1, 60)]
     time_s = np.maximum(step_s * np.arange(1, 60) - 0.002, 0.0)
     np.testing.assert_allclose(found, time_s - 0.02 * (1.0 - np.exp(-time_s / 0.02)), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    "own", [[], ["latency_ticks=1"], LAGS, LAGS[1:2], [LAGS[1], LAGS[4]], ["plant.kind=chapter-2"]]
+)
+def test_reports_of_a_whole_run_are_those_of_its_ticks(own):
+    """In pieces, the first of which ends before the dead times do."""
+    name = "chapter-2" if "plant.kind=chapter-2" in own else "thesis-step"
+    scenario = settings(*own[: 0 if name == "chapter-2" else None], name=name)
+    plant = plant_behind(scenario.plant, scenario.tick_s)
+    commands = np.array(commands_of(30, hold=1))
+    left = np.where(np.arange(30)[:, None] < 17, 1.0, [0.25, 0.5])
+    states, output, reports, last = [], [], [], 0.0
+    for pair, share in zip(commands, left, strict=True):
+        states.append(plant._memory[0].copy())
+        output.append(last)
+        reports.append(plant.report(*pair, *share))
+        last, _ = plant.follow(*pair, *share)
+    columns = [
+        plant.report_columns(np.array(output), np.array(states), commands.T, left, ticks)
+        for ticks in (range(2), range(2, 20), range(20, 30))
+    ]
+    for signal in reports[0]:
+        found = np.concatenate([piece[signal] for piece in columns])
+        assert found.tolist() == [report[signal] for report in reports], signal
+    assert all(piece.keys() == reports[0].keys() for piece in columns)
