@@ -66,4 +66,4 @@ def delivery(scenario: Scenario, network: Network, ticks: int | None = None) -> 
             used[tick, channel] = record is not None
             receiver.end_tick()
         rejected[codec.name] = receiver.rejected
-    return Delivery(sent, used, np.array(damage, dtype=np.int64).reshape(-1, 4), rejected)
+    return Delivery(sent, used, np.array(damage, dtype=np.int64).reshape(len(damage), 4), rejected)
