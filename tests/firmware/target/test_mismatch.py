@@ -191,9 +191,13 @@ def test_a_settled_car_has_not_moved() -> None:
     """In a steady bend: x is that of the steady state, and M is nothing."""
     table = tables_of(2)[0]
     state, torque = controller.init(table)[0], 1.0 / CAR.g1.dc_gain
+    known = state.mismatch
+    known.theta[:] = known.x[:] = 7.0
+    known.covariance.upper[:] = 0.3
     settle_other_cars(table, state, torque, 0.0)
     settle_mismatch(table, state, 1.0)
-    known = state.mismatch
+    assert not known.theta.any()
+    assert known.x[:2].tolist() == known.regressor[:2].tolist() == [0.0, 0.0]
     for _ in range(5):
         predict(table, state, torque, 1.0, 0.0)
     for x, (g1, _) in zip(known.x[2:], other_cars(2).cars, strict=False):

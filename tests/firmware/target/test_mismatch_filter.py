@@ -86,6 +86,15 @@ def test_it_is_the_kalman_filter_of_full_matrices(seed: int, drifts: float) -> N
         np.testing.assert_allclose(covariance_of(state), theirs.p, atol=1e-9)
 
 
+def test_so_is_a_residual_that_is_no_number_though_x_is_one() -> None:
+    constants, state = begun()
+    state.regressor[:] = state.extent = 0.1
+    innovation(constants, state, math.inf)
+    assert np.isfinite(state.variance)
+    assert not state.theta.any()
+    assert state.previous_residual == 0.0
+
+
 def test_a_car_that_has_never_moved_may_be_any() -> None:
     """Nothing has shown yet, so there is no ratio of change to extent."""
     constants, state = begun()
