@@ -33,7 +33,7 @@ LAG = [
 CASES = [
     ["fault.kind=frames-missing", "fault.channel=force-difference"],
     ["fault.kind=frames-corrupted", "fault.channel=force-difference", "seed=3"],
-    ["fault.kind=actuator-dead", "fault.channel=force-difference", "fault.left=0.5", *LAG],
+    ["fault.kind=actuator-dead", "fault.left=0.5", *LAG, "plant.torque_actuator.lag_s=0"],
     ["plant.kind=tests.rig.plant.linear:LinearPlant", "fault.kind=actuator-dead", *LAG],
     ["tick_s=0.0007"],
 ]
