@@ -16,6 +16,7 @@ from firmware_model.discretisation.tables import Filters, build, discretise
 from firmware_model.discretisation.targets import Target
 from firmware_model.target import controller
 from firmware_model.target.fault_decision.probe import probe_torque
+from firmware_model.target.filters.shortfall import make_up
 from firmware_model.target.filters.tracking import missing_output
 from firmware_model.target.status import FaultState, Mode
 from firmware_model.target.structs import Record
@@ -45,11 +46,17 @@ def run(table: Record, state: Record, measured: NDArray[Any] = MEASURED) -> Colu
     """What the law answers, tick by tick, and what it has told the rest of it."""
     rows = []
     for reference, y in zip(REFERENCE, measured, strict=True):
+        made_up = [
+            make_up(table[f"shortfall_{i}"], table.estimator[f"channel_{i}"],
+                    table[f"actuator_{i}"], state[f"shortfall_{i}"])
+            for i in (1, 2)
+        ]  # fmt: skip
         controller.step(table, state, reference, y)
         known = state.mismatch
-        rows.append([*(state[name] for name in NAMES), known.previous_residual,
-                     known.previous_model_output, missing_output(table, state)])  # fmt: skip
-    names = (*NAMES, "judged", "modelled", "missing")
+        judged = known.previous_residual, known.previous_model_output
+        missing = missing_output(table, state)
+        rows.append([*(state[name] for name in NAMES), *judged, missing, *made_up])
+    names = (*NAMES, "judged", "modelled", "missing", "made_up_1", "made_up_2")
     return dict(zip(names, np.array(rows, dtype=np.float64).T, strict=True))
 
 
@@ -94,9 +101,10 @@ def test_what_channel_2_cannot_do_is_missing_in_the_measurement(
     lost = through(filters.estimator_1, told["command_1"])
     drive = lost if on_confirmation else told["fault_estimate"]
     asked = through(filters.compensator, drive)
-    possible = np.clip(asked, -limit, limit)
+    possible = np.clip(asked + told["made_up_2"], -limit, limit)
     np.testing.assert_allclose(told["command_2"], possible, atol=1e-6 * np.abs(asked).max())
     assert 3 < (np.abs(asked) > limit).sum() < TICKS
+    assert told["made_up_2"].any()
     short = late(asked - possible, latency)
     missing = through(filters.estimator_2, short)
     np.testing.assert_allclose(told["missing"][:-1], missing[1:], rtol=1e-6, atol=1e-9)
@@ -122,7 +130,8 @@ def test_after_a_loss_f_hat_makes_up_for_w_whatever_is_measured(latency: int) ->
     for name in NAMES[:3]:
         assert (told[name][HELD] == told[name][HELD.start - 1]).all()
     expected = through(filters.compensator, through(filters.estimator_1, told["command_1"]))
-    difference = np.abs(told["command_2"] - expected)
+    assert told["made_up_2"].any()  # of what was asked for in the ticks without inputs
+    difference = np.abs(told["command_2"] - expected - told["made_up_2"])
     difference[HELD] = 0.0
     assert difference.max() < 1e-8 * np.abs(expected).max()
     shown = [late(told[name], latency) for name in NAMES[:2]]
