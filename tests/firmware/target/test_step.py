@@ -115,6 +115,31 @@ def test_what_channel_2_cannot_do_is_missing_in_the_measurement(
     np.testing.assert_allclose(told["command_1"], u1, atol=1e-7 * np.abs(u1).max())
 
 
+@pytest.mark.parametrize("rule", ["zoh", "tustin"])
+def test_a_make_up_of_channel_2_comes_on_top_of_f_hat_s_answer_to_it(rule: Any) -> None:
+    """Also where d̂ and u2 are solved for at once, because G2 feeds through."""
+    table, state, filters = of(Target(TICK_S, 0, rule, limit_2=2000.0))
+    told = run(table, state)
+    asked = through(filters.compensator, told["fault_estimate"])
+    possible = np.clip(asked + told["made_up_2"], -2000.0, 2000.0)
+    np.testing.assert_allclose(told["command_2"], possible, atol=1e-6 * np.abs(asked).max())
+    free = np.abs(told["command_2"]) < 2000.0
+    assert np.abs(told["made_up_2"][free]).max() > 100.0
+    assert (table.compensator.loop_inverse != 1.0) == (rule == "tustin")
+
+
+@pytest.mark.parametrize("latency", [0, 2])
+def test_what_channel_1_cannot_do_is_made_up_for(latency: int) -> None:
+    """Beside C's own answer to the commands as they were limited."""
+    table, state, filters = of(Target(TICK_S, latency, "zoh", limit_1=60.0, on_confirmation=True))
+    told = run(table, state)
+    shown = through(filters.estimator_1, late(told["command_1"], latency))
+    asked = through(filters.tracking, REFERENCE - MEASURED + shown)
+    possible = np.clip(asked + told["made_up_1"], -60.0, 60.0)
+    np.testing.assert_allclose(told["command_1"], possible, atol=1e-7 * np.abs(asked).max())
+    assert np.abs(told["made_up_1"][np.abs(told["command_1"]) < 60.0]).max() > 1.0
+
+
 @pytest.mark.parametrize("latency", [0, 2])
 def test_after_a_loss_f_hat_makes_up_for_w_whatever_is_measured(latency: int) -> None:
     """Also of the commands that are held while inputs are missing."""
@@ -160,13 +185,13 @@ def test_a_hold_tells_the_other_cars_and_the_candidate_what_goes_on() -> None:
 def test_the_probe_comes_on_top_of_what_c_asks_for() -> None:
     probed = {"ticks": 50, "amplitude": 3.0, "rotation": (math.cos(0.3), math.sin(0.3))}
     torques = []
-    for tick in (0, 7):
+    for tick in (0, 1, 7):
         table, state, _ = of(Target(TICK_S), probe=probed)
         state.probe.tick, state.probe.cosine, state.probe.sine = tick, 0.6, 0.8
         adds = float(probe_torque(table.probe, state.probe))
         controller.step(table, state, 0.3, 0.1)
         torques.append(float(state.command_1))
-    assert torques[1] - torques[0] == pytest.approx(adds, rel=1e-9)
+    assert [t - torques[0] for t in torques[1:]] == pytest.approx([adds, adds], rel=1e-9)
     assert abs(adds) > 1.0
 
 
@@ -197,10 +222,11 @@ def test_the_open_loop_compensates_beside_the_reference_on_confirmation(
     assert state.fault_estimate != 0.0
 
 
+@pytest.mark.parametrize("on_confirmation", [False, True])
 @pytest.mark.parametrize("huge", [1e308, -1e308])
-def test_an_overflow_holds_both_commands_and_says_so(huge: float) -> None:
-    """The reference too: C's sum is no number, and what it fed is forgotten."""
-    table, state, _ = of(Target(TICK_S, lsb_1=0.5, lsb_2=0.5))
+def test_an_overflow_holds_both_commands_and_says_so(huge: float, on_confirmation: bool) -> None:
+    """C's sum is no number; channel 2, where nothing is lost, would be zero all the same."""
+    table, state, _ = of(Target(TICK_S, lsb_1=0.5, lsb_2=0.5, on_confirmation=on_confirmation))
     controller.step(table, state, 1.0, 0.1)
     before = [float(state[name]) for name in NAMES[:3]]
     controller.step(table, state, huge, -huge)
