@@ -140,7 +140,7 @@ def signals_of(
     messages: Iterable[Message], network: Network, tick_s: float, in_time_ticks: int = 1
 ) -> Signals:
     """The same from frames of any source, in their order, time stamps in s."""
-    table = _Table(network, tick_s, in_time_ticks)
+    table = SignalRows(network, tick_s, in_time_ticks)
     for message in messages:
         table.take(message)
     values: NDArray[np.float64] = np.array(table.rows, dtype=np.float64)
@@ -159,8 +159,11 @@ def data_frames(log: Path) -> Iterator[Message]:
         yield from frames[~frames.has(REMOTE | ERROR)].messages()
 
 
-class _Table:
-    """Frames into rows, one a tick."""
+class SignalRows:
+    """Frames into rows, one a tick: a value of each frame in their order, mode and fault state.
+
+    Arguments are those of ``read_signals``.
+    """
 
     def __init__(self, network: Network, tick_s: float, in_time_ticks: int) -> None:
         self.rows: list[list[float]] = []
@@ -171,6 +174,18 @@ class _Table:
         self._by_id = {r.codec.frame_id: at for at, r in enumerate(self._receivers)}
         self._tick = -1  # the one under way
         self._marked = False
+
+    @property
+    def tick(self) -> int:
+        """The one under way; -1 before the first."""
+        return self._tick
+
+    def take_complete(self) -> list[list[float]]:
+        """Remove and return the rows of the ticks that nothing more can come of."""
+        whole = max(0, len(self.rows) - self._in_time_ticks)
+        rows, self.rows = self.rows[:whole], self.rows[whole:]
+        self.first_tick += whole
+        return rows
 
     def take(self, message: Message) -> None:
         """Use a frame, or not."""
