@@ -29,7 +29,7 @@ from pydantic import Field, NonNegativeInt, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from can_rig.errors import ScenarioError
-from can_rig.scenario.loading import change
+from can_rig.scenario.changes import change
 from can_rig.scenario.refusal import refusal
 from can_rig.scenario.stage_settings import STRICT
 

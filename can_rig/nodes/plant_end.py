@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import can
@@ -13,6 +14,7 @@ from can_rig.frames.wire_tick import ticks_ahead
 from can_rig.nodes.bus_access import Send
 from can_rig.nodes.recording.plant_recorder import PlantRecorder
 from can_rig.nodes.recording.recorder import Log
+from can_rig.plant.frame_faults import SENSOR_PLACE, FrameFaults
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.reference import on_the_bus
 from can_rig.scenario.settings import Scenario
@@ -25,7 +27,8 @@ class PlantEnd:
     """Samples the plant, sends reference and feedback, and judges commands and status.
 
     Args:
-        scenario: the run; ``latency_ticks`` is the delay of the simulated plant's commands.
+        scenario: the run, whose faults of frames are those of D*; ``latency_ticks`` is the delay of
+            the simulated plant's commands.
         network: its frames.
         send: sends a frame.
         log: gets every frame that is sent; None records nothing.
@@ -50,6 +53,8 @@ class PlantEnd:
         self._reports = reports
         self._send_reference = Transmitter(network.reference)
         self._send_feedback = Transmitter(network.feedback)
+        self._send_nothing = Transmitter(network.feedback)  # with the counter of the other
+        self._faults = FrameFaults(scenario, network)
         self._receivers = tuple(
             Receiver(codec) for codec in (network.command_1, network.command_2, network.status)
         )
@@ -58,10 +63,14 @@ class PlantEnd:
 
     def sample(self, tick: int) -> None:
         """Measure D* of ``tick`` and pack its frames."""
-        self._offered = (
-            self._send_reference.frame(self._reference[tick], tick),
-            self._send_feedback.frame(self.plant.measure(), tick),
-        )
+        reference = self._send_reference.frame(self._reference[tick], tick)
+        own = self._send_feedback.frame(self.plant.measure(), tick)
+        feedback = [own]
+        if self._faults.concerns(SENSOR_PLACE):
+            feedback = self._faults.on_the_wire(
+                own, SENSOR_PLACE, tick, self._send_nothing.frame(math.nan, tick)
+            )
+        self._offered = (reference, *feedback)
 
     def send_sample(self) -> None:
         """Send what was sampled."""

@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 
 from can_rig.plant.frameless import frameless
+from can_rig.results.car_output import car_output
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.remembered import remembered
@@ -21,11 +22,19 @@ class Counterfactual(NamedTuple):
     dstar_mps2: FloatArray
     """As measured; not a number from where on a plant of one's own fails in this run too."""
     force_difference_n: FloatArray
+    car_mps2: FloatArray
+    """D* of the car, without what a faulty sensor makes of it; see ``car_output``."""
 
 
 def fault_free(scenario: Scenario, signals: Signals) -> Counterfactual:
     """The same run without its fault: same plant, table, frames and noise."""
     return _instead(scenario.healthy, signals)
+
+
+def without_fault(scenario: Scenario, at: int, signals: Signals) -> Counterfactual:
+    """The same run without one of its faults, by its number."""
+    others = scenario.faults[:at] + scenario.faults[at + 1 :]
+    return _instead(replace(scenario, fault=others), signals)
 
 
 def noise_free(scenario: Scenario, signals: Signals) -> Counterfactual:
@@ -42,16 +51,16 @@ def uncompensated(scenario: Scenario, signals: Signals) -> Counterfactual:
 
 def _instead(scenario: Scenario, signals: Signals) -> Counterfactual:
     if not len(signals):
-        return Counterfactual(np.empty(0), np.empty(0))
+        return Counterfactual(np.empty(0), np.empty(0), np.empty(0))
     first = round(float(signals.time_s[0]) / scenario.tick_s)
     ticks = first + len(signals)
     as_long = replace(scenario, duration_s=max(scenario.duration_s, ticks * scenario.tick_s))
-    measured, force = _driven(as_long)
-    return Counterfactual(measured[first:ticks], force[first:ticks])
+    return Counterfactual(*(values[first:ticks] for values in _driven(as_long)))
 
 
-@remembered(2)
+@remembered(4)
 def _driven(scenario: Scenario) -> Counterfactual:
     trace = frameless(scenario, network_of(scenario))
     force = np.where(np.isnan(trace.measured), np.nan, trace.command_2)
-    return Counterfactual(trace.measured, force)
+    car = car_output(scenario, trace.measured, trace.measurement)
+    return Counterfactual(trace.measured, force, car)

@@ -16,6 +16,7 @@ from can_rig.errors import LogError, RunFolderError
 from can_rig.files import atomic
 from can_rig.frames.network import Network
 from can_rig.nodes.summary import RunColumns
+from can_rig.results.fault_metrics import fault_metrics
 from can_rig.results.metrics import Metrics, metrics
 from can_rig.results.signals import Signals, read_signals, signals_of_columns
 from can_rig.scenario.settings import Scenario
@@ -43,6 +44,8 @@ class Outcome:
     wall_s: float = 0.0
     rejected_frames: dict[str, dict[str, int]] = field(default_factory=dict)
     bus_events: dict[str, dict[str, int]] = field(default_factory=dict)
+    faults: list[dict[str, Any]] = field(default_factory=list)
+    """What each fault did, from the log."""
     realtime: dict[str, Any] | None = None
     """Of a real-time run; empty where it ended without figures."""
 
@@ -155,6 +158,7 @@ def finish(
     else:
         signals = signals_of_columns(columns, network, scenario.tick_s, folder / LOG)
     values = metrics(scenario, signals)
+    outcome.faults = fault_metrics(scenario, signals)
     summary: dict[str, Any] = {
         "scenario": (recorded or scenario).as_dict(),
         "seed": scenario.seed,
