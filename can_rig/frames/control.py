@@ -76,7 +76,7 @@ def places() -> tuple[str, ...]:
 
 
 def _choices(signal: str) -> dict[int, str]:
-    found = _message("RIG_CONTROL").get_signal_by_name(signal).choices or {}
+    found: Mapping[int, object] = _message("RIG_CONTROL").get_signal_by_name(signal).choices or {}
     return {int(number): str(word) for number, word in found.items()}
 
 

@@ -33,6 +33,7 @@ class PlantEnd:
         send: sends a frame.
         log: gets every frame that is sent; None records nothing.
         reports: gets what the plant reports of every tick; None records nothing.
+        changing: whether the plant's faults may change while the run goes on.
 
     Raises:
         ScenarioError: a reference that does not fit its frame, a plant that is none.
@@ -45,8 +46,11 @@ class PlantEnd:
         send: Send,
         log: Log | None,
         reports: PlantRecorder | None = None,
+        changing: bool = False,
     ) -> None:
-        self.plant: Final = SimulatedPlant(scenario)
+        self.plant: Final = SimulatedPlant(scenario, changing)
+        self.reference_offset = 0.0
+        """Added to the scenario's reference, m/s²."""
         self._reference = on_the_bus(scenario, network)
         self._send = send
         self._log = log
@@ -63,7 +67,7 @@ class PlantEnd:
 
     def sample(self, tick: int) -> None:
         """Measure D* of ``tick`` and pack its frames."""
-        reference = self._send_reference.frame(self._reference[tick], tick)
+        reference = self._send_reference.frame(self._reference[tick] + self.reference_offset, tick)
         own = self._send_feedback.frame(self.plant.measure(), tick)
         feedback = [own]
         if self._faults.concerns(SENSOR_PLACE):

@@ -74,7 +74,7 @@ async def _step(panel: Panel, order: Order) -> None:
 
 
 async def _save(panel: Panel, order: Order) -> None:
-    path = save(panel.session, panel.events, str(order["name"]))
+    path = save(panel.session, str(order["name"]))
     panel.viewers.offer(f'{{"saved": "{path.name}"}}')
 
 

@@ -7,10 +7,8 @@ import json
 import os
 import signal
 import sys
-import time
 from contextlib import ExitStack, suppress
 from dataclasses import dataclass, field
-from pathlib import Path
 from typing import Any, Final
 
 import can
@@ -121,15 +119,12 @@ class Session:
             self._opened.send(message)
         except can.CanError as error:
             raise RigError(f"bus {self.bus}: {error}") from error
-        self.live.state = state._replace(next_sequence=(state.next_sequence + 1) % control.SEQUENCES)
+        self.live.state = state._replace(
+            next_sequence=(state.next_sequence + 1) % control.SEQUENCES
+        )
         self.live.commands.append(command)  # a bus does not hand a node its own frames
 
 
 def new_bus() -> str:
     """A local bus of this start."""
     return f"local:panel-{os.getpid()}"
-
-
-def run_folder(name: str) -> Path:
-    """Where a run that the panel starts goes."""
-    return Path("runs") / f"{Path(name).stem}-{time.strftime('%Y%m%d-%H%M%S')}"

@@ -11,7 +11,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from can_rig.scenario.fault_settings import CHANNELS, PLACES, FaultSettings
+from can_rig.scenario.fault_settings import CHANNELS, MAX_LATE_TICKS, PLACES, FaultSettings
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.hardware import (
     ADDED,
@@ -159,15 +159,26 @@ HEALTHY_NOW: Final = Now((1.0, 1.0), 0.0, None)
 
 
 class FaultsByTick:
-    """``PlantFaults``, a tick at a time: worked out for many ticks at once."""
+    """``PlantFaults``, a tick at a time: worked out for many ticks at once.
 
-    def __init__(self, scenario: Scenario) -> None:
+    Args:
+        scenario: whose faults they are.
+        changing: whether they may change while the run goes on.
+    """
+
+    def __init__(self, scenario: Scenario, changing: bool = False) -> None:
         self._faults = PlantFaults(scenario)
-        self._any = any(not fault.acts_on_frames for fault in scenario.faults)
+        self._changing = changing
+        self._any = changing or any(not fault.acts_on_frames for fault in scenario.faults)
         self._block: list[Now] = []
         self._first = 0
-        self.latest_ticks: Final = self._faults.latest_ticks
+        self.latest_ticks: Final = MAX_LATE_TICKS if changing else self._faults.latest_ticks
         """See ``PlantFaults``."""
+
+    def change(self, scenario: Scenario) -> None:
+        """From the next tick that is asked for on, the faults of ``scenario``."""
+        self._faults = PlantFaults(scenario)
+        self._block = []
 
     def at(self, tick: int) -> Now:
         """Those of ``tick``."""
@@ -178,6 +189,8 @@ class FaultsByTick:
             self._first, place = tick, 0
             ticks = range(tick, tick + BLOCK_TICKS)
             rows = self._faults.rows(ticks)
+            if self._changing and not len(rows):  # who may be late later on needs what was before
+                rows = np.tile(HEALTHY, (len(ticks), len(PLACES), 1))
             self._block = [
                 Now(left, bias, row)
                 for left, bias, row in zip(

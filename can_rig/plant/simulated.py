@@ -20,16 +20,20 @@ from firmware_model.target.structs import FloatArray
 class SimulatedPlant:
     """The car: two actuators, a latency line, a plant that commands are held for, a noisy sensor.
 
+    Args:
+        scenario: the run.
+        changing: whether ``change_faults`` may be called.
+
     Raises:
         ScenarioError: see ``plant_behind``.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, changing: bool = False) -> None:
         hold_ticks = round(scenario.actuator.hold_s / scenario.tick_s)
         self._plant = plant_behind(scenario.plant, scenario.tick_s)
         self._tick = 0
         self._read = 0.0  # at rest
-        self._faults = FaultsByTick(scenario)
+        self._faults = FaultsByTick(scenario, changing)
         self._actuators = (Actuator(hold_ticks), Actuator(hold_ticks))
         self._latency_ticks = scenario.latency_ticks
         at_once = 1 + self._faults.latest_ticks
@@ -40,12 +44,18 @@ class SimulatedPlant:
         self._limits = limits.tolist()
         self._is_limited = bool(np.isfinite(limits).any())
         self._reached = (0.0, 0.0)
+        self.applied = (0.0, 0.0)
+        """By both actuators in the last tick."""
         self._said = 0.0
         self._noise = SensorNoise(scenario)
         self._resolution = scenario.plant.sensor.resolution_mps2
         # Compile before the first tick needs it.
         sensor_reading(0.0, 0.0, 0.0, self._resolution)
         limited(0.0, 0.0, *self._limits[0])
+
+    def change_faults(self, scenario: Scenario) -> None:
+        """From this tick on, which has not been measured yet, the faults of ``scenario``."""
+        self._faults.change(scenario)
 
     def measure(self) -> float:
         """D* as the sensor reads it now, m/s²."""
@@ -83,6 +93,7 @@ class SimulatedPlant:
             reached_1 = float(limited(reached_1, self._reached[0], *self._limits[0]))
             reached_2 = float(limited(reached_2, self._reached[1], *self._limits[1]))
         self._reached = reached_1, reached_2
+        self.applied = reached_1 * now.left[0], reached_2 * now.left[1]
         signals = self._plant.report(reached_1, reached_2, *now.left)
         _, self._read = self._plant.follow(reached_1, reached_2, *now.left)
         return signals

@@ -113,14 +113,24 @@ def changed(file: Written, settings: Iterable[str] = ()) -> Draft:
     Raises:
         ScenarioError: an unknown key, a bad value.
     """
-    values = copy.deepcopy(file.values)
-    for setting in settings:
-        change(values, setting)
+    values = with_changes(file, settings)
     if "name" in values:
         raise ScenarioError(
             f"scenario {file.given}: name: unknown key; a scenario is named by its file"
         )
     return draft(file.name, values)
+
+
+def with_changes(file: Written, settings: Iterable[str] = ()) -> dict[str, Any]:
+    """What is written, with ``KEY=VALUE`` changes, before its keys are looked at.
+
+    Raises:
+        ScenarioError: a change that is none.
+    """
+    values = copy.deepcopy(file.values)
+    for setting in settings:
+        change(values, setting)
+    return values
 
 
 def of_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Draft:
