@@ -19,6 +19,7 @@ from can_rig.nodes.lockstep.chosen import in_real_time, lockstep_controller
 from can_rig.nodes.lockstep.controller_node import ControllerNode
 from can_rig.nodes.lockstep.ecu_node import EcuNode
 from can_rig.nodes.lockstep.interaction import UNTOUCHED, Interaction
+from can_rig.nodes.lockstep.operated_bus import OperatedBus
 from can_rig.nodes.lockstep.plant_node import PlantNode
 from can_rig.nodes.progress import OnTick, Pace
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode, warm_up
@@ -164,15 +165,18 @@ def run_in_process(
         PlantRecorder(log) as reports,
         ExitStack() as stack,
     ):
+        heard: NodeBus = plant_bus
+        if interaction.told:
+            heard = OperatedBus(plant_bus, network, interaction.told)
         plant_access, controller_access = (
-            _access(bus, False, timeouts, clock) for bus in (plant_bus, controller_bus)
+            _access(bus, False, timeouts, clock) for bus in (heard, controller_bus)
         )
         plant = PlantNode(scenario, network, plant_access.send, recorder, reports, interaction)
         controller_node = stack.enter_context(
             lockstep_controller(scenario, network, controller_access.send, controller)
         )
         never = StopRequest()  # a stop is read between ticks here, so that none is cut short
-        to_plant = Watchdog(plant_bus, "controller", timeouts, never, clock=clock)
+        to_plant = Watchdog(heard, "controller", timeouts, never, clock=clock)
         to_controller = Watchdog(controller_bus, "plant", timeouts, never, clock=clock)
         with without_garbage_pauses():
             start_ns = clock.now_ns()

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
+from can_rig.nodes.lockstep.operated_bus import Touch
+
 
 @dataclass(frozen=True)
 class Interaction:
@@ -14,8 +16,13 @@ class Interaction:
     """Whether ``RIG_CONTROL`` is obeyed; otherwise it is counted and refused."""
     pace: float = 0.0
     """Times real time that lockstep is held to; 0: as fast as it can."""
-    replayed: bool = False
-    """Whether the commands are those of a log, so that nobody waits between them."""
+    told: tuple[Touch, ...] = ()
+    """Commands of a log: they come where they came, and nobody waits between them."""
+
+    @property
+    def replayed(self) -> bool:
+        """Whether the commands are those of a log."""
+        return bool(self.told)
 
 
 UNTOUCHED: Final = Interaction()

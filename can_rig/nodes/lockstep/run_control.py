@@ -136,7 +136,8 @@ class RunControl:
         elif value is None or (value < 0.0 and command.action != "MOVE_REFERENCE"):
             return False
         elif command.action == "MOVE_REFERENCE":
-            self._end.reference_offset = value
+            if not self._interaction.replayed:  # the reference of a log has been moved already
+                self._end.reference_offset = value
         elif command.action == "PACE":
             self._pace, self._paused = value, False
             self._due_ns = self._clock.now_ns()
