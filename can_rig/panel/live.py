@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import math
 import time
+from bisect import bisect_right
 from collections import Counter, deque
 from dataclasses import asdict, dataclass, field
 from typing import Any, Final
@@ -28,7 +30,10 @@ COLUMNS: Final = (
 SILENT_S: Final = 0.5
 """After which a node that has spoken is called silent."""
 
-ENDS: Final = {"plant": ("reference", "feedback"), "controller": ("command_1", "status")}
+ENDS: Final = {
+    "plant": ("reference", "feedback"),
+    "controller": ("command_1", "command_2", "status"),
+}
 """By which frames a node is heard."""
 
 OUTPUT, COMMAND_1, COMMAND_2, MODE, FAULT_STATE = (
@@ -67,12 +72,26 @@ class Frames(can.Listener):
     """What python-can's thread hands over, and what the bus says beside frames."""
 
     def __init__(self) -> None:
-        self.waiting: deque[can.Message] = deque()
+        self._waiting: deque[can.Message] = deque()
+        self._held: list[can.Message] = []
         self.errors: Counter[str] = Counter()
 
     def on_message_received(self, msg: can.Message) -> None:
         """Keep a frame until the next update."""
-        self.waiting.append(msg)
+        self._waiting.append(msg)
+
+    def in_order(self) -> list[can.Message]:
+        """The frames until the newest of the last call, in the order of their time stamps.
+
+        A listener that lags gets those of one node late, behind newer ones of the other.
+        """
+        until_s = self._held[-1].timestamp if self._held else -math.inf
+        for _ in range(len(self._waiting)):
+            self._held.append(self._waiting.popleft())
+        self._held.sort(key=lambda message: message.timestamp)
+        split = bisect_right(self._held, until_s, key=lambda message: message.timestamp)
+        ready, self._held = self._held[:split], self._held[split:]
+        return ready
 
     def on_error(self, exc: Exception) -> None:
         """Count what the bus said; without this python-can ends its thread with a traceback."""
@@ -112,8 +131,7 @@ class LiveSignals:
         """The rows (n, columns) for the screen that are complete since the last call."""
         now_s = time.monotonic()
         bits = 0
-        while self.frames.waiting:
-            message = self.frames.waiting.popleft()
+        for message in self.frames.in_order():
             bits += self._length(message)
             self._take(message, now_s)
         first = self._rows.first_tick

@@ -5,7 +5,7 @@ from __future__ import annotations
 import re
 from dataclasses import asdict
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import tomli_w
 
@@ -16,6 +16,7 @@ from can_rig.results.run_folder import LOG
 from can_rig.results.signals import Signals, read_signals
 from can_rig.results.source import source_of
 from can_rig.scenario.build import network_of
+from can_rig.scenario.fault_settings import FaultSettings
 from can_rig.scenario.loading import with_changes, written
 
 NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
@@ -40,10 +41,7 @@ def save(session: Session, name: str) -> Path:
     network = network_of(source.scenario)
     what = done(source.scenario, touches(source.frames(), network))
     values = with_changes(written(session.name), session.settings)
-    values["fault"] = [
-        {key: value for key, value in asdict(fault).items() if value is not None}
-        for fault in what.scenario.faults
-    ]
+    values["fault"] = [_keys(fault) for fault in what.scenario.faults]
     try:
         if what.moved:
             reference = path.with_suffix(".csv")
@@ -58,6 +56,13 @@ def save(session: Session, name: str) -> Path:
     except OSError as error:
         raise RigError(f"{path}: cannot be written: {error.strerror}") from None
     return path
+
+
+def _keys(fault: FaultSettings) -> dict[str, Any]:
+    """What a scenario must say of ``fault``."""
+    usual = asdict(FaultSettings())
+    its = {key: value for key, value in asdict(fault).items() if value != usual[key]}
+    return {"kind": fault.kind, "at_s": fault.at_s, **its}
 
 
 def _write_reference(path: Path, signals: Signals) -> None:

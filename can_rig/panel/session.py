@@ -20,7 +20,7 @@ from can_rig.panel.live import LiveSignals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 
-ENDS_WITHIN_S: Final = 8.0
+ENDS_WITHIN_S: Final = 60.0
 """A run that is stopped completes its folder."""
 
 MOST_LINES: Final = 12

@@ -30,12 +30,12 @@ NUMBER: Final = {
 """Of each kind that can be injected, the key of its one number."""
 
 
-def injected(command: Command, tick: int, tick_s: float) -> FaultSettings | None:
+def injected(command: Command, tick: int, tick_ns: int) -> FaultSettings | None:
     """The fault that ``command`` asks for, from ``tick`` on; None if there is none such."""
     key = NUMBER.get(command.kind or "")
     if key is None:
         return None
-    values: dict[str, object] = {"kind": command.kind, "at_s": tick * tick_s}
+    values: dict[str, object] = {"kind": command.kind, "at_s": tick * tick_ns / 1e9}
     if command.place in CHANNELS:
         values["channel"] = command.place
     elif not str(command.kind).startswith("sensor-"):
@@ -48,7 +48,7 @@ def injected(command: Command, tick: int, tick_s: float) -> FaultSettings | None
         fault = FaultSettings(**values)  # type: ignore[arg-type]
     except ValidationError:
         return None
-    return fault if fault.late_ticks <= MAX_LATE_TICKS else None
+    return fault
 
 
 class Injection:
@@ -60,7 +60,7 @@ class Injection:
 
     def inject(self, command: Command, tick: int) -> bool:
         """Add a fault from ``tick`` on; whether there is such a one, and room for it."""
-        fault = injected(command, tick, self.scenario.tick_s)
+        fault = injected(command, tick, self.scenario.tick_ns)
         if fault is None:
             return False
         faults = (*self.scenario.faults, fault)
@@ -80,5 +80,5 @@ class Injection:
             if place not in (ALL, fault.place) or end_ns <= now_ns or fault.acts_on_frames:
                 faults.append(fault)
             elif begin_ns < now_ns:
-                faults.append(replace(fault, for_s=(now_ns - begin_ns) * 1e-9))
+                faults.append(replace(fault, for_s=(now_ns - begin_ns) / 1e9))
         self.scenario = replace(scenario, fault=tuple(faults))

@@ -45,7 +45,7 @@ function stateShade(u) { // where the decision suspects or has confirmed a loss
   ctx.restore();
 }
 
-function size() { return { width: $("charts").clientWidth, height: Math.max(110, (window.innerHeight - 90) / PANELS.length - 52) }; }
+function size() { return { width: $("charts").clientWidth, height: Math.max(110, (window.innerHeight - 90) / PANELS.length - 46) }; }
 
 function makeCharts() {
   for (const { plot } of charts) plot.destroy();
@@ -55,8 +55,8 @@ function makeCharts() {
     const last = panel === PANELS[PANELS.length - 1];
     const plot = new uPlot({
       ...size(), title: panel.title(signal) + unit, cursor: { sync: { key: "time" }, drag: { x: true, y: false } },
-      legend: { live: true }, scales: { x: { time: false } }, hooks: { drawClear: [stateShade] },
-      axes: [{ stroke: ink, grid, label: last ? "time in s" : undefined, labelSize: 18, size: last ? 30 : 22 }, { stroke: ink, grid, size: 64 }],
+      legend: { show: panel.curves.length > 1 }, scales: { x: { time: false } }, hooks: { drawClear: [stateShade] },
+      axes: [{ stroke: ink, grid, label: last ? "time in s" : undefined, labelSize: 18, size: last ? 30 : 8, values: last ? undefined : (u, ticks) => ticks.map(() => "") }, { stroke: ink, grid, size: 64 }],
       series: [{ label: "t" }, ...panel.curves.map(([name, colour, dash, label]) => ({
         label: label || (name === "output" ? signal.name : name), stroke: COLOURS[colour],
         width: name.startsWith("command") ? 2.5 : 1.4, dash: dash || undefined, spanGaps: false, points: { show: false } }))],
@@ -109,7 +109,7 @@ function showLamps(run) {
     { confirmed: "warn", suspected: "warn", clear: "good" }[state] || "off");
   lamp("silent", l.silent.length && on ? `${l.silent.join(", ")} silent` : "both nodes heard", l.silent.length && on ? "warn" : on ? "good" : "off");
   lamp("unanswered", `${l.unanswered_ticks} ticks without commands`, l.unanswered_ticks ? "warn" : "");
-  lamp("load", l.bus_load === null ? "bus load –" : `bus load ${(100 * l.bus_load).toFixed(0)} %`, l.bus_load > 0.8 ? "warn" : "");
+  lamp("load", l.bus_load === null ? "bus load –" : `bus load ${(100 * l.bus_load).toFixed(0)} %`, l.bus_load > 0.9 ? "warn" : "");
   lamp("rate", `${l.time_s.toFixed(1)} s, ${(l.ticks_per_s * hello.tick_s).toFixed(2)} × real time`, "");
   $("pace").textContent = !l.injectable ? "the plant node obeys no commands" : l.paused ? "paused" : l.pace ? `held to ${l.pace} × real time` : "as fast as it can";
   $("pause").textContent = l.paused ? "Go on" : "Pause";
