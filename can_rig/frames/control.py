@@ -21,6 +21,10 @@ SEQUENCES: Final = 255
 ALL: Final = "all"
 """In place of a place."""
 
+SHORTEST_S: Final = 0.1
+LONGEST_S: Final = 25.5
+"""Of a fault that ends by itself."""
+
 Action = Literal["INJECT", "CLEAR", "MOVE_REFERENCE", "PACE", "PAUSE", "STEP"]
 
 
@@ -92,7 +96,9 @@ def command_message(command: Command, sequence: int) -> Message:
         "Kind": command.kind or 0,
         "Place": command.place,
         "HasValue": command.value is not None,
-        "Duration": min(command.duration_s or 0.0, 25.5),
+        "Duration": 0.0
+        if command.duration_s is None
+        else min(max(command.duration_s, SHORTEST_S), LONGEST_S),
         "Value": min(max(command.value or 0.0, low), high),
     }
     return _protected("RIG_CONTROL", data, sequence % COUNTERS)

@@ -11,7 +11,8 @@ from aiohttp import web
 from can_rig.assessment.resolve import load
 from can_rig.errors import BusError, one_line
 from can_rig.panel.access import NAMES, Access
-from can_rig.panel.server import Panel
+from can_rig.panel.screen import Screen
+from can_rig.panel.server import Server
 from can_rig.panel.session import Session, new_bus
 from can_rig.scenario.settings import Scenario
 
@@ -60,13 +61,13 @@ def serve(shown: Shown, say: Callable[..., None]) -> None:
     names = shown.scenarios
     if names and shown.name not in names:
         names = [shown.name, *names]
-    panel = Panel(session, access, names, opened)
+    server = Server(Screen(session, names, opened), access)
     if shown.sends:
         say(f"to watch and touch  {access.url(access.control)}")
     say(f"to watch only       {access.url(access.view)}")
 
     async def application() -> web.Application:
-        return panel.application()
+        return server.application()
 
     web.run_app(application(), sock=listening, print=None, access_log=None, handle_signals=True)
 

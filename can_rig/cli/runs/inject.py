@@ -5,7 +5,7 @@ from __future__ import annotations
 import click
 
 from can_rig.buses.bus import open_bus
-from can_rig.cli.options import above_zero, bus_option
+from can_rig.cli.options import bus_option
 from can_rig.cli.output import say
 from can_rig.frames import control
 from can_rig.nodes.operating import operate
@@ -32,10 +32,10 @@ def _kinds(place: str) -> dict[str, str]:
 @click.option(
     "--for",
     "for_s",
-    type=float,
-    callback=above_zero,
+    type=click.FloatRange(control.SHORTEST_S, control.LONGEST_S),
     metavar="S",
-    help="Seconds that a fault lasts, 25.5 at most.  [default: until it is cleared]",
+    help=f"Seconds that a fault lasts, {control.SHORTEST_S:g} to {control.LONGEST_S:g}.  "
+    "[default: until it is cleared]",
 )
 @click.option("--value", type=float, help="The fault's one number, in the unit of what fails.")
 def command(what: str, how: str | None, bus: str, for_s: float | None, value: float | None) -> None:

@@ -45,7 +45,7 @@ class OperatedBus:
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """The next command, where its turn has come; otherwise as the bus."""
-        if self._told and self._told[0].after == self._frames:
+        if self._told and self._told[0].after <= self._frames:
             return self._told.popleft().message
         if timeout == 0.0:
             return None  # between two ticks nothing else comes
