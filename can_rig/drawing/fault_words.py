@@ -13,6 +13,8 @@ HOW: Final = {
     "frames-missing": "lost",
     "frames-corrupted": "lost",
     "sensor-biased": "biased",
+    "actuator-drift": "drifting",
+    "sensor-drift": "drifting",
 }
 """Where that is not the last part of the kind."""
 

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.results.fault_metrics import fault_metrics
+from can_rig.results.fault_metrics import fault_metrics, fault_rows
 from can_rig.results.metrics import metrics, output_of_car
 from can_rig.results.without_log import signals_without_log
 from tests.rig.results.quiet import quiet
@@ -69,3 +69,14 @@ def test_a_fault_after_the_end_has_no_figures() -> None:
     assert {key: value for key, value in none.items() if value is not None} == {
         key: value for key, value in what.items() if value is not None
     }
+
+
+def test_the_closing_table_has_a_line_for_each_of_several_faults() -> None:
+    scenario = load("ideal", BOTH)
+    faults = fault_metrics(scenario, signals_without_log(scenario))
+    dead, stuck = fault_rows(scenario, faults)
+    assert dead[0] == "steering torque lost from 2 s to 3.5 s (actuator dead)"
+    assert dead[1].endswith(f"m/s², confirmed after {faults[0]['detection_delay_s']:g} s")
+    assert stuck[0] == "D* stuck at 0.3 m/s² from 4 s to 4.5 s (sensor stuck)"
+    assert stuck[1] == f"deviation up to {faults[1]['deviation_peak_mps2']:.4g} m/s²"
+    assert fault_rows(load("ideal"), faults[:1]) == []
