@@ -19,8 +19,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from can_rig.scenario.build import continuous_plant, target
-from can_rig.scenario.fault_settings import CHANNELS, FaultSettings
 from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.fault import CHANNELS, FaultSettings
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.target.structs import FloatArray
 

@@ -9,7 +9,7 @@ from typing import Final
 from can_rig.frames.endpoints import Receiver, Transmitter
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import Send
-from can_rig.plant.frame_faults import FrameFaults
+from can_rig.plant.faults.frame_faults import FrameFaults
 from can_rig.scenario.build import controller_table
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, Firmware, Law

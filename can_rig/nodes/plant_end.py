@@ -14,7 +14,7 @@ from can_rig.frames.wire_tick import ticks_ahead
 from can_rig.nodes.bus_access import Send
 from can_rig.nodes.recording.plant_recorder import PlantRecorder
 from can_rig.nodes.recording.recorder import Log
-from can_rig.plant.frame_faults import SENSOR_PLACE, FrameFaults
+from can_rig.plant.faults.frame_faults import SENSOR_PLACE, FrameFaults
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.reference import on_the_bus
 from can_rig.scenario.settings import Scenario

@@ -14,13 +14,13 @@ from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
 from can_rig.plant.actuators import actuator_limits
 from can_rig.plant.behind import LinearBehind, PlantBehind, plant_behind
-from can_rig.plant.delivery import Delivery, delivery
-from can_rig.plant.faults import PlantFaults
+from can_rig.plant.faults.delivery import Delivery, delivery
+from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.plant.sensor import noise
 from can_rig.scenario.build import controller_table
-from can_rig.scenario.fault_settings import PLACES
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.fault import PLACES
 from firmware_model.analysis.hardware import BY, HEALTHY, REPLACED
 from firmware_model.analysis.sampled_plant import SampledPlant
 from firmware_model.analysis.simulation import AnyPlant, Simulation, Trace

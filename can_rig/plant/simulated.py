@@ -10,7 +10,7 @@ import numpy as np
 
 from can_rig.plant.actuators import Actuator, actuator_limits
 from can_rig.plant.behind import plant_behind
-from can_rig.plant.faults import FaultsByTick
+from can_rig.plant.faults.plant_faults import FaultsByTick
 from can_rig.plant.sensor import SensorNoise
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.hardware import LATE, SENSOR, distorted, limited, sensor_reading

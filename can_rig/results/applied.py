@@ -8,7 +8,7 @@ import numpy as np
 
 from can_rig.plant.actuators import Actuator
 from can_rig.plant.columns import APPLIED
-from can_rig.plant.faults import PlantFaults
+from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.results.signals import Signals
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.hardware import LATE, distorted

@@ -6,13 +6,15 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from can_rig.plant.faults.plant_faults import DISTORTING, PlantFaults
 from can_rig.plant.frameless import frameless
-from can_rig.results.car_output import car_output
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.fault import SENSOR
 from firmware_model.target.structs import FloatArray
 
 
@@ -64,3 +66,27 @@ def _driven(scenario: Scenario) -> Counterfactual:
     force = np.where(np.isnan(trace.measured), np.nan, trace.command_2)
     car = car_output(scenario, trace.measured, trace.measurement)
     return Counterfactual(trace.measured, force, car)
+
+
+def car_output(
+    scenario: Scenario, measured: FloatArray, true_output: FloatArray | None, first: int = 0
+) -> FloatArray:
+    """(ticks,), ``measured`` D* without what a faulty sensor makes of it, m/s².
+
+    What is added to it is taken off. Where a fault does more, it is the car's own output, without
+    noise and resolution; nan where that is not known.
+
+    Args:
+        scenario: the run.
+        measured: (ticks,), D* as the controller got it.
+        true_output: (ticks,), the car's own; None: not known.
+        first: the first of these ticks.
+    """
+    ticks = range(first, first + len(measured))
+    output = measured - PlantFaults(scenario).bias(ticks)
+    hidden: NDArray[np.bool_] = np.zeros(len(measured), dtype=np.bool_)
+    for fault in scenario.faults:
+        if fault.place == SENSOR and (fault.acts_on_frames or fault.kind in DISTORTING):
+            its = fault.ticks(scenario.tick_ns, ticks)
+            hidden[np.array(its, dtype=np.int64) - first] = True
+    return np.where(hidden, np.nan if true_output is None else true_output, output)

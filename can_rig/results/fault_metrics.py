@@ -7,6 +7,8 @@ from typing import Any, Final
 
 import numpy as np
 
+from can_rig.drawing.fault_words import fault_in_words
+from can_rig.drawing.names import names_of, with_unit
 from can_rig.results.counterfactual import without_fault
 from can_rig.results.loss_metrics import decision_metrics, unavoidable_deviation
 from can_rig.results.metrics import deviation_from, peak_of, signed_error, windows
@@ -24,6 +26,25 @@ def fault_metrics(scenario: Scenario, signals: Signals) -> list[dict[str, Any]]:
     both. ``settled`` is the end of its time, or of the run, as in ``metrics``.
     """
     return [_of(scenario, signals, at) for at in range(len(scenario.faults))]
+
+
+def fault_rows(scenario: Scenario, faults: list[dict[str, Any]]) -> list[tuple[str, str]]:
+    """A line of the closing table for each of several faults, label and text."""
+    if len(faults) < 2:
+        return []
+    names = names_of(scenario.plant)
+    end_s = scenario.ticks * scenario.tick_s
+    return [
+        (fault_in_words(fault, names, end_s), _said(values, names.output.unit))
+        for fault, values in zip(scenario.faults, faults, strict=True)
+    ]
+
+
+def _said(values: dict[str, Any], unit: str) -> str:
+    peak, delay_s = values["deviation_peak_mps2"], values["detection_delay_s"]
+    parts = [] if peak is None else [f"deviation up to {with_unit(f'{peak:.4g}', unit)}"]
+    parts += [] if delay_s is None else [f"confirmed after {delay_s:.4g} s"]
+    return ", ".join(parts) or "nothing"
 
 
 def _of(scenario: Scenario, signals: Signals, at: int) -> dict[str, Any]:

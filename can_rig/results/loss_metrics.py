@@ -7,8 +7,8 @@ from numpy.typing import NDArray
 
 from can_rig.assessment.unavoidable import Unavoidable, unavoidable
 from can_rig.results.signals import Signals
-from can_rig.scenario.fault_settings import CHANNELS, FaultSettings
 from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.fault import CHANNELS, FaultSettings
 from firmware_model.discretisation.targets import HOUR_S
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray

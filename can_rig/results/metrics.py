@@ -11,14 +11,13 @@ from numpy.typing import NDArray
 from can_rig.assessment.control_authority import control_authority
 from can_rig.drawing.names import names_of
 from can_rig.plant.columns import TRUE_OUTPUT
-from can_rig.results.car_output import car_output
-from can_rig.results.counterfactual import Counterfactual, fault_free, noise_free
+from can_rig.results.counterfactual import Counterfactual, car_output, fault_free, noise_free
 from can_rig.results.loss_metrics import decision_metrics, unavoidable_deviation
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of
-from can_rig.scenario.fault_settings import CHANNELS
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.fault import CHANNELS
 from firmware_model.target.structs import FloatArray
 
 Metrics = dict[str, float | bool | None]

@@ -21,7 +21,8 @@ from can_rig.results.metrics import Metrics, metrics
 from can_rig.results.signals import Signals, read_signals, signals_of_columns
 from can_rig.scenario.settings import Scenario
 
-LOG, SIGNALS, SUMMARY, REPORT = "bus.log", "signals.csv", "run.json", "report.png"
+LOG, SIGNALS, SUMMARY = "bus.log", "signals.csv", "run.json"
+REPORT, PAGE = "report.png", "report.html"
 PACKAGES = (
     "fault-tolerant-steering",
     "numpy",
@@ -138,7 +139,7 @@ def finish(
     report: bool = True,
     columns: RunColumns | None = None,
 ) -> Metrics:
-    """Write ``signals.csv``, ``run.json`` and ``report.png`` from the log, however it ended.
+    """Write ``signals.csv``, ``run.json`` and both reports from the log, however it ended.
 
     Args:
         folder: has ``bus.log``.
@@ -146,7 +147,7 @@ def finish(
         network: its frames.
         outcome: how it went.
         recorded: the scenario for ``run.json``, where its paths will be others; None: what ran.
-        report: draw ``report.png``.
+        report: draw ``report.png`` and ``report.html``.
         columns: what the log says, of a run without a bus; None: it is read.
 
     Raises:
@@ -180,10 +181,15 @@ def finish(
         with atomic(folder / SIGNALS) as part:
             signals.write_csv(part)
         if report:
-            from can_rig.results.report.page import draw_report  # noqa: PLC0415 (matplotlib, when nodes are done)
+            # matplotlib, when the nodes are done
+            from can_rig.results.report.page import draw_report  # noqa: PLC0415
+            from can_rig.results.report.web_page import web_page  # noqa: PLC0415
 
             with atomic(folder / REPORT) as part:
                 draw_report(part, scenario, network, signals, outcome.realtime)
+            with atomic(folder / PAGE) as part:
+                text = web_page(scenario, network, signals, values, outcome.faults)
+                part.write_text(text, encoding="utf-8")
     except LogError as error:
         raise RunFolderError(f"{error}; what was recorded is in {folder / LOG}") from None
     return values

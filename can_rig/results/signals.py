@@ -21,7 +21,7 @@ from can_rig.logs.plant_signals import PlantSignals, read_plant_signals
 from can_rig.logs.reading import read_log
 from can_rig.nodes.summary import RunColumns
 from can_rig.plant.columns import ON_THE_BUS
-from can_rig.plant.delivery import Delivery
+from can_rig.plant.faults.delivery import Delivery
 from firmware_model.analysis.simulation import Trace
 from firmware_model.target.structs import FloatArray
 

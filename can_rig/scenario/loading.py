@@ -21,10 +21,10 @@ from pydantic import TypeAdapter, ValidationError
 
 from can_rig.errors import ScenarioError
 from can_rig.scenario.catalogue import shipped
-from can_rig.scenario.changes import FAULT, change
 from can_rig.scenario.plant_settings import CAR, NUMBERS, SIGNALS
 from can_rig.scenario.refusal import refusal
 from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.changes import FAULT, change
 from can_rig.scenario.tables.numbers import FACTORED, POLYNOMIAL
 
 FROM_BUS: Final = ("latency_ticks", "from-bus")

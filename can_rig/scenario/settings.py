@@ -1,7 +1,7 @@
 """The settings of a scenario: every key, its unit, its default and its bounds.
 
 Those of the plant are in ``plant_settings`` and ``stage_settings``, those of a fault in
-``fault_settings``. Constructing one with a value
+``tables.fault``. Constructing one with a value
 out of bounds raises pydantic's ``ValidationError``, of which ``loading`` makes a line that names
 the key.
 """
@@ -15,9 +15,9 @@ from typing import Annotated, Any, Literal
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat
 from pydantic.dataclasses import dataclass
 
-from can_rig.scenario.fault_settings import MAX_DURATION_S, SENSOR, FaultSettings, Moment
 from can_rig.scenario.plant_settings import BUILT_IN, SIGNALS, PlantSettings
 from can_rig.scenario.stage_settings import STRICT
+from can_rig.scenario.tables.fault import MAX_DURATION_S, SENSOR, FaultSettings, Moment
 from can_rig.scenario.tables.network import NetworkSettings
 from can_rig.scenario.tables.numbers import SignalSettings
 from firmware_model.discretisation.rules import Rule

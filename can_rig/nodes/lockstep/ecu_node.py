@@ -12,7 +12,7 @@ from can_rig.export.running.ecu import COUNTS, Ecu, rejected
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import Send
 from can_rig.nodes.lockstep.answering import AnsweringNode
-from can_rig.plant.frame_faults import FrameFaults
+from can_rig.plant.faults.frame_faults import FrameFaults
 from can_rig.scenario.settings import Scenario
 
 

@@ -13,7 +13,7 @@ from can_rig.nodes.clock import NS_PER_S, Clock
 from can_rig.nodes.lockstep.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.plant_end import PlantEnd
 from can_rig.nodes.watchdog import Watchdog
-from can_rig.plant.injection import Injection
+from can_rig.plant.faults.injection import Injection
 from can_rig.scenario.settings import Scenario
 
 TELL_EVERY_NS: Final = NS_PER_S // 20

@@ -21,7 +21,7 @@ from can_rig.nodes.recording.recorder import LogFile
 from can_rig.nodes.summary import NodeSummary, RunColumns
 from can_rig.nodes.watchdog import StopRequest
 from can_rig.plant.behind import LinearBehind, PlantBehind, plant_behind
-from can_rig.plant.delivery import delivery
+from can_rig.plant.faults.delivery import delivery
 from can_rig.plant.frameless import inputs_of, simulation
 from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.settings import Scenario

@@ -20,8 +20,8 @@ from can_rig.results.metrics import output_of_car, windows
 from can_rig.results.report.timing import draw_timing
 from can_rig.results.report.title import page_title
 from can_rig.results.signals import Signals
-from can_rig.scenario.fault_settings import SENSOR
 from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.fault import SENSOR
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray
 
@@ -63,10 +63,7 @@ def page(
         signals_part.subplots(5, 1, sharex=True, height_ratios=(1.25, 1, 1, 1, 1))
     )
     names, time_s = names_of(scenario.plant), signals.time_s
-    beside, label, distance = signals.reference_mps2, "reference", "|error|"
-    if not scenario.design.feedback:
-        beside = fault_free(scenario, signals).dstar_mps2
-        label, distance = "without the fault", "|deviation|"
+    beside, label, distance = compared_with(scenario, signals)
     for axis in axes:
         style.ruled(axis)
     _time_axis(axes, scenario, signals)
@@ -90,6 +87,13 @@ def page(
     return figure
 
 
+def compared_with(scenario: Scenario, signals: Signals) -> tuple[FloatArray, str, str]:
+    """What D* is drawn beside and what that is called, and what the distance between them is."""
+    if scenario.design.feedback:
+        return signals.reference_mps2, "reference", "|error|"
+    return fault_free(scenario, signals).dstar_mps2, "without the fault", "|deviation|"
+
+
 def _output_name(scenario: Scenario, names: Names) -> str:
     falsified = any(fault.place == SENSOR for fault in scenario.faults)
     return names.output.name + (" as measured" if falsified else "")
@@ -109,15 +113,15 @@ def _output(
     axis.plot(time_s, values, color=style.INK, lw=1.1, ls=style.DASHED, label=label)
     scales.include_zero(axis, signals.dstar_mps2)
     after = windows(scenario, signals).after
-    counterpart = _counterpart(scenario, names, signals) if after.any() else None
-    if counterpart is not None:
-        thin, label = counterpart
+    other = counterpart(scenario, names, signals) if after.any() else None
+    if other is not None:
+        thin, label = other
         scales.reach_for(axis, thin[after])
         axis.plot(time_s[after], thin[after], color=style.BLUE, lw=0.9, label=label)
     style.legend_above(axis, "left", raised=0.1)
 
 
-def _counterpart(
+def counterpart(
     scenario: Scenario, names: Names, signals: Signals
 ) -> tuple[FloatArray, str] | None:
     """What shows the point: the same run without compensation, or what a faulty sensor hides."""

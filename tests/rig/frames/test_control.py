@@ -7,7 +7,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from can_rig.frames import control
-from can_rig.plant.injection import NUMBER, injected
+from can_rig.plant.faults.injection import NUMBER, injected
 from tests.helpers import DBC
 
 DATABASE = cantools.database.load_file(DBC / "control.dbc", strict=True)

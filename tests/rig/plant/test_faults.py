@@ -8,7 +8,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
-from can_rig.plant.faults import FaultsByTick, PlantFaults
+from can_rig.plant.faults.plant_faults import FaultsByTick, PlantFaults
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import continuous_plant
 from can_rig.thesis.continuous import solve

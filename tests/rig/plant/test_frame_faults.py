@@ -7,7 +7,7 @@ from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
 from can_rig.frames.endpoints import Receiver, Transmitter
-from can_rig.plant.frame_faults import FrameFaults
+from can_rig.plant.faults.frame_faults import FrameFaults
 from can_rig.scenario.build import network_of
 
 CHANNELS = ["torque", "force-difference"]

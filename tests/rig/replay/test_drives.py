@@ -12,7 +12,7 @@ from can_rig.assessment.resolve import load
 from can_rig.logs.reading import read_log
 from can_rig.replay.replay import OpenLoop
 from can_rig.scenario.build import network_of
-from can_rig.scenario.fault_settings import CHANNELS
+from can_rig.scenario.tables.fault import CHANNELS
 
 FOLDER = Path(__file__).parents[2] / "drives"
 DRIVES: dict[str, dict[str, Any]] = tomllib.loads((FOLDER / "drives.toml").read_text("utf-8"))

@@ -48,7 +48,9 @@ OTHER = {
     "reference.kind": "sine", "reference.amplitude_mps2": 2.0,
     "reference.frequency_rad_per_s": 3.0, "reference.file": "r.csv",
     "fault.kind": "frames-missing", "fault.channel": "force-difference", "fault.at_s": 1.5,
-    "fault.for_s": 0.5, "fault.left": 0.5, "fault.bias_mps2": 0.2,
+    "fault.for_s": 0.5, "fault.left": 0.5, "fault.bias_mps2": 0.2, "fault.every": 3,
+    "fault.value": 1.0, "fault.offset": 2.0, "fault.drift_per_s": 3.0, "fault.amplitude": 4.0,
+    "fault.frequency_rad_per_s": 5.0, "fault.rate_per_s": 6.0, "fault.late_ticks": 7,
     **{
         f"plant.{actuator}.{key}": value
         for actuator in ("torque_actuator", "force_difference_actuator")

@@ -12,8 +12,8 @@ from can import Message
 from can_rig.frames.codec import MessageCodec
 from can_rig.frames.endpoints import Transmitter
 from can_rig.frames.network import Network
-from can_rig.scenario.fault_settings import PLACES, FaultSettings
 from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.fault import PLACES, FaultSettings
 
 SENSOR_PLACE: Final = 2
 """The number of the frame of D*, behind those of both commands."""

@@ -8,8 +8,8 @@ from typing import Final
 from pydantic import ValidationError
 
 from can_rig.frames.control import ALL, Command
-from can_rig.scenario.fault_settings import CHANNELS, MAX_LATE_TICKS, FaultSettings
 from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.fault import CHANNELS, MAX_LATE_TICKS, FaultSettings
 
 NUMBER: Final = {
     "actuator-dead": "left",

@@ -91,6 +91,9 @@ def toml_text(key: str, value: Any) -> str:
         return json.dumps(str(plain))
     if isinstance(plain, list | tuple):
         return f"[{', '.join(toml_text(key, each) for each in plain)}]"
+    if isinstance(plain, Mapping):
+        pairs = (f"{json.dumps(name)} = {toml_text(key, each)}" for name, each in plain.items())
+        return f"{{{', '.join(pairs)}}}"
     raise ScenarioError(f"{key} = {value!r}: must be a number, a string, true or false, or a list")
 
 

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from can_rig.frames.codec import MessageCodec
 from can_rig.frames.endpoints import Receiver, Transmitter
 from can_rig.frames.network import Network
-from can_rig.plant.frame_faults import SENSOR_PLACE, FrameFaults
+from can_rig.plant.faults.frame_faults import SENSOR_PLACE, FrameFaults
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.simulation import BoolArray
 
