@@ -24,6 +24,8 @@ from can_rig.frames.agreement import SENDERS, Comparison, ComparisonFrame, diges
 from can_rig.nodes.bus_access import NodeBus, PersistentSender
 from can_rig.nodes.clock import NS_PER_S, Clock
 from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.changes import FAULT
+from can_rig.scenario.tables.fault import FaultSettings
 
 WHOLE: Final = 0
 UNSETTLED_S: Final = 1.0
@@ -36,12 +38,17 @@ OWN: Final = ("name", "description", "reference.file", "network.dbc")
 def keys_of(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Keys and values of a scenario in their order, with a dot between table and key.
 
-    They are the same keys in every scenario: a plant's own parameters count as one.
+    They are the same keys in every scenario: a plant's own parameters count as one, and a key of
+    the faults has the values of all of them.
     """
     for key, value in values.items():
         path = f"{prefix}{key}"
         if key == "parameters":
             yield path, str(dict(sorted(value.items())))
+        elif path == FAULT:
+            faults = value if isinstance(value, list) else [value]
+            for name in FaultSettings.__dataclass_fields__:
+                yield f"{path}.{name}", str([fault[name] for fault in faults])
         elif isinstance(value, Mapping):
             yield from keys_of(value, f"{path}.")
         elif path not in OWN:
