@@ -15,6 +15,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
+from pathlib import Path
 from typing import Any, Final
 
 import can
@@ -23,6 +24,7 @@ from can_rig.errors import ScenarioError
 from can_rig.frames.agreement import SENDERS, Comparison, ComparisonFrame, digest
 from can_rig.nodes.bus_access import NodeBus, PersistentSender
 from can_rig.nodes.clock import NS_PER_S, Clock
+from can_rig.scenario.plant_settings import FMU
 from can_rig.scenario.settings import Scenario
 
 WHOLE: Final = 0
@@ -36,12 +38,15 @@ OWN: Final = ("name", "description", "reference.file", "network.dbc")
 def keys_of(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
     """Keys and values of a scenario in their order, with a dot between table and key.
 
-    They are the same keys in every scenario: a plant's own parameters count as one.
+    They are the same keys in every scenario: a plant's own parameters count as one, and so do the
+    variables of an FMU. Where a node finds the FMU says nothing about the run.
     """
     for key, value in values.items():
         path = f"{prefix}{key}"
-        if key == "parameters":
+        if key in {"parameters", "variables"}:
             yield path, str(dict(sorted(value.items())))
+        elif key == "kind" and str(value).startswith(FMU):
+            yield path, f"{FMU}{Path(str(value).removeprefix(FMU)).name}"
         elif isinstance(value, Mapping):
             yield from keys_of(value, f"{path}.")
         elif path not in OWN:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
 from can_rig.drawing.names import Names, ticks_text, with_unit
 from can_rig.results.signals import Signals
 from can_rig.scenario.plant_settings import PlantSettings
@@ -54,6 +56,6 @@ def _ended_early(scenario: Scenario, signals: Signals) -> str:
 
 
 def _car(plant: PlantSettings) -> str:
-    if plant.is_class:
-        return plant.kind.partition(":")[2]
+    if plant.is_own:
+        return Path(plant.kind.partition(":")[2]).name
     return f"{plant.kind}, {plant.variant} model" if plant.is_car else plant.kind

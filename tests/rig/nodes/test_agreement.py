@@ -99,6 +99,22 @@ def test_the_same_scenario_runs_and_its_log_knows_nothing_of_the_comparison(tmp_
     assert log.read_bytes() == record(tmp_path / "other", *SHORT)[0].read_bytes()
 
 
+def test_of_an_fmu_its_file_and_what_the_scenario_names_in_it_are_compared_not_where_it_lies():
+    fmu = [f"plant.variables.{key}=u" for key in ("input_1", "input_2", "output")]
+    keys = [
+        dict(keys_of(load("default", [f"plant.kind=fmu:{kind}", *fmu, *more]).as_dict()))
+        for kind, more in (
+            ("a/car.fmu", []),
+            ("/b/car.fmu", []),
+            ("boat.fmu", []),
+            ("car.fmu", ["plant.variables.yaw_rate_rad_per_s=r"]),
+        )
+    ]
+    assert keys[0] == keys[1]
+    differ = [{key for key in keys[0] if keys[0][key] != other[key]} for other in keys[2:]]
+    assert differ == [{"plant.kind"}, {"plant.variables"}]
+
+
 def test_every_two_shipped_scenarios_differ_in_a_key():
     every = {name: tuple(keys_of(load(name).as_dict())) for name in shipped()}
     assert len(set(every.values())) == len(every)
