@@ -48,7 +48,8 @@ def network_of(scenario: Scenario) -> Network:
     if not chosen.signals:
         return _network(dbc_of(scenario))
     data_ids = {role: number for role, number in asdict(chosen.data_ids).items() if number}
-    network = map_network(chosen.dbc, Roles(asdict(chosen.signals), chosen.tick, data_ids))
+    ticks = asdict(chosen.ticks) if chosen.ticks else chosen.tick
+    network = map_network(chosen.dbc, Roles(asdict(chosen.signals), ticks, data_ids))
     command = (network.command_1, network.command_2)[CHANNELS.index(scenario.fault.channel)]
     if scenario.fault.kind == "frames-corrupted" and not command.protected:
         raise ScenarioError(
