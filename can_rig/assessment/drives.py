@@ -172,7 +172,7 @@ def box_findings(
 ) -> list[Finding]:
     """What is wrong with other cars of the budget's box when the torque is lost."""
     scenario = drives.scenario
-    if not scenario.design.feedback or scenario.plant.is_class:
+    if not scenario.design.feedback or scenario.plant.is_own:
         return []
     found: list[Finding] = []
     some = list(box_cars(scenario))

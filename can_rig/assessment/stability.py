@@ -93,8 +93,9 @@ class StabilityCheck:
     def notes(self) -> Iterator[str]:
         """A line each: whose margins, the decision, isolation, control authority, the frames."""
         scenario = self.scenario
-        if scenario.plant.is_class:
-            yield f"margins: of the linear car with its parameters, not of {scenario.plant.kind}"
+        if scenario.plant.is_own:
+            stands_for = "car with its parameters" if scenario.plant.is_car else "plant by numbers"
+            yield f"margins: of the linear {stands_for}, not of {scenario.plant.kind}"
         if self.healthy.stable:
             yield from self.decision.describe(scenario)
             yield _isolation(scenario)
@@ -156,7 +157,7 @@ def check_stability(
     Raises:
         ScenarioError: a design that cannot be made or discretised, a class that is no plant.
     """
-    if scenario.plant.is_class:
+    if scenario.plant.is_own:
         SimulatedPlant(scenario)  # refuses what a run refuses
     table, plant = controller_table(scenario, None), continuous_plant(scenario.plant)
     network = network_of(scenario)

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import click
 
 from can_rig.export.choices import CONTROLLERS
-from can_rig.nodes.lockstep.interaction import Interaction
+from can_rig.nodes.operator.interaction import Interaction
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 

@@ -25,8 +25,8 @@ from typing import Any, Final
 
 from can_rig.errors import RigError, SilentNodeError
 from can_rig.export.running.controllers import PYTHON, Controller
-from can_rig.nodes.lockstep.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.lockstep.one_core import one_core
+from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.progress import OnTick, Progress, Throttled, no_progress
 from can_rig.nodes.runner import NodeName, run_controller, run_plant
 from can_rig.nodes.summary import NodeSummary

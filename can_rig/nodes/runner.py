@@ -11,16 +11,16 @@ from typing import Literal, NamedTuple, Protocol
 
 from can_rig.buses.bus import open_for_node
 from can_rig.export.running.controllers import PYTHON, Controller
-from can_rig.frames.agreement import SENDERS, ComparisonFrame
+from can_rig.frames.beside.agreement import SENDERS, ComparisonFrame
 from can_rig.nodes.agreement import Agreement
 from can_rig.nodes.bus_access import NodeBus, PersistentSender, Send, TolerantBus, bus_events
 from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock
 from can_rig.nodes.lockstep.chosen import in_real_time, lockstep_controller
 from can_rig.nodes.lockstep.controller_node import ControllerNode
 from can_rig.nodes.lockstep.ecu_node import EcuNode
-from can_rig.nodes.lockstep.interaction import UNTOUCHED, Interaction
-from can_rig.nodes.lockstep.operated_bus import OperatedBus
 from can_rig.nodes.lockstep.plant_node import PlantNode
+from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
+from can_rig.nodes.operator.operated_bus import OperatedBus
 from can_rig.nodes.progress import OnTick, Pace
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode, warm_up
 from can_rig.nodes.realtime.plant_node import RealTimePlantNode

@@ -14,7 +14,7 @@ import numpy as np
 
 from can_rig.assessment.bus_timing.frame_length import FrameError, worst_case_bits
 from can_rig.errors import one_line
-from can_rig.frames import control
+from can_rig.frames.beside import control
 from can_rig.frames.network import Network
 from can_rig.panel.decimation import BUCKET_S, Decimator
 from can_rig.results.signals import SignalRows

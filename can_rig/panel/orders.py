@@ -7,7 +7,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any, Final
 
 from can_rig.errors import RigError
-from can_rig.frames import control
+from can_rig.frames.beside import control
 from can_rig.panel.saving import save
 from can_rig.panel.screen import Screen
 

@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from can_rig.drawing.names import names_of
-from can_rig.frames import control
+from can_rig.frames.beside import control
 from can_rig.panel.live import COLUMNS
 from can_rig.panel.session import Session
 from can_rig.panel.viewers import Viewer, Viewers

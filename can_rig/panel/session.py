@@ -15,7 +15,7 @@ import can
 
 from can_rig.buses.bus import open_bus
 from can_rig.errors import RigError
-from can_rig.frames import control
+from can_rig.frames.beside import control
 from can_rig.panel.live import LiveSignals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from can_rig.frames import control
+from can_rig.frames.beside import control
 from can_rig.frames.network import Network
 from can_rig.logs.frames import EXTENDED, Frames
-from can_rig.nodes.lockstep.operated_bus import Touch
+from can_rig.nodes.operator.operated_bus import Touch
 from can_rig.plant.faults.injection import Injection
 from can_rig.scenario.settings import Scenario
 

@@ -11,8 +11,8 @@ import numpy as np
 
 from can_rig.errors import LogError, ScenarioError
 from can_rig.logs.log import ALL, Window
-from can_rig.nodes.lockstep.interaction import UNTOUCHED, Interaction
-from can_rig.nodes.lockstep.operated_bus import Touch
+from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
+from can_rig.nodes.operator.operated_bus import Touch
 from can_rig.nodes.progress import Progress, no_progress
 from can_rig.nodes.watchdog import StopRequest
 from can_rig.replay.control_frames import touches

@@ -17,8 +17,8 @@ from can_rig.buses.bus import in_one_process
 from can_rig.errors import INTERRUPTED, BusError, RigError, RunFolderError
 from can_rig.export.running.controllers import PYTHON, Controller
 from can_rig.frames.network import Network
-from can_rig.nodes.lockstep.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.lockstep.without_bus import run_without_bus
+from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.processes import run_processes
 from can_rig.nodes.progress import Progress, Throttled, no_progress
 from can_rig.nodes.realtime.deadlines import require_causal

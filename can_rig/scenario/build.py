@@ -49,7 +49,8 @@ def network_of(scenario: Scenario) -> Network:
     if not chosen.signals:
         return _network(dbc_of(scenario))
     data_ids = {role: number for role, number in asdict(chosen.data_ids).items() if number}
-    network = map_network(chosen.dbc, Roles(asdict(chosen.signals), chosen.tick, data_ids))
+    ticks = asdict(chosen.ticks) if chosen.ticks else chosen.tick
+    network = map_network(chosen.dbc, Roles(asdict(chosen.signals), ticks, data_ids))
     codecs = (network.command_1, network.command_2, network.feedback)
     for fault in scenario.faults:
         codec = codecs[PLACES.index(fault.place)]

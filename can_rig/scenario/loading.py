@@ -21,7 +21,15 @@ from pydantic import TypeAdapter, ValidationError
 
 from can_rig.errors import ScenarioError
 from can_rig.scenario.catalogue import shipped
-from can_rig.scenario.plant_settings import CAR, NUMBERS, SIGNALS
+from can_rig.scenario.plant_settings import (
+    CAR,
+    FMU,
+    NUMBERS,
+    OWN,
+    SIGNALS,
+    STATE_SPACE,
+    TRANSFER_FUNCTIONS,
+)
 from can_rig.scenario.refusal import refusal
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.changes import FAULT, change
@@ -38,8 +46,8 @@ INSTEAD: Final = (
     *product(FACTORED, POLYNOMIAL),
 )
 """A key, and one that it replaces: the two lags, the two forms of a transfer function."""
-FILES: Final = (("reference", "file"), ("network", "dbc"))
-"""Keys that name a file."""
+FILES: Final = (("reference", "file", ""), ("network", "dbc", ""), ("plant", "kind", FMU))
+"""Keys that name a file, and what stands before its name."""
 LIMITS: Final = ("limit_", "rate_")
 """Begins of the keys that an actuator has and a belief about it has not."""
 
@@ -99,11 +107,12 @@ def written(name: str) -> Written:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ScenarioError(f"scenario {name}: not readable as TOML: {error}") from None
-    for name_of_table, key in FILES:
+    for name_of_table, key, prefix in FILES:
         table = values.get(name_of_table)
-        if isinstance(table, dict) and isinstance(table.get(key), str):
+        given = table.get(key) if isinstance(table, dict) else None
+        if isinstance(table, dict) and isinstance(given, str) and given.startswith(prefix):
             # in a scenario relative to it, as everywhere else; in --set to the working directory
-            table[key] = str(path.parent / table[key])
+            table[key] = prefix + str(path.parent / given.removeprefix(prefix))
     return Written(name, path.stem, values)
 
 
@@ -157,8 +166,8 @@ def of_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Draft:
 def draft(name: str, values: Mapping[str, Any]) -> Draft:
     """A scenario from plain values; ``model`` is the plant's own but for the keys it names.
 
-    What the controller believes in is linear: of a plant of one's own, the thesis's car with the
-    same parameters.
+    What the controller believes in is linear: of a plant of one's own, what its numbers say, or
+    the thesis's car with the same parameters.
 
     Raises:
         ScenarioError: an unknown key, a bad value; the message names the key.
@@ -185,13 +194,14 @@ def draft(name: str, values: Mapping[str, Any]) -> Draft:
 def _believed(plant: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str, Any]:
     """``model`` with what it does not name as the plant has it, but nothing that is no belief.
 
-    A class and its parameters stand for the linear car; limits are believed in ``limits``. An
-    actuator's lag in ``model`` replaces any other of the plant's, and the form of a transfer
-    function does so too.
+    Of a plant of one's own it is the linear plant that stands for it; limits are believed in
+    ``limits``. An actuator's lag in ``model`` replaces any other of the plant's, and the form of a
+    transfer function does so too.
     """
-    inherited = {k: v for k, v in plant.items() if k not in ("parameters", *SIGNALS)}
+    inherited = {k: v for k, v in plant.items() if k not in (*OWN, *SIGNALS)}
     if ":" in str(plant.get("kind")):
-        inherited["kind"] = CAR
+        by_numbers = TRANSFER_FUNCTIONS if plant.get("g1") or plant.get("g2") else CAR
+        inherited["kind"] = STATE_SPACE if plant.get("a") else by_numbers
     if model.get("kind", inherited.get("kind")) != inherited.get("kind"):
         inherited = {k: v for k, v in inherited.items() if k not in NUMBERS}
     for key in ACTUATORS:

@@ -149,7 +149,7 @@ class Scenario:
                 f"duration_s = {self.duration_s:g}: must be at most {MAX_TICKS} ticks "
                 f"({self.tick_s:g} s each)"
             )
-        if self.model.is_class:
+        if self.model.is_own:
             raise ValueError(
                 f"model.kind = {self.model.kind!r}: must be linear, {' or '.join(BUILT_IN)}"
             )

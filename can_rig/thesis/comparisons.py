@@ -147,7 +147,7 @@ def compare_scenario(name: str, settings: Sequence[str] = ()) -> list[Comparison
             counterpart; as ``load``.
     """
     scenario = load(name, settings)
-    if scenario.plant.is_class:
+    if scenario.plant.is_own:
         raise ScenarioError(
             f"scenario {scenario.name}: plant.kind = {scenario.plant.kind!r}: must be linear for "
             f"figures, {', '.join(BUILT_IN)}"

@@ -7,8 +7,8 @@ import click
 from can_rig.buses.bus import open_bus
 from can_rig.cli.options import bus_option
 from can_rig.cli.output import say
-from can_rig.frames import control
-from can_rig.nodes.operating import operate
+from can_rig.frames.beside import control
+from can_rig.nodes.operator.operating import operate
 
 DO: dict[str, control.Action] = {
     "clear": "CLEAR",

@@ -13,8 +13,8 @@ from can_rig.errors import ScenarioError
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import NodeBus, Send
 from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock
-from can_rig.nodes.lockstep.interaction import UNTOUCHED, Interaction
-from can_rig.nodes.lockstep.run_control import RunControl
+from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
+from can_rig.nodes.operator.run_control import RunControl
 from can_rig.nodes.plant_end import COMMANDS, PlantEnd
 from can_rig.nodes.recording.plant_recorder import PlantRecorder
 from can_rig.nodes.recording.recorder import Recorder

@@ -7,7 +7,7 @@ from typing import Final
 
 from pydantic import ValidationError
 
-from can_rig.frames.control import ALL, Command
+from can_rig.frames.beside.control import ALL, Command
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.fault import CHANNELS, MAX_LATE_TICKS, FaultSettings
 

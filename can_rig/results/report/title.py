@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from pathlib import Path
 from typing import Final
 
 from can_rig.drawing.fault_words import fault_in_words
@@ -47,6 +48,6 @@ def _ended_early(scenario: Scenario, signals: Signals) -> str:
 
 
 def _car(plant: PlantSettings) -> str:
-    if plant.is_class:
-        return plant.kind.partition(":")[2]
+    if plant.is_own:
+        return Path(plant.kind.partition(":")[2]).name
     return f"{plant.kind}, {plant.variant} model" if plant.is_car else plant.kind

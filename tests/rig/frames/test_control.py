@@ -6,7 +6,7 @@ from e2e.p01 import e2e_p01_check
 from hypothesis import given
 from hypothesis import strategies as st
 
-from can_rig.frames import control
+from can_rig.frames.beside import control
 from can_rig.plant.faults.injection import NUMBER, injected
 from tests.helpers import DBC
 

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.frames import control
-from can_rig.frames.control import Command, command_message
+from can_rig.frames.beside import control
+from can_rig.frames.beside.control import Command, command_message
 from can_rig.logs.reading import read_log
 from can_rig.nodes.clock import SYSTEM_CLOCK
-from can_rig.nodes.lockstep.interaction import Interaction
-from can_rig.nodes.lockstep.operated_bus import Touch
-from can_rig.nodes.lockstep.run_control import RunControl
+from can_rig.nodes.operator.interaction import Interaction
+from can_rig.nodes.operator.operated_bus import Touch
+from can_rig.nodes.operator.run_control import RunControl
 from can_rig.nodes.plant_end import PlantEnd
 from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Watchdog

@@ -27,7 +27,7 @@ def flat(values, prefix=""):
 
 
 ACTUATOR_LIMITS = re.compile(r"actuator\.(limit|rate)_")
-BY_NUMBERS = re.compile(r"plant\.(kind$|g1|g2|a$|b$|c$|input_|output)|network")  # elsewhere
+BY_NUMBERS = re.compile(r"plant\.((kind|fmi_type|a|b|c)$|g1|g2|input_|output)|network")  # elsewhere
 DEFAULTS = flat(Scenario("x").as_dict())
 OTHER = {
     "tick_s": 0.002, "duration_s": 3.0, "latency_ticks": 2, "seed": 7,

@@ -7,10 +7,10 @@ from typing import Final
 
 import can
 
-from can_rig.frames import control
+from can_rig.frames.beside import control
 from can_rig.nodes.bus_access import Send
 from can_rig.nodes.clock import NS_PER_S, Clock
-from can_rig.nodes.lockstep.interaction import UNTOUCHED, Interaction
+from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.plant_end import PlantEnd
 from can_rig.nodes.watchdog import Watchdog
 from can_rig.plant.faults.injection import Injection

@@ -8,7 +8,7 @@ from typing import Final
 import can
 
 from can_rig.errors import BusError, RigError, one_line
-from can_rig.frames import control
+from can_rig.frames.beside import control
 
 WITHIN_S: Final = 1.0
 """A plant node says 20 times a second how it stands to commands."""

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Final
 
-from can_rig.nodes.lockstep.operated_bus import Touch
+from can_rig.nodes.operator.operated_bus import Touch
 
 
 @dataclass(frozen=True)
