@@ -20,6 +20,7 @@ from can_rig.scenario.tables.fault import PLACES
 from firmware_model.design import plants
 from firmware_model.design.actuator_dynamics import behind
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
+from firmware_model.design.factors.coprime import unstable
 from firmware_model.design.mismatch import Mismatch, principal_mismatch
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.tables import build
@@ -205,10 +206,20 @@ def target(scenario: Scenario, network: Network | None) -> Target:
 
 
 def mismatch(scenario: Scenario) -> Mismatch:
-    """The plants that are not the model, along the principal directions of the budget's box."""
+    """The plants that are not the model, along the principal directions of the budget's box.
+
+    Raises:
+        ScenarioError: a box around an unstable plant.
+    """
     model, budget, chosen = scenario.model, scenario.budget, scenario.design
     keys = tuple(uncertain(model)) if budget.box > 0.0 else ()
     late = budget.actuator_box > 0.0 and model.torque_actuator.lags
+    if (keys or late) and (poles := unstable(continuous_plant(model).g1)):
+        key, value = ("box", budget.box) if keys else ("actuator_box", budget.actuator_box)
+        raise ScenarioError(
+            f"scenario {scenario.name}: budget.{key} = {value:g}: must be 0 for an unstable plant "
+            f"(pole at {poles[0]:.4g} rad/s), of which the decision knows no other"
+        )
 
     def channels(place: FloatArray) -> tuple[ZeroPoleGain, ZeroPoleGain]:
         other = in_box(

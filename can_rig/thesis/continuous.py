@@ -26,6 +26,7 @@ from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.fault import CHANNELS
+from firmware_model.design.factors.coprime import unstable
 from firmware_model.design.plants import Plant
 from firmware_model.target.structs import FloatArray
 
@@ -98,6 +99,8 @@ def closed_loop(scenario: Scenario, left: tuple[float, float]) -> StateSpace:
         ScenarioError: a filter that is improper or unstable.
     """
     car, model = continuous_plant(scenario.plant), continuous_plant(scenario.model)
+    if unstable(model.g1):
+        raise ScenarioError("plant: unstable: must be stable for the continuous loop")
     chosen = scenario.design
     closed = scenario.design.feedback
     blocks = [

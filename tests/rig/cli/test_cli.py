@@ -63,7 +63,7 @@ WRONG = {
     "out in /proc": (["--out", "/proc/run"], "cannot be made"),
     "unstable car": (
         ["--set", "plant.speed_mps=60", "--set", "plant.rear_cornering_stiffness_n_per_rad=1e3"],
-        "plant: .*pole",
+        "unstable .healthy.: the spectral radius is",
     ),
 }  # fmt: skip
 
