@@ -7,8 +7,9 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import click
+from click.shell_completion import CompletionItem
 
-from can_rig.export.choices import CONTROLLERS
+from can_rig.export.choices import CONTROLLERS, SERIAL
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -59,13 +60,34 @@ realtime_option = click.option(
     "Needs a latency of at least one tick.",
 )
 
+
+class ControllerName(click.ParamType):
+    """One of ``CONTROLLERS``, or a serial port."""
+
+    name = "controller"
+    _named = click.Choice(CONTROLLERS)
+
+    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
+        """``value`` as it is, where there is such a controller."""
+        if value.startswith(SERIAL) and value != SERIAL:
+            return value
+        return str(self._named.convert(value, param, ctx))
+
+    def shell_complete(
+        self, ctx: click.Context, param: click.Parameter, incomplete: str
+    ) -> list[CompletionItem]:
+        """The names."""
+        return self._named.shell_complete(ctx, param, incomplete)
+
+
 controller_option = click.option(
     "--controller",
     default="python",
-    type=click.Choice(CONTROLLERS),
+    type=ControllerName(),
+    metavar=f"[{'|'.join(CONTROLLERS)}|{SERIAL}PORT]",
     show_default=True,
     help="What runs: the law in Python; the law as C; ecu, the whole node in C; that on an "
-    "emulated Cortex-M.",
+    "emulated Cortex-M, or on a board at a serial port.",
 )
 
 log_argument = click.argument("log", type=click.Path(path_type=Path))

@@ -68,7 +68,8 @@ static bool first_contact(struct ecu *ecu, uint16_t id, uint8_t length, const ui
     return true;
 }
 
-bool ecu_on_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *data)
+bool ecu_on_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *data,
+                  uint32_t now_us)
 {
     if (!ecu->running && !first_contact(ecu, id, length, data)) {
         return false;
@@ -77,9 +78,17 @@ bool ecu_on_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *d
         take_reference(ecu, length, data);
     } else if (id == frame_feedback.id && receive(&ecu->feedback, ecu->tick, length, data)) {
         ecu->measured = frame_value(&frame_feedback, data);
+        ecu->expected_us = now_us;
         return true;
     }
     return false;
+}
+
+bool ecu_is_overdue(const struct ecu *ecu, uint32_t now_us)
+{
+    const uint32_t late_us = now_us - ecu->expected_us;
+
+    return ecu->running && late_us >= ecu_tick_us / 2 && late_us < 0x80000000u;
 }
 
 static void answer(const struct frame *frame, struct e2e_protector *protector, double value,
@@ -117,4 +126,5 @@ void ecu_on_tick(struct ecu *ecu)
     end_tick(&ecu->feedback);
     ecu->measured = (double)NAN;
     ecu->tick++;
+    ecu->expected_us += ecu_tick_us;
 }

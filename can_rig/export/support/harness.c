@@ -24,7 +24,7 @@ uint8_t harness_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_
 {
     place = sent;
     frames = 0;
-    if (ecu_on_frame(ecu, id, length, data)) {
+    if (ecu_on_frame(ecu, id, length, data, 0)) { /* time stands still until the feedback comes */
         ecu_on_tick(ecu);
     }
     return frames;

@@ -16,12 +16,13 @@ from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
 from can_rig.errors import ExportError
 from can_rig.export.choices import CONTROLLERS
+from can_rig.export.running.bench_ecu import BenchEcu
 from can_rig.export.running.controllers import PYTHON, controller_of
 from can_rig.export.running.emulated_ecu import (
     BOARDS,
     COMPILER,
     EMULATOR,
-    EmulatedEcu,
+    EmulatedBoard,
     firmware_image,
 )
 from can_rig.export.running.host_ecu import HostEcu, host_library
@@ -125,7 +126,7 @@ def test_a_missing_tool_is_one_line(
 
 @EMULATED
 def test_an_emulator_that_ends_is_one_line(tmp_path: Path) -> None:
-    ecu = EmulatedEcu(tmp_path / "no-such.elf", "m4f")
+    ecu = BenchEcu(EmulatedBoard(tmp_path / "no-such.elf", "m4f"))
     with pytest.raises(ExportError, match=r"qemu-system-arm has ended: .*no-such\.elf"):
         ecu.take(0x100, bytes(8))
     ecu.close()
