@@ -7,7 +7,6 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import click
-from click.shell_completion import CompletionItem
 
 from can_rig.export.choices import CONTROLLERS, SERIAL
 
@@ -61,29 +60,18 @@ realtime_option = click.option(
 )
 
 
-class ControllerName(click.ParamType):
+def controller_name(context: click.Context, parameter: click.Parameter, value: str) -> str:
     """One of ``CONTROLLERS``, or a serial port."""
-
-    name = "controller"
-    _named = click.Choice(CONTROLLERS)
-
-    def convert(self, value: str, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        """``value`` as it is, where there is such a controller."""
-        if value.startswith(SERIAL) and value != SERIAL:
-            return value
-        return str(self._named.convert(value, param, ctx))
-
-    def shell_complete(
-        self, ctx: click.Context, param: click.Parameter, incomplete: str
-    ) -> list[CompletionItem]:
-        """The names."""
-        return self._named.shell_complete(ctx, param, incomplete)
+    if value.startswith(SERIAL) and value != SERIAL:
+        return value
+    return str(click.Choice(CONTROLLERS).convert(value, parameter, context))
 
 
 controller_option = click.option(
     "--controller",
     default="python",
-    type=ControllerName(),
+    callback=controller_name,
+    shell_complete=lambda _c, _p, begun: [each for each in CONTROLLERS if each.startswith(begun)],
     metavar=f"[{'|'.join(CONTROLLERS)}|{SERIAL}PORT]",
     show_default=True,
     help="What runs: the law in Python; the law as C; ecu, the whole node in C; that on an "
