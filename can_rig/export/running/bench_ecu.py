@@ -10,6 +10,25 @@ from can_rig.export.running.ecu import COUNTS, IDENTITY_BYTES, MOST_SENT, SENT_B
 ORDER_BYTES: Final = 12
 
 
+def order(letter: bytes, *parts: bytes) -> bytes:
+    """An order with what belongs to it."""
+    return b"".join((letter, *parts)).ljust(ORDER_BYTES, b"\0")
+
+
+def frame_order(frame_id: int, data: bytes) -> bytes:
+    """The order to take a frame."""
+    return order(b"F", frame_id.to_bytes(2, "little"), bytes([len(data)]), data)
+
+
+def time_order(now_us: int) -> bytes:
+    """The order to let it be that time, modulo 2^32."""
+    return order(b"T", (now_us & 0xFFFFFFFF).to_bytes(4, "little"))
+
+
+RESTART: Final = order(b"R")
+COUNT: Final = order(b"C")
+
+
 class Link(Protocol):
     """Bytes to and from a program, in order."""
 
@@ -35,19 +54,18 @@ class BenchEcu:
 
     def restart(self) -> bytes:
         """Start it again, as after power-up; which controller it is, 8 bytes."""
-        return self._ask(b"R", IDENTITY_BYTES)
+        return self._ask(RESTART, IDENTITY_BYTES)
 
     def take(self, frame_id: int, data: bytes) -> Sent:
         """See ``Ecu``."""
-        length = len(data).to_bytes(1, "little")
-        (n,) = self._ask(b"F" + frame_id.to_bytes(2, "little") + length + data, 1)
+        (n,) = self._ask(frame_order(frame_id, data), 1)
         if n > MOST_SENT:
             raise ExportError(f"the controller says that it sent {n} frames: must be 0 to 3")
         return sent(self._link.read(n * SENT_BYTES), n)
 
     def counts(self) -> list[int]:
         """See ``Ecu``."""
-        answer = self._ask(b"C", 4 * 2 * COUNTS)
+        answer = self._ask(COUNT, 4 * 2 * COUNTS)
         return [int.from_bytes(answer[i : i + 4], "little") for i in range(0, len(answer), 4)]
 
     def close(self) -> None:
@@ -55,5 +73,5 @@ class BenchEcu:
         self._link.close()
 
     def _ask(self, order: bytes, size: int) -> bytes:
-        self._link.write(order.ljust(ORDER_BYTES, b"\0"))
+        self._link.write(order)
         return self._link.read(size)

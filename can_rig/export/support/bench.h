@@ -5,12 +5,14 @@
  *
  *     'F', identifier (2 bytes), length, data (8)   number of frames, then 10 bytes for each frame
  *                                                   that was sent: identifier (2), data (8)
+ *     'T', microseconds (4), 7 bytes of anything    as for 'F'; frames that follow come at this time,
+ *                                                   and a feedback that is overdue is missed
  *     'C', 11 bytes of anything                     80 bytes: how many frames of the reference, then
  *                                                   of the feedback, had each e2e_status (4 each)
  *     'R', 11 bytes of anything                     8 bytes that say which controller this is; it has
  *                                                   started again, as after power-up
  *
- * Numbers have their low byte first. Bytes before an order that are none of these three are skipped:
+ * Numbers have their low byte first. Bytes before an order that are none of these letters are skipped:
  * 12 zeros end an order that was cut short.
  */
 #ifndef BENCH_H

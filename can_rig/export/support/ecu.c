@@ -11,7 +11,7 @@ static void receiver_init(struct ecu_receiver *receiver, const struct frame *fra
 
 void ecu_init(struct ecu *ecu)
 {
-    memset(ecu, 0, sizeof *ecu);
+    (void)memset(ecu, 0, sizeof *ecu);
     firmware_init(&ecu->state);
     firmware_reset(&ecu->state, {zero});
     receiver_init(&ecu->reference, &frame_reference);
@@ -53,7 +53,7 @@ static bool first_contact(struct ecu *ecu, uint16_t id, uint8_t length, const ui
     if (id == frame_reference.id) {
         ecu->offered = true;
         ecu->first_length = length;
-        memcpy(ecu->first, data, length < 8 ? length : 8);
+        (void)memcpy(ecu->first, data, length < 8 ? length : 8);
         return false;
     }
     if (id != frame_feedback.id || !ecu->offered ||
@@ -80,6 +80,8 @@ bool ecu_on_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *d
         ecu->measured = frame_value(&frame_feedback, data);
         ecu->expected_us = now_us;
         return true;
+    } else {
+        /* a frame of somebody else, or one that must not be used */
     }
     return false;
 }
@@ -116,8 +118,8 @@ void ecu_on_tick(struct ecu *ecu)
     const double reference = wanted ? ecu->wanted : (double)NAN;
     const struct firmware_answer now =
         firmware_step(&ecu->state, (real)reference, (real)ecu->measured);
-    const uint8_t bits = (uint8_t)(now.mode << frame_status.mode_shift |
-                                   now.fault_state << frame_status.fault_state_shift);
+    const uint8_t bits = (uint8_t)((uint32_t)now.mode << frame_status.mode_shift |
+                                   (uint32_t)now.fault_state << frame_status.fault_state_shift);
 
     answer(&frame_command_1, &ecu->command_1, (double)now.command_1, ecu->tick, 0);
     answer(&frame_command_2, &ecu->command_2, (double)now.command_2, ecu->tick, 0);

@@ -2,19 +2,18 @@
 
 from __future__ import annotations
 
-import random
 import re
 import shutil
 import subprocess
 from pathlib import Path
 
-import can
 import pytest
 from click.testing import CliRunner
 
 from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
 from can_rig.errors import ExportError
+from can_rig.export.back_to_back.frames import random_frames
 from can_rig.export.choices import CONTROLLERS
 from can_rig.export.running.bench_ecu import BenchEcu
 from can_rig.export.running.controllers import PYTHON, controller_of
@@ -26,7 +25,6 @@ from can_rig.export.running.emulated_ecu import (
     firmware_image,
 )
 from can_rig.export.running.host_ecu import HostEcu, host_library
-from can_rig.frames.endpoints import Transmitter
 from can_rig.nodes.lockstep.controller_node import ControllerNode
 from can_rig.nodes.lockstep.ecu_node import EcuNode
 from can_rig.scenario.build import network_of
@@ -78,22 +76,8 @@ def test_any_frames_are_answered_and_judged_alike() -> None:
     scenario = load("default", ["duration_s=1"])
     network = network_of(scenario)
     library = host_library(scenario)
-    inputs: list[can.Message] = []
     for seed in range(20):
-        choose = random.Random(seed)
-        reference, feedback = Transmitter(network.reference), Transmitter(network.feedback)
-        inputs.clear()
-        for tick in range(choose.choice([0, 65530]), 66000)[:60]:
-            for transmitter in (reference, feedback):
-                message = transmitter.frame(choose.uniform(-2, 2), tick)
-                what = choose.random()
-                if what < 0.04:
-                    continue
-                if what < 0.08:
-                    message.data[choose.randrange(8)] ^= 1 << choose.randrange(8)
-                if what > 0.97:
-                    message.data = message.data[: choose.randrange(8)]
-                inputs += [message] * choose.choice([1, 1, 1, 1, 2])
+        inputs = [message for tick in random_frames(network, seed) for message in tick]
         sent: list[list[tuple[int, bytes]]] = [[], []]
         nodes = (
             ControllerNode(scenario, network, lambda m, s=sent[0]: s.append(

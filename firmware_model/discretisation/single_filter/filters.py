@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from firmware_model.compiled import compiled
-from firmware_model.discretisation.c_source import c_source
 from firmware_model.discretisation.rules import Rule
 from firmware_model.discretisation.sections import ComplexArray, Sections
+from firmware_model.discretisation.single_filter.c_source import c_source
 from firmware_model.discretisation.systems import zero_pole_gain
 from firmware_model.discretisation.tustin import RULES, tustin
 from firmware_model.errors import ParameterError
