@@ -26,7 +26,7 @@ def random_frames(network: Network, seed: int) -> list[list[can.Message]]:
             if choose.random() < 0.03:  # so many are lost one after the other
                 for _ in range(choose.randrange(1, 9)):
                     transmitter.frame(0.0, tick)
-            size = choose.choice([1.0, 1.0, 1.0, 1e3, math.inf])
+            size = choose.choice([1.0, 1.0, 1.0, 1.0, 1e3, math.inf, math.nan])
             message = transmitter.frame(size * choose.uniform(-2, 2), tick)
             what = choose.random()
             if what < 0.04:
