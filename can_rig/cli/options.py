@@ -8,7 +8,7 @@ from typing import Any, TypeVar
 
 import click
 
-from can_rig.export.choices import CONTROLLERS
+from can_rig.export.choices import CONTROLLERS, SERIAL
 from can_rig.nodes.operator.interaction import Interaction
 
 Function = TypeVar("Function", bound=Callable[..., Any])
@@ -69,13 +69,23 @@ realtime_option = click.option(
     "Needs a latency of at least one tick.",
 )
 
+
+def controller_name(context: click.Context, parameter: click.Parameter, value: str) -> str:
+    """One of ``CONTROLLERS``, or a serial port."""
+    if value.startswith(SERIAL) and value != SERIAL:
+        return value
+    return str(click.Choice(CONTROLLERS).convert(value, parameter, context))
+
+
 controller_option = click.option(
     "--controller",
     default="python",
-    type=click.Choice(CONTROLLERS),
+    callback=controller_name,
+    shell_complete=lambda _c, _p, begun: [each for each in CONTROLLERS if each.startswith(begun)],
+    metavar=f"[{'|'.join(CONTROLLERS)}|{SERIAL}PORT]",
     show_default=True,
     help="What runs: the law in Python; the law as C; ecu, the whole node in C; that on an "
-    "emulated Cortex-M.",
+    "emulated Cortex-M, or on a board at a serial port.",
 )
 
 
