@@ -20,7 +20,9 @@ WORDS = {
         "actuator-stuck", for_s=1.0
     ),
     "D* biased by -0.5 m/s² at 2 s": FaultSettings("sensor-biased", bias_mps2=-0.5),
-    "D* drifting by 0.1 m/s²/s at 2 s (sensor drift)": FaultSettings("sensor-drift", drift_per_s=0.1),
+    "D* drifting by 0.1 m/s²/s at 2 s (sensor drift)": FaultSettings(
+        "sensor-drift", drift_per_s=0.1
+    ),
     "steering torque rate limited to 5 N m/s at 2 s (actuator rate limited)": FaultSettings(
         "actuator-rate-limited", rate_per_s=5.0
     ),
