@@ -31,7 +31,8 @@ from can_rig.scenario.build import (
     network_of,
     target,
 )
-from can_rig.scenario.settings import CHANNELS, Scenario
+from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.fault import CHANNELS
 from firmware_model.analysis.margins import (
     HEALTHY,
     Margins,
@@ -97,8 +98,9 @@ class StabilityCheck:
     def notes(self) -> Iterator[str]:
         """A line each: whose margins, the plant's limits, the decision, isolation and so on."""
         scenario = self.scenario
-        if scenario.plant.is_class:
-            yield f"margins: of the linear car with its parameters, not of {scenario.plant.kind}"
+        if scenario.plant.is_own:
+            stands_for = "car with its parameters" if scenario.plant.is_car else "plant by numbers"
+            yield f"margins: of the linear {stands_for}, not of {scenario.plant.kind}"
         yield from describe(scenario, self.limitations)
         if self.healthy.stable:
             yield from self.decision.describe(scenario)
@@ -162,7 +164,7 @@ def check_stability(
     Raises:
         ScenarioError: a design that cannot be made or discretised, a class that is no plant.
     """
-    if scenario.plant.is_class:
+    if scenario.plant.is_own:
         SimulatedPlant(scenario)  # refuses what a run refuses
     table, plant = controller_table(scenario, None), continuous_plant(scenario.plant)
     network = network_of(scenario)
@@ -170,7 +172,7 @@ def check_stability(
     def margins_with(effectiveness: Effectiveness) -> Margins:
         return margins(table, plant, scenario.tick_s, effectiveness)
 
-    healthy, faulted = margins_with(HEALTHY), margins_with(DEAD[scenario.fault.channel])
+    healthy, faulted = margins_with(HEALTHY), margins_with(DEAD[scenario.loss.channel])
     findings: list[Finding] = []
     if healthy.stable and faulted.stable:
         drives = Drives(scenario, network)
@@ -200,7 +202,7 @@ def refuse_unstable(scenario: Scenario) -> None:
             the limits; a design that cannot be made.
     """
     table, plant = controller_table(scenario, None), continuous_plant(scenario.plant)
-    for name, left in _both_ends(scenario).items():
+    for name, left in _every_end(scenario).items():
         loop = sampled_loop(law_in(table, left), plant, scenario.tick_s, left)
         radius = loop.spectral_radius()
         if not radius < 1.0:
@@ -279,10 +281,19 @@ def _isolation(scenario: Scenario) -> str:
 def _channel(scenario: Scenario) -> str:
     """The channel that the fault concerns: as the key has it of a car, by name of other plants."""
     if scenario.plant.is_car:
-        return scenario.fault.channel
-    return names_of(scenario.plant)[1 + CHANNELS.index(scenario.fault.channel)].short
+        return str(scenario.loss.channel)
+    return names_of(scenario.plant)[1 + CHANNELS.index(scenario.loss.channel)].short
 
 
 def _both_ends(scenario: Scenario) -> dict[str, Effectiveness]:
-    dead = DEAD[scenario.fault.channel]
+    dead = DEAD[scenario.loss.channel]
     return {"healthy": HEALTHY, f"{_channel(scenario)} dead": dead}
+
+
+def _every_end(scenario: Scenario) -> dict[str, Effectiveness]:
+    """The same, and with the other channel dead where it fails too."""
+    ends = _both_ends(scenario)
+    for fault in scenario.faults:
+        if fault.loses_a_channel:
+            ends |= _both_ends(replace(scenario, fault=(fault,)))
+    return ends

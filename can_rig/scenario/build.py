@@ -15,7 +15,8 @@ from can_rig.frames.network import Network, load_network
 from can_rig.scenario.box import in_box, uncertain, with_lags
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.remembered import remembered
-from can_rig.scenario.settings import CHANNELS, Scenario
+from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.fault import PLACES
 from firmware_model.design import plants
 from firmware_model.design.actuator_dynamics import behind
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
@@ -49,14 +50,17 @@ def network_of(scenario: Scenario) -> Network:
     if not chosen.signals:
         return _network(dbc_of(scenario))
     data_ids = {role: number for role, number in asdict(chosen.data_ids).items() if number}
-    network = map_network(chosen.dbc, Roles(asdict(chosen.signals), chosen.tick, data_ids))
-    command = (network.command_1, network.command_2)[CHANNELS.index(scenario.fault.channel)]
-    if scenario.fault.kind == "frames-corrupted" and not command.protected:
-        raise ScenarioError(
-            f"scenario {scenario.name}: fault.kind = 'frames-corrupted': must be another, or "
-            f"network.data_ids.{command.role} must be set: nothing tells that {command.name} "
-            "is corrupted"
-        )
+    ticks = asdict(chosen.ticks) if chosen.ticks else chosen.tick
+    network = map_network(chosen.dbc, Roles(asdict(chosen.signals), ticks, data_ids))
+    codecs = (network.command_1, network.command_2, network.feedback)
+    for fault in scenario.faults:
+        codec = codecs[PLACES.index(fault.place)]
+        if fault.kind == "frames-corrupted" and not codec.protected:
+            raise ScenarioError(
+                f"scenario {scenario.name}: fault.kind = 'frames-corrupted': must be another, or "
+                f"network.data_ids.{codec.role} must be set: nothing tells that {codec.name} "
+                "is corrupted"
+            )
     return network
 
 

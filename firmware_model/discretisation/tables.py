@@ -240,7 +240,7 @@ def _fill_mismatch(table: Record, target: Target) -> None:
     constants.fading = _memory(target, BEYOND_S) ** 2
     a = target.noise_pole
     rounding = target.resolution * target.resolution / 12.0
-    least = (NO_NOISE[target.precision] * max(target.resolution, 1.0)) ** 2
+    least = NO_NOISE[target.precision] ** 2
     constants.noise = (
         (1.0 - a * a) * target.noise_rms * target.noise_rms + (1.0 + a * a) * rounding + least
     )

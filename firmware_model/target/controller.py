@@ -233,6 +233,7 @@ def reset(table: Record, state: Record, reference: float) -> None:
     model_1, model_2 = model_output(table.estimator, state.estimator, torque, force)
     settle_other_cars(table, state, torque, force)
     settle_mismatch(table, state, model_1 + model_2)
+    state.fault_state = CLEAR  # before what is lost settles: nothing is
     settle_loss_model(table, state)
     start_candidate(table, state)
     state.shortfall_1.accumulators[:] = 0.0
@@ -241,7 +242,6 @@ def reset(table: Record, state: Record, reference: float) -> None:
     state.decision.pause = 0
     release(state.bumpless_transfer)
     state.mode = MODE_INIT
-    state.fault_state = CLEAR
 
 
 @firmware

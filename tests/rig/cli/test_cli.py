@@ -146,7 +146,7 @@ def test_a_reader_that_goes_away_costs_nothing_but_the_table(tmp_path):
     assert "Traceback" not in errors
     assert "Exception ignored" not in errors
     assert sorted(path.name for path in (tmp_path / "run").iterdir()) == [
-        "bus.log", "bus.plant.csv", "report.png", "run.json", "signals.csv",
+        "bus.log", "bus.plant.csv", "report.html", "report.png", "run.json", "signals.csv",
     ]  # fmt: skip
 
 
