@@ -32,7 +32,7 @@ def test_the_step_the_loss_and_its_peak_are_python_controls(name: str) -> None:
     scenario = load(name, LINEAR)
     table = controller_table(scenario, None)
     left = np.ones((scenario.ticks, 2))
-    left[round(scenario.fault.at_s / scenario.tick_s) :, 0] = 0.0
+    left[round(scenario.loss.at_s / scenario.tick_s) :, 0] = 0.0
     drive = np.full(scenario.ticks, scenario.reference.amplitude_mps2)
     plant = sample(continuous_plant(scenario.plant), scenario.tick_s)
     run = simulate(table, plant, drive, effectiveness=left)
