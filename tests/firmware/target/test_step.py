@@ -284,3 +284,14 @@ def test_the_model_among_other_cars_moves_as_f1_does(latency: int) -> None:
         ours, theirs = state.other_cars.model[name], state.estimator[name]
         np.testing.assert_allclose(ours.accumulators, theirs.accumulators, rtol=1e-12)
         assert ours.accumulators.any()
+
+
+def test_c_tracks_the_shaped_reference_where_there_is_a_shaper() -> None:
+    shaping, shaped, _ = of(Target(TICK_S, reference_acceleration=40.0))
+    plain, followed, _ = of(Target(TICK_S))
+    for _ in range(5):
+        controller.step(shaping, shaped, 1.0, 0.0)
+        controller.step(plain, followed, float(shaped.reference_shaper.shaped), 0.0)
+        assert shaped.command_1 == followed.command_1 != 0.0
+    assert 0.0 < shaped.reference_shaper.shaped < 1e-3
+    assert followed.reference_shaper.shaped == 0.0
