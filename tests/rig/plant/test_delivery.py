@@ -9,10 +9,11 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.frames.endpoints import Transmitter
-from can_rig.plant.delivery import Delivery, delivery
-from can_rig.plant.faults import FrameFault
+from can_rig.plant.faults.delivery import Delivery, delivery
+from can_rig.plant.faults.frame_faults import FrameFaults
 from can_rig.scenario.build import network_of
-from can_rig.scenario.settings import CHANNELS, Scenario
+from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.fault import CHANNELS
 
 TICKS = 80
 NETWORK = network_of(load("thesis-step"))
@@ -81,13 +82,12 @@ def test_damaged_frames_are_sent_and_say_what_was_damaged(channel: int) -> None:
     assert ticks_without(found.used[:, channel]) == list(range(6, 15))
     assert found.used[:, 1 - channel].all()
     assert found.rejected[NAMES[channel]]["wrong_crc"] == 9
-    fault, transmitter = FrameFault(scenario), Transmitter(COMMANDS[channel])
+    faults, transmitter = FrameFaults(scenario, NETWORK), Transmitter(COMMANDS[channel])
     damage = []
     for tick in range(15):
         frame = transmitter.frame(123.0 * tick, tick)
         before = np.frombuffer(bytes(frame.data), np.uint8)
-        after = fault.on_the_wire(frame, channel, tick)
-        assert after is not None
+        (after,) = faults.on_the_wire(frame, channel, tick)
         change = before ^ np.frombuffer(bytes(after.data), np.uint8)
         damage += [[tick, channel, at, change[at]] for at in np.flatnonzero(change)]
     assert found.damage.tolist() == damage

@@ -11,7 +11,7 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.errors import RigError
-from can_rig.plant.delivery import delivery
+from can_rig.plant.faults.delivery import delivery
 from can_rig.plant.frameless import frameless, inputs_of
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import controller_table, network_of
