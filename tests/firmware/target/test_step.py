@@ -260,7 +260,7 @@ def test_a_hold_owes_what_c_and_f_hat_would_have_asked_for(on_confirmation: bool
     for _ in range(6):
         controller.step(table, state, 1.0, 0.0)
     was = state.copy()
-    short_1 = track_on(table.tracking, was.tracking) - was.command_1
+    short_1 = track_on(table.tracking, was.tracking, was.command_1) - was.command_1
     short_2 = 0.0
     if on_confirmation:
         drive = transfer(was.bumpless_transfer, compensated_output(table, was))
