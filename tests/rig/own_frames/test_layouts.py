@@ -133,9 +133,9 @@ def test_other_databases_are_read_too(tmp_path: Path, kind: str) -> None:
 
 
 BAD = {
-    "one sign": ("32|16@1+ (0.01,0) [0|0]", {}, "(network.signals.reference) carries 0..655.35: must"),
-    "offset": ("32|16@1- (0.01,0.005) [0|0]", {}, "(network.signals.reference): offset 0.005: must be"),
-    "factor": ("32|16@1- (-1,0) [0|0]", {}, "(network.signals.reference): factor -1: must be above 0"),
+    "one sign": ("32|16@1+ (0.01,0) [0|0]", {}, "signals.reference) carries 0..655.35: must"),
+    "offset": ("32|16@1- (0.01,0.005) [0|0]", {}, "signals.reference): offset 0.005: must be"),
+    "factor": ("32|16@1- (-1,0) [0|0]", {}, "signals.reference): factor -1: must be above 0"),
     "tick": ("32|16@1- (1,0) [0|0]", {"tick": "Cnt"}, "network.tick = 'Cnt'"),
     "tick is the value": (
         "32|16@1- (1,0) [0|0]", {"tick": "Value"}, "must be an unsigned integer of at least 16",
