@@ -1,4 +1,4 @@
-"""Rates of the lockstep loop, or of decoding a log (bench_decode.py).
+"""Rates of the lockstep loop, or of decoding a log (bench_decode.py), or the law in C (bench_c.py).
 
 Interleaved, so that a noisy machine disturbs all alike; medians.
 """
@@ -106,7 +106,7 @@ def log(recorder: Recorder, frame: can.Message) -> None:
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", nargs="?", choices=("loop", "decode"), default="loop")
+    parser.add_argument("what", nargs="?", choices=("loop", "decode", "c"), default="loop")
     parser.add_argument("--rounds", type=int, default=5, help="interleaved rounds [5]")
     parser.add_argument("--seconds", type=float, default=5.0, help="loop: simulated time a run [5]")
     parser.add_argument(
@@ -117,6 +117,10 @@ def main() -> None:
         from bench_decode import bench_decode  # noqa: PLC0415 (asammdf is slow to import)
 
         bench_decode(options.frames, options.rounds)
+    elif options.what == "c":
+        from bench_c import bench_c  # noqa: PLC0415 (as above)
+
+        bench_c()
     else:
         bench_loop(options.rounds, options.seconds)
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 from can_rig.plant.behind import LinearBehind, plant_behind
+from can_rig.plant.columns import TRUE_OUTPUT
 from can_rig.plant.frameless import inputs_of, simulation
 from can_rig.results.metrics import Metrics, metrics
 from can_rig.results.signals import Signals, signals_of_trace
@@ -21,7 +24,7 @@ def metrics_of(scenario: Scenario) -> Metrics:
 
 
 def signals_without_log(scenario: Scenario) -> Signals:
-    """The signals that its frames would carry; nothing of what the plant reports.
+    """The signals that its frames would carry, and of what the plant reports its output.
 
     Raises:
         RigError: as ``metrics_of``.
@@ -37,4 +40,5 @@ def signals_without_log(scenario: Scenario) -> Signals:
         inputs,
     )
     loop.run()
-    return signals_of_trace(loop.trace, inputs.arrives, loop.ticks, network)
+    signals = signals_of_trace(loop.trace, inputs.delivery, loop.ticks, network)
+    return replace(signals, plant={TRUE_OUTPUT: loop.trace.measurement})

@@ -11,7 +11,7 @@ import copy
 import difflib
 import json
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -32,6 +32,7 @@ from can_rig.scenario.plant_settings import (
 )
 from can_rig.scenario.refusal import refusal
 from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.changes import FAULT, change
 from can_rig.scenario.tables.numbers import FACTORED, POLYNOMIAL
 
 FROM_BUS: Final = ("latency_ticks", "from-bus")
@@ -49,9 +50,6 @@ FILES: Final = (("reference", "file", ""), ("network", "dbc", ""), ("plant", "ki
 """Keys that name a file, and what stands before its name."""
 LIMITS: Final = ("limit_", "rate_")
 """Begins of the keys that an actuator has and a belief about it has not."""
-
-Changes = Mapping[str, Any]
-"""Key → value; keys with dots, or tables within tables."""
 
 _ADAPTER: Final = TypeAdapter(Scenario)
 
@@ -124,14 +122,24 @@ def changed(file: Written, settings: Iterable[str] = ()) -> Draft:
     Raises:
         ScenarioError: an unknown key, a bad value.
     """
-    values = copy.deepcopy(file.values)
-    for setting in settings:
-        change(values, setting)
+    values = with_changes(file, settings)
     if "name" in values:
         raise ScenarioError(
             f"scenario {file.given}: name: unknown key; a scenario is named by its file"
         )
     return draft(file.name, values)
+
+
+def with_changes(file: Written, settings: Iterable[str] = ()) -> dict[str, Any]:
+    """What is written, with ``KEY=VALUE`` changes, before its keys are looked at.
+
+    Raises:
+        ScenarioError: a change that is none.
+    """
+    values = copy.deepcopy(file.values)
+    for setting in settings:
+        change(values, setting)
+    return values
 
 
 def of_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Draft:
@@ -168,12 +176,18 @@ def draft(name: str, values: Mapping[str, Any]) -> Draft:
     plant, model = merged.get("plant", {}), merged.get("model", {})
     if isinstance(plant, Mapping) and isinstance(model, Mapping):
         merged["model"] = _believed(plant, model)
+    several = isinstance(merged.get("fault"), list)
+    if isinstance(merged.get("fault"), Mapping):
+        merged["fault"] = [merged["fault"]]
     words = frozenset(pair for pair in (FROM_BUS,) if _take(merged, *pair))
     try:
         # As JSON, where strict still takes a table for a dataclass and a whole number for a float.
         scenario = _ADAPTER.validate_json(json.dumps({"name": name, **merged}, default=str))
     except ValidationError as error:
-        raise ScenarioError(f"scenario {name}: {refusal(error, Scenario)}") from None
+        said = refusal(error, Scenario)
+        if not several:  # one table has no number
+            said = said.replace(f"{FAULT}.0", FAULT, 1)
+        raise ScenarioError(f"scenario {name}: {said}") from None
     return Draft(scenario, words)
 
 
@@ -227,53 +241,3 @@ def _take(values: dict[str, Any], key: str, word: str) -> bool:
         return False
     del values[first]
     return True
-
-
-def change(values: dict[str, Any], setting: str) -> None:
-    """Apply one ``KEY=VALUE``; a value that is not TOML is a string, so quotes are optional."""
-    key, equals, text = setting.partition("=")
-    parts = key.strip().split(".")
-    if not equals or not all(parts):
-        raise ScenarioError(f"--set {setting}: must be KEY=VALUE, as in plant.speed_mps=20")
-    try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        value = text.strip()
-    table = values
-    for part in parts[:-1]:
-        table = table.setdefault(part, {})
-        if not isinstance(table, dict):
-            raise ScenarioError(f"--set {setting}: {part} is a value and has no keys")
-    table[parts[-1]] = value
-
-
-def as_settings(changes: Changes) -> list[str]:
-    """``KEY=VALUE`` for each change, exact.
-
-    Raises:
-        ScenarioError: a value that TOML does not know.
-    """
-    return [f"{key}={toml_text(key, value)}" for key, value in flat(changes)]
-
-
-def flat(changes: Changes, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Keys with dots, also of tables within tables."""
-    for key, value in changes.items():
-        if isinstance(value, Mapping):
-            yield from flat(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value
-
-
-def toml_text(key: str, value: Any) -> str:
-    """A value as TOML has it."""
-    plain = value.item() if hasattr(value, "item") else value  # a number of numpy's
-    if isinstance(plain, bool):
-        return str(plain).lower()
-    if isinstance(plain, int | float):
-        return repr(plain)
-    if isinstance(plain, str | Path):
-        return json.dumps(str(plain))
-    if isinstance(plain, list | tuple):
-        return f"[{', '.join(toml_text(key, each) for each in plain)}]"
-    raise ScenarioError(f"{key} = {value!r}: must be a number, a string, true or false, or a list")

@@ -10,7 +10,7 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
 from can_rig.errors import RigError, ScenarioError, SilentNodeError
-from can_rig.frames.agreement import Comparison, ComparisonFrame, digest
+from can_rig.frames.beside.agreement import Comparison, ComparisonFrame, digest
 from can_rig.nodes import runner
 from can_rig.nodes.agreement import Agreement, keys_of
 from can_rig.nodes.runner import run_controller, run_plant
