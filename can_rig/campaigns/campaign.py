@@ -6,15 +6,19 @@ import json
 import shutil
 import time
 from collections.abc import Callable
+from contextlib import AbstractContextManager
 from dataclasses import dataclass
-from importlib.metadata import version
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
 from can_rig.campaigns.plan import Plan
-from can_rig.campaigns.run import requirements_of
-from can_rig.campaigns.table import put_together, schema, write_block
-from can_rig.campaigns.workers import Range, in_processes, serially
+from can_rig.campaigns.run import Task, requirements_of
+from can_rig.campaigns.search import GENERATION, Search
+from can_rig.campaigns.statistics import margin_column
+from can_rig.campaigns.table import put_together, read_columns, schema, write_block
+from can_rig.campaigns.versions import versions
+from can_rig.campaigns.workers import Compute
 from can_rig.errors import LogError, RunFolderError, require
 from can_rig.files import atomic
 
@@ -43,20 +47,24 @@ class CampaignFolder:
         """All runs, once they are done."""
         return self.path / TABLE
 
-    @property
-    def blocks(self) -> dict[Range, Path]:
-        """Every block and its file, in the order of the runs."""
-        runs = self.plan.runs
-        size = min(MOST_IN_A_BLOCK, max(1, runs // BLOCKS_WANTED))
-        ranges = [(begin, min(begin + size, runs)) for begin in range(0, runs, size)]
-        return {each: self.path / BLOCKS / f"{each[0]:08d}.parquet" for each in ranges}
+    @cached_property
+    def blocks(self) -> dict[Task, Path]:
+        """Every block and its file, in the order of the runs; of a search, its generations."""
+        searched, runs = self.plan.searched, self.plan.runs
+        size = min(MOST_IN_A_BLOCK, max(1, (runs - searched) // BLOCKS_WANTED))
+        tasks = [*_tasks(0, searched, GENERATION), *_tasks(searched, runs, size)]
+        return {each: self.path / BLOCKS / f"{each.begin:08d}.parquet" for each in tasks}
 
     @property
     def done(self) -> int:
         """How many runs are done."""
         if self.table.is_file():
             return self.plan.runs
-        return sum(end - begin for (begin, end), file in self.blocks.items() if file.is_file())
+        return sum(task.end - task.begin for task, file in self.blocks.items() if file.is_file())
+
+
+def _tasks(begin: int, end: int, size: int) -> list[Task]:
+    return [Task(first, min(first + size, end)) for first in range(begin, end, size)]
 
 
 def open_folder(path: Path | None, plan: Plan, *, resume: bool, force: bool) -> CampaignFolder:
@@ -69,6 +77,8 @@ def open_folder(path: Path | None, plan: Plan, *, resume: bool, force: bool) -> 
     """
     require("pyarrow", extra="logs")
     requirements_of(plan)
+    if plan.searched:
+        require("cma", extra="search")
     if path is None:
         path = Path("campaigns") / f"{plan.settings.name}-{time.strftime('%Y%m%d-%H%M%S')}"
     folder, file = CampaignFolder(path, plan), path / PLAN
@@ -102,10 +112,7 @@ def _said(plan: Plan) -> dict[str, Any]:
     return {
         "campaign": plan.settings.as_dict(),
         "scenario": plan.base.as_dict(),
-        "versions": {
-            package: version(package)
-            for package in ("fault-tolerant-steering", "numpy", "scipy", "numba")
-        },
+        "versions": versions(),
     }
 
 
@@ -126,14 +133,13 @@ def _require_same(file: Path, plan: Plan) -> None:
 
 
 def execute(
-    folder: CampaignFolder, workers: int, stopped: Callable[[], bool], on_done: OnRun
+    folder: CampaignFolder, workers: AbstractContextManager[Compute], on_done: OnRun
 ) -> bool:
     """Compute what is not there yet; whether all is.
 
     Args:
         folder: of the campaign.
-        workers: processes; 1: this one.
-        stopped: asked between blocks; what is done is kept.
+        workers: who computes.
         on_done: called with the number of runs that are done.
 
     Raises:
@@ -143,19 +149,38 @@ def execute(
     if folder.table.is_file():
         return True
     blocks, columns = folder.blocks, schema(folder.plan)
-    todo = [each for each, file in blocks.items() if not file.is_file()]
-    done = folder.done
-    computed = (
-        serially(folder.plan, todo, stopped)
-        if workers == 1
-        else in_processes(folder.plan, todo, workers, stopped)
-    )
-    for block, rows in computed:
-        write_block(blocks[block], rows, columns)
-        done += block[1] - block[0]
-        on_done(done)
-    if done < folder.plan.runs:
+    drawn = [task for task in blocks if task.begin >= folder.plan.searched]
+    with workers as compute:
+        found = not folder.plan.searched or search(folder, compute, on_done)
+        todo = [task for task in drawn if not blocks[task].is_file()] if found else []
+        for task, rows in compute(todo):
+            write_block(blocks[task], rows, columns)
+            on_done(folder.done)
+    if folder.done < folder.plan.runs:
         return False
     put_together(list(blocks.values()), folder.table)
     shutil.rmtree(folder.path / BLOCKS)
+    return True
+
+
+def search(folder: CampaignFolder, compute: Compute, on_done: OnRun) -> bool:
+    """Go through the generations, those that are there already too; whether it got to the end."""
+    settings, columns = folder.plan.settings, schema(folder.plan)
+    searcher = Search(len(settings.axes), settings.seed)
+    margin = margin_column(folder.plan)
+    for task, file in folder.blocks.items():
+        if task.begin >= folder.plan.searched:
+            break
+        points = searcher.ask()[: task.end - task.begin]
+        if not file.is_file():
+            parts = [
+                Task(run, run + 1, (point,)) for run, point in enumerate(points, start=task.begin)
+            ]
+            rows = {part.begin: rows[0] for part, rows in compute(parts)}
+            if len(rows) < len(parts):
+                return False
+            write_block(file, [rows[part.begin] for part in parts], columns)
+            on_done(folder.done)
+        if len(points) == GENERATION:
+            searcher.tell(read_columns(file, [margin])[margin])
     return True

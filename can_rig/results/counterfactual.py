@@ -7,11 +7,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from can_rig.plant.frameless import frameless
+from can_rig.plant.frameless import frameless_loop
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
+from firmware_model.analysis.simulation import Simulation
 from firmware_model.target.structs import FloatArray
 
 
@@ -25,33 +26,38 @@ class Counterfactual(NamedTuple):
 
 def fault_free(scenario: Scenario, signals: Signals) -> Counterfactual:
     """The same run without its fault: same plant, table, frames and noise."""
-    return _instead(scenario.healthy, signals)
+    return _instead(scenario.healthy, signals, len(signals))
 
 
-def noise_free(scenario: Scenario, signals: Signals) -> Counterfactual:
-    """The same run without its fault and without the sensor's noise."""
+def noise_free(scenario: Scenario, signals: Signals, rows: int) -> Counterfactual:
+    """The same run without its fault and without the sensor's noise.
+
+    Its first ``rows`` rows at least; not a number where nobody has asked for more.
+    """
     silent = replace(scenario.healthy.noise_free, seed=0)  # of which nothing is drawn
-    return _instead(silent, signals)
+    return _instead(silent, signals, rows)
 
 
 def uncompensated(scenario: Scenario, signals: Signals) -> Counterfactual:
     """The same run with its fault and no compensation of it."""
     off = replace(scenario.design, compensation="off")
-    return _instead(replace(scenario, design=off), signals)
+    return _instead(replace(scenario, design=off), signals, len(signals))
 
 
-def _instead(scenario: Scenario, signals: Signals) -> Counterfactual:
+def _instead(scenario: Scenario, signals: Signals, rows: int) -> Counterfactual:
     if not len(signals):
         return Counterfactual(np.empty(0), np.empty(0))
     first = round(float(signals.time_s[0]) / scenario.tick_s)
     ticks = first + len(signals)
-    as_long = replace(scenario, duration_s=max(scenario.duration_s, ticks * scenario.tick_s))
-    measured, force = _driven(as_long)
-    return Counterfactual(measured[first:ticks], force[first:ticks])
+    if ticks > scenario.ticks:
+        scenario = replace(scenario, duration_s=ticks * scenario.tick_s)
+    loop = loop_of(scenario)
+    loop.run(first + rows)
+    measured, force = loop.trace.measured[first:ticks], loop.trace.command_2[first:ticks]
+    return Counterfactual(measured, np.where(np.isnan(measured), np.nan, force))
 
 
 @remembered(2)
-def _driven(scenario: Scenario) -> Counterfactual:
-    trace = frameless(scenario, network_of(scenario))
-    force = np.where(np.isnan(trace.measured), np.nan, trace.command_2)
-    return Counterfactual(trace.measured, force)
+def loop_of(scenario: Scenario) -> Simulation:
+    """A run that somebody may have begun, and that goes on as far as it is asked for."""
+    return frameless_loop(scenario, network_of(scenario))

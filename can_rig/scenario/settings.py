@@ -225,7 +225,7 @@ class Scenario:
     @property
     def healthy(self) -> Scenario:
         """The same with nothing lost."""
-        return dataclasses.replace(self, fault=dataclasses.replace(self.fault, kind="none"))
+        return dataclasses.replace(self, fault=FaultSettings(kind="none"))
 
     @property
     def noise_free(self) -> Scenario:

@@ -43,6 +43,12 @@ def html_page(plan: Plan, summary: Summary, figure: Figure) -> str:
         f"{html.escape(settings.sampling)}, seed {settings.seed}; {summary.hours:.4g} h simulated; "
         f"{summary.failed:,} gave no result.</p>",
     ]
+    if summary.found:
+        parts += [f"<h2>Search: least margin of {html.escape(settings.search or '')}</h2>", _table(
+            ("", "runs", "least margin", "failed", "first failed at run"),
+            ((each.method, each.runs, each.least, each.failed, each.first_failed)
+             for each in summary.found),
+        ), "<p>What follows is of the random runs, but for the worst ones.</p>"]  # fmt: skip
     if summary.rates:
         parts += ["<h2>Requirements</h2>", _table(
             ("", "expression", "passed", "failed", "without", "rate", "95 %"),
@@ -97,7 +103,7 @@ def _table(head: Iterable[str], rows: Iterable[Iterable[Any]]) -> str:
             return f"<td><code>{html.escape(value)}</code></td>"
         if isinstance(value, int | float) and not isinstance(value, bool):
             return f'<td class="n">{value:.6g}</td>'
-        return f"<td>{html.escape(str(value))}</td>"
+        return f"<td>{'-' if value is None else html.escape(str(value))}</td>"
 
     headings = "".join(f"<th>{html.escape(text)}</th>" for text in head)
     lines = ("".join(cell(value) for value in row) for row in rows)

@@ -11,7 +11,14 @@ from matplotlib.figure import Figure
 
 from can_rig.campaigns.plan import Plan
 from can_rig.campaigns.requirements import Requirement
-from can_rig.campaigns.statistics import Columns, Summary, metrics_shown, numbers
+from can_rig.campaigns.statistics import (
+    Columns,
+    Summary,
+    least_so_far,
+    margin_column,
+    metrics_shown,
+    numbers,
+)
 from can_rig.drawing import style
 
 MOST_METRICS: Final = 4
@@ -25,7 +32,7 @@ def draw(plan: Plan, required: Sequence[Requirement], columns: Columns, summary:
     metrics = [name for name in metrics_shown(required) if len({*columns[name]} - {None}) > 1]
     metrics = metrics[:MOST_METRICS]
     axes = list(plan.settings.axes)[:MOST_AXES]
-    rows = (1 if summary.rates else 0) + (1 + len(axes) if metrics else 0)
+    rows = bool(summary.found) + bool(summary.rates) + (1 + len(axes) if metrics else 0)
     figure = style.page(1.0 + PANEL_IN * max(rows, 1))
     figure.suptitle(
         f"{plan.settings.name}: {summary.runs:,} runs of {plan.base.name}, {summary.hours:.3g} h",
@@ -34,6 +41,8 @@ def draw(plan: Plan, required: Sequence[Requirement], columns: Columns, summary:
     if not rows:
         return figure
     parts = iter(figure.subfigures(rows, 1, squeeze=False)[:, 0])
+    if summary.found:
+        _found(next(parts).subplots(), plan, columns)
     if summary.rates:
         _rates(next(parts).subplots(), summary)
     if not metrics:
@@ -50,6 +59,22 @@ def draw(plan: Plan, required: Sequence[Requirement], columns: Columns, summary:
             if share is not None:
                 axis.set_title(f"explains {share:.0%}", fontsize=8, loc="right")
     return figure
+
+
+def _found(axis: Axes, plan: Plan, columns: Columns) -> None:
+    """The least margin so far, by the search and by random runs."""
+    margins, searched = columns[margin_column(plan)], plan.searched
+    for look, label, some in (
+        (style.SERIES[1], "search", margins[:searched]),
+        (style.SERIES[0], "random", margins[searched:]),
+    ):
+        least = least_so_far(some)
+        axis.step(np.arange(1, len(least) + 1), least, where="post", label=label, **look)
+    axis.axhline(0.0, color=style.INK, lw=0.8)
+    style.ruled(axis)
+    axis.set_xlabel("runs", fontsize=8)
+    axis.set_ylabel(f"least margin of\n{plan.settings.search}", fontsize=8)
+    style.legend_above(axis)
 
 
 def _rates(axis: Axes, summary: Summary) -> None:
