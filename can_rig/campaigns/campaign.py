@@ -1,12 +1,10 @@
-"""A campaign in its folder: planned, computed block by block, gone on with, put together."""
+"""The folder of a campaign: new or gone on with, and what of it is done."""
 
 from __future__ import annotations
 
 import json
 import shutil
 import time
-from collections.abc import Callable
-from contextlib import AbstractContextManager
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,11 +12,8 @@ from typing import Any, Final
 
 from can_rig.campaigns.plan import Plan
 from can_rig.campaigns.run import Task, requirements_of
-from can_rig.campaigns.search import GENERATION, Search
-from can_rig.campaigns.statistics import margin_column
-from can_rig.campaigns.table import put_together, read_columns, schema, write_block
+from can_rig.campaigns.search import GENERATION
 from can_rig.campaigns.versions import versions
-from can_rig.campaigns.workers import Compute
 from can_rig.errors import LogError, RunFolderError, require
 from can_rig.files import atomic
 
@@ -26,8 +21,6 @@ TABLE, PLAN, BLOCKS = "runs.parquet", "campaign.json", "blocks"
 MOST_IN_A_BLOCK: Final = 256
 BLOCKS_WANTED: Final = 64
 """So that few runs keep several workers busy, and many make few files."""
-
-OnRun = Callable[[int], None]
 
 
 @dataclass(frozen=True)
@@ -43,6 +36,11 @@ class CampaignFolder:
     plan: Plan
 
     @property
+    def blocks_path(self) -> Path:
+        """Where its blocks are until the table is whole."""
+        return self.path / BLOCKS
+
+    @property
     def table(self) -> Path:
         """All runs, once they are done."""
         return self.path / TABLE
@@ -53,7 +51,7 @@ class CampaignFolder:
         searched, runs = self.plan.searched, self.plan.runs
         size = min(MOST_IN_A_BLOCK, max(1, (runs - searched) // BLOCKS_WANTED))
         tasks = [*_tasks(0, searched, GENERATION), *_tasks(searched, runs, size)]
-        return {each: self.path / BLOCKS / f"{each.begin:08d}.parquet" for each in tasks}
+        return {each: self.blocks_path / f"{each.begin:08d}.parquet" for each in tasks}
 
     @property
     def done(self) -> int:
@@ -130,57 +128,3 @@ def _require_same(file: Path, plan: Plan) -> None:
                     f"{file}: {what} {key} is {old.get(key)!r} there and {new[key]!r} now; must be "
                     "the same to go on, or take another --out"
                 )
-
-
-def execute(
-    folder: CampaignFolder, workers: AbstractContextManager[Compute], on_done: OnRun
-) -> bool:
-    """Compute what is not there yet; whether all is.
-
-    Args:
-        folder: of the campaign.
-        workers: who computes.
-        on_done: called with the number of runs that are done.
-
-    Raises:
-        RigError: workers die again and again.
-        LogError: a file cannot be written.
-    """
-    if folder.table.is_file():
-        return True
-    blocks, columns = folder.blocks, schema(folder.plan)
-    drawn = [task for task in blocks if task.begin >= folder.plan.searched]
-    with workers as compute:
-        found = not folder.plan.searched or search(folder, compute, on_done)
-        todo = [task for task in drawn if not blocks[task].is_file()] if found else []
-        for task, rows in compute(todo):
-            write_block(blocks[task], rows, columns)
-            on_done(folder.done)
-    if folder.done < folder.plan.runs:
-        return False
-    put_together(list(blocks.values()), folder.table)
-    shutil.rmtree(folder.path / BLOCKS)
-    return True
-
-
-def search(folder: CampaignFolder, compute: Compute, on_done: OnRun) -> bool:
-    """Go through the generations, those that are there already too; whether it got to the end."""
-    settings, columns = folder.plan.settings, schema(folder.plan)
-    searcher = Search(len(settings.axes), settings.seed)
-    margin = margin_column(folder.plan)
-    for task, file in folder.blocks.items():
-        if task.begin >= folder.plan.searched:
-            break
-        points = searcher.ask()[: task.end - task.begin]
-        if not file.is_file():
-            parts = [
-                Task(run, run + 1, (point,)) for run, point in enumerate(points, start=task.begin)
-            ]
-            rows = {part.begin: rows[0] for part, rows in compute(parts)}
-            if len(rows) < len(parts):
-                return False
-            write_block(file, [rows[part.begin] for part in parts], columns)
-            on_done(folder.done)
-        if len(points) == GENERATION:
-            searcher.tell(read_columns(file, [margin])[margin])
-    return True

@@ -8,7 +8,7 @@ again. A scheduler that goes away ends the command; what is done is kept.
 from __future__ import annotations
 
 import pickle
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator
 from concurrent.futures import CancelledError
 from contextlib import contextmanager
 from functools import lru_cache
@@ -18,7 +18,7 @@ from typing import Any, Final
 from can_rig.campaigns.plan import Plan
 from can_rig.campaigns.run import Row, Task, run_rows
 from can_rig.campaigns.versions import versions
-from can_rig.campaigns.workers import AHEAD, Compute, Done, Stopped, deaths_after
+from can_rig.campaigns.workers import AHEAD, Compute, Done, Todo, deaths_after
 from can_rig.errors import RigError, one_line, require
 
 PATIENCE_S: Final = 30.0
@@ -29,7 +29,7 @@ _ONE_AT_A_TIME: Final = Lock()
 
 
 @contextmanager
-def on_cluster(plan: Plan, scheduler: str, stopped: Stopped) -> Iterator[Compute]:
+def on_cluster(plan: Plan, scheduler: str) -> Iterator[Compute]:
     """The cluster whose scheduler listens at that address.
 
     Raises:
@@ -46,7 +46,7 @@ def on_cluster(plan: Plan, scheduler: str, stopped: Stopped) -> Iterator[Compute
         raise RigError(f"--scheduler {scheduler}: cannot be reached: {one_line(error)}") from None
     try:
         client.wait_for_workers(1, timeout=PATIENCE_S)
-        yield _Cluster(client, scheduler, plan, stopped).compute
+        yield _Cluster(client, scheduler, plan).compute
     except TimeoutError:
         raise RigError(f"--scheduler {scheduler}: has no workers") from None
     finally:
@@ -54,21 +54,21 @@ def on_cluster(plan: Plan, scheduler: str, stopped: Stopped) -> Iterator[Compute
 
 
 class _Cluster:
-    def __init__(self, client: Any, scheduler: str, plan: Plan, stopped: Stopped) -> None:
-        self._client, self._scheduler, self._stopped = client, scheduler, stopped
+    def __init__(self, client: Any, scheduler: str, plan: Plan) -> None:
+        self._client, self._scheduler = client, scheduler
         self._plan = pickle.dumps(plan)
         self._asked = 0
 
-    def compute(self, tasks: Sequence[Task]) -> Done:
+    def compute(self, tasks: Iterable[Task]) -> Done:
         """See ``Compute``."""
         from distributed import KilledWorker, as_completed  # noqa: PLC0415 (an extra)
 
-        todo, deaths = list(reversed(tasks)), 0
+        todo, deaths = Todo(tasks), 0
         running: dict[Any, Task] = {}
         completed = as_completed(loop=self._client.loop)
-        while (todo and not self._stopped()) or running:
-            while todo and not self._stopped() and len(running) < self._wanted():
-                task = todo.pop()
+        while todo or running:
+            while len(running) < self._wanted() and todo:
+                task = todo.take()
                 future = self._submit(task)
                 running[future] = task
                 completed.add(future)
@@ -78,7 +78,7 @@ class _Cluster:
                 rows = future.result()
             except KilledWorker:
                 deaths = deaths_after(deaths, task)
-                todo.append(task)
+                todo.put_back([task])
             except (OSError, CancelledError) as error:
                 raise RigError(
                     f"--scheduler {self._scheduler}: went away ({one_line(error)}); what is done "

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from typing import Any, NamedTuple
 
 from can_rig.campaigns.plan import Plan
@@ -25,6 +26,13 @@ class Task(NamedTuple):
     begin: int
     end: int
     points: tuple[tuple[float, ...], ...] | None = None
+
+    def parts(self, most: int) -> Iterator[Task]:
+        """The same in tasks of at most so many runs."""
+        for begin in range(self.begin, self.end, most):
+            end = min(begin + most, self.end)
+            points = self.points and self.points[begin - self.begin : end - self.begin]
+            yield Task(begin, end, points)
 
 
 def run_rows(plan: Plan, task: Task) -> list[Row]:

@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import os
 import signal
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from itertools import islice
 from multiprocessing import get_context, parent_process
 from threading import Thread
 from typing import Any, Final
@@ -21,11 +22,10 @@ from can_rig.campaigns.run import Row, Task, run_rows
 from can_rig.errors import RigError
 
 Done = Iterator[tuple[Task, list[Row]]]
-Compute = Callable[[Sequence[Task]], Done]
-"""Tasks and what became of each, in whatever order; fewer where it was stopped."""
-Stopped = Callable[[], bool]
+Compute = Callable[[Iterable[Task]], Done]
+"""Tasks, taken as they are wanted, and the rows of each, in whatever order."""
 
-DEATHS: Final = 3
+DEATHS: Final = 5
 """Times in a row that workers may die before anything is done; then it is not by chance."""
 
 AHEAD: Final = 2
@@ -35,25 +35,23 @@ _plan: Plan | None = None
 
 
 @contextmanager
-def serially(plan: Plan, stopped: Stopped) -> Iterator[Compute]:
-    """No other than this process, until ``stopped``."""
+def serially(plan: Plan) -> Iterator[Compute]:
+    """No other than this process."""
 
-    def compute(tasks: Sequence[Task]) -> Done:
+    def compute(tasks: Iterable[Task]) -> Done:
         for task in tasks:
-            if stopped():
-                return
             yield task, run_rows(plan, task)
 
     yield compute
 
 
 @contextmanager
-def in_processes(plan: Plan, workers: int, stopped: Stopped) -> Iterator[Compute]:
+def in_processes(plan: Plan, workers: int) -> Iterator[Compute]:
     """So many processes; one that dies is replaced.
 
     To compute raises RigError where workers die again and again.
     """
-    processes = _Processes(plan, workers, stopped)
+    processes = _Processes(plan, workers)
     try:
         yield processes.compute
     finally:
@@ -63,29 +61,29 @@ def in_processes(plan: Plan, workers: int, stopped: Stopped) -> Iterator[Compute
 class _Processes:
     """A pool, and another where that has broken."""
 
-    def __init__(self, plan: Plan, workers: int, stopped: Stopped) -> None:
-        self._plan, self._workers, self._stopped = plan, workers, stopped
+    def __init__(self, plan: Plan, workers: int) -> None:
+        self._plan, self._workers = plan, workers
         self._context = get_context("forkserver")
         self._context.set_forkserver_preload(["can_rig.campaigns.run"])
         self._pool: ProcessPoolExecutor | None = None
 
-    def compute(self, tasks: Sequence[Task]) -> Done:
+    def compute(self, tasks: Iterable[Task]) -> Done:
         """See ``Compute``."""
-        todo, deaths = list(reversed(tasks)), 0
+        todo, deaths = Todo(tasks), 0
         running: dict[Future[list[Row]], Task] = {}
-        while (todo and not self._stopped()) or running:
+        while todo or running:
             try:
-                while todo and not self._stopped() and len(running) < AHEAD * self._workers:
-                    running[self._submit(todo[-1])] = todo[-1]
-                    todo.pop()
+                while len(running) < AHEAD * self._workers and todo:
+                    running[self._submit(todo.first)] = todo.first
+                    todo.take()
                 for future in wait(running, return_when=FIRST_COMPLETED).done:
                     rows = future.result()
                     deaths = 0
                     yield running.pop(future), rows
             except BrokenProcessPool:
                 self.end()
-                deaths = deaths_after(deaths, min([*running.values(), *todo[-1:]]))
-                todo += sorted(running.values(), reverse=True)
+                todo.put_back(running.values())
+                deaths = deaths_after(deaths, todo.first)
                 running = {}
 
     def end(self) -> None:
@@ -98,6 +96,32 @@ class _Processes:
         if self._pool is None:
             self._pool = ProcessPoolExecutor(self._workers, self._context, _begin, (self._plan,))
         return self._pool.submit(_rows, task)
+
+
+class Todo:
+    """Tasks that nobody computes yet, in the order in which they are wanted."""
+
+    def __init__(self, tasks: Iterable[Task]) -> None:
+        self._tasks = iter(tasks)
+        self._next: list[Task] = []
+
+    def __bool__(self) -> bool:
+        if not self._next:
+            self._next += islice(self._tasks, 1)
+        return bool(self._next)
+
+    @property
+    def first(self) -> Task:
+        """The one that is wanted first; only where there is one."""
+        return self._next[0]
+
+    def take(self) -> Task:
+        """The same, which somebody computes from now on."""
+        return self._next.pop(0)
+
+    def put_back(self, tasks: Iterable[Task]) -> None:
+        """Tasks that were not computed in the end."""
+        self._next = sorted([*self._next, *tasks])
 
 
 def deaths_after(before: int, first: Task) -> int:

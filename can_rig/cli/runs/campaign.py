@@ -12,7 +12,8 @@ from pathlib import Path
 import click
 from rich.table import Table
 
-from can_rig.campaigns.campaign import CampaignFolder, execute, open_folder
+from can_rig.campaigns.campaign import CampaignFolder, open_folder
+from can_rig.campaigns.execution import execute
 from can_rig.campaigns.plan import Plan, plan
 from can_rig.campaigns.report import write_report
 from can_rig.campaigns.settings import read_campaign
@@ -76,7 +77,7 @@ def command(
     stop = StopRequest().on_signals()
     cores = min(workers or len(os.sched_getaffinity(0)), planned.runs)
     with counting(planned.settings.name, "runs", planned.runs) as on_done, _told(folder):
-        whole = execute(folder, computing(planned, cores, scheduler, stop), on_done)
+        whole = execute(folder, computing(planned, cores, scheduler), lambda: stop.wanted, on_done)
     if not whole:
         say(f"{folder.done} of {planned.runs} runs are done; --resume --out {folder.path} goes on")
         sys.exit(INTERRUPTED)
@@ -89,16 +90,16 @@ def command(
 
 
 def computing(
-    planned: Plan, workers: int, scheduler: str | None, stop: StopRequest
+    planned: Plan, workers: int, scheduler: str | None
 ) -> AbstractContextManager[Compute]:
     """Who computes the runs."""
     if scheduler is not None:
         from can_rig.campaigns.cluster import on_cluster  # noqa: PLC0415 (an extra)
 
-        return on_cluster(planned, scheduler, lambda: stop.wanted)
+        return on_cluster(planned, scheduler)
     if workers == 1:
-        return serially(planned, lambda: stop.wanted)
-    return in_processes(planned, workers, lambda: stop.wanted)
+        return serially(planned)
+    return in_processes(planned, workers)
 
 
 @contextmanager

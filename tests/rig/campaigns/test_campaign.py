@@ -18,12 +18,13 @@ import pytest
 from pyarrow import parquet
 
 from can_rig.assessment.resolve import load
-from can_rig.campaigns.campaign import CampaignFolder, execute, open_folder
+from can_rig.campaigns.campaign import CampaignFolder, open_folder
+from can_rig.campaigns.execution import execute
 from can_rig.campaigns.plan import Plan, plan
 from can_rig.campaigns.run import Task, run_rows
 from can_rig.campaigns.settings import campaign_of
 from can_rig.campaigns.table import METRICS, TRUTHS
-from can_rig.campaigns.workers import Compute, Stopped, in_processes, serially
+from can_rig.campaigns.workers import Compute, in_processes, serially
 from can_rig.errors import RunFolderError, ScenarioError
 from can_rig.results.without_log import metrics_of
 from tests.helpers import asked
@@ -68,9 +69,14 @@ def planned(**values: Any) -> Plan:
     return plan(campaign_of("some", {**SHORT, **values}))
 
 
-def by(some: Plan, number: int, stopped: Stopped = lambda: False) -> WhoComputes:
+def by(some: Plan, number: int) -> WhoComputes:
     """This process, or so many others."""
-    return serially(some, stopped) if number == 1 else in_processes(some, number, stopped)
+    return serially(some) if number == 1 else in_processes(some, number)
+
+
+def never() -> bool:
+    """Nobody stops it."""
+    return False
 
 
 def quiet(_done: int) -> None:
@@ -82,10 +88,10 @@ def ran(path: Path, some: Plan, number: int = 1, blocks: int | None = None) -> C
     folder = open_folder(path, some, resume=False, force=False)
     if blocks is not None:
         left = iter([False] * blocks)
-        assert not execute(folder, by(some, number, lambda: next(left, True)), quiet)
+        assert not execute(folder, by(some, number), lambda: next(left, True), quiet)
         assert 0 < folder.done < some.runs
         folder = open_folder(path, some, resume=True, force=False)
-    assert execute(folder, by(some, number), quiet)
+    assert execute(folder, by(some, number), never, quiet)
     return folder
 
 
@@ -149,7 +155,7 @@ def test_a_worker_that_is_killed_costs_nothing(done: CampaignFolder, tmp_path: P
                 victims.append(busy[0].pid)
                 busy[0].kill()
 
-    assert execute(folder, by(planned(), 2), kill_one)
+    assert execute(folder, by(planned(), 2), never, kill_one)
     assert victims
     assert folder.table.read_bytes() == done.table.read_bytes()
 
@@ -166,8 +172,8 @@ def test_workers_that_always_die_end_it_in_a_line(
     )
     some = planned(settings={**SHORT["settings"], "plant.kind": "deadly_car:Deadly"})
     folder = open_folder(tmp_path / "out", some, resume=False, force=False)
-    with pytest.raises(Exception, match=r"runs 0 to 0: the worker died 3 times"):
-        execute(folder, by(some, 2), quiet)
+    with pytest.raises(Exception, match=r"runs 0 to 0: the worker died 5 times"):
+        execute(folder, by(some, 2), never, quiet)
 
 
 def test_a_run_that_fails_is_a_row_with_its_reason(

@@ -11,8 +11,9 @@ import pytest
 from distributed import Future, KilledWorker, LocalCluster
 
 from can_rig.campaigns import cluster
-from can_rig.campaigns.campaign import execute, open_folder
+from can_rig.campaigns.campaign import open_folder
 from can_rig.campaigns.cluster import on_cluster, rows_of
+from can_rig.campaigns.execution import execute
 from can_rig.campaigns.plan import Plan, plan
 from can_rig.campaigns.run import Task
 from can_rig.campaigns.settings import campaign_of
@@ -47,11 +48,11 @@ def test_a_cluster_makes_the_same_table(search: str | None, address: str, tmp_pa
     tables = []
     some = planned(search=search)
     for name, workers in (
-        ("here", serially(some, lambda: False)),
-        ("there", on_cluster(some, address, lambda: False)),
+        ("here", serially(some)),
+        ("there", on_cluster(some, address)),
     ):
         folder = open_folder(tmp_path / name, some, resume=False, force=False)
-        assert execute(folder, workers, str)
+        assert execute(folder, workers, lambda: False, str)
         tables.append(folder.table.read_bytes())
     assert tables[0] == tables[1]
 
@@ -59,7 +60,7 @@ def test_a_cluster_makes_the_same_table(search: str | None, address: str, tmp_pa
 def test_a_worker_that_dies_costs_nothing_and_one_that_always_dies_ends_it(
     address: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    deaths = iter([True, True, False, True, True, True])
+    deaths = iter([True, True, False, *[True] * 5])
     result = Future.result
 
     def dying(future: Any) -> Any:
@@ -68,18 +69,11 @@ def test_a_worker_that_dies_costs_nothing_and_one_that_always_dies_ends_it(
         return result(future)
 
     monkeypatch.setattr(Future, "result", dying)
-    with on_cluster(planned(), address, lambda: False) as compute:
+    with on_cluster(planned(), address) as compute:
         ((task, rows),) = compute([Task(0, 1)])
         assert (task, rows[0]["run"]) == (Task(0, 1), 0)
-        with pytest.raises(RigError, match="runs 1 to 1: the worker died 3 times"):
+        with pytest.raises(RigError, match="runs 1 to 1: the worker died 5 times"):
             list(compute([Task(1, 2)]))
-
-
-def test_what_is_under_way_is_finished_when_it_is_stopped(address: str) -> None:
-    answers = iter([False] * 3)
-    with on_cluster(planned(), address, lambda: next(answers, True)) as compute:
-        done = list(compute([Task(run, run + 1) for run in range(6)]))
-    assert 0 < len(done) < 6
 
 
 def test_other_versions_are_refused_in_a_line() -> None:
