@@ -9,6 +9,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from firmware_model.target import controller
+from firmware_model.target.filters.biquad import advance, at_rest
+from firmware_model.target.layout import precision_of
+from firmware_model.target.precision import real
 from firmware_model.target.structs import FloatArray, Record, RecordArray
 
 
@@ -94,13 +97,37 @@ class Firmware:
         accumulators += sections.astype(accumulators.dtype)
 
     def act(self, command_1: float, command_2: float) -> None:
-        """Tell F1 which commands act from the next ``step`` on, where those sent were lost.
+        """Say which commands act from the next ``step`` on, where those sent were lost.
 
-        Only for a latency of at least one tick: without it no command can be late.
+        F1 goes on with them, and what was lost is made up for. Only for a latency of at least one
+        tick: without it no command can be late.
         """
         estimator = self._states[0].estimator
+        lost_1 = float(estimator.delay_1[estimator.delay_index]) - command_1
+        lost_2 = float(estimator.delay_2[estimator.delay_index]) - command_2
         estimator.delay_1[estimator.delay_index] = command_1
         estimator.delay_2[estimator.delay_index] = command_2
+        self._lose(1, lost_1)
+        missing = self._lose(2, lost_2)
+        shown = int(self._tables[0].estimator.shown_ticks_2)
+        for i, output in enumerate(missing, start=estimator.shown_index_2 - len(missing)):
+            self._states[0].tracking.delay[i % shown] += output
+
+    def _lose(self, channel: int, lost: float) -> list[float]:
+        """Take ``lost`` for a shortfall of the tick whose command would act now.
+
+        Returns what has been missing of the output since then.
+        """
+        table, state = self._tables[0], self._states[0]
+        cascade, shortfall = table.estimator[f"channel_{channel}"], state[f"shortfall_{channel}"]
+        more = at_rest(precision_of(table))
+        ticks = int(table.estimator.latency_ticks)
+        missing = [
+            float(advance(cascade, more, real(lost * (k == 0), state.command_1)))
+            for k in range(ticks)
+        ]
+        shortfall.accumulators += more.accumulators
+        return missing
 
     @property
     def commands(self) -> tuple[float, float]:

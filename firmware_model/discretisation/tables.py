@@ -10,7 +10,7 @@ import numpy as np
 from firmware_model.design.continuous_design import ContinuousDesign
 from firmware_model.design.mismatch import STEP
 from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.discretisation.sections import Sections
+from firmware_model.discretisation.sections import Sections, make_up_gain
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import RULES, tustin
 from firmware_model.errors import DesignError, ParameterError
@@ -143,6 +143,11 @@ def build(design: ContinuousDesign, target: Target) -> Record:
     _fill_loop(table, design, target, filters, dead)
     _fill_estimator(table.estimator, target, filters, dead)
     _fill_compensator(table, design, target, filters, loop_gain)
+    for shortfall, model in (
+        (table.shortfall_1, filters.estimator_1),
+        (table.shortfall_2, filters.estimator_2),
+    ):
+        shortfall.gain[: len(model.coefficients)] = make_up_gain(model)
     _fill_decision(table, target)
     _fill_mismatch(table, target)
     if target.probe > 0.0:

@@ -51,12 +51,14 @@ from firmware_model.target.filters.estimator import (
     model_output,
     settle_estimator,
 )
+from firmware_model.target.filters.shortfall import make_up
 from firmware_model.target.filters.tracking import (
-    advance_shortfall,
+    advance_shortfalls,
     asked_torque,
     missing_output,
     settle_tracking,
     track,
+    track_on,
 )
 from firmware_model.target.layout import precision_of, state_type
 from firmware_model.target.overflow import clear_memories
@@ -112,7 +114,9 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
     torque = asked_torque(table.tracking, state.tracking, wanted + table.tracking.feedback * rest_1)
     if state.probe.tick > 0:
         torque = torque + probe_torque(table.probe, state.probe)
-    possible_1 = saturate_rate(table.actuator_1, torque, held_1)
+    made_up = make_up(table.shortfall_1, estimator.channel_1, table.actuator_1, state.shortfall_1)
+    wish_1 = torque + made_up
+    possible_1 = saturate_rate(table.actuator_1, wish_1, held_1)
     state.command_1 = quantise(table.actuator_1, state.actuator_1, possible_1)
 
     model_1, model_2 = model_output(estimator, state.estimator, state.command_1, zero)
@@ -121,6 +125,7 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
     q_rest = output(estimator.one_plus_q, state.estimator.one_plus_q, zero)
     rest_2 = output(compensator.filter, state.compensator.filter, zero)
     from_reference = compensator.reference_share * r
+    made_up = make_up(table.shortfall_2, estimator.channel_2, table.actuator_2, state.shortfall_2)
 
     # Without feedthrough of u2 this is already the residual; with it, all but u2 of this tick.
     decide(table, state, known + estimator.feedthrough_2 * held_2, model_1, model_2)
@@ -132,22 +137,24 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
         estimate = q_rest + estimator.one_plus_q_feedthrough * known
         force = from_reference + rest_2 + compensator.feedthrough * estimate
         force = force * compensator.loop_inverse
+        made_up = made_up * compensator.loop_inverse
         drive = zero
-    possible_2 = saturate_rate(table.actuator_2, force, held_2)
+    wish_2 = force + made_up
+    possible_2 = saturate_rate(table.actuator_2, wish_2, held_2)
     state.command_2 = quantise(table.actuator_2, state.actuator_2, possible_2)
 
     residual = known + estimator.feedthrough_2 * state.command_2
     estimate = advance(estimator.one_plus_q, state.estimator.one_plus_q, residual)
     drive = drive if compensator.on_confirmation else estimate
     advance(compensator.filter, state.compensator.filter, drive)
-    if not (math.isfinite(torque) and math.isfinite(force)):
+    if not (math.isfinite(wish_1) and math.isfinite(wish_2)):
         state.command_1, state.command_2 = held_1, held_2
         clear_memories(table, state)
         hold(table, state)
         return
     state.fault_estimate = estimate
     state.mode = MODE_RUN
-    advance_models(table, state, force - possible_2)
+    advance_models(table, state, torque - possible_1, force - possible_2)
 
 
 @firmware
@@ -157,21 +164,23 @@ def hold(table: Record, state: Record) -> None:
     model_output(table.estimator, state.estimator, state.command_1, state.command_2)
     acting_1, acting_2 = acting_commands(table, state)
     show_other_cars(table, state, acting_1, acting_2)
-    short = real(0.0, state.command_2)
+    asked_1 = track_on(table.tracking, state.tracking)
+    short_1 = asked_1 - state.command_1
+    short_2 = real(0.0, state.command_2)
     if table.compensator.on_confirmation:
         drive = transfer(state.bumpless_transfer, compensated_output(table, state))
         force = advance(table.compensator.filter, state.compensator.filter, drive)
-        short = force - state.command_2
-    advance_models(table, state, short)
+        short_2 = force - state.command_2
+    advance_models(table, state, short_1, short_2)
 
 
 @firmware
-def advance_models(table: Record, state: Record, short: float) -> None:
+def advance_models(table: Record, state: Record, short_1: float, short_2: float) -> None:
     """Advance everything that models the plant by the commands of this tick.
 
-    ``short`` is what channel 2 was asked for and could not do.
+    ``short_1`` and ``short_2`` are what the channels were asked for and could not do.
     """
-    advance_shortfall(table, state, short)
+    advance_shortfalls(table, state, short_1, short_2)
     advance_loss_model(table, state)
     advance_candidate(table, state)
     advance_other_cars(table, state)
@@ -211,6 +220,8 @@ def reset(table: Record, state: Record, reference: float) -> None:
     settle_mismatch(table, state, model_1 + model_2)
     settle_loss_model(table, state)
     start_candidate(table, state)
+    state.shortfall_1.accumulators[:] = 0.0
+    state.shortfall_2.accumulators[:] = 0.0
     state.probe.tick = 0
     state.decision.pause = 0
     release(state.bumpless_transfer)

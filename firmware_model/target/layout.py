@@ -18,7 +18,7 @@ from firmware_model.target.fault_decision import (
     probe,
     sequential_test,
 )
-from firmware_model.target.filters import compensator, estimator, tracking
+from firmware_model.target.filters import compensator, estimator, shortfall, tracking
 from firmware_model.target.structs import Field, Precision, Record, record_type
 
 TABLE = (
@@ -28,6 +28,8 @@ TABLE = (
     Field("compensator", "1", "F̂", compensator.CONSTANTS),
     Field("actuator_1", "1", "what channel 1 can follow", actuator.CONSTANTS),
     Field("actuator_2", "1", "what channel 2 can follow", actuator.CONSTANTS),
+    Field("shortfall_1", "1", "how channel 1 makes up for it", shortfall.CONSTANTS),
+    Field("shortfall_2", "1", "how channel 2 makes up for it", shortfall.CONSTANTS),
     Field("other_cars", "1", "what they show", other_cars.CONSTANTS),
     Field("mismatch", "1", "how this car differs", mismatch.CONSTANTS),
     Field("sequential_test", "1", "for a loss or its end", sequential_test.CONSTANTS),
@@ -44,6 +46,8 @@ STATE = (
     Field("compensator", "1", "F̂", compensator.STATE),
     Field("actuator_1", "1", "rounding of command 1", actuator.STATE),
     Field("actuator_2", "1", "rounding of command 2", actuator.STATE),
+    Field("shortfall_1", "1", "what channel 1 could not do", shortfall.STATE),
+    Field("shortfall_2", "1", "what channel 2 could not do", shortfall.STATE),
     Field("other_cars", "1", "what they show", other_cars.STATE),
     Field("mismatch", "1", "how this car differs", mismatch.STATE),
     Field("sequential_test", "1", "for a loss or its end", sequential_test.STATE),

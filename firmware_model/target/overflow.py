@@ -13,6 +13,7 @@ from firmware_model.target.fault_decision.other_cars import clear_other_cars, sh
 from firmware_model.target.fault_decision.sequential_test import start_candidate
 from firmware_model.target.filters.biquad import output
 from firmware_model.target.filters.estimator import clear_estimator, model_output
+from firmware_model.target.filters.shortfall import make_up
 from firmware_model.target.filters.tracking import missing_output
 from firmware_model.target.precision import real
 from firmware_model.target.reference_shaper import start
@@ -27,6 +28,7 @@ def clear_memories(table: Record, state: Record) -> None:
     """
     state.probe.tick = 0
     state.tracking.filter.accumulators[:] = 0.0
+    state.tracking.error = 0.0
     state.estimator.one_plus_q.accumulators[:] = 0.0
     if not table.compensator.on_confirmation:
         state.compensator.filter.accumulators[:] = 0.0
@@ -46,6 +48,9 @@ def sum_of_models(table: Record, state: Record) -> float:
     for i in range(table.other_cars.n):
         known += state.other_cars.shown[i]
     force = output(table.compensator.filter, state.compensator.filter, zero)
+    estimator, lost_1, lost_2 = table.estimator, state.shortfall_1, state.shortfall_2
+    force += make_up(table.shortfall_1, estimator.channel_1, table.actuator_1, lost_1)
+    force += make_up(table.shortfall_2, estimator.channel_2, table.actuator_2, lost_2)
     total: float = known + force + state.reference_shaper.shaped
     return total
 
@@ -54,7 +59,8 @@ def sum_of_models(table: Record, state: Record) -> float:
 def clear_models(state: Record) -> None:
     """Nothing is known of the plant: it is at rest, and nothing is lost."""
     start(state.reference_shaper, real(0.0, state.command_1))
-    state.tracking.shortfall.accumulators[:] = 0.0
+    state.shortfall_1.accumulators[:] = 0.0
+    state.shortfall_2.accumulators[:] = 0.0
     state.tracking.delay[:] = 0.0
     state.actuator_1.rounded_off = state.actuator_2.rounded_off = 0.0
     state.compensator.filter.accumulators[:] = 0.0

@@ -29,20 +29,19 @@ CONSTANTS = (
 )
 STATE = (
     Field("filter", "u1", "state of Q", biquad.STATE),
-    Field("shortfall", "y", "state of G2, driven by what channel 2 could not do", biquad.STATE),
-    Field("delay", "u2", "ring of asked - possible on its way", shape=(MAX_SHOWN_TICKS,)),
+    Field("error", "y", "r - y + G1 u1 of the last tick with inputs"),
+    Field("delay", "y", "ring of G2 (asked - possible) on its way", shape=(MAX_SHOWN_TICKS,)),
 )
 
 
 @firmware
 def missing_output(table: Record, state: Record) -> float:
     """G2 (asked - possible) as the measurement of this tick shows it."""
-    tracking = state.tracking
-    short = real(0.0, state.command_2)
     if table.estimator.shown_ticks_2 > 0:
-        short = tracking.delay[state.estimator.shown_index_2]
-    missing: float = output(table.estimator.channel_2, tracking.shortfall, short)
-    return missing
+        missing: float = state.tracking.delay[state.estimator.shown_index_2]
+        return missing
+    none = real(0.0, state.command_2)
+    return output(table.estimator.channel_2, state.shortfall_2, none)
 
 
 @firmware
@@ -55,25 +54,30 @@ def asked_torque(constants: Record, state: Record, error: float) -> float:
 @firmware
 def track(constants: Record, state: Record, error: float) -> None:
     """Advance Q by ``error`` = r - y + G1 u1, this tick's command included as it was limited."""
+    state.error = error
     advance(constants.filter, state.filter, error)
 
 
 @firmware
-def advance_shortfall(table: Record, state: Record, short: float) -> None:
-    """Advance what channel 2 could not do by this tick's asked - possible."""
-    tracking = state.tracking
+def track_on(constants: Record, state: Record) -> float:
+    """A tick without inputs, which nothing new has happened in; what C would have asked for."""
+    torque: float = advance(constants.filter, state.filter, state.error)
+    return torque
+
+
+@firmware
+def advance_shortfalls(table: Record, state: Record, short_1: float, short_2: float) -> None:
+    """Advance what the channels could not do by this tick's asked - possible."""
+    advance(table.estimator.channel_1, state.shortfall_1, short_1)
+    missing = advance(table.estimator.channel_2, state.shortfall_2, short_2)
     if table.estimator.shown_ticks_2 > 0:
-        index = state.estimator.shown_index_2
-        now = tracking.delay[index]
-        tracking.delay[index] = short
-        short = now
-    advance(table.estimator.channel_2, tracking.shortfall, short)
+        state.tracking.delay[state.estimator.shown_index_2] = missing
 
 
 @firmware
 def settle_tracking(constants: Record, state: Record, reference: float) -> float:
     """The steady state at ``reference`` of a plant that is the model; returns the command."""
-    state.shortfall.accumulators[:] = 0.0
     state.delay[:] = 0.0
+    state.error = reference
     command: float = settle(constants.filter, state.filter, reference)
     return command

@@ -80,7 +80,7 @@ def test_an_overflow_of_the_measurement_leaves_a_confirmed_loss_compensated(
     assert trace.fault_state[999] == FaultState.CONFIRMED
     assert trace.mode[1000] == Mode.HOLD
     assert (trace.fault_state[1000:] == FaultState.CONFIRMED).all()
-    assert np.abs(trace.error[1001:]).max() < 0.5
+    assert np.abs(trace.error[1001:]).max() < 0.7  # D* follows C, which begins at zero
     assert abs(trace.error[-1]) < 0.01
     assert trace.command_2[-1] == pytest.approx(1.0 / CAR.g2.dc_gain, rel=0.01)
 

@@ -57,13 +57,20 @@ def test_with_tustin_s_rule_at_no_latency_it_is_tustin_s_c() -> None:
 
 
 def limited(asked: FloatArray, limit: float, slew: float, lsb: float) -> FloatArray:
-    """Each as near to what is asked as its predecessor and the limits let it, on the grid.
+    """Each as near as its predecessor and the limits let it to what is asked and a make-up.
 
-    With what the grid took off the one before, as far as the limit lets that.
+    That is what leaves least of the energy that is still missing. On the grid, with what that took
+    off the command before, as far as the limit lets it.
     """
     commands, before, left = [], 0.0, 0.0
+    phi, gamma, c = PLANT.phi, PLANT.gamma[:, 0], PLANT.c
+    energy = linalg.solve_discrete_lyapunov(phi.T, np.outer(c, c))
+    missing = np.zeros(len(phi))
     for wish in asked:
-        possible = np.clip(wish, max(-limit, before - slew), min(limit, before + slew))
+        best = gamma @ energy @ phi @ missing / (gamma @ energy @ gamma)
+        made_up = np.clip(best, -slew, slew)
+        possible = np.clip(wish + made_up, max(-limit, before - slew), min(limit, before + slew))
+        missing = phi @ missing + gamma * (wish - possible)
         before = float(possible)
         if lsb > 0.0:
             wanted = np.clip(possible + left, -limit, limit)
@@ -86,7 +93,7 @@ grids = st.sampled_from([0.0, 0.01, 0.5])
 def test_on_the_car_that_is_the_model_limits_are_outside_the_loop(
     levels: list[float], latency: int, limit: float, rate: float, lsb: float
 ) -> None:
-    """Commands are Q r as the actuator can follow it; D* is G1 of those, and cannot swing."""
+    """Commands are Q r, made up for what the actuator could not do; D* is G1 of those."""
     of = Target(TICK_S, latency, "zoh", limit_1=limit, rate_1=rate, lsb_1=lsb, on_confirmation=True)
     reference = np.repeat(levels, 120)
     trace = simulate(build(DESIGN, of), PLANT, reference)

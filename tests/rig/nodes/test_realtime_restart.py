@@ -18,10 +18,10 @@ from tests.rig.nodes.world import (
 )
 
 HOLD_TICKS, STEADY_NM = 10, 42.54  # of the actuators; for 1 m/s²
-# What was not applied is known to the model, and C does not make up for it: the car returns by
-# itself, as from a pulse of the torque that was missing for the rest of 30 ticks.
-MISSING = [(-STEADY_NM * (tick < 30 - HOLD_TICKS), 0.0) for tick in range(400)]
-SHORT_OUTAGE_MPS2 = 1.001 * float(np.abs(dstar_under(np.array(MISSING))).max())
+# Of a pulse of the torque that was missing for the rest of 30 ticks, what D* shows before the first
+# command that may be another can act: the rest is made up for.
+MISSING = [(-STEADY_NM, 0.0) for tick in range(30 - HOLD_TICKS + 2)]
+SHORT_OUTAGE_MPS2 = 1.05 * float(np.abs(dstar_under(np.array(MISSING))).max())
 
 
 class Restart:
