@@ -24,8 +24,8 @@ from can_rig.assessment.tuning.search import Tunings
 from can_rig.assessment.tuning.search import tune as search
 from can_rig.decoding.decode import decode_log
 from can_rig.errors import require
-from can_rig.scenario.loading import Changes, as_settings
 from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.changes import Changes, as_settings
 from can_rig.views.recorded_run import RecordedRun, record
 
 if TYPE_CHECKING:

@@ -16,7 +16,7 @@ class ParameterError(DesignError):
 
 
 class UnstablePlantError(DesignError):
-    """A pole in the closed right half plane; the thesis assumes G in RH∞ (§2.2, §3.2)."""
+    """A pole on the imaginary axis, or an unstable mode that one input alone cannot hold."""
 
 
 class ImproperError(DesignError):
@@ -29,10 +29,6 @@ class ZeroChannelError(DesignError):
 
 class AxisZeroError(DesignError):
     """A zero on or near the imaginary axis: no stable inverse, no inner-outer factorisation."""
-
-
-class NonMinimumPhaseError(DesignError):
-    """A zero of G1 in the right half plane: Q = q̂/G1 of (3.33) would be unstable."""
 
 
 class UnstableFilterError(DesignError):

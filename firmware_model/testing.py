@@ -2,7 +2,7 @@
 
 Each takes a ``Filter`` of ``discretise`` and raises ``AssertionError`` with one line: where the
 filter is how far from theory, and what was allowed. What is allowed comes from the coefficients,
-where the caller does not say: how far rounding can move the answer (``discretisation.rounding``).
+where the caller does not say: how far rounding can move the answer (``single_filter.rounding``).
 """
 
 from __future__ import annotations
@@ -13,10 +13,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.discretisation import rounding
-from firmware_model.discretisation.filters import Filter
 from firmware_model.discretisation.held_input import response, sampled
 from firmware_model.discretisation.sections import ComplexArray
+from firmware_model.discretisation.single_filter import rounding
+from firmware_model.discretisation.single_filter.filters import Filter
 from firmware_model.discretisation.systems import continuous, zero_pole_gain
 from firmware_model.discretisation.tustin import image_of_infinity
 from firmware_model.target.filters import biquad

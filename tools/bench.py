@@ -1,4 +1,4 @@
-"""Rates of the lockstep loop, of decoding a log (bench_decode.py), or of a campaign.
+"""Rates of the lockstep loop, of a log decoded (bench_decode.py), a campaign, or the law in C.
 
 Interleaved, so that a noisy machine disturbs all alike; medians.
 """
@@ -106,7 +106,8 @@ def log(recorder: Recorder, frame: can.Message) -> None:
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", nargs="?", choices=("loop", "decode", "campaign"), default="loop")
+    kinds = ("loop", "decode", "campaign", "c")
+    parser.add_argument("what", nargs="?", choices=kinds, default="loop")
     parser.add_argument("--rounds", type=int, default=5, help="interleaved rounds [5]")
     parser.add_argument("--seconds", type=float, default=5.0, help="loop: simulated time a run [5]")
     parser.add_argument(
@@ -123,6 +124,10 @@ def main() -> None:
         from bench_campaign import bench_campaign  # noqa: PLC0415 (control is slow to import)
 
         bench_campaign(options.runs, options.workers)
+    elif options.what == "c":
+        from bench_c import bench_c  # noqa: PLC0415 (as above)
+
+        bench_c()
     else:
         bench_loop(options.rounds, options.seconds)
 

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import gc
 import importlib
+import math
 import os
 import shutil
 import sys
@@ -105,11 +106,15 @@ def measure(tests: Tests) -> None:
 def killers(
     tests: Tests, mutants: Mapping[str, tuple[Path, str]], workers: int
 ) -> Iterator[tuple[str, str | None]]:
-    """For each key of ``mutants`` (module, source) the test that noticed; None: none did."""
+    """For each key of ``mutants`` (module, source) the test that noticed; None: none did.
+
+    In a first pass what survives the session is left at that.
+    """
     left = dict(mutants)
     for key, killer in in_one_session(tests, mutants, workers):
-        if killer not in {"", UNCHANGED}:
-            del left[key]
-            yield key, killer or TIMEOUT
+        if killer == UNCHANGED or (killer == "" and tests.below_s == math.inf):
+            continue
+        del left[key]
+        yield key, TIMEOUT if killer is None else killer or None
     for key, answer in answers(partial(_imported, tests), left, workers):
         yield key, answer[0] if answer else TIMEOUT

@@ -1,13 +1,15 @@
 """Mutants in one session of pytest: it imports and collects once, and forks for each of them.
 
-There the functions that a mutant changes get its code. That does not reach what is computed as a
-module is imported, so what survives here has yet to be tried by an import.
+There the functions that a mutant changes get its code, and constants of a module their new values.
+That does not reach what is made of them as modules are imported, so what survives here has yet to
+be tried by an import.
 """
 
 from __future__ import annotations
 
 import gc
 import signal
+import sys
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
 from multiprocessing import get_context
@@ -20,11 +22,13 @@ import pytest
 from mutation_processes import TREE, answers
 from mutation_tests import OPTIONS, Plugin, Tests
 
+_CONSTANT: Final = int | float | tuple | dict
+
 Functions = Mapping[tuple[str, str], list[FunctionType]]
 """By file and qualified name."""
 
 UNCHANGED: Final = "unchanged"
-"""The answer for a mutant that changes more than functions."""
+"""The answer for a mutant that changes more than functions and constants."""
 
 
 def functions() -> Functions:
@@ -37,13 +41,15 @@ def functions() -> Functions:
 
 
 def swap(known: Functions, path: str, before: str, after: str) -> bool:
-    """Give the functions of a module the code of its changed text; whether that is the change."""
+    """Give a module the functions and constants of its changed text; whether that is the change."""
     old, new = (dict(_codes(compile(text, path, "exec"))) for text in (before, after))
     changed = {
         name.partition(".<locals>")[0]
         for name in old.keys() | new.keys()
         if [*map(_own, old.get(name, ()))] != [*map(_own, new.get(name, ()))]
     }
+    if "<module>" in changed:
+        return changed == {"<module>"} and _rebind(path, after)
     if not all(len(known.get((path, name), ())) == len(new.get(name, ())) == 1 for name in changed):
         return False
     for name in changed:
@@ -52,6 +58,21 @@ def swap(known: Functions, path: str, before: str, after: str) -> bool:
             return False
         function.__code__ = code
     return True
+
+
+def _rebind(path: str, after: str) -> bool:
+    """Give every module that has a constant of this one its new value; whether one has changed."""
+    loaded = [module for module in sys.modules.values() if hasattr(module, "__dict__")]
+    (own,) = (vars(m) for m in loaded if getattr(m, "__file__", None) == path)
+    new = {name: own[name] for name in own if name.startswith("__")}
+    exec(compile(after, path, "exec"), new)
+    changed = [n for n in own if isinstance(own[n], _CONSTANT) and repr(own[n]) != repr(new.get(n))]
+    for name in changed:
+        before = own[name]
+        for module in loaded:
+            if vars(module).get(name) is before:
+                setattr(module, name, new[name])
+    return bool(changed)
 
 
 def _codes(whole: CodeType) -> dict[str, list[CodeType]]:

@@ -16,7 +16,7 @@ from hypothesis import Phase, settings
 OPTIONS: Final = (
     "-x",
     "-q",
-    "--tb=native",
+    "--tb=no",
     "-p",
     "no:cacheprovider",
     "-m",

@@ -24,6 +24,7 @@ UNITS = {  # the longest suffix that fits counts
     "_nm_per_s": "N m/s",
     "_n_per_s": "N/s",
     "_rad_per_s": "rad/s",
+    "_per_s": "1/s",
     "_per_hour": "1/h",
     "_kgm2": "kg m²",
     "_kg": "kg",
@@ -89,11 +90,20 @@ def sections(schema: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
 def _tables(
     section: str, fields: dict[str, Any], definitions: dict[str, Any]
 ) -> Iterator[tuple[str, dict[str, Any]]]:
-    yield section, {key: field for key, field in fields.items() if "$ref" not in field}
+    yield section, {key: field for key, field in fields.items() if _table(field) is None}
     for key, field in fields.items():
-        if "$ref" in field and section != "model":  # whose keys are those of the plant
-            inner = definitions[field["$ref"].split("/")[-1]]["properties"]
+        table = _table(field)
+        if table is not None and section != "model":  # whose keys are those of the plant
+            inner = definitions[table.split("/")[-1]]["properties"]
             yield from _tables(f"{section}.{key}".lstrip("."), inner, definitions)
+
+
+def _table(field: dict[str, Any]) -> str | None:
+    """Which table a key is, or a list of them; None: a value."""
+    items = field.get("items")
+    listed = items if isinstance(items, dict) else {}
+    found: str | None = field.get("$ref", listed.get("$ref"))
+    return found
 
 
 def one_meaning(key: str, field: dict[str, Any], explained: str | None) -> str:
@@ -129,6 +139,8 @@ def allowed(field: dict[str, Any]) -> str:
         return f"list of {several(field['items'])}"
     if "const" in field:
         return f'`"{field["const"]}"`'
+    if "enum" in field and len(field["enum"]) > 8:
+        return f"one of {len(field['enum'])} words"
     if "enum" in field:
         return ", ".join(f'`"{word}"`' for word in field["enum"])
     bounds = [

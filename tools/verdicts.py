@@ -135,13 +135,13 @@ def contradiction(scenario: Scenario, said: StabilityCheck) -> str:
 
 def astray(scenario: Scenario, measurement: FloatArray) -> float | None:
     """How far D* is from where it should be at the end; None: no farther than it may."""
-    fault = scenario.fault
+    fault = scenario.loss
     if fault.kind == "sensor-biased" or fault.left > 0.0:
         return None if np.isfinite(measurement).all() else np.inf
     free = replace(scenario.healthy.noise_free, plant=scenario.model, limits=LimitSettings())
     goal = frameless(free, network_of(scenario)).measurement
     last = slice(-round(1.0 / scenario.tick_s), None)
-    lost = scenario.fault.channel if scenario.fault.kind != "none" else ""
+    lost = scenario.loss.channel if scenario.loss.kind != "none" else ""
     place, plant = target(scenario, network_of(scenario)), continuous_plant(scenario.plant)
     demand = float(np.abs(goal).max())
     if lost == "torque" and demand > 0.9 * abs(plant.g2.dc_gain) * place.limit_2:

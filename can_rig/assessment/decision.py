@@ -66,10 +66,10 @@ def decision_figures(scenario: Scenario, network: Network) -> DecisionFigures:
         ScenarioError: a design that cannot be made.
     """
     table, plant = controller_table(scenario, network), continuous_plant(scenario.model)
-    lost = round(scenario.fault.at_s / scenario.tick_s)
+    lost = round(scenario.loss.at_s / scenario.tick_s)
     ticks = min(scenario.ticks, lost + round(AFTER_S / scenario.tick_s))
     left = np.ones((ticks, 2))
-    left[lost:, 0] = scenario.fault.left
+    left[lost:, 0] = scenario.loss.left
     drive = reference(replace(scenario, duration_s=max(ticks, 1) * scenario.tick_s))[:ticks]
     run = simulate(table, sample(plant, scenario.tick_s), drive, effectiveness=left)
     found = np.flatnonzero(run.fault_state[lost:] == FaultState.CONFIRMED)

@@ -29,7 +29,8 @@ from can_rig.plant.frameless import Inputs, frameless, inputs_of
 from can_rig.scenario.box import in_box, uncertain, with_lags
 from can_rig.scenario.build import continuous_plant, controller_table, slowness, target
 from can_rig.scenario.plant_settings import PlantSettings
-from can_rig.scenario.settings import CHANNELS, Channel, LimitSettings, Scenario
+from can_rig.scenario.settings import LimitSettings, Scenario
+from can_rig.scenario.tables.fault import CHANNELS, Channel, FaultSettings
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray, Record
 
@@ -73,9 +74,8 @@ class Drives:
         tick_s = scenario.tick_s
         slow = slowness(scenario)
         healthy, lost = (max(round(s * slow / tick_s), FEWEST_TICKS) for s in (HEALTHY_S, LOST_S))
-        none = replace(scenario.fault, kind="none", at_s=healthy * tick_s, for_s=None)
         self.scenario = scenario
-        self._scenario = replace(scenario, fault=none, duration_s=(healthy + lost) * tick_s)
+        self._scenario = replace(scenario, fault=(), duration_s=(healthy + lost) * tick_s)
         self._network = network
         self._lost = healthy
         self._return_s, self._together_s = RETURN_S * slow, TOGETHER_S * slow
@@ -125,8 +125,9 @@ class Drives:
         """Of a drive that ends with ``loss``; the sensor is that of the scenario's own plant."""
         if loss not in self._known:
             channel, left = LOSSES[loss]
-            fault = replace(self._scenario.fault, kind="actuator-dead", channel=channel, left=left)
-            self._known[loss] = inputs_of(replace(self._scenario, fault=fault), self._network)
+            at_s = self._lost * self._scenario.tick_s
+            fault = FaultSettings("actuator-dead", channel, at_s, left=left)
+            self._known[loss] = inputs_of(replace(self._scenario, fault=(fault,)), self._network)
         return self._known[loss]
 
     def _returns(self, plant: PlantSettings, loss: str) -> bool:
@@ -171,7 +172,7 @@ def box_findings(
 ) -> list[Finding]:
     """What is wrong with other cars of the budget's box when the torque is lost."""
     scenario = drives.scenario
-    if not scenario.design.feedback or scenario.plant.is_class:
+    if not scenario.design.feedback or scenario.plant.is_own:
         return []
     found: list[Finding] = []
     some = list(box_cars(scenario))

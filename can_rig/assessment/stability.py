@@ -18,6 +18,7 @@ from typing import Any
 from can_rig.assessment.control_authority import ControlAuthority, control_authority
 from can_rig.assessment.decision import DecisionFigures, decision_figures
 from can_rig.assessment.drives import Drives, Finding, box_findings, own_findings
+from can_rig.assessment.limitations import describe, plant_limitations
 from can_rig.assessment.network_notes import frame_notes, signal_notes
 from can_rig.assessment.stability_table import finite_or_null
 from can_rig.drawing.names import names_of, with_unit
@@ -30,7 +31,8 @@ from can_rig.scenario.build import (
     network_of,
     target,
 )
-from can_rig.scenario.settings import CHANNELS, Scenario
+from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.fault import CHANNELS
 from firmware_model.analysis.margins import (
     HEALTHY,
     Margins,
@@ -40,6 +42,8 @@ from firmware_model.analysis.margins import (
     margins,
 )
 from firmware_model.analysis.sampled_loop import sampled_loop
+from firmware_model.design.factors.coprime import unstable
+from firmware_model.design.factors.limitations import Limitations
 from firmware_model.discretisation.rules import RULE_NAMES
 
 Effectiveness = tuple[float, float]
@@ -47,6 +51,7 @@ Effectiveness = tuple[float, float]
 
 DEAD: dict[str, Effectiveness] = {"torque": (0.0, 1.0), "force-difference": (1.0, 0.0)}
 PARTLY_LOST = (0.75, 0.5, 0.25)  # what is left of the torque channel
+FASTER = 0.05  # tau_s over tau_q_s, tried for an unstable plant
 TUNINGS_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)  # tried for tau_s = tau_q_s
 SPARE_TICKS = (0, 1)  # extra delays with which a tuning must be stable to be recommended
 
@@ -67,6 +72,7 @@ class StabilityCheck:
     false_alarm: Margins | None
     decision: DecisionFigures
     control_authority: ControlAuthority | None
+    limitations: dict[str, Limitations]
     findings: list[Finding]
 
     @property
@@ -90,10 +96,12 @@ class StabilityCheck:
 
     @property
     def notes(self) -> Iterator[str]:
-        """A line each: whose margins, the decision, isolation, control authority, the frames."""
+        """A line each: whose margins, the plant's limits, the decision, isolation and so on."""
         scenario = self.scenario
-        if scenario.plant.is_class:
-            yield f"margins: of the linear car with its parameters, not of {scenario.plant.kind}"
+        if scenario.plant.is_own:
+            stands_for = "car with its parameters" if scenario.plant.is_car else "plant by numbers"
+            yield f"margins: of the linear {stands_for}, not of {scenario.plant.kind}"
+        yield from describe(scenario, self.limitations)
         if self.healthy.stable:
             yield from self.decision.describe(scenario)
             yield _isolation(scenario)
@@ -141,6 +149,7 @@ class StabilityCheck:
             "control_authority": None
             if self.control_authority is None
             else self.control_authority.as_dict(),
+            "limitations": {key: _figures(found) for key, found in self.limitations.items()},
         }
         return {key: finite_or_null(value) for key, value in values.items()}
 
@@ -155,7 +164,7 @@ def check_stability(
     Raises:
         ScenarioError: a design that cannot be made or discretised, a class that is no plant.
     """
-    if scenario.plant.is_class:
+    if scenario.plant.is_own:
         SimulatedPlant(scenario)  # refuses what a run refuses
     table, plant = controller_table(scenario, None), continuous_plant(scenario.plant)
     network = network_of(scenario)
@@ -163,7 +172,7 @@ def check_stability(
     def margins_with(effectiveness: Effectiveness) -> Margins:
         return margins(table, plant, scenario.tick_s, effectiveness)
 
-    healthy, faulted = margins_with(HEALTHY), margins_with(DEAD[scenario.fault.channel])
+    healthy, faulted = margins_with(HEALTHY), margins_with(DEAD[scenario.loss.channel])
     findings: list[Finding] = []
     if healthy.stable and faulted.stable:
         drives = Drives(scenario, network)
@@ -180,6 +189,7 @@ def check_stability(
         ),
         decision=decision_figures(scenario, network),
         control_authority=control_authority(scenario, network),
+        limitations=plant_limitations(scenario),
         findings=findings,
     )
 
@@ -192,7 +202,7 @@ def refuse_unstable(scenario: Scenario) -> None:
             the limits; a design that cannot be made.
     """
     table, plant = controller_table(scenario, None), continuous_plant(scenario.plant)
-    for name, left in _both_ends(scenario).items():
+    for name, left in _every_end(scenario).items():
         loop = sampled_loop(law_in(table, left), plant, scenario.tick_s, left)
         radius = loop.spectral_radius()
         if not radius < 1.0:
@@ -211,18 +221,19 @@ def refuse_unstable(scenario: Scenario) -> None:
 def stable_tuning(scenario: Scenario) -> str | None:
     """The fastest tau_s = tau_q_s that is stable before and after the fault with a tick to spare.
 
-    As the options that choose it; the scenario's own estimator is tried first. None if there is
-    no such tuning.
+    Of an unstable plant tau_s is ``FASTER`` of that: C has to hold it through F̂. As the options
+    that choose it; the scenario's own estimator is tried first. None if there is no such tuning.
     """
+    share = FASTER if unstable(continuous_plant(scenario.model).g1) else 1.0
     plant, states = continuous_plant(scenario.plant), tuple(_both_ends(scenario).values())
     own = scenario.design.estimator
     rules = [own, *(rule for rule in RULE_NAMES if rule != own)]
     for tau_s, rule in product(TUNINGS_S, rules):
-        chosen = replace(scenario.design, tau_s=tau_s, tau_q_s=tau_s, estimator=rule)
+        chosen = replace(scenario.design, tau_s=share * tau_s, tau_q_s=tau_s, estimator=rule)
         other = replace(scenario, design=chosen)
         design, place = continuous_design(other), target(other, None)
         if all(is_stable_in(design, place, plant, states, spare) for spare in SPARE_TICKS):
-            keys = [f"design.tau_s={tau_s:g}", f"design.tau_q_s={tau_s:g}"]
+            keys = [f"design.tau_s={share * tau_s:g}", f"design.tau_q_s={tau_s:g}"]
             keys += [f"design.estimator={rule}"] if rule != own else []
             return " ".join(f"--set {key}" for key in keys)
     return None
@@ -237,11 +248,20 @@ def _reason(scenario: Scenario, state: str, radius: float) -> str:
         tuple(_both_ends(scenario).values()),
     )
     survived = "no latency_ticks" if longest is None else f"latency_ticks up to {longest}"
-    tuning = stable_tuning(scenario) or f"no tau_s = tau_q_s up to {TUNINGS_S[-1]:g}"
+    tuning = stable_tuning(scenario) or f"no tau_q_s up to {TUNINGS_S[-1]:g}"
     return (
         f"unstable ({state}): the spectral radius is {radius:.4f} and must be below 1; "
         f"this tuning is stable with {survived}; {tuning} works"
     )
+
+
+def _figures(found: Limitations) -> dict[str, float]:
+    """Without the roots, which JSON has no numbers for."""
+    return {
+        "sensitivity": found.sensitivity,
+        "complementary": found.complementary,
+        "halving_rad_per_s": found.halving_rad_per_s,
+    }
 
 
 def _isolation(scenario: Scenario) -> str:
@@ -261,10 +281,19 @@ def _isolation(scenario: Scenario) -> str:
 def _channel(scenario: Scenario) -> str:
     """The channel that the fault concerns: as the key has it of a car, by name of other plants."""
     if scenario.plant.is_car:
-        return scenario.fault.channel
-    return names_of(scenario.plant)[1 + CHANNELS.index(scenario.fault.channel)].short
+        return str(scenario.loss.channel)
+    return names_of(scenario.plant)[1 + CHANNELS.index(scenario.loss.channel)].short
 
 
 def _both_ends(scenario: Scenario) -> dict[str, Effectiveness]:
-    dead = DEAD[scenario.fault.channel]
+    dead = DEAD[scenario.loss.channel]
     return {"healthy": HEALTHY, f"{_channel(scenario)} dead": dead}
+
+
+def _every_end(scenario: Scenario) -> dict[str, Effectiveness]:
+    """The same, and with the other channel dead where it fails too."""
+    ends = _both_ends(scenario)
+    for fault in scenario.faults:
+        if fault.loses_a_channel:
+            ends |= _both_ends(replace(scenario, fault=(fault,)))
+    return ends

@@ -20,7 +20,8 @@ from typing import Any
 import numpy as np
 
 from can_rig.scenario.build import continuous_plant, target
-from can_rig.scenario.settings import CHANNELS, Scenario
+from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.fault import CHANNELS, FaultSettings
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.compiled import compiled
 from firmware_model.target.structs import FloatArray
@@ -39,13 +40,15 @@ class Unavoidable:
     deviation_mps2: float
 
 
-def unavoidable(scenario: Scenario, commands: FloatArray) -> Unavoidable | None:
-    """For the scenario's fault; None where it never shows.
+def unavoidable(
+    scenario: Scenario, commands: FloatArray, fault: FaultSettings | None = None
+) -> Unavoidable | None:
+    """For a dead actuator, None: the scenario's loss. None where it never shows.
 
     ``commands`` are those that reach the lost channel from the loss on, shape (ticks,). For a plant
     that is a class, whose Φ is not known, it is that of the linear car with the same parameters.
     """
-    tick_s, fault = scenario.tick_s, scenario.fault
+    tick_s, fault = scenario.tick_s, fault or scenario.loss
     immediate = replace(
         scenario.plant,
         torque_actuator=replace(scenario.plant.torque_actuator, dead_time_s=0.0),
@@ -55,7 +58,7 @@ def unavoidable(scenario: Scenario, commands: FloatArray) -> Unavoidable | None:
         sensor=replace(scenario.plant.sensor, dead_time_s=0.0),
     )  # a loss comes behind the dead time of its actuator
     plant = sample(continuous_plant(immediate), tick_s)
-    gamma = plant.gamma[:, CHANNELS.index(fault.channel)] * (fault.left - 1.0)
+    gamma = plant.gamma[:, CHANNELS.index(fault.place)] * (fault.left - 1.0)
     place = target(scenario, None)
     per_tick = 2.0 * (
         place.noise_rms * place.noise_rms * (1.0 - place.noise_pole**2)

@@ -16,8 +16,9 @@ from scipy.stats import qmc
 from can_rig.assessment.resolve import resolve
 from can_rig.campaigns.settings import MOST_RUNS, AxisSettings, CampaignSettings, Scalar
 from can_rig.errors import ScenarioError
-from can_rig.scenario.loading import LIMITS, Written, as_settings, changed, toml_text, written
+from can_rig.scenario.loading import LIMITS, Written, changed, written
 from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.changes import as_settings, toml_text, value_in
 from firmware_model.target.structs import FloatArray
 
 DIGITS: Final = 9
@@ -212,12 +213,7 @@ class Plan:
 
 def value_at(scenario: dict[str, Any], key: str) -> Any:
     """What ``key`` is in a scenario's values; None where it is not set, or there is no such key."""
-    value: Any = scenario
-    for part in key.split("."):
-        if not isinstance(value, dict):
-            return None
-        value = value.get(part)
-    return value
+    return value_in(scenario, key)
 
 
 def has_key(scenario: dict[str, Any], key: str) -> bool:

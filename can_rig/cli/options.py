@@ -8,7 +8,8 @@ from typing import Any, TypeVar
 
 import click
 
-from can_rig.export.choices import CONTROLLERS
+from can_rig.export.choices import CONTROLLERS, SERIAL
+from can_rig.nodes.operator.interaction import Interaction
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -30,6 +31,15 @@ def set_option(what: str) -> Callable[[Function], Function]:
         metavar="KEY=VALUE",
         help=f"{what}, as in plant.speed_mps=20; repeatable.",
     )
+
+
+def above_zero(
+    _context: click.Context, _option: click.Parameter, value: float | None
+) -> float | None:
+    """Refuse a number that is not above 0."""
+    if value is not None and not value > 0.0:  # nan too
+        raise click.BadParameter(f"{value:g}: must be above 0")
+    return value
 
 
 def bus_name(_context: click.Context, _option: click.Parameter, value: str | None) -> str | None:
@@ -59,14 +69,57 @@ realtime_option = click.option(
     "Needs a latency of at least one tick.",
 )
 
+
+def controller_name(context: click.Context, parameter: click.Parameter, value: str) -> str:
+    """One of ``CONTROLLERS``, or a serial port."""
+    if value.startswith(SERIAL) and value != SERIAL:
+        return value
+    return str(click.Choice(CONTROLLERS).convert(value, parameter, context))
+
+
 controller_option = click.option(
     "--controller",
     default="python",
-    type=click.Choice(CONTROLLERS),
+    callback=controller_name,
+    shell_complete=lambda _c, _p, begun: [each for each in CONTROLLERS if each.startswith(begun)],
+    metavar=f"[{'|'.join(CONTROLLERS)}|{SERIAL}PORT]",
     show_default=True,
     help="What runs: the law in Python; the law as C; ecu, the whole node in C; that on an "
-    "emulated Cortex-M.",
+    "emulated Cortex-M, or on a board at a serial port.",
 )
+
+
+def interaction_options(function: Function) -> Function:
+    """--pace and --injectable, of the commands that run a plant node."""
+    for decorate in (
+        click.option(
+            "--injectable",
+            is_flag=True,
+            help="Obey RIG_CONTROL frames: faults injected and cleared, the reference moved, the "
+            "run paused; see can-rig inject.  Lockstep only.",
+        ),
+        click.option(
+            "--pace",
+            type=float,
+            callback=above_zero,
+            metavar="X",
+            help="Lockstep no faster than X times real time.  [default: as fast as it can]",
+        ),
+    ):
+        function = decorate(function)
+    return function
+
+
+def interaction_of(pace: float | None, injectable: bool, real_time: bool) -> Interaction:
+    """What these options ask for.
+
+    Raises:
+        click.UsageError: a run in real time, which cannot be held or paused.
+    """
+    if real_time and (pace is not None or injectable):
+        raise click.UsageError("--realtime and --pace or --injectable: these are of lockstep")
+    return Interaction(injectable, pace or 0.0)
+
 
 log_argument = click.argument("log", type=click.Path(path_type=Path))
 
@@ -111,15 +164,6 @@ def dbc_options(function: Function) -> Function:
     ):
         function = decorate(function)
     return function
-
-
-def above_zero(
-    _context: click.Context, _option: click.Parameter, value: float | None
-) -> float | None:
-    """Refuse a time in seconds that is not above 0."""
-    if value is not None and not value > 0.0:  # nan too
-        raise click.BadParameter(f"{value:g} s: must be above 0")
-    return value
 
 
 def silence_option(default: str) -> Callable[[Function], Function]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final, NamedTuple
 
 from can_rig.scenario.plant_settings import PlantSettings
-from can_rig.scenario.settings import CHANNELS, FaultSettings
+from can_rig.scenario.tables.fault import PLACES, FaultSettings
 from can_rig.scenario.tables.numbers import SignalSettings
 
 
@@ -28,11 +28,9 @@ class Names(NamedTuple):
     command_1: Signal
     command_2: Signal
 
-    def lost_by(self, fault: FaultSettings) -> Signal:
-        """The signal that ``fault`` takes away or, of a biased sensor, falsifies."""
-        if not fault.loses_a_channel:
-            return self.output
-        return self.command_1 if fault.channel == CHANNELS[0] else self.command_2
+    def hit_by(self, fault: FaultSettings) -> Signal:
+        """The signal that ``fault`` takes away or falsifies."""
+        return self[(1, 2, 0)[PLACES.index(fault.place)]]
 
 
 CAR: Final = Names(

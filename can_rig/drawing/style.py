@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any, Final, Literal
 
 from matplotlib.axes import Axes
@@ -9,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from can_rig.drawing.names import printed
-from can_rig.scenario.settings import FaultSettings
+from can_rig.scenario.tables.fault import FaultSettings
 
 INK: Final = "#1b1b1b"
 BLUE, ORANGE, GREEN = "#0b4f8a", "#b8461a", "#2f7d4f"
@@ -69,14 +70,18 @@ def legend_above(
     )
 
 
-def shade_loss(axis: Axes, fault: FaultSettings | None) -> float | None:
+def shade_faults(axis: Axes, faults: Iterable[FaultSettings]) -> None:
+    """Shade the time of each of ``faults``; see ``shade_fault``."""
+    for fault in faults:
+        shade_fault(axis, fault)
+
+
+def shade_fault(axis: Axes, fault: FaultSettings) -> float | None:
     """Shade the time of ``fault`` as far as the axis shows it, with a line where it begins.
 
     Returns:
         Where the shade begins, in s; None where the axis shows nothing of the fault.
     """
-    if fault is None or fault.kind == "none":
-        return None
     low, high = axis.get_xlim()
     end_s = high if fault.for_s is None else fault.at_s + fault.for_s
     if not (fault.at_s < high and end_s > low):

@@ -52,13 +52,14 @@ def application(scenario: Scenario) -> dict[str, str]:
         ),
         "firmware.c": support("firmware.c"),
         **{name: filled(support(name), zero=zero) for name in BY_HAND},
-        "network.c": _network_source(network, scenario.dbc),
+        "network.c": _network_source(network, scenario.dbc, round(scenario.tick_s * 1e6)),
     }
 
 
-def _network_source(network: Network, dbc: str) -> str:
-    """``network.c``: what the DBC says of each frame."""
-    lines = [*comment(f"The frames of {dbc}."), '#include "frames.h"']
+def _network_source(network: Network, dbc: str, tick_us: int) -> str:
+    """``network.c``: what the DBC says of each frame, and the time between them."""
+    lines = [*comment(f"The frames of {dbc}."), '#include "ecu.h"', ""]
+    lines.append(f"const uint32_t ecu_tick_us = {tick_us};")
     for codec in network:
         numbers = {
             "id": f"0x{codec.frame_id:X}",

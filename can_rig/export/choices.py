@@ -3,3 +3,4 @@
 from typing import Final
 
 CONTROLLERS: Final = ("python", "c", "ecu", "arm:m4f", "arm:m7")
+SERIAL: Final = "arm:serial:"  # and the device of a port

@@ -8,11 +8,12 @@ from typing import Final
 
 from can_rig.export.application import application
 from can_rig.export.law import filled, support
+from can_rig.export.running.ecu import bench
 from can_rig.files import atomic, refuse_existing
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import Precision
 
-BUILD_FILES: Final = ("Makefile", "CMakeLists.txt", "main.c")
+BUILD_FILES: Final = ("Makefile", "CMakeLists.txt", "main.c", "bench_main.c")
 
 
 def exported(scenario: Scenario, precision: Precision | None = None) -> dict[str, str]:
@@ -32,7 +33,7 @@ def exported(scenario: Scenario, precision: Precision | None = None) -> dict[str
     zero = "0.0f" if chosen.design.precision == "float32" else "0.0"
     objects = " \\\n    ".join(f"{name.removesuffix('.c')}.o" for name in units)
     sources = "\n".join(f"  {name}" for name in units)
-    return files | {
+    return {**files, **bench(files)} | {
         name: filled(support(name), zero=zero, objects=objects, sources=sources)
         for name in BUILD_FILES
     }

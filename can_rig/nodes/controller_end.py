@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
+from itertools import chain
 from typing import Final
 
 from can_rig.frames.endpoints import Receiver, Transmitter
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import Send
-from can_rig.plant.faults import FrameFault
+from can_rig.plant.faults.frame_faults import FrameFaults
 from can_rig.scenario.build import controller_table
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, Firmware, Law
@@ -30,19 +31,18 @@ class ControllerEnd:
         self._send = send
         self._commands = (Transmitter(network.command_1), Transmitter(network.command_2))
         self._status = Transmitter(network.status)
-        self._fault = FrameFault(scenario)
+        self._faults = FrameFaults(scenario, network)
 
     def send_commands(self, tick: int, command_1: float, command_2: float) -> None:
-        """Both commands of ``tick``, as far as the scheduled fault leaves them."""
+        """Both commands of ``tick``, as far as the scheduled faults leave them."""
         frames = [
-            self._fault.on_the_wire(transmitter.frame(command, tick), channel, tick)
+            self._faults.on_the_wire(transmitter.frame(command, tick), channel, tick)
             for channel, (transmitter, command) in enumerate(
                 zip(self._commands, (command_1, command_2), strict=True)
             )
         ]
-        for frame in frames:
-            if frame is not None:
-                self._send(frame)
+        for frame in chain(*frames):
+            self._send(frame)
 
     def send_status(self, tick: int, estimate: float, mode: int, fault_state: int) -> None:
         """The status, which closes ``tick``."""

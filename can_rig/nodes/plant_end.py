@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from typing import Final
 
 import can
@@ -13,6 +14,7 @@ from can_rig.frames.wire_tick import ticks_ahead
 from can_rig.nodes.bus_access import Send
 from can_rig.nodes.recording.plant_recorder import PlantRecorder
 from can_rig.nodes.recording.recorder import Log
+from can_rig.plant.faults.frame_faults import SENSOR_PLACE, FrameFaults
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.reference import on_the_bus
 from can_rig.scenario.settings import Scenario
@@ -25,11 +27,13 @@ class PlantEnd:
     """Samples the plant, sends reference and feedback, and judges commands and status.
 
     Args:
-        scenario: the run; ``latency_ticks`` is the delay of the simulated plant's commands.
+        scenario: the run, whose faults of frames are those of D*; ``latency_ticks`` is the delay of
+            the simulated plant's commands.
         network: its frames.
         send: sends a frame.
         log: gets every frame that is sent; None records nothing.
         reports: gets what the plant reports of every tick; None records nothing.
+        changing: whether the plant's faults may change while the run goes on.
 
     Raises:
         ScenarioError: a reference that does not fit its frame, a plant that is none.
@@ -42,14 +46,19 @@ class PlantEnd:
         send: Send,
         log: Log | None,
         reports: PlantRecorder | None = None,
+        changing: bool = False,
     ) -> None:
-        self.plant: Final = SimulatedPlant(scenario)
+        self.plant: Final = SimulatedPlant(scenario, changing)
+        self.reference_offset = 0.0
+        """Added to the scenario's reference, m/s²."""
         self._reference = on_the_bus(scenario, network)
         self._send = send
         self._log = log
         self._reports = reports
         self._send_reference = Transmitter(network.reference)
         self._send_feedback = Transmitter(network.feedback)
+        self._send_nothing = Transmitter(network.feedback)  # with the counter of the other
+        self._faults = FrameFaults(scenario, network)
         self._receivers = tuple(
             Receiver(codec) for codec in (network.command_1, network.command_2, network.status)
         )
@@ -58,10 +67,14 @@ class PlantEnd:
 
     def sample(self, tick: int) -> None:
         """Measure D* of ``tick`` and pack its frames."""
-        self._offered = (
-            self._send_reference.frame(self._reference[tick], tick),
-            self._send_feedback.frame(self.plant.measure(), tick),
-        )
+        reference = self._send_reference.frame(self._reference[tick] + self.reference_offset, tick)
+        own = self._send_feedback.frame(self.plant.measure(), tick)
+        feedback = [own]
+        if self._faults.concerns(SENSOR_PLACE):
+            feedback = self._faults.on_the_wire(
+                own, SENSOR_PLACE, tick, self._send_nothing.frame(math.nan, tick)
+            )
+        self._offered = (reference, *feedback)
 
     def send_sample(self) -> None:
         """Send what was sampled."""

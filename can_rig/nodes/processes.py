@@ -26,6 +26,7 @@ from typing import Any, Final
 from can_rig.errors import RigError, SilentNodeError
 from can_rig.export.running.controllers import PYTHON, Controller
 from can_rig.nodes.lockstep.one_core import one_core
+from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.progress import OnTick, Progress, Throttled, no_progress
 from can_rig.nodes.runner import NodeName, run_controller, run_plant
 from can_rig.nodes.summary import NodeSummary
@@ -144,6 +145,7 @@ def run_processes(
     real_time: bool = False,
     timeouts: Timeouts = DEFAULT_TIMEOUTS,
     controller: Controller = PYTHON,
+    interaction: Interaction = UNTOUCHED,
 ) -> NodeSummary:
     """Run the plant and the controller as two processes, in lockstep on one core where possible.
 
@@ -156,6 +158,7 @@ def run_processes(
         real_time: by the wall clock, each on a core of its own where possible.
         timeouts: how long each may be silent for the other.
         controller: what runs as the controller.
+        interaction: how far the run can be touched.
 
     Returns:
         The summary; fewer ticks than the scenario's where the run was stopped.
@@ -172,7 +175,7 @@ def run_processes(
             processes.append(first)  # first: a plant that waits repeats its offer on the bus
             _watch(processes, stop, until=lambda: "ready" in first.said)
             if "ready" in first.said and not stop.wanted:
-                plant_node = partial(_plant, scenario, bus, real_time, timeouts, log)
+                plant_node = partial(_plant, scenario, bus, real_time, timeouts, log, interaction)
                 processes.append(NodeProcess.fork("plant", plant_node, processes))
         with progress() as on_tick:
             _watch(processes, stop, on_tick=on_tick)
@@ -204,11 +207,14 @@ def _plant(
     real_time: bool,
     timeouts: Timeouts,
     log: Path,
+    interaction: Interaction,
     stop: StopRequest,
     report: Report,
 ) -> NodeSummary:
     on_tick = Throttled(lambda tick: report(ticks=tick))
-    return run_plant(scenario, bus, log, timeouts, stop, on_tick, real_time=real_time)
+    return run_plant(
+        scenario, bus, log, timeouts, stop, on_tick, real_time=real_time, interaction=interaction
+    )
 
 
 def _watch(

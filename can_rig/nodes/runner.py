@@ -11,7 +11,7 @@ from typing import Literal, NamedTuple, Protocol
 
 from can_rig.buses.bus import open_for_node
 from can_rig.export.running.controllers import PYTHON, Controller
-from can_rig.frames.agreement import SENDERS, ComparisonFrame
+from can_rig.frames.beside.agreement import SENDERS, ComparisonFrame
 from can_rig.nodes.agreement import Agreement
 from can_rig.nodes.bus_access import NodeBus, PersistentSender, Send, TolerantBus, bus_events
 from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock
@@ -19,6 +19,8 @@ from can_rig.nodes.lockstep.chosen import in_real_time, lockstep_controller
 from can_rig.nodes.lockstep.controller_node import ControllerNode
 from can_rig.nodes.lockstep.ecu_node import EcuNode
 from can_rig.nodes.lockstep.plant_node import PlantNode
+from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
+from can_rig.nodes.operator.operated_bus import OperatedBus
 from can_rig.nodes.progress import OnTick, Pace
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode, warm_up
 from can_rig.nodes.realtime.plant_node import RealTimePlantNode
@@ -46,6 +48,7 @@ def run_plant(
     *,
     real_time: bool = False,
     by_hand: bool = False,
+    interaction: Interaction = UNTOUCHED,
 ) -> NodeSummary:
     """The plant node from start to end.
 
@@ -58,6 +61,7 @@ def run_plant(
         on_tick: called with the number of ticks completed.
         real_time: by the wall clock; otherwise in lockstep.
         by_hand: the other node was given its scenario by somebody else, so both compare theirs.
+        interaction: how far a run in lockstep can be touched.
 
     Raises:
         ScenarioError: a scenario that cannot run, or another than the controller node's.
@@ -81,7 +85,7 @@ def run_plant(
         if real_time:
             node = RealTimePlantNode(scenario, network, access.bus, live, clock, reports)
         else:
-            node = PlantNode(scenario, network, access.send, recorder, reports)
+            node = PlantNode(scenario, network, access.send, recorder, reports, interaction)
 
         def while_alone() -> None:
             if isinstance(opened, Agreement):
@@ -149,6 +153,7 @@ def run_in_process(
     stop: StopRequest,
     on_tick: OnTick,
     controller: Controller = PYTHON,
+    interaction: Interaction = UNTOUCHED,
 ) -> NodeSummary:
     """Both nodes on one thread, turn by turn; the log is that of two processes, byte for byte."""
     network, clock = network_of(scenario), SYSTEM_CLOCK
@@ -160,20 +165,24 @@ def run_in_process(
         PlantRecorder(log) as reports,
         ExitStack() as stack,
     ):
+        heard: NodeBus = plant_bus
+        if interaction.told:
+            heard = OperatedBus(plant_bus, network, interaction.told)
         plant_access, controller_access = (
-            _access(bus, False, timeouts, clock) for bus in (plant_bus, controller_bus)
+            _access(bus, False, timeouts, clock) for bus in (heard, controller_bus)
         )
-        plant = PlantNode(scenario, network, plant_access.send, recorder, reports)
+        plant = PlantNode(scenario, network, plant_access.send, recorder, reports, interaction)
         controller_node = stack.enter_context(
             lockstep_controller(scenario, network, controller_access.send, controller)
         )
         never = StopRequest()  # a stop is read between ticks here, so that none is cut short
-        to_plant = Watchdog(plant_bus, "controller", timeouts, never, clock=clock)
+        to_plant = Watchdog(heard, "controller", timeouts, never, clock=clock)
         to_controller = Watchdog(controller_bus, "plant", timeouts, never, clock=clock)
         with without_garbage_pauses():
             start_ns = clock.now_ns()
             tick = 0
             while tick < scenario.ticks and not stop.wanted:
+                plant.begin(tick, to_plant)
                 plant.offer(tick)
                 controller_node.serve(to_controller)
                 plant.collect(tick, to_plant)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from can_rig.plant.delivery import Delivery
+from can_rig.plant.faults.delivery import Delivery
 from firmware_model.analysis.simulation import Trace
 from firmware_model.target.structs import FloatArray
 

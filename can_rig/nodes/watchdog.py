@@ -125,6 +125,21 @@ class Watchdog:
                 return message
             self.go_on_waiting(tick)
 
+    def glance(self, timeout_s: float) -> can.Message | None:
+        """A frame of any kind, where the other node need not speak; None: none came in time.
+
+        Raises:
+            Interrupted: a stop was requested.
+        """
+        if self.stop.wanted:
+            raise Interrupted
+        try:
+            return self._bus.recv(timeout_s)
+        except can.CanError as error:
+            self.errors[one_line(error)] += 1
+            pause(self._clock, RETRY_S)
+            return None
+
     def go_on_waiting(self, tick: int) -> None:
         """Note that nothing came, or a frame that the other node did not send.
 

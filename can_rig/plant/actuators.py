@@ -75,7 +75,7 @@ class FollowedCommand:
         b[:k, 0], b[k, 0] = lag_b, 0.0 if k else 1.0
         self._part_s = tick_s / parts
         self._steps = [
-            held_input(a, b, self._part_s, (min(max(late * parts - part, 0.0), 1.0),))
+            held_input(a, b, self._part_s, (max(late * parts - part, 0.0),))
             for part in range(parts)
         ]
 

@@ -54,7 +54,7 @@ def plant_behind(settings: PlantSettings, tick_s: float) -> PlantBehind:
     Raises:
         ScenarioError: a car that is not stable, a class that is no plant.
     """
-    if settings.is_class:
+    if settings.is_own:
         return ClassBehind(settings, tick_s)
     return LinearBehind(settings, tick_s)
 

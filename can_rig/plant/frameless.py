@@ -12,16 +12,18 @@ import numpy as np
 from can_rig.errors import RigError
 from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
-from can_rig.plant import faults
 from can_rig.plant.actuators import actuator_limits
 from can_rig.plant.behind import LinearBehind, PlantBehind, plant_behind
-from can_rig.plant.delivery import delivery
+from can_rig.plant.faults.delivery import Delivery, delivery
+from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.plant.sensor import noise
 from can_rig.scenario.build import controller_table
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.fault import PLACES
+from firmware_model.analysis.hardware import BY, HEALTHY, REPLACED
 from firmware_model.analysis.sampled_plant import SampledPlant
-from firmware_model.analysis.simulation import AnyPlant, BoolArray, Simulation, Trace
+from firmware_model.analysis.simulation import AnyPlant, Simulation, Trace
 from firmware_model.target.structs import FloatArray, Record
 
 
@@ -33,18 +35,33 @@ class Inputs:
     effectiveness: FloatArray
     noise: FloatArray
     bias: FloatArray
-    arrives: BoolArray
+    delivery: Delivery
+    faults: FloatArray
 
 
 def inputs_of(scenario: Scenario, network: Network) -> Inputs:
     """The inputs of ``scenario``, which do not depend on its car."""
+    plant, delivered = PlantFaults(scenario), delivery(scenario, network)
+    ticks = range(scenario.ticks)
     return Inputs(
         reference=quantised(network.reference, reference(scenario)),
-        effectiveness=faults.effectiveness(scenario),
+        effectiveness=plant.left(ticks),
         noise=noise(scenario),
-        bias=faults.bias(scenario),
-        arrives=delivery(scenario, network).used,
+        bias=plant.bias(ticks),
+        delivery=delivered,
+        faults=_with_replaced(plant.rows(ticks), delivered, scenario.ticks),
     )
+
+
+def _with_replaced(rows: FloatArray, delivered: Delivery, ticks: int) -> FloatArray:
+    """The rows of ``hardware`` with what other frames say."""
+    if not delivered.replaced:
+        return rows
+    if not len(rows):
+        rows = np.tile(HEALTHY, (ticks, len(PLACES), 1))
+    for (tick, place), value in delivered.replaced.items():
+        rows[tick, place, REPLACED], rows[tick, place, BY] = 1.0, value
+    return rows
 
 
 def frameless(
@@ -104,7 +121,8 @@ def simulation(
         effectiveness=inputs.effectiveness,
         noise=inputs.noise,
         bias=inputs.bias,
-        arrives=inputs.arrives,
+        arrives=inputs.delivery.used,
+        faults=inputs.faults,
         hold_ticks=round(scenario.actuator.hold_s / scenario.tick_s),
         limits=actuator_limits(scenario.plant, scenario.tick_s),
         resolution=scenario.plant.sensor.resolution_mps2,

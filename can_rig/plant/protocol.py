@@ -27,7 +27,7 @@ from numbers import Real
 from pathlib import Path
 from typing import Protocol, TypeVar, runtime_checkable
 
-from can_rig.errors import RigError, ScenarioError
+from can_rig.errors import RigError, ScenarioError, require
 from can_rig.plant.columns import TAKEN
 from can_rig.scenario.plant_settings import PlantSettings
 
@@ -71,13 +71,21 @@ class ReportingPlant(PlantProtocol, Protocol):
 
 
 def load_plant(kind: str, settings: PlantSettings) -> PlantProtocol:
-    """A new plant of the class ``kind``, ``package.module:Class``, at rest.
+    """A new plant of the class or the FMU ``kind``, at rest.
 
-    A trial on an instance of its own, at rest, shows first that ``reset`` and ``advance`` work.
+    Of a class, a trial on an instance of its own, at rest, shows first that ``reset`` and
+    ``advance`` work.
 
     Raises:
-        ScenarioError: no such module or class, or one that does not do as ``PlantProtocol`` says.
+        ScenarioError: no such module, class or FMU, or one that does not do as ``PlantProtocol``
+            says.
+        MissingExtraError: an FMU, and FMPy is not installed.
     """
+    if settings.is_fmu:
+        require("fmpy", "fmu")
+        from can_rig.plant.fmu.plant import load_fmu  # noqa: PLC0415 (FMPy takes a second)
+
+        return load_fmu(settings)
     plant_class = _find(kind)
     _try(kind, _construct(kind, plant_class, settings))
     return _construct(kind, plant_class, settings)

@@ -37,8 +37,6 @@ class SensorNoise:
         if self._rms == 0.0:
             return 0.0
         drawn = self._rms * float(self._random.standard_normal())
-        if self._memory == 0.0:
-            return drawn
         if self._last is None:  # as if it had always been there
             self._last = drawn
         else:
@@ -62,8 +60,6 @@ def noise(scenario: Scenario) -> FloatArray:
 @compiled
 def colour(drawn: FloatArray, memory: float) -> None:
     """White noise → what a filter of first order with this pole makes of it, in place."""
-    if memory == 0.0:
-        return
     fresh = math.sqrt(1.0 - memory**2)
     for k in range(1, len(drawn)):
         drawn[k] = memory * drawn[k - 1] + fresh * drawn[k]
@@ -89,7 +85,7 @@ class FilteredSamples:
         self._samples.append(sample)
         self._samples.popleft()
         newer, older = self._samples[1], self._samples[0]
-        delayed = newer if self._part == 0.0 else newer + self._part * (older - newer)
+        delayed = newer + self._part * (older - newer)
         if self._tau == 0.0:
             self._filtered = delayed
         else:  # exact for a straight line from one to the other

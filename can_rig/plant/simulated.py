@@ -4,47 +4,70 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 
 from can_rig.plant.actuators import Actuator, actuator_limits
 from can_rig.plant.behind import plant_behind
-from can_rig.plant.faults import ActuatorFault, SensorFault
+from can_rig.plant.faults.plant_faults import FaultsByTick
 from can_rig.plant.sensor import SensorNoise
 from can_rig.scenario.settings import Scenario
-from firmware_model.analysis.simulation import limited, sensor_reading
+from firmware_model.analysis.hardware import LATE, SENSOR, distorted, limited, sensor_reading
+from firmware_model.target.structs import FloatArray
 
 
 class SimulatedPlant:
     """The car: two actuators, a latency line, a plant that commands are held for, a noisy sensor.
 
+    Args:
+        scenario: the run.
+        changing: whether ``change_faults`` may be called.
+
     Raises:
         ScenarioError: see ``plant_behind``.
     """
 
-    def __init__(self, scenario: Scenario) -> None:
+    def __init__(self, scenario: Scenario, changing: bool = False) -> None:
         hold_ticks = round(scenario.actuator.hold_s / scenario.tick_s)
         self._plant = plant_behind(scenario.plant, scenario.tick_s)
         self._tick = 0
         self._read = 0.0  # at rest
-        self._fault = ActuatorFault(scenario)
-        self._sensor = SensorFault(scenario)
+        self._faults = FaultsByTick(scenario, changing)
         self._actuators = (Actuator(hold_ticks), Actuator(hold_ticks))
-        self._on_the_way = deque([(0.0, 0.0)] * scenario.latency_ticks)
+        self._latency_ticks = scenario.latency_ticks
+        at_once = 1 + self._faults.latest_ticks
+        # From when a command or a reading may be that is not there yet, at rest.
+        self._on_the_way = deque([(0.0, 0.0)] * (self._latency_ticks + at_once))
+        self._readings = deque([0.0] * at_once)
         limits = actuator_limits(scenario.plant, scenario.tick_s)
         self._limits = limits.tolist()
         self._is_limited = bool(np.isfinite(limits).any())
         self._reached = (0.0, 0.0)
+        self.applied = (0.0, 0.0)
+        """By both actuators in the last tick."""
+        self._said = 0.0
         self._noise = SensorNoise(scenario)
         self._resolution = scenario.plant.sensor.resolution_mps2
         # Compile before the first tick needs it.
         sensor_reading(0.0, 0.0, 0.0, self._resolution)
         limited(0.0, 0.0, *self._limits[0])
 
+    def change_faults(self, scenario: Scenario) -> None:
+        """From this tick on, which has not been measured yet, the faults of ``scenario``."""
+        self._faults.change(scenario)
+
     def measure(self) -> float:
         """D* as the sensor reads it now, m/s²."""
-        bias = self._sensor.bias(self._tick)
-        return float(sensor_reading(self._read, bias, self._noise.next(), self._resolution))
+        now = self._faults.at(self._tick)
+        reading = float(sensor_reading(self._read, now.bias, self._noise.next(), self._resolution))
+        if now.rows is None:
+            return reading
+        fault = now.rows[SENSOR]
+        _shift(self._readings, reading)
+        late = self._readings[-1 - int(fault[LATE])]
+        self._said = float(distorted(late, self._said, fault))
+        return self._said
 
     def advance(
         self, tick: int, command_1: float | None, command_2: float | None
@@ -57,15 +80,29 @@ class SimulatedPlant:
         Raises:
             RigError: an exception in a plant that is the user's own.
         """
+        now = self._faults.at(tick)
         self._tick = tick + 1
-        left = self._fault.effectiveness(tick)
-        acting = (self._actuators[0].hear(command_1), self._actuators[1].hear(command_2))
-        self._on_the_way.append(acting)
-        reached_1, reached_2 = self._on_the_way.popleft()
+        _shift(
+            self._on_the_way,
+            (self._actuators[0].hear(command_1), self._actuators[1].hear(command_2)),
+        )
+        reached_1, reached_2 = self._on_the_way[-1 - self._latency_ticks]
+        if now.rows is not None:
+            reached_1, reached_2 = (self._faulty(channel, now.rows[channel]) for channel in (0, 1))
         if self._is_limited:
             reached_1 = float(limited(reached_1, self._reached[0], *self._limits[0]))
             reached_2 = float(limited(reached_2, self._reached[1], *self._limits[1]))
-            self._reached = reached_1, reached_2
-        signals = self._plant.report(reached_1, reached_2, *left)
-        _, self._read = self._plant.follow(reached_1, reached_2, *left)
+        self._reached = reached_1, reached_2
+        self.applied = reached_1 * now.left[0], reached_2 * now.left[1]
+        signals = self._plant.report(reached_1, reached_2, *now.left)
+        _, self._read = self._plant.follow(reached_1, reached_2, *now.left)
         return signals
+
+    def _faulty(self, channel: int, fault: FloatArray) -> float:
+        late = self._on_the_way[-1 - self._latency_ticks - int(fault[LATE])][channel]
+        return float(distorted(late, self._reached[channel], fault))
+
+
+def _shift(line: deque[Any], newest: Any) -> None:
+    line.append(newest)
+    line.popleft()

@@ -11,8 +11,11 @@ import numpy as np
 
 from can_rig.errors import LogError, ScenarioError
 from can_rig.logs.log import ALL, Window
+from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
+from can_rig.nodes.operator.operated_bus import Touch
 from can_rig.nodes.progress import Progress, no_progress
 from can_rig.nodes.watchdog import StopRequest
+from can_rig.replay.control_frames import touches
 from can_rig.results.execution import Execution, execute, refuse
 from can_rig.results.run_folder import LOG
 from can_rig.results.signals import Signals, read_signals, signals_of, with_plant_signals
@@ -33,6 +36,8 @@ class Question:
 
     recorded: Source
     logged: Signals
+    told: tuple[Touch, ...]
+    """What was done to the run while it went on."""
     label: str
     """The log or run folder, as it was named."""
     scenario: Scenario
@@ -80,7 +85,8 @@ def question(
     if not any(setting.startswith("duration_s") for setting in settings):
         last_s = float(logged.time_s[-1]) + recorded.scenario.tick_s
         scenario = replace(scenario, duration_s=max(last_s, scenario.tick_s))
-    return Question(recorded, logged, str(path), scenario)
+    told = tuple(touches(recorded.frames(), network_of(recorded.scenario)))
+    return Question(recorded, logged, told, str(path), scenario)
 
 
 def what_if(
@@ -116,7 +122,13 @@ def what_if(
     reference = _reference_csv(asked.logged)
     refuse(replace(asked.scenario, reference=ReferenceSettings()), allow_unstable)
     execution = execute(
-        asked.scenario, out, stop, force=force, progress=progress, reference_csv=reference
+        asked.scenario,
+        out,
+        stop,
+        force=force,
+        progress=progress,
+        reference_csv=reference,
+        interaction=Interaction(injectable=True, told=asked.told) if asked.told else UNTOUCHED,
     )
     if execution is None:
         return None

@@ -8,9 +8,10 @@ import numpy as np
 
 from can_rig.plant.actuators import Actuator
 from can_rig.plant.columns import APPLIED
-from can_rig.plant.faults import ActuatorFault
+from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.results.signals import Signals
 from can_rig.scenario.settings import Scenario
+from firmware_model.analysis.hardware import LATE, distorted
 from firmware_model.target.structs import FloatArray
 
 
@@ -27,16 +28,26 @@ def applied_commands(scenario: Scenario, signals: Signals) -> tuple[FloatArray, 
         return torque_nm, force_difference_n
     first = round(float(signals.time_s[0]) / scenario.tick_s) if len(signals) else 0
     hold_ticks = round(scenario.actuator.hold_s / scenario.tick_s)
-    fault = ActuatorFault(scenario)
-    left = np.array([fault.effectiveness(first + row) for row in range(len(signals))])
+    faults, ticks = PlantFaults(scenario), range(first, first + len(signals))
+    left, rows = faults.left(ticks), faults.rows(ticks)
     before = np.full(scenario.latency_ticks, 0.0 if first == 0 else math.nan)
     commands = signals.torque_nm, signals.force_difference_n
-    factors = left.reshape(-1, 2).T
     one, two = (
-        factor * np.concatenate([before, _held(command, hold_ticks)])[: len(signals)]
-        for command, factor in zip(commands, factors, strict=True)
+        left[:, channel]
+        * _reached(np.concatenate([before, _held(command, hold_ticks)]), ticks, rows[:, channel])
+        for channel, command in enumerate(commands)
     )
     return one, two
+
+
+def _reached(acting: FloatArray, ticks: range, faults: FloatArray) -> FloatArray:
+    """What reaches an actuator, with ``faults`` (ticks, ...) or without any."""
+    reached = acting[: len(ticks)].copy()
+    previous = 0.0
+    for k, fault in enumerate(faults):
+        late = k - int(fault[LATE])
+        reached[k] = previous = distorted(acting[late] if late >= 0 else 0.0, previous, fault)
+    return reached
 
 
 def _held(command: FloatArray, hold_ticks: int) -> FloatArray:

@@ -6,12 +6,15 @@ from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
+from can_rig.plant.faults.plant_faults import DISTORTING, PlantFaults
 from can_rig.plant.frameless import frameless_loop
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.fault import SENSOR
 from firmware_model.analysis.simulation import Simulation
 from firmware_model.target.structs import FloatArray
 
@@ -22,11 +25,19 @@ class Counterfactual(NamedTuple):
     dstar_mps2: FloatArray
     """As measured; not a number from where on a plant of one's own fails in this run too."""
     force_difference_n: FloatArray
+    car_mps2: FloatArray
+    """D* of the car, without what a faulty sensor makes of it; see ``car_output``."""
 
 
 def fault_free(scenario: Scenario, signals: Signals) -> Counterfactual:
     """The same run without its fault: same plant, table, frames and noise."""
     return _instead(scenario.healthy, signals, len(signals))
+
+
+def without_fault(scenario: Scenario, at: int, signals: Signals) -> Counterfactual:
+    """The same run without one of its faults, by its number."""
+    others = scenario.faults[:at] + scenario.faults[at + 1 :]
+    return _instead(replace(scenario, fault=others), signals, len(signals))
 
 
 def noise_free(scenario: Scenario, signals: Signals, rows: int) -> Counterfactual:
@@ -46,18 +57,44 @@ def uncompensated(scenario: Scenario, signals: Signals) -> Counterfactual:
 
 def _instead(scenario: Scenario, signals: Signals, rows: int) -> Counterfactual:
     if not len(signals):
-        return Counterfactual(np.empty(0), np.empty(0))
+        return Counterfactual(np.empty(0), np.empty(0), np.empty(0))
     first = round(float(signals.time_s[0]) / scenario.tick_s)
     ticks = first + len(signals)
     if ticks > scenario.ticks:
         scenario = replace(scenario, duration_s=ticks * scenario.tick_s)
     loop = loop_of(scenario)
     loop.run(first + rows)
-    measured, force = loop.trace.measured[first:ticks], loop.trace.command_2[first:ticks]
-    return Counterfactual(measured, np.where(np.isnan(measured), np.nan, force))
+    trace = loop.trace
+    force = np.where(np.isnan(trace.measured), np.nan, trace.command_2)
+    car = car_output(scenario, trace.measured, trace.measurement)
+    return Counterfactual(*(values[first:ticks] for values in (trace.measured, force, car)))
 
 
-@remembered(2)
+@remembered(4)
 def loop_of(scenario: Scenario) -> Simulation:
     """A run that somebody may have begun, and that goes on as far as it is asked for."""
     return frameless_loop(scenario, network_of(scenario))
+
+
+def car_output(
+    scenario: Scenario, measured: FloatArray, true_output: FloatArray | None, first: int = 0
+) -> FloatArray:
+    """(ticks,), ``measured`` D* without what a faulty sensor makes of it, m/s².
+
+    What is added to it is taken off. Where a fault does more, it is the car's own output, without
+    noise and resolution; nan where that is not known.
+
+    Args:
+        scenario: the run.
+        measured: (ticks,), D* as the controller got it.
+        true_output: (ticks,), the car's own; None: not known.
+        first: the first of these ticks.
+    """
+    ticks = range(first, first + len(measured))
+    output = measured - PlantFaults(scenario).bias(ticks)
+    hidden: NDArray[np.bool_] = np.zeros(len(measured), dtype=np.bool_)
+    for fault in scenario.faults:
+        if fault.place == SENSOR and (fault.acts_on_frames or fault.kind in DISTORTING):
+            its = fault.ticks(scenario.tick_ns, ticks)
+            hidden[np.array(its, dtype=np.int64) - first] = True
+    return np.where(hidden, np.nan if true_output is None else true_output, output)

@@ -18,6 +18,7 @@ from can_rig.errors import INTERRUPTED, BusError, RigError, RunFolderError
 from can_rig.export.running.controllers import PYTHON, Controller
 from can_rig.frames.network import Network
 from can_rig.nodes.lockstep.without_bus import run_without_bus
+from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.processes import run_processes
 from can_rig.nodes.progress import Progress, Throttled, no_progress
 from can_rig.nodes.realtime.deadlines import require_causal
@@ -39,7 +40,9 @@ NO_BUS: Final = "none"
 
 INTERRUPTED_RUN: Final = "interrupted"
 
-Runner = Callable[[Scenario, str, Path, StopRequest, Progress, Timeouts, Controller], NodeSummary]
+Runner = Callable[
+    [Scenario, str, Path, StopRequest, Progress, Timeouts, Controller, Interaction], NodeSummary
+]
 
 
 @dataclass(frozen=True)
@@ -70,12 +73,15 @@ def in_process(
     progress: Progress,
     _timeouts: Timeouts,
     controller: Controller,
+    interaction: Interaction = UNTOUCHED,
 ) -> NodeSummary:
     """Both nodes in this process: turn by turn on a bus, or many ticks at once without one."""
     with progress() as on_tick:
         if bus == NO_BUS and controller is PYTHON:
             return run_without_bus(scenario, log, stop, on_tick)
-        summary = run_in_process(scenario, bus, log, stop, Throttled(on_tick), controller)
+        summary = run_in_process(
+            scenario, bus, log, stop, Throttled(on_tick), controller, interaction
+        )
         on_tick(summary.ticks)
     return summary
 
@@ -88,10 +94,18 @@ def two_processes(
     progress: Progress,
     timeouts: Timeouts,
     controller: Controller,
+    interaction: Interaction = UNTOUCHED,
 ) -> NodeSummary:
     """Each node in a process of its own, in lockstep."""
     return run_processes(
-        scenario, bus, log, stop, progress, timeouts=timeouts, controller=controller
+        scenario,
+        bus,
+        log,
+        stop,
+        progress,
+        timeouts=timeouts,
+        controller=controller,
+        interaction=interaction,
     )
 
 
@@ -103,6 +117,7 @@ def real_time(
     progress: Progress,
     timeouts: Timeouts,
     controller: Controller,
+    _interaction: Interaction = UNTOUCHED,
 ) -> NodeSummary:
     """Each node in a process of its own, by the wall clock."""
     return run_processes(scenario, bus, log, stop, progress, True, timeouts, controller)
@@ -135,6 +150,7 @@ def execute(
     report: bool = True,
     timeouts: Timeouts = DEFAULT_TIMEOUTS,
     controller: Controller = PYTHON,
+    interaction: Interaction = UNTOUCHED,
 ) -> Execution | None:
     """Run a scenario that ``refuse`` has let pass, and leave its folder.
 
@@ -150,6 +166,7 @@ def execute(
         report: draw ``report.png`` too.
         timeouts: how long a node may be silent for the other.
         controller: what runs as the controller.
+        interaction: how far the run can be touched.
 
     Returns:
         How it went; ``failure`` says why it ended early. None if it was stopped before anything
@@ -161,7 +178,11 @@ def execute(
         RigError: it failed before anything was recorded: then there is no folder.
     """
     network = network_of(scenario)
-    without = runner is in_process and _needs_no_bus(scenario, network, controller)
+    without = (
+        runner is in_process
+        and interaction == UNTOUCHED
+        and _needs_no_bus(scenario, network, controller)
+    )
     bus = bus or (NO_BUS if without else f"local:run-{os.getpid()}")
     if runner is real_time:
         require_causal(scenario)
@@ -176,7 +197,16 @@ def execute(
         raise
     outcome = Outcome(bus, realtime={} if runner is real_time else None)
     columns, failure = _run(
-        lambda: runner(made_here, bus, folder.making / LOG, stop, progress, timeouts, controller),
+        lambda: runner(
+            made_here,
+            bus,
+            folder.making / LOG,
+            stop,
+            progress,
+            timeouts,
+            controller,
+            interaction,
+        ),
         scenario,
         outcome,
     )
@@ -198,10 +228,12 @@ def execute(
 def _needs_no_bus(scenario: Scenario, network: Network, controller: Controller) -> bool:
     """Whether a run without a bus has the same log.
 
-    Single precision has not: an actuator gets what the frame carries, in double precision.
+    Single precision has not: an actuator gets what the frame carries, in double precision. Nor
+    has a fault that puts other frames on the bus than those of their tick.
     """
     ours = controller is PYTHON and network.is_the_rigs
-    return ours and scenario.design.precision == "float64"
+    plain = not any(fault.adds_frames for fault in scenario.faults)
+    return ours and plain and scenario.design.precision == "float64"
 
 
 def _require_shared(bus: str) -> None:

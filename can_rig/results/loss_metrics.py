@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from can_rig.assessment.unavoidable import Unavoidable, unavoidable
 from can_rig.results.signals import Signals
-from can_rig.scenario.settings import CHANNELS, Scenario
+from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.fault import CHANNELS, FaultSettings
 from firmware_model.discretisation.targets import HOUR_S
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray
@@ -15,19 +16,21 @@ from firmware_model.target.structs import FloatArray
 Mask = NDArray[np.bool_]
 
 
-def unavoidable_deviation(scenario: Scenario, signals: Signals) -> Unavoidable | None:
+def unavoidable_deviation(
+    scenario: Scenario, signals: Signals, fault: FaultSettings
+) -> Unavoidable | None:
     """What no controller can avoid, with the commands of the log.
 
-    None where no actuator dies in the log, and where its loss never shows.
+    None where ``fault`` is no actuator that dies in the log, and where its loss never shows.
     """
-    fault, n = scenario.fault, scenario.latency_ticks
+    n = scenario.latency_ticks
     lost = round(fault.at_s / scenario.tick_s)
     first = round(float(signals.time_s[0]) / scenario.tick_s) if len(signals) else 0
     at = lost - first
-    if fault.kind != "actuator-dead" or not n <= at < len(signals):
+    if fault.kind != "actuator-dead" or fault.every > 1 or not n <= at < len(signals):
         return None
-    command = (signals.torque_nm, signals.force_difference_n)[CHANNELS.index(fault.channel)]
-    return unavoidable(scenario, command[at - n :])
+    command = (signals.torque_nm, signals.force_difference_n)[CHANNELS.index(fault.place)]
+    return unavoidable(scenario, command[at - n :], fault)
 
 
 def decision_metrics(
@@ -67,13 +70,18 @@ def _acted(scenario: Scenario, signals: Signals, lost: Mask) -> bool:
 
     Of an actuator the log has it, late by the latency; of lost frames it has the last one before.
     """
-    if scenario.fault.channel == "torque":
+    losses = [fault for fault in scenario.faults if fault.loses_a_channel]
+    if any(fault.place == CHANNELS[0] for fault in losses):
         return True
-    before = scenario.latency_ticks if scenario.fault.kind == "actuator-dead" else 1
+    before = 1 if losses[0].acts_on_frames else scenario.latency_ticks
     ticks = np.flatnonzero(lost)
     acting = signals.force_difference_n[max(ticks[0] - before, 0) : ticks[-1] + 1]
     return bool(np.nan_to_num(acting).any())
 
 
 def _delay(scenario: Scenario, times_s: FloatArray) -> float | None:
-    return round(float(times_s[0]) - scenario.fault.at_s, 9) if len(times_s) else None
+    """From the first loss on."""
+    if not len(times_s):
+        return None
+    first_s = min(fault.at_s for fault in scenario.faults if fault.loses_a_channel)
+    return round(float(times_s[0]) - first_s, 9)

@@ -10,12 +10,14 @@ from numpy.typing import NDArray
 
 from can_rig.assessment.control_authority import control_authority
 from can_rig.drawing.names import names_of
-from can_rig.results.counterfactual import fault_free, noise_free
+from can_rig.plant.columns import TRUE_OUTPUT
+from can_rig.results.counterfactual import Counterfactual, car_output, fault_free, noise_free
 from can_rig.results.loss_metrics import decision_metrics, unavoidable_deviation
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.fault import CHANNELS
 from firmware_model.target.structs import FloatArray
 
 Metrics = dict[str, float | bool | None]
@@ -28,10 +30,10 @@ SETTLED_S = 2.0
 class Windows:
     """Which ticks of a run count as what, each of shape (ticks,).
 
-    ``before`` the fault and ``after`` its start, ``active`` while it is there, ``lost`` while it
-    takes a channel; ``settled_before`` and ``settled_after`` are the ends of the healthy time and
-    of the run: 2 s, or two periods of a slower reference, but at most the second half of the time
-    since the last change.
+    ``before`` the first fault and ``after`` its start, ``active`` while there is any, ``lost``
+    while one concerns a channel; ``settled_before`` and ``settled_after`` are the ends of the
+    healthy time and of the run: 2 s, or two periods of a slower reference, but at most the second
+    half of the time since the last change.
     """
 
     before: Mask
@@ -43,22 +45,27 @@ class Windows:
 
 
 def windows(scenario: Scenario, signals: Signals) -> Windows:
-    """The windows of a run, which may have ended early; its fault as the nodes saw it."""
-    fault = scenario.fault
+    """The windows of a run, which may have ended early; its faults as the nodes saw them."""
     wanted_s = SETTLED_S
     if scenario.reference.kind == "sine":
         wanted_s = max(wanted_s, 4.0 * math.pi / scenario.reference.frequency_rad_per_s)
     ticks = np.rint(signals.time_s / scenario.tick_s).astype(np.int64)
     time_ns = ticks * scenario.tick_ns
-    begin_ns, end_ns = fault.span_ns
-    after = time_ns >= begin_ns
-    active = after & (time_ns < end_ns)
-    recovered = after & ~active
+    after, active, lost = np.zeros((3, len(ticks)), dtype=np.bool_)
+    end_ns = 0
+    for fault in scenario.faults:
+        begin_ns, its_end_ns = fault.span_ns
+        its = (time_ns >= begin_ns) & (time_ns < its_end_ns)
+        after |= time_ns >= begin_ns
+        active |= its
+        lost |= its & fault.loses_a_channel
+        end_ns = max(end_ns, its_end_ns)
+    recovered = after & (time_ns >= end_ns)
     return Windows(
         before=~after,
         after=after,
         active=active,
-        lost=active & fault.loses_a_channel,
+        lost=lost,
         settled_before=_end(time_ns, ~after, wanted_s),
         settled_after=_end(time_ns, recovered if recovered.any() else after, wanted_s),
     )
@@ -69,51 +76,49 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
 
     The error means nothing in an open loop and is None there; what says the same there, and in
     every loop, is the deviation: how far D* is from D* of the same run without the fault. Both are
-    of the car: what a biased sensor adds to D* is taken off first, while ``signals.csv`` and the
+    of the car: what a faulty sensor makes of D* is taken off first, while ``signals.csv`` and the
     picture have D* as measured. What X_diff needs and can carry is there where the torque is lost.
     """
     window = windows(scenario, signals)
     closed = scenario.design.feedback
-    bias = sensor_bias(scenario, signals)
-    error = np.abs(signals.error_mps2 + bias) if closed else np.full(len(signals), np.nan)
+    error = np.abs(signed_error(scenario, signals)) if closed else np.full(len(signals), np.nan)
     estimate = np.abs(signals.fault_estimate_mps2)
     torque, force = np.abs(signals.torque_nm), np.abs(signals.force_difference_n)
     deviation = np.full(len(signals), np.nan)
     if window.after.any():
-        with np.errstate(invalid="ignore", over="ignore"):  # a loop that diverges
-            healthy = fault_free(scenario, signals).dstar_mps2
-            deviation = np.abs(signals.dstar_mps2 - bias - healthy)
+        deviation = deviation_from(scenario, signals, fault_free(scenario, signals))
     settled = window.settled_after if window.after.any() else window.settled_before
-    torque_lost = scenario.fault.channel == "torque" and window.lost.any()
+    torque_lost = window.lost.any() and any(f.place == CHANNELS[0] for f in scenario.faults)
     authority = control_authority(scenario, network_of(scenario)) if torque_lost else None
-    bound = unavoidable_deviation(scenario, signals)
+    alone = scenario.faults[0] if len(scenario.faults) == 1 else None
+    bound = None if alone is None else unavoidable_deviation(scenario, signals, alone)
     unavoidable = None if bound is None else bound.deviation_mps2
-    peak = _peak(deviation[window.after])
+    peak = peak_of(deviation[window.after])
     decided = decision_metrics(scenario, signals, window.lost)
     delay, least_s = decided["detection_delay_s"], None
     if bound is not None:
         least_s = round(bound.detection_ticks * scenario.tick_s, 9)
     return {
-        "error_before_fault_mps2": _peak(error[window.settled_before]),
-        "error_peak_after_fault_mps2": _peak(error[window.after]),
-        "error_peak_while_lost_mps2": _peak(error[window.lost]),
-        "error_settled_after_fault_mps2": _peak(error[window.settled_after]),
+        "error_before_fault_mps2": peak_of(error[window.settled_before]),
+        "error_peak_after_fault_mps2": peak_of(error[window.after]),
+        "error_peak_while_lost_mps2": peak_of(error[window.lost]),
+        "error_settled_after_fault_mps2": peak_of(error[window.settled_after]),
         "error_integral_after_fault_mps": _integral(error[window.after], scenario.tick_s),
         "deviation_peak_after_fault_mps2": peak,
         "unavoidable_deviation_mps2": unavoidable,
         "unavoidable_detection_delay_s": least_s,
         "detection_over_unavoidable": delay / least_s if delay and least_s else None,
         "deviation_over_unavoidable": peak / unavoidable if peak and unavoidable else None,
-        "deviation_settled_after_fault_mps2": _peak(deviation[window.settled_after]),
-        "fault_estimate_peak_before_fault_mps2": _peak(estimate[window.before]),
-        "fault_estimate_peak_while_lost_mps2": _peak(estimate[window.lost]),
-        "fault_estimate_settled_mps2": _peak(estimate[window.settled_after]),
+        "deviation_settled_after_fault_mps2": peak_of(deviation[window.settled_after]),
+        "fault_estimate_peak_before_fault_mps2": peak_of(estimate[window.before]),
+        "fault_estimate_peak_while_lost_mps2": peak_of(estimate[window.lost]),
+        "fault_estimate_settled_mps2": peak_of(estimate[window.settled_after]),
         **decided,
-        "torque_peak_nm": _peak(torque),
-        "torque_at_fault_nm": _peak(torque[np.flatnonzero(window.after)[:1]]),
-        "torque_peak_after_fault_nm": _peak(torque[window.after]),
-        "force_difference_peak_n": _peak(force),
-        "force_difference_settled_n": _peak(force[settled]),
+        "torque_peak_nm": peak_of(torque),
+        "torque_at_fault_nm": peak_of(torque[np.flatnonzero(window.after)[:1]]),
+        "torque_peak_after_fault_nm": peak_of(torque[window.after]),
+        "force_difference_peak_n": peak_of(force),
+        "force_difference_settled_n": peak_of(force[settled]),
         "force_difference_noise_rms_n": _noise_rms(scenario, signals, window.settled_before),
         "force_difference_needed_n": None if authority is None else authority.needed_n,
         "force_difference_available_n": None if authority is None else authority.available_n,
@@ -121,12 +126,21 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
     }
 
 
-def sensor_bias(scenario: Scenario, signals: Signals) -> FloatArray:
-    """What a biased sensor added to D* at every tick, m/s², (ticks,)."""
-    if scenario.fault.kind != "sensor-biased":
-        return np.zeros(len(signals))
-    active = windows(scenario, signals).active
-    return np.where(active, scenario.fault.bias_mps2, 0.0)
+def output_of_car(scenario: Scenario, signals: Signals) -> FloatArray:
+    """(ticks,), D* of the car, without what a faulty sensor makes of it; see ``car_output``."""
+    first = round(float(signals.time_s[0]) / scenario.tick_s) if len(signals) else 0
+    return car_output(scenario, signals.dstar_mps2, signals.plant.get(TRUE_OUTPUT), first)
+
+
+def signed_error(scenario: Scenario, signals: Signals) -> FloatArray:
+    """(ticks,), e = r - D* of the car."""
+    return signals.reference_mps2 - output_of_car(scenario, signals)
+
+
+def deviation_from(scenario: Scenario, signals: Signals, other: Counterfactual) -> FloatArray:
+    """(ticks,), |D* of the car less that of another run|."""
+    with np.errstate(invalid="ignore", over="ignore"):  # a loop that diverges
+        return np.abs(output_of_car(scenario, signals) - other.car_mps2)
 
 
 def _noise_rms(scenario: Scenario, signals: Signals, settled: Mask) -> float | None:
@@ -167,7 +181,8 @@ def rows(values: Metrics, plant: PlantSettings) -> list[tuple[str, str]]:
     return out
 
 
-def _peak(values: FloatArray) -> float | None:
+def peak_of(values: FloatArray) -> float | None:
+    """The largest finite value; None where there is none."""
     finite = values[np.isfinite(values)]
     return float(finite.max()) if len(finite) else None
 

@@ -16,11 +16,13 @@ from can_rig.errors import LogError, RunFolderError
 from can_rig.files import atomic
 from can_rig.frames.network import Network
 from can_rig.nodes.summary import RunColumns
+from can_rig.results.fault_metrics import fault_metrics
 from can_rig.results.metrics import Metrics, metrics
 from can_rig.results.signals import Signals, read_signals, signals_of_columns
 from can_rig.scenario.settings import Scenario
 
-LOG, SIGNALS, SUMMARY, REPORT = "bus.log", "signals.csv", "run.json", "report.png"
+LOG, SIGNALS, SUMMARY = "bus.log", "signals.csv", "run.json"
+REPORT, PAGE = "report.png", "report.html"
 PACKAGES = (
     "fault-tolerant-steering",
     "numpy",
@@ -43,6 +45,8 @@ class Outcome:
     wall_s: float = 0.0
     rejected_frames: dict[str, dict[str, int]] = field(default_factory=dict)
     bus_events: dict[str, dict[str, int]] = field(default_factory=dict)
+    faults: list[dict[str, Any]] = field(default_factory=list)
+    """What each fault did, from the log."""
     realtime: dict[str, Any] | None = None
     """Of a real-time run; empty where it ended without figures."""
 
@@ -135,7 +139,7 @@ def finish(
     report: bool = True,
     columns: RunColumns | None = None,
 ) -> Metrics:
-    """Write ``signals.csv``, ``run.json`` and ``report.png`` from the log, however it ended.
+    """Write ``signals.csv``, ``run.json`` and both reports from the log, however it ended.
 
     Args:
         folder: has ``bus.log``.
@@ -143,7 +147,7 @@ def finish(
         network: its frames.
         outcome: how it went.
         recorded: the scenario for ``run.json``, where its paths will be others; None: what ran.
-        report: draw ``report.png``.
+        report: draw ``report.png`` and ``report.html``.
         columns: what the log says, of a run without a bus; None: it is read.
 
     Raises:
@@ -155,6 +159,7 @@ def finish(
     else:
         signals = signals_of_columns(columns, network, scenario.tick_s, folder / LOG)
     values = metrics(scenario, signals)
+    outcome.faults = fault_metrics(scenario, signals)
     summary: dict[str, Any] = {
         "scenario": (recorded or scenario).as_dict(),
         "seed": scenario.seed,
@@ -176,10 +181,15 @@ def finish(
         with atomic(folder / SIGNALS) as part:
             signals.write_csv(part)
         if report:
-            from can_rig.results.report.page import draw_report  # noqa: PLC0415 (matplotlib, when nodes are done)
+            # matplotlib, when the nodes are done
+            from can_rig.results.report.page import draw_report  # noqa: PLC0415
+            from can_rig.results.report.web_page import web_page  # noqa: PLC0415
 
             with atomic(folder / REPORT) as part:
                 draw_report(part, scenario, network, signals, outcome.realtime)
+            with atomic(folder / PAGE) as part:
+                text = web_page(scenario, network, signals, values, outcome.faults)
+                part.write_text(text, encoding="utf-8")
     except LogError as error:
         raise RunFolderError(f"{error}; what was recorded is in {folder / LOG}") from None
     return values

@@ -21,7 +21,8 @@ from can_rig.logs.plant_signals import PlantSignals, read_plant_signals
 from can_rig.logs.reading import read_log
 from can_rig.nodes.summary import RunColumns
 from can_rig.plant.columns import ON_THE_BUS
-from firmware_model.analysis.simulation import BoolArray, Trace
+from can_rig.plant.faults.delivery import Delivery
+from firmware_model.analysis.simulation import Trace
 from firmware_model.target.structs import FloatArray
 
 ROLE_COLUMNS: Final = 5  # one of each frame; mode and fault state follow
@@ -102,24 +103,31 @@ def signals_of_columns(columns: RunColumns, network: Network, tick_s: float, log
     Raises:
         LogError: what the plant reported cannot be read.
     """
-    signals = signals_of_trace(columns.trace, columns.delivery.used, columns.ticks, network)
+    signals = signals_of_trace(columns.trace, columns.delivery, columns.ticks, network)
     if columns.plant is None:
         return with_plant_signals(signals, log, tick_s)
     return replace(signals, plant=columns.plant)
 
 
-def signals_of_trace(trace: Trace, used: BoolArray, ticks: int, network: Network) -> Signals:
+def signals_of_trace(trace: Trace, delivery: Delivery, ticks: int, network: Network) -> Signals:
     """The first ``ticks`` of a loop without frames as its log would have them.
 
-    ``used`` (ticks, 2) says which commands reach their actuators.
+    ``delivery`` says which commands reach their actuators, and what has come in their place.
     """
     done = slice(ticks)
+    commands = [
+        np.where(delivery.used[done, channel], command[done], np.nan) + 0.0
+        for channel, command in enumerate((trace.command_1, trace.command_2))
+    ]
+    for (tick, place), value in delivery.replaced.items():
+        if place < len(commands) and tick < ticks:
+            commands[place][tick] = value
     return Signals(
         time_s=trace.time_s[done],
         reference_mps2=trace.reference[done],
         dstar_mps2=trace.measured[done] + 0.0,  # a frame has no negative zero
-        torque_nm=np.where(used[done, 0], trace.command_1[done], np.nan) + 0.0,
-        force_difference_n=np.where(used[done, 1], trace.command_2[done], np.nan) + 0.0,
+        torque_nm=commands[0],
+        force_difference_n=commands[1],
         fault_estimate_mps2=quantised(network.status, trace.fault_estimate[done]),
         mode=trace.mode[done].astype(np.float64),
         fault_state=trace.fault_state[done].astype(np.float64),
@@ -140,7 +148,7 @@ def signals_of(
     messages: Iterable[Message], network: Network, tick_s: float, in_time_ticks: int = 1
 ) -> Signals:
     """The same from frames of any source, in their order, time stamps in s."""
-    table = _Table(network, tick_s, in_time_ticks)
+    table = SignalRows(network, tick_s, in_time_ticks)
     for message in messages:
         table.take(message)
     values: NDArray[np.float64] = np.array(table.rows, dtype=np.float64)
@@ -159,8 +167,11 @@ def data_frames(log: Path) -> Iterator[Message]:
         yield from frames[~frames.has(REMOTE | ERROR)].messages()
 
 
-class _Table:
-    """Frames into rows, one a tick."""
+class SignalRows:
+    """Frames into rows, one a tick: a value of each frame in their order, mode and fault state.
+
+    Arguments are those of ``read_signals``.
+    """
 
     def __init__(self, network: Network, tick_s: float, in_time_ticks: int) -> None:
         self.rows: list[list[float]] = []
@@ -171,6 +182,18 @@ class _Table:
         self._by_id = {r.codec.frame_id: at for at, r in enumerate(self._receivers)}
         self._tick = -1  # the one under way
         self._marked = False
+
+    @property
+    def tick(self) -> int:
+        """The one under way; -1 before the first."""
+        return self._tick
+
+    def take_complete(self) -> list[list[float]]:
+        """Remove and return the rows of the ticks that nothing more can come of."""
+        whole = max(0, len(self.rows) - self._in_time_ticks)
+        rows, self.rows = self.rows[:whole], self.rows[whole:]
+        self.first_tick += whole
+        return rows
 
     def take(self, message: Message) -> None:
         """Use a frame, or not."""

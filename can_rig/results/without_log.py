@@ -2,9 +2,12 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from can_rig.plant.behind import LinearBehind, plant_behind
+from can_rig.plant.columns import TRUE_OUTPUT
 from can_rig.plant.frameless import inputs_of, simulation
 from can_rig.results.counterfactual import loop_of
 from can_rig.results.metrics import Metrics, metrics
@@ -25,7 +28,7 @@ def metrics_of(scenario: Scenario) -> Metrics:
 
 
 def signals_without_log(scenario: Scenario) -> Signals:
-    """The signals that its frames would carry; nothing of what the plant reports.
+    """The signals that its frames would carry, and of what the plant reports its output.
 
     Raises:
         RigError: as ``metrics_of``.
@@ -40,14 +43,18 @@ def signals_without_log(scenario: Scenario) -> Signals:
         controller_table(scenario, network),
         inputs,
     )
-    if isinstance(plant, LinearBehind) and scenario.fault.kind != "none":
+    if isinstance(plant, LinearBehind) and scenario.faults and not len(inputs.faults):
         _begin_without_fault(loop, scenario)
     loop.run()
-    return signals_of_trace(loop.trace, inputs.arrives, loop.ticks, network)
+    signals = signals_of_trace(loop.trace, inputs.delivery, loop.ticks, network)
+    return replace(signals, plant={TRUE_OUTPUT: loop.trace.measurement})
 
 
 def _begin_without_fault(loop: Simulation, scenario: Scenario) -> None:
-    """Up to its fault a run is the run without it, which the metrics ask for anyway."""
+    """Up to its fault a run is the run without it, which the metrics ask for anyway.
+
+    Not where a fault looks back on what was before it.
+    """
     healthy = loop_of(scenario.healthy)
     first = loop.ticks
     for own, its in zip(loop.inputs, healthy.inputs, strict=True):

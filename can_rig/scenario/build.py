@@ -15,10 +15,12 @@ from can_rig.frames.network import Network, load_network
 from can_rig.scenario.box import in_box, uncertain, with_lags
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.remembered import remembered
-from can_rig.scenario.settings import CHANNELS, Scenario
+from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.fault import PLACES
 from firmware_model.design import plants
 from firmware_model.design.actuator_dynamics import behind
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
+from firmware_model.design.factors.coprime import unstable
 from firmware_model.design.mismatch import Mismatch, principal_mismatch
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.tables import build
@@ -48,14 +50,17 @@ def network_of(scenario: Scenario) -> Network:
     if not chosen.signals:
         return _network(dbc_of(scenario))
     data_ids = {role: number for role, number in asdict(chosen.data_ids).items() if number}
-    network = map_network(chosen.dbc, Roles(asdict(chosen.signals), chosen.tick, data_ids))
-    command = (network.command_1, network.command_2)[CHANNELS.index(scenario.fault.channel)]
-    if scenario.fault.kind == "frames-corrupted" and not command.protected:
-        raise ScenarioError(
-            f"scenario {scenario.name}: fault.kind = 'frames-corrupted': must be another, or "
-            f"network.data_ids.{command.role} must be set: nothing tells that {command.name} "
-            "is corrupted"
-        )
+    ticks = asdict(chosen.ticks) if chosen.ticks else chosen.tick
+    network = map_network(chosen.dbc, Roles(asdict(chosen.signals), ticks, data_ids))
+    codecs = (network.command_1, network.command_2, network.feedback)
+    for fault in scenario.faults:
+        codec = codecs[PLACES.index(fault.place)]
+        if fault.kind == "frames-corrupted" and not codec.protected:
+            raise ScenarioError(
+                f"scenario {scenario.name}: fault.kind = 'frames-corrupted': must be another, or "
+                f"network.data_ids.{codec.role} must be set: nothing tells that {codec.name} "
+                "is corrupted"
+            )
     return network
 
 
@@ -201,10 +206,20 @@ def target(scenario: Scenario, network: Network | None) -> Target:
 
 
 def mismatch(scenario: Scenario) -> Mismatch:
-    """The plants that are not the model, along the principal directions of the budget's box."""
+    """The plants that are not the model, along the principal directions of the budget's box.
+
+    Raises:
+        ScenarioError: a box around an unstable plant.
+    """
     model, budget, chosen = scenario.model, scenario.budget, scenario.design
     keys = tuple(uncertain(model)) if budget.box > 0.0 else ()
     late = budget.actuator_box > 0.0 and model.torque_actuator.lags
+    if (keys or late) and (poles := unstable(continuous_plant(model).g1)):
+        key, value = ("box", budget.box) if keys else ("actuator_box", budget.actuator_box)
+        raise ScenarioError(
+            f"scenario {scenario.name}: budget.{key} = {value:g}: must be 0 for an unstable plant "
+            f"(pole at {poles[0]:.4g} rad/s), of which the decision knows no other"
+        )
 
     def channels(place: FloatArray) -> tuple[ZeroPoleGain, ZeroPoleGain]:
         other = in_box(

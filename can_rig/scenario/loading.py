@@ -11,7 +11,7 @@ import copy
 import difflib
 import json
 import tomllib
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import product
 from pathlib import Path
@@ -21,9 +21,18 @@ from pydantic import TypeAdapter, ValidationError
 
 from can_rig.errors import ScenarioError
 from can_rig.scenario.catalogue import shipped
-from can_rig.scenario.plant_settings import CAR, NUMBERS, SIGNALS
+from can_rig.scenario.plant_settings import (
+    CAR,
+    FMU,
+    NUMBERS,
+    OWN,
+    SIGNALS,
+    STATE_SPACE,
+    TRANSFER_FUNCTIONS,
+)
 from can_rig.scenario.refusal import refusal
 from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.changes import FAULT, change
 from can_rig.scenario.tables.numbers import FACTORED, POLYNOMIAL
 
 FROM_BUS: Final = ("latency_ticks", "from-bus")
@@ -37,13 +46,10 @@ INSTEAD: Final = (
     *product(FACTORED, POLYNOMIAL),
 )
 """A key, and one that it replaces: the two lags, the two forms of a transfer function."""
-FILES: Final = (("reference", "file"), ("network", "dbc"))
-"""Keys that name a file."""
+FILES: Final = (("reference", "file", ""), ("network", "dbc", ""), ("plant", "kind", FMU))
+"""Keys that name a file, and what stands before its name."""
 LIMITS: Final = ("limit_", "rate_")
 """Begins of the keys that an actuator has and a belief about it has not."""
-
-Changes = Mapping[str, Any]
-"""Key → value; keys with dots, or tables within tables."""
 
 _ADAPTER: Final = TypeAdapter(Scenario)
 
@@ -101,11 +107,12 @@ def written(name: str) -> Written:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
     except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
         raise ScenarioError(f"scenario {name}: not readable as TOML: {error}") from None
-    for name_of_table, key in FILES:
+    for name_of_table, key, prefix in FILES:
         table = values.get(name_of_table)
-        if isinstance(table, dict) and isinstance(table.get(key), str):
+        given = table.get(key) if isinstance(table, dict) else None
+        if isinstance(table, dict) and isinstance(given, str) and given.startswith(prefix):
             # in a scenario relative to it, as everywhere else; in --set to the working directory
-            table[key] = str(path.parent / table[key])
+            table[key] = prefix + str(path.parent / given.removeprefix(prefix))
     return Written(name, path.stem, values)
 
 
@@ -115,14 +122,24 @@ def changed(file: Written, settings: Iterable[str] = ()) -> Draft:
     Raises:
         ScenarioError: an unknown key, a bad value.
     """
-    values = copy.deepcopy(file.values)
-    for setting in settings:
-        change(values, setting)
+    values = with_changes(file, settings)
     if "name" in values:
         raise ScenarioError(
             f"scenario {file.given}: name: unknown key; a scenario is named by its file"
         )
     return draft(file.name, values)
+
+
+def with_changes(file: Written, settings: Iterable[str] = ()) -> dict[str, Any]:
+    """What is written, with ``KEY=VALUE`` changes, before its keys are looked at.
+
+    Raises:
+        ScenarioError: a change that is none.
+    """
+    values = copy.deepcopy(file.values)
+    for setting in settings:
+        change(values, setting)
+    return values
 
 
 def of_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Draft:
@@ -149,8 +166,8 @@ def of_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Draft:
 def draft(name: str, values: Mapping[str, Any]) -> Draft:
     """A scenario from plain values; ``model`` is the plant's own but for the keys it names.
 
-    What the controller believes in is linear: of a plant of one's own, the thesis's car with the
-    same parameters.
+    What the controller believes in is linear: of a plant of one's own, what its numbers say, or
+    the thesis's car with the same parameters.
 
     Raises:
         ScenarioError: an unknown key, a bad value; the message names the key.
@@ -159,25 +176,32 @@ def draft(name: str, values: Mapping[str, Any]) -> Draft:
     plant, model = merged.get("plant", {}), merged.get("model", {})
     if isinstance(plant, Mapping) and isinstance(model, Mapping):
         merged["model"] = _believed(plant, model)
+    several = isinstance(merged.get("fault"), list)
+    if isinstance(merged.get("fault"), Mapping):
+        merged["fault"] = [merged["fault"]]
     words = frozenset(pair for pair in (FROM_BUS,) if _take(merged, *pair))
     try:
         # As JSON, where strict still takes a table for a dataclass and a whole number for a float.
         scenario = _ADAPTER.validate_json(json.dumps({"name": name, **merged}, default=str))
     except ValidationError as error:
-        raise ScenarioError(f"scenario {name}: {refusal(error, Scenario)}") from None
+        said = refusal(error, Scenario)
+        if not several:  # one table has no number
+            said = said.replace(f"{FAULT}.0", FAULT, 1)
+        raise ScenarioError(f"scenario {name}: {said}") from None
     return Draft(scenario, words)
 
 
 def _believed(plant: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str, Any]:
     """``model`` with what it does not name as the plant has it, but nothing that is no belief.
 
-    A class and its parameters stand for the linear car; limits are believed in ``limits``. An
-    actuator's lag in ``model`` replaces any other of the plant's, and the form of a transfer
-    function does so too.
+    Of a plant of one's own it is the linear plant that stands for it; limits are believed in
+    ``limits``. An actuator's lag in ``model`` replaces any other of the plant's, and the form of a
+    transfer function does so too.
     """
-    inherited = {k: v for k, v in plant.items() if k not in ("parameters", *SIGNALS)}
+    inherited = {k: v for k, v in plant.items() if k not in (*OWN, *SIGNALS)}
     if ":" in str(plant.get("kind")):
-        inherited["kind"] = CAR
+        by_numbers = TRANSFER_FUNCTIONS if plant.get("g1") or plant.get("g2") else CAR
+        inherited["kind"] = STATE_SPACE if plant.get("a") else by_numbers
     if model.get("kind", inherited.get("kind")) != inherited.get("kind"):
         inherited = {k: v for k, v in inherited.items() if k not in NUMBERS}
     for key in ACTUATORS:
@@ -217,53 +241,3 @@ def _take(values: dict[str, Any], key: str, word: str) -> bool:
         return False
     del values[first]
     return True
-
-
-def change(values: dict[str, Any], setting: str) -> None:
-    """Apply one ``KEY=VALUE``; a value that is not TOML is a string, so quotes are optional."""
-    key, equals, text = setting.partition("=")
-    parts = key.strip().split(".")
-    if not equals or not all(parts):
-        raise ScenarioError(f"--set {setting}: must be KEY=VALUE, as in plant.speed_mps=20")
-    try:
-        value = tomllib.loads(f"value = {text}")["value"]
-    except tomllib.TOMLDecodeError:
-        value = text.strip()
-    table = values
-    for part in parts[:-1]:
-        table = table.setdefault(part, {})
-        if not isinstance(table, dict):
-            raise ScenarioError(f"--set {setting}: {part} is a value and has no keys")
-    table[parts[-1]] = value
-
-
-def as_settings(changes: Changes) -> list[str]:
-    """``KEY=VALUE`` for each change, exact.
-
-    Raises:
-        ScenarioError: a value that TOML does not know.
-    """
-    return [f"{key}={toml_text(key, value)}" for key, value in flat(changes)]
-
-
-def flat(changes: Changes, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Keys with dots, also of tables within tables."""
-    for key, value in changes.items():
-        if isinstance(value, Mapping):
-            yield from flat(value, f"{prefix}{key}.")
-        else:
-            yield f"{prefix}{key}", value
-
-
-def toml_text(key: str, value: Any) -> str:
-    """A value as TOML has it."""
-    plain = value.item() if hasattr(value, "item") else value  # a number of numpy's
-    if isinstance(plain, bool):
-        return str(plain).lower()
-    if isinstance(plain, int | float):
-        return repr(plain)
-    if isinstance(plain, str | Path):
-        return json.dumps(str(plain))
-    if isinstance(plain, list | tuple):
-        return f"[{', '.join(toml_text(key, each) for each in plain)}]"
-    raise ScenarioError(f"{key} = {value!r}: must be a number, a string, true or false, or a list")

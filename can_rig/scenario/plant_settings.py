@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import dataclasses
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Annotated, Any, Final, Literal
 
@@ -49,7 +49,9 @@ def _by_state_space(settings: PlantSettings) -> plants.Plant:
 
 
 CAR: Final = "steer-by-wire"
-"""What the controller believes in where the plant is a class: the car with its parameters."""
+"""What the controller believes in where a plant of one's own gives no numbers."""
+FMU: Final = "fmu:"
+"""Begin of a kind that names the file of an FMU."""
 TRANSFER_FUNCTIONS: Final = "transfer-functions"
 STATE_SPACE: Final = "state-space"
 INPUTS: Final = 2
@@ -64,6 +66,8 @@ BUILT_IN: Final = {
 
 NUMBERS: Final = tuple(key for kind in BUILT_IN.values() for key in kind.keys)
 """Keys that describe a plant by numbers."""
+OWN: Final = ("parameters", "variables", "fmi_type")
+"""Keys that only a plant of one's own has, and no belief about it."""
 SIGNALS: Final = ("input_1", "input_2", "output")
 """Keys that say what its signals are called."""
 
@@ -72,12 +76,16 @@ SIGNALS: Final = ("input_1", "input_2", "output")
 class PlantSettings(VehicleParameters):
     """The simulated plant; for a plant by numbers the parameters of the car mean nothing.
 
-    ``kind`` is built in or ``package.module:Class``, a plant of one's own (``plant.protocol``).
+    ``kind`` is built in or a plant of one's own: ``package.module:Class`` (``plant.protocol``) or
+    ``fmu:FILE.fmu`` (``plant.fmu``).
     ``a`` (n, n), ``b`` (n, 2) and ``c`` (n,) are those of ``state-space``, ``g1`` and ``g2`` those
-    of ``transfer-functions``; input 1 is the channel that can be lost.
+    of ``transfer-functions``; input 1 is the channel that can be lost. Of a plant of one's own
+    they are the linear plant that stands for it; without them that is the car.
     ``friction`` μ is what tires can transmit at most, as a part of their load: the linear cars
     ignore it, a nonlinear one saturates with it. The bounds leave room for anything on wheels.
     ``parameters`` are those that only a plant of one's own knows: numbers, text, true or false.
+    ``variables`` of an FMU: its inputs and output by role, and by name of a column what else is
+    recorded.
     """
 
     mass_kg: Annotated[float, Field(ge=10.0, le=1e6)] = TABLE_3_2.mass_kg
@@ -119,33 +127,50 @@ class PlantSettings(VehicleParameters):
     )
     sensor: SensorSettings = dataclasses.field(default_factory=SensorSettings)
     parameters: dict[str, Any] = dataclasses.field(default_factory=dict)
+    variables: dict[str, str] = dataclasses.field(default_factory=dict)
+    fmi_type: Literal["co-simulation", "model-exchange"] | None = None
 
     def __post_init__(self) -> None:
         super().__post_init__()
-        if self.kind not in BUILT_IN and not self.is_class:
+        if self.kind not in BUILT_IN and not self.is_own:
             raise ValueError(
-                f"kind = {self.kind!r}: must be {', '.join(BUILT_IN)} or package.module:Class"
+                f"kind = {self.kind!r}: must be {', '.join(BUILT_IN)}, {FMU}FILE.fmu or "
+                "package.module:Class"
             )
         self._refuse_other_keys()
         _refuse_shapes(self.a or (), self.b or (), self.c or ())
-        for key, value in self.parameters.items():
+        self._refuse_other_parameters()
+
+    def _refuse_other_parameters(self) -> None:
+        """Parameters and variables where nothing has such, and values that are none."""
+        for key, value in flat_parameters(self.parameters).items():
             if not isinstance(value, bool | int | float | str):
                 raise ValueError(
                     f"parameters.{key} = {value!r}: must be a number, a text, true or false"
                 )
-            if not self.is_class:
+            if not self.is_own:
                 raise ValueError(
                     f"parameters.{key} = {value!r}: must not be set for kind = {self.kind!r}; only "
-                    "a plant of one's own, package.module:Class, has parameters of its own"
+                    f"a plant of one's own, package.module:Class or {FMU}FILE.fmu, has parameters "
+                    "of its own"
                 )
+        for key in ("variables", "fmi_type"):
+            if getattr(self, key) and not self.is_fmu:
+                raise ValueError(
+                    f"{key}: must not be set for kind = {self.kind!r}; only {FMU}FILE.fmu has it"
+                )
+        for key in SIGNALS if self.is_fmu else ():
+            if not self.variables.get(key):
+                raise ValueError(f"variables.{key}: must be set, as the name of the FMU's variable")
 
     def _refuse_other_keys(self) -> None:
         """Every key that this kind of plant needs, and none of another kind."""
-        own = () if self.is_class else BUILT_IN[self.kind].keys
+        own = BUILT_IN[self.linear_kind].keys
         for key in NUMBERS:
             given = bool(getattr(self, key))
             if given and key not in own:
-                raise ValueError(f"{key}: must not be set for kind = {self.kind!r}")
+                beside = f" beside {', '.join(own)}" if own and self.is_own else ""
+                raise ValueError(f"{key}: must not be set{beside} for kind = {self.kind!r}")
             if key in own and not given:
                 raise ValueError(
                     f"{key}: must be set for kind = {self.kind!r}, which has {', '.join(own)}"
@@ -157,15 +182,35 @@ class PlantSettings(VehicleParameters):
                 )
 
     @property
+    def is_own(self) -> bool:
+        """Whether it is a plant of one's own, of which nothing is known before it runs."""
+        return self.is_fmu or self.is_class
+
+    @property
+    def is_fmu(self) -> bool:
+        """Whether ``kind`` reads ``fmu:FILE.fmu``; not whether there is one."""
+        return self.kind.startswith(FMU) and len(self.kind) > len(FMU)
+
+    @property
     def is_class(self) -> bool:
         """Whether ``kind`` reads ``package.module:Class``; not whether there is one."""
         module, _, name = self.kind.partition(":")
-        return name.isidentifier() and all(part.isidentifier() for part in module.split("."))
+        parts = (name, *module.split("."))
+        return all(part.isidentifier() for part in parts) and not self.is_fmu
+
+    @property
+    def linear_kind(self) -> str:
+        """Its built-in kind; of a plant of one's own, the kind of what stands for it."""
+        if not self.is_own:
+            return self.kind
+        if any((self.a, self.b, self.c)):
+            return STATE_SPACE
+        return TRANSFER_FUNCTIONS if self.g1 or self.g2 else CAR
 
     @property
     def linear(self) -> BuiltIn:
-        """The built-in plant; of a plant that is a class, the car that stands for it."""
-        return BUILT_IN[CAR if self.is_class else self.kind]
+        """The built-in plant; of a plant of one's own, the one that stands for it."""
+        return BUILT_IN[self.linear_kind]
 
     @property
     def is_car(self) -> bool:
@@ -176,6 +221,17 @@ class PlantSettings(VehicleParameters):
     def stages(self) -> tuple[Stage, Stage, Stage]:
         """The linear parts of both actuators and of the sensor."""
         return self.torque_actuator.stage, self.force_difference_actuator.stage, self.sensor.stage
+
+
+def flat_parameters(parameters: Mapping[str, Any]) -> dict[str, Any]:
+    """``{"body": {"mass": 5}}`` → ``{"body.mass": 5}``: tables of TOML, names of Modelica's."""
+    flat: dict[str, Any] = {}
+    for key, value in parameters.items():
+        if isinstance(value, Mapping):
+            flat |= {f"{key}.{inner}": each for inner, each in flat_parameters(value).items()}
+        else:
+            flat[key] = value
+    return flat
 
 
 def _refuse_shapes(a: tuple[Row, ...], b: tuple[Row, ...], c: Row) -> None:

@@ -4,10 +4,14 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import re
 from collections.abc import Sequence
 from typing import Any, Final
 
 from pydantic import ValidationError
+
+FEW: Final = 8
+"""Words that a line can list."""
 
 WORDS: Final = {
     "Input should": "must",
@@ -38,14 +42,30 @@ def refusal(error: ValidationError, settings: type[Any]) -> str:
         return f"{key}.{message}" if key else message
     if kind == "dataclass_type":
         message = "must be a table"
+    if kind == "literal_error":
+        message = _one_of(finding["input"], finding["ctx"]["expected"])
     for theirs, ours in WORDS.items():
         message = message.replace(theirs, ours)
     return f"{key} = {finding['input']!r}: {message}"
 
 
+def _one_of(value: Any, expected: str) -> str:
+    """What pydantic says of a word that is not one of few; of many, those that are like it."""
+    words = re.findall("'([^']*)'", expected)
+    if len(words) <= FEW:
+        return f"must be {expected}"
+    near = difflib.get_close_matches(str(value), words, n=3, cutoff=0.4)
+    return (
+        f"must be one of {len(words)} words, as {' or '.join(repr(w) for w in near or words[:3])}"
+    )
+
+
 def _keys(settings: Any, location: Sequence[str]) -> list[str]:
     """Key names of the table at ``location``."""
     for part in location:
-        fields = dataclasses.fields(settings)
-        settings = next(field.default_factory for field in fields if field.name == part)
+        if part.isdecimal():  # of a list
+            continue
+        field: Any = next(each for each in dataclasses.fields(settings) if each.name == part)
+        has_factory = field.default_factory is not dataclasses.MISSING
+        settings = field.default_factory if has_factory else field.default[0]
     return [field.name for field in dataclasses.fields(settings) if field.name != "name"]

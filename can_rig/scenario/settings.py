@@ -1,6 +1,7 @@
 """The settings of a scenario: every key, its unit, its default and its bounds.
 
-Those of the plant are in ``plant_settings`` and ``stage_settings``. Constructing one with a value
+Those of the plant are in ``plant_settings`` and ``stage_settings``, those of a fault in
+``tables.fault``. Constructing one with a value
 out of bounds raises pydantic's ``ValidationError``, of which ``loading`` makes a line that names
 the key.
 """
@@ -9,33 +10,26 @@ from __future__ import annotations
 
 import dataclasses
 import math
-from typing import Annotated, Any, Final, Literal, get_args
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat
 from pydantic.dataclasses import dataclass
 
 from can_rig.scenario.plant_settings import BUILT_IN, SIGNALS, PlantSettings
 from can_rig.scenario.stage_settings import STRICT
+from can_rig.scenario.tables.fault import MAX_DURATION_S, SENSOR, FaultSettings, Moment
 from can_rig.scenario.tables.network import NetworkSettings
 from can_rig.scenario.tables.numbers import SignalSettings
 from firmware_model.discretisation.rules import Rule
 from firmware_model.target.structs import MAX_LATENCY_TICKS, Precision
 
-FaultKind = Literal["none", "actuator-dead", "frames-missing", "frames-corrupted", "sensor-biased"]
-Channel = Literal["torque", "force-difference"]
-CHANNELS: Final[tuple[Channel, Channel]] = get_args(Channel)
-"""The words for input 1 and input 2, of any plant."""
 ReferenceKind = Literal["step", "sine", "lane-change", "csv"]
 
 MAX_TICKS = 10_000_000  # of a run: a log of 2 GB
-MAX_DURATION_S = 1e6
-FOR_GOOD_NS = 1 << 62  # later than any run
 MAX_REFERENCE_MPS2 = 1e6  # far beyond any frame, and its square is still a number
 
 Order = Annotated[int, Field(ge=1, le=8)]
 """Of a low-pass filter."""
-Moment = Annotated[float, Field(ge=0.0, le=MAX_DURATION_S)]
-"""In a run, or a length of time that may be none, s."""
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -93,47 +87,6 @@ class ReferenceSettings:
 
 
 @dataclass(frozen=True, config=STRICT)
-class FaultSettings:
-    """One channel lost from ``at_s`` on, for good or for ``for_s`` seconds.
-
-    ``left`` is the share of an ``actuator-dead``'s effect that is not lost. ``sensor-biased`` loses
-    none: the sensor adds ``bias_mps2`` to D*, which d̂ takes for a loss.
-    """
-
-    kind: FaultKind = "none"
-    channel: Channel = "torque"
-    at_s: Moment = 10.0
-    for_s: Annotated[float, Field(gt=0.0, le=MAX_DURATION_S)] | None = None
-    left: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
-    bias_mps2: float = 0.1
-
-    @property
-    def loses_a_channel(self) -> bool:
-        """Whether it takes a channel away, in full or in part, while it is active."""
-        return self.kind not in {"none", "sensor-biased"}
-
-    def active(self, time_ns: int) -> bool:
-        """Whether the fault is there at ``time_ns``; whole nanoseconds, so no tick by rounding."""
-        begin_ns, end_ns = self.span_ns
-        return begin_ns <= time_ns < end_ns
-
-    @property
-    def span_ns(self) -> tuple[int, int]:
-        """When it begins, and when it is over."""
-        if self.kind == "none":
-            return FOR_GOOD_NS, FOR_GOOD_NS
-        begin_ns = round(self.at_s * 1e9)
-        if self.for_s is None:
-            return begin_ns, FOR_GOOD_NS
-        return begin_ns, begin_ns + round(self.for_s * 1e9)
-
-    def active_ticks(self, tick_ns: int) -> slice:
-        """The ticks at which it is there."""
-        begin, end = (-(-time_ns // tick_ns) for time_ns in self.span_ns)
-        return slice(begin, end)
-
-
-@dataclass(frozen=True, config=STRICT)
 class LimitSettings:
     """Largest commands and rates of commands that the controller sends.
 
@@ -177,7 +130,7 @@ class Scenario:
     design: DesignSettings = dataclasses.field(default_factory=DesignSettings)
     budget: BudgetSettings = dataclasses.field(default_factory=BudgetSettings)
     reference: ReferenceSettings = dataclasses.field(default_factory=ReferenceSettings)
-    fault: FaultSettings = dataclasses.field(default_factory=FaultSettings)
+    fault: tuple[FaultSettings, ...] = (FaultSettings(),)
     limits: LimitSettings = dataclasses.field(default_factory=LimitSettings)
     actuator: ActuatorSettings = dataclasses.field(default_factory=ActuatorSettings)
     network: NetworkSettings = dataclasses.field(default_factory=NetworkSettings)
@@ -196,7 +149,7 @@ class Scenario:
                 f"duration_s = {self.duration_s:g}: must be at most {MAX_TICKS} ticks "
                 f"({self.tick_s:g} s each)"
             )
-        if self.model.is_class:
+        if self.model.is_own:
             raise ValueError(
                 f"model.kind = {self.model.kind!r}: must be linear, {' or '.join(BUILT_IN)}"
             )
@@ -225,7 +178,7 @@ class Scenario:
     @property
     def healthy(self) -> Scenario:
         """The same with nothing lost."""
-        return dataclasses.replace(self, fault=FaultSettings(kind="none"))
+        return dataclasses.replace(self, fault=())
 
     @property
     def noise_free(self) -> Scenario:
@@ -234,19 +187,31 @@ class Scenario:
         return dataclasses.replace(self, plant=dataclasses.replace(self.plant, sensor=sensor))
 
     @property
+    def faults(self) -> tuple[FaultSettings, ...]:
+        """Those that do something, in the order in which they act."""
+        return tuple(fault for fault in self.fault if fault.kind != "none")
+
+    @property
+    def loss(self) -> FaultSettings:
+        """The loss to prepare for: the first fault of a channel, otherwise what would be one."""
+        first = self.fault[0] if self.fault and self.fault[0].channel != SENSOR else FaultSettings()
+        return next((fault for fault in self.faults if fault.loses_a_channel), first)
+
+    @property
     def notes(self) -> list[str]:
         """What is allowed and yet may not be meant, a line each."""
-        fault = self.fault
-        if fault.kind == "none" or round(fault.at_s * 1e9) < self.ticks * self.tick_ns:
-            return []
         return [
             f"note: the fault ({fault.kind} at {fault.at_s:g} s) never occurs: "
             f"the run ends at {self.ticks * self.tick_s:g} s"
+            for fault in self.faults
+            if fault.span_ns[0] >= self.ticks * self.tick_ns
         ]
 
     def as_dict(self) -> dict[str, Any]:
-        """Every key and value, as a scenario file would have them."""
-        return dataclasses.asdict(self)
+        """Every key and value, as a scenario file would have them: one fault is a table."""
+        values = dataclasses.asdict(self)
+        values["fault"] = values["fault"][0] if len(self.fault) == 1 else list(values["fault"])
+        return values
 
 
 def _refuse_limits_of_the_model(model: PlantSettings) -> None:

@@ -14,11 +14,12 @@ import numpy as np
 from can_rig.assessment.resolve import load
 from can_rig.drawing.names import names_of
 from can_rig.errors import ScenarioError
-from can_rig.plant.faults import ActuatorFault
+from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.scenario.build import continuous_plant, controller_table, network_of
 from can_rig.scenario.plant_settings import BUILT_IN
 from can_rig.scenario.reference import reference
-from can_rig.scenario.settings import CHANNELS, Scenario
+from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.fault import CHANNELS
 from can_rig.thesis.continuous import Solution, solve
 from firmware_model.analysis.sampled_plant import SampledPlant, advance_plant, measure_plant, sample
 from firmware_model.analysis.simulation import simulate
@@ -69,9 +70,8 @@ class Comparison:
 
     def distance_after_loss(self, curve: Curve) -> float | None:
         """The same from the loss on; None where nothing is lost."""
-        fault = self.scenario.fault
-        after = np.abs(curve.difference[self.time_s >= fault.at_s])
-        return float(after.max()) if fault.kind != "none" and len(after) else None
+        after = np.abs(curve.difference[self.time_s >= self.scenario.loss.at_s])
+        return float(after.max()) if self.scenario.faults and len(after) else None
 
 
 def compare(settings: Sequence[str] = ()) -> list[Comparison]:
@@ -105,12 +105,11 @@ class _Loop:
 def both(scenario: Scenario) -> _Loop:
     """The firmware with the limits and the LSBs of its target, and the continuous loop."""
     car = sample(continuous_plant(scenario.plant), scenario.tick_s)
-    fault = ActuatorFault(scenario)
     trace = simulate(
         controller_table(scenario, network_of(scenario)),
         car,
         reference(scenario),
-        effectiveness=np.array([fault.effectiveness(tick) for tick in range(scenario.ticks)]),
+        effectiveness=PlantFaults(scenario).left(range(scenario.ticks)),
     )
     nothing = np.zeros(scenario.ticks)
     late = scenario.latency_ticks
@@ -148,7 +147,7 @@ def compare_scenario(name: str, settings: Sequence[str] = ()) -> list[Comparison
             counterpart; as ``load``.
     """
     scenario = load(name, settings)
-    if scenario.plant.is_class:
+    if scenario.plant.is_own:
         raise ScenarioError(
             f"scenario {scenario.name}: plant.kind = {scenario.plant.kind!r}: must be linear for "
             f"figures, {', '.join(BUILT_IN)}"
@@ -184,8 +183,8 @@ def _healthy(figure: str, scenario: Scenario) -> Comparison:
 
 
 def _lost_from_the_start(figure: str, scenario: Scenario) -> Comparison:
-    fault = replace(scenario.fault, kind="actuator-dead", channel=CHANNELS[0], at_s=0.0)
-    loop = both(replace(scenario, fault=fault))
+    fault = replace(scenario.loss, kind="actuator-dead", channel=CHANNELS[0], at_s=0.0)
+    loop = both(replace(scenario, fault=(fault,)))
     caption = "$\\hat d$ and $G_1 u_1$, channel 1 lost from the start"
     return _compared(figure, caption, loop, *_estimate_and_channel(loop))
 
@@ -193,10 +192,11 @@ def _lost_from_the_start(figure: str, scenario: Scenario) -> Comparison:
 def _compensated(figure: str, scenario: Scenario) -> Comparison:
     """The error of a closed loop; an open one follows nothing and has y beside G2 u2."""
     loop = both(scenario)
-    fault = scenario.fault
-    lost = f"channel {1 + CHANNELS.index(fault.channel)} lost at {fault.at_s:g} s"
-    if fault.kind == "none":
-        lost = "nothing lost"
+    losses = [
+        f"channel {1 + CHANNELS.index(fault.place)} lost at {fault.at_s:g} s"
+        for fault in scenario.faults
+    ]
+    lost = ", ".join(losses) or "nothing lost"
     if scenario.design.feedback:
         error = loop.curve("e", lambda s: s.error)
         return _compared(figure, f"error $e = r - y$, {lost}", loop, error)
@@ -221,7 +221,7 @@ def _error(figure: str, name: str, signal: str, settings: Sequence[str]) -> Comp
     """The thesis drew its figures from the printed coefficients: the ``published`` car."""
     chosen = [f"plant.variant={variant}" for variant in ("published", "physics")]
     loops = [both(load(name, [*settings, variant])) for variant in chosen]
-    lost = f"steering motor lost at {loops[0].scenario.fault.at_s:g} s"
+    lost = f"steering motor lost at {loops[0].scenario.loss.at_s:g} s"
     curves = [loop.curve(f"e, {loop.scenario.plant.variant}", lambda s: s.error) for loop in loops]
     # While healthy e = (1 - q̂) r for every car, so one curve is enough.
     start = solve(replace(loops[0].scenario, tick_s=START_S / 1000, duration_s=START_S))

@@ -24,7 +24,9 @@ from scipy import linalg
 
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_plant
-from can_rig.scenario.settings import CHANNELS, Scenario
+from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.fault import CHANNELS
+from firmware_model.design.factors.coprime import unstable
 from firmware_model.design.plants import Plant
 from firmware_model.target.structs import FloatArray
 
@@ -97,6 +99,8 @@ def closed_loop(scenario: Scenario, left: tuple[float, float]) -> StateSpace:
         ScenarioError: a filter that is improper or unstable.
     """
     car, model = continuous_plant(scenario.plant), continuous_plant(scenario.model)
+    if unstable(model.g1):
+        raise ScenarioError("plant: unstable: must be stable for the continuous loop")
     chosen = scenario.design
     closed = scenario.design.feedback
     blocks = [
@@ -169,16 +173,22 @@ def _reference(scenario: Scenario) -> tuple[FloatArray, FloatArray, FloatArray]:
 
 def _phases(scenario: Scenario) -> list[tuple[float, tuple[float, float]]]:
     """When each phase starts and what is left of each actuator's effect in it."""
-    fault, healthy = scenario.fault, (1.0, 1.0)
-    if fault.kind == "none":
-        return [(0.0, healthy)]
-    if fault.kind != "actuator-dead":
-        raise ScenarioError(
-            f"fault.kind = {fault.kind!r}: must be actuator-dead for the continuous loop, "
-            "which has no frames"
-        )
-    dead = (fault.left, 1.0) if CHANNELS.index(fault.channel) == 0 else (1.0, fault.left)
-    phases = [(0.0, healthy), (fault.at_s, dead)] if fault.at_s > 0.0 else [(0.0, dead)]
-    if fault.for_s is not None:
-        phases.append((fault.at_s + fault.for_s, healthy))
+    for fault in scenario.faults:
+        if fault.kind != "actuator-dead" or fault.every != 1:
+            raise ScenarioError(
+                f"fault.kind = {fault.kind!r}: must be actuator-dead at every tick for the "
+                "continuous loop, which has neither frames nor ticks"
+            )
+    spans = [
+        (fault.at_s, math.inf if fault.for_s is None else fault.at_s + fault.for_s, fault)
+        for fault in scenario.faults
+    ]
+    starts = sorted({0.0, *(at_s for begin, end, _ in spans for at_s in (begin, end))} - {math.inf})
+    phases = []
+    for start_s in starts:
+        left = [1.0, 1.0]
+        for begin_s, end_s, fault in spans:
+            if begin_s <= start_s < end_s:
+                left[CHANNELS.index(fault.place)] *= fault.left
+        phases.append((start_s, (left[0], left[1])))
     return phases

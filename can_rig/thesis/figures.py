@@ -55,12 +55,12 @@ def refuse_existing(folder: Path, force: bool, names: Iterable[str] = MAKERS) ->
 def _draw(path: Path, comparison: Comparison) -> None:
     zoomed = comparison.figure.startswith("3.")
     figure = style.page(7.4 if zoomed else 5.0, style.COLUMN_WIDTH_IN)
-    fault, scenario = comparison.scenario.fault, comparison.scenario
+    scenario = comparison.scenario
     everything = (0.0, float(scenario.ticks * scenario.tick_s))
     if zoomed:
         # The whole run as the thesis shows it, of its own car; the start and the loss enlarged.
         grid = figure.add_gridspec(3, 2, height_ratios=(1.0, 1.1, 0.9))
-        places = [(0.0, START_S), (fault.at_s - 0.1, fault.at_s + 0.9)]
+        places = [(0.0, START_S), (scenario.loss.at_s - 0.1, scenario.loss.at_s + 0.9)]
         whole = figure.add_subplot(grid[0, :])
         _signals(whole, comparison, everything, comparison.curves[:1])
         for column, place in enumerate(places):
@@ -138,7 +138,7 @@ def _finish(axis: Axes, comparison: Comparison, place: tuple[float, float]) -> N
     axis.yaxis.get_offset_text().set_fontsize(8)
     axis.grid(alpha=0.35, lw=0.5)
     axis.set_xlim(place)
-    style.shade_loss(axis, comparison.scenario.fault)
+    style.shade_faults(axis, comparison.scenario.faults)
 
 
 def _inside(comparison: Comparison, place: tuple[float, float]) -> NDArray[np.bool_]:

@@ -15,7 +15,7 @@ from can_rig.decoding.message_columns import MessageColumns
 from can_rig.drawing import style
 from can_rig.drawing.names import printed
 from can_rig.logs.frames import NS_PER_S
-from can_rig.scenario.settings import FaultSettings
+from can_rig.scenario.tables.fault import FaultSettings
 from firmware_model.target.structs import FloatArray
 
 MAX_POINTS: Final = 20_000
@@ -31,7 +31,7 @@ def plot_page(
     messages: Mapping[str, MessageColumns],
     signals: Sequence[Pair],
     start_ns: int,
-    fault: FaultSettings | None = None,
+    faults: Sequence[FaultSettings] = (),
 ) -> Figure:
     """The page.
 
@@ -39,7 +39,7 @@ def plot_page(
         messages: decoded columns by name.
         signals: message and signal of each curve.
         start_ns: when the recording began; if that is a date, time is counted from there.
-        fault: its time is shaded.
+        faults: their times are shaded.
     """
     panels: dict[tuple[str, str], list[Pair]] = {}
     for message, signal in signals:
@@ -66,7 +66,7 @@ def plot_page(
             _words(axis, messages[pairs[0][0]], pairs[0][1])
         _name(axis, [signal for _, signal in pairs], unit if kind == "unit" else "")
     for axis in axes if not dated else ():
-        style.shade_loss(axis, fault)
+        style.shade_faults(axis, faults)
     axes[-1].set_xlabel(_time_label(start_ns) if dated else "time in s")
     figure.align_ylabels(axes)
     return figure

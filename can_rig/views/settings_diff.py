@@ -7,6 +7,7 @@ from dataclasses import dataclass
 from typing import Any, Final
 
 from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.changes import FAULT
 
 ABOUT_THE_FILE: Final = ("name", "description")
 """Keys that change nothing in a run."""
@@ -57,5 +58,8 @@ def _leaves(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]
     for key, value in values.items():
         if isinstance(value, Mapping):
             yield from _leaves(f"{prefix}{key}.", value)
+        elif key == FAULT:  # a list of them
+            numbered = {str(number): fault for number, fault in enumerate(value)}
+            yield from _leaves(f"{prefix}{key}.", numbered)
         else:
             yield f"{prefix}{key}", value

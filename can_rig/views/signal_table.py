@@ -23,7 +23,8 @@ from can_rig.results.run_folder import SIGNALS, SUMMARY
 from can_rig.results.signals import Signals, cell, signals_of, with_plant_signals
 from can_rig.results.source import log_path
 from can_rig.scenario.build import network_of
-from can_rig.scenario.settings import FaultSettings, Scenario
+from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.fault import FaultSettings
 from firmware_model.target.structs import FloatArray
 
 TIME: Final = "time_s"
@@ -51,9 +52,9 @@ class SignalTable:
     """What was run, if that is known."""
 
     @property
-    def fault(self) -> FaultSettings | None:
-        """What was lost, if that is known."""
-        return None if self.scenario is None else self.scenario.fault
+    def faults(self) -> tuple[FaultSettings, ...]:
+        """What was wrong, as far as that is known."""
+        return () if self.scenario is None else self.scenario.faults
 
     @property
     def time_s(self) -> FloatArray:

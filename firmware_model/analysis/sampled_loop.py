@@ -245,9 +245,11 @@ def _memories(table: Record) -> list[Memory]:
     estimator = table.estimator
     cascades = {
         ("tracking", "filter"): table.tracking.filter,
+        ("tracking", "stabiliser"): table.tracking.stabiliser,
         ("estimator", "channel_1"): estimator.channel_1,
         ("estimator", "channel_2"): estimator.channel_2,
         ("estimator", "one_plus_q"): estimator.one_plus_q,
+        ("estimator", "measurement"): estimator.measurement,
         ("compensator", "filter"): table.compensator.filter,
     }
     if table.compensator.on_confirmation:

@@ -1,10 +1,10 @@
 """The one loop without frames: ``step``, what lies between it and a plant, and the plant.
 
 What a bus does to the loop is an input of it: which commands arrive, what the sensor adds, on which
-grid D* is. A command that has come is limited as its actuator is, then it waits for its dead time
-and goes through its lag; what a fault leaves is of what enters that lag. So it gives the signals of
-a run on a bus, bit for bit, in a fraction of the time. A linear plant runs compiled as a whole; for
-any other the same ``tick`` alternates with the plant's own ``follow``.
+grid D* is. A command that has come is limited as its actuator is, then it goes through dead time
+and lag; what a fault leaves is of what enters that lag. So it gives the signals of a run on a bus,
+bit for bit, in a fraction of the time. A linear plant runs compiled as a whole; for any other the
+same ``tick`` alternates with the plant's own ``follow``.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ from typing import Any, Protocol
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_model.analysis import hardware
 from firmware_model.analysis.sampled_plant import SampledPlant, follow
 from firmware_model.compiled import firmware
 from firmware_model.target import controller
@@ -26,9 +27,7 @@ Vectors = tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]
 
 # Rows of the signals of a tick.
 _OUTPUT, _MEASURED, _COMMAND_1, _COMMAND_2, _ESTIMATE, _EVIDENCE = range(6)
-_ACTING_1, _REACHED_1, ROWS = 6, 8, 10  # two channels each
-
-NO_LIMITS: FloatArray = np.full((2, 2), np.inf)
+_ACTING_1, _REACHED_1, _READING, ROWS = 6, 8, 10, 11  # two channels of the first two
 
 
 class AnyPlant(Protocol):
@@ -83,6 +82,7 @@ class Simulation:
         hold_ticks: how long an actuator holds its last command without one; then it applies zero.
         limits: (2, 2), the actuators' own, a row a channel: largest magnitude of a command, largest
             change in a tick.
+        faults: (ticks, 3, ``DISTORTION``), of channels and sensor; see ``hardware``. Default none.
         resolution: of the sensor; 0: none.
         lsb: grid of what the controller measures, in the measurement's unit; 0: none.
         maximum: where that saturates.
@@ -101,7 +101,8 @@ class Simulation:
         bias: FloatArray | None = None,
         arrives: BoolArray | None = None,
         hold_ticks: int = 0,
-        limits: FloatArray = NO_LIMITS,
+        limits: FloatArray = hardware.NO_LIMITS,
+        faults: FloatArray = hardware.NO_FAULTS,
         resolution: float = 0.0,
         lsb: float = 0.0,
         maximum: float = np.inf,
@@ -125,7 +126,7 @@ class Simulation:
             controller.init(table),
             self.inputs,
             (float(resolution), float(lsb), float(maximum)),
-            (np.zeros(2), np.zeros(2, dtype=np.int64), hold_ticks, np.zeros(2), limits),
+            (np.zeros(2), np.zeros(2, dtype=np.int64), hold_ticks, np.zeros(3), limits, faults),
             self._signals,
             self._states,
         )
@@ -171,7 +172,7 @@ class Simulation:
     @property
     def _changing(self) -> tuple[Any, ...]:
         """Every array that a tick changes."""
-        _, controllers, _, _, (held, silent, _, reached, _), signals, states = self._loop
+        _, controllers, _, _, (held, silent, _, reached, *_), signals, states = self._loop
         rest = (*self._memory, self.plant_states)
         return controllers, held, silent, reached, signals, states, *rest
 
@@ -229,7 +230,7 @@ def tick(
         inputs: reference, bias, noise, effectiveness, arrives, as those of ``Simulation``.
         grid: the sensor's resolution; step and end of the frame of what is measured.
         actuators: the last commands (2,), ticks without one (2,), ticks that they hold; what
-            reached them last (2,), and their limits (2, 2).
+            reached them last and what the sensor said (3,); their limits (2, 2), faults.
         signals: (ROWS, ticks), filled in for this tick, and read for what is still on its way.
         states: (2, ticks), likewise fault state and mode.
         k: the tick.
@@ -239,10 +240,18 @@ def tick(
     table, state = tables[0], controllers[0]
     reference, bias, noise, _, arrives = inputs
     resolution, lsb, maximum = grid
-    held, silent, hold_ticks, reached, limits = actuators
-    measured = sensor_reading(read, bias[k], noise[k], resolution)
+    held, silent, hold_ticks, reached, limits, faults = actuators
+    measured = hardware.sensor_reading(read, bias[k], noise[k], resolution)
+    if len(faults) > 0:
+        signals[_READING, k] = measured
+        fault, last = faults[k, hardware.SENSOR], reached[hardware.SENSOR]
+        at = k - int(fault[hardware.LATE])
+        measured = hardware.distorted(signals[_READING, at] if at >= 0 else 0.0, last, fault)
+        reached[hardware.SENSOR] = measured
     if lsb > 0.0 and not math.isnan(measured):
         measured = min(max(np.rint(measured / lsb) * lsb, -maximum), maximum)
+    if len(faults) > 0 and faults[k, hardware.SENSOR, hardware.REPLACED] != 0.0:
+        measured = faults[k, hardware.SENSOR, hardware.BY]
     controller.step(table, state, reference[k], measured)
     signals[_OUTPUT, k] = y
     signals[_MEASURED, k] = measured
@@ -255,6 +264,8 @@ def tick(
     for channel in range(2):
         if arrives[k, channel]:
             held[channel] = signals[_COMMAND_1 + channel, k]
+            if len(faults) > 0 and faults[k, channel, hardware.REPLACED] != 0.0:
+                held[channel] = faults[k, channel, hardware.BY]
             silent[channel] = 0
         else:
             silent[channel] += 1
@@ -264,26 +275,15 @@ def tick(
     sent = k - table.estimator.latency_ticks
     for channel in range(2):
         acting = 0.0  # the first command is still on its way
-        if sent >= 0:
-            acting = signals[_ACTING_1 + channel, sent]
-        reached[channel] = limited(acting, reached[channel], limits[channel, 0], limits[channel, 1])
+        at = sent if len(faults) == 0 else sent - int(faults[k, channel, hardware.LATE])
+        if at >= 0:
+            acting = signals[_ACTING_1 + channel, at]
+        if len(faults) > 0:
+            acting = hardware.distorted(acting, reached[channel], faults[k, channel])
+        largest, slew = limits[channel, 0], limits[channel, 1]
+        reached[channel] = hardware.limited(acting, reached[channel], largest, slew)
         signals[_REACHED_1 + channel, k] = reached[channel]
     return reached[0], reached[1]
-
-
-@firmware
-def sensor_reading(read: float, bias: float, noise: float, resolution: float) -> float:
-    """What the sensor says: with bias and noise, in whole steps of its ``resolution`` (0: none)."""
-    reading = read + bias + noise
-    if resolution > 0.0:
-        reading = np.rint(reading / resolution) * resolution
-    return reading
-
-
-@firmware
-def limited(command: float, previous: float, largest: float, slew: float) -> float:
-    """``command`` within an actuator's magnitude, and within its slew of the ``previous`` one."""
-    return min(max(command, -largest, previous - slew), largest, previous + slew)
 
 
 @firmware

@@ -8,10 +8,20 @@ from dataclasses import dataclass
 from firmware_model.design.compensator import compensator
 from firmware_model.design.estimator import FaultEstimator, fault_estimator
 from firmware_model.design.factorisation import inner_outer
+from firmware_model.design.factors.coprime import unstable
 from firmware_model.design.plants import Plant
-from firmware_model.design.tracking import tracking, tracking_filter
+from firmware_model.design.tracking import Tracking, tracking
 from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.errors import ZeroChannelError, require_order, require_positive
+from firmware_model.errors import (
+    UnstablePlantError,
+    ZeroChannelError,
+    require_order,
+    require_positive,
+)
+
+REACH = 1e-6
+"""Least distance of a zero from an unstable pole, over the size of that: the sensitivity is at
+least twice its inverse."""
 
 
 @dataclass(frozen=True)
@@ -45,16 +55,15 @@ class DesignSpecification:
 class ContinuousDesign:
     """The controllers of Figs. 2.1 and 3.4 and the factors of G2; ``None`` where not asked for.
 
-    ``compensator`` is F̂2 from d̂ to u2, ``tracking`` is C from r - y to u1 and ``tracking_filter``
-    the Q that it is made of; ``inner`` and ``outer`` are G2i and G2o of (3.31).
+    ``compensator`` is F̂2 from d̂ to u2, ``tracking`` is C from r - y to u1 and what it is made of;
+    ``inner`` and ``outer`` are G2i and G2o of (3.31), of a plant that is not stable those of N2.
     """
 
     plant: Plant
     specification: DesignSpecification
     estimator: FaultEstimator
     compensator: ZeroPoleGain | None
-    tracking: ZeroPoleGain | None
-    tracking_filter: ZeroPoleGain | None
+    tracking: Tracking | None
     inner: ZeroPoleGain
     outer: ZeroPoleGain
 
@@ -64,32 +73,57 @@ def design(plant: Plant, specification: DesignSpecification) -> ContinuousDesign
 
     | assumption | where | refused with |
     |---|---|---|
-    | G in RH∞, G1 ≠ 0, G2 ≠ 0 | (3.17), (2.3) | ``Plant`` cannot be made otherwise |
+    | no pole on the imaginary axis, G1 ≠ 0, G2 ≠ 0 | (2.3) | ``Plant`` cannot be made otherwise |
+    | each channel reaches every unstable mode; feedback | (3.17) | ``UnstablePlantError`` |
     | Q in RH∞ | Theorem 2.3.1 | ``UnstableFilterError``, ``ImproperError`` |
     | 1 + Q ≠ 0, or F̂ has nothing to act on | (2.35) | ``ZeroChannelError`` |
     | G2 has no zero on the imaginary axis | (3.31) | ``AxisZeroError`` |
     | q/G2o is proper | (3.29) | ``ImproperError`` |
-    | Q = q̂/G1 is stable | (3.32) | ``AxisZeroError``, ``NonMinimumPhaseError`` |
-    | Q = q̂/G1 is proper | (3.33) | ``ImproperError`` |
+    | G1 has no zero on the imaginary axis | (3.32) | ``AxisZeroError`` |
+    | q̂/G1 is proper | (3.33) | ``ImproperError`` |
     """
+    refuse_unreachable(plant, specification.feedback)
     estimator = fault_estimator(plant, specification.q)
     if specification.compensation and estimator.one_plus_q.gain == 0:
         raise ZeroChannelError(
             "q = -1: the fault estimate is identically zero; compensation must have Q other than -1"
         )
-    inner, outer = inner_outer(plant.g2)
-    follow = (plant.g1, specification.tau_q_s, specification.alpha_q)
+    _, n2 = plant.coprime.numerators
+    inner, outer = inner_outer(n2)
     return ContinuousDesign(
         plant=plant,
         specification=specification,
         estimator=estimator,
         compensator=(
-            compensator(plant.g2, specification.tau_s, specification.alpha)
+            compensator(n2, specification.tau_s, specification.alpha)
             if specification.compensation
             else None
         ),
-        tracking=tracking(*follow) if specification.feedback else None,
-        tracking_filter=tracking_filter(*follow) if specification.feedback else None,
+        tracking=(
+            tracking(plant.g1, specification.tau_q_s, specification.alpha_q)
+            if specification.feedback
+            else None
+        ),
         inner=inner,
         outer=outer,
     )
+
+
+def refuse_unreachable(plant: Plant, feedback: bool) -> None:
+    """Raise unless C alone, and after the loss F̂ alone, can hold every unstable mode of ``plant``.
+
+    A mode that a channel does not reach is a zero of that channel on its pole.
+    """
+    for label, channel in (("input 1", plant.g1), ("input 2", plant.g2)):
+        for pole in unstable(channel):
+            for zero in channel.zeros:
+                if abs(zero - pole) <= REACH * abs(pole):
+                    raise UnstablePlantError(
+                        f"{plant.name}: {label} does not reach the unstable mode at {pole:.6g} "
+                        "rad/s: must, or the mode cannot be held by that input alone"
+                    )
+            if not feedback:
+                raise UnstablePlantError(
+                    f"{plant.name}: pole at {pole:.6g} rad/s, must have real part < 0 without "
+                    "feedback"
+                )

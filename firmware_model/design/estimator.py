@@ -2,6 +2,8 @@
 
 Silent while the plant is healthy means (F1 + F2 G) u = 0 for every u (2.19), so F1 = -F2 G (2.20),
 and every such pair in RH∞ is F2 = -(1 + Q), F1 = (1 + Q) [G1 G2] for some Q in RH∞ (2.10), (2.11).
+With the left-coprime factors of a plant that is not stable, G = M⁻¹ [N1 N2], that is (1 + Q) M in
+place of 1 + Q: F2 = -(1 + Q) M, F1 = (1 + Q) [N1 N2], and d̂ = N1 u1 after the loss.
 """
 
 from dataclasses import dataclass
@@ -19,7 +21,7 @@ _EPS = float(np.finfo(np.float64).eps)
 class FaultEstimator:
     """``f1`` (one for each input) and ``f2`` of (2.1), in the plant's units of output an input.
 
-    ``one_plus_q`` is their common factor: d̂ = (1 + Q)(G1 u1 + G2 u2 - y) is what runs, so that a
+    ``one_plus_q`` is their common factor: d̂ = (1 + Q)(N1 u1 + N2 u2 - M y) is what runs, so that a
     shared filter cannot differ between three copies of it.
     """
 
@@ -34,9 +36,11 @@ def fault_estimator(plant: Plant, q: ZeroPoleGain | None = None) -> FaultEstimat
     Raises ``UnstableFilterError`` or ``ImproperError`` for a ``q`` outside RH∞.
     """
     one_plus_q = ZeroPoleGain.constant(1.0) if q is None else _one_plus(q)
+    factors = plant.coprime
+    n1, n2 = factors.numerators
     return FaultEstimator(
-        f1=(one_plus_q * plant.g1, one_plus_q * plant.g2),
-        f2=one_plus_q.scaled(-1.0),
+        f1=(one_plus_q * n1, one_plus_q * n2),
+        f2=(one_plus_q * factors.denominator).scaled(-1.0),
         one_plus_q=one_plus_q,
     )
 

@@ -23,16 +23,22 @@ is a resonator for thousands of seconds, and a double zero on the axis, which ro
 
 
 def inner_outer(
-    g: ZeroPoleGain, axis_tolerance: float = AXIS_TOLERANCE
+    g: ZeroPoleGain, axis_tolerance: float = AXIS_TOLERANCE, name: str = "G"
 ) -> tuple[ZeroPoleGain, ZeroPoleGain]:
     """``(inner, outer)``: inner all-pass with inner(0) = 1, outer stable and minimum phase.
 
     Without zeros in the right half plane the inner factor is the constant 1 and ``outer`` is ``g``.
+    ``name`` is what messages call ``g``.
 
     Raises ``ZeroChannelError`` for g = 0, ``UnstablePlantError`` for a pole that is not in the left
     half plane, ``AxisZeroError`` for a zero on or near the imaginary axis, s = 0 included.
     """
-    refuse_unfactorable(g, "G", axis_tolerance)
+    refuse_axis_zeros(g, name, axis_tolerance)
+    for pole in g.poles:
+        if pole.real >= 0:
+            raise UnstablePlantError(
+                f"{name} has a pole at {pole:.6g} rad/s, must have real part < 0"
+            )
     mirrored = [z for z in g.zeros if z.real > 0]
     kept = [z for z in g.zeros if z.real < 0]
     images = [-z.conjugate() for z in mirrored]
@@ -42,8 +48,8 @@ def inner_outer(
     return inner, outer
 
 
-def refuse_unfactorable(g: ZeroPoleGain, name: str, axis_tolerance: float = AXIS_TOLERANCE) -> None:
-    """Raise unless ``g`` is stable, not zero and clear of zeros on the imaginary axis.
+def refuse_axis_zeros(g: ZeroPoleGain, name: str, axis_tolerance: float = AXIS_TOLERANCE) -> None:
+    """Raise unless ``g`` is not zero and clear of zeros on the imaginary axis.
 
     ``name`` is what messages call it; the errors are those of ``inner_outer``.
     """
@@ -51,11 +57,6 @@ def refuse_unfactorable(g: ZeroPoleGain, name: str, axis_tolerance: float = AXIS
         raise ParameterError(f"axis_tolerance = {axis_tolerance}: must lie in 0..1, below 1")
     if g.gain == 0:
         raise ZeroChannelError(f"{name}(s) is identically zero, must not be")
-    for pole in g.poles:
-        if pole.real >= 0:
-            raise UnstablePlantError(
-                f"{name} has a pole at {pole:.6g} rad/s, must have real part < 0"
-            )
     for zero in g.zeros:
         if abs(zero.real) <= axis_tolerance * abs(zero):
             raise AxisZeroError(

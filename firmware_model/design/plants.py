@@ -1,4 +1,4 @@
-"""The plants of the thesis: stable 1×2 systems, as a state space and as two factored channels.
+"""The plants: 1×2 systems as a state space and as two factored channels; the thesis's are stable.
 
 The state space simulates; the channels G1, G2 design. Numerators come from Faddeev and LeVerrier's
 
@@ -8,15 +8,23 @@ where a structural zero of A, B, C stays exactly zero, so a relative degree is n
 """
 
 import math
-from collections.abc import Sequence
+from collections import Counter
 from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy import linalg
 
+from firmware_model.design.factors.coprime import (
+    CoprimeFactors,
+    left_coprime,
+    unstable,
+    with_poles_of,
+)
+from firmware_model.design.factors.realisation import companion, in_parts, realised
 from firmware_model.design.vehicle import TABLE_3_2, Variant, VehicleParameters, vehicle_state_space
-from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.design.zpk import Roots, ZeroPoleGain
 from firmware_model.errors import ParameterError, UnstablePlantError, ZeroChannelError
 
 Matrix = NDArray[np.float64]
@@ -38,8 +46,8 @@ class Plant:
     ``sensed`` (1, n) is the output before the sensor; by default that is ``c``.
 
     Raises ``ParameterError`` for shapes that do not fit, values that are not finite, dead times
-    below zero and channels that are not those of the state space; ``UnstablePlantError``;
-    ``ZeroChannelError``.
+    below zero and channels that are not those of the state space; ``UnstablePlantError`` for a
+    pole on the imaginary axis, and unstable poles of one channel alone; ``ZeroChannelError``.
     """
 
     name: str
@@ -61,10 +69,11 @@ class Plant:
                 raise ParameterError(
                     f"{self.name}: dead time {dead_time_s:g} s: must be finite and 0 or above"
                 )
-        _refuse_unstable(self.name, self.a)
+        _refuse_axis_poles(self.name, self.a)
         for label, channel in (("G1", self.g1), ("G2", self.g2)):
             if channel.gain == 0:
                 raise ZeroChannelError(f"{self.name}: {label}(s) is identically zero")
+        _refuse_unshared(self.name, self.g1, self.g2)
         _refuse_disagreement(self)
 
     @property
@@ -73,9 +82,14 @@ class Plant:
         first, second = self.dead_times_s
         return first + self.sensor_dead_time_s, second + self.sensor_dead_time_s
 
+    @property
+    def coprime(self) -> CoprimeFactors:
+        """M, N1 and N2, of a stable plant 1, G1 and G2."""
+        return left_coprime(self.g1, self.g2)
+
     @classmethod
     def from_state_space(cls, name: str, a: ArrayLike, b: ArrayLike, c: ArrayLike) -> Self:
-        """The plant of any stable ``a`` (n, n), ``b`` (n, 2), ``c`` (1, n); channels of order n.
+        """The plant of any ``a`` (n, n), ``b`` (n, 2), ``c`` (1, n); channels of order n.
 
         Modes that a channel does not reach or show stay in it as pole-zero pairs.
         Raises what ``Plant`` raises.
@@ -88,24 +102,34 @@ class Plant:
 
     @classmethod
     def from_transfer_functions(cls, name: str, g1: ZeroPoleGain, g2: ZeroPoleGain) -> Self:
-        """The plant of two stable channels with fewer zeros than poles, which share no state.
+        """The plant of two channels with fewer zeros than poles, which share unstable modes only.
+
+        Those stand in partial fractions, n_i/Π(s - p) + S_i, so that both inputs drive one and the
+        same: or what one input alone holds would not be what the other has left.
 
         Raises what ``Plant`` raises, and ``ParameterError`` for a channel that feeds through.
         """
-        a1, b1, c1 = _realised(g1, "G1")
-        a2, b2, c2 = _realised(g2, "G2")
-        a = np.block([[a1, np.zeros((len(a1), len(a2)))], [np.zeros((len(a2), len(a1))), a2]])
-        b = np.zeros((len(a), 2))
-        b[: len(a1), 0], b[len(a1) :, 1] = b1, b2
-        return cls(name, a, b, np.concatenate([c1, c2])[np.newaxis], g1, g2)
+        g2 = with_poles_of(g2, unstable(g1))
+        _refuse_unshared(name, g1, g2)
+        poles = unstable(g1)
+        first, second = in_parts(g1, "G1"), in_parts(g2, "G2")
+        (a1, b1, c1), (a2, b2, c2) = realised(first.stable), realised(second.stable)
+        k, k1 = len(poles), len(poles) + len(a1)
+        b = np.zeros((k1 + len(a2), 2))
+        b[:k, 0], b[k:k1, 0] = first.residues, b1
+        b[:k, 1], b[k1:, 1] = second.residues, b2
+        a = linalg.block_diag(companion(poles), a1, a2)
+        return cls(name, a, b, np.concatenate([np.eye(1, k)[0], c1, c2])[np.newaxis], g1, g2)
 
 
 def steer_by_wire(parameters: VehicleParameters = TABLE_3_2, variant: Variant = "physics") -> Plant:
     """The car of §3.2: steering torque [N m] and rear force difference [N] to D* [m/s²].
 
-    Raises ``ParameterError`` for an unknown variant and ``UnstablePlantError`` for a car that
-    weaves: the front wheels are free to align, so what destabilises them is a short trail with
-    little damping at speed, not oversteer.
+    The front wheels are free to align, so what makes a car weave is a short trail with little
+    damping at speed, or oversteer with a steering gear that hardly lets them align.
+
+    Raises ``ParameterError`` for an unknown variant and ``UnstablePlantError`` for a pole on the
+    imaginary axis.
     """
     a, b, c = vehicle_state_space(parameters, variant)
     return Plant.from_state_space(f"steer-by-wire ({variant})", a, b, c)
@@ -152,12 +176,29 @@ def _validated(name: str, a: ArrayLike, b: ArrayLike, c: ArrayLike) -> tuple[Mat
     return tuple(matrices)
 
 
-def _refuse_unstable(name: str, a: Matrix) -> None:
-    """G must be in RH∞ (3.17): a pole within rounding of the axis counts as on it."""
+def _refuse_axis_poles(name: str, a: Matrix) -> None:
+    """A pole within rounding of the imaginary axis counts as on it."""
     poles = np.linalg.eigvals(a)
-    worst = poles[np.argmax(poles.real)]
-    if worst.real >= -len(a) * _EPS * np.linalg.norm(a):
-        raise UnstablePlantError(f"{name}: pole at {worst:.6g} rad/s, must have real part < 0")
+    nearest = poles[np.argmin(np.abs(poles.real))]
+    if abs(nearest.real) <= len(a) * _EPS * np.linalg.norm(a):
+        raise UnstablePlantError(
+            f"{name}: pole at {nearest:.6g} rad/s, must be clear of the imaginary axis"
+        )
+
+
+def _refuse_unshared(name: str, g1: ZeroPoleGain, g2: ZeroPoleGain) -> None:
+    """What only one input reaches, the other cannot hold."""
+    first, second = unstable(g1), unstable(g2)
+    if Counter(first) != Counter(second):
+        raise UnstablePlantError(
+            f"{name}: unstable poles of G1: {_listed(first)}; of G2: {_listed(second)}: must be "
+            "the same, or one input alone cannot hold them"
+        )
+
+
+def _listed(roots: Roots) -> str:
+    words = [f"{root if root.imag else root.real:.6g}" for root in roots]
+    return f"{', '.join(words)} rad/s" if roots else "none"
 
 
 def _refuse_disagreement(plant: Plant) -> None:
@@ -172,48 +213,3 @@ def _refuse_disagreement(plant: Plant) -> None:
                 f"{plant.name}: [G1 G2] = {given} at {omega:.6g} rad/s,"
                 f" but C(sI - A)^-1 B = {response}"
             )
-
-
-def _realised(g: ZeroPoleGain, name: str) -> tuple[Matrix, Matrix, Matrix]:
-    """A (n, n), b (n,) and c (n,) with ``g`` = c (sI - A)⁻¹ b, n its poles.
-
-    One companion form of the whole would hold the coefficients of a polynomial of high order, which
-    lose their digits; each section of a chain holds those of two roots:
-
-        x1' = x2,  x2' = -a0 x1 - a1 x2 + u,  y = c0 x1 + c1 x2 + d u
-
-    Raises:
-        ParameterError: ``g`` does not have fewer zeros than poles; ``name`` is what it is called.
-    """
-    if g.gain != 0.0 and g.relative_degree < 1:
-        raise ParameterError(
-            f"{name} has {len(g.zeros)} zeros and {g.order} poles: must have fewer zeros than "
-            "poles, as a plant that its input reaches only through states"
-        )
-    numerators, denominators = _sections(g.zeros), _sections(g.poles)
-    numerators += [np.ones(1)] * (len(denominators) - len(numerators))
-    a, b, c, feedthrough = np.zeros((0, 0)), np.zeros(0), np.zeros(0), 1.0
-    for num, den in zip(numerators, denominators, strict=True):
-        order, before = len(den) - 1, len(a)
-        padded = np.concatenate([num, np.zeros(order + 1 - len(num))])
-        own_b, own_d = np.eye(order)[-1], float(padded[-1])
-        own_c = padded[:-1] - own_d * den[:-1]
-        own_a = np.eye(order, k=1)
-        own_a[-1] -= den[:-1]
-        a = np.block([[a, np.zeros((before, order))], [np.outer(own_b, c), own_a]])
-        b = np.concatenate([b, feedthrough * own_b])
-        c = np.concatenate([own_d * c, own_c])
-        feedthrough *= own_d
-    return a, b, g.gain * c
-
-
-def _sections(roots: Sequence[complex]) -> list[Matrix]:
-    """Monic polynomials of the roots in twos, lowest power first; the last may be of one root.
-
-    ``roots`` are in the order of ``ZeroPoleGain``: those that are real come first.
-    """
-    real = [root.real for root in roots if root.imag == 0]
-    pairs = [np.array([abs(root) ** 2, -2.0 * root.real, 1.0]) for root in roots if root.imag > 0]
-    twos = [np.array([r * q, -(r + q), 1.0]) for r, q in zip(real[::2], real[1::2], strict=False)]
-    last = [np.array([-real[-1], 1.0])] if len(real) % 2 else []
-    return [*twos, *pairs, *last]

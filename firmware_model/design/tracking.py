@@ -1,63 +1,92 @@
-"""The tracking controller C of (3.32)-(3.34), multiplied out by hand to its minimal order.
+"""The tracking controller C of (3.32)-(3.34), for any plant with no zero or pole on the axis.
 
-With G1 = N1/D and Q = q̂/G1, (3.32) is C = q̂/(G1 (1 - q̂)), and with q̂ = 1/(1 + τq s)^αq
+The thesis's is for a stable, minimum-phase G1: Q = q̂/G1 makes the healthy loop T = q̂, and C is run
+as u1 = Q (r - y + G1 u1). Of any other, with G1 = N1/M of ``coprime`` and N1 = N1i N1o in inner and
+outer factors, all controllers that stabilise it are C = U/V with U N1 + V M = 1 in RH∞ (Youla). A
+choice of T, which ``interpolation`` makes, fixes both:
 
-    C = D / (N1 ((1 + τq s)^αq - 1)).
+    T = q̂ N1i P,   U = T/N1 = q̂ P/N1o,   V = (1 - T)/M
 
-The last factor vanishes where 1 + τq s is an αq-th root of one: s = (exp(2πik/αq) - 1)/τq. The
-root k = 0 is s = 0 exactly, the integrator that leaves a step no steady-state error.
+and V u1 = U (r - y) is, with nothing but stable filters,
+
+    u1 = U (r - y + N1 u1) + R u1,   R = 1 - U N1 - V = (1 - 1/M)(1 - T)
+
+so the thesis's own structure, and one filter R more, strictly proper and zero for a stable plant.
+C itself, multiplied out: with S the zeros of 1 - T other than s = 0 and the unstable poles,
+
+    C = P's numerator · G1's stable poles / (G1's zeros in the left half plane · s · S)
+
+s = 0 is the integrator that leaves a step no steady-state error.
 """
 
-import math
+from dataclasses import dataclass
 
-from firmware_model.design.factorisation import refuse_unfactorable
-from firmware_model.design.zpk import Roots, ZeroPoleGain
-from firmware_model.errors import (
-    ImproperError,
-    NonMinimumPhaseError,
-    require_order,
-    require_positive,
-)
+import numpy as np
+
+from firmware_model.design.factorisation import inner_outer, refuse_axis_zeros
+from firmware_model.design.factors.coprime import left_coprime, unstable
+from firmware_model.design.factors.interpolation import Interpolation, interpolate
+from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.errors import ImproperError, require_order, require_positive
 
 
-def tracking(g1: ZeroPoleGain, tau_q_s: float, alpha_q: int) -> ZeroPoleGain:
-    """C of (3.32), order ``len(g1.zeros) + alpha_q``; input r - y, output u1 [N m for the car].
+@dataclass(frozen=True)
+class Tracking:
+    """``controller`` is C from r - y to u1; what runs of it are ``filter`` U and ``stabiliser`` R.
+
+    ``complementary`` is T, from r to y in the healthy loop. ``stabiliser`` is None where G1 is
+    stable; ``filter`` then is the thesis's Q.
+    """
+
+    controller: ZeroPoleGain
+    filter: ZeroPoleGain
+    stabiliser: ZeroPoleGain | None
+    complementary: ZeroPoleGain
+
+
+def tracking(g1: ZeroPoleGain, tau_q_s: float, alpha_q: int) -> Tracking:
+    """C of ``g1`` with q̂ = 1/(1 + τq s)^αq, τq in seconds; for the car u1 is in N m.
 
     Raises ``ParameterError`` unless τq is finite and > 0 and αq an integer >= 1; for ``g1``
-    ``ZeroChannelError``, ``UnstablePlantError``, ``AxisZeroError``, ``NonMinimumPhaseError`` (Q
-    would be unstable); ``ImproperError`` naming the least αq when Q = q̂/G1 is improper.
+    ``ZeroChannelError`` and ``AxisZeroError``; ``ImproperError`` naming the least αq when U is
+    improper.
     """
     require_positive("tau_q_s", tau_q_s)
     require_order("alpha_q", alpha_q)
-    refuse_unfactorable(g1, "G1")
-    for zero in g1.zeros:
-        if zero.real > 0:
-            raise NonMinimumPhaseError(
-                f"G1 has a zero at {zero:.6g} rad/s: must have real part < 0 for Q = q̂/G1 in RH∞"
-            )
+    refuse_axis_zeros(g1, "G1")
     if alpha_q < g1.relative_degree:
         raise ImproperError(
             f"alpha_q = {alpha_q}: q̂/G1 is improper, alpha_q must be at least {g1.relative_degree}"
         )
+    poles = unstable(g1)
+    zeros = tuple(zero for zero in g1.zeros if zero.real > 0)
+    inner, outer = inner_outer(left_coprime(g1, g1).numerators[0], name="G1")
+    found = interpolate(zeros, poles, tau_q_s, alpha_q)
     lag = ZeroPoleGain.lag(tau_q_s, alpha_q)
-    return ZeroPoleGain(
-        zeros=g1.poles,
-        poles=(*g1.zeros, *(root / tau_q_s for root in roots_of_one_less_one(alpha_q))),
-        gain=lag.gain / g1.gain,
+    lags = (*lag.poles, *lag.poles[:1] * len(poles))
+    gain = found.gain * lag.gain
+    return Tracking(
+        controller=ZeroPoleGain(
+            zeros=(*found.zeros, *(pole for pole in g1.poles if pole.real < 0)),
+            poles=(*(zero for zero in g1.zeros if zero.real < 0), 0j, *found.remaining),
+            gain=gain / outer.gain,
+        ),
+        filter=ZeroPoleGain((*found.zeros, *outer.poles), (*outer.zeros, *lags), gain / outer.gain),
+        stabiliser=_stabiliser(inner, found, lags, poles) if poles else None,
+        complementary=inner * ZeroPoleGain(found.zeros, lags, gain),
     )
 
 
-def tracking_filter(g1: ZeroPoleGain, tau_q_s: float, alpha_q: int) -> ZeroPoleGain:
-    """Q = q̂/G1 of (3.33), from which C = Q/(1 - Q G1) (3.32); raises what ``tracking`` raises."""
-    tracking(g1, tau_q_s, alpha_q)  # refuses what has no Q
-    lag = ZeroPoleGain.lag(tau_q_s, alpha_q)
-    return ZeroPoleGain(g1.poles, (*g1.zeros, *lag.poles), lag.gain / g1.gain)
-
-
-def roots_of_one_less_one(order: int) -> Roots:
-    """``exp(2πik/order) - 1`` for k = 0..order-1; real ones and conjugate pairs are exactly so."""
-    real: Roots = (0j,) if order % 2 else (0j, -2 + 0j)
-    # exp(iθ) - 1 = -2 sin²(θ/2) + i sin θ, which does not subtract near-equal numbers
-    angles = [2 * math.pi * k / order for k in range(1, (order + 1) // 2)]
-    upper = [complex(-2 * math.sin(theta / 2) ** 2, math.sin(theta)) for theta in angles]
-    return (*real, *upper, *(root.conjugate() for root in upper))
+def _stabiliser(
+    inner: ZeroPoleGain,
+    found: Interpolation,
+    lags: tuple[complex, ...],
+    poles: tuple[complex, ...],
+) -> ZeroPoleGain:
+    """R: of Π(s - p) - Π(s + p̄) the powers of s that both have, the highest, cancel."""
+    difference = (np.poly(poles) - np.poly([-pole.conjugate() for pole in poles])).real[1:]
+    return ZeroPoleGain(
+        zeros=(*(complex(root) for root in np.roots(difference)), 0j, *found.remaining),
+        poles=(*inner.poles, *lags),
+        gain=float(difference[0]),
+    )

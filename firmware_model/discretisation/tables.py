@@ -3,20 +3,26 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 
 import numpy as np
 
 from firmware_model.design.continuous_design import ContinuousDesign
 from firmware_model.design.mismatch import STEP
 from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.discretisation.law.coprime import sampled_factors
+from firmware_model.discretisation.law.loop_gains import (
+    Filters,
+    algebraic_loop_gain,
+    dead_ticks,
+    tracking_loop_gain,
+)
 from firmware_model.discretisation.sections import Sections, make_up_gain
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import RULES, tustin
 from firmware_model.errors import DesignError, ParameterError
 from firmware_model.target.fault_decision.covariance import LOSS_STATES, MAX_DIRECTIONS
 from firmware_model.target.layout import table_type
-from firmware_model.target.structs import MAX_LATENCY_TICKS, MAX_SECTIONS, Precision, Record
+from firmware_model.target.structs import MAX_SECTIONS, Precision, Record
 
 SLOWEST_TRANSFER_S = 0.05  # some time constants of w, 1/17.7 s for this car
 HASTE = 2.0  # of a transfer, against the time that its beginning took
@@ -47,17 +53,6 @@ PROBE_PERIODS = 2  # the half phase of ``probe`` goes once around
 PROBE_SHARE = 0.4  # missing that confirms; a car that is 20 % off looks like 0.3 at 10 rad/s
 
 
-@dataclass(frozen=True)
-class Filters:
-    """The discretised filters of the control law, for whoever wants to look at them."""
-
-    tracking: Sections
-    estimator_1: Sections
-    estimator_2: Sections
-    one_plus_q: Sections
-    compensator: Sections
-
-
 def discretise(design: ContinuousDesign, target: Target) -> Filters:
     """Each filter of ``design`` as second-order sections at the target's tick.
 
@@ -65,62 +60,26 @@ def discretise(design: ContinuousDesign, target: Target) -> Filters:
         DesignError: a tick out of range, or a filter of too high an order for the fixed layout.
     """
     tick_s, prewarp = target.tick_s, target.prewarp_rad_per_s
-    rule = RULES[target.estimator]
     nothing, unity = ZeroPoleGain.constant(0.0), ZeroPoleGain.constant(1.0)
-    g1, g2 = design.plant.g1, design.plant.g2
+    factors = sampled_factors(design.plant, target.estimator, tick_s)
+    follow = design.tracking
+    stabiliser = follow.stabiliser if follow else None
     filters = Filters(
-        tracking=tustin(design.tracking_filter or unity, tick_s, prewarp),
-        estimator_1=rule(g1, tick_s),
-        estimator_2=rule(g2, tick_s),
+        tracking=tustin(follow.filter if follow else unity, tick_s, prewarp),
+        estimator_1=factors.numerators[0],
+        estimator_2=factors.numerators[1],
+        measurement=factors.denominator,
+        stabiliser=tustin(stabiliser, tick_s, prewarp) if stabiliser else None,
         one_plus_q=tustin(design.estimator.one_plus_q, tick_s),
         compensator=tustin(design.compensator or nothing, tick_s, prewarp),
     )
     for name, sections in vars(filters).items():
-        if len(sections.coefficients) > MAX_SECTIONS:
+        if sections is not None and len(sections.coefficients) > MAX_SECTIONS:
             raise ParameterError(
                 f"{name}: order {2 * len(sections.coefficients)} is more than the "
                 f"{2 * MAX_SECTIONS} that the controller's layout holds; lower alpha or alpha_q"
             )
     return filters
-
-
-def dead_ticks(design: ContinuousDesign, target: Target) -> tuple[int, int]:
-    """The dead times that the design knows of, from each command to the measurement, in ticks.
-
-    Raises:
-        ParameterError: more than the controller's rings hold.
-    """
-    first, second = (
-        round(dead_time_s / target.tick_s) for dead_time_s in design.plant.path_dead_times_s
-    )
-    for channel, ticks in ((1, first), (2, second)):
-        if ticks > MAX_LATENCY_TICKS:
-            raise ParameterError(
-                f"dead time of channel {channel}: {ticks} ticks; must be at most "
-                f"{MAX_LATENCY_TICKS}, {MAX_LATENCY_TICKS * target.tick_s:g} s"
-            )
-    return first, second
-
-
-def algebraic_loop_gain(filters: Filters, delay_ticks: int) -> float:
-    """Gain of the loop d̂ → u2 → d̂ within one tick: F̂, G2 and 1 + Q at z → ∞; T/(2τ+T) for α = 1.
-
-    With any delay of u2, by the bus or by a dead time, there is no such loop.
-    """
-    if delay_ticks > 0:
-        return 0.0
-    return (
-        filters.compensator.feedthrough
-        * filters.estimator_2.feedthrough
-        * filters.one_plus_q.feedthrough
-    )
-
-
-def tracking_loop_gain(filters: Filters, target: Target, dead: tuple[int, int]) -> float:
-    """Gain of the loop u1 → G1 u1 → u1 within one tick: Q and G1 at z → ∞."""
-    if target.latency_ticks + dead[0] > 0:
-        return 0.0
-    return filters.tracking.feedthrough * filters.estimator_1.feedthrough
 
 
 def build(design: ContinuousDesign, target: Target) -> Record:
@@ -175,6 +134,9 @@ def _fill_loop(
     shaper.acceleration = target.reference_acceleration * target.tick_s**2
     _fill_filter(tracking.filter, filters.tracking)
     tracking.feedback = closed
+    if filters.stabiliser:
+        _fill_filter(tracking.stabiliser, filters.stabiliser)
+    tracking.excuses_limits = filters.stabiliser is None
     tracking.loop_inverse = 1.0 / (1.0 - closed * tracking_loop_gain(filters, target, dead))
     for actuator, limit, rate, lsb in (
         (table.actuator_1, target.limit_1, target.rate_1, target.lsb_1),
@@ -198,6 +160,7 @@ def _fill_estimator(
     _fill_filter(estimator.channel_1, filters.estimator_1)
     _fill_filter(estimator.channel_2, filters.estimator_2)
     _fill_filter(estimator.one_plus_q, filters.one_plus_q)
+    _fill_filter(estimator.measurement, filters.measurement)
     if target.latency_ticks + dead[1] == 0:
         estimator.feedthrough_2 = filters.estimator_2.feedthrough
     estimator.one_plus_q_feedthrough = filters.one_plus_q.feedthrough
@@ -277,7 +240,7 @@ def _fill_mismatch(table: Record, target: Target) -> None:
     constants.fading = _memory(target, BEYOND_S) ** 2
     a = target.noise_pole
     rounding = target.resolution * target.resolution / 12.0
-    least = (NO_NOISE[target.precision] * max(target.resolution, 1.0)) ** 2
+    least = NO_NOISE[target.precision] ** 2
     constants.noise = (
         (1.0 - a * a) * target.noise_rms * target.noise_rms + (1.0 + a * a) * rounding + least
     )

@@ -25,6 +25,9 @@ from firmware_model.discretisation.rules import Rule
 from firmware_model.discretisation.sections import Sections, from_delta_zpk
 from firmware_model.errors import ImproperError, ParameterError
 
+DeltaRoots = tuple[list[complex], list[complex], float]
+"""Zeros, poles and gain in δ."""
+
 
 def tustin(g: ZeroPoleGain, tick_s: float, prewarp_rad_per_s: float | None = None) -> Sections:
     """The bilinear transform of ``g``.
@@ -39,8 +42,7 @@ def tustin(g: ZeroPoleGain, tick_s: float, prewarp_rad_per_s: float | None = Non
         ParameterError: a tick or a prewarp frequency out of range, a pole at 2/T.
         ImproperError: ``g`` has more zeros than poles.
     """
-    zeros, poles, gain = _bilinear(g, tick_s, prewarp_rad_per_s)
-    return from_delta_zpk(zeros, poles, gain, tick_s)
+    return from_delta_zpk(*_bilinear(g, tick_s, prewarp_rad_per_s), tick_s)
 
 
 def tustin_held(g: ZeroPoleGain, tick_s: float) -> Sections:
@@ -50,10 +52,7 @@ def tustin_held(g: ZeroPoleGain, tick_s: float) -> Sections:
         ImproperError: ``g`` has feedthrough; a held input has nothing to say of that path.
         ParameterError: as ``tustin``.
     """
-    _refuse_feedthrough(g, "tustin_held")
-    zeros, poles, gain = _bilinear(g, tick_s, None)
-    zeros.remove(-2.0)
-    return from_delta_zpk(zeros, poles, 2.0 * gain, tick_s)
+    return from_delta_zpk(*_held_bilinear(g, tick_s), tick_s)
 
 
 def zoh(g: ZeroPoleGain, tick_s: float) -> Sections:
@@ -66,19 +65,7 @@ def zoh(g: ZeroPoleGain, tick_s: float) -> Sections:
         ImproperError: ``g`` has feedthrough.
         ParameterError: a tick out of range.
     """
-    _check_tick(tick_s)
-    _refuse_feedthrough(g, "zoh")
-    if g.gain == 0.0:
-        return from_delta_zpk((), (), 0.0, tick_s)
-    g = g.cancelled()  # a state space of what is left has a state for each pole
-    poles = np.array([_expm1(p * tick_s) for p in g.poles])
-    system = sampled(g, tick_s)
-    zeros = zeros_of(system, poles)
-    middle = np.abs(poles[poles != 0.0])
-    probe = float(np.exp(np.log(middle).mean())) if middle.size else 1.0  # right of all poles
-    scale = np.prod([probe - p for p in poles]) / np.prod([probe - q for q in zeros])
-    gain = (response(system, np.array([probe + 0j])).item() * scale).real
-    return from_delta_zpk(zeros, poles, float(gain), tick_s)
+    return from_delta_zpk(*_held_exactly(g, tick_s), tick_s)
 
 
 RULES: Final[Mapping[Rule, Callable[[ZeroPoleGain, float], Sections]]] = {
@@ -88,9 +75,34 @@ RULES: Final[Mapping[Rule, Callable[[ZeroPoleGain, float], Sections]]] = {
 }
 
 
-def _bilinear(
-    g: ZeroPoleGain, tick_s: float, prewarp_rad_per_s: float | None
-) -> tuple[list[complex], list[complex], float]:
+def _held_bilinear(g: ZeroPoleGain, tick_s: float) -> DeltaRoots:
+    """``tustin_held`` as zeros, poles and gain in δ."""
+    _refuse_feedthrough(g, "tustin_held")
+    zeros, poles, gain = _bilinear(g, tick_s, None)
+    zeros.remove(-2.0)
+    return zeros, poles, 2.0 * gain
+
+
+def _held_exactly(g: ZeroPoleGain, tick_s: float) -> DeltaRoots:
+    """``zoh`` as zeros, poles and gain in δ."""
+    _check_tick(tick_s)
+    _refuse_feedthrough(g, "zoh")
+    if g.gain == 0.0:
+        return [], [], 0.0
+    g = g.cancelled()  # a state space of what is left has a state for each pole
+    poles = np.array([_expm1(p * tick_s) for p in g.poles])
+    system = sampled(g, tick_s)
+    zeros = zeros_of(system, poles)
+    middle = np.abs(poles[poles != 0.0])
+    probe = float(np.exp(np.log(middle).mean())) if middle.size else 1.0
+    if (poles.real > 0.0).any():
+        probe = 2.0 * float(middle.max())  # right of all poles
+    scale = np.prod([probe - p for p in poles]) / np.prod([probe - q for q in zeros])
+    gain = (response(system, np.array([probe + 0j])).item() * scale).real
+    return zeros, [complex(pole) for pole in poles], float(gain)
+
+
+def _bilinear(g: ZeroPoleGain, tick_s: float, prewarp_rad_per_s: float | None) -> DeltaRoots:
     """Zeros, poles and gain in δ: s = κ(z-1)/(z+1) gives δ = 2r/(κ - r) for a root r."""
     _check_tick(tick_s)
     if g.relative_degree < 0:
@@ -141,3 +153,11 @@ def _expm1(x: complex) -> complex:
     """e^x - 1 to full relative precision for small complex x (Python's expm1 takes reals)."""
     half = cmath.exp(x / 2.0)
     return 2.0 * half * cmath.sinh(x / 2.0)
+
+
+DELTA_ROOTS: Final[Mapping[Rule, Callable[[ZeroPoleGain, float], DeltaRoots]]] = {
+    "tustin": lambda g, tick_s: _bilinear(g, tick_s, None),
+    "tustin-held": _held_bilinear,
+    "zoh": _held_exactly,
+}
+"""``RULES`` before roots are paired into sections."""

@@ -1,5 +1,8 @@
 """The control law, once: u1 = C(r - y), d̂ = F1 u + F2 y, u2 = F̂ d̂ (2.1), (2.37), (3.32).
 
+What is said of G1, G2 and y here holds for N1, N2 and M y of a plant that is not stable
+(``filters.estimator``).
+
 Everything that runs the controller calls ``step``: a node on a bus, a simulation, a replay, a
 batch of thousands. It allocates nothing and reads nothing but its arguments.
 
@@ -33,7 +36,12 @@ from firmware_model.target.fault_decision.decision import (
     compensated_output,
     decide,
 )
-from firmware_model.target.fault_decision.loss_model import advance_loss_model, settle_loss_model
+from firmware_model.target.fault_decision.loss_model import (
+    advance_loss_model,
+    known_share,
+    loss_shown,
+    settle_loss_model,
+)
 from firmware_model.target.fault_decision.mismatch import clear_mismatch, settle_mismatch
 from firmware_model.target.fault_decision.other_cars import (
     advance_other_cars,
@@ -48,6 +56,7 @@ from firmware_model.target.fault_decision.sequential_test import (
 from firmware_model.target.filters.biquad import advance, output, settle
 from firmware_model.target.filters.estimator import (
     advance_model,
+    expect_measurement,
     model_output,
     settle_estimator,
 )
@@ -120,8 +129,9 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
     state.command_1 = quantise(table.actuator_1, state.actuator_1, possible_1)
 
     model_1, model_2 = model_output(estimator, state.estimator, state.command_1, zero)
-    track(table.tracking, state.tracking, wanted + table.tracking.feedback * model_1)
-    known = model_1 + model_2 - y
+    error = wanted + table.tracking.feedback * model_1
+    track(table.tracking, state.tracking, error, state.command_1)
+    known = model_1 + model_2 - advance(estimator.measurement, state.estimator.measurement, y)
     q_rest = output(estimator.one_plus_q, state.estimator.one_plus_q, zero)
     rest_2 = output(compensator.filter, state.compensator.filter, zero)
     from_reference = compensator.reference_share * r
@@ -161,10 +171,14 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
 def hold(table: Record, state: Record) -> None:
     """A tick without inputs: the last commands are held, and the models follow them."""
     state.mode = MODE_HOLD
-    model_output(table.estimator, state.estimator, state.command_1, state.command_2)
+    model_1, model_2 = model_output(
+        table.estimator, state.estimator, state.command_1, state.command_2
+    )
+    lost = known_share(state) * loss_shown(table, state)
+    expect_measurement(table.estimator, state.estimator, model_1 + model_2 - lost)
     acting_1, acting_2 = acting_commands(table, state)
     show_other_cars(table, state, acting_1, acting_2)
-    asked_1 = track_on(table.tracking, state.tracking)
+    asked_1 = track_on(table.tracking, state.tracking, state.command_1)
     short_1 = asked_1 - state.command_1
     short_2 = real(0.0, state.command_2)
     if table.compensator.on_confirmation:
@@ -207,7 +221,8 @@ def reset(table: Record, state: Record, reference: float) -> None:
     target = state.reference
     zero = real(0.0, target)
     start(state.reference_shaper, target)
-    asked_1 = settle_tracking(table.tracking, state.tracking, target)
+    shown = settle(table.estimator.measurement, state.estimator.measurement, target)
+    asked_1 = settle_tracking(table.tracking, state.tracking, shown)
     asked_2 = table.compensator.reference_share * target
     state.actuator_1.rounded_off = state.actuator_2.rounded_off = zero
     torque = quantise(table.actuator_1, state.actuator_1, saturate(table.actuator_1, asked_1))
@@ -218,6 +233,7 @@ def reset(table: Record, state: Record, reference: float) -> None:
     model_1, model_2 = model_output(table.estimator, state.estimator, torque, force)
     settle_other_cars(table, state, torque, force)
     settle_mismatch(table, state, model_1 + model_2)
+    state.fault_state = CLEAR  # before what is lost settles: nothing is
     settle_loss_model(table, state)
     start_candidate(table, state)
     state.shortfall_1.accumulators[:] = 0.0
@@ -226,7 +242,6 @@ def reset(table: Record, state: Record, reference: float) -> None:
     state.decision.pause = 0
     release(state.bumpless_transfer)
     state.mode = MODE_INIT
-    state.fault_state = CLEAR
 
 
 @firmware

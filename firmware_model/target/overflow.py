@@ -28,8 +28,10 @@ def clear_memories(table: Record, state: Record) -> None:
     """
     state.probe.tick = 0
     state.tracking.filter.accumulators[:] = 0.0
+    state.tracking.stabiliser.accumulators[:] = 0.0
     state.tracking.error = 0.0
     state.estimator.one_plus_q.accumulators[:] = 0.0
+    state.estimator.measurement.accumulators[:] = 0.0
     if not table.compensator.on_confirmation:
         state.compensator.filter.accumulators[:] = 0.0
     clear_mismatch(table.mismatch, state.mismatch)

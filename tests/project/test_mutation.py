@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ast
 import fcntl
+import importlib
 import json
 import shutil
 import subprocess
@@ -78,6 +79,34 @@ def test_the_accepted_mutants_are_there_and_have_a_reason() -> None:
     for site in every:
         ast.parse(site.mutant.source)  # else it would be killed for nothing
     mutation.accepted(settings, every)
+
+
+STEPS = """\
+STEP = 1
+SIZES = (STEP, 5)
+class Kept:
+    step = 1
+def on(value):
+    return value + STEP
+"""
+
+
+def test_what_a_mutant_changes_is_changed_in_a_session_that_has_imported_it(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A constant wherever it has been imported to; what else is made on import is not reached."""
+    from mutation_session import functions, swap
+
+    path = tmp_path / "mutated_steps.py"
+    path.write_text(STEPS)
+    (tmp_path / "user_of_steps.py").write_text("from mutated_steps import STEP\n")
+    monkeypatch.syspath_prepend(str(tmp_path))
+    steps, user = (importlib.import_module(name) for name in ("mutated_steps", "user_of_steps"))
+    assert not swap(functions(), str(path), STEPS, STEPS.replace("    step = 1", "    step = 2"))
+    assert swap(functions(), str(path), STEPS, STEPS.replace("value + STEP", "value - STEP"))
+    assert steps.on(3) == 2
+    assert swap(functions(), str(path), STEPS, STEPS.replace("STEP = 1", "STEP = (2)", 1))
+    assert (steps.on(3), steps.SIZES, user.STEP) == (1, (2, 5), 2)
 
 
 CODE = """\

@@ -17,7 +17,7 @@ ROOTS = {
     "can_rig": {"__init__", "__main__", "api", "errors", "files"},
     "firmware_model": {"__init__", "compiled", "errors", "firmware", "testing"},
 }
-HEAVY = {"matplotlib", "asammdf", "pyarrow", "pandas", "control", "mcap"}
+HEAVY = {"matplotlib", "asammdf", "fmpy", "pyarrow", "pandas", "control", "mcap", "aiohttp"}
 """Libraries so slow to import that a command that does without them must not wait for them."""
 
 COMMANDS = ("can_rig.cli.", "can_rig.__main__")

@@ -29,9 +29,9 @@ def test_the_page_is_up_to_date() -> None:
 def tables(section: str, values: dict[str, Any]) -> Iterator[tuple[str, dict[str, Any]]]:
     """Each table by its heading, with its own keys; ``model`` is that of ``plant`` again."""
     inner = {key: value for key, value in values.items() if isinstance(value, dict)}
-    free = inner.pop("parameters", {})
-    assert not free
-    yield section, {k: v for k, v in values.items() if k not in {*inner, "name", "parameters"}}
+    free = {key: inner.pop(key, {}) for key in ("parameters", "variables")}
+    assert not any(free.values())
+    yield section, {k: v for k, v in values.items() if k not in {*inner, *free, "name"}}
     for key, table in inner.items():
         if key != "model":
             yield from tables(f"{section}.{key}".lstrip("."), table)

@@ -60,7 +60,7 @@ def command(
     if dbc is not None:
         timing = dbc_timing(dbc, bitrate, data_bitrate)
     else:
-        if chosen.plant.is_class:
+        if chosen.plant.is_own:
             load_plant(chosen.plant.kind, chosen.plant)  # no timing for what cannot run
         compute_s = chosen.bus.compute_s
         network = network_of(chosen)

@@ -33,7 +33,8 @@ from firmware_model.target.structs import Precision
 @click.option(
     "--report",
     is_flag=True,
-    help="Also say what it costs on emulated boards, and what compilers and cppcheck find.",
+    help="Also say what it costs on emulated boards, how much of it random trials run, and what "
+    "compilers and analysers find.",
 )
 @force_option
 def command(
@@ -59,8 +60,8 @@ def command(
 
 
 def _report(scenario: Scenario, files: dict[str, str]) -> None:
-    """Costs of the law on each board, and findings on the files."""
-    from can_rig.export.report import VARIANTS, cost, findings, inputs_of_run  # noqa: PLC0415
+    """Costs of the law on each board, coverage by the trials, and findings on the files."""
+    from can_rig.export.evidence.costs import VARIANTS, cost, inputs_of_run  # noqa: PLC0415
 
     require_tools()
     inputs = inputs_of_run(scenario)
@@ -76,5 +77,47 @@ def _report(scenario: Scenario, files: dict[str, str]) -> None:
         )
     show(figures)
     explain("Bytes, and instructions a step, in the run of this scenario on QEMU.")
+    _trials(scenario)
+    _findings(files)
+
+
+def _trials(scenario: Scenario) -> None:
+    """Random memory and frames through the C: what differs from Python, and what was not run."""
+    from can_rig.export.evidence.coverage import coverage  # noqa: PLC0415
+
+    found = coverage(scenario)
+    say(f"random memory, C against Python: {found.different} of {found.compared} states differ")
+    say(
+        f"run by random memory and frames: {found.lines_run} of {found.lines} lines, "
+        f"{found.branches_taken} of {found.branches} branches; "
+        f"not run: {', '.join(found.missed) or 'none'}"
+    )
+
+
+def _findings(files: dict[str, str]) -> None:
+    from can_rig.export.evidence.findings import (  # noqa: PLC0415
+        DEVIATIONS,
+        NOT_INSTALLED,
+        eva,
+        findings,
+        misra,
+    )
+
     for tool, n in findings(files).items():
         say(f"{tool}: {n if isinstance(n, str) else f'{n} findings'}")
+    rules = misra(files)
+    if rules is None:
+        say(f"MISRA C:2012: {NOT_INSTALLED} (cppcheck)")
+    else:
+        others = {rule: n for rule, n in rules.items() if rule not in DEVIATIONS}
+        said = ", ".join(f"rule {rule}: {n}" for rule, n in sorted(others.items())) or "0 findings"
+        say(f"MISRA C:2012 (cppcheck): {said}, and these deviations:")
+        for rule, why in DEVIATIONS.items():
+            say(f"    rule {rule}, {rules[rule]} times: {why}")
+    alarms = eva(files)
+    if alarms is None:
+        say(f"Frama-C Eva: {NOT_INSTALLED}")
+    else:
+        say(f"Frama-C Eva: {len(alarms)} alarms")
+        for alarm in alarms:
+            say(f"    {alarm}")

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from can_rig.cli.output import say, show, table
 from can_rig.nodes.realtime import timing
+from can_rig.results.fault_metrics import fault_rows
 from can_rig.results.metrics import Metrics, rows
 from can_rig.results.run_folder import Outcome
 from can_rig.scenario.settings import Scenario
@@ -20,6 +21,8 @@ def closing_table(scenario: Scenario, values: Metrics, outcome: Outcome, folder:
     closing = table("", "")
     if values.get("torque_peak_nm") is not None:
         for label, text in rows(values, scenario.plant):
+            closing.add_row(label, text)
+        for label, text in fault_rows(scenario, outcome.faults):
             closing.add_row(label, text)
         factor = outcome.ticks_per_s * scenario.tick_s
         closing.add_row("rate", f"{outcome.ticks_per_s:.0f} ticks/s, {factor:.1f} x real time")

@@ -9,7 +9,7 @@ from pathlib import Path
 import click
 
 from can_rig.assessment.resolve import load
-from can_rig.cli.options import scenario_options
+from can_rig.cli.options import interaction_of, interaction_options, scenario_options
 from can_rig.cli.runs.node import end_of_node, node_options, node_progress
 from can_rig.errors import LogError
 from can_rig.nodes.progress import Throttled
@@ -26,6 +26,7 @@ OTHER_FORMATS = {".asc", ".blf", ".trc", ".mf4", ".gz"}
 @click.option(
     "--log", type=click.Path(path_type=Path, dir_okay=False), help="Record candump lines here."
 )
+@interaction_options
 def command(
     scenario: str,
     settings: tuple[str, ...],
@@ -35,6 +36,8 @@ def command(
     first_s: float,
     as_json: bool,
     real_time: bool,
+    pace: float | None,
+    injectable: bool,
 ) -> None:
     """Run the plant node: the simulated car, in lockstep with a controller node or in real time.
 
@@ -45,6 +48,7 @@ def command(
             f"{log}: must be FILE.log, a node records candump lines as it goes; "
             "can-rig run --log writes other formats"
         )
+    interaction = interaction_of(pace, injectable, real_time)
     alone_s = math.inf if real_time else Timeouts.silence_s
     timeouts = Timeouts(first_s, alone_s if silence_s is None else silence_s)
     chosen = load(scenario, settings)
@@ -59,6 +63,7 @@ def command(
             Throttled(on_tick),
             real_time=real_time,
             by_hand=True,
+            interaction=interaction,
         )
         on_tick(summary.ticks)
     sys.exit(end_of_node(chosen, summary, as_json))

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from dataclasses import asdict
 from pathlib import Path
@@ -12,6 +13,8 @@ from can_rig.assessment.resolve import load
 from can_rig.cli.options import (
     bus_option,
     controller_option,
+    interaction_of,
+    interaction_options,
     json_option,
     realtime_option,
     scenario_options,
@@ -24,6 +27,7 @@ from can_rig.errors import INTERRUPTED
 from can_rig.export.running.controllers import controller_of
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import refuse_log, write_log
+from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Timeouts
 from can_rig.results import execution
 from can_rig.results.execution import refuse
@@ -54,6 +58,7 @@ from can_rig.results.run_folder import LOG
 @controller_option
 @json_option("The metrics and how it went as one JSON object.")
 @realtime_option
+@interaction_options
 def command(
     scenario: str,
     settings: tuple[str, ...],
@@ -67,6 +72,8 @@ def command(
     controller: str,
     as_json: bool,
     real_time: bool,
+    pace: float | None,
+    injectable: bool,
 ) -> None:
     """Run both nodes through SCENARIO and collect the run folder.
 
@@ -76,6 +83,9 @@ def command(
         raise click.UsageError("--in-process and --realtime: real time needs two processes")
     if in_process and silence_s is not None:
         raise click.UsageError("--in-process and --silence: in one process no node waits")
+    interaction = interaction_of(pace, injectable, real_time)
+    if in_process and interaction != UNTOUCHED:
+        raise click.UsageError("--in-process and --pace or --injectable: two processes are needed")
     chosen = load(scenario, settings)
     refuse(chosen, allow_unstable)
     for path in logs:
@@ -91,7 +101,8 @@ def command(
         runner=execution.real_time if real_time else runner,
         progress=lambda: counting(chosen.name, "ticks", chosen.ticks),
         controller=running,
-        timeouts=DEFAULT_TIMEOUTS if silence_s is None else Timeouts(silence_s=silence_s),
+        timeouts=_timeouts(silence_s, interaction),
+        interaction=interaction,
     )
     if done is None:
         sys.exit(INTERRUPTED)
@@ -104,3 +115,10 @@ def command(
     if done.failure is not None:
         raise done.failure
     sys.exit(done.exit_status)
+
+
+def _timeouts(silence_s: float | None, interaction: Interaction) -> Timeouts:
+    """A node whose other half is held or paused hears nothing for as long as that lasts."""
+    if silence_s is None and interaction != UNTOUCHED:
+        return Timeouts(silence_s=math.inf)
+    return DEFAULT_TIMEOUTS if silence_s is None else Timeouts(silence_s=silence_s)

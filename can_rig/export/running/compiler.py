@@ -76,7 +76,7 @@ def built(
         try:
             folder.mkdir(parents=True, exist_ok=True)
             part = folder / f".{os.getpid()}-{result.name}"
-            shutil.copyfile(made, part)
+            shutil.copy(made, part)
             part.rename(result)  # another process may be making the same one
         except OSError as error:
             raise ExportError(f"{folder}: cannot be written: {error.strerror}") from None

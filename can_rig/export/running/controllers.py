@@ -6,10 +6,14 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Final
 
+from can_rig.export.application import application
+from can_rig.export.choices import SERIAL
+from can_rig.export.running.bench_ecu import BenchEcu
 from can_rig.export.running.compiled_law import CompiledLaw
-from can_rig.export.running.ecu import Ecu
-from can_rig.export.running.emulated_ecu import EmulatedEcu, firmware_image
+from can_rig.export.running.ecu import Ecu, identity
+from can_rig.export.running.emulated_ecu import EmulatedBoard, firmware_image
 from can_rig.export.running.host_ecu import HostEcu, host_library
+from can_rig.export.running.serial_link import serial_ecu
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, Law
 
@@ -32,10 +36,15 @@ PYTHON: Final = PYTHON_LAW
 
 
 def controller_of(name: str, scenario: Scenario) -> Controller:
-    """What runs as the controller of ``scenario``, by one of ``choices.CONTROLLERS``.
+    """What runs as the controller of ``scenario``.
+
+    Args:
+        name: one of ``choices.CONTROLLERS``, or ``choices.SERIAL`` and the device of a port.
+        scenario: the run.
 
     Raises:
         ExportError: there is no compiler, or it refuses.
+        MissingExtraError: a serial port without pyserial.
     """
     if name == "python":
         return PYTHON_LAW
@@ -44,6 +53,10 @@ def controller_of(name: str, scenario: Scenario) -> Controller:
     if name == "ecu":
         library = host_library(scenario)
         return Application(lambda: HostEcu(library))
+    if name.startswith(SERIAL):
+        expected = identity(application(scenario))
+        port = name.removeprefix(SERIAL)
+        return Application(lambda: serial_ecu(port, expected, scenario.name))
     board = name.removeprefix("arm:")
     image = firmware_image(scenario, board)
-    return Application(lambda: EmulatedEcu(image, board))
+    return Application(lambda: BenchEcu(EmulatedBoard(image, board)))

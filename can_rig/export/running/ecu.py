@@ -2,14 +2,17 @@
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Mapping
 from typing import Final, Protocol
 
-from can_rig.export.law import support
+from can_rig.export.law import filled, support
 from can_rig.frames.protection import FRAME_BYTES, USABLE, CheckStatus
 
 SENT_BYTES: Final = 2 + FRAME_BYTES
 MOST_SENT: Final = 3
 COUNTS: Final = len(CheckStatus)
+IDENTITY_BYTES: Final = 8
 
 Sent = list[tuple[int, bytes]]
 """Identifier and data of each frame, in the order in which they were sent."""
@@ -35,6 +38,23 @@ class Ecu(Protocol):
 def harness() -> dict[str, str]:
     """What a test bench needs beside the application: text by file name."""
     return {name: support(name) for name in ("harness.h", "harness.c")}
+
+
+def bench(application: Mapping[str, str]) -> dict[str, str]:
+    """What answers a bench over a link: text by file name.
+
+    Args:
+        application: of `can_rig.export.application`.
+    """
+    numbers = ", ".join(f"0x{byte:02X}" for byte in identity(application))
+    texts = {name: filled(support(name), identity=numbers) for name in ("bench.h", "bench.c")}
+    return harness() | texts
+
+
+def identity(application: Mapping[str, str]) -> bytes:
+    """Which controller it is: 8 bytes that depend on every letter of its files."""
+    said = repr(sorted(application.items())).encode()
+    return hashlib.sha256(said).digest()[:IDENTITY_BYTES]
 
 
 def sent(memory: bytes, n: int) -> Sent:

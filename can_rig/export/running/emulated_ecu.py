@@ -16,7 +16,7 @@ from can_rig.errors import ExportError
 from can_rig.export.application import application
 from can_rig.export.law import filled, support
 from can_rig.export.running.compiler import built
-from can_rig.export.running.ecu import COUNTS, MOST_SENT, SENT_BYTES, Sent, harness, sent
+from can_rig.export.running.ecu import bench
 from can_rig.scenario.settings import Scenario
 
 COMPILER: Final = "arm-none-eabi-gcc"
@@ -43,8 +43,7 @@ FLAGS: Final = (
 LINKED: Final = ("-nostartfiles", "-Wl,--gc-sections", "-Tmps2.ld")
 
 LOOK_S: Final = 0.5
-ORDER_BYTES: Final = 12
-ANSWER_BYTES: Final = 1 + MOST_SENT * SENT_BYTES
+MOST_WAITING: Final = 1 << 12
 
 
 def require_tools() -> None:
@@ -64,7 +63,8 @@ def firmware_image(scenario: Scenario, board: str) -> Path:
     Raises:
         ExportError: a tool is missing, or refuses.
     """
-    return image_of(application(scenario) | harness(), "board_ecu.c", board)
+    files = application(scenario)
+    return image_of(files | bench(files), "board_ecu.c", board)
 
 
 def image_of(files: Mapping[str, str], program: str, board: str) -> Path:
@@ -74,10 +74,10 @@ def image_of(files: Mapping[str, str], program: str, board: str) -> Path:
         ExportError: a tool is missing, or refuses.
     """
     require_tools()
-    bench = {name: support(name) for name in (program, "host.h", "host.c", "startup.c", "mps2.ld")}
+    around = {name: support(name) for name in (program, "host.h", "host.c", "startup.c", "mps2.ld")}
     zero = "0.0f" if "typedef float real;" in files["real.h"] else "0.0"
-    bench[program] = filled(bench[program], zero=zero)
-    return built([COMPILER], (*FLAGS, *BOARDS[board].flags, *LINKED), {**files, **bench}, ".elf")
+    around[program] = filled(around[program], zero=zero)
+    return built([COMPILER], (*FLAGS, *BOARDS[board].flags, *LINKED), {**files, **around}, ".elf")
 
 
 def emulation(image: Path, board: str, *options: str) -> list[str]:
@@ -89,8 +89,8 @@ def emulation(image: Path, board: str, *options: str) -> list[str]:
     ]  # fmt: skip
 
 
-class EmulatedEcu:
-    """A program of ``firmware_image`` on its board; see ``Ecu``.
+class EmulatedBoard:
+    """A program of ``firmware_image`` on its board, by two named pipes; see ``Link``.
 
     Args:
         image: the program.
@@ -114,34 +114,27 @@ class EmulatedEcu:
         # Opened for both directions, so that neither side waits for the other to open its end.
         self._orders = os.open(Path(self._folder) / "orders", os.O_RDWR)
         self._answers = os.open(Path(self._folder) / "answers", os.O_RDWR | os.O_NONBLOCK)
+        self._waiting = b""
 
-    def take(self, frame_id: int, data: bytes) -> Sent:
-        """See ``Ecu``."""
-        length = len(data).to_bytes(1, "little")
-        answer = self._ask(b"F" + frame_id.to_bytes(2, "little") + length + data, ANSWER_BYTES)
-        return sent(answer[1:], answer[0])
+    def write(self, data: bytes) -> None:
+        """See ``Link``."""
+        os.write(self._orders, data)
 
-    def counts(self) -> list[int]:
-        """See ``Ecu``."""
-        answer = self._ask(b"C", 4 * 2 * COUNTS)
-        return [int.from_bytes(answer[i : i + 4], "little") for i in range(0, len(answer), 4)]
-
-    def _ask(self, order: bytes, size: int) -> bytes:
-        """What it answers to an order; looks now and then whether the emulator still runs."""
-        os.write(self._orders, order.ljust(ORDER_BYTES, b"\0"))
-        answer = b""
-        while len(answer) < size:
+    def read(self, size: int) -> bytes:
+        """See ``Link``; looks now and then whether the emulator still runs."""
+        while len(self._waiting) < size:
             ready, _, _ = select.select([self._answers], [], [], LOOK_S)
             if ready:
-                answer += os.read(self._answers, size - len(answer))
+                self._waiting += os.read(self._answers, MOST_WAITING)
             elif self._process.poll() is not None:
                 assert self._process.stderr is not None
                 said = self._process.stderr.read().decode(errors="replace").strip()
                 raise ExportError(f"{EMULATOR} has ended: {said or self._process.returncode}")
+        answer, self._waiting = self._waiting[:size], self._waiting[size:]
         return answer
 
     def close(self) -> None:
-        """See ``Ecu``."""
+        """See ``Link``."""
         for pipe in (self._orders, self._answers):
             os.close(pipe)
         self._process.kill()

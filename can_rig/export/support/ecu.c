@@ -11,7 +11,7 @@ static void receiver_init(struct ecu_receiver *receiver, const struct frame *fra
 
 void ecu_init(struct ecu *ecu)
 {
-    memset(ecu, 0, sizeof *ecu);
+    (void)memset(ecu, 0, sizeof *ecu);
     firmware_init(&ecu->state);
     firmware_reset(&ecu->state, {zero});
     receiver_init(&ecu->reference, &frame_reference);
@@ -53,7 +53,7 @@ static bool first_contact(struct ecu *ecu, uint16_t id, uint8_t length, const ui
     if (id == frame_reference.id) {
         ecu->offered = true;
         ecu->first_length = length;
-        memcpy(ecu->first, data, length < 8 ? length : 8);
+        (void)memcpy(ecu->first, data, length < 8 ? length : 8);
         return false;
     }
     if (id != frame_feedback.id || !ecu->offered ||
@@ -68,7 +68,8 @@ static bool first_contact(struct ecu *ecu, uint16_t id, uint8_t length, const ui
     return true;
 }
 
-bool ecu_on_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *data)
+bool ecu_on_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *data,
+                  uint32_t now_us)
 {
     if (!ecu->running && !first_contact(ecu, id, length, data)) {
         return false;
@@ -77,9 +78,19 @@ bool ecu_on_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *d
         take_reference(ecu, length, data);
     } else if (id == frame_feedback.id && receive(&ecu->feedback, ecu->tick, length, data)) {
         ecu->measured = frame_value(&frame_feedback, data);
+        ecu->expected_us = now_us;
         return true;
+    } else {
+        /* a frame of somebody else, or one that must not be used */
     }
     return false;
+}
+
+bool ecu_is_overdue(const struct ecu *ecu, uint32_t now_us)
+{
+    const uint32_t late_us = now_us - ecu->expected_us;
+
+    return ecu->running && late_us >= ecu_tick_us / 2 && late_us < 0x80000000u;
 }
 
 static void answer(const struct frame *frame, struct e2e_protector *protector, double value,
@@ -107,8 +118,8 @@ void ecu_on_tick(struct ecu *ecu)
     const double reference = wanted ? ecu->wanted : (double)NAN;
     const struct firmware_answer now =
         firmware_step(&ecu->state, (real)reference, (real)ecu->measured);
-    const uint8_t bits = (uint8_t)(now.mode << frame_status.mode_shift |
-                                   now.fault_state << frame_status.fault_state_shift);
+    const uint8_t bits = (uint8_t)((uint32_t)now.mode << frame_status.mode_shift |
+                                   (uint32_t)now.fault_state << frame_status.fault_state_shift);
 
     answer(&frame_command_1, &ecu->command_1, (double)now.command_1, ecu->tick, 0);
     answer(&frame_command_2, &ecu->command_2, (double)now.command_2, ecu->tick, 0);
@@ -117,4 +128,5 @@ void ecu_on_tick(struct ecu *ecu)
     end_tick(&ecu->feedback);
     ecu->measured = (double)NAN;
     ecu->tick++;
+    ecu->expected_us += ecu_tick_us;
 }

@@ -1,8 +1,10 @@
 /* The whole controller node: receive rules, the law, and the frames that answer.
  *
  * An application calls ecu_init once, ecu_on_frame for every data frame with an 11-bit identifier
- * that it receives, and ecu_on_tick once a tick, when ecu_on_frame has said that the tick is
- * complete or when a timer says that the feedback is overdue. It provides ecu_send.
+ * that it receives, and ecu_on_tick once a tick: when ecu_on_frame has said that the tick is
+ * complete, or while ecu_is_overdue says that its feedback does not come. It provides ecu_send.
+ *
+ * Times are those of any clock of microseconds; it may wrap.
  */
 #ifndef ECU_H
 #define ECU_H
@@ -31,6 +33,7 @@ struct ecu {
     double wanted;        /* the value of the last reference that was accepted */
     uint16_t wanted_tick; /* its tick */
     double measured;      /* the feedback of this tick; NAN until it is accepted */
+    uint32_t expected_us; /* when that should come */
     bool offered;         /* whether a reference came before the first contact: */
     uint8_t first[8];     /* its bytes */
     uint8_t first_length;
@@ -39,11 +42,20 @@ struct ecu {
 /* Start, as after power-up. */
 void ecu_init(struct ecu *ecu);
 
-/* Take in a frame; whether it completes the tick, so that ecu_on_tick is due at once. */
-bool ecu_on_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *data);
+/* Take in a frame that came at 'now_us'; whether it completes the tick, so that ecu_on_tick is due
+ * at once.
+ */
+bool ecu_on_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *data,
+                  uint32_t now_us);
+
+/* Whether the feedback is half a tick late: never before the first contact. */
+bool ecu_is_overdue(const struct ecu *ecu, uint32_t now_us);
 
 /* Compute a tick and send its answer; inputs that have not come are held. */
 void ecu_on_tick(struct ecu *ecu);
+
+/* How long a tick is. */
+extern const uint32_t ecu_tick_us;
 
 /* Put a frame on the bus: to be provided by the application. */
 void ecu_send(uint16_t id, const uint8_t data[8]);

@@ -7,7 +7,7 @@
 
 void firmware_init(struct layout_state *state)
 {
-    memset(state, 0, sizeof *state);
+    (void)memset(state, 0, sizeof *state);
     controller_start_up(&controller_table, state);
 }
 

@@ -20,8 +20,8 @@ void frame_pack(const struct frame *frame, double value, uint16_t tick, uint8_t 
 
     data[2] = (uint8_t)(tick & 0xFFu);
     data[3] = (uint8_t)(tick >> 8);
-    for (int i = 0; i < 4; i++) {
-        data[4 + i] = (uint8_t)((raw >> (8 * i)) & 0xFFu);
+    for (uint32_t i = 0; i < 4u; i++) {
+        data[4u + i] = (uint8_t)((raw >> (8u * i)) & 0xFFu);
     }
 }
 
@@ -32,7 +32,7 @@ double frame_value(const struct frame *frame, const uint8_t data[8])
     for (int i = 3; i >= 0; i--) {
         bits = bits << 8 | data[4 + i];
     }
-    const int64_t raw = bits < 0x80000000u ? (int64_t)bits : (int64_t)bits - 0x100000000;
+    const int64_t raw = bits < 0x80000000u ? (int64_t)bits : (int64_t)bits - INT64_C(4294967296);
 
     return raw >= frame->raw_minimum && raw <= frame->raw_maximum ? (double)raw * frame->lsb
                                                                   : (double)NAN;

@@ -2,15 +2,17 @@
 
 #include <string.h>
 
-static uint8_t *place;
+static uint8_t *sent_frames;
 static uint8_t frames;
+static uint32_t now;
 
 void ecu_send(uint16_t id, const uint8_t data[8])
 {
+    uint8_t *const place = &sent_frames[HARNESS_FRAME_BYTES * frames];
+
     place[0] = (uint8_t)(id & 0xFFu);
     place[1] = (uint8_t)(id >> 8);
-    memcpy(place + 2, data, 8);
-    place += HARNESS_FRAME_BYTES;
+    (void)memcpy(&place[2], data, 8);
     frames++;
 }
 
@@ -22,9 +24,20 @@ size_t harness_size(void)
 uint8_t harness_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *data,
                       uint8_t *sent)
 {
-    place = sent;
+    sent_frames = sent;
     frames = 0;
-    if (ecu_on_frame(ecu, id, length, data)) {
+    if (ecu_on_frame(ecu, id, length, data, now)) {
+        ecu_on_tick(ecu);
+    }
+    return frames;
+}
+
+uint8_t harness_time(struct ecu *ecu, uint32_t now_us, uint8_t *sent)
+{
+    sent_frames = sent;
+    frames = 0;
+    now = now_us;
+    if (ecu_is_overdue(ecu, now)) {
         ecu_on_tick(ecu);
     }
     return frames;
@@ -32,7 +45,7 @@ uint8_t harness_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_
 
 void harness_counts(const struct ecu *ecu, uint32_t counts[2 * E2E_STATUSES])
 {
-    memcpy(counts, ecu->reference.checker.counts, sizeof ecu->reference.checker.counts);
-    memcpy(counts + E2E_STATUSES, ecu->feedback.checker.counts,
-           sizeof ecu->feedback.checker.counts);
+    (void)memcpy(counts, ecu->reference.checker.counts, sizeof ecu->reference.checker.counts);
+    (void)memcpy(&counts[E2E_STATUSES], ecu->feedback.checker.counts,
+                 sizeof ecu->feedback.checker.counts);
 }

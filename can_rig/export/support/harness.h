@@ -20,6 +20,12 @@ size_t harness_size(void);
 uint8_t harness_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *data,
                       uint8_t *sent);
 
+/* Let it be 'now_us', for the frames that follow too, and a node miss a feedback that is overdue.
+ *
+ * In lockstep nobody calls it, and time stands still. 'sent' and what it returns: as above.
+ */
+uint8_t harness_time(struct ecu *ecu, uint32_t now_us, uint8_t *sent);
+
 /* How many frames of the reference, then of the feedback, had each e2e_status. */
 void harness_counts(const struct ecu *ecu, uint32_t counts[2 * E2E_STATUSES]);
 

@@ -35,12 +35,13 @@ class Roles:
     Attributes:
         signals: ``Message.Signal`` of reference, feedback, command_1, command_2, fault_estimate
             and, where there are such, mode and fault_state.
-        tick: the signal of that name counts the ticks in each message; "": none does.
+        tick: the signal of that name counts the ticks in each message; "": none does. Or its name
+            by role.
         data_ids: E2E data identifier of each protected message, by role.
     """
 
     signals: Mapping[str, str]
-    tick: str = ""
+    tick: str | Mapping[str, str] = ""
     data_ids: Mapping[str, int] = field(default_factory=dict)
 
 
@@ -74,7 +75,7 @@ def map_network(path: str | Path, mapping: Roles) -> Network:
                 f"network.signals: {other} and {role} both have identifier "
                 f"0x{message.frame_id:X} ({message.name}): each must have a message of its own"
             )
-        tick = _tick(message, mapping.tick, path)
+        tick = _tick(message, role, mapping.tick, path)
         layout = AnyLayout(message, Places(value, tick, **codes), where)
         data_id = mapping.data_ids.get(role)
         if data_id is not None:
@@ -129,16 +130,26 @@ def _signal(database: Database, path: str | Path, key: str, name: str) -> tuple[
     return messages[of], signals[signal]
 
 
-def _tick(message: Message, name: str, path: str | Path) -> Signal | None:
-    if not name:
+def _tick(
+    message: Message, role: str, names: str | Mapping[str, str], path: str | Path
+) -> Signal | None:
+    """The signal that counts the ticks in ``message``, which has this role."""
+    if not names:
         return None
-    for signal in message.signals:
-        if signal.name == name:
-            return signal
-    raise DbcError(
-        f"network.tick = {name!r}: {path}: message {message.name} has no such signal: every "
-        "message of network.signals must have it"
-    )
+    signals = {signal.name: signal for signal in message.signals}
+    if isinstance(names, str):
+        if names not in signals:
+            raise DbcError(
+                f"network.tick = {names!r}: {path}: message {message.name} has no such signal: "
+                "every message of network.signals must have it, or network.ticks name one in each"
+            )
+        return signals[names]
+    if names[role] not in signals:
+        raise DbcError(
+            f"network.ticks.{role} = {names[role]!r}: {path}: message {message.name} has no such "
+            f"signal; {_hint(names[role], signals)}"
+        )
+    return signals[names[role]]
 
 
 def _require_room(message: Message, signals: tuple[Signal | None, ...], where: str) -> None:

@@ -12,7 +12,7 @@ from can_rig.export.running.ecu import COUNTS, Ecu, rejected
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import Send
 from can_rig.nodes.lockstep.answering import AnsweringNode
-from can_rig.plant.faults import FrameFault
+from can_rig.plant.faults.frame_faults import FrameFaults
 from can_rig.scenario.settings import Scenario
 
 
@@ -27,7 +27,7 @@ class EcuNode(AnsweringNode):
         self._wanted = {codec.frame_id for codec in self._inputs}
         commands = (network.command_1, network.command_2)
         self._channels = {codec.frame_id: channel for channel, codec in enumerate(commands)}
-        self._fault = FrameFault(scenario)
+        self._faults = FrameFaults(scenario, network)
         self._tick = 0  # the next one
 
     @property
@@ -43,11 +43,11 @@ class EcuNode(AnsweringNode):
             return False
         sent = self._ecu.take(message.arbitration_id, bytes(message.data))
         for frame_id, data in sent:
-            frame: can.Message | None = can.Message(0.0, frame_id, False, data=data)
+            own = can.Message(0.0, frame_id, False, data=data)
+            frames = [own]
             if frame_id in self._channels:
-                channel = self._channels[frame_id]
-                frame = self._fault.on_the_wire(frame, channel, self._tick)  # type: ignore[arg-type]
-            if frame is not None:
+                frames = self._faults.on_the_wire(own, self._channels[frame_id], self._tick)
+            for frame in frames:
                 self._send(frame)
         self._tick += bool(sent)
         return bool(sent)

@@ -12,12 +12,16 @@ import can
 from can_rig.errors import ScenarioError
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import NodeBus, Send
-from can_rig.nodes.clock import NS_PER_S, Clock
+from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock
+from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
+from can_rig.nodes.operator.run_control import RunControl
 from can_rig.nodes.plant_end import COMMANDS, PlantEnd
 from can_rig.nodes.recording.plant_recorder import PlantRecorder
 from can_rig.nodes.recording.recorder import Recorder
 from can_rig.nodes.watchdog import Interrupted, Watchdog
 from can_rig.scenario.settings import Scenario
+
+CONTROL: Final = "RIG_CONTROL"
 
 QUIET_S: Final = 0.02
 """When nothing has come for so long after the end, nothing is on its way."""
@@ -35,6 +39,8 @@ class PlantNode:
         send: sends a frame.
         recorder: gets every frame sent or seen; None records nothing.
         reports: gets what the plant reports of every tick; None records nothing.
+        interaction: how far the run can be touched.
+        clock: the time, of a run that can be touched.
 
     Raises:
         ScenarioError: a reference that does not fit its frame, a plant that is none, frames
@@ -48,6 +54,8 @@ class PlantNode:
         send: Send,
         recorder: Recorder | None = None,
         reports: PlantRecorder | None = None,
+        interaction: Interaction = UNTOUCHED,
+        clock: Clock = SYSTEM_CLOCK,
     ) -> None:
         if not network.has_ticks:
             raise ScenarioError(
@@ -57,7 +65,8 @@ class PlantNode:
             )
         self.ticks: Final = scenario.ticks
         self._recorder = recorder
-        self._end = PlantEnd(scenario, network, send, recorder, reports)
+        self._end = PlantEnd(scenario, network, send, recorder, reports, interaction.injectable)
+        self._control = RunControl(interaction, scenario, self._end, send, clock)
 
     def run(self, watchdog: Watchdog, on_tick: Callable[[int], None]) -> int:
         """Run to the end or to a stop request; the number of ticks completed.
@@ -70,12 +79,21 @@ class PlantNode:
             try:
                 if watchdog.stop.wanted:
                     return tick
+                self.begin(tick, watchdog)
                 self.offer(tick)
                 self.collect(tick, watchdog)
             except Interrupted:
                 return tick
             on_tick(tick + 1)
         return self.ticks
+
+    def begin(self, tick: int, watchdog: Watchdog) -> None:
+        """Wait until ``tick`` may begin, where the run is held or paused.
+
+        Raises:
+            Interrupted: a stop was requested.
+        """
+        self._control.begin(tick, watchdog, self._overhear)
 
     def offer(self, tick: int) -> None:
         """Start ``tick``: sample D*, send the reference and the feedback."""
@@ -97,8 +115,7 @@ class PlantNode:
         commands: list[float | None] = [None, None]
         while True:
             message = watchdog.receive(tick)
-            if self._recorder is not None:
-                self._recorder.record(message, sent=False)
+            self._overhear(message)
             judged = self._end.judge(message, tick)
             if judged is None:
                 watchdog.go_on_waiting(tick)
@@ -111,6 +128,13 @@ class PlantNode:
                 commands[at] = record.value
         self._end.end_tick()
         self._end.advance(tick, *commands)
+        self._control.applied()
+
+    def _overhear(self, message: can.Message) -> None:
+        """Note a frame, whatever it is."""
+        if self._recorder is not None:
+            self._recorder.record(message, sent=False)
+        self._control.take(message)
 
     def record_the_rest(self, bus: NodeBus, clock: Clock) -> None:
         """Put in the log what others had sent by the end and was not read yet."""
@@ -126,4 +150,5 @@ class PlantNode:
 
     def rejected(self) -> dict[str, dict[str, int]]:
         """Per message, how many frames were not used and why."""
-        return self._end.rejected()
+        refused = self._control.refused
+        return self._end.rejected() | ({CONTROL: {"refused": refused}} if refused else {})

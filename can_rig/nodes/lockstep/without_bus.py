@@ -21,7 +21,7 @@ from can_rig.nodes.recording.recorder import LogFile
 from can_rig.nodes.summary import NodeSummary, RunColumns
 from can_rig.nodes.watchdog import StopRequest
 from can_rig.plant.behind import LinearBehind, PlantBehind, plant_behind
-from can_rig.plant.delivery import delivery
+from can_rig.plant.faults.delivery import delivery
 from can_rig.plant.frameless import inputs_of, simulation
 from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.settings import Scenario
@@ -60,7 +60,8 @@ class RunWithoutBus:
     def __init__(self, scenario: Scenario, log: Path) -> None:
         self._scenario = scenario
         self._network: Network = network_of(scenario)
-        self._delivery = delivery(scenario, self._network)
+        inputs = inputs_of(scenario, self._network)
+        self._delivery = inputs.delivery
         self._files = ExitStack()
         self._log = LogFile(log)
         self._files.callback(self._log.close)
@@ -73,7 +74,7 @@ class RunWithoutBus:
             self._network,
             plant.sampled if isinstance(plant, LinearBehind) else _Reporting(plant, self._reports),
             controller_table(scenario, self._network),
-            inputs_of(scenario, self._network),
+            inputs,
             keeps_states=True,
         )
         self._loop.run(0)  # compiles, or loads what was compiled, before the first tick

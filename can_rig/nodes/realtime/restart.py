@@ -22,7 +22,8 @@ A motor that died before the outage still is dead afterwards: d̂ then shows it 
 the first small torques, and X_diff takes over as after any loss.
 
 Actuators that hold a command for longer than half of the listening may still act by its end. What
-they do is not known then, so the loop is put where D* would have settled.
+they do is not known then, so the loop is put where D* would have settled. So it is where the plant
+is unstable: F1's models are stable, and no motion of theirs is the plant's.
 """
 
 from __future__ import annotations
@@ -55,7 +56,8 @@ class BumplessRestart:
     def __init__(self, scenario: Scenario, table: Record, lsb: float) -> None:
         held = round(scenario.actuator.hold_s / scenario.tick_s) + scenario.latency_ticks
         self._listen_ticks = max(round(LISTEN_S / scenario.tick_s), FEWEST_SAMPLES)
-        self._held_ticks = held if held <= self._listen_ticks // 2 else None
+        known = held <= self._listen_ticks // 2 and table.tracking.stabiliser.n == 0
+        self._held_ticks = held if known else None
         self._return_ticks = max(round(RETURN_S / scenario.tick_s), 1)
         self._variance = scenario.model.sensor.noise_mps2**2 + lsb**2 / 12.0
         self._motion = FreeMotion(table)

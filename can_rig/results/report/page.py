@@ -11,15 +11,17 @@ from matplotlib.figure import Figure, SubFigure
 
 from can_rig.assessment.control_authority import control_authority
 from can_rig.drawing import scales, style
+from can_rig.drawing.fault_words import fault_label
 from can_rig.drawing.names import Names, names_of
 from can_rig.frames.network import Network
 from can_rig.results.applied import applied_commands
 from can_rig.results.counterfactual import fault_free, uncompensated
-from can_rig.results.metrics import sensor_bias, windows
+from can_rig.results.metrics import output_of_car, windows
 from can_rig.results.report.timing import draw_timing
-from can_rig.results.report.title import loss_label, page_title
+from can_rig.results.report.title import page_title
 from can_rig.results.signals import Signals
 from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.fault import SENSOR
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray
 
@@ -61,10 +63,7 @@ def page(
         signals_part.subplots(5, 1, sharex=True, height_ratios=(1.25, 1, 1, 1, 1))
     )
     names, time_s = names_of(scenario.plant), signals.time_s
-    beside, label, distance = signals.reference_mps2, "reference", "|error|"
-    if not scenario.design.feedback:
-        beside = fault_free(scenario, signals).dstar_mps2
-        label, distance = "without the fault", "|deviation|"
+    beside, label, distance = compared_with(scenario, signals)
     for axis in axes:
         style.ruled(axis)
     _time_axis(axes, scenario, signals)
@@ -88,8 +87,16 @@ def page(
     return figure
 
 
+def compared_with(scenario: Scenario, signals: Signals) -> tuple[FloatArray, str, str]:
+    """What D* is drawn beside and what that is called, and what the distance between them is."""
+    if scenario.design.feedback:
+        return signals.reference_mps2, "reference", "|error|"
+    return fault_free(scenario, signals).dstar_mps2, "without the fault", "|deviation|"
+
+
 def _output_name(scenario: Scenario, names: Names) -> str:
-    return names.output.name + (" as measured" if scenario.fault.kind == "sensor-biased" else "")
+    falsified = any(fault.place == SENSOR for fault in scenario.faults)
+    return names.output.name + (" as measured" if falsified else "")
 
 
 def _output(
@@ -106,20 +113,20 @@ def _output(
     axis.plot(time_s, values, color=style.INK, lw=1.1, ls=style.DASHED, label=label)
     scales.include_zero(axis, signals.dstar_mps2)
     after = windows(scenario, signals).after
-    counterpart = _counterpart(scenario, names, signals) if after.any() else None
-    if counterpart is not None:
-        thin, label = counterpart
+    other = counterpart(scenario, names, signals) if after.any() else None
+    if other is not None:
+        thin, label = other
         scales.reach_for(axis, thin[after])
         axis.plot(time_s[after], thin[after], color=style.BLUE, lw=0.9, label=label)
     style.legend_above(axis, "left", raised=0.1)
 
 
-def _counterpart(
+def counterpart(
     scenario: Scenario, names: Names, signals: Signals
 ) -> tuple[FloatArray, str] | None:
-    """What shows the point: the same run without compensation, or what a biased sensor hides."""
-    if not scenario.fault.loses_a_channel:
-        return signals.dstar_mps2 - sensor_bias(scenario, signals), f"{names.output.name} itself"
+    """What shows the point: the same run without compensation, or what a faulty sensor hides."""
+    if not any(fault.loses_a_channel for fault in scenario.faults):
+        return output_of_car(scenario, signals), f"{names.output.name} itself"
     if scenario.design.compensation == "off":
         return None
     return uncompensated(scenario, signals).dstar_mps2, f"{names.output.name} without compensation"
@@ -134,15 +141,15 @@ def _distance(axis: Axes, time_s: FloatArray, values: FloatArray, floor: float) 
 
 
 def _commands(axes: list[Axes], scenario: Scenario, network: Network, signals: Signals) -> None:
-    """Both commands; of the channel that is lost, what its actuator applies as well."""
-    names, lost = names_of(scenario.plant), None
-    if scenario.fault.loses_a_channel and windows(scenario, signals).after.any():
-        lost = names.lost_by(scenario.fault)
+    """Both commands; of a channel that fails, what its actuator applies as well."""
+    names, lost = names_of(scenario.plant), []
+    if windows(scenario, signals).after.any():
+        lost = [names.hit_by(fault) for fault in scenario.faults if fault.loses_a_channel]
     commanded = (signals.torque_nm, signals.force_difference_n)
     for axis, name, command, applied in zip(
         axes, names[1:], commanded, applied_commands(scenario, signals), strict=True
     ):
-        if name is lost:
+        if any(name is each for each in lost):
             axis.plot(signals.time_s, command, color=style.PALE_ORANGE, lw=2.4, label="commanded")
             axis.plot(signals.time_s, applied, color=style.ORANGE, lw=1.0, label="applied")
             style.legend_above(axis)
@@ -189,19 +196,22 @@ def _time_axis(axes: list[Axes], scenario: Scenario, signals: Signals) -> None:
 
 
 def _mark_loss(axes: list[Axes], scenario: Scenario, names: Names) -> None:
-    """Shade the time of the fault, and name it once."""
-    starts_s = [style.shade_loss(axis, scenario.fault) for axis in axes]
-    if starts_s[0] is None:
-        return
+    """Shade the time of each fault, and name it once; several by the numbers of the title."""
     low, high = axes[0].get_xlim()
-    late = starts_s[0] > low + 0.8 * (high - low)
-    axes[0].annotate(
-        loss_label(scenario.fault, names),
-        (starts_s[0], 1.0),
-        (-4 if late else 4, 4),
-        xycoords=("data", "axes fraction"),
-        textcoords="offset points",
-        ha="right" if late else "left",
-        fontsize=9,
-        annotation_clip=False,
-    )
+    for number, fault in enumerate(scenario.faults, 1):
+        starts_s = [style.shade_fault(axis, fault) for axis in axes]
+        start_s = starts_s[0]
+        if start_s is None:
+            continue
+        several = len(scenario.faults) > 1
+        late = start_s > low + 0.8 * (high - low)
+        axes[0].annotate(
+            str(number) if several else fault_label(fault, names),
+            (start_s, 1.0),
+            (-4 if late else 4, 4),
+            xycoords=("data", "axes fraction"),
+            textcoords="offset points",
+            ha="right" if late else "left",
+            fontsize=9,
+            annotation_clip=False,
+        )

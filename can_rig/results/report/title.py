@@ -2,45 +2,39 @@
 
 from __future__ import annotations
 
-from can_rig.drawing.names import Names, ticks_text, with_unit
+from pathlib import Path
+from typing import Final
+
+from can_rig.drawing.fault_words import fault_in_words
+from can_rig.drawing.names import Names, ticks_text
 from can_rig.results.signals import Signals
 from can_rig.scenario.plant_settings import PlantSettings
-from can_rig.scenario.settings import FaultSettings, Scenario
+from can_rig.scenario.settings import Scenario
+
+MOST_LINES: Final = 6
+"""For faults."""
 
 
 def page_title(scenario: Scenario, names: Names, signals: Signals) -> str:
-    """The scenario and its fault; the car, the bus and the compensation; an early end."""
+    """The scenario and its faults; the car, the bus and the compensation; an early end."""
     tick = f"tick {scenario.tick_s * 1e3:g} ms, latency {ticks_text(scenario.latency_ticks)}"
     compensation = scenario.design.compensation.replace("-", " ")
     return (
-        f"{scenario.name}: {_fault(scenario, names, _end_s(scenario, signals))}"
+        f"{scenario.name}: {_faults(scenario, names, _end_s(scenario, signals))}"
         f"\n{_car(scenario.plant)}; {tick}; compensation {compensation}"
         f"{_ended_early(scenario, signals)}"
     )
 
 
-def loss_label(fault: FaultSettings, names: Names) -> str:
-    """What is wrong while ``fault`` is active, in a few words."""
-    name = names.lost_by(fault).name
-    if not fault.loses_a_channel:
-        return f"{name} biased"
-    share = f"{100.0 * (1.0 - fault.left):g} % of " if fault.left else ""
-    return f"{share}{name} lost"
-
-
-def _fault(scenario: Scenario, names: Names, end_s: float) -> str:
-    fault = scenario.fault
-    if fault.kind == "none":
-        return "no fault"
-    when = f"at {fault.at_s:g} s"
-    if fault.for_s is not None:
-        when = f"from {fault.at_s:g} s to {fault.at_s + fault.for_s:g} s"
-    if fault.at_s >= end_s:
-        when += ", after the end of the run"
-    if not fault.loses_a_channel:
-        bias = with_unit(f"{fault.bias_mps2:g}", names.output.unit)
-        return f"{names.output.name} biased by {bias} {when}"
-    return f"{loss_label(fault, names)} {when} ({fault.kind.replace('-', ' ')})"
+def _faults(scenario: Scenario, names: Names, end_s: float) -> str:
+    """The fault in words; several, numbered, a line each."""
+    words = [fault_in_words(fault, names, end_s) for fault in scenario.faults]
+    if len(words) <= 1:
+        return "".join(words) or "no fault"
+    lines = [f"{number}: {text}" for number, text in enumerate(words[:MOST_LINES], 1)]
+    if len(words) > MOST_LINES:
+        lines.append(f"and {len(words) - MOST_LINES} more")
+    return "\n".join((f"{len(words)} faults", *lines))
 
 
 def _end_s(scenario: Scenario, signals: Signals) -> float:
@@ -54,6 +48,6 @@ def _ended_early(scenario: Scenario, signals: Signals) -> str:
 
 
 def _car(plant: PlantSettings) -> str:
-    if plant.is_class:
-        return plant.kind.partition(":")[2]
+    if plant.is_own:
+        return Path(plant.kind.partition(":")[2]).name
     return f"{plant.kind}, {plant.variant} model" if plant.is_car else plant.kind

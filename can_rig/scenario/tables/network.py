@@ -54,22 +54,51 @@ class DataIds:
 
 
 @dataclass(frozen=True, config=STRICT)
+class TickNames:
+    """The signal that counts the ticks in the message of each role: all of them, or none."""
+
+    reference: str = ""
+    feedback: str = ""
+    command_1: str = ""
+    command_2: str = ""
+    status: str = ""
+
+    def __post_init__(self) -> None:
+        given = dataclasses.asdict(self)
+        for key, name in given.items():
+            if any(given.values()) and not name:
+                raise ValueError(f"{key}: must be set beside the other ticks")
+
+    def __bool__(self) -> bool:
+        """Whether any is given."""
+        return any(dataclasses.asdict(self).values())
+
+
+@dataclass(frozen=True, config=STRICT)
 class NetworkSettings:
     """Frames of one's own in place of the rig's.
 
     ``dbc`` is any database that cantools reads. With ``signals`` its frames are as they are;
     without them it must be one of the rig's, with RigRole and its layout. ``tick`` is the signal
-    that counts the ticks, of the same name in all five messages; "" for none.
+    that counts the ticks where it has the same name in all five messages, ``ticks`` where it has
+    not; neither for none.
     """
 
     dbc: str = ""
     tick: str = ""
+    ticks: TickNames = dataclasses.field(default_factory=TickNames)
     signals: SignalNames = dataclasses.field(default_factory=SignalNames)
     data_ids: DataIds = dataclasses.field(default_factory=DataIds)
 
     def __post_init__(self) -> None:
         if self.signals and not self.dbc:
             raise ValueError("dbc: must name the database of network.signals")
-        others = self.tick or any(v is not None for v in dataclasses.asdict(self.data_ids).values())
+        if self.tick and self.ticks:
+            raise ValueError("ticks: must not be set beside network.tick")
+        others = (
+            self.tick
+            or self.ticks
+            or any(v is not None for v in dataclasses.asdict(self.data_ids).values())
+        )
         if others and not self.signals:
-            raise ValueError("signals: must be set beside network.tick and network.data_ids")
+            raise ValueError("signals: must be set beside network.tick, ticks and data_ids")

@@ -1,5 +1,8 @@
 """The fault estimator d̂ = (1 + Q)(G1 u1 + G2 u2 - y) of (2.1): the model of the plant, its bus.
 
+Of a plant that is not stable the models are N1 and N2 of its left-coprime factors, and M y is what
+they are compared with (``discretisation.law.coprime``); of a stable one M is 1.
+
 The model gets each command when the plant gets it, ``latency_ticks`` after it was computed, and
 whether it was computed or held: an actuator that hears nothing new goes on with what it has. What
 the bus has delivered then waits for the dead time of its channel, that of the sensor included.
@@ -19,6 +22,7 @@ CONSTANTS = (
     Field("channel_1", "y/u1", "G1", biquad.CONSTANTS),
     Field("channel_2", "y/u2", "G2", biquad.CONSTANTS),
     Field("one_plus_q", "1", "1 + Q", biquad.CONSTANTS),
+    Field("measurement", "1", "M; no section, for 1, where the plant is stable", biquad.CONSTANTS),
     Field("feedthrough_2", "y/u2", "of G2 to the same tick; 0 with any latency or dead time"),
     Field("one_plus_q_feedthrough", "1", "of 1 + Q to the same tick"),
     Field("latency_ticks", "tick", "from a sample until its command is at its actuator", "int32"),
@@ -31,6 +35,7 @@ STATE = (
     Field("channel_1", "y", "state of G1", biquad.STATE),
     Field("channel_2", "y", "state of G2", biquad.STATE),
     Field("one_plus_q", "y", "state of 1 + Q", biquad.STATE),
+    Field("measurement", "y", "state of M", biquad.STATE),
     Field("delay_1", "u1", "ring of commands on their way to the plant", shape=RING),
     Field("delay_2", "u2", "ring of commands on their way to the plant", shape=RING),
     Field("delay_index", "1", "where the rings hold the command that acts next", "int32"),
@@ -100,11 +105,23 @@ def advance_model(constants: Record, state: Record, command_1: float, command_2:
 
 
 @firmware
+def expect_measurement(constants: Record, state: Record, shown: float) -> None:
+    """Let a tick without a measurement pass: M gets the one that makes M y what is ``shown``."""
+    cascade, own = constants.measurement, state.measurement
+    if cascade.n > 0:
+        rest = output(cascade, own, real(0.0, shown))
+        for_one = output(cascade, own, real(1.0, shown)) - rest
+        advance(cascade, own, (shown - rest) / for_one)
+
+
+@firmware
 def settle_estimator(constants: Record, state: Record, command_1: float, command_2: float) -> None:
     """The steady state of a healthy plant for constant commands: d̂ = 0."""
-    settle(constants.channel_1, state.channel_1, command_1)
-    settle(constants.channel_2, state.channel_2, command_2)
+    shown = settle(constants.channel_1, state.channel_1, command_1)
+    shown += settle(constants.channel_2, state.channel_2, command_2)
     settle(constants.one_plus_q, state.one_plus_q, real(0.0, command_1))
+    for_one = settle(constants.measurement, state.measurement, real(1.0, command_1))
+    settle(constants.measurement, state.measurement, shown / for_one)
     state.delay_1[:] = command_1
     state.delay_2[:] = command_2
     state.delay_index = 0
@@ -123,6 +140,7 @@ def clear_estimator(state: Record) -> None:
     state.channel_1.accumulators[:] = 0.0
     state.channel_2.accumulators[:] = 0.0
     state.one_plus_q.accumulators[:] = 0.0
+    state.measurement.accumulators[:] = 0.0
 
 
 @firmware

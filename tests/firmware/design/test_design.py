@@ -17,9 +17,9 @@ from firmware_model.errors import (
     AxisZeroError,
     DesignError,
     ImproperError,
-    NonMinimumPhaseError,
     ParameterError,
     UnstableFilterError,
+    UnstablePlantError,
     ZeroChannelError,
 )
 
@@ -60,7 +60,7 @@ def test_the_published_design(plant: Plant) -> None:
 def test_after_the_loss_the_loop_closes_through_channel_2(plant: Plant) -> None:
     """u1 = C e, d̂ = G1 u1, y = G2 F̂ d̂: 1/(1 + L) = (1 - q̂)/(1 - q̂ + q̂ q G2i)."""
     whole = design(plant, PUBLISHED)
-    loop = plant.g2(S) * whole.compensator(S) * plant.g1(S) * whole.tracking(S)
+    loop = plant.g2(S) * whole.compensator(S) * plant.g1(S) * whole.tracking.controller(S)
     q, q_hat = ZeroPoleGain.lag(0.001, 1)(S), ZeroPoleGain.lag(0.001, 2)(S)
     expected = (1 - q_hat) / (1 - q_hat + q_hat * q * whole.inner(S))
     assert 1 / (1 + loop) == pytest.approx(expected, rel=1e-8)
@@ -93,8 +93,8 @@ def test_q_reaches_the_estimator() -> None:
 
 
 def test_what_is_not_asked_for_is_not_refused() -> None:
-    right_zero = _plant([1, -1], [1, 3], [1, 3, 2])
-    assert design(right_zero, DesignSpecification(feedback=False)).tracking is None
+    axis_zero = _plant([1, 0], [1, 3], [1, 3, 2])
+    assert design(axis_zero, DesignSpecification(feedback=False)).tracking is None
     double_lag = _plant([1, 1], [2], [1, 3, 2])
     assert design(double_lag, DesignSpecification(compensation=False)).compensator is None
     mute = DesignSpecification(q=ZeroPoleGain.constant(-1.0), compensation=False)
@@ -109,7 +109,18 @@ def test_what_is_not_asked_for_is_not_refused() -> None:
         (chapter_2(), {"q": ZeroPoleGain.constant(-1.0)}, ZeroChannelError, "q = -1"),
         (_plant([1, 3], [1, 0], [1, 3, 2]), {}, AxisZeroError, "zero at 0"),
         (_plant([1, 3], [2], [1, 3, 2]), {}, ImproperError, "alpha must be at least 2"),
-        (_plant([1, -1], [1, 3], [1, 3, 2]), {}, NonMinimumPhaseError, "G1 has a zero at 1"),
+        (
+            _plant([1, 3], [1, -1], [1, 1, -2]),
+            {},
+            UnstablePlantError,
+            r"input 2 does not reach the unstable mode at 1\+0j rad/s",
+        ),
+        (
+            _plant([1, 3], [1, 4], [1, 1, -2]),
+            {"feedback": False},
+            UnstablePlantError,
+            "pole at 1.* without feedback",
+        ),
         (_plant([1, 0], [1, 3], [1, 3, 2]), {}, AxisZeroError, "G1 has a zero at 0"),
         (steer_by_wire(), {"alpha_q": 1}, ImproperError, "alpha_q must be at least 2"),
         (

@@ -10,8 +10,9 @@ import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
+from firmware_model.design.factors.coprime import unstable
 from firmware_model.design.plants import Plant, chapter_2, numerators, steer_by_wire
-from firmware_model.design.vehicle import TABLE_3_2, VehicleParameters, vehicle_state_space
+from firmware_model.design.vehicle import TABLE_3_2, VehicleParameters
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.errors import ParameterError, UnstablePlantError, ZeroChannelError
 
@@ -51,15 +52,8 @@ def _assert_channels_are_the_state_space(plant: Plant, rel: float) -> None:
 @example(replace(TABLE_3_2, lateral_weight=0.0), "physics")
 @example(replace(TABLE_3_2, lateral_weight=1.0, speed_mps=50.0), "physics")
 @example(replace(TABLE_3_2, lateral_weight=1e-6, speed_mps=2.0), "physics")
-def test_channels_of_any_stable_car(car: VehicleParameters, variant: str) -> None:
-    try:
-        plant = steer_by_wire(car, variant)
-    except UnstablePlantError:
-        a, _, _ = vehicle_state_space(car, variant)
-        with mpmath.workdps(40):
-            poles = mpmath.eig(mpmath.matrix(a.tolist()), left=False, right=False)
-        assert max(pole.real for pole in poles) > -1e-9
-        return
+def test_channels_of_any_car(car: VehicleParameters, variant: str) -> None:
+    plant = steer_by_wire(car, variant)
     _assert_channels_are_the_state_space(plant, rel=1e-12)
     assert plant.g1.poles == plant.g2.poles
     assert plant.g1.relative_degree == (3 if car.lateral_weight == 0 else 2)
@@ -168,19 +162,19 @@ def test_matrices_are_read_only_copies() -> None:
             matrix[0, 0] = 1.0
 
 
-def test_a_weaving_car_is_refused_and_an_oversteering_one_is_not() -> None:
+def test_a_short_trail_makes_a_car_weave_and_a_stiff_steering_gear_one_that_oversteers() -> None:
     oversteering = replace(TABLE_3_2, front_axle_distance_m=1.9, rear_axle_distance_m=0.7)
     assert steer_by_wire(replace(oversteering, speed_mps=50.0)).g1.is_stable()
+    stiff = replace(oversteering, steering_damping_nms_per_rad=1000.0, speed_mps=50.0)
+    assert len(unstable(steer_by_wire(stiff).g1)) == 2
     undamped = replace(TABLE_3_2, steering_damping_nms_per_rad=0.0, trail_m=0.005)
     assert steer_by_wire(undamped).g1.is_stable()
-    with pytest.raises(
-        UnstablePlantError, match=r"steer-by-wire \(physics\): pole at 0\.64.*5\.15.* rad/s"
-    ):
-        steer_by_wire(replace(undamped, speed_mps=30.0))
+    weaving = unstable(steer_by_wire(replace(undamped, speed_mps=30.0)).g1)
+    assert weaving[0] == pytest.approx(0.64 + 5.15j, abs=0.01)
 
 
-@pytest.mark.parametrize("pole", [1.0, 0.0, -1e-17])
-def test_a_pole_on_the_axis_or_right_of_it_is_named(pole: float) -> None:
+@pytest.mark.parametrize("pole", [0.0, -1e-17, 1e-17])
+def test_a_pole_on_the_axis_is_named(pole: float) -> None:
     with pytest.raises(UnstablePlantError, match=f"bad: pole at {pole:.6g}"):
         Plant.from_state_space("bad", np.diag([-2.0, pole]), np.eye(2), [[1, 1]])
 

@@ -6,15 +6,14 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from firmware_model.design.factors.interpolation import roots_of_one_less_one
 from firmware_model.design.plants import Plant, chapter_2, steer_by_wire
-from firmware_model.design.tracking import roots_of_one_less_one, tracking
+from firmware_model.design.tracking import tracking
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.errors import (
     AxisZeroError,
     ImproperError,
-    NonMinimumPhaseError,
     ParameterError,
-    UnstablePlantError,
     ZeroChannelError,
 )
 
@@ -39,7 +38,7 @@ def _thesis_c(plant: Plant, tau_q_s: float, alpha_q: int, omega: float) -> compl
 @pytest.mark.parametrize("alpha_q", [2, 3, 4, 7])
 @pytest.mark.parametrize("tau_q_s", [1e-3, 0.02, 1.0])
 def test_it_is_3_32(plant: Plant, alpha_q: int, tau_q_s: float) -> None:
-    c = tracking(plant.g1, tau_q_s, alpha_q)
+    c = tracking(plant.g1, tau_q_s, alpha_q).controller
     assert c.order == len(plant.g1.zeros) + alpha_q
     for omega in OMEGAS:
         expected = _thesis_c(plant, tau_q_s, alpha_q, omega)
@@ -56,12 +55,12 @@ def test_sensitivity_is_one_less_q_hat(
     plant: Plant, tau_q_s: float, alpha_q: int, omega: float
 ) -> None:
     s = 1j * omega
-    sensitivity = 1 / (1 + tracking(plant.g1, tau_q_s, alpha_q)(s) * plant.g1(s))
+    sensitivity = 1 / (1 + tracking(plant.g1, tau_q_s, alpha_q).controller(s) * plant.g1(s))
     assert sensitivity == pytest.approx(1 - 1 / (1 + tau_q_s * s) ** alpha_q, rel=1e-8, abs=1e-13)
 
 
 def test_3_40_with_its_errata() -> None:
-    c = tracking(steer_by_wire(variant="published").g1, 0.001, 2)
+    c = tracking(steer_by_wire(variant="published").g1, 0.001, 2).controller
     assert c.order == 4
     assert c.numerator() / c.gain == pytest.approx([1, 27.8684, 494.8547, 5616.1, 20333], rel=3e-5)
     denominator = c.inverse().numerator()
@@ -72,14 +71,14 @@ def test_3_40_with_its_errata() -> None:
 
 
 def test_the_first_sample_of_a_step_asks_half_a_million_newton_metres() -> None:
-    c = tracking(steer_by_wire().g1, 0.001, 2)
+    c = tracking(steer_by_wire().g1, 0.001, 2).controller
     assert c.relative_degree == 0
     assert c.gain == pytest.approx(1 / (2.0093 * 1e-6), rel=1e-5)
 
 
 def test_the_integrator_is_exact() -> None:
     for order in (2, 3, 9):
-        assert tracking(chapter_2().g1, 0.0137, order).poles.count(0j) == 1
+        assert tracking(chapter_2().g1, 0.0137, order).controller.poles.count(0j) == 1
 
 
 @pytest.mark.parametrize("order", [1, 2, 3, 4, 5, 8, 13, 100])
@@ -100,17 +99,15 @@ def test_relative_degree_is_the_least_alpha_q() -> None:
     g1 = steer_by_wire().g1
     with pytest.raises(ImproperError, match=r"alpha_q = 1: .* alpha_q must be at least 2"):
         tracking(g1, 0.001, 1)
-    assert tracking(g1, 0.001, 2).relative_degree == 0
-    assert tracking(chapter_2().g1, 0.001, 1).relative_degree == 0
+    assert tracking(g1, 0.001, 2).controller.relative_degree == 0
+    assert tracking(chapter_2().g1, 0.001, 1).controller.relative_degree == 0
 
 
 @pytest.mark.parametrize(
     ("g1", "error", "named"),
     [
-        (ZeroPoleGain((2,), (-1, -2), 1.0), NonMinimumPhaseError, "G1 has a zero at 2"),
         (ZeroPoleGain((0,), (-1, -2), 1.0), AxisZeroError, "G1 has a zero at 0"),
         (ZeroPoleGain((3j, -3j), (-1, -2), 1.0), AxisZeroError, "G1 has a zero at 0\\+3j"),
-        (ZeroPoleGain((), (1,), 1.0), UnstablePlantError, "G1 has a pole at 1"),
         (ZeroPoleGain.constant(0.0), ZeroChannelError, "G1"),
     ],
 )
@@ -133,7 +130,7 @@ def test_alpha_refused(alpha_q: int) -> None:
 
 def test_closed_loop_poles_are_those_of_q_hat_and_the_cancelled_modes() -> None:
     g1, alpha_q, tau_q_s = steer_by_wire().g1, 2, 0.05
-    c = tracking(g1, tau_q_s, alpha_q)
+    c = tracking(g1, tau_q_s, alpha_q).controller
     characteristic = np.polyadd(
         np.polymul(c.numerator(), g1.numerator()), np.polymul(c.denominator(), g1.denominator())
     )

@@ -14,7 +14,7 @@ from firmware_model.design.continuous_design import ContinuousDesign, DesignSpec
 from firmware_model.design.mismatch import Mismatch
 from firmware_model.design.plants import chapter_2, steer_by_wire
 from firmware_model.discretisation import tables
-from firmware_model.discretisation.sections import Sections
+from firmware_model.discretisation.sections import Sections, make_up_gain
 from firmware_model.discretisation.tables import build, discretise
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import tustin, tustin_held, zoh
@@ -276,3 +276,12 @@ def test_an_algebraic_loop_of_one_or_more_is_refused(
     monkeypatch.setattr(tables, "algebraic_loop_gain", lambda filters, latency: gain)
     with pytest.raises(DesignError, match="algebraic loop"):
         build(CLOSED, Target(1e-3))
+
+
+def test_each_channel_makes_up_by_its_own_model() -> None:
+    table, filters = build(CLOSED, Target(1e-3)), discretise(CLOSED, Target(1e-3))
+    for channel, model in ((1, filters.estimator_1), (2, filters.estimator_2)):
+        gain, n = table[f"shortfall_{channel}"].gain, len(model.coefficients)
+        np.testing.assert_array_equal(gain[:n], make_up_gain(model))
+        assert gain[:n].any()
+        assert not gain[n:].any()

@@ -14,7 +14,7 @@ from firmware_model.target.structs import MAX_LATENCY_TICKS
 TINY = 5e-324
 POSITIVE = ("limit_1", "limit_2", "rate_1", "rate_2", "reference_acceleration")
 RATES = ("false_alarms_per_hour", "suspicions_per_hour")
-SIZES = ("lsb_1", "lsb_2", "noise_rms", "resolution", "probe_pause_s")
+SIZES = ("lsb_1", "lsb_2", "noise_rms", "resolution", "share_drift", "probe_pause_s")
 EIGHTH = math.pi / 4 / 1e-3  # rad/s, of the sampling frequency of 1 kHz
 
 ACCEPTED: list[dict[str, Any]] = [
@@ -70,7 +70,7 @@ def test_by_default_it_is_the_thesis_s() -> None:
     assert (target.latency_ticks, target.estimator) == (0, "tustin")
     for name in POSITIVE:
         assert getattr(target, name) == math.inf
-    for name in ("lsb_1", "lsb_2", "probe"):
+    for name in ("lsb_1", "lsb_2", "probe", "share_drift"):
         assert getattr(target, name) == 0.0
     assert target.on_confirmation is False
     assert target.prewarp_rad_per_s is None
@@ -80,3 +80,13 @@ def test_by_default_it_is_the_thesis_s() -> None:
     assert target.mismatch.cars == ()
     assert (target.false_alarms_per_hour, target.suspicions_per_hour) == (1e-3, 3600.0)
     assert (target.probe_rad_per_s, target.probe_pause_s) == (10.0, 0.5)
+
+
+@pytest.mark.parametrize("per_hour", [0.001, 1.0, 3600.0])
+@pytest.mark.parametrize("tick_s", [1e-3, 0.02])
+def test_so_much_evidence_comes_by_chance_so_often_in_an_hour(
+    per_hour: float, tick_s: float
+) -> None:
+    """One candidate begins a tick, and e^-h of them exceed h."""
+    chance = math.exp(-Target(tick_s).evidence(per_hour))
+    assert chance * 3600.0 / tick_s == pytest.approx(per_hour, rel=1e-12)

@@ -29,7 +29,7 @@ def _filters() -> dict[str, ZeroPoleGain]:
     return {
         "G1 of the car": car.g1,
         "G2 of the car": car.g2,
-        "C of the car": tracking(car.g1, 0.001, 2),
+        "C of the car": tracking(car.g1, 0.001, 2).controller,
         "compensator of the car": car.g2.inverse() * ZeroPoleGain.lag(0.001, 1),
         "G1 of chapter 2": linear.g1,
         "static": ZeroPoleGain.constant(-2.5),

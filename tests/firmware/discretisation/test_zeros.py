@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from firmware_model.discretisation import zeros
 from firmware_model.discretisation.zeros import refined
 
 A, B = np.array([[-1.0, 0.0], [0.0, -3.0]]), np.ones((2, 1))
@@ -20,3 +21,46 @@ def test_a_rough_zero_becomes_exact() -> None:
 def test_a_zero_that_cancels_a_pole_stays_as_it_was_found() -> None:
     """There the resolvent does not exist: 1/(x + 3) with a pole at -1 that nothing shows."""
     assert refined(A, B, np.array([[0.0, 1.0]]), POLES, [-1.0]) == [-1.0]
+
+
+PLACES = np.array([-1.0, -3.0, -0.2, -9.0, -0.05, -5.0, -0.6], np.complex128)  # of the poles
+ZEROS = [-2.0, -0.7, -0.1 + 0.6j, -0.1 - 0.6j, -1.3 + 0.37j, -1.3 - 0.37j]
+
+
+def parallel() -> tuple[np.ndarray, ...]:
+    """Π(x - zero)/Π(x - pole) as a sum of first-order parts."""
+    residues = [
+        np.prod([pole - zero for zero in ZEROS])
+        / np.prod([pole - other for other in PLACES if other != pole])
+        for pole in PLACES
+    ]
+    n = len(PLACES)
+    return np.diag(PLACES.real), np.ones((n, 1)), np.real(residues)[None, :]
+
+
+def rough(error: float) -> list[complex]:
+    return [(1.0 + error) * zero + 0.1 * error * zero.imag for zero in map(complex, ZEROS)]
+
+
+def test_real_zeros_and_pairs_are_refined_at_once() -> None:
+    found = refined(*parallel(), PLACES, iter(rough(0.02)))
+    np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(ZEROS), rtol=1e-13)
+    assert [zero.imag for zero in found[:2]] == [0.0, 0.0]
+    assert found[4:] == [zero.conjugate() for zero in found[2:4]]
+
+
+def test_a_step_triples_the_digits(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Newton's alone, without the other zeros and the poles, would double them."""
+    monkeypatch.setattr(zeros, "REFINEMENTS", 1)
+    found = refined(*parallel(), PLACES, rough(1e-4))
+    np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(ZEROS), rtol=1e-10)
+
+
+def test_what_is_exact_stays_and_so_does_what_is_double() -> None:
+    """A step that is no number is none: here two estimates of one zero, at the same place."""
+    found = refined(A, B, np.ones((1, 2)), POLES, [-2.0, -2.0])
+    assert found == [-2.0, -2.0]
+
+
+def test_no_zeros_are_none() -> None:
+    assert refined(A, B, np.ones((1, 2)), POLES, []) == []

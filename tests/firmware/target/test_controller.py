@@ -41,7 +41,7 @@ def test_is_the_law_of_its_own_filters() -> None:
         return signal.sosfilt(sections.sos, values)
 
     size = np.abs(estimate).max()
-    tracked = through(tustin(DESIGN.tracking, tick_s), reference - y)
+    tracked = through(tustin(DESIGN.tracking.controller, tick_s), reference - y)
     np.testing.assert_allclose(u1, tracked, atol=1e-8 * np.abs(tracked).max())
     np.testing.assert_allclose(
         u2, through(filters.compensator, estimate), atol=1e-8 * np.abs(u2).max()
@@ -144,7 +144,7 @@ def test_smooth_input_converges_with_order_two(design_of, tick_s: float) -> None
             return signal.lsim(system.to_ss(), values, time_s)[1]
 
         feedback = design_of.tracking is not None
-        u1 = through(design_of.tracking, reference - y) if feedback else reference
+        u1 = through(design_of.tracking.controller, reference - y) if feedback else reference
         lost = through(design_of.plant.g1, u1) - y
         if not feedback:
             lost = lost + through(design_of.plant.g2, reference)

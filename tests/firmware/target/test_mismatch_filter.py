@@ -53,10 +53,9 @@ class FullMatrices:
         s = x @ self.p @ x + r
         new = value - x @ self.theta
         gain = self.p @ x / s
-        memory = np.diag(1.0 - wander * c.forgetting)
-        grows = np.diag(
-            c.growth * np.array([0.0] * LOSS_STATES + [wander] * MAX_DIRECTIONS + [remainder])
-        )
+        moves = np.array([1.0] * LOSS_STATES + [wander] * (MAX_STATES - LOSS_STATES))
+        memory = np.diag(1.0 - moves * c.forgetting)
+        grows = np.diag(c.growth * np.array([1.0, 0.0] + [wander] * MAX_DIRECTIONS + [remainder]))
         left = np.eye(MAX_STATES) - np.outer(gain, x)
         self.theta = memory @ (self.theta + gain * new)
         p = left @ self.p @ left.T + r * np.outer(gain, gain)
@@ -64,10 +63,13 @@ class FullMatrices:
         return new, s
 
 
-@given(seed=st.integers(0, 2**32 - 1))
-def test_it_is_the_kalman_filter_of_full_matrices(seed: int) -> None:
+@pytest.mark.parametrize("drifts", [0.0, 0.05])
+@pytest.mark.parametrize("seed", range(3))
+def test_it_is_the_kalman_filter_of_full_matrices(seed: int, drifts: float) -> None:
+    """Also where the lost share drifts, which needs no motion of the car."""
     draw = np.random.default_rng(seed)
     constants, state = begun()
+    constants.growth[0], constants.forgetting[0] = drifts, 0.3 * drifts
     theirs, before = FullMatrices(constants), 0.0
     for k, residual in enumerate(draw.standard_normal(60)):
         if k in (20, 45):  # a loss is confirmed, and another one
@@ -82,6 +84,23 @@ def test_it_is_the_kalman_filter_of_full_matrices(seed: int) -> None:
         assert (ours, state.variance) == pytest.approx(expected, rel=1e-9, abs=1e-12)
         np.testing.assert_allclose(state.theta, theirs.theta, atol=1e-9)
         np.testing.assert_allclose(covariance_of(state), theirs.p, atol=1e-9)
+
+
+def test_so_is_a_residual_that_is_no_number_though_x_is_one() -> None:
+    constants, state = begun()
+    state.regressor[:] = state.extent = 0.1
+    innovation(constants, state, math.inf)
+    assert np.isfinite(state.variance)
+    assert not state.theta.any()
+    assert state.previous_residual == 0.0
+
+
+def test_a_car_that_has_never_moved_may_be_any() -> None:
+    """Nothing has shown yet, so there is no ratio of change to extent."""
+    constants, state = begun()
+    state.extent = state.change = 0.0
+    innovation(constants, state, 0.1)
+    np.testing.assert_allclose(state.memory, 1.0 - constants.forgetting)
 
 
 @pytest.mark.long

@@ -39,7 +39,7 @@ def test_it_is_q_over_one_less_q_times_the_delayed_model(latency: int, rule: Any
     """C = Q/(1 - Q G1 z^-n) by impulse responses: c = q + (q * g, n later) * c."""
     ticks, impulse = 60, np.eye(1, 60)[0]
     discretised = {"zoh": zoh, "tustin": tustin, "tustin-held": tustin_held}[rule](CAR.g1, TICK_S)
-    q = signal.sosfilt(tustin(DESIGN.tracking_filter, TICK_S).sos, impulse)
+    q = signal.sosfilt(tustin(DESIGN.tracking.filter, TICK_S).sos, impulse)
     g = signal.sosfilt(discretised.sos, impulse)
     loop = np.concatenate([np.zeros(latency), np.convolve(q, g)])[:ticks]
     around = linalg.toeplitz(loop, np.zeros(ticks))
@@ -50,7 +50,7 @@ def test_it_is_q_over_one_less_q_times_the_delayed_model(latency: int, rule: Any
 
 def test_with_tustin_s_rule_at_no_latency_it_is_tustin_s_c() -> None:
     """Tustin of Q/(1 - Q G1) is Q/(1 - Q G1) of their Tustins."""
-    c = tustin(DESIGN.tracking, TICK_S)
+    c = tustin(DESIGN.tracking.controller, TICK_S)
     expected = signal.sosfilt(c.sos, np.eye(1, 200)[0])
     ours = impulse_response(Target(TICK_S), 200)
     np.testing.assert_allclose(ours, expected, atol=1e-8 * np.abs(expected).max())
@@ -97,7 +97,7 @@ def test_on_the_car_that_is_the_model_limits_are_outside_the_loop(
     of = Target(TICK_S, latency, "zoh", limit_1=limit, rate_1=rate, lsb_1=lsb, on_confirmation=True)
     reference = np.repeat(levels, 120)
     trace = simulate(build(DESIGN, of), PLANT, reference)
-    asked = signal.sosfilt(tustin(DESIGN.tracking_filter, TICK_S).sos, reference)
+    asked = signal.sosfilt(tustin(DESIGN.tracking.filter, TICK_S).sos, reference)
     possible = limited(asked, limit, rate * TICK_S, lsb)
     # A rounding of the asked command can fall on the other side of a step of the grid.
     np.testing.assert_allclose(trace.command_1, possible, atol=1e-6 + 1.01 * lsb)

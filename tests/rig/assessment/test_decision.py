@@ -24,7 +24,7 @@ def figures(scenario: Scenario):
 
 
 def delays_s(scenario: Scenario) -> np.ndarray:
-    at = round(scenario.fault.at_s / scenario.tick_s)
+    at = round(scenario.loss.at_s / scenario.tick_s)
     found = []
     for seed in range(SEEDS):
         state = frameless(replace(scenario, seed=seed), network_of(scenario)).fault_state[at:]

@@ -69,7 +69,7 @@ def test_a_run_is_what_scipy_makes_of_its_commands(tmp_path: Path, name: str) ->
     signals = read_signals(log, network_of(scenario), scenario.tick_s)
     commands = np.column_stack([signals.torque_nm, signals.force_difference_n])
     commands = np.vstack([np.zeros((scenario.latency_ticks, 2)), commands])[: scenario.ticks]
-    lost = round(scenario.fault.at_s / scenario.tick_s)
+    lost = round(scenario.loss.at_s / scenario.tick_s)
     commands[lost:, 0] = 0.0
     plant = continuous_plant(scenario.plant)
     held = signal.cont2discrete((plant.a, plant.b, plant.c, np.zeros((1, 2))), scenario.tick_s)

@@ -22,6 +22,10 @@ from can_rig.__main__ import main
 main()
 """
 LOGS = ["asammdf", "pandas", "pyarrow"]
+FMU = [
+    *("--set", "plant.kind=fmu:a.fmu", "--set", "plant.variables.input_1=u"),
+    *("--set", "plant.variables.input_2=v", "--set", "plant.variables.output=y"),
+]
 SHORT = ["thesis-step", "--in-process", "--set", "duration_s=0.01"]
 
 
@@ -40,6 +44,7 @@ def rig_without(packages: list[str], *words: str) -> subprocess.CompletedProcess
         (LOGS, ["convert", "a.log", "x.mf4"], "asammdf is not installed"),
         (["mcap"], ["decode", "a.log", "--out", "x.mcap"], "mcap is not installed"),
         (["control"], ["figures"], "control is not installed"),
+        (["fmpy"], ["run", *SHORT, *FMU], "fmpy is not installed"),
     ],
 )  # fmt: skip
 def test_one_line_names_the_extra(
@@ -47,7 +52,7 @@ def test_one_line_names_the_extra(
 ) -> None:
     (tmp_path / "a.log").write_text("(0.000000) can0 101#0011223344556677\n")
     (tmp_path / "a.mf4").write_bytes(b"MDF     4.10    ")
-    extra = {"control": "figures", "mcap": "mcap"}.get(packages[0], "logs")
+    extra = {"control": "figures", "mcap": "mcap", "fmpy": "fmu"}.get(packages[0], "logs")
     done = rig_without(packages, *words)
     assert done.returncode == 2
     install = f"pip install 'fault-tolerant-steering[{extra}]'"

@@ -2,30 +2,29 @@
 
 from __future__ import annotations
 
-import random
 import re
 import shutil
 import subprocess
 from pathlib import Path
 
-import can
 import pytest
 from click.testing import CliRunner
 
 from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
 from can_rig.errors import ExportError
+from can_rig.export.back_to_back.frames import random_frames
 from can_rig.export.choices import CONTROLLERS
+from can_rig.export.running.bench_ecu import BenchEcu
 from can_rig.export.running.controllers import PYTHON, controller_of
 from can_rig.export.running.emulated_ecu import (
     BOARDS,
     COMPILER,
     EMULATOR,
-    EmulatedEcu,
+    EmulatedBoard,
     firmware_image,
 )
 from can_rig.export.running.host_ecu import HostEcu, host_library
-from can_rig.frames.endpoints import Transmitter
 from can_rig.nodes.lockstep.controller_node import ControllerNode
 from can_rig.nodes.lockstep.ecu_node import EcuNode
 from can_rig.scenario.build import network_of
@@ -77,22 +76,8 @@ def test_any_frames_are_answered_and_judged_alike() -> None:
     scenario = load("default", ["duration_s=1"])
     network = network_of(scenario)
     library = host_library(scenario)
-    inputs: list[can.Message] = []
     for seed in range(20):
-        choose = random.Random(seed)
-        reference, feedback = Transmitter(network.reference), Transmitter(network.feedback)
-        inputs.clear()
-        for tick in range(choose.choice([0, 65530]), 66000)[:60]:
-            for transmitter in (reference, feedback):
-                message = transmitter.frame(choose.uniform(-2, 2), tick)
-                what = choose.random()
-                if what < 0.04:
-                    continue
-                if what < 0.08:
-                    message.data[choose.randrange(8)] ^= 1 << choose.randrange(8)
-                if what > 0.97:
-                    message.data = message.data[: choose.randrange(8)]
-                inputs += [message] * choose.choice([1, 1, 1, 1, 2])
+        inputs = [message for tick in random_frames(network, seed) for message in tick]
         sent: list[list[tuple[int, bytes]]] = [[], []]
         nodes = (
             ControllerNode(scenario, network, lambda m, s=sent[0]: s.append(
@@ -125,7 +110,7 @@ def test_a_missing_tool_is_one_line(
 
 @EMULATED
 def test_an_emulator_that_ends_is_one_line(tmp_path: Path) -> None:
-    ecu = EmulatedEcu(tmp_path / "no-such.elf", "m4f")
+    ecu = BenchEcu(EmulatedBoard(tmp_path / "no-such.elf", "m4f"))
     with pytest.raises(ExportError, match=r"qemu-system-arm has ended: .*no-such\.elf"):
         ecu.take(0x100, bytes(8))
     ecu.close()

@@ -14,6 +14,7 @@ from click.testing import CliRunner
 
 from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
+from can_rig.export.back_to_back.memories import random_table
 from can_rig.export.constants import constants_source
 from can_rig.export.folder import exported, in_precision
 from can_rig.export.law import law_files
@@ -22,7 +23,6 @@ from can_rig.export.writing.c_text import WIDTH
 from can_rig.scenario.build import controller_table, network_of
 from firmware_model.firmware import Firmware
 from firmware_model.target.structs import Precision
-from tests.rig.export.random_memory import random_table
 from tests.rig.export.test_bits import PRECISIONS
 
 FLAGS = ["-std=c99", "-Werror", *WARNINGS, "-Wstrict-prototypes", "-Wcast-qual", "-Wundef"]

@@ -18,7 +18,7 @@ def test_c_answers_as_it_was_recorded(name: str) -> None:
     law = CompiledLaw(scenario.design.precision)
     loop = OpenLoop(scenario, network_of(scenario), lambda gap: None, law=law)
     loop.run(read_log(FOLDER / f"{name}.log.gz"))
-    fault, comparison = scenario.fault, loop.comparison
+    fault, comparison = scenario.loss, loop.comparison
     lost = round(fault.for_s / scenario.tick_s) if fault.kind.startswith("frames-") else 0
     assert comparison.identical
     assert comparison.same_bytes == 3 * scenario.ticks - lost

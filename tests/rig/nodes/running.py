@@ -16,7 +16,7 @@ import can
 
 from tests.helpers import start
 
-FILES = ["bus.log", "bus.plant.csv", "report.png", "run.json", "signals.csv"]
+FILES = ["bus.log", "bus.plant.csv", "report.html", "report.png", "run.json", "signals.csv"]
 HEADER = (
     "time_s,reference_mps2,dstar_mps2,error_mps2,torque_nm,force_difference_n,"
     "fault_estimate_mps2,mode"

@@ -10,7 +10,7 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
 from can_rig.errors import RigError, ScenarioError, SilentNodeError
-from can_rig.frames.agreement import Comparison, ComparisonFrame, digest
+from can_rig.frames.beside.agreement import Comparison, ComparisonFrame, digest
 from can_rig.nodes import runner
 from can_rig.nodes.agreement import Agreement, keys_of
 from can_rig.nodes.runner import run_controller, run_plant
@@ -97,6 +97,22 @@ def test_the_same_scenario_runs_and_its_log_knows_nothing_of_the_comparison(tmp_
     assert ended["plant"].ticks == ended["controller"].ticks == 300
     (tmp_path / "other").mkdir()
     assert log.read_bytes() == record(tmp_path / "other", *SHORT)[0].read_bytes()
+
+
+def test_of_an_fmu_its_file_and_what_the_scenario_names_in_it_are_compared_not_where_it_lies():
+    fmu = [f"plant.variables.{key}=u" for key in ("input_1", "input_2", "output")]
+    keys = [
+        dict(keys_of(load("default", [f"plant.kind=fmu:{kind}", *fmu, *more]).as_dict()))
+        for kind, more in (
+            ("a/car.fmu", []),
+            ("/b/car.fmu", []),
+            ("boat.fmu", []),
+            ("car.fmu", ["plant.variables.yaw_rate_rad_per_s=r"]),
+        )
+    ]
+    assert keys[0] == keys[1]
+    differ = [{key for key in keys[0] if keys[0][key] != other[key]} for other in keys[2:]]
+    assert differ == [{"plant.kind"}, {"plant.variables"}]
 
 
 def test_every_two_shipped_scenarios_differ_in_a_key():

@@ -9,8 +9,10 @@ import can
 import pytest
 
 from can_rig.assessment.resolve import load
+from can_rig.frames.endpoints import Transmitter
 from can_rig.nodes.lockstep.plant_node import PlantNode
 from can_rig.nodes.recording.recorder import Recorder
+from can_rig.nodes.watchdog import StopRequest, Timeouts, Watchdog
 from can_rig.scenario.build import network_of
 from tests.clock import TurnedClock
 
@@ -58,7 +60,9 @@ def rest_of(path: Path, stamps_s: list[float], error: bool = False) -> tuple[int
         node = PlantNode(SCENARIO, NETWORK, lambda message: None, recorder)
         node.offer(0)
         node.record_the_rest(Late(clock, stamps_s, error), clock)
-    return sum(" 700#" in line for line in path.read_text().splitlines()), clock.now_s - 5.0
+    lines = [line for line in path.read_text().splitlines() if " 700#" in line]
+    assert all(line.endswith(" R") for line in lines)
+    return len(lines), clock.now_s - 5.0
 
 
 def test_what_others_sent_by_the_end_is_in_the_log_and_nothing_later(tmp_path: Path) -> None:
@@ -82,3 +86,22 @@ def test_without_a_log_nothing_is_read() -> None:
     clock = TurnedClock()
     PlantNode(SCENARIO, NETWORK, lambda message: None).record_the_rest(Late(clock, [0.0]), clock)
     assert clock.ns == 0
+
+
+def test_every_frame_of_a_tick_is_in_the_log_with_who_sent_it(tmp_path: Path) -> None:
+    """Those of others too, and of no use."""
+    path, bus = tmp_path / "a.log", deque[can.Message]()
+    bus.append(can.Message(arbitration_id=0x700, is_extended_id=False))
+    bus += [Transmitter(codec).frame(0.0, 0) for codec in (NETWORK.command_1, NETWORK.status)]
+
+    class Bus:
+        def recv(self, timeout: float) -> can.Message:
+            return bus.popleft()
+
+    with Recorder(path, SCENARIO.tick_ns) as recorder:
+        node = PlantNode(SCENARIO, NETWORK, lambda message: None, recorder)
+        node.offer(0)
+        node.collect(0, Watchdog(Bus(), "controller", Timeouts(1.0, 1.0), StopRequest()))
+    words = [line.split() for line in path.read_text().splitlines()]
+    sent = [(frame.partition("#")[0], by) for _, _, frame, by in words]
+    assert sent == [("100", "T"), ("101", "T"), ("700", "R"), ("110", "R"), ("120", "R")]

@@ -8,7 +8,8 @@ from scipy.linalg import expm
 
 from can_rig.assessment.resolve import load
 from can_rig.nodes.realtime.restart import LISTEN_S, RETURN_S, BumplessRestart, FreeMotion
-from can_rig.scenario.build import controller_table, network_of
+from can_rig.scenario.build import continuous_plant, controller_table, network_of
+from firmware_model.analysis.sampled_plant import sample
 from firmware_model.design.vehicle import VehicleParameters, vehicle_state_space
 from firmware_model.firmware import Firmware
 
@@ -113,3 +114,26 @@ def test_listening_and_returning_take_the_time_that_they_say(tick_s):
     slope = np.gradient(path, tick_s)
     assert slope.max() == pytest.approx(1.875 / RETURN_S, rel=0.01)  # of least jerk, at half time
     assert abs(slope[0]) < 0.02 * slope.max() * (tick_s / 0.0005) ** 2
+
+
+def test_a_pendulum_that_falls_while_the_controller_listens_is_caught():
+    scenario = load("pendulum", ["plant.sensor.noise_mps2=0"])
+    table, plant = table_of(scenario), sample(continuous_plant(scenario.plant), scenario.tick_s)
+    firmware, restart = Firmware(table), BumplessRestart(scenario, table, LSB)
+    x, commands, angles = np.zeros(len(plant.c)), (0.0, 0.0), []
+    x[0] = 0.01
+    acting = commands
+    for _ in range(3000):
+        angles.append(float(plant.c @ x))
+        if restart.listens:
+            restart.hear(angles[-1])
+            if not restart.listens:
+                restart.start(firmware)
+        else:
+            r = 0.0 if restart.done else restart.reference(0.0)
+            answer = firmware.step(r, angles[-1])
+            commands = (answer.command_1, answer.command_2)
+        x = plant.phi @ x + plant.gamma @ acting
+        acting = commands
+    assert np.abs(angles).max() < 0.05
+    assert np.abs(angles[-100:]).max() < 1e-3

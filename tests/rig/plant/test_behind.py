@@ -6,6 +6,7 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.plant.actuators import FollowedCommand
 from can_rig.plant.behind import plant_behind
+from can_rig.plant.columns import TRUE_OUTPUT
 from can_rig.plant.sensor import FilteredSamples, SensorNoise, noise
 from can_rig.plant.simulated import SimulatedPlant
 from firmware_model.design.actuator_dynamics import Stage
@@ -52,7 +53,8 @@ def test_a_class_behind_the_same_stages_is_the_linear_plant(tick_s):
     exact, said = driven(settings(*own), commands)
     near, told = driven(settings(*own, f"plant.kind={LINEAR}"), commands)
     assert np.abs(near - exact).max() < 2e-4 * np.abs(exact).max()
-    for name in ("applied_torque_nm", "applied_force_difference_n", "yaw_rate_rad_per_s"):
+    names = ("applied_torque_nm", "applied_force_difference_n", "yaw_rate_rad_per_s", TRUE_OUTPUT)
+    for name in names:
         ours, theirs = ([report[name] for report in reports] for reports in (said, told))
         assert np.abs(np.subtract(ours, theirs)).max() < 2e-4 * np.abs(ours).max(), name
 
@@ -94,11 +96,13 @@ def test_a_dead_actuator_fades_with_its_lag_and_does_not_wait():
 def test_limits_of_the_plant_take_off_what_is_too_much_or_too_fast():
     own = ["plant.torque_actuator.limit_nm=25", "plant.torque_actuator.rate_nm_per_s=10000"]
     own += ["plant.force_difference_actuator.limit_n=500"]
+    own += ["plant.force_difference_actuator.rate_n_per_s=400000"]
     plant = SimulatedPlant(settings(*own))
     signals = [plant.advance(tick, 100.0, -900.0) for tick in range(4)]
     signals += [plant.advance(4 + tick, -100.0, 400.0) for tick in range(2)]
     assert [s["applied_torque_nm"] for s in signals] == [10.0, 20.0, 25.0, 25.0, 15.0, 5.0]
-    assert [s["applied_force_difference_n"] for s in signals] == [-500.0] * 4 + [400.0] * 2
+    force_n = [-400.0, -500.0, -500.0, -500.0, -100.0, 300.0]
+    assert [s["applied_force_difference_n"] for s in signals] == force_n
 
 
 def test_the_sensor_reads_in_steps_of_its_resolution():
@@ -127,19 +131,73 @@ def test_noise_is_as_coloured_as_the_filter_and_has_its_rms_behind_it():
 
 def test_means_of_a_followed_command_keep_its_impulse():
     """Whatever the parts: their sum is the integral, here of a lag after one command."""
-    stage = Stage(0.004, dead_time_s=0.0003)
-    for parts in (1, 2, 7):
-        actuator = FollowedCommand(stage, 0.001, parts)
-        means = [np.mean(actuator.follow(5.0, 1.0)) for _ in range(10)]
-        until = 0.001 * np.arange(1, 11) - 0.0003
-        integral = 5.0 * (until - 0.004 * (1.0 - np.exp(-until / 0.004)))
-        np.testing.assert_allclose(np.cumsum(means) * 0.001, integral, rtol=1e-9)
+    until = 0.001 * np.arange(1, 11) - 0.0003
+    behind = {0.0: until, 0.004: until - 0.004 * (1.0 - np.exp(-until / 0.004))}
+    for lag_s, integral in behind.items():
+        for parts in (1, 2, 7):
+            actuator = FollowedCommand(Stage(lag_s, dead_time_s=0.0003), 0.001, parts)
+            means = [np.mean(actuator.follow(5.0, 1.0)) for _ in range(10)]
+            np.testing.assert_allclose(np.cumsum(means) * 0.001, 5.0 * integral, rtol=1e-9)
 
 
-def test_filtered_samples_are_exact_for_a_straight_line():
+@pytest.mark.parametrize("lag_s", [0.02, 0.0])
+@pytest.mark.parametrize("dead_time_s", [0.002, 0.0])
+def test_filtered_samples_are_exact_for_a_straight_line(lag_s, dead_time_s):
     """A ramp after a lag: t - τ (1 - e^(-t/τ)), and later by the dead time."""
-    stage, step_s = Stage(0.02, dead_time_s=0.002), 0.001
-    sensor = FilteredSamples(stage, step_s)
+    step_s = 0.001
+    sensor = FilteredSamples(Stage(lag_s, dead_time_s=dead_time_s), step_s)
     found = [sensor.next(step_s * k) for k in range(1, 60)]
-    time_s = np.maximum(step_s * np.arange(1, 60) - 0.002, 0.0)
-    np.testing.assert_allclose(found, time_s - 0.02 * (1.0 - np.exp(-time_s / 0.02)), atol=1e-12)
+    time_s = np.maximum(step_s * np.arange(1, 60) - dead_time_s, 0.0)
+    behind_s = lag_s * (1.0 - np.exp(-time_s / lag_s)) if lag_s else 0.0
+    np.testing.assert_allclose(found, time_s - behind_s, atol=1e-12)
+
+
+def test_samples_late_by_a_part_of_a_step_lie_between_two():
+    sensor = FilteredSamples(Stage(0.0, dead_time_s=0.00125), 0.001)
+    assert [sensor.next(value) for value in (4.0, 8.0, 8.0)] == [0.0, 3.0, 7.0]
+
+
+@pytest.mark.parametrize("rms", [0.0, 1.0, 0.02])
+@pytest.mark.parametrize("lag", [[], ["plant.sensor.corner_hz=40"], ["plant.sensor.corner_hz=1e5"]])
+def test_noise_of_a_run_is_drawn_as_tick_by_tick(rms, lag):
+    """White too where the filter remembers next to nothing."""
+    scenario = settings("duration_s=0.05", "seed=5", f"plant.sensor.noise_mps2={rms}", *lag)
+    drawn, all_at_once = SensorNoise(scenario), noise(scenario)
+    assert all_at_once.tolist() == [drawn.next() for _ in range(50)]
+    assert all_at_once.any() == (rms > 0.0)
+    if rms and "plant.sensor.corner_hz=40" not in lag:
+        white = rms * np.random.Generator(np.random.PCG64(5)).standard_normal(50)
+        assert all_at_once.tolist() == white.tolist()
+
+
+@pytest.mark.parametrize(
+    "own", [[], ["latency_ticks=1"], LAGS, LAGS[1:2], [LAGS[1], LAGS[4]], ["plant.kind=chapter-2"]]
+)
+def test_reports_of_a_whole_run_are_those_of_its_ticks(own):
+    """In pieces, the first of which ends before the dead times do."""
+    name = "chapter-2" if "plant.kind=chapter-2" in own else "thesis-step"
+    scenario = settings(*own[: 0 if name == "chapter-2" else None], name=name)
+    plant = plant_behind(scenario.plant, scenario.tick_s)
+    commands = np.array(commands_of(30, hold=1))
+    left = np.where(np.arange(30)[:, None] < 17, 1.0, [0.25, 0.5])
+    states, output, reports, last = [], [], [], 0.0
+    for pair, share in zip(commands, left, strict=True):
+        states.append(plant._memory[0].copy())
+        output.append(last)
+        reports.append(plant.report(*pair, *share))
+        last, _ = plant.follow(*pair, *share)
+    columns = [
+        plant.report_columns(np.array(output), np.array(states), commands.T, left, ticks)
+        for ticks in (range(2), range(2, 20), range(20, 30))
+    ]
+    for signal in reports[0]:
+        found = np.concatenate([piece[signal] for piece in columns])
+        assert found.tolist() == [report[signal] for report in reports], signal
+    assert all(piece.keys() == reports[0].keys() for piece in columns)
+
+
+def test_a_column_has_no_negative_zero_as_no_frame_has():
+    plant = plant_behind(settings().plant, 0.001)
+    states, left, reached = np.zeros((3, 4)), np.ones((3, 2)), np.full((2, 3), -0.0)
+    columns = plant.report_columns(np.zeros(3), states, reached, left, range(3))
+    assert not np.signbit(columns["applied_torque_nm"]).any()

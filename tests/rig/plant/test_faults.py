@@ -1,68 +1,63 @@
-"""Faults: the right channel, the right ticks, and no damage that a receiver could miss."""
+"""Faults of actuators and sensor: the right place, the right ticks, and what each kind does."""
 
-import can
+import math
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
-from can_rig.frames.endpoints import Receiver, Transmitter
-from can_rig.plant.faults import ActuatorFault, FrameFault, SensorFault, bias, effectiveness
+from can_rig.plant.faults.plant_faults import FaultsByTick, PlantFaults
 from can_rig.plant.simulated import SimulatedPlant
-from can_rig.scenario.build import continuous_plant, network_of
+from can_rig.scenario.build import continuous_plant
 from can_rig.thesis.continuous import solve
 
 CHANNELS = ["torque", "force-difference"]
 SHORT = ["duration_s=1", "fault.at_s=0.005", "fault.for_s=0.003"]  # ticks 5, 6, 7
 WINDOW = range(5, 8)
-NETWORK = network_of(load("thesis-step"))
-COMMANDS = (NETWORK.command_1, NETWORK.command_2)
-
-
-def crc8(data, data_id):
-    """E2E profile 1, bit by bit."""
-    crc = 0
-    for byte in (data_id & 0xFF, data_id >> 8, *data[1:]):
-        crc ^= byte
-        for _ in range(8):
-            crc = (crc << 1) ^ (0x11D if crc & 0x80 else 0)
-    return crc
+TICKS = range(12)
+TIMING = ["tick_s=0.001", "duration_s=0.02", "fault.at_s=0.005", "fault.for_s=0.01"]
 
 
 @pytest.mark.parametrize("channel", CHANNELS)
 def test_a_dead_actuator_is_dead_in_its_window_and_the_other_lives(channel):
     settings = [*SHORT, "fault.kind=actuator-dead", f"fault.channel={channel}"]
-    fault = ActuatorFault(load("thesis-step", settings))
-    dead = (0.0, 1.0) if channel == "torque" else (1.0, 0.0)
-    for tick in range(12):
-        assert fault.effectiveness(tick) == (dead if tick in WINDOW else (1.0, 1.0))
+    left = PlantFaults(load("thesis-step", settings)).left(TICKS)
+    dead = [0.0, 1.0] if channel == "torque" else [1.0, 0.0]
+    assert left.tolist() == [dead if tick in WINDOW else [1.0, 1.0] for tick in TICKS]
 
 
-@pytest.mark.parametrize("kind", ["actuator-dead", "sensor-biased", "frames-missing", "none"])
+@pytest.mark.parametrize(
+    "kind", ["actuator-dead", "sensor-biased", "sensor-drift", "actuator-stuck"]
+)
 @given(
     at=st.floats(0.0, 0.06),
     lasts=st.none() | st.floats(1e-4, 0.05),
+    every=st.integers(1, 4),
     tick_s=st.sampled_from([0.001, 0.0004, 0.0033]),
+    first=st.integers(0, 30),
 )
-def test_all_ticks_at_once_are_those_one_by_one(kind, at, lasts, tick_s):
-    settings = [f"fault.at_s={at!r}", f"fault.for_s={lasts!r}"][: 1 if lasts is None else 2]
+def test_part_of_a_run_is_what_the_whole_has_there(kind, at, lasts, every, tick_s, first):
+    settings = [f"fault.at_s={at!r}", f"fault.every={every}", "fault.drift_per_s=0.5"]
+    settings += [] if lasts is None else [f"fault.for_s={lasts!r}"]
     settings += [f"tick_s={tick_s}", "duration_s=0.05", f"fault.kind={kind}"]
     scenario = load("thesis-step", settings)
-    actuator, sensor = ActuatorFault(scenario), SensorFault(scenario)
-    ticks = range(scenario.ticks)
-    assert effectiveness(scenario).tolist() == [list(actuator.effectiveness(k)) for k in ticks]
-    assert bias(scenario).tolist() == [sensor.bias(k) for k in ticks]
+    faults, whole, part = PlantFaults(scenario), range(60), range(first, 60)
+    for of in (faults.left, faults.bias, faults.rows):
+        np.testing.assert_array_equal(of(part), of(whole)[first:])
+    now = FaultsByTick(scenario).at(first)
+    assert now.left == tuple(faults.left(whole)[first])
+    assert now.bias == faults.bias(whole)[first]
 
 
 @pytest.mark.parametrize("channel", CHANNELS)
 @given(left=st.floats(0, 1, exclude_max=True))
 def test_a_partial_loss_leaves_its_share_in_its_window(channel, left):
     settings = [*SHORT, "fault.kind=actuator-dead", f"fault.channel={channel}"]
-    fault = ActuatorFault(load("thesis-step", [*settings, f"fault.left={left!r}"]))
-    lost = (left, 1.0) if channel == "torque" else (1.0, left)
-    for tick in range(12):
-        assert fault.effectiveness(tick) == (lost if tick in WINDOW else (1.0, 1.0))
+    faults = PlantFaults(load("thesis-step", [*settings, f"fault.left={left!r}"]))
+    lost = [left, 1.0] if channel == "torque" else [1.0, left]
+    assert faults.left(TICKS).tolist() == [lost if t in WINDOW else [1.0, 1.0] for t in TICKS]
 
 
 def test_half_of_the_torque_moves_a_linear_car_half_as_far():
@@ -87,84 +82,121 @@ def test_the_continuous_loop_knows_a_partial_loss_too(channel):
     assert run.measurement[-1] == pytest.approx(steady.item(), rel=1e-3)
 
 
-@pytest.mark.parametrize("channel", CHANNELS)
-@pytest.mark.parametrize("kind", ["frames-missing", "frames-corrupted", "none", "actuator-dead"])
-def test_frames_are_lost_on_their_channel_and_in_their_window_alone(kind, channel):
-    settings = [*SHORT, f"fault.kind={kind}", f"fault.channel={channel}"]
-    fault = FrameFault(load("thesis-step", settings))
-    for tick in range(12):
-        for index, name in enumerate(CHANNELS):
-            frame = Transmitter(COMMANDS[index]).frame(1.0, tick)
-            before = bytes(frame.data)
-            sent = fault.on_the_wire(frame, index, tick)
-            hit = kind.startswith("frames-") and tick in WINDOW and name == channel
-            if hit and kind == "frames-missing":
-                assert sent is None
-            else:
-                changed = sum(a != b for a, b in zip(before, sent.data, strict=True))
-                assert changed == (1 if hit else 0)
-                assert (sent.arbitration_id, sent.dlc) == (COMMANDS[index].frame_id, 8)
+def test_losses_that_overlap_leave_the_product():
+    half = [*SHORT, "fault.kind=actuator-dead", "fault.left=0.5"]
+    other = ["fault.1.kind=actuator-dead", "fault.1.left=0.25", "fault.1.at_s=0.006"]
+    left = PlantFaults(load("thesis-step", [*half, *other])).left(TICKS)[:, 0]
+    assert left.tolist() == [1.0] * 5 + [0.5] + [0.125] * 2 + [0.25] * 4
 
 
 @pytest.mark.parametrize("kind", ["frames-missing", "frames-corrupted"])
-def test_a_frame_fault_leaves_the_actuators_alone(kind):
-    fault = ActuatorFault(load("thesis-step", [*SHORT, f"fault.kind={kind}"]))
-    assert {fault.effectiveness(tick) for tick in range(12)} == {(1.0, 1.0)}
+def test_a_frame_fault_leaves_actuators_and_sensor_alone(kind):
+    faults = PlantFaults(load("thesis-step", [*SHORT, f"fault.kind={kind}"]))
+    assert (faults.left(TICKS) == 1.0).all()
+    assert not faults.bias(TICKS).any()
+    assert not len(faults.rows(TICKS))
 
 
-def test_a_biased_sensor_is_biased_while_the_fault_lasts_and_loses_nothing():
-    timing = ["tick_s=0.001", "duration_s=0.02", "fault.at_s=0.005", "fault.for_s=0.01"]
-    scenario = load("thesis-step", [*timing, "fault.kind=sensor-biased", "fault.bias_mps2=-0.25"])
+def applied(*settings, commands, latency=0):
+    """What acts on the car of ``commands`` of the torque."""
+    scenario = load("thesis-step", [*TIMING, f"latency_ticks={latency}", *settings])
+    plant = SimulatedPlant(scenario)
+    return [plant.advance(k, u, 0.0)["applied_torque_nm"] for k, u in enumerate(commands)]
+
+
+RAMP = [float(k) for k in range(1, 21)]  # a command of its own at every tick
+SINCE = [k / 1000 for k in range(10)]
+
+
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        (["kind=actuator-stuck"], [5.0] * 10),
+        (["kind=actuator-stuck", "value=-3"], [-3.0] * 10),
+        (["kind=actuator-offset", "offset=2.5"], [u + 2.5 for u in RAMP[5:15]]),
+        (["kind=actuator-drift", "drift_per_s=100"],
+         [u + 100 * t for u, t in zip(RAMP[5:15], SINCE, strict=True)]),
+        (["kind=actuator-oscillating", "amplitude=4", "frequency_rad_per_s=300"],
+         [u + 4 * math.sin(300 * t) for u, t in zip(RAMP[5:15], SINCE, strict=True)]),
+        (["kind=actuator-rate-limited", "rate_per_s=500"], [5.0 + 0.5 * k for k in range(1, 11)]),
+        (["kind=actuator-late", "late_ticks=3"], RAMP[2:12]),
+        (["kind=actuator-dead", "left=0.5"], [u / 2 for u in RAMP[5:15]]),
+    ],
+)  # fmt: skip
+def test_what_an_actuator_makes_of_its_commands(settings, expected):
+    """Each kind by hand; before and after it, the command itself."""
+    found = applied(*(f"fault.{each}" for each in settings), commands=RAMP)
+    assert found[:5] == RAMP[:5]
+    assert found[5:15] == pytest.approx(expected, abs=1e-12)
+    after = 15 if "rate" not in settings[0] else 16  # where it is at once
+    assert found[after:] == RAMP[after:]
+
+
+def test_a_fault_of_every_third_tick_lets_the_others_pass():
+    found = applied("fault.kind=actuator-stuck", "fault.value=0", "fault.every=3", commands=RAMP)
+    assert found == [0.0 if k in (5, 8, 11, 14) else u for k, u in enumerate(RAMP)]
+
+
+def test_a_late_actuator_is_late_beyond_the_latency_of_the_bus():
+    found = applied("fault.kind=actuator-late", "fault.late_ticks=3", commands=RAMP, latency=2)
+    assert found[5:15] == RAMP[:10]
+
+
+def test_faults_act_in_their_order():
+    stuck_first = ["fault.kind=actuator-stuck", "fault.value=1", "fault.1.kind=actuator-offset"]
+    offset_first = ["fault.kind=actuator-offset", "fault.offset=7", "fault.1.kind=actuator-stuck"]
+    when = ["fault.1.at_s=0.005", "fault.1.for_s=0.01"]
+    assert applied(*stuck_first, *when, "fault.1.offset=7", commands=RAMP)[7] == 8.0
+    assert applied(*offset_first, *when, "fault.1.value=1", commands=RAMP)[7] == 1.0
+
+
+def test_an_offset_does_not_take_an_actuator_beyond_its_limit():
+    limit = "plant.torque_actuator.limit_nm=8"
+    found = applied(limit, "fault.kind=actuator-offset", "fault.offset=50", commands=RAMP)
+    assert found[5:15] == [8.0] * 10
+
+
+def measured(*settings):
+    """What the sensor says of a car that is driven, and what it would say."""
+    scenario = load("thesis-step", [*TIMING, *settings])
     plant, healthy = SimulatedPlant(scenario), SimulatedPlant(scenario.healthy)
-    added = []
+    said, car = [], []
     for tick in range(20):
-        added.append(plant.measure() - healthy.measure())
+        said.append(plant.measure())
+        car.append(healthy.measure())
         for each in (plant, healthy):
             each.advance(tick, 10.0, 100.0)
-    np.testing.assert_allclose(added, [-0.25 if 5 <= tick < 15 else 0.0 for tick in range(20)])
-    assert not scenario.fault.loses_a_channel
+    return np.array(said), np.array(car)
 
 
-@given(st.floats(-1e6, 1e6), st.integers(0, 2**16), st.sampled_from(COMMANDS))
-def test_a_crc_8_finds_every_change_of_one_byte(value, tick, codec):
-    good = Transmitter(codec).frame(value, tick).data
-    assert good[0] == crc8(good, codec.data_id)
-    for at in range(8):
-        for flip in range(1, 256):
-            damaged = bytearray(good)
-            damaged[at] ^= flip
-            assert damaged[0] != crc8(damaged, codec.data_id)
+SWING = [0.25 * math.sin(300 * t) for t in SINCE]
 
 
-def corrupted(seed, count=400):
-    """Frames of ``count`` ticks under the fault, and what they were."""
-    settings = ["duration_s=1", "fault.kind=frames-corrupted", "fault.at_s=0", f"seed={seed}"]
-    fault, transmitter = FrameFault(load("thesis-step", settings)), Transmitter(COMMANDS[0])
-    pairs = []
-    for tick in range(count):
-        frame = transmitter.frame(tick, tick)
-        before = bytes(frame.data)
-        pairs.append((before, bytes(fault.on_the_wire(frame, 0, tick).data)))
-    return pairs
+@pytest.mark.parametrize(
+    ("settings", "expected"),
+    [
+        (["kind=sensor-biased", "bias_mps2=-0.25"], lambda y: y[5:15] - 0.25),
+        (["kind=sensor-drift", "drift_per_s=-4"], lambda y: y[5:15] - 4 * np.array(SINCE)),
+        (["kind=sensor-oscillating", "amplitude=0.25", "frequency_rad_per_s=300"],
+         lambda y: y[5:15] + np.array(SWING)),
+        (["kind=sensor-dead"], lambda y: 0 * y[5:15]),
+        (["kind=sensor-dead", "left=0.5"], lambda y: y[5:15] / 2),
+        (["kind=sensor-stuck"], lambda y: y[[4] * 10]),
+        (["kind=sensor-stuck", "value=1.5"], lambda y: np.full(10, 1.5)),
+        (["kind=sensor-late", "late_ticks=4"], lambda y: y[1:11]),
+        (["kind=sensor-rate-limited", "rate_per_s=0.001"],
+         lambda y: y[4] + 1e-6 * np.arange(1, 11)),
+    ],
+)  # fmt: skip
+def test_what_a_sensor_makes_of_the_car(settings, expected):
+    said, car = measured(*(f"fault.{each}" for each in settings))
+    assert (np.diff(car[4:16]) > 1e-5).all()  # or the comparison would show nothing
+    np.testing.assert_array_equal(said[:5], car[:5])
+    np.testing.assert_allclose(said[5:15], expected(car), rtol=1e-12, atol=1e-15)
+    np.testing.assert_array_equal(said[16:], car[16:])
 
 
-def test_damage_comes_from_the_seed_reaches_every_byte_and_every_bit_and_none_is_accepted():
-    pairs = corrupted(seed=3)
-    assert pairs == corrupted(seed=3)
-    assert pairs != corrupted(seed=4)
-    reached = 0
-    receiver = Receiver(COMMANDS[0])
-    for tick, (before, after) in enumerate(pairs):
-        reached |= int.from_bytes(before, "big") ^ int.from_bytes(after, "big")
-        message = can.Message(arbitration_id=COMMANDS[0].frame_id, is_extended_id=False, data=after)
-        assert receiver.accept(message, tick) is None
-    assert reached == 2**64 - 1
-    assert receiver.rejected == {"wrong_crc": len(pairs)}
-
-
-@pytest.mark.parametrize("kind", ["none", "actuator-dead", "frames-missing", "frames-corrupted"])
-@pytest.mark.parametrize("channel", CHANNELS)
-def test_only_a_fault_of_frames_concerns_the_frames_of_its_channel(kind, channel):
-    fault = FrameFault(load("thesis-step", [f"fault.kind={kind}", f"fault.channel={channel}"]))
-    expected = [kind.startswith("frames-") and channel == name for name in CHANNELS]
-    assert [fault.concerns(at) for at in range(2)] == expected
+@pytest.mark.parametrize("kind", ["sensor-biased", "sensor-stuck", "frames-missing"])
+def test_a_fault_of_the_sensor_loses_no_channel(kind):
+    scenario = load("thesis-step", [f"fault.kind={kind}", "fault.channel=sensor"])
+    assert not any(fault.loses_a_channel for fault in scenario.faults)

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.plant.delivery import delivery
+from can_rig.plant.faults.delivery import delivery
 from can_rig.plant.frameless import frameless
 from can_rig.plant.sensor import SensorNoise, noise
 from can_rig.results.signals import read_signals

@@ -126,3 +126,5 @@ def test_the_hold_is_a_whole_number_of_ticks_though_its_quotient_is_not(hold_tic
 def test_the_sensor_is_biased_from_its_first_sample_on():
     bias = ["fault.kind=sensor-biased", "fault.bias_mps2=0.5", "fault.at_s=0", "fault.for_s=0.001"]
     assert outputs(bias, [(0.0, 0.0)] * 2).tolist() == [0.5, 0.0, 0.0]
+    later = [*bias, "fault.at_s=0.002"]
+    assert outputs(later, [(0.0, 0.0)] * 4).tolist() == [0.0, 0.0, 0.5, 0.0, 0.0]

@@ -12,7 +12,7 @@ from can_rig.assessment.resolve import load
 from can_rig.logs.reading import read_log
 from can_rig.replay.replay import OpenLoop
 from can_rig.scenario.build import network_of
-from can_rig.scenario.settings import CHANNELS
+from can_rig.scenario.tables.fault import CHANNELS
 
 FOLDER = Path(__file__).parents[2] / "drives"
 DRIVES: dict[str, dict[str, Any]] = tomllib.loads((FOLDER / "drives.toml").read_text("utf-8"))
@@ -37,7 +37,7 @@ def test_every_drive_is_there_and_says_what_it_is_for() -> None:
 def test_the_firmware_answers_as_it_did(name: str) -> None:
     loop = replayed(name)
     scenario = load(DRIVES[name]["scenario"], DRIVES[name]["set"])
-    fault, comparison = scenario.fault, loop.comparison
+    fault, comparison = scenario.loss, loop.comparison
     lost = round(fault.for_s / scenario.tick_s) if fault.kind.startswith("frames-") else 0
     assert comparison.identical
     assert comparison.ticks == scenario.ticks

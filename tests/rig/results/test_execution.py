@@ -23,7 +23,7 @@ from can_rig.results import execution
 from can_rig.results.execution import execute
 from tests.helpers import asked, record
 
-FILES = {"bus.log", "bus.plant.csv", "report.png", "run.json", "signals.csv"}
+FILES = {"bus.log", "bus.plant.csv", "report.html", "report.png", "run.json", "signals.csv"}
 SHORT = ["duration_s=0.02"]
 SCENARIO = load("thesis-step", SHORT)
 FAILING = """

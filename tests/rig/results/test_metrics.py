@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 import pytest
 
@@ -63,7 +61,7 @@ def test_a_lost_force_difference_is_missed_only_where_it_acted(
     scenario = load("thesis-step", ["duration_s=2.0", *lost, *settings])
     force = np.zeros(scenario.ticks)
     force[first:last] = -5.0
-    if scenario.fault.kind == "frames-missing":
+    if scenario.loss.kind == "frames-missing":
         force[1000:1500] = np.nan
     values = metrics(scenario, quiet(scenario, force_difference_n=force))
     assert values["missed_detection"] is missed
@@ -165,7 +163,7 @@ def test_rows_say_only_what_the_run_has() -> None:
     closed = labels(scenario, metrics(scenario, quiet(scenario)))
     assert "|error| after the fault, peak: 0 m/s²" in closed
     assert "deviation" in closed and "never" in closed
-    healthy = replace(scenario, fault=replace(scenario.fault, kind="none"))
+    healthy = scenario.healthy
     without = labels(healthy, metrics(healthy, quiet(healthy)))
     assert "|error|, settled: 0 m/s²" in without
     assert not any(word in without for word in ("after", "before", "deviation", "never", "None"))

@@ -29,7 +29,7 @@ LINES = {
     "plant.speed_mps=1e6": "plant.speed_mps = 1000000.0: must be at most 200",
     "plant.lateral_weight=1.5": "plant.lateral_weight = 1.5: must be at most 1",
     "plant.kind=boat": "plant.kind = 'boat': must be steer-by-wire, transfer-functions, "
-    "state-space or package.module:Class",
+    "state-space, fmu:FILE.fmu or package.module:Class",
     "fault.left=1": "fault.left = 1: must be less than 1",
     "tick_s=0": "tick_s = 0: must be at least 0.00001",
     "tick_s=nan": "tick_s = nan: must be a finite number",

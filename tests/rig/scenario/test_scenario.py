@@ -27,7 +27,7 @@ def flat(values, prefix=""):
 
 
 ACTUATOR_LIMITS = re.compile(r"actuator\.(limit|rate)_")
-BY_NUMBERS = re.compile(r"plant\.(kind$|g1|g2|a$|b$|c$|input_|output)|network")  # elsewhere
+BY_NUMBERS = re.compile(r"plant\.((kind|fmi_type|a|b|c)$|g1|g2|input_|output)|network")  # elsewhere
 DEFAULTS = flat(Scenario("x").as_dict())
 OTHER = {
     "tick_s": 0.002, "duration_s": 3.0, "latency_ticks": 2, "seed": 7,
@@ -48,7 +48,9 @@ OTHER = {
     "reference.kind": "sine", "reference.amplitude_mps2": 2.0,
     "reference.frequency_rad_per_s": 3.0, "reference.file": "r.csv",
     "fault.kind": "frames-missing", "fault.channel": "force-difference", "fault.at_s": 1.5,
-    "fault.for_s": 0.5, "fault.left": 0.5, "fault.bias_mps2": 0.2,
+    "fault.for_s": 0.5, "fault.left": 0.5, "fault.bias_mps2": 0.2, "fault.every": 3,
+    "fault.value": 1.0, "fault.offset": 2.0, "fault.drift_per_s": 3.0, "fault.amplitude": 4.0,
+    "fault.frequency_rad_per_s": 5.0, "fault.rate_per_s": 6.0, "fault.late_ticks": 7,
     **{
         f"plant.{actuator}.{key}": value
         for actuator in ("torque_actuator", "force_difference_actuator")
@@ -92,7 +94,7 @@ def test_the_defaults_are_the_thesis_s():
     assert (car.front_cornering_stiffness_n_per_rad, car.trail_m) == (33700, 0.05)
     step = load("thesis-step")
     assert (step.duration_s, step.tick_s, step.ticks, step.tick_ns) == (20, 0.001, 20000, 10**6)
-    assert (step.fault.kind, step.fault.channel, step.fault.at_s) == ("actuator-dead", "torque", 10)
+    assert (step.loss.kind, step.loss.channel, step.loss.at_s) == ("actuator-dead", "torque", 10)
     assert load("thesis-sine").reference.frequency_rad_per_s == 5
     assert load("no-compensation").design.compensation == "off"
 
@@ -118,7 +120,7 @@ def test_the_scenarios_of_use_are_what_their_names_say():
     assert load("noisy").plant.sensor.noise_mps2 > 0.0
     assert load("highway").plant.speed_mps == load("highway").model.speed_mps == 30.0
     assert load("lane-change").reference.kind == "lane-change"
-    assert load("partial-loss").fault.left == 0.5
+    assert load("partial-loss").loss.left == 0.5
 
 
 def test_the_list_of_changes_below_names_every_key():
@@ -153,7 +155,7 @@ def test_later_settings_win_whole_numbers_are_numbers_and_quotes_are_optional():
     scenario = load("thesis-step", ["plant.speed_mps=20", "plant.speed_mps = 30"])
     assert (scenario.plant.speed_mps, type(scenario.plant.speed_mps)) == (30.0, float)
     for text in ("fault.kind=none", "fault.kind='none'", 'fault.kind = "none"'):
-        assert load("thesis-step", [text]).fault.kind == "none"
+        assert load("thesis-step", [text]).loss.kind == "none"
 
 
 def test_a_scenario_survives_json_and_is_frozen():

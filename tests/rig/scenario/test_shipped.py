@@ -28,7 +28,7 @@ def alarms(scenario: Scenario) -> int:
 
 def confirmed_after_s(scenario: Scenario) -> float:
     state = frameless(scenario, network_of(scenario)).fault_state
-    at = round(scenario.fault.at_s / scenario.tick_s)
+    at = round(scenario.loss.at_s / scenario.tick_s)
     assert not (state[:at] == FaultState.CONFIRMED).any()
     return float(np.flatnonzero(state[at:] == FaultState.CONFIRMED)[0]) * scenario.tick_s
 
@@ -62,7 +62,7 @@ def test_cars_that_are_20_percent_off_raise_no_alarm(name: str, levels: str) -> 
 def test_what_is_lost_stays_lost_whatever_the_noise(name: str) -> None:
     """And is made up for: without compensation D* would be 1 m/s² off."""
     scenario = load(name)
-    at = round(scenario.fault.at_s / scenario.tick_s)
+    at = round(scenario.loss.at_s / scenario.tick_s)
     for seed in range(15):
         trace = frameless(replace(scenario, seed=seed), network_of(scenario))
         after = trace.fault_state[at:]

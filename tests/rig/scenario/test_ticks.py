@@ -5,7 +5,8 @@ from decimal import Decimal
 from hypothesis import given
 from hypothesis import strategies as st
 
-from can_rig.scenario.settings import FaultSettings, Scenario
+from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.fault import FaultSettings
 
 
 @given(st.integers(1, 10**6), st.integers(10_000, 10**9))
@@ -25,7 +26,22 @@ def test_ticks_are_the_whole_ones_that_fit(count, tick_ns):
 def test_a_fault_lasts_its_whole_ticks_and_not_one_by_rounding(first, count, tick_ns):
     at_s, for_s = (float(Decimal(n * tick_ns).scaleb(-9)) for n in (first, count))
     fault = FaultSettings("frames-missing", "torque", at_s, for_s)
-    around = [first - 1, first, first + count - 1, first + count]
-    assert [fault.active(tick * tick_ns) for tick in around] == [False, True, True, False]
-    assert FaultSettings("frames-missing", "torque", at_s).active(10**18)
-    assert not FaultSettings("none", "torque", at_s).active(first * tick_ns)
+    run = range(100_000)
+    assert fault.ticks(tick_ns, run) == range(first, first + count)
+    assert FaultSettings("frames-missing", "torque", at_s).ticks(tick_ns, run) == run[first:]
+    assert not FaultSettings("none", "torque", at_s).ticks(tick_ns, run)
+
+
+@given(
+    st.integers(0, 50),
+    st.integers(1, 60),
+    st.integers(1, 9),
+    st.integers(0, 80),
+    st.integers(0, 80),
+)
+def test_part_of_a_run_has_the_same_ticks_of_a_fault_as_the_whole(first, count, every, begin, many):
+    """By definition: every n-th tick from the first on."""
+    fault = FaultSettings("frames-missing", "torque", first / 1000, count / 1000, every)
+    part = range(begin, begin + many)
+    wanted = [k for k in part if first <= k < first + count and (k - first) % every == 0]
+    assert list(fault.ticks(10**6, part)) == wanted

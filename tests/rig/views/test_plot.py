@@ -14,7 +14,6 @@ from can_rig.cli.logs.plot import resolve
 from can_rig.decoding.decode import Decoder, decode_log
 from can_rig.errors import DbcError
 from can_rig.frames.mapped.database import load_database
-from can_rig.scenario.settings import FaultSettings
 from can_rig.views.plot_picture import MAX_POINTS, plot_page, thinned
 from tests.helpers import DBC, asked, record
 
@@ -93,12 +92,12 @@ def test_one_panel_a_unit_words_on_the_axis_and_a_date(car: Path) -> None:
 def test_a_run_folder_has_its_own_dbc_and_fault(tmp_path: Path) -> None:
     log, _, scenario = record(tmp_path, "duration_s=0.05", "fault.at_s=0.02")
     messages = decode_log(log, DBC / "steer_by_wire.dbc")
-    page = plot_page(messages, [("DSTAR_FEEDBACK", "DStar")], 0, scenario.fault)
+    page = plot_page(messages, [("DSTAR_FEEDBACK", "DStar")], 0, scenario.faults)
     (axis,) = page.axes
     (span,) = axis.patches
     low, high = span.get_extents().transformed(axis.transData.inverted()).intervalx
     assert (low, high) == pytest.approx((0.02, 0.049001))
-    bare = plot_page(messages, [("DSTAR_FEEDBACK", "DStar")], 0, FaultSettings())
+    bare = plot_page(messages, [("DSTAR_FEEDBACK", "DStar")], 0, ())
     assert not bare.axes[0].patches
 
 

@@ -22,10 +22,10 @@ def reals(random: np.random.Generator, shape: tuple[int, ...], precision: Precis
     """Mostly of ordinary size, some of every kind that there is."""
     limits = np.finfo(precision)
     ordinary = random.standard_normal(shape) * 10.0 ** random.uniform(-3, 3, shape)
-    odd = random.choice(
-        [0.0, -0.0, np.inf, -np.inf, np.nan, limits.max, -limits.max, limits.tiny,
-         limits.smallest_subnormal, 1.0, -1.0], shape
-    )  # fmt: skip
+    kinds: list[float] = [0.0, -0.0, np.inf, -np.inf, np.nan, 1.0, -1.0]
+    for each in (limits.max, -limits.max, limits.tiny, limits.smallest_subnormal):
+        kinds.append(float(each))
+    odd = random.choice(kinds, shape)
     share = random.choice([0.0, 0.0, 0.02, 0.3])
     with np.errstate(over="ignore"):
         return np.where(random.random(shape) < share, odd, ordinary).astype(precision)
@@ -42,6 +42,7 @@ def fill(random: np.random.Generator, record: Any, precision: Precision) -> None
 
 
 def random_table(random: np.random.Generator, precision: Precision) -> RecordArray:
+    """A table, shape (1,), in which counts and indices are in range and some numbers make sense."""
     tables = np.zeros(1, table_type(precision))
     table: Record = tables[0]
     fill(random, tables[0], precision)
@@ -75,12 +76,14 @@ def random_table(random: np.random.Generator, precision: Precision) -> RecordArr
     table.mismatch.n = 0 if random.random() < 0.1 else cars.n + 3
     table.reference_shaper.enabled = random.integers(0, 2)
     table.compensator.on_confirmation = random.integers(0, 2)
+    table.decision.tracks_share = int(random.random() < 0.2)
     table.decision.pause_ticks = random.integers(0, 5)
     table.probe.ticks = random.choice([0, 0, 3])
     return tables
 
 
 def random_state(random: np.random.Generator, table: Record, precision: Precision) -> RecordArray:
+    """A state for ``table``, shape (1,), with indices that exist."""
     states = np.zeros(1, state_type(precision))
     state: Record = states[0]
     fill(random, states[0], precision)
@@ -91,15 +94,10 @@ def random_state(random: np.random.Generator, table: Record, precision: Precisio
         ("shown_index_2", constants.shown_ticks_2),
     ):  # fmt: skip
         setattr(estimator, index, random.integers(0, max(size, 1)))
+    if random.random() < 0.3:
+        state.bumpless_transfer.carried_speed = random.choice([np.inf, np.nan])
     state.mode, state.fault_state = random.integers(0, 4, 2)
     state.probe.tick = random.integers(0, table.probe.ticks + 1)
     state.decision.pause = random.integers(0, 4)
     state.mismatch.covariance.variances[:] = abs(state.mismatch.covariance.variances)
     return states
-
-
-def bits(states: RecordArray) -> bytes:
-    """The state as bytes, every not-a-number the same: which one comes out is the processor's."""
-    numbers = states.view(states.dtype["command_1"]).copy()
-    numbers[np.isnan(numbers)] = np.nan
-    return numbers.tobytes()

@@ -12,6 +12,7 @@ from numpy.typing import ArrayLike
 from firmware_model.compiled import compiled
 from firmware_model.discretisation.rules import Rule
 from firmware_model.discretisation.sections import ComplexArray, Sections
+from firmware_model.discretisation.single_filter.c_source import c_source
 from firmware_model.discretisation.systems import zero_pole_gain
 from firmware_model.discretisation.tustin import RULES, tustin
 from firmware_model.errors import ParameterError
@@ -130,6 +131,19 @@ class Filter:
         Standard sections of a filter that is slow for its tick have fewer digits than these in δ.
         """
         return self.sections.sos
+
+    def to_c(self, name: str = "filter") -> dict[str, str]:
+        """The filter as C99, text by file name: ``name.h`` and ``name.c``, with nothing to add.
+
+        ``name_step`` and ``name_reset`` have the bits of ``step`` and ``reset``.
+
+        Args:
+            name: of the files, the struct of the state, and what its functions' names begin with.
+
+        Raises:
+            ParameterError: ``name`` is no name in C.
+        """
+        return c_source(self.sections.coefficients, self.precision, name, repr(self)[1:-1])
 
     def __repr__(self) -> str:
         """Order, rule, tick, precision, DC gain, and how near the poles are to the circle."""

@@ -1,4 +1,4 @@
-"""What --report says: costs on emulated boards and findings, each against something known."""
+"""What --report says of costs on emulated boards, against something known."""
 
 from __future__ import annotations
 
@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
+from can_rig.export.evidence.costs import cost, inputs_of_run, instructions
 from can_rig.export.folder import exported
 from can_rig.export.law import law_files
-from can_rig.export.report import cost, findings, inputs_of_run, instructions
 from can_rig.export.running.emulated_ecu import COMPILER, EMULATOR
 
 pytestmark = pytest.mark.skipif(
@@ -47,11 +47,3 @@ def test_counts_are_exact_to_two_instructions() -> None:
     turns = np.array([1.0, 101.0, 1001.0, 5001.0])
     counts = instructions(files, "m4f", np.column_stack([turns, turns]))
     assert np.allclose(counts - counts[0], 2.0 * (turns - 1.0), atol=2.0)
-
-
-def test_findings_are_found() -> None:
-    files = exported(SCENARIO)
-    found = findings({name: text for name, text in files.items() if name.startswith("e2e")})
-    assert all(n in (0, "not installed") for n in found.values())
-    wrong = {"wrong.c": "int f(void); int f(void) { int unused; return 0; }\n"}
-    assert findings(wrong)["gcc"] != 0

@@ -1,4 +1,4 @@
-"""What the exported controller costs: memory and instructions on emulated boards, and findings.
+"""What the exported controller costs: memory and instructions on emulated boards.
 
 Instructions are counted on the inputs of the scenario itself, in Python's run of it. A stack is the
 deepest chain of calls, each with what the compiler says that it needs.
@@ -7,7 +7,6 @@ deepest chain of calls, each with what the compiler says that it needs.
 from __future__ import annotations
 
 import re
-import shutil
 import subprocess
 import tempfile
 from collections.abc import Mapping
@@ -21,7 +20,7 @@ from can_rig.errors import ExportError
 from can_rig.export.application import application
 from can_rig.export.folder import in_precision
 from can_rig.export.law import law_program
-from can_rig.export.running.compiler import WARNINGS, run
+from can_rig.export.running.compiler import run
 from can_rig.export.running.emulated_ecu import BOARDS, COMPILER, FLAGS, emulation, image_of
 from can_rig.plant.frameless import frameless
 from can_rig.scenario.build import network_of
@@ -136,31 +135,3 @@ def _deepest(function: str, own: Mapping[str, int]) -> int:
     typed = law_program().functions[function]
     below = {callee.function.c_name for callee in typed.calls.values()}
     return own.get(function, 0) + max((_deepest(each, own) for each in below), default=0)
-
-
-def findings(files: Mapping[str, str]) -> dict[str, int | str]:
-    """By tool, how many warnings it has on exported files, or that it is not installed.
-
-    Raises:
-        ExportError: a compiler refuses.
-    """
-    found: dict[str, int | str] = {}
-    with tempfile.TemporaryDirectory(prefix="can-rig-") as place:
-        folder = Path(place)
-        for name, text in files.items():
-            (folder / name).write_text(text, encoding="utf-8")
-        units = sorted(name for name in files if name.endswith(".c"))
-        strict = ["-std=c99", *WARNINGS, "-O2", "-c"]
-        check = ["--quiet", "--std=c99", "--enable=warning,performance,portability", "."]
-        for tool, command in {
-            "gcc": ["gcc", *strict, *units],
-            "gcc -fanalyzer": ["gcc", *strict, "-fanalyzer", *units],
-            "clang": ["clang", *strict, *units],
-            "cppcheck": ["cppcheck", *check],
-        }.items():
-            if shutil.which(command[0]) is None:
-                found[tool] = "not installed"
-            else:
-                said = run(command, folder)
-                found[tool] = len(re.findall(r"\b(?:warning|error|performance|portability):", said))
-    return found

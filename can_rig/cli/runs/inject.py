@@ -1,0 +1,76 @@
+"""``can-rig inject``: one command to a plant node that was started with --injectable."""
+
+from __future__ import annotations
+
+import click
+
+from can_rig.buses.bus import open_bus
+from can_rig.cli.options import bus_option
+from can_rig.cli.output import say
+from can_rig.frames.beside import control
+from can_rig.nodes.operator.operating import operate
+
+DO: dict[str, control.Action] = {
+    "clear": "CLEAR",
+    "reference": "MOVE_REFERENCE",
+    "pace": "PACE",
+    "pause": "PAUSE",
+    "step": "STEP",
+}
+
+
+def _kinds(place: str) -> dict[str, str]:
+    """What can be wrong with ``place``: the word on the command line → the kind."""
+    prefix = "sensor-" if place == "sensor" else "actuator-"
+    return {kind.removeprefix(prefix): kind for kind in control.kinds() if kind.startswith(prefix)}
+
+
+@click.command("inject")
+@click.argument("what", type=click.Choice([*control.places(), *DO]))
+@click.argument("how", required=False)
+@bus_option("local", "local")
+@click.option(
+    "--for",
+    "for_s",
+    type=click.FloatRange(control.SHORTEST_S, control.LONGEST_S),
+    metavar="S",
+    help=f"Seconds that a fault lasts, {control.SHORTEST_S:g} to {control.LONGEST_S:g}.  "
+    "[default: until it is cleared]",
+)
+@click.option("--value", type=float, help="The fault's one number, in the unit of what fails.")
+def command(what: str, how: str | None, bus: str, for_s: float | None, value: float | None) -> None:
+    """Touch a run that goes on: inject torque dead --for 2, inject clear.
+
+    WHAT is torque, force-difference or sensor, with HOW it fails: dead (--value: what is left),
+    stuck, offset, drift, oscillating, rate-limited, late; a sensor is biased rather than offset.
+    Or it is clear [all or one of them], reference MPS2 (added to it), pace TIMES-REAL-TIME, pause
+    (pace goes on), step TICKS.
+    """
+    asked = _command(what, how, for_s, value)
+    with open_bus(bus) as opened:
+        operate(opened, bus, asked)
+    say(f"{what} {how or ''}".rstrip() + ": done")
+
+
+def _command(
+    what: str, how: str | None, for_s: float | None, value: float | None
+) -> control.Command:
+    if what in control.places():
+        kinds = _kinds(what)
+        if how not in kinds:
+            raise click.UsageError(f"{what} {how or ''}: must be one of {', '.join(kinds)}")
+        return control.Command("INJECT", kinds[how], what, value, for_s)
+    if for_s is not None or value is not None:
+        raise click.UsageError(f"{what}: --for and --value are those of a fault")
+    if what == "clear":
+        place = how or control.ALL
+        if place not in (control.ALL, *control.places()):
+            raise click.UsageError(f"clear {how}: must be one of {', '.join(control.places())}")
+        return control.Command("CLEAR", place=place)
+    if what == "pause":
+        return control.Command("PAUSE")
+    try:
+        number = float(how if how is not None else "1" if what == "step" else "")
+    except ValueError:
+        raise click.UsageError(f"{what} {how or ''}: must be followed by a number") from None
+    return control.Command(DO[what], value=number)

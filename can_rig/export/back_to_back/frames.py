@@ -1,0 +1,59 @@
+"""Frames of any kind for the controller node: damaged, short, repeated, missing, of other ticks."""
+
+from __future__ import annotations
+
+import math
+import random
+
+import can
+
+from can_rig.export.running.bench_ecu import COUNT, RESTART, frame_order, time_order
+from can_rig.frames.endpoints import Transmitter
+from can_rig.frames.network import Network
+
+TICKS = 60
+LAST_TICKS = 65530  # the 16 bits of the tick end soon
+
+
+def random_frames(network: Network, seed: int) -> list[list[can.Message]]:
+    """By tick, what the plant node might have sent, the same for the same ``seed``."""
+    choose, ticks = random.Random(seed), []
+    reference, feedback = Transmitter(network.reference), Transmitter(network.feedback)
+    first = choose.choice([0, LAST_TICKS])
+    for tick in range(first, first + TICKS):
+        frames: list[can.Message] = []
+        for transmitter in (reference, feedback):
+            if choose.random() < 0.03:  # so many are lost one after the other
+                for _ in range(choose.randrange(1, 9)):
+                    transmitter.frame(0.0, tick)
+            size = choose.choice([1.0, 1.0, 1.0, 1.0, 1e3, math.inf, math.nan])
+            message = transmitter.frame(size * choose.uniform(-2, 2), tick)
+            what = choose.random()
+            if what < 0.04:
+                continue
+            if what < 0.08:
+                message.data[choose.randrange(8)] ^= 1 << choose.randrange(8)
+            if what > 0.97:
+                message.data = message.data[: choose.randrange(8)]
+            frames += [message] * choose.choice([1, 1, 1, 1, 2])
+        ticks.append(frames)
+    return ticks
+
+
+def as_orders(network: Network, seeds: range, tick_us: int) -> bytes:
+    """Such frames by the clock as orders of `support/bench.h`, each seed's from a start of its own.
+
+    The clock wraps; it is looked at before half a tick has passed and after that.
+    """
+    orders = []
+    for seed in seeds:
+        choose, at_us = random.Random(seed), 2**32 - TICKS // 2 * tick_us
+        orders.append(RESTART)
+        for frames in random_frames(network, seed):
+            orders.append(time_order(at_us + choose.randrange(-tick_us // 20, tick_us // 20)))
+            for message in frames:
+                orders.append(frame_order(message.arbitration_id, bytes(message.data)))
+            orders += [time_order(at_us + tick_us * tenth // 10) for tenth in (4, 6)]
+            at_us += tick_us
+        orders.append(COUNT)
+    return b"".join(orders)

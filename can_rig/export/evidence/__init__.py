@@ -1,0 +1,1 @@
+"""What an exported controller costs, and what tools find in it."""

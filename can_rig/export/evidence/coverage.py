@@ -1,0 +1,95 @@
+"""How much of the C the back-to-back trials run: gcov, by line and by branch; and what differs."""
+
+from __future__ import annotations
+
+import json
+import subprocess
+import tempfile
+from collections.abc import Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Final
+
+from can_rig.export.application import application
+from can_rig.export.back_to_back.frames import as_orders
+from can_rig.export.back_to_back.programs import HOST_FLAGS, on_host, trial_files
+from can_rig.export.back_to_back.trials import different, encoded, in_python, random_trials
+from can_rig.export.law import law_files, support
+from can_rig.export.running.compiler import run
+from can_rig.export.running.ecu import bench
+from can_rig.scenario.build import network_of
+from can_rig.scenario.settings import Scenario
+
+MEMORIES: Final = 100
+TICKS: Final = 12
+NODES: Final = range(20)
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """What was run, of the lines and the branches that there are."""
+
+    compared: int
+    """States of the law, of which so many differ from Python's:"""
+    different: int
+    lines: int
+    lines_run: int
+    branches: int
+    branches_taken: int
+    missed: tuple[str, ...]
+    """Lines that were not run, as ``file:line``."""
+
+
+def coverage(scenario: Scenario) -> Coverage:
+    """Of a scenario's controller: of the law by random memory, of the node by random frames.
+
+    Raises:
+        ExportError: gcc refuses, or a program ends early.
+    """
+    law = law_files(scenario.design.precision)
+    whole = application(scenario)
+    trials = random_trials(scenario.design.precision, 0, MEMORIES, TICKS)
+    answers, parts = _measured(trial_files(law), encoded(trials), {*law})
+    _, others = _measured(
+        whole | bench(whole),
+        as_orders(network_of(scenario), NODES, round(scenario.tick_s * 1e6)),
+        {*whole} - {*law},
+    )
+    lines, branches = {}, []
+    for name, each in (*parts, *others):
+        lines[f"{name}:{each['line_number']}"] = each["count"]
+        branches += [branch["count"] for branch in each["branches"]]
+    missed = tuple(place for place, count in lines.items() if not count)
+    return Coverage(
+        MEMORIES * (TICKS + 1),
+        different(in_python(trials), answers, trials),
+        len(lines),
+        len(lines) - len(missed),
+        len(branches),
+        sum(count > 0 for count in branches),
+        missed,
+    )
+
+
+def _measured(
+    files: Mapping[str, str], orders: bytes, wanted: set[str]
+) -> tuple[bytes, list[tuple[str, dict[str, Any]]]]:
+    """What a program answers, and every line of the ``wanted`` files as gcov describes it."""
+    with tempfile.TemporaryDirectory(prefix="can-rig-") as place:
+        folder = Path(place)
+        for name, text in {**files, "bench_main.c": support("bench_main.c")}.items():
+            (folder / name).write_text(text, encoding="utf-8")
+        units = sorted(path.name for path in folder.glob("*.c"))
+        run(["gcc", *HOST_FLAGS, "-O0", "--coverage", "-o", "program", *units, "-lm"], folder)
+        answers = on_host(folder / "program", orders)
+        found = []
+        for data in sorted(folder.glob("*.gcda")):
+            said = subprocess.run(
+                ["gcov", "--json-format", "--stdout", "--branch-probabilities", data.name],
+                cwd=folder, capture_output=True, check=True, text=True,
+            ).stdout  # fmt: skip
+            for file in json.loads(said)["files"]:
+                name = Path(file["file"]).name
+                if name in wanted and name.endswith(".c"):
+                    found += [(name, line) for line in file["lines"]]
+    return answers, found

@@ -1,0 +1,82 @@
+#include "bench.h"
+
+#include "harness.h"
+
+#define ORDER_BYTES 12
+#define ORDER_FRAME 'F'
+#define ORDER_COUNTS 'C'
+#define ORDER_RESTART 'R'
+#define ORDER_TIME 'T'
+#define COUNTS (2 * E2E_STATUSES)
+
+static struct ecu ecu;
+
+static bool is_order(uint8_t letter)
+{
+    return letter == ORDER_FRAME || letter == ORDER_COUNTS || letter == ORDER_RESTART ||
+           letter == ORDER_TIME;
+}
+
+static bool read_order(uint8_t order[ORDER_BYTES])
+{
+    do {
+        if (!bench_read(order, 1)) {
+            return false;
+        }
+    } while (!is_order(order[0]));
+    return bench_read(&order[1], ORDER_BYTES - 1);
+}
+
+static bool answer_frame(const uint8_t order[ORDER_BYTES])
+{
+    uint8_t answer[1 + HARNESS_MOST_FRAMES * HARNESS_FRAME_BYTES];
+    const uint16_t low = (uint16_t)(order[1] | order[2] << 8);
+    const uint16_t high = (uint16_t)(order[3] | order[4] << 8);
+
+    answer[0] = order[0] == ORDER_TIME
+                    ? harness_time(&ecu, (uint32_t)high << 16 | low, &answer[1])
+                    : harness_frame(&ecu, low, order[3], &order[4], &answer[1]);
+    return bench_write(answer, 1 + (uint32_t)answer[0] * HARNESS_FRAME_BYTES);
+}
+
+static bool answer_counts(void)
+{
+    uint32_t counts[COUNTS];
+    uint8_t answer[4 * COUNTS];
+
+    harness_counts(&ecu, counts);
+    for (uint32_t i = 0; i < sizeof answer; i++) {
+        answer[i] = (uint8_t)(counts[i / 4u] >> (8u * (i % 4u)) & 0xFFu);
+    }
+    return bench_write(answer, sizeof answer);
+}
+
+static bool restart(void)
+{
+    static const uint8_t identity[8] = {{identity}};
+
+    ecu_init(&ecu);
+    return bench_write(identity, sizeof identity);
+}
+
+void bench_run(void)
+{
+    uint8_t order[ORDER_BYTES];
+    bool there = true;
+
+    ecu_init(&ecu);
+    while (there && read_order(order)) {
+        switch (order[0]) {
+        case ORDER_FRAME:
+        case ORDER_TIME:
+            there = answer_frame(order);
+            break;
+        case ORDER_COUNTS:
+            there = answer_counts();
+            break;
+        default:
+            there = restart();
+            break;
+        }
+    }
+}

@@ -1,0 +1,31 @@
+/* The controller node on a test bench, in place of its CAN driver.
+ *
+ * Any link that keeps bytes in order will do: a serial port, semihosting. The bench sends orders of
+ * 12 bytes, of which the first says what it is; the node answers each one:
+ *
+ *     'F', identifier (2 bytes), length, data (8)   number of frames, then 10 bytes for each frame
+ *                                                   that was sent: identifier (2), data (8)
+ *     'T', microseconds (4), 7 bytes of anything    as for 'F'; frames that follow come at this time,
+ *                                                   and a feedback that is overdue is missed
+ *     'C', 11 bytes of anything                     80 bytes: how many frames of the reference, then
+ *                                                   of the feedback, had each e2e_status (4 each)
+ *     'R', 11 bytes of anything                     8 bytes that say which controller this is; it has
+ *                                                   started again, as after power-up
+ *
+ * Numbers have their low byte first. Bytes before an order that are none of these letters are skipped:
+ * 12 zeros end an order that was cut short.
+ */
+#ifndef BENCH_H
+#define BENCH_H
+
+#include <stdbool.h>
+#include <stdint.h>
+
+/* Answer orders for as long as there is a link. */
+void bench_run(void);
+
+/* To be provided by the board: all the bytes, however long it takes; false: the link has ended. */
+bool bench_read(uint8_t *data, uint32_t size);
+bool bench_write(const uint8_t *data, uint32_t size);
+
+#endif

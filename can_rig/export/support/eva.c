@@ -1,0 +1,40 @@
+/* The whole node for Frama-C's Eva: any frames for ever, at any time. */
+#include "__fc_builtin.h"
+#include "ecu.h"
+
+static struct ecu ecu;
+
+/* Eva does not know rint: it is one of the integers around its argument. */
+double rint(double x)
+{
+    return Frama_C_nondet(0, 1) ? floor(x) : ceil(x);
+}
+
+float rintf(float x)
+{
+    return Frama_C_nondet(0, 1) ? floorf(x) : ceilf(x);
+}
+
+void ecu_send(uint16_t id, const uint8_t data[8])
+{
+    (void)id;
+    (void)data;
+}
+
+int main(void)
+{
+    uint8_t data[8];
+
+    ecu_init(&ecu);
+    while (Frama_C_nondet(0, 1)) {
+        const uint16_t id = (uint16_t)Frama_C_interval(0, 0x7FF);
+        const uint8_t length = (uint8_t)Frama_C_interval(0, 8);
+        const uint32_t now_us = Frama_C_unsigned_int_interval(0, UINT32_MAX);
+
+        Frama_C_make_unknown((char *)data, sizeof data);
+        if (ecu_on_frame(&ecu, id, length, data, now_us) || ecu_is_overdue(&ecu, now_us)) {
+            ecu_on_tick(&ecu);
+        }
+    }
+    return 0;
+}

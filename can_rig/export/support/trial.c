@@ -1,0 +1,60 @@
+/* The law on any memory: table and state come from a bench, and each state goes back to it. It takes
+ * the place of bench.c. An order is a letter:
+ *
+ *     'M', table, state   there is no answer
+ *     'I'                 start up, from a state that is all zero; the state
+ *     'Z', reference      reset; the state
+ *     'S', reference, measurement   step; the state
+ *
+ * All as they lie in memory here.
+ */
+#include <string.h>
+
+#include "bench.h"
+#include "controller.h"
+#include "layout.h"
+
+static struct layout_table table;
+static struct layout_state state;
+
+static bool load(void *memory, uint32_t size)
+{
+    return bench_read(memory, size);
+}
+
+static bool obey(uint8_t order)
+{
+    real inputs[2];
+
+    switch (order) {
+    case 'M':
+        return load(&table, sizeof table) && load(&state, sizeof state);
+    case 'I':
+        memset(&state, 0, sizeof state);
+        controller_start_up(&table, &state);
+        break;
+    case 'Z':
+        if (!load(inputs, sizeof inputs[0])) {
+            return false;
+        }
+        controller_reset(&table, &state, inputs[0]);
+        break;
+    case 'S':
+        if (!load(inputs, sizeof inputs)) {
+            return false;
+        }
+        controller_step(&table, &state, inputs[0], inputs[1]);
+        break;
+    default:
+        return false;
+    }
+    return bench_write((const uint8_t *)&state, sizeof state);
+}
+
+void bench_run(void)
+{
+    uint8_t order;
+
+    while (bench_read(&order, 1) && obey(order)) {
+    }
+}

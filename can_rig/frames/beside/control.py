@@ -1,0 +1,199 @@
+"""The frames with which a run is touched while it goes on, as ``dbc/control.dbc`` has them."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import Final, Literal, NamedTuple, cast
+
+from can import Message
+from cantools.database.can import Message as DbcMessage
+from e2e.p01 import e2e_p01_check, e2e_p01_protect
+
+from can_rig.errors import DbcError
+from can_rig.frames.dbc import attribute, load_dbc, shipped_dbc
+from can_rig.frames.protection import COUNTERS, FRAME_BYTES
+
+DBC: Final = "control.dbc"
+SEQUENCES: Final = 255
+"""A multiple of the alive counter's 15, so that the counter follows from the sequence."""
+
+ALL: Final = "all"
+"""In place of a place."""
+
+SHORTEST_S: Final = 0.1
+LONGEST_S: Final = 25.5
+"""Of a fault that ends by itself."""
+
+Action = Literal["INJECT", "CLEAR", "MOVE_REFERENCE", "PACE", "PAUSE", "STEP"]
+
+
+class Command(NamedTuple):
+    """What one ``RIG_CONTROL`` asks for; see the DBC."""
+
+    action: Action
+    kind: str | None = None
+    """Of a fault."""
+    place: str = ALL
+    """Where it acts, or what is cleared."""
+    value: float | None = None
+    duration_s: float | None = None
+    """None: until it is cleared."""
+
+
+class State(NamedTuple):
+    """What one ``RIG_STATE`` says; see the DBC."""
+
+    injectable: bool
+    paused: bool
+    next_sequence: int
+    last_checksum: int
+    refused: int
+    pace: float
+
+
+@cache
+def _message(name: str) -> DbcMessage:
+    path = shipped_dbc(DBC)
+    for message in load_dbc(path).messages:
+        if message.name == name:
+            return message
+    raise DbcError(f"{path}: has no message {name}; it must have one")
+
+
+def identifiers() -> tuple[int, int, int]:
+    """Of ``RIG_CONTROL``, ``RIG_STATE`` and ``RIG_APPLIED``."""
+    control, state, applied = (
+        _message(f"RIG_{name}").frame_id for name in ("CONTROL", "STATE", "APPLIED")
+    )
+    return control, state, applied
+
+
+def kinds() -> tuple[str, ...]:
+    """The faults that can be injected, by the words of a scenario."""
+    return tuple(str(word) for word in _choices("Kind").values())
+
+
+def places() -> tuple[str, ...]:
+    """What can fail: both channels and the sensor."""
+    return tuple(word for word in _choices("Place").values() if word != ALL)
+
+
+def _choices(signal: str) -> dict[int, str]:
+    found: Mapping[int, object] = _message("RIG_CONTROL").get_signal_by_name(signal).choices or {}
+    return {int(number): str(word) for number, word in found.items()}
+
+
+def command_message(command: Command, sequence: int) -> Message:
+    """The frame of ``command``, of which ``NextSequence`` was ``sequence``; values saturate."""
+    value = _message("RIG_CONTROL").get_signal_by_name("Value")
+    low, high = float(value.minimum or 0), float(value.maximum or 0)
+    data = {
+        "Checksum": 0,
+        "AliveCounter": 0,
+        "Action": command.action,
+        "Sequence": sequence,
+        "Kind": command.kind or 0,
+        "Place": command.place,
+        "HasValue": command.value is not None,
+        "Duration": 0.0
+        if command.duration_s is None
+        else min(max(command.duration_s, SHORTEST_S), LONGEST_S),
+        "Value": min(max(command.value or 0.0, low), high),
+    }
+    return _protected("RIG_CONTROL", data, sequence % COUNTERS)
+
+
+def read_command(message: Message, sequence: int | None = None) -> Command | None:
+    """What a ``RIG_CONTROL`` says; None if it is damaged, or is not number ``sequence``.
+
+    Without a ``sequence`` its number does not matter.
+    """
+    said = _intact("RIG_CONTROL", message)
+    if said is None or said["AliveCounter"] != cast(int, said["Sequence"]) % COUNTERS:
+        return None
+    if sequence is not None and said["Sequence"] != sequence:
+        return None
+    action, kind, place = (str(said[name]) for name in ("Action", "Kind", "Place"))
+    if action not in _choices("Action").values():
+        return None
+    injects = action == "INJECT"
+    if injects != (kind in kinds()):
+        return None
+    return Command(
+        cast(Action, action),
+        kind if injects else None,
+        place,
+        float(cast(float, said["Value"])) if said["HasValue"] else None,
+        float(cast(float, said["Duration"])) or None,
+    )
+
+
+def state_message(state: State, counter: int) -> Message:
+    """The frame of ``state``."""
+    data = {
+        "Checksum": 0,
+        "AliveCounter": 0,
+        "Injectable": state.injectable,
+        "Paused": state.paused,
+        "NextSequence": state.next_sequence,
+        "LastChecksum": state.last_checksum,
+        "Refused": min(state.refused, 65535),
+        "Pace": min(state.pace, 655.35),
+    }
+    return _protected("RIG_STATE", data, counter % COUNTERS)
+
+
+def read_state(message: Message) -> State | None:
+    """What a ``RIG_STATE`` says; None if it is damaged."""
+    said = _intact("RIG_STATE", message)
+    if said is None:
+        return None
+    numbers = {name: float(cast(float, value)) for name, value in said.items()}
+    return State(
+        bool(numbers["Injectable"]),
+        bool(numbers["Paused"]),
+        int(numbers["NextSequence"]),
+        int(numbers["LastChecksum"]),
+        int(numbers["Refused"]),
+        numbers["Pace"],
+    )
+
+
+def applied_message(applied_1: float, applied_2: float) -> Message:
+    """The frame of what both actuators apply."""
+    frame = _message("RIG_APPLIED")
+    data = frame.encode({"Applied1": applied_1, "Applied2": applied_2}, strict=False)
+    return Message(arbitration_id=frame.frame_id, is_extended_id=False, data=data)
+
+
+def read_applied(message: Message) -> tuple[float, float] | None:
+    """What both actuators apply; None from a frame of another length."""
+    if len(message.data) != FRAME_BYTES:
+        return None
+    said = cast(dict[str, float], _message("RIG_APPLIED").decode(bytes(message.data)))
+    return float(said["Applied1"]), float(said["Applied2"])
+
+
+def _protected(name: str, data: Mapping[str, float | str], counter: int) -> Message:
+    frame = _message(name)
+    content = bytearray(frame.encode(dict(data), strict=False))
+    content[1] = (content[1] & 0xF0) | (counter - 1) % COUNTERS  # the library counts on
+    e2e_p01_protect(content, _data_id(frame))
+    return Message(arbitration_id=frame.frame_id, is_extended_id=False, data=content)
+
+
+def _intact(name: str, message: Message) -> dict[str, object] | None:
+    frame = _message(name)
+    if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
+        return None
+    if len(message.data) != FRAME_BYTES or not e2e_p01_check(message.data, _data_id(frame)):
+        return None
+    return cast(dict[str, object], frame.decode(bytes(message.data)))
+
+
+def _data_id(frame: DbcMessage) -> int:
+    found = attribute(frame, "E2EDataId")
+    if not isinstance(found, int):
+        raise DbcError(f"{shipped_dbc(DBC)}: message {frame.name}: E2EDataId must be set")
+    return found

@@ -1,0 +1,28 @@
+"""How far a run in lockstep can be touched while it goes on."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Final
+
+from can_rig.nodes.operator.operated_bus import Touch
+
+
+@dataclass(frozen=True)
+class Interaction:
+    """How far a run can be touched."""
+
+    injectable: bool = False
+    """Whether ``RIG_CONTROL`` is obeyed; otherwise it is counted and refused."""
+    pace: float = 0.0
+    """Times real time that lockstep is held to; 0: as fast as it can."""
+    told: tuple[Touch, ...] = ()
+    """Commands of a log: they come where they came, and nobody waits between them."""
+
+    @property
+    def replayed(self) -> bool:
+        """Whether the commands are those of a log."""
+        return bool(self.told)
+
+
+UNTOUCHED: Final = Interaction()

@@ -1,0 +1,58 @@
+"""The other end of ``RIG_CONTROL``: who touches a run."""
+
+from __future__ import annotations
+
+import time
+from typing import Final
+
+import can
+
+from can_rig.errors import BusError, RigError, one_line
+from can_rig.frames.beside import control
+
+WITHIN_S: Final = 1.0
+"""A plant node says 20 times a second how it stands to commands."""
+
+
+def operate(bus: can.BusABC, name: str, command: control.Command) -> None:
+    """Send ``command`` on the bus called ``name``, and wait until it is obeyed.
+
+    Raises:
+        RigError: no plant node there obeys commands, or not this one.
+    """
+    state = _state(bus)
+    if state is None:
+        raise RigError(
+            f"bus {name}: no plant node says that it obeys commands; "
+            "it must be started with --injectable"
+        )
+    message = control.command_message(command, state.next_sequence)
+    try:
+        bus.send(message)
+    except can.CanError as error:
+        raise BusError(f"bus {name}: {one_line(error)}") from error
+    end_s = time.monotonic() + WITHIN_S
+    while time.monotonic() < end_s:
+        after = _state(bus)
+        if after is None:
+            break
+        if after.next_sequence != state.next_sequence:
+            if after.last_checksum != message.data[0]:
+                raise RigError(f"bus {name}: somebody else was quicker; try again")
+            if after.refused != state.refused:
+                raise RigError(f"bus {name}: refused, as no such thing can be done")
+            return
+    raise RigError(f"bus {name}: the plant node did not answer within {WITHIN_S:g} s")
+
+
+def _state(bus: can.BusABC) -> control.State | None:
+    """The next that a plant node says of itself; None if it says nothing."""
+    _, frame_id, _ = control.identifiers()
+    end_s = time.monotonic() + WITHIN_S
+    while (left_s := end_s - time.monotonic()) > 0.0:
+        message = bus.recv(left_s)
+        if message is not None and message.arbitration_id == frame_id:
+            said = control.read_state(message)
+            if said is not None:
+                return said
+    return None

@@ -1,0 +1,170 @@
+"""A run that is touched while it goes on: commands obeyed or refused, pace, pause and steps."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final
+
+import can
+
+from can_rig.frames.beside import control
+from can_rig.nodes.bus_access import Send
+from can_rig.nodes.clock import NS_PER_S, Clock
+from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
+from can_rig.nodes.plant_end import PlantEnd
+from can_rig.nodes.watchdog import Watchdog
+from can_rig.plant.faults.injection import Injection
+from can_rig.scenario.settings import Scenario
+
+TELL_EVERY_NS: Final = NS_PER_S // 20
+LATE_NS: Final = NS_PER_S // 10
+"""A tick that is later than this is not caught up with: the pace begins anew."""
+
+PAUSE_S: Final = 0.02
+"""How soon a paused node notices what it is told."""
+
+
+class RunControl:
+    """The plant node's side of ``RIG_CONTROL``.
+
+    What arrives in a tick acts from the next one on, so that a log says when.
+
+    Args:
+        interaction: what is permitted.
+        scenario: the run.
+        end: what samples the plant, whose faults and reference are changed.
+        send: sends a frame; what is sent here is in no log.
+        clock: the time.
+    """
+
+    def __init__(
+        self,
+        interaction: Interaction,
+        scenario: Scenario,
+        end: PlantEnd,
+        send: Send,
+        clock: Clock,
+    ) -> None:
+        self._interaction = interaction
+        self._injection = Injection(scenario)
+        self._tick_ns = scenario.tick_ns
+        self._end = end
+        self._send = send
+        self._clock = clock
+        self._frame_id = control.identifiers()[0] if interaction != UNTOUCHED else None
+        self._asked: list[control.Command] = []  # and not done yet
+        self._paused = False
+        self._steps = 0
+        self._pace = interaction.pace
+        self._due_ns = clock.now_ns()
+        self._told_ns = 0
+        self._counter = 0
+        self._next = 0
+        self._last_checksum = 0
+        self.refused = 0
+        """Commands that were not obeyed."""
+
+    def take(self, message: can.Message) -> None:
+        """Note a frame that may be a command."""
+        if message.arbitration_id != self._frame_id:
+            if self._frame_id is None and message.arbitration_id == control.identifiers()[0]:
+                self.refused += 1
+            return
+        command = control.read_command(message, self._next)
+        if command is None or not self._interaction.injectable:
+            self.refused += 1
+            return
+        self._next = (self._next + 1) % control.SEQUENCES
+        self._last_checksum = message.data[0]
+        self._asked.append(command)
+
+    def begin(self, tick: int, watchdog: Watchdog, hear: Callable[[can.Message], None]) -> None:
+        """Wait until ``tick`` may begin, then let what was asked for act from it on.
+
+        ``hear`` gets the frames that come meanwhile.
+
+        Raises:
+            Interrupted: a stop was requested.
+        """
+        if self._frame_id is None:
+            return
+        if self._interaction.injectable:
+            self._listen(watchdog, hear, tick)
+        self._keep_pace()
+        self._tell()
+
+    def applied(self) -> None:
+        """Tell whoever looks what the actuators have applied in this tick."""
+        if self._interaction.injectable and not self._interaction.replayed:
+            self._send(control.applied_message(*self._end.plant.applied))
+
+    def _listen(self, watchdog: Watchdog, hear: Callable[[can.Message], None], tick: int) -> None:
+        while True:
+            message = watchdog.glance(0.0)
+            if message is not None:
+                hear(message)
+                continue
+            self._obey(tick)
+            if not self._paused or self._steps or self._interaction.replayed:
+                break
+            self._tell()
+            message = watchdog.glance(PAUSE_S)
+            if message is not None:
+                hear(message)
+        self._steps = max(self._steps - 1, 0)
+
+    def _obey(self, tick: int) -> None:
+        """Do what was asked for before ``tick``."""
+        asked, self._asked = self._asked, []
+        for command in asked:
+            if not self._does(command, tick):
+                self.refused += 1
+        if asked:
+            self._told_ns = 0
+
+    def _does(self, command: control.Command, tick: int) -> bool:
+        value = command.value
+        if command.action == "INJECT":
+            if not self._injection.inject(command, tick):
+                return False
+            self._end.plant.change_faults(self._injection.scenario)
+        elif command.action == "CLEAR":
+            self._injection.clear(command.place, tick)
+            self._end.plant.change_faults(self._injection.scenario)
+        elif command.action == "PAUSE":
+            self._paused, self._steps = True, 0
+        elif value is None or (value < 0.0 and command.action != "MOVE_REFERENCE"):
+            return False
+        elif command.action == "MOVE_REFERENCE":
+            if not self._interaction.replayed:  # the reference of a log has been moved already
+                self._end.reference_offset = value
+        elif command.action == "PACE":
+            self._pace, self._paused = value, False
+            self._due_ns = self._clock.now_ns()
+        else:
+            self._steps = round(value)
+        return True
+
+    def _keep_pace(self) -> None:
+        if not self._pace or self._paused or self._interaction.replayed:
+            return
+        now_ns = self._clock.now_ns()
+        self._due_ns += round(self._tick_ns / self._pace)
+        if now_ns > self._due_ns + LATE_NS:
+            self._due_ns = now_ns
+        elif now_ns < self._due_ns:
+            self._clock.sleep_until(self._due_ns)
+
+    def _tell(self) -> None:
+        """Say now and then how things stand."""
+        now_ns = self._clock.now_ns()
+        if not self._interaction.injectable or self._interaction.replayed:
+            return
+        if now_ns - self._told_ns < TELL_EVERY_NS:
+            return
+        self._told_ns = now_ns
+        state = control.State(
+            True, self._paused, self._next, self._last_checksum, self.refused, self._pace
+        )
+        self._send(control.state_message(state, self._counter))
+        self._counter += 1

@@ -1,0 +1,217 @@
+"""What a bus says at the moment: frames in, rows and lamps for the screen out."""
+
+from __future__ import annotations
+
+import math
+import time
+from bisect import bisect_right
+from collections import Counter, deque
+from dataclasses import asdict, dataclass, field
+from typing import Any, Final
+
+import can
+import numpy as np
+
+from can_rig.assessment.bus_timing.frame_length import FrameError, worst_case_bits
+from can_rig.errors import one_line
+from can_rig.frames.beside import control
+from can_rig.frames.network import Network
+from can_rig.panel.decimation import BUCKET_S, Decimator
+from can_rig.results.signals import SignalRows
+from can_rig.scenario.settings import Scenario
+from firmware_model.target.structs import FloatArray
+
+COLUMNS: Final = (
+    "time", "reference", "output", "command_1", "command_2", "estimate", "mode", "fault_state",
+    "applied_1", "applied_2",
+)  # fmt: skip
+"""Of a row, in the order in which the page gets them."""
+
+SILENT_S: Final = 0.5
+"""After which a node that has spoken is called silent."""
+
+ENDS: Final = {
+    "plant": ("reference", "feedback"),
+    "controller": ("command_1", "command_2", "status"),
+}
+"""By which frames a node is heard."""
+
+OUTPUT, COMMAND_1, COMMAND_2, MODE, FAULT_STATE = (
+    COLUMNS.index(name) for name in ("output", "command_1", "command_2", "mode", "fault_state")
+)
+
+
+@dataclass
+class Lamps:
+    """What can be seen at a glance."""
+
+    time_s: float = 0.0
+    mode: str = ""
+    fault_state: str = ""
+    silent: list[str] = field(default_factory=list)
+    """Nodes that have spoken, and do no more."""
+    unanswered_ticks: int = 0
+    """Ticks with a feedback and without both commands."""
+    bus_load: float | None = None
+    """Frames at their longest, at the bit rate and the tick of the scenario; 1 is full."""
+    ticks_per_s: float = 0.0
+    injectable: bool = False
+    paused: bool = False
+    pace: float = 0.0
+    """Times real time that lockstep is held to; 0: as fast as it can."""
+    refused: int = 0
+    """Commands that the plant node has not obeyed."""
+    bus_errors: dict[str, int] = field(default_factory=dict)
+
+    def as_dict(self) -> dict[str, Any]:
+        """For the page."""
+        return asdict(self)
+
+
+class Frames(can.Listener):
+    """What python-can's thread hands over, and what the bus says beside frames."""
+
+    def __init__(self) -> None:
+        self._waiting: deque[can.Message] = deque()
+        self._held: list[can.Message] = []
+        self.errors: Counter[str] = Counter()
+
+    def on_message_received(self, msg: can.Message) -> None:
+        """Keep a frame until the next update."""
+        self._waiting.append(msg)
+
+    def in_order(self) -> list[can.Message]:
+        """The frames until the newest of the last call, in the order of their time stamps.
+
+        A listener that lags gets those of one node late, behind newer ones of the other.
+        """
+        until_s = self._held[-1].timestamp if self._held else -math.inf
+        for _ in range(len(self._waiting)):
+            self._held.append(self._waiting.popleft())
+        self._held.sort(key=lambda message: message.timestamp)
+        split = bisect_right(self._held, until_s, key=lambda message: message.timestamp)
+        ready, self._held = self._held[:split], self._held[split:]
+        return ready
+
+    def on_error(self, exc: Exception) -> None:
+        """Count what the bus said; without this python-can ends its thread with a traceback."""
+        self.errors[one_line(exc)] += 1
+
+
+class LiveSignals:
+    """A bus that is listened to, and what the screen has not had yet.
+
+    Args:
+        scenario: what runs there.
+        network: its frames.
+    """
+
+    def __init__(self, scenario: Scenario, network: Network) -> None:
+        self._scenario = scenario
+        self._status = network.status
+        self._rows = SignalRows(network, scenario.tick_s, max(1, scenario.latency_ticks))
+        bucket = max(1, round(BUCKET_S / scenario.tick_s))
+        self._decimator = Decimator(bucket, len(COLUMNS))
+        self._nodes = {
+            getattr(network, role).frame_id: node for node, roles in ENDS.items() for role in roles
+        }
+        self._control, self._state, self._applied_id = control.identifiers()
+        self._applied: dict[int, tuple[float, float]] = {}
+        self._heard_s: dict[str, float] = {}
+        self._bits: dict[tuple[bool, bool, int], int] = {}
+        self._looked_s = time.monotonic()
+        self.frames = Frames()
+        self.lamps = Lamps()
+        self.state: control.State | None = None
+        """Of the plant node, where it says one."""
+        self.commands: list[control.Command] = []
+        """Sent since the last call of ``taken_commands``."""
+
+    def update(self) -> FloatArray:
+        """The rows (n, columns) for the screen that are complete since the last call."""
+        now_s = time.monotonic()
+        bits = 0
+        for message in self.frames.in_order():
+            bits += self._length(message)
+            self._take(message, now_s)
+        first = self._rows.first_tick
+        rows = np.array(
+            [
+                (tick * self._scenario.tick_s, *row, *self._applied_in(tick))
+                for tick, row in enumerate(self._rows.take_complete(), first)
+            ]
+        ).reshape(-1, len(COLUMNS))
+        self._note(rows, bits, now_s)
+        return self._decimator.take(rows)
+
+    def taken_commands(self) -> list[control.Command]:
+        """What was sent to the plant node since the last call, by whomever."""
+        taken, self.commands = self.commands, []
+        return taken
+
+    def _take(self, message: can.Message, now_s: float) -> None:
+        node = self._nodes.get(message.arbitration_id)
+        if node is not None:
+            self._heard_s[node] = now_s
+            self._rows.take(message)
+        elif message.arbitration_id == self._applied_id:
+            applied = control.read_applied(message)
+            if applied is not None:
+                self._applied[self._rows.tick] = applied
+        elif message.arbitration_id == self._state:
+            self._hear_state(message)
+        elif message.arbitration_id == self._control:
+            command = control.read_command(message)
+            if command is not None:
+                self.commands.append(command)
+
+    def _hear_state(self, message: can.Message) -> None:
+        self.state = control.read_state(message) or self.state
+        if self.state is not None:
+            self.lamps.injectable, self.lamps.paused = self.state.injectable, self.state.paused
+            self.lamps.refused, self.lamps.pace = self.state.refused, self.state.pace
+
+    def _applied_in(self, tick: int) -> tuple[float, float]:
+        return self._applied.pop(tick, (np.nan, np.nan))
+
+    def _length(self, message: can.Message) -> int:
+        """Bits of a frame at worst, until the next can start."""
+        kind = message.is_extended_id, message.is_fd, message.dlc
+        if kind not in self._bits:
+            try:
+                bits = worst_case_bits(message.dlc, extended=kind[0], fd=kind[1]).on_the_bus
+            except FrameError:
+                bits = 0
+            self._bits[kind] = bits
+        return self._bits[kind]
+
+    def _note(self, rows: FloatArray, bits: int, now_s: float) -> None:
+        """Let the lamps say what these rows do."""
+        lamps, elapsed_s = self.lamps, max(now_s - self._looked_s, 1e-3)
+        self._looked_s = now_s
+        self._smooth("ticks_per_s", len(rows) / elapsed_s)
+        lamps.bus_errors = dict(self.frames.errors)
+        lamps.silent = [
+            node
+            for node, heard_s in self._heard_s.items()
+            if now_s - heard_s > SILENT_S and not lamps.paused
+        ]
+        if not len(rows):
+            return
+        lamps.time_s = float(rows[-1, 0])
+        virtual_s = len(rows) * self._scenario.tick_s
+        self._smooth("bus_load", bits / (self._scenario.bus.bitrate * virtual_s))
+        answered = np.isfinite(rows[:, [COMMAND_1, COMMAND_2]]).all(axis=1)
+        lamps.unanswered_ticks += int((np.isfinite(rows[:, OUTPUT]) & ~answered).sum())
+        for name, column, words in (
+            ("mode", MODE, self._status.modes),
+            ("fault_state", FAULT_STATE, self._status.fault_states),
+        ):
+            said = rows[np.isfinite(rows[:, column]), column]
+            if len(said):
+                setattr(lamps, name, words.get(int(said[-1]), ""))
+
+    def _smooth(self, name: str, value: float) -> None:
+        """Over about ten updates."""
+        before = getattr(self.lamps, name)
+        setattr(self.lamps, name, value if not before else before + 0.1 * (value - before))

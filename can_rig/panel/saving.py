@@ -1,0 +1,72 @@
+"""What was done in a run, as a scenario that does it again."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import asdict
+from pathlib import Path
+from typing import Any, Final
+
+import tomli_w
+
+from can_rig.errors import RigError
+from can_rig.panel.session import Session
+from can_rig.replay.control_frames import done, touches
+from can_rig.results.run_folder import LOG
+from can_rig.results.signals import Signals, read_signals
+from can_rig.results.source import source_of
+from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import with_changes, written
+from can_rig.scenario.tables.fault import FaultSettings
+
+NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+
+
+def save(session: Session, name: str) -> Path:
+    """Write the scenario that repeats the last run, ``NAME.toml`` in the working directory.
+
+    A reference that was moved is kept beside it, tick by tick.
+
+    Raises:
+        RigError: no run has ended, the name is none, the file exists or cannot be written.
+    """
+    if session.running or session.folder is None:
+        raise RigError("no run has ended yet; what was done is saved afterwards")
+    if not NAME.fullmatch(name):
+        raise RigError(
+            f"{name!r}: must be letters, digits, - and _, and begin with one of the first"
+        )
+    path, folder = Path(f"{name}.toml"), Path(session.folder)
+    source = source_of(folder, None, ())
+    network = network_of(source.scenario)
+    what = done(source.scenario, touches(source.frames(), network))
+    values = with_changes(written(session.name), session.settings)
+    values["fault"] = [_keys(fault) for fault in what.scenario.faults]
+    try:
+        if what.moved:
+            reference = path.with_suffix(".csv")
+            _write_reference(
+                reference, read_signals(folder / LOG, network, session.scenario.tick_s)
+            )
+            values["reference"] = {"kind": "csv", "file": reference.name}
+        with path.open("x", encoding="utf-8") as file:
+            file.write(f"# What was done in {folder}.\n\n{tomli_w.dumps(values)}")
+    except FileExistsError:
+        raise RigError(f"{path}: exists already; choose another name") from None
+    except OSError as error:
+        raise RigError(f"{path}: cannot be written: {error.strerror}") from None
+    return path
+
+
+def _keys(fault: FaultSettings) -> dict[str, Any]:
+    """What a scenario must say of ``fault``."""
+    usual = asdict(FaultSettings())
+    its = {key: value for key, value in asdict(fault).items() if value != usual[key]}
+    return {"kind": fault.kind, "at_s": fault.at_s, **its}
+
+
+def _write_reference(path: Path, signals: Signals) -> None:
+    with path.open("x", encoding="ascii", newline="\n") as file:
+        file.write("time_s,reference_mps2\n")
+        for time_s, value in zip(signals.time_s, signals.reference_mps2, strict=True):
+            file.write(f"{float(time_s)!r},{float(value)!r}\n")

@@ -1,0 +1,130 @@
+"""The run that the panel shows: one that it starts itself, or nodes that run already."""
+
+from __future__ import annotations
+
+import asyncio
+import json
+import os
+import signal
+import sys
+from contextlib import ExitStack, suppress
+from dataclasses import dataclass, field
+from typing import Any, Final
+
+import can
+
+from can_rig.buses.bus import open_bus
+from can_rig.errors import RigError
+from can_rig.frames.beside import control
+from can_rig.panel.live import LiveSignals
+from can_rig.scenario.build import network_of
+from can_rig.scenario.settings import Scenario
+
+ENDS_WITHIN_S: Final = 60.0
+"""A run that is stopped completes its folder."""
+
+MOST_LINES: Final = 12
+"""Of what a run has said that are kept."""
+
+
+@dataclass
+class Session:
+    """A bus, who is on it, and the run that this process has started there.
+
+    Args:
+        bus: its name.
+        scenario: what runs there.
+        settings: the ``KEY=VALUE`` changes that made it.
+        name: the scenario as a person calls it: a shipped one or a file.
+        sends: whether commands may be sent.
+    """
+
+    bus: str
+    scenario: Scenario
+    name: str
+    settings: tuple[str, ...] = ()
+    sends: bool = True
+    said: list[str] = field(default_factory=list)
+    """Last lines of the run that ended, or of why there is none."""
+    folder: str | None = None
+    """Of the run that ended last."""
+    _process: asyncio.subprocess.Process | None = None
+
+    def __post_init__(self) -> None:
+        self._stack = ExitStack()
+        self.live = LiveSignals(self.scenario, network_of(self.scenario))
+        opened = self._stack.enter_context(open_bus(self.bus))
+        self._opened = opened
+        self._notifier = can.Notifier(opened, [self.live.frames], timeout=0.2)
+
+    def close(self) -> None:
+        """Leave the bus."""
+        self._notifier.stop()
+        self._stack.close()
+
+    @property
+    def running(self) -> bool:
+        """Whether a run that was started here goes on."""
+        return self._process is not None and self._process.returncode is None
+
+    async def start(self) -> None:
+        """Start a run of the scenario, in real time's pace, on this bus."""
+        if self.running:
+            return
+        self.said, self.folder = [], None
+        arguments = [argument for setting in self.settings for argument in ("--set", setting)]
+        self._process = await asyncio.create_subprocess_exec(
+            sys.executable, "-m", "can_rig", "run", self.name, *arguments,
+            "--bus", self.bus, "--pace", "1", "--injectable", "--json",
+            stdin=asyncio.subprocess.DEVNULL,
+            stdout=asyncio.subprocess.PIPE,
+            stderr=asyncio.subprocess.PIPE,
+            start_new_session=True,
+        )  # fmt: skip
+
+    async def ended(self) -> None:
+        """Wait for the end of the run that was started, and note what it said."""
+        if self._process is None:
+            return
+        out, err = await self._process.communicate()
+        with suppress(ValueError, IndexError):
+            result: dict[str, Any] = json.loads(out.decode().splitlines()[-1])
+            self.folder = result.get("folder")
+        self.said = err.decode(errors="replace").splitlines()[-MOST_LINES:]
+
+    async def stop(self) -> None:
+        """End the run, which completes its folder."""
+        if not self.running or self._process is None:
+            return
+        self._process.send_signal(signal.SIGINT)
+        try:
+            await asyncio.wait_for(self._process.wait(), ENDS_WITHIN_S)
+        except TimeoutError:
+            with suppress(ProcessLookupError):
+                os.killpg(self._process.pid, signal.SIGKILL)
+
+    def command(self, command: control.Command) -> None:
+        """Send ``command`` to the plant node.
+
+        Raises:
+            RigError: nothing may be sent, or no plant node has said that it obeys.
+        """
+        state = self.live.state
+        if not self.sends:
+            raise RigError("this panel only listens; --allow-control lets it send")
+        if state is None or not state.injectable:
+            raise RigError("the plant node obeys no commands: it must be started with --injectable")
+        message = control.command_message(command, state.next_sequence)
+        try:
+            self._opened.send(message)
+        except can.CanError as error:
+            raise RigError(f"bus {self.bus}: {error}") from error
+        self.live.state = state._replace(
+            next_sequence=(state.next_sequence + 1) % control.SEQUENCES
+        )
+        self.live.commands.append(command)  # a bus does not hand a node its own frames
+
+
+def new_bus() -> str:
+    """A local bus of this start."""
+    return f"local:panel-{os.getpid()}"

@@ -1,0 +1,76 @@
+"""The browsers that look: each with a queue of its own, so that a slow one costs nothing."""
+
+from __future__ import annotations
+
+import asyncio
+from collections import deque
+from contextlib import suppress
+from typing import Final
+
+from aiohttp import web
+
+MOST_WAITING: Final = 60
+"""Messages that wait for one browser, two seconds of them; then the oldest goes."""
+
+STUCK_S: Final = 10.0
+"""After which a browser that takes nothing at all is given up."""
+
+
+class Viewer:
+    """One browser.
+
+    Args:
+        socket: its connection.
+        may_touch: whether its commands are obeyed.
+    """
+
+    def __init__(self, socket: web.WebSocketResponse, may_touch: bool) -> None:
+        self.socket = socket
+        self.may_touch = may_touch
+        self._waiting: deque[bytes | str] = deque(maxlen=MOST_WAITING)
+        self._some = asyncio.Event()
+
+    def offer(self, message: bytes | str) -> None:
+        """Let it have ``message`` as soon as it can take it."""
+        self._waiting.append(message)
+        self._some.set()
+
+    async def send_on(self) -> None:
+        """Send what is offered, until the connection ends or takes nothing for too long."""
+        with suppress(ConnectionError, TimeoutError):
+            while not self.socket.closed:
+                await self._some.wait()
+                self._some.clear()
+                while self._waiting:
+                    await asyncio.wait_for(self._send(self._waiting.popleft()), STUCK_S)
+        with suppress(ConnectionError, TimeoutError):
+            await asyncio.wait_for(self.socket.close(), 1.0)
+
+    async def _send(self, message: bytes | str) -> None:
+        if isinstance(message, bytes):
+            await self.socket.send_bytes(message)
+        else:
+            await self.socket.send_str(message)
+
+
+class Viewers:
+    """All that look at the moment."""
+
+    def __init__(self) -> None:
+        self._all: set[Viewer] = set()
+
+    def __len__(self) -> int:
+        return len(self._all)
+
+    def add(self, viewer: Viewer) -> None:
+        """From now on it gets what is offered."""
+        self._all.add(viewer)
+
+    def remove(self, viewer: Viewer) -> None:
+        """It has gone."""
+        self._all.discard(viewer)
+
+    def offer(self, message: bytes | str) -> None:
+        """Let every one have ``message``."""
+        for viewer in self._all:
+            viewer.offer(message)

@@ -1,0 +1,203 @@
+"""What scheduled faults make of the actuators and of the sensor, for any part of a run.
+
+Faults that overlap act one after the other, in the order of the scenario. Those of frames are in
+``frame_faults``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.fault import CHANNELS, MAX_LATE_TICKS, PLACES, FaultSettings
+from firmware_model.analysis.hardware import (
+    ADDED,
+    DISTORTION,
+    GAIN,
+    HEALTHY,
+    HELD,
+    LATE,
+    NO_FAULTS,
+    SLEW,
+)
+from firmware_model.target.structs import FloatArray
+
+BLOCK_TICKS: Final = 1024
+"""That are worked out at once where a run goes tick by tick."""
+
+Added = Callable[[FaultSettings, FloatArray], FloatArray | float]
+"""What a fault adds at times since it began, in s."""
+
+
+def _drift(fault: FaultSettings, since_s: FloatArray) -> FloatArray:
+    return (fault.drift_per_s or 0.0) * since_s
+
+
+def _oscillation(fault: FaultSettings, since_s: FloatArray) -> FloatArray:
+    swing: FloatArray = np.sin(fault.frequency_rad_per_s * since_s)
+    return (fault.amplitude or 0.0) * swing
+
+
+ADDING: Final[dict[str, Added]] = {
+    "actuator-offset": lambda fault, _: fault.offset or 0.0,
+    "actuator-drift": _drift,
+    "actuator-oscillating": _oscillation,
+    "sensor-biased": lambda fault, _: fault.bias_mps2,
+    "sensor-drift": _drift,
+    "sensor-oscillating": _oscillation,
+}
+"""Kinds that add something; to what the sensor reads before its noise and its resolution."""
+
+Distortion = Callable[[FaultSettings, FloatArray, float], None]
+"""Changes the rows of ``hardware`` at the ticks of a fault, in place, for a tick of so many s."""
+
+
+def _scaled(rows: FloatArray, gain: float, added: FloatArray | float = 0.0) -> None:
+    rows[:, GAIN] *= gain
+    rows[:, ADDED] = gain * rows[:, ADDED] + added
+
+
+def _stuck(fault: FaultSettings, rows: FloatArray, _: float) -> None:
+    if fault.value is None:
+        rows[:, HELD] = 1.0
+    else:
+        _scaled(rows, 0.0, fault.value)
+
+
+def _rate_limited(fault: FaultSettings, rows: FloatArray, tick_s: float) -> None:
+    rows[:, SLEW] = np.minimum(rows[:, SLEW], (fault.rate_per_s or 0.0) * tick_s)
+
+
+def _late(fault: FaultSettings, rows: FloatArray, _: float) -> None:
+    rows[:, LATE] += fault.late_ticks
+
+
+DISTORTING: Final[dict[str, Distortion]] = {
+    "actuator-stuck": _stuck,
+    "actuator-rate-limited": _rate_limited,
+    "actuator-late": _late,
+    "sensor-dead": lambda fault, rows, _: _scaled(rows, fault.left),
+    "sensor-stuck": _stuck,
+    "sensor-rate-limited": _rate_limited,
+    "sensor-late": _late,
+}
+"""Kinds that do more than add something, and are no loss of an actuator."""
+
+
+class PlantFaults:
+    """The faults of a scenario that are in its actuators or in its sensor."""
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._tick_ns, self._tick_s = scenario.tick_ns, scenario.tick_s
+        self._dead = [f for f in scenario.faults if f.kind == "actuator-dead"]
+        self._in_bias = [f for f in scenario.faults if f.kind in ADDING and f.place not in CHANNELS]
+        self._in_rows = [
+            f
+            for f in scenario.faults
+            if f.kind in DISTORTING or (f.kind in ADDING and f.place in CHANNELS)
+        ]
+
+    @property
+    def latest_ticks(self) -> int:
+        """The most by which they can make a command or a reading late."""
+        return sum(fault.late_ticks for fault in self._in_rows if fault.kind.endswith("-late"))
+
+    def left(self, ticks: range) -> FloatArray:
+        """(ticks, 2), what is left of each actuator: 1 healthy, ``fault.left`` dead."""
+        left = np.ones((len(ticks), 2))
+        for fault in self._dead:
+            left[self._at(fault, ticks), CHANNELS.index(fault.place)] *= fault.left
+        return left
+
+    def bias(self, ticks: range) -> FloatArray:
+        """(ticks,), what is added to D*, m/s²."""
+        bias = np.zeros(len(ticks))
+        for fault in self._in_bias:
+            bias[self._at(fault, ticks)] += ADDING[fault.kind](fault, self._since_s(fault, ticks))
+        return bias
+
+    def rows(self, ticks: range) -> FloatArray:
+        """(ticks, 3, ``DISTORTION``), what else is wrong; (0, ...) where nothing ever is."""
+        if not self._in_rows:
+            return NO_FAULTS
+        rows: FloatArray = np.tile(HEALTHY, (len(ticks), len(PLACES), 1))
+        assert rows.shape[2] == DISTORTION
+        for fault in self._in_rows:
+            its = rows[self._at(fault, ticks), PLACES.index(fault.place)]
+            if fault.kind in ADDING:
+                _scaled(its, 1.0, ADDING[fault.kind](fault, self._since_s(fault, ticks)))
+            else:
+                DISTORTING[fault.kind](fault, its, self._tick_s)
+        return rows
+
+    def _at(self, fault: FaultSettings, ticks: range) -> slice:
+        """Where the ticks of ``fault`` are among ``ticks``."""
+        its = fault.ticks(self._tick_ns, ticks)
+        if not its:
+            return slice(0)
+        return slice(its.start - ticks.start, its.stop - ticks.start, its.step)
+
+    def _since_s(self, fault: FaultSettings, ticks: range) -> FloatArray:
+        its = fault.ticks(self._tick_ns, ticks)
+        since_ns = np.array(its, dtype=np.int64) * self._tick_ns - fault.span_ns[0]
+        return np.multiply(since_ns, 1e-9, dtype=np.float64)
+
+
+class Now(NamedTuple):
+    """What the faults of one tick are; see ``PlantFaults``."""
+
+    left: tuple[float, float]
+    bias: float
+    rows: FloatArray | None
+    """None where nothing is ever distorted."""
+
+
+HEALTHY_NOW: Final = Now((1.0, 1.0), 0.0, None)
+
+
+class FaultsByTick:
+    """``PlantFaults``, a tick at a time: worked out for many ticks at once.
+
+    Args:
+        scenario: whose faults they are.
+        changing: whether they may change while the run goes on.
+    """
+
+    def __init__(self, scenario: Scenario, changing: bool = False) -> None:
+        self._faults = PlantFaults(scenario)
+        self._changing = changing
+        self._any = changing or any(not fault.acts_on_frames for fault in scenario.faults)
+        self._block: list[Now] = []
+        self._first = 0
+        self.latest_ticks: Final = MAX_LATE_TICKS if changing else self._faults.latest_ticks
+        """See ``PlantFaults``."""
+
+    def change(self, scenario: Scenario) -> None:
+        """From the next tick that is asked for on, the faults of ``scenario``."""
+        self._faults = PlantFaults(scenario)
+        self._block = []
+
+    def at(self, tick: int) -> Now:
+        """Those of ``tick``."""
+        if not self._any:
+            return HEALTHY_NOW
+        place = tick - self._first
+        if not 0 <= place < len(self._block):
+            self._first, place = tick, 0
+            ticks = range(tick, tick + BLOCK_TICKS)
+            rows = self._faults.rows(ticks)
+            if self._changing and not len(rows):  # who may be late later on needs what was before
+                rows = np.tile(HEALTHY, (len(ticks), len(PLACES), 1))
+            self._block = [
+                Now(left, bias, row)
+                for left, bias, row in zip(
+                    map(tuple, self._faults.left(ticks).tolist()),
+                    self._faults.bias(ticks).tolist(),
+                    rows if len(rows) else [None] * len(ticks),
+                    strict=True,
+                )
+            ]
+        return self._block[place]

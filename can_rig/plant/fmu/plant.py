@@ -1,0 +1,64 @@
+"""An FMU as a plant of one's own."""
+
+from __future__ import annotations
+
+from can_rig.errors import ScenarioError
+from can_rig.plant.fmu.description import Description, describe
+from can_rig.plant.fmu.instance import FmuError, Instance
+from can_rig.plant.fmu.stepping import stepping
+from can_rig.scenario.plant_settings import PlantSettings
+
+
+def load_fmu(settings: PlantSettings) -> FmuPlant:
+    """The FMU of ``plant.kind``, at rest.
+
+    Raises:
+        ScenarioError: no FMU, one that does not start, or without what the scenario names in it.
+    """
+    description = describe(settings)
+    try:
+        return FmuPlant(description)
+    except FmuError as error:
+        raise ScenarioError(f"plant.kind = {settings.kind!r}: does not start: {error}") from None
+
+
+class FmuPlant:
+    """See ``plant.protocol.ReportingPlant``.
+
+    Raises:
+        FmuError: see ``Instance``.
+    """
+
+    def __init__(self, description: Description) -> None:
+        self._description = description
+        self.reset()
+
+    def reset(self) -> None:
+        """Back to rest: the FMU anew, for not every one comes back from its own reset.
+
+        Raises:
+            FmuError: see ``Instance``.
+        """
+        self._instance = Instance(self._description)
+        with self._instance.explained():
+            self._stepping = stepping(self._instance)
+
+    def advance(self, dt_s: float, torque_nm: float, force_difference_n: float) -> float:
+        """The output ``dt_s`` seconds later, both inputs held until then.
+
+        Raises:
+            FmuError: the FMU, or CVODE with it, fails.
+        """
+        with self._instance.explained():
+            self._stepping.step(dt_s, torque_nm, force_difference_n)
+            return self._instance.read(self._description.output)
+
+    def signals(self) -> dict[str, float]:
+        """What ``plant.variables`` names besides the inputs and the output.
+
+        Raises:
+            FmuError: the FMU fails.
+        """
+        with self._instance.explained():
+            signals = self._description.signals
+            return {name: self._instance.read(variable) for name, variable in signals.items()}

@@ -1,0 +1,49 @@
+"""What happened in a run, moment by moment: faults begin and end, the controller says something."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import NamedTuple
+
+import numpy as np
+
+from can_rig.drawing.fault_words import fault_label
+from can_rig.drawing.names import names_of
+from can_rig.frames.network import Network
+from can_rig.results.signals import Signals
+from can_rig.scenario.settings import Scenario
+from firmware_model.target.structs import FloatArray
+
+
+class Event(NamedTuple):
+    """One moment."""
+
+    time_s: float
+    text: str
+
+
+def events(scenario: Scenario, network: Network, signals: Signals) -> list[Event]:
+    """All of them, in the order of time."""
+    names = names_of(scenario.plant)
+    end_s = float(signals.time_s[-1]) + scenario.tick_s if len(signals) else 0.0
+    found: list[Event] = []
+    for fault in scenario.faults:
+        label = fault_label(fault, names)
+        if fault.at_s < end_s:
+            found.append(Event(fault.at_s, f"fault begins: {label}"))
+        if fault.for_s is not None and fault.at_s + fault.for_s < end_s:
+            found.append(Event(fault.at_s + fault.for_s, f"fault ends: {label}"))
+    found += _changes("mode", signals.time_s, signals.mode, network.status.modes)
+    states = network.status.fault_states
+    found += _changes("fault state", signals.time_s, signals.fault_state, states)
+    return sorted(found, key=lambda event: event.time_s)
+
+
+def _changes(
+    name: str, time_s: FloatArray, codes: FloatArray, words: Mapping[int, str]
+) -> Iterator[Event]:
+    known = np.flatnonzero(np.isfinite(codes))
+    changed = np.flatnonzero(np.diff(codes[known], prepend=np.nan) != 0.0)
+    for row in known[changed].tolist():
+        code = int(codes[row])
+        yield Event(float(time_s[row]), f"{name}: {words.get(code, code)}")

@@ -1,0 +1,109 @@
+"""Keys with dots: ``KEY=VALUE`` put into the tables of a scenario, and read from them.
+
+``fault`` is a table, or a list of tables: ``fault.1.at_s`` is of the second, and ``fault.at_s`` of
+the only one, which is ``fault.0`` as well.
+"""
+
+from __future__ import annotations
+
+import json
+import tomllib
+from collections.abc import Iterator, Mapping
+from pathlib import Path
+from typing import Any, Final
+
+from can_rig.errors import ScenarioError
+
+FAULT: Final = "fault"
+
+Changes = Mapping[str, Any]
+"""Key → value; keys with dots, or tables within tables."""
+
+
+def change(values: dict[str, Any], setting: str) -> None:
+    """Apply one ``KEY=VALUE``; a value that is not TOML is a string, so quotes are optional."""
+    key, equals, text = setting.partition("=")
+    parts = key.strip().split(".")
+    if not equals or not all(parts):
+        raise ScenarioError(f"--set {setting}: must be KEY=VALUE, as in plant.speed_mps=20")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text.strip()
+    table = values
+    if parts[0] == FAULT and len(parts) > 1:
+        table, parts = _fault(values, setting, parts[1:])
+    for part in parts[:-1]:
+        table = table.setdefault(part, {})
+        if not isinstance(table, dict):
+            raise ScenarioError(f"--set {setting}: {part} is a value and has no keys")
+    table[parts[-1]] = value
+
+
+def _fault(
+    values: dict[str, Any], setting: str, parts: list[str]
+) -> tuple[dict[str, Any], list[str]]:
+    """The table of the fault that ``parts`` name, by number where there are several.
+
+    A number that is the next one makes another fault.
+    """
+    listed = values.get(FAULT, {})
+    faults = listed if isinstance(listed, list) else [listed]
+    at, own = (int(parts[0]), parts[1:]) if parts[0].isdecimal() else (None, parts)
+    if at is None and len(faults) == 1:
+        at = 0
+    known = ", ".join(f"{FAULT}.{number}" for number in range(len(faults)))
+    if at is None or at > len(faults) or not own:
+        raise ScenarioError(f"--set {setting}: must be a key of {known} or {FAULT}.{len(faults)}")
+    faults = [*faults, {}] if at == len(faults) else faults
+    if not isinstance(faults[at], dict):
+        raise ScenarioError(f"--set {setting}: {FAULT} is a value and has no keys")
+    values[FAULT] = faults if len(faults) > 1 else faults[0]
+    return faults[at], own
+
+
+def as_settings(changes: Changes) -> list[str]:
+    """``KEY=VALUE`` for each change, exact.
+
+    Raises:
+        ScenarioError: a value that TOML does not know.
+    """
+    return [f"{key}={toml_text(key, value)}" for key, value in flat(changes)]
+
+
+def flat(changes: Changes, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Keys with dots, also of tables within tables."""
+    for key, value in changes.items():
+        if isinstance(value, Mapping):
+            yield from flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def toml_text(key: str, value: Any) -> str:
+    """A value as TOML has it."""
+    plain = value.item() if hasattr(value, "item") else value  # a number of numpy's
+    if isinstance(plain, bool):
+        return str(plain).lower()
+    if isinstance(plain, int | float):
+        return repr(plain)
+    if isinstance(plain, str | Path):
+        return json.dumps(str(plain))
+    if isinstance(plain, list | tuple):
+        return f"[{', '.join(toml_text(key, each) for each in plain)}]"
+    if isinstance(plain, Mapping):
+        pairs = (f"{json.dumps(name)} = {toml_text(key, each)}" for name, each in plain.items())
+        return f"{{{', '.join(pairs)}}}"
+    raise ScenarioError(f"{key} = {value!r}: must be a number, a string, true or false, or a list")
+
+
+def value_in(values: Mapping[str, Any], key: str) -> Any:
+    """What ``key`` is in the tables of a scenario; None where it is not there."""
+    value: Any = values
+    for at, part in enumerate(key.split(".")):
+        if at == 1 and part.isdecimal() and key.startswith(f"{FAULT}."):
+            listed = value if isinstance(value, list) else [value]
+            value = listed[int(part)] if int(part) < len(listed) else None
+        else:
+            value = value.get(part) if isinstance(value, Mapping) else None
+    return value

@@ -1,0 +1,93 @@
+"""A filter whose input is held: responses by scipy's zero-order hold, zeros by the response."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.discretisation.held_input import response, sampled, zeros_of
+
+PAIR = (-3.0 + 40.0j, -3.0 - 40.0j)
+FILTERS = {
+    "a lag": ZeroPoleGain((), (-5.0,), 2.0),
+    "an integrator": ZeroPoleGain((), (0.0,), -2.0),
+    "a lead": ZeroPoleGain((-7.0,), (-5.0,), 2.0),
+    "an integrator and a lag": ZeroPoleGain((), (0.0, -5.0), 3.0),
+    "a differentiator and two lags": ZeroPoleGain((0.0,), (-4.0, -5.0), 3.0),
+    "a pair": ZeroPoleGain((), PAIR, 900.0),
+    "a pair with a zero": ZeroPoleGain((-7.0,), PAIR, 30.0),
+    "as many zeros as poles": ZeroPoleGain((-7.0, 2.0), PAIR, 0.5),
+    "slow and fast": ZeroPoleGain((-0.3,), (-0.01, -900.0, *PAIR), 1e6),
+    "three sections": ZeroPoleGain(PAIR, (-20.0, -30.0, *(2.0 * p for p in PAIR), -1.0), 700.0),
+    "feedthrough in between": ZeroPoleGain(
+        (-4.0, -5.0, -6.0 + 9.0j, -6.0 - 9.0j), (-20.0, -33.0, *PAIR, -50.0), 9.0
+    ),
+}
+
+
+def held(g: ZeroPoleGain, tick_s: float) -> tuple[np.ndarray, ...]:
+    """scipy's state space between two ticks, its feedthrough aside."""
+    system = signal.ZerosPolesGain(g.zeros, g.poles, g.gain).to_ss()
+    a, b, c, *_ = signal.cont2discrete((system.A, system.B, system.C, system.D), tick_s, "zoh")
+    return a, b, c
+
+
+@pytest.mark.parametrize("tick_s", [0.001, 0.05])
+@pytest.mark.parametrize("name", FILTERS)
+def test_the_response_is_that_of_a_zero_order_hold(name: str, tick_s: float) -> None:
+    g = FILTERS[name]
+    a, b, c = held(g, tick_s)
+    z = np.exp(1j * np.array([0.01, 0.5, 2.0, 3.1]))
+    n = len(a)
+    expected = [(c @ np.linalg.solve(x * np.eye(n) - a, b)).item() for x in z]
+    found = response(sampled(g, tick_s), z - 1.0)
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9 * np.abs(expected).max())
+
+
+@pytest.mark.parametrize("tick_s", [0.001, 0.05])
+@pytest.mark.parametrize("name", FILTERS)
+def test_there_is_one_zero_less_than_poles_and_each_is_one(name: str, tick_s: float) -> None:
+    g = FILTERS[name]
+    system = sampled(g, tick_s)
+    poles = np.array([np.expm1(p * tick_s) for p in g.poles], np.complex128)
+    zeros = zeros_of(system, poles)
+    assert len(zeros) == len(g.poles) - 1
+    for zero in zeros:
+        size = np.abs(response(system, zero + np.array([1e-6, 1e-6j]) * (1.0 + abs(zero)))).min()
+        assert abs(response(system, np.array([zero]))[0]) < 1e-3 * size
+
+
+@pytest.mark.parametrize("name", ["slow and fast", "three sections", "feedthrough in between"])
+def test_numbers_of_slow_and_fast_sections_are_of_one_size(name: str) -> None:
+    """As eigenvalues need them: what drives the states is as large as what is seen of them."""
+    a, b, c = sampled(FILTERS[name], 0.001)
+    assert np.abs(a).max() < 1.0
+    assert 1.0 / 8.0 < np.abs(b).max() / np.abs(c).max() < 8.0
+
+
+def eulerian(order: int) -> list[int]:
+    """Numbers of permutations by their ascents, which are the coefficients."""
+    row = [1]
+    for n in range(2, order + 1):
+        padded = [0, *row, 0]
+        row = [(k + 1) * padded[k + 1] + (n - k) * padded[k] for k in range(n)]
+    return row
+
+
+@pytest.mark.parametrize(
+    ("order", "pole", "rtol"), [(3, 1e-4, 1e-3), (6, 1e-4, 1e-3), (12, 1.0, 0.06)]
+)
+def test_zeros_that_sampling_adds_are_those_of_euler_and_frobenius(
+    order: int, pole: float, rtol: float
+) -> None:
+    """Of lags that are slow beside the tick: almost of s to the power of -n, held.
+
+    Of twelve, of which the response has two digits left, eigenvalues take one zero for infinite.
+    """
+    g, tick_s = ZeroPoleGain((), (-pole,) * order, pole**order), 1e-3
+    zeros = zeros_of(sampled(g, tick_s), np.full(order, np.expm1(-pole * tick_s)) + 0j)
+    expected = np.sort(np.roots(eulerian(order)).real)
+    np.testing.assert_allclose(np.sort(np.real(zeros)) + 1.0, expected, rtol=rtol)
+    assert not np.imag(zeros).any()

@@ -1,0 +1,118 @@
+"""Unstable and non-minimum-phase plants, whole scenarios: against python-control on its own."""
+
+from __future__ import annotations
+
+import math
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from can_rig.assessment.limitations import plant_limitations
+from can_rig.assessment.resolve import load
+from can_rig.assessment.stability import refuse_unstable
+from can_rig.errors import ScenarioError
+from can_rig.scenario.build import continuous_plant, controller_table
+from can_rig.thesis.continuous import solve
+from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, margins
+from firmware_model.analysis.sampled_plant import sample
+from firmware_model.analysis.simulation import simulate
+from tests.helpers import asked
+from tests.rig.by_numbers.by_control import loop, step_response
+
+NAMES = ("nonminimum-phase", "oversteering", "pendulum")
+LINEAR = (
+    "design.compensation=always", "design.estimator=zoh", "plant.sensor.noise_mps2=0",
+    "duration_s=3", "fault.at_s=1.5", "limits.torque_nm=1e9", "limits.force_difference_n=1e9",
+)  # fmt: skip
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_the_step_the_loss_and_its_peak_are_python_controls(name: str) -> None:
+    scenario = load(name, LINEAR)
+    table = controller_table(scenario, None)
+    left = np.ones((scenario.ticks, 2))
+    left[round(scenario.fault.at_s / scenario.tick_s) :, 0] = 0.0
+    drive = np.full(scenario.ticks, scenario.reference.amplitude_mps2)
+    plant = sample(continuous_plant(scenario.plant), scenario.tick_s)
+    run = simulate(table, plant, drive, effectiveness=left)
+    own = (run.measurement, run.command_1, run.command_2, run.fault_estimate)
+    for ours, theirs in zip(own, step_response(scenario), strict=True):
+        np.testing.assert_allclose(ours, theirs, atol=1e-8 * np.abs(theirs).max())
+
+
+@pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD])
+@pytest.mark.parametrize("name", NAMES)
+def test_the_margins_are_python_controls(name: str, left: tuple[float, float]) -> None:
+    scenario = load(name, LINEAR)
+    table, plant = controller_table(scenario, None), continuous_plant(scenario.plant)
+    found = margins(table, plant, scenario.tick_s, left)
+    whole = loop(scenario, left)
+    omega = np.geomspace(1e-2, 0.999 * np.pi / scenario.tick_s, 4000)
+    sensitivity = np.abs(whole.frequency_response(omega).frdata[4, 1])
+    assert found.peak_sensitivity == pytest.approx(sensitivity.max(), rel=1e-3)
+    least = plant_limitations(scenario)["healthy" if left == HEALTHY else "faulted"]
+    assert found.peak_sensitivity >= least.sensitivity
+    for gain, stable in ((0.999 * found.gain_margin, True), (1.001 * found.gain_margin, False)):
+        assert bool(np.abs(loop(scenario, left, gain).poles()).max() < 1.0) is stable
+    assert found.spectral_radius == pytest.approx(np.abs(whole.poles()).max(), abs=1e-6)
+
+
+def test_check_says_what_zeros_and_poles_make_impossible() -> None:
+    said = {name: " ".join(asked("check", name).stdout.split()) for name in NAMES}
+    assert (
+        "plant: zeros from X_diff at 2.37 ± 20.1j rad/s: for any compensation a loss can be "
+        "halved up to 20.2 rad/s at most, or it is more than doubled elsewhere"
+    ) in said["nonminimum-phase"]
+    assert (
+        "plant: unstable: poles at 4.33 rad/s double a motion of angle every 0.16 s"
+        in (said["pendulum"])
+    )
+    assert "poles at 0.694 ± 4j rad/s double a motion of D* every 1 s" in said["oversteering"]
+    assert all(words.endswith("every drive is calm") for words in said.values())
+
+
+RIGHT_ZERO = ("plant.kind=transfer-functions", "plant.g2.poles=[2, -7]", "plant.g2.gain=4",
+              "plant.g2.zeros=[]", "plant.g1.poles=[2, -5, -9]", "plant.g1.gain=-3",
+              "budget.box=0", "design.alpha=2")  # fmt: skip
+
+
+def test_a_zero_near_a_pole_is_said_to_cost_much(tmp_path: Path) -> None:
+    path = tmp_path / "near.toml"
+    path.write_text("latency_ticks = 20\n")
+    settings = [f"--set={setting}" for setting in (*RIGHT_ZERO, "plant.g1.zeros=[6]")]
+    said = " ".join(asked("check", path, *settings).stdout.split())
+    assert "|T| peaks at 2.08 or more" in said  # (6 + 2)/(6 - 2) e^(2·0.02)
+    assert "for any controller a deviation cannot be halved at any frequency" in said
+    assert "|S| peaks at 2 or more, 2 after the loss" in said
+
+
+REFUSED = {
+    "budget.box=0.2": r"budget.box = 0.2: must be 0 for an unstable plant \(pole at 4.331\+0j",
+    "design.feedback=false": "must have real part < 0 without feedback",
+    "plant.b=[[0, 0], [4, 0]]": "G2.s. is identically zero",
+    "plant.a=[[0, 1], [0, -0.2]]": "pole at .* must be clear of the imaginary axis",
+    f"plant.b=[[0, 1], [4, {-0.1 - math.sqrt(19.63)}]]": "input 2 does not reach the unstable mode",
+}
+
+
+@pytest.mark.parametrize("setting", REFUSED)
+def test_what_cannot_be_is_refused_in_one_line(setting: str) -> None:
+    with pytest.raises(ScenarioError, match=REFUSED[setting]) as refused:
+        controller_table(load("pendulum", [setting]), None)
+    assert "\n" not in str(refused.value)
+
+
+def test_the_thesis_s_continuous_loop_is_of_stable_plants() -> None:
+    with pytest.raises(ScenarioError, match="unstable: must be stable for the continuous loop"):
+        solve(load("pendulum", LINEAR))
+
+
+def test_the_tuning_that_is_named_for_an_unstable_car_holds_it() -> None:
+    car = ("plant.speed_mps=60", "plant.rear_cornering_stiffness_n_per_rad=1e3")
+    with pytest.raises(ScenarioError, match=r"unstable \(healthy\)") as refused:
+        refuse_unstable(load("thesis-step", car))
+    settings = re.findall(r"--set (\S+)", str(refused.value))
+    assert len(settings) == 3
+    refuse_unstable(load("thesis-step", [*car, *settings]))

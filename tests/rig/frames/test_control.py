@@ -1,0 +1,65 @@
+"""The frames with which a run is touched, against cantools and autosar-e2e alone."""
+
+import cantools
+import pytest
+from e2e.p01 import e2e_p01_check
+from hypothesis import given
+from hypothesis import strategies as st
+
+from can_rig.frames.beside import control
+from can_rig.plant.faults.injection import NUMBER, injected
+from tests.helpers import DBC
+
+DATABASE = cantools.database.load_file(DBC / "control.dbc", strict=True)
+
+
+@given(
+    kind=st.sampled_from(control.kinds()),
+    place=st.sampled_from(control.places()),
+    value=st.none() | st.integers(-8_388_607, 8_388_607).map(lambda raw: raw / 1000),
+    tenths=st.integers(0, 255),
+    sequence=st.integers(0, control.SEQUENCES - 1),
+)
+def test_a_command_is_what_the_dbc_says(kind, place, value, tenths, sequence):
+    asked = control.Command("INJECT", kind, place, value, tenths / 10 or None)
+    message = control.command_message(asked, sequence)
+    frame = DATABASE.get_message_by_name("RIG_CONTROL")
+    said = frame.decode(bytes(message.data))
+    assert (message.arbitration_id, len(message.data)) == (frame.frame_id, frame.length)
+    assert (str(said["Kind"]), str(said["Place"]), said["Sequence"]) == (kind, place, sequence)
+    assert said["Value"] == pytest.approx(value or 0.0, abs=5e-4)
+    assert e2e_p01_check(message.data, frame.dbc.attributes["E2EDataId"].value)
+    read = control.read_command(message, sequence)
+    assert read is not None
+    assert read[:3] == asked[:3]
+    assert read.value == (None if value is None else pytest.approx(value, abs=5e-4))
+    assert read.duration_s == (pytest.approx(tenths / 10) if tenths else None)
+    assert control.read_command(message, (sequence + 1) % control.SEQUENCES) is None
+
+
+@given(st.integers(0, 63))
+def test_one_changed_bit_is_noticed(bit):
+    message = control.command_message(control.Command("CLEAR"), 4)
+    message.data[bit // 8] ^= 1 << bit % 8
+    assert control.read_command(message, 4) is None
+
+
+def test_every_kind_of_the_dbc_can_be_injected():
+    assert set(control.kinds()) == set(NUMBER)
+    for kind in control.kinds():
+        place = "sensor" if kind.startswith("sensor-") else "torque"
+        fault = injected(control.Command("INJECT", kind, place, 0.5), 3, 1_000_000)
+        key = NUMBER[kind]
+        assert fault is not None or key == "late_ticks"
+        if fault is not None:
+            assert (fault.kind, fault.at_s, getattr(fault, key)) == (kind, 0.003, 0.5)
+    assert injected(control.Command("INJECT", "actuator-dead", "sensor"), 3, 1_000_000) is None
+    assert injected(control.Command("INJECT", "actuator-drift", "torque"), 3, 1_000_000) is None
+
+
+def test_a_state_is_what_the_dbc_says():
+    state = control.State(True, True, 7, 200, 70_000, 1000.0)
+    message = control.state_message(state, 16)
+    said = DATABASE.decode_message("RIG_STATE", bytes(message.data))
+    assert (said["AliveCounter"], said["Refused"], said["Pace"]) == (1, 65535, 655.35)
+    assert control.read_state(message) == control.State(True, True, 7, 200, 65535, 655.35)

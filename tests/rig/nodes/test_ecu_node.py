@@ -1,0 +1,165 @@
+"""The bus side of a controller node in C: which frames go in, and what becomes of those sent."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import can
+import pytest
+
+from can_rig.assessment.resolve import load
+from can_rig.errors import ExportError
+from can_rig.export.running.controllers import Application
+from can_rig.frames.network import Network
+from can_rig.frames.protection import CheckStatus
+from can_rig.nodes.lockstep.chosen import in_real_time, lockstep_controller
+from can_rig.nodes.lockstep.controller_node import ControllerNode
+from can_rig.nodes.lockstep.ecu_node import EcuNode
+from can_rig.scenario.build import network_of
+from firmware_model.firmware import PythonLaw
+from firmware_model.target.structs import Record, RecordArray
+
+TICKS = 30
+HEALTHY = load("default", [f"duration_s={TICKS * 1e-3}", "fault.kind=none"])
+NETWORK: Network = network_of(HEALTHY)
+REFERENCE, FEEDBACK = NETWORK.reference.frame_id, NETWORK.feedback.frame_id
+COMMANDS = [NETWORK.command_1.frame_id, NETWORK.command_2.frame_id]
+ANSWER = [(number, bytes([number & 0xFF, *range(7)])) for number in (*COMMANDS, 0x123)]
+
+
+class Program:
+    """Answers every feedback."""
+
+    def __init__(self) -> None:
+        self.taken: list[tuple[int, bytes]] = []
+        self.closed = 0
+
+    def take(self, frame_id: int, data: bytes) -> list[tuple[int, bytes]]:
+        self.taken.append((frame_id, data))
+        return list(ANSWER) if frame_id == FEEDBACK else []
+
+    def counts(self) -> list[int]:
+        return list(range(10, 10 + 2 * len(CheckStatus)))
+
+    def close(self) -> None:
+        self.closed += 1
+
+
+def node_of(*settings: str) -> tuple[EcuNode, Program, list[can.Message]]:
+    scenario = load("default", [f"duration_s={TICKS * 1e-3}", "fault.kind=none", *settings])
+    program, sent = Program(), list[can.Message]()
+    return EcuNode(scenario, NETWORK, sent.append, program), program, sent
+
+
+def frame(number: int = FEEDBACK, **kind: Any) -> can.Message:
+    return can.Message(arbitration_id=number, data=b"12345678", **{"is_extended_id": False, **kind})
+
+
+def test_a_feedback_is_answered_with_what_the_program_sends() -> None:
+    node, program, sent = node_of()
+    assert (node.ticks, node.tick) == (TICKS, 0)
+    assert node.take(frame(REFERENCE)) is False
+    assert (node.tick, sent) == (0, [])
+    assert node.take(frame()) is True
+    assert node.take(frame()) is True
+    assert node.tick == 2
+    assert program.taken == [(n, b"12345678") for n in (REFERENCE, FEEDBACK, FEEDBACK)]
+    assert [(m.arbitration_id, bytes(m.data)) for m in sent] == 2 * ANSWER
+    assert not any(m.is_extended_id or m.timestamp for m in sent)
+
+
+@pytest.mark.parametrize(
+    "other",
+    [
+        frame(is_extended_id=True),
+        can.Message(arbitration_id=FEEDBACK, is_extended_id=False, is_remote_frame=True, dlc=8),
+        frame(is_error_frame=True),
+        frame(0x700),
+        frame(COMMANDS[0]),
+    ],
+    ids=["extended", "remote", "error", "another", "a command"],
+)
+def test_other_frames_do_not_reach_it(other: can.Message) -> None:
+    node, program, sent = node_of()
+    assert node.take(other) is False
+    assert program.taken == sent == []
+    assert node.tick == 0
+
+
+@pytest.mark.parametrize("channel", [0, 1])
+def test_scheduled_faults_reach_the_frames_of_their_channel_and_ticks(channel: int) -> None:
+    name = ("torque", "force-difference")[channel]
+    node, _, sent = node_of(
+        "fault.kind=frames-missing", "fault.at_s=0.003", "fault.for_s=0.002",
+        f"fault.channel={name}",
+    )  # fmt: skip
+    numbers = []
+    for _ in range(7):
+        sent.clear()
+        node.take(frame())
+        numbers.append([m.arbitration_id for m in sent])
+    whole = [*COMMANDS, 0x123]
+    lost = [n for n in whole if n != COMMANDS[channel]]
+    assert numbers == [whole, whole, whole, lost, lost, whole, whole]
+
+
+def test_a_corrupted_frame_has_one_other_byte() -> None:
+    node, _, sent = node_of("fault.kind=frames-corrupted", "fault.at_s=0")
+    node.take(frame())
+    differing = [
+        sum(a != b for a, b in zip(m.data, data, strict=True))
+        for m, (_, data) in zip(sent, ANSWER, strict=True)
+    ]
+    assert differing == [1, 0, 0]
+
+
+def test_rejected_frames_are_of_the_reference_then_of_the_feedback() -> None:
+    node, _, _ = node_of()
+    counts = node.rejected()
+    n = len(CheckStatus)
+    for name, first in ((NETWORK.reference.name, 10), (NETWORK.feedback.name, 10 + n)):
+        at = {status.name.lower(): first + i for i, status in enumerate(CheckStatus)}
+        assert counts[name] == {reason: at[reason] for reason in counts[name]}
+        assert "wrong_crc" in counts[name]
+        assert "ok" not in counts[name]
+    assert counts.keys() == {NETWORK.reference.name, NETWORK.feedback.name}
+
+
+def test_closing_the_node_ends_the_program() -> None:
+    node, program, _ = node_of()
+    node.close()
+    assert program.closed == 1
+
+
+def test_what_was_chosen_runs_and_is_ended() -> None:
+    program = Program()
+    application = Application(lambda: program)
+    with pytest.raises(RuntimeError), lockstep_controller(
+        HEALTHY, NETWORK, list[can.Message]().append, application
+    ) as node:  # fmt: skip
+        assert isinstance(node, EcuNode)
+        node.take(frame())
+        assert (len(program.taken), program.closed) == (1, 0)
+        raise RuntimeError
+    assert program.closed == 1
+
+
+class Counting(PythonLaw):
+    """The law itself, which says that it has been started."""
+
+    def __init__(self) -> None:
+        self.started = 0
+
+    def init(self, table: Record) -> RecordArray:
+        self.started += 1
+        return super().init(table)
+
+
+def test_a_law_of_ours_runs_in_a_node_of_ours() -> None:
+    law = Counting()
+    with lockstep_controller(HEALTHY, NETWORK, lambda message: None, law) as node:
+        assert isinstance(node, ControllerNode)
+    assert law.started == 1
+    assert in_real_time(law) is law
+    with pytest.raises(ExportError, match="must be python or c"):
+        in_real_time(Application(Program))

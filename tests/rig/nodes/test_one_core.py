@@ -1,0 +1,58 @@
+"""The processor of nodes in lockstep: one core while they run, and afterwards all as before."""
+
+from __future__ import annotations
+
+import os
+
+import pytest
+
+from can_rig.nodes.lockstep.one_core import one_core
+
+CORES = {2, 5, 9}
+
+
+class System:
+    """What the system is asked and told."""
+
+    def __init__(self, monkeypatch: pytest.MonkeyPatch) -> None:
+        self.told: list[tuple[object, ...]] = []
+        answers = {
+            "sched_getaffinity": CORES,
+            "sched_getscheduler": os.SCHED_OTHER,
+            "sched_getparam": os.sched_param(0),
+        }
+        for name, answer in answers.items():  # of the process that asks, whose number is 0
+            monkeypatch.setattr(os, name, {0: answer}.__getitem__)
+        for name in ("sched_setaffinity", "sched_setscheduler"):
+            monkeypatch.setattr(
+                os, name, lambda *given, name=name: self.told.append((name, *given))
+            )
+
+
+@pytest.mark.parametrize(("pid", "core"), [(30, 2), (31, 5), (32, 9), (33, 2)])
+def test_runs_side_by_side_get_different_cores(
+    pid: int, core: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    system = System(monkeypatch)
+    monkeypatch.setattr(os, "getpid", lambda: pid)
+    with pytest.raises(ZeroDivisionError), one_core():
+        assert system.told == [
+            ("sched_setaffinity", 0, {core}),
+            ("sched_setscheduler", 0, os.SCHED_BATCH, os.sched_param(0)),
+        ]
+        system.told.clear()
+        raise ZeroDivisionError
+    assert system.told == [
+        ("sched_setscheduler", 0, os.SCHED_OTHER, os.sched_param(0)),
+        ("sched_setaffinity", 0, CORES),
+    ]
+
+
+def test_where_the_system_has_no_such_calls_nothing_is_done(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    system = System(monkeypatch)
+    monkeypatch.delattr(os, "sched_setaffinity")
+    with one_core():
+        assert system.told == []
+    assert system.told == []

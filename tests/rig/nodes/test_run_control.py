@@ -1,0 +1,187 @@
+"""A run that is touched while it goes on, against the same faults in the scenario."""
+
+import random
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from can_rig.assessment.resolve import load
+from can_rig.frames.beside import control
+from can_rig.frames.beside.control import Command, command_message
+from can_rig.logs.reading import read_log
+from can_rig.nodes.clock import SYSTEM_CLOCK
+from can_rig.nodes.operator.interaction import Interaction
+from can_rig.nodes.operator.operated_bus import Touch
+from can_rig.nodes.operator.run_control import RunControl
+from can_rig.nodes.plant_end import PlantEnd
+from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Watchdog
+from can_rig.replay.control_frames import done, touches
+from can_rig.results.signals import read_signals
+from can_rig.scenario.build import network_of
+
+SETTINGS = ("duration_s=0.3", "fault.kind=none")
+FRAMES = 5  # of a tick
+
+
+def touched(folder: Path, *commands: tuple[int, Command], settings=SETTINGS):
+    """A run to which ``commands`` came after so many frames of the network, and its scenario."""
+    scenario = load("ideal", settings)
+    told = tuple(
+        Touch(after, 0, command_message(command, number))
+        for number, (after, command) in enumerate(commands)
+    )
+    log = folder / f"{len(list(folder.glob('*.log')))}.log"
+    summary = run_in_process(
+        scenario, "virtual:touched", log, StopRequest(), lambda _: None,
+        interaction=Interaction(injectable=True, told=told),
+    )  # fmt: skip
+    return log, scenario, summary
+
+
+def signals(log: Path, scenario):
+    return read_signals(log, network_of(scenario), scenario.tick_s)
+
+
+DEAD = Command("INJECT", "actuator-dead", "torque", None, 0.1)
+
+
+@pytest.mark.parametrize(
+    ("command", "keys"),
+    [
+        (DEAD, ("kind=actuator-dead", "for_s=0.1")),
+        (
+            Command("INJECT", "sensor-biased", "sensor", 0.07),
+            ("kind=sensor-biased", "bias_mps2=0.07"),
+        ),
+        (
+            Command("INJECT", "actuator-late", "force-difference", 3.0),
+            ("kind=actuator-late", "channel=force-difference", "late_ticks=3"),
+        ),
+        (Command("INJECT", "sensor-stuck", "sensor"), ("kind=sensor-stuck",)),
+    ],
+)
+def test_an_injected_fault_is_that_of_a_scenario_from_the_next_tick_on(tmp_path, command, keys):
+    # Within tick 100: after its reference, feedback and first command.
+    log, scenario, _ = touched(tmp_path, (100 * FRAMES + 3, command))
+    same = load("ideal", [*SETTINGS, "fault.at_s=0.101", *(f"fault.{key}" for key in keys)])
+    other = tmp_path / "scheduled.log"
+    run_in_process(same, "virtual:scheduled", other, StopRequest(), lambda _: None)
+    for name in ("dstar_mps2", "torque_nm", "force_difference_n", "fault_estimate_mps2"):
+        assert np.array_equal(
+            getattr(signals(log, scenario), name), getattr(signals(other, same), name)
+        ), name
+    its = (tmp_path / "0.plant.csv").read_text(), (tmp_path / "scheduled.plant.csv").read_text()
+    assert its[0] == its[1]
+    assert (
+        done(scenario, touches(read_log(log), network_of(scenario))).scenario.faults == same.faults
+    )
+
+
+def test_what_is_cleared_is_over_from_the_next_tick_on(tmp_path):
+    log, scenario, _ = touched(
+        tmp_path,
+        (500, DEAD._replace(duration_s=None)),
+        (650, Command("CLEAR", place="sensor")),
+        (700, Command("CLEAR", place="torque")),
+    )
+    (fault,) = done(scenario, touches(read_log(log), network_of(scenario))).scenario.faults
+    # After 500 frames tick 99 is over; tick 100 has not begun, and is the first.
+    assert (fault.at_s, fault.for_s) == (0.1, pytest.approx(0.04))
+
+
+def test_the_log_of_a_touched_run_gives_the_same_log_again(tmp_path):
+    commands = [
+        (333, DEAD),
+        (333, Command("PAUSE")),
+        (333, Command("STEP", value=2.0)),
+        (343, Command("PACE", value=0.5)),
+        (702, Command("INJECT", "actuator-stuck", "force-difference", 1e9)),
+        (1002, Command("CLEAR")),
+        (1004, Command("INJECT", "sensor-late", "sensor", 5000.0)),
+    ]
+    log, scenario, summary = touched(tmp_path, *commands)
+    assert summary.rejected_frames["RIG_CONTROL"] == {"refused": 1}  # no such late sensor
+    told = tuple(touches(read_log(log), network_of(scenario)))
+    assert [touch.after for touch in told] == [after for after, _ in commands]
+    again = tmp_path / "again.log"
+    run_in_process(
+        scenario, "virtual:again", again, StopRequest(), lambda _: None,
+        interaction=Interaction(injectable=True, told=told),
+    )  # fmt: skip
+    assert again.read_bytes() == log.read_bytes()
+
+
+class Silent:
+    """A bus on which nothing comes but what is waiting."""
+
+    def __init__(self, *waiting: can.Message):
+        self.waiting = list(waiting)
+
+    def recv(self, timeout=None):
+        return self.waiting.pop(0) if self.waiting else None
+
+    def send(self, msg):
+        raise AssertionError(msg)
+
+
+def a_control(interaction: Interaction, sent: list[can.Message]) -> tuple[RunControl, PlantEnd]:
+    scenario = load("ideal", SETTINGS)
+    end = PlantEnd(scenario, network_of(scenario), sent.append, None, None, interaction.injectable)
+    return RunControl(interaction, scenario, end, sent.append, SYSTEM_CLOCK), end
+
+
+def test_a_hundred_thousand_wrong_or_repeated_commands_change_nothing():
+    sent: list[can.Message] = []
+    run, end = a_control(Interaction(injectable=True), sent)
+    watchdog = Watchdog(Silent(), "controller", DEFAULT_TIMEOUTS, StopRequest())
+    good = [command_message(DEAD._replace(duration_s=None), 0), command_message(DEAD, 1)]
+    for message in good:
+        run.take(message)
+    run.begin(0, watchdog, run.take)
+    before = end.plant._faults._faults._dead
+    assert len(before) == 2
+    draw = random.Random(7)
+    frame_id = control.identifiers()[0]
+    for at in range(100_000):
+        if at % 2:
+            message = good[draw.randrange(2)]
+        else:
+            data = bytearray(draw.randbytes(draw.choice((8, 8, 8, 7))))
+            message = can.Message(arbitration_id=frame_id, is_extended_id=False, data=data)
+        run.take(message)
+    run.begin(1, watchdog, run.take)
+    assert end.plant._faults._faults._dead is before
+    assert run.refused == 100_000
+
+
+def test_a_node_that_is_not_injectable_counts_and_refuses(tmp_path):
+    for interaction in (Interaction(), Interaction(pace=1e6)):
+        sent: list[can.Message] = []
+        run, end = a_control(interaction, sent)
+        run.take(command_message(DEAD, 0))
+        run.begin(0, Watchdog(Silent(), "controller", DEFAULT_TIMEOUTS, StopRequest()), run.take)
+        assert (run.refused, sent, end.plant._faults.at(200).left) == (1, [], (1.0, 1.0))
+
+
+def test_a_paused_node_goes_on_by_steps_and_says_how_it_stands():
+    sent: list[can.Message] = []
+    run, end = a_control(Interaction(injectable=True), sent)
+    told = [Command("PAUSE"), Command("MOVE_REFERENCE", value=0.25), Command("STEP", value=2.0)]
+    bus = Silent(*(command_message(command, at) for at, command in enumerate(told)))
+    watchdog = Watchdog(bus, "controller", DEFAULT_TIMEOUTS, StopRequest())
+    run.begin(5, watchdog, run.take)
+    run.begin(6, watchdog, run.take)
+    state = control.read_state(sent[-1])
+    assert state is not None
+    assert (state.injectable, state.paused, state.next_sequence, state.refused) == (
+        True,
+        True,
+        3,
+        0,
+    )
+    assert end.reference_offset == 0.25
+    bus.waiting = [command_message(Command("PACE", value=0.0), 3)]
+    run.begin(7, watchdog, run.take)  # would wait for ever without it

@@ -1,0 +1,161 @@
+"""Who may look and who may touch, and that nobody who looks holds anything up."""
+
+import asyncio
+import json
+from contextlib import asynccontextmanager
+
+import numpy as np
+import pytest
+from aiohttp import WSServerHandshakeError
+from aiohttp.test_utils import TestClient, TestServer
+
+from can_rig.assessment.resolve import load
+from can_rig.panel.access import Access
+from can_rig.panel.live import COLUMNS
+from can_rig.panel.screen import Screen, batch
+from can_rig.panel.server import Server
+from can_rig.panel.session import Session
+from can_rig.panel.viewers import MOST_WAITING, Viewer
+
+TOUCH, LOOK = "t" * 32, "l" * 32
+
+
+@asynccontextmanager
+async def served(sends: bool = True):
+    """A panel on a bus of its own, and its client."""
+    session = Session("virtual:panel", load("ideal"), "ideal", (), sends)
+    screen = Screen(session, ["ideal"], None)
+    server = TestServer(Server(screen, Access(1, TOUCH, LOOK)).application())
+    client = TestClient(server)
+    await client.start_server()
+    yield client
+    await client.close()
+
+
+@pytest.fixture
+def run(monkeypatch):
+    """Run a test that is given the client, and headers of a page of the panel's own."""
+
+    def go(test, sends=True):
+        async def whole():
+            async with served(sends) as client:
+                own = f"127.0.0.1:{client.port}"
+                monkeypatch.setattr(Access, "is_own_host", lambda self, host: host == own)
+                monkeypatch.setattr(
+                    Access, "is_own_origin", lambda self, origin: origin == f"http://{own}"
+                )
+                await asyncio.wait_for(test(client, {"Origin": f"http://{own}"}), 30)
+
+        asyncio.run(whole())
+
+    return go
+
+
+def test_names_and_origins_are_exact():
+    access = Access(8000)
+    assert access.is_own_host("127.0.0.1:8000")
+    assert access.is_own_origin("http://localhost:8000")
+    for host in ("127.0.0.1", "127.0.0.1:80", "evil.example:8000", "127.0.0.1:8000.evil", None):
+        assert not access.is_own_host(host)
+    for origin in ("https://127.0.0.1:8000", "null", "http://evil.example:8000", "", None):
+        assert not access.is_own_origin(origin)
+    assert access.may_touch(access.control) is True
+    assert access.may_touch(access.view) is False
+    assert access.may_touch(access.view + "x") is None
+    assert access.may_touch("ä") is None
+    assert access.control != Access(8000).control
+
+
+def test_the_page_and_its_parts_need_a_token(run):
+    async def test(client, _own):
+        for name in ("", "panel.js", "panel.css", "uplot.js", "uplot.css"):
+            answer = await client.get(f"/{LOOK}/{name}")
+            assert answer.status == 200
+            assert "default-src 'none'" in answer.headers["Content-Security-Policy"]
+            assert answer.headers["Referrer-Policy"] == "no-referrer"
+            assert (await client.get(f"/{'x' * 32}/{name}")).status == 403
+        assert (await client.get("/")).status in (403, 404)
+        assert (await client.get(f"/{TOUCH}/../server.py")).status in (403, 404)
+
+    run(test)
+
+
+def test_another_page_or_another_name_of_this_machine_gets_nothing(run):
+    async def test(client, own):
+        page = f"/{TOUCH}/"
+        assert (await client.get(page, headers={"Host": "evil.example"})).status == 403
+        assert (await client.get(page, headers={"Origin": "http://evil.example"})).status == 403
+        for headers in ({}, {"Origin": "http://evil.example"}, {"Origin": "null"}):
+            with pytest.raises(WSServerHandshakeError):
+                await client.ws_connect(f"{page}socket", headers=headers)
+        await (await client.ws_connect(f"{page}socket", headers=own)).close()
+
+    run(test)
+
+
+async def refusal(client, own, token: str, order: str) -> str:
+    """Why a panel does not do what the page asks for."""
+    socket = await client.ws_connect(f"/{token}/socket", headers=own)
+    await socket.send_str(order)
+    async for message in socket:
+        said = json.loads(message.data)
+        if "refused" in said:
+            await socket.close()
+            return said["refused"]
+    return "closed"
+
+
+@pytest.mark.parametrize(
+    ("token", "order", "why"),
+    [
+        (LOOK, '{"order": "stop"}', "this address may look only"),
+        (TOUCH, '{"order": "clear"}', "the plant node obeys no commands"),
+        (TOUCH, '{"order": "choose", "scenario": "/etc/passwd"}', "must be one of the list"),
+        (TOUCH, '{"order": "save", "name": "../x"}', "no run has ended yet"),
+        (TOUCH, '{"order": "inject", "kind": "x", "place": "torque"}', "not an order"),
+        (TOUCH, '{"order": "pace", "value": "fast"}', "not an order"),
+        (TOUCH, '{"order": "_socket"}', "not an order"),
+        (TOUCH, "[]", "not an order"),
+        (TOUCH, "{", "not an order"),
+    ],
+)
+def test_what_cannot_be_done_is_refused_in_a_line(run, token, order, why):
+    async def test(client, own):
+        assert why in await refusal(client, own, token, order)
+
+    run(test)
+
+
+def test_who_only_listens_sends_nothing(run):
+    async def test(client, own):
+        assert "may look only" in await refusal(client, own, TOUCH, '{"order": "clear"}')
+
+    run(test, sends=False)
+
+
+def test_a_browser_that_takes_nothing_loses_the_oldest_and_holds_nothing_up():
+    class Stuck:
+        closed = False
+
+        async def send_str(self, _message):
+            await asyncio.Event().wait()
+
+    async def test():
+        viewer = Viewer(Stuck(), may_touch=False)
+        sending = asyncio.create_task(viewer.send_on())
+        for number in range(10 * MOST_WAITING):
+            viewer.offer(str(number))  # never waits
+            await asyncio.sleep(0)
+        assert len(viewer._waiting) == MOST_WAITING
+        assert viewer._waiting[-1] == str(10 * MOST_WAITING - 1)
+        sending.cancel()
+
+    asyncio.run(test())
+
+
+def test_a_batch_is_counts_and_columns():
+    rows = np.arange(6.0).reshape(2, 3)
+    data = batch(rows)
+    assert np.frombuffer(data, "<u4", 2).tolist() == [2, 3]
+    assert np.frombuffer(data, "<f8", offset=8).reshape(3, 2).T.tolist() == rows.tolist()
+    assert len(COLUMNS) == 10

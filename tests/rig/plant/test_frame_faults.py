@@ -1,0 +1,171 @@
+"""Faults of frames: the right channel, the right ticks, and no damage that a receiver misses."""
+
+import can
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from can_rig.assessment.resolve import load
+from can_rig.frames.endpoints import Receiver, Transmitter
+from can_rig.plant.faults.frame_faults import FrameFaults
+from can_rig.scenario.build import network_of
+
+CHANNELS = ["torque", "force-difference"]
+PLACES = [*CHANNELS, "sensor"]
+SHORT = ["duration_s=1", "fault.at_s=0.005", "fault.for_s=0.003"]  # ticks 5, 6, 7
+WINDOW = range(5, 8)
+NETWORK = network_of(load("thesis-step"))
+COMMANDS = (NETWORK.command_1, NETWORK.command_2)
+CODECS = (*COMMANDS, NETWORK.feedback)
+
+
+def faults(*settings):
+    return FrameFaults(load("thesis-step", list(settings)), NETWORK)
+
+
+def crc8(data, data_id):
+    """E2E profile 1, bit by bit."""
+    crc = 0
+    for byte in (data_id & 0xFF, data_id >> 8, *data[1:]):
+        crc ^= byte
+        for _ in range(8):
+            crc = (crc << 1) ^ (0x11D if crc & 0x80 else 0)
+    return crc
+
+
+@pytest.mark.parametrize("place", PLACES)
+@pytest.mark.parametrize("kind", ["frames-missing", "frames-corrupted", "none", "sensor-biased"])
+def test_frames_are_lost_in_their_place_and_in_their_window_alone(kind, place):
+    wire = faults(*SHORT, f"fault.kind={kind}", f"fault.channel={place}")
+    transmitters = [Transmitter(codec) for codec in CODECS]
+    for tick in range(12):
+        for index, name in enumerate(PLACES):
+            frame = transmitters[index].frame(1.0, tick)
+            before = bytes(frame.data)
+            sent = wire.on_the_wire(frame, index, tick)
+            hit = kind.startswith("frames-") and tick in WINDOW and name == place
+            if hit and kind == "frames-missing":
+                assert sent == []
+            else:
+                (one,) = sent
+                changed = sum(a != b for a, b in zip(before, one.data, strict=True))
+                assert changed == (1 if hit else 0)
+                assert (one.arbitration_id, one.dlc) == (CODECS[index].frame_id, 8)
+
+
+@given(st.floats(-1e6, 1e6), st.integers(0, 2**16), st.sampled_from(COMMANDS))
+def test_a_crc_8_finds_every_change_of_one_byte(value, tick, codec):
+    good = Transmitter(codec).frame(value, tick).data
+    assert good[0] == crc8(good, codec.data_id)
+    for at in range(8):
+        for flip in range(1, 256):
+            damaged = bytearray(good)
+            damaged[at] ^= flip
+            assert damaged[0] != crc8(damaged, codec.data_id)
+
+
+def corrupted(seed, *settings, count=400):
+    """Frames of ``count`` ticks under the fault, and what they were."""
+    wire = faults(
+        "duration_s=1", "fault.kind=frames-corrupted", "fault.at_s=0", f"seed={seed}", *settings
+    )
+    transmitter, pairs = Transmitter(COMMANDS[0]), []
+    for tick in range(count):
+        frame = transmitter.frame(tick, tick)
+        (sent,) = wire.on_the_wire(frame, 0, tick)
+        pairs.append((bytes(frame.data), bytes(sent.data)))
+    return pairs
+
+
+def test_damage_comes_from_the_seed_reaches_every_byte_and_every_bit_and_none_is_accepted():
+    pairs = corrupted(seed=3)
+    assert pairs == corrupted(seed=3)
+    assert pairs != corrupted(seed=4)
+    reached = 0
+    receiver = Receiver(COMMANDS[0])
+    for tick, (before, after) in enumerate(pairs):
+        reached |= int.from_bytes(before, "big") ^ int.from_bytes(after, "big")
+        message = can.Message(arbitration_id=COMMANDS[0].frame_id, is_extended_id=False, data=after)
+        assert receiver.accept(message, tick) is None
+    assert reached == 2**64 - 1
+    assert receiver.rejected == {"wrong_crc": len(pairs)}
+
+
+def test_two_faults_that_corrupt_the_same_frame_change_one_byte():
+    for before, after in corrupted(3, "fault.1.kind=frames-corrupted", "fault.1.at_s=0"):
+        assert sum(a != b for a, b in zip(before, after, strict=True)) == 1
+
+
+def sent(*settings, place=0, count=14):
+    """By tick: for each frame on the wire the tick that it says, its value, and whether it counts.
+
+    Whether it counts is what a receiver that hears all of them says.
+    """
+    wire = faults("duration_s=1", f"fault.channel={PLACES[place]}", *settings)
+    transmitter, receiver = Transmitter(CODECS[place]), Receiver(CODECS[place])
+    ticks = []
+    for tick in range(count):
+        frames = wire.on_the_wire(transmitter.frame(tick / 10, tick), place, tick)
+        judged = [(CODECS[place].decode(f.data), receiver.accept(f, tick)) for f in frames]
+        ticks.append([(s.tick, round(s.value, 5), used is not None) for s, used in judged])
+        receiver.end_tick()
+    return ticks
+
+
+def good(tick):
+    return [(tick, tick / 10, True)]
+
+
+def test_a_frame_that_is_repeated_is_the_last_one_before_and_is_not_used():
+    ticks = sent(*SHORT, "fault.kind=frames-repeated")
+    assert ticks[:5] == [good(tick) for tick in range(5)]
+    assert ticks[5:8] == [[(4, 0.4, False)]] * 3
+    assert ticks[8:] == [good(tick) for tick in range(8, 14)]
+    assert sent("fault.at_s=0", "fault.kind=frames-repeated") == [[]] * 14  # nothing was before
+
+
+def test_late_frames_come_late_before_those_of_the_tick_and_are_not_used():
+    ticks = sent(*SHORT, "fault.kind=frames-late", "fault.late_ticks=2")
+    assert ticks[5:7] == [[], []]
+    assert ticks[7] == [(5, 0.5, False)]
+    assert ticks[8] == [(6, 0.6, False), *good(8)]
+    assert ticks[9] == [(7, 0.7, False), *good(9)]
+    assert ticks[10:] == [good(tick) for tick in range(10, 14)]
+
+
+@pytest.mark.parametrize("place", range(3))
+def test_a_forged_frame_comes_first_and_is_used_in_place_of_the_real_one(place):
+    ticks = sent(*SHORT, "fault.kind=frames-forged", "fault.value=-1.5", place=place)
+    for tick, frames in enumerate(ticks):
+        real = (tick, tick / 10, tick not in WINDOW)
+        assert frames == ([(tick, -1.5, True), real] if tick in WINDOW else [real])
+
+
+def test_an_intruder_beside_a_silent_sender_is_heard_too():
+    both = ["fault.1.kind=frames-forged", "fault.1.value=2", "fault.1.at_s=0.005"]
+    ticks = sent(*SHORT, "fault.kind=frames-missing", *both)
+    assert ticks[5:8] == [[(tick, 2.0, True)] for tick in WINDOW]
+
+
+@pytest.mark.parametrize("kind", ["missing", "corrupted", "repeated", "late", "forged"])
+def test_a_tick_of_the_sensor_always_has_a_frame_that_counts(kind):
+    """Lockstep goes on from tick to tick by it; what says nothing has the real one's counter."""
+    wire = faults(*SHORT, f"fault.kind=frames-{kind}", "fault.channel=sensor", "fault.value=3")
+    own, nothing, receiver = (cls(NETWORK.feedback) for cls in (Transmitter, Transmitter, Receiver))
+    for tick in range(60):
+        frames = wire.on_the_wire(
+            own.frame(1.0, tick), 2, tick, otherwise=nothing.frame(float("nan"), tick)
+        )
+        records = [receiver.accept(frame, tick) for frame in frames]
+        (used,) = [record for record in records if record is not None]
+        value = {True: {"forged": 3.0}.get(kind, "nothing"), False: 1.0}[tick in WINDOW]
+        assert (used.value if used.value == used.value else "nothing") == value
+        receiver.end_tick()
+
+
+@pytest.mark.parametrize("kind", ["none", "actuator-dead", "frames-missing", "frames-corrupted"])
+@pytest.mark.parametrize("place", PLACES[:2])
+def test_only_a_fault_of_frames_concerns_the_frames_of_its_channel(kind, place):
+    wire = faults(f"fault.kind={kind}", f"fault.channel={place}")
+    expected = [kind.startswith("frames-") and place == name for name in PLACES]
+    assert [wire.concerns(at) for at in range(3)] == expected

@@ -1,0 +1,115 @@
+"""``report.html``: everything in one file, the numbers as they were, no peak lost."""
+
+from __future__ import annotations
+
+import base64
+import json
+import re
+import zlib
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from can_rig.assessment.resolve import load
+from can_rig.results.fault_metrics import fault_metrics
+from can_rig.results.metrics import metrics
+from can_rig.results.report.curves import extremes, extremes_at, packed, panels
+from can_rig.results.report.events import events
+from can_rig.results.report.web_page import web_page
+from can_rig.results.signals import Signals
+from can_rig.results.without_log import signals_without_log
+from can_rig.scenario.build import network_of
+from can_rig.scenario.settings import Scenario
+
+SHORT = ["duration_s=1.5", "fault.at_s=0.8", "fault.1.kind=frames-missing", "fault.1.at_s=0.2"]
+SHORT += ["fault.1.channel=sensor", "fault.1.for_s=0.05", "description=</script>"]
+
+
+@pytest.fixture(scope="module")
+def ran() -> tuple[Scenario, Signals, str]:
+    scenario = load("default", SHORT)
+    signals = signals_without_log(scenario)
+    values, faults = metrics(scenario, signals), fault_metrics(scenario, signals)
+    return scenario, signals, web_page(scenario, network_of(scenario), signals, values, faults)
+
+
+def numbers(run: dict[str, Any]) -> tuple[np.ndarray, list[np.ndarray]]:
+    """Time and curves, as the page unpacks them."""
+    raw, points = zlib.decompress(base64.b64decode(run["data"])), run["points"]
+    curves = sum(len(panel["curves"]) for panel in run["panels"])
+    single = np.frombuffer(raw[8 * points :], "<f4").reshape(curves, points)
+    return np.frombuffer(raw[: 8 * points], "<f8"), list(single)
+
+
+def test_the_page_needs_nothing_but_itself(ran: tuple[Scenario, Signals, str]) -> None:
+    page = ran[2]
+    assert not re.findall(r"(?:src|href|import|url)\s*[=(]\s*[\"']?(?!data:)(?:https?:)?//", page)
+    assert page.count("<script") == page.count("</script>") == 3
+    assert "uPlot=function" in page
+
+
+def test_the_numbers_are_those_of_the_run(ran: tuple[Scenario, Signals, str]) -> None:
+    _, signals, page = ran
+    found = re.search(r'id="run">(.*?)</script>', page, re.DOTALL)
+    assert found is not None
+    run = json.loads(found[1])
+    time_s, curves = numbers(run)
+    np.testing.assert_array_equal(time_s, signals.time_s)
+    np.testing.assert_array_equal(curves[0], signals.dstar_mps2.astype(np.float32))
+    assert np.isnan(curves[0]).sum() == 50  # of the frames that were missing
+    names = [curve["label"] for panel in run["panels"] for curve in panel["curves"]]
+    at = names.index("commanded")
+    np.testing.assert_array_equal(curves[at], signals.torque_nm.astype(np.float32))
+    assert [(shade["begin"], shade["end"]) for shade in run["shades"]] == [(0.8, None), (0.2, 0.25)]
+
+
+def test_the_page_says_what_happened_and_what_was_run(ran: tuple[Scenario, Signals, str]) -> None:
+    scenario, signals, page = ran
+    for text in ("detection_delay_s", "fault.1.channel", "default: 2 faults", "plant.speed_mps"):
+        assert text in page
+    said = [(round(e.time_s, 6), e.text) for e in events(scenario, network_of(scenario), signals)]
+    assert (0.2, "fault begins: D* lost") in said
+    assert (0.25, "fault ends: D* lost") in said
+    assert (0.2, "mode: HOLD") in said
+    assert (0.8, "fault begins: steering torque lost") in said
+    suspected = [time_s for time_s, text in said if text == "fault state: SUSPECTED"]
+    assert suspected
+    assert suspected[-1] > 0.8
+    assert said == sorted(said, key=lambda event: event[0])
+
+
+@given(
+    st.lists(st.floats(-1e6, 1e6, width=32) | st.just(float("nan")), min_size=1, max_size=200),
+    st.integers(1, 30),
+)
+def test_no_peak_disappears(values: list[float], ticks: int) -> None:
+    """Part by part, in plain Python."""
+    drawn = extremes(np.array(values), ticks)
+    if ticks > 1:
+        parts = [values[at : at + ticks] for at in range(0, len(values), ticks)]
+        known = [[v for v in part if not np.isnan(v)] for part in parts]
+        by_hand = [v for k in known for v in ((min(k), max(k)) if k else (np.nan, np.nan))]
+        np.testing.assert_array_equal(drawn, by_hand)
+    times = extremes_at(0.001 * np.arange(len(values)), ticks) if len(values) > 1 else drawn
+    assert len(times) == len(drawn)
+    assert (np.diff(times) > 0.0).all() or len(values) == 1
+
+
+def test_a_long_run_has_few_points_and_every_peak(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("can_rig.results.report.curves.MOST_POINTS", 100)
+    scenario = load("ideal", ["duration_s=1.013"])
+    signals = signals_without_log(scenario)
+    run = packed(signals.time_s, panels(scenario, network_of(scenario), signals))
+    time_s, curves = numbers(run)
+    assert len(time_s) <= 100
+    assert curves[0].max() == np.float32(signals.dstar_mps2.max())
+
+
+def test_a_run_without_a_tick_has_a_page() -> None:
+    scenario = load("ideal", ["duration_s=0.1"])
+    empty = Signals(*(np.empty(0) for _ in range(8)))
+    page = web_page(scenario, network_of(scenario), empty, metrics(scenario, empty), [])
+    assert "Metrics" in page

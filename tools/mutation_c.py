@@ -1,0 +1,187 @@
+"""Mutation of the exported C: whether back-to-back tests notice every small change of it.
+
+The law runs on random memory and must have every bit of the law in Python; the node runs on random
+frames and must send and count what it does unchanged, which tests compare with the node in Python.
+A mutant that nothing notices is a gap, or stands in `tools/mutation_c.toml` with the reason why
+nothing can notice it.
+"""
+
+from __future__ import annotations
+
+import argparse
+import shutil
+import subprocess
+import sys
+import tempfile
+import tomllib
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Final
+
+from mutation_c_sites import Mutant, mutants
+
+from can_rig.assessment.resolve import load
+from can_rig.export.application import application
+from can_rig.export.back_to_back.frames import as_orders
+from can_rig.export.back_to_back.programs import HOST_FLAGS, trial_files
+from can_rig.export.back_to_back.trials import Trial, different, encoded, in_python, random_trials
+from can_rig.export.law import law_files, support
+from can_rig.export.running.compiler import run
+from can_rig.export.running.ecu import bench
+from can_rig.scenario.build import network_of
+
+SETTINGS: Final = Path(__file__).with_suffix(".toml")
+COMPILER: Final = "tcc" if shutil.which("tcc") else "gcc"  # ten times as fast, and as exact
+FLAGS: Final = ("-std=c99",) if COMPILER == "tcc" else (*HOST_FLAGS, "-O0")
+FEW, MANY = 20, 200  # memories: most mutants are noticed by the few
+TICKS: Final = 16
+SEEDS: Final = range(60)
+CPU_S: Final = 10
+LONGEST_S: Final = 300
+
+
+@dataclass(frozen=True)
+class Bench:
+    """A program, what it is told, and how its answers are judged.
+
+    Attributes:
+        folder: its sources and objects.
+        orders: each a file, the quick one first.
+        noticed: whether answers to the orders of that number are others than they must be.
+    """
+
+    folder: Path
+    orders: list[Path]
+    noticed: Callable[[int, bytes], bool]
+
+
+def built(folder: Path, files: dict[str, str]) -> None:
+    """Sources and objects in a folder of their own."""
+    folder.mkdir()
+    for name, text in {**files, "bench_main.c": support("bench_main.c")}.items():
+        (folder / name).write_text(text, encoding="utf-8")
+    run([COMPILER, *FLAGS, "-c", *(path.name for path in folder.glob("*.c"))], folder)
+
+
+def answers(folder: Path, objects: list[str], orders: Path, program: str) -> bytes | None:
+    """What a program of these objects answers; None where it fails."""
+    run([COMPILER, "-o", program, *objects, "-lm"], folder)
+    limited = ["prlimit", f"--cpu={CPU_S}", f"./{program}"]
+    with orders.open("rb") as source:
+        try:
+            done = subprocess.run(
+                limited, cwd=folder, stdin=source, capture_output=True, check=False,
+                timeout=LONGEST_S,
+            )  # fmt: skip
+        except subprocess.TimeoutExpired:
+            return None
+        finally:
+            (folder / program).unlink()
+    return None if done.returncode else done.stdout
+
+
+def objects_of(folder: Path) -> list[str]:
+    """The unchanged objects."""
+    return sorted(
+        path.with_suffix(".o").name for path in folder.glob("*.c") if "-" not in path.stem
+    )
+
+
+def is_noticed(bench: Bench, name: str, number: int, mutant: Mutant) -> bool:
+    """Whether a mutant of ``name`` fails to compile, fails, or answers otherwise."""
+    stem = f"{Path(name).stem}-{number}"
+    (bench.folder / f"{stem}.c").write_text(mutant.source, encoding="utf-8")
+    compiled = subprocess.run(
+        [COMPILER, *FLAGS, "-c", f"{stem}.c"], cwd=bench.folder, capture_output=True, check=False
+    )
+    (bench.folder / f"{stem}.c").unlink()
+    if compiled.returncode:
+        return True
+    own = Path(name).with_suffix(".o").name
+    objects = [f"{stem}.o" if each == own else each for each in objects_of(bench.folder)]
+    try:
+        for at, orders in enumerate(bench.orders):
+            said = answers(bench.folder, objects, orders, stem)
+            if said is None or bench.noticed(at, said):
+                return True
+    finally:
+        (bench.folder / f"{stem}.o").unlink()
+    return False
+
+
+def law_bench(place: Path) -> Bench:
+    """Random memory for the law in double precision.
+
+    Raises:
+        SystemExit: the C differs unchanged.
+    """
+    folder = place / "law"
+    built(folder, trial_files(law_files("float64")))
+    trials: list[list[Trial]] = [
+        random_trials("float64", seed, memories, TICKS) for seed, memories in ((1, FEW), (2, MANY))
+    ]
+    expected = [in_python(each) for each in trials]
+    orders = [place / f"law-{at}" for at in range(len(trials))]
+    for path, each in zip(orders, trials, strict=True):
+        path.write_bytes(encoded(each))
+
+    def noticed(at: int, said: bytes) -> bool:
+        return said != expected[at] and different(expected[at], said, trials[at]) > 0
+
+    found = Bench(folder, orders, noticed)
+    for at, path in enumerate(orders):
+        said = answers(folder, objects_of(folder), path, "unchanged")
+        if said is None or noticed(at, said):
+            sys.exit("error: the C differs from Python before anything is changed")
+    return found
+
+
+def node_bench(place: Path) -> Bench:
+    """Random frames for the node."""
+    folder, scenario = place / "node", load("default", [])
+    whole = application(scenario)
+    built(folder, whole | bench(whole))
+    orders = place / "frames"
+    orders.write_bytes(as_orders(network_of(scenario), SEEDS, round(scenario.tick_s * 1e6)))
+    expected = answers(folder, objects_of(folder), orders, "unchanged")
+    return Bench(folder, [orders], lambda _, said: said != expected)
+
+
+def main() -> None:
+    """Run the mutants; exit status 1 where one survives that has no reason to."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("files", nargs="*", help="only mutants of these, as in biquad.c")
+    parser.add_argument("--processes", type=int, default=2)
+    asked = parser.parse_args()
+    entries = tomllib.loads(SETTINGS.read_text("utf-8")).get("accepted", [])
+    accepted = {(each["file"], each["before"], each["after"]) for each in entries}
+    law, whole = law_files("float64"), application(load("default", []))
+    chosen = sorted(n for n in whole if n.endswith(".c") and n in (asked.files or whole))
+    noticed = survived = excused = 0
+    with tempfile.TemporaryDirectory(prefix="mutation-c-") as where:
+        benches = law_bench(Path(where)), node_bench(Path(where))
+        for name in chosen:
+            each = list(mutants(whole[name]))
+            judge = partial(is_noticed, benches[name not in law], name)
+            with ThreadPoolExecutor(asked.processes) as pool:
+                for mutant, known in zip(
+                    each, pool.map(judge, range(len(each)), each), strict=True
+                ):
+                    noticed += known
+                    if known:
+                        continue
+                    if (name, mutant.before, mutant.after) in accepted:
+                        excused += 1
+                        continue
+                    survived += 1
+                    print(f"{name}:{mutant.line}: {mutant.before}  →  {mutant.after}", flush=True)
+            print(f"{name}: {len(each)} mutants", file=sys.stderr, flush=True)
+    print(f"{noticed} noticed, {excused} with a reason, {survived} not noticed")
+    sys.exit(1 if survived else 0)
+
+
+if __name__ == "__main__":
+    main()
