@@ -46,15 +46,23 @@ _folder = cache(_cache_folder)
 
 def compiled(function: Function) -> Function:
     """Compile, cached on disk so that a second process starts at once."""
+    return _compiled(function, allocates=True)
+
+
+def firmware(function: Function) -> Function:
+    """The same without memory of its own: nothing is counted as in use, what allocates fails."""
+    return _compiled(function, allocates=False)
+
+
+def _compiled(function: Function, *, allocates: bool) -> Function:
     settings: Any = config
     package = ".".join(function.__module__.split(".")[:2])  # a room, or the package
     before, settings.CACHE_DIR = settings.CACHE_DIR, _folder(package)
+    # _nrt: numba's own option, which its hints do not name
+    options: dict[str, Any] = {"error_model": "numpy", "_nrt": allocates}
     try:
-        return cast(Function, njit(cache=True, error_model="numpy")(function))
+        return cast(Function, njit(cache=True, **options)(function))
     except RuntimeError:  # there is no folder to keep it in
-        return cast(Function, njit(cache=False, error_model="numpy")(function))
+        return cast(Function, njit(cache=False, **options)(function))
     finally:
         settings.CACHE_DIR = before
-
-
-firmware = compiled

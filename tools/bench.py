@@ -1,4 +1,4 @@
-"""Rates of the lockstep loop, or of decoding a log (bench_decode.py), or the law in C (bench_c.py).
+"""Rates of the lockstep loop, of a log decoded (bench_decode.py), a campaign, or the law in C.
 
 Interleaved, so that a noisy machine disturbs all alike; medians.
 """
@@ -106,17 +106,24 @@ def log(recorder: Recorder, frame: can.Message) -> None:
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("what", nargs="?", choices=("loop", "decode", "c"), default="loop")
+    kinds = ("loop", "decode", "campaign", "c")
+    parser.add_argument("what", nargs="?", choices=kinds, default="loop")
     parser.add_argument("--rounds", type=int, default=5, help="interleaved rounds [5]")
     parser.add_argument("--seconds", type=float, default=5.0, help="loop: simulated time a run [5]")
     parser.add_argument(
         "--frames", type=int, default=1_000_000, help="decode: length of the log [1000000]"
     )
+    parser.add_argument("--runs", type=int, default=1000, help="campaign: of each [1000]")
+    parser.add_argument("--workers", type=int, default=2, help="campaign: processes [2]")
     options = parser.parse_args()
     if options.what == "decode":
         from bench_decode import bench_decode  # noqa: PLC0415 (asammdf is slow to import)
 
         bench_decode(options.frames, options.rounds)
+    elif options.what == "campaign":
+        from bench_campaign import bench_campaign  # noqa: PLC0415 (control is slow to import)
+
+        bench_campaign(options.runs, options.workers)
     elif options.what == "c":
         from bench_c import bench_c  # noqa: PLC0415 (as above)
 

@@ -15,6 +15,7 @@ loss with a larger command makes it show sooner.
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -22,6 +23,7 @@ from can_rig.scenario.build import continuous_plant, target
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.fault import CHANNELS, FaultSettings
 from firmware_model.analysis.sampled_plant import sample
+from firmware_model.compiled import compiled
 from firmware_model.target.structs import FloatArray
 
 
@@ -63,16 +65,35 @@ def unavoidable(
         + place.resolution * place.resolution / 12.0
     )
     needed = place.evidence(place.false_alarms_per_hour) * per_tick
-    missing, largest, shown, before = np.zeros(len(plant.phi)), 0.0, 0.0, 0.0
-    found: int | None = None
-    for k, command in enumerate(np.nan_to_num(commands), 1):
-        missing = plant.phi @ missing + gamma * command
-        now = abs(float(plant.c @ missing))
+    found, largest = _found(
+        plant.phi, gamma, plant.c, np.nan_to_num(commands), place.noise_pole, needed,
+        scenario.latency_ticks,
+    )  # fmt: skip
+    return Unavoidable(found, largest) if found else None
+
+
+@compiled
+def _found(
+    phi: Any, gamma: Any, c: Any, commands: Any, pole: float, needed: float, latency: int
+) -> tuple[int, float]:
+    """The tick at which the loss is known, 0: never; the largest |δ| until something is done."""
+    missing, after = np.zeros(len(phi)), np.zeros(len(phi))
+    found, largest, shown, before = 0, 0.0, 0.0, 0.0
+    for k in range(len(commands)):
+        for i in range(len(phi)):
+            after[i] = gamma[i] * commands[k]
+            for j in range(len(phi)):
+                after[i] += phi[i, j] * missing[j]
+        missing[:] = after
+        now = 0.0
+        for i in range(len(phi)):
+            now += c[i] * missing[i]
+        now = abs(now)
         largest = max(largest, now)
-        shown += (now - place.noise_pole * before) ** 2
+        shown += (now - pole * before) ** 2
         before = now
-        if found is None and shown > needed:
-            found = k
-        if found is not None and k >= found + scenario.latency_ticks:
-            return Unavoidable(found, largest)
-    return None
+        if found == 0 and shown > needed:
+            found = k + 1
+        if found > 0 and k + 1 >= found + latency:
+            return found, largest
+    return 0, largest

@@ -1,20 +1,19 @@
-"""A campaign in its folder: planned, computed block by block, gone on with, put together."""
+"""The folder of a campaign: new or gone on with, and what of it is done."""
 
 from __future__ import annotations
 
 import json
 import shutil
 import time
-from collections.abc import Callable
 from dataclasses import dataclass
-from importlib.metadata import version
+from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
 from can_rig.campaigns.plan import Plan
-from can_rig.campaigns.run import requirements_of
-from can_rig.campaigns.table import put_together, schema, write_block
-from can_rig.campaigns.workers import Range, in_processes, serially
+from can_rig.campaigns.run import Task, requirements_of
+from can_rig.campaigns.search import GENERATION
+from can_rig.campaigns.versions import versions
 from can_rig.errors import LogError, RunFolderError, require
 from can_rig.files import atomic
 
@@ -22,8 +21,6 @@ TABLE, PLAN, BLOCKS = "runs.parquet", "campaign.json", "blocks"
 MOST_IN_A_BLOCK: Final = 256
 BLOCKS_WANTED: Final = 64
 """So that few runs keep several workers busy, and many make few files."""
-
-OnRun = Callable[[int], None]
 
 
 @dataclass(frozen=True)
@@ -39,24 +36,33 @@ class CampaignFolder:
     plan: Plan
 
     @property
+    def blocks_path(self) -> Path:
+        """Where its blocks are until the table is whole."""
+        return self.path / BLOCKS
+
+    @property
     def table(self) -> Path:
         """All runs, once they are done."""
         return self.path / TABLE
 
-    @property
-    def blocks(self) -> dict[Range, Path]:
-        """Every block and its file, in the order of the runs."""
-        runs = self.plan.runs
-        size = min(MOST_IN_A_BLOCK, max(1, runs // BLOCKS_WANTED))
-        ranges = [(begin, min(begin + size, runs)) for begin in range(0, runs, size)]
-        return {each: self.path / BLOCKS / f"{each[0]:08d}.parquet" for each in ranges}
+    @cached_property
+    def blocks(self) -> dict[Task, Path]:
+        """Every block and its file, in the order of the runs; of a search, its generations."""
+        searched, runs = self.plan.searched, self.plan.runs
+        size = min(MOST_IN_A_BLOCK, max(1, (runs - searched) // BLOCKS_WANTED))
+        tasks = [*_tasks(0, searched, GENERATION), *_tasks(searched, runs, size)]
+        return {each: self.blocks_path / f"{each.begin:08d}.parquet" for each in tasks}
 
     @property
     def done(self) -> int:
         """How many runs are done."""
         if self.table.is_file():
             return self.plan.runs
-        return sum(end - begin for (begin, end), file in self.blocks.items() if file.is_file())
+        return sum(task.end - task.begin for task, file in self.blocks.items() if file.is_file())
+
+
+def _tasks(begin: int, end: int, size: int) -> list[Task]:
+    return [Task(first, min(first + size, end)) for first in range(begin, end, size)]
 
 
 def open_folder(path: Path | None, plan: Plan, *, resume: bool, force: bool) -> CampaignFolder:
@@ -69,6 +75,8 @@ def open_folder(path: Path | None, plan: Plan, *, resume: bool, force: bool) -> 
     """
     require("pyarrow", extra="logs")
     requirements_of(plan)
+    if plan.searched:
+        require("cma", extra="search")
     if path is None:
         path = Path("campaigns") / f"{plan.settings.name}-{time.strftime('%Y%m%d-%H%M%S')}"
     folder, file = CampaignFolder(path, plan), path / PLAN
@@ -102,10 +110,7 @@ def _said(plan: Plan) -> dict[str, Any]:
     return {
         "campaign": plan.settings.as_dict(),
         "scenario": plan.base.as_dict(),
-        "versions": {
-            package: version(package)
-            for package in ("fault-tolerant-steering", "numpy", "scipy", "numba")
-        },
+        "versions": versions(),
     }
 
 
@@ -123,39 +128,3 @@ def _require_same(file: Path, plan: Plan) -> None:
                     f"{file}: {what} {key} is {old.get(key)!r} there and {new[key]!r} now; must be "
                     "the same to go on, or take another --out"
                 )
-
-
-def execute(
-    folder: CampaignFolder, workers: int, stopped: Callable[[], bool], on_done: OnRun
-) -> bool:
-    """Compute what is not there yet; whether all is.
-
-    Args:
-        folder: of the campaign.
-        workers: processes; 1: this one.
-        stopped: asked between blocks; what is done is kept.
-        on_done: called with the number of runs that are done.
-
-    Raises:
-        RigError: workers die again and again.
-        LogError: a file cannot be written.
-    """
-    if folder.table.is_file():
-        return True
-    blocks, columns = folder.blocks, schema(folder.plan)
-    todo = [each for each, file in blocks.items() if not file.is_file()]
-    done = folder.done
-    computed = (
-        serially(folder.plan, todo, stopped)
-        if workers == 1
-        else in_processes(folder.plan, todo, workers, stopped)
-    )
-    for block, rows in computed:
-        write_block(blocks[block], rows, columns)
-        done += block[1] - block[0]
-        on_done(done)
-    if done < folder.plan.runs:
-        return False
-    put_together(list(blocks.values()), folder.table)
-    shutil.rmtree(folder.path / BLOCKS)
-    return True

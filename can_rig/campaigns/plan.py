@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import shlex
 import warnings
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
@@ -51,45 +52,64 @@ class Plan:
     def runs(self) -> int:
         """How many there are."""
         if self.settings.sampling != "grid":
-            return self.settings.runs or 0
+            return self.searched + (self.settings.runs or 0)
         return math.prod(self._shape) * self.settings.repeats
 
+    @property
+    def searched(self) -> int:
+        """How many of them, the first, a search looks for; it alone knows their values."""
+        return 0 if self.settings.search is None else self.settings.runs or 0
+
     def values_of(self, run: int) -> dict[str, Scalar]:
-        """What every axis has in ``run``."""
+        """What every axis has in ``run``, which is none of a search."""
         axes = self.settings.axes
         if self.settings.sampling == "grid":
             places = np.unravel_index(run // self.settings.repeats, self._shape)
             grid = [values[int(at)] for values, at in zip(self._grid, places, strict=True)]
             return dict(zip(axes, grid, strict=True))
-        unit = self._unit_points[run].tolist()
-        return {key: self._drawn(key, u) for key, u in zip(axes, unit, strict=True)}
+        return self.values_at(self._unit_points[run - self.searched].tolist())
+
+    def values_at(self, point: Sequence[float]) -> dict[str, Scalar]:
+        """What every axis has at a place in [0, 1] of each."""
+        return {key: self._drawn(key, u) for key, u in zip(self.settings.axes, point, strict=True)}
 
     def seed_of(self, run: int) -> int:
         """The scenario's seed in ``run``, where neither settings nor axes say it."""
         word = np.random.SeedSequence([self.settings.seed, run]).generate_state(1, np.uint32)
         return int(word[0])
 
-    def changes_of(self, run: int) -> list[str]:
-        """``KEY=VALUE`` of everything that makes the scenario that of ``run``."""
-        values = self.values_of(run)
+    def changes_of(self, run: int, values: dict[str, Scalar] | None = None) -> list[str]:
+        """``KEY=VALUE`` of everything that makes the scenario that of ``run``.
+
+        ``values`` are those of its axes, where a search has chosen them.
+        """
+        values = self.values_of(run) if values is None else values
         seed = [] if self._has_seed else [f"seed={self.seed_of(run)}"]
         own = [f"{key}={toml_text(key, value)}" for key, value in values.items()]
         return [*self._common, *self._kept_beliefs, *own, *seed]
 
     def scenario_of(self, run: int) -> Scenario:
-        """The scenario of ``run``.
+        """The scenario of ``run``, which is none of a search; see ``scenario_with``."""
+        return self.scenario_with(self.changes_of(run))
+
+    def scenario_with(self, changes: list[str]) -> Scenario:
+        """The scenario of a run with these changes.
 
         Raises:
             ScenarioError: its values do not make one.
         """
-        return resolve(changed(self.file, self.changes_of(run)))
+        return resolve(changed(self.file, changes))
 
-    def command_of(self, run: int) -> str:
-        """What repeats ``run``, with all its frames."""
+    def command_with(self, changes: list[str]) -> str:
+        """What repeats the run with these changes, with all its frames."""
         words = ["can-rig", "run", self.file.given, "--in-process", "--allow-unstable"]
-        for change in self.changes_of(run):
+        for change in changes:
             words += ["--set", change]
         return shlex.join(words)
+
+    def __getstate__(self) -> dict[str, Any]:
+        """What it follows from, and nothing that it has worked out."""
+        return {"settings": self.settings, "file": self.file}
 
     @cached_property
     def _common(self) -> list[str]:
@@ -110,11 +130,11 @@ class Plan:
             last = part.rpartition(".")[2]
             if table != "plant" or part.startswith(NOT_BELIEVED) or last.startswith(LIMITS):
                 continue
-            if not has_key(self.base, f"model.{part}"):  # the run will say so
+            if not has_key(self.base_values, f"model.{part}"):  # the run will say so
                 continue
             stage = part.rpartition(".")[0]
             parts = [f"{stage}.{lag}" for lag in LAGS] if last in LAGS else [part]
-            known = {each: value_at(self.base, f"model.{each}") for each in parts}
+            known = {each: value_at(self.base_values, f"model.{each}") for each in parts}
             if not any(known.values()) and last in LAGS:
                 known = {f"{stage}.lag_s": 0.0}
             for each, value in known.items():
@@ -143,7 +163,7 @@ class Plan:
     @cached_property
     def _unit_points(self) -> FloatArray:
         """(runs, axes) in [0, 1)."""
-        runs, axes = self.runs, len(self.settings.axes)
+        runs, axes = self.settings.runs or 0, len(self.settings.axes)
         draw = np.random.default_rng(self.settings.seed)
         if axes == 0:
             return np.empty((runs, 0))
@@ -153,6 +173,11 @@ class Plan:
             return np.asarray(qmc.LatinHypercube(axes, seed=draw).random(runs))
         with warnings.catch_warnings(action="ignore"):  # of a number that is no power of two
             return np.asarray(qmc.Sobol(axes, seed=draw).random(runs))
+
+    @cached_property
+    def base_values(self) -> dict[str, Any]:
+        """Every key of ``base``."""
+        return self.base.as_dict()
 
     def _drawn(self, key: str, unit: float) -> Scalar:
         """The value of an axis at a place in [0, 1] of it."""
@@ -164,7 +189,7 @@ class Plan:
             value = math.exp(math.log(low) + unit * (math.log(high) - math.log(low)))
         else:
             value = low + unit * (high - low)
-        if isinstance(value_at(self.base, key), int):
+        if isinstance(value_at(self.base_values, key), int):
             if self.settings.sampling == "grid":
                 return round(value)
             return min(math.floor(low + unit * (high + 1.0 - low)), math.floor(high))
@@ -173,8 +198,8 @@ class Plan:
     def _ends(self, key: str, axis: AxisSettings) -> tuple[float, float]:
         if axis.range is not None:
             return axis.range
-        own = value_at(self.base, key)
-        if not has_key(self.base, key):
+        own = value_at(self.base_values, key)
+        if not has_key(self.base_values, key):
             resolve(changed(self.file, [*self._common, f"{key}=1"]))  # says which keys there are
         if isinstance(own, bool) or not isinstance(own, int | float) or own == 0.0:
             raise ScenarioError(
@@ -186,12 +211,12 @@ class Plan:
         return (low, high) if own > 0.0 else (high, low)
 
 
-def value_at(scenario: Scenario, key: str) -> Any:
-    """What ``key`` is in a scenario; None where it is not set, or there is no such key."""
-    return value_in(scenario.as_dict(), key)
+def value_at(scenario: dict[str, Any], key: str) -> Any:
+    """What ``key`` is in a scenario's values; None where it is not set, or there is no such key."""
+    return value_in(scenario, key)
 
 
-def has_key(scenario: Scenario, key: str) -> bool:
+def has_key(scenario: dict[str, Any], key: str) -> bool:
     """Whether there is such a key, set or not."""
     table = value_at(scenario, key.rpartition(".")[0])
     return isinstance(table, dict) and key.rpartition(".")[2] in table
@@ -209,5 +234,5 @@ def plan(settings: CampaignSettings) -> Plan:
         raise ScenarioError(
             f"campaign {settings.name}: {made.runs} runs; must be at most {MOST_RUNS}"
         )
-    made.scenario_of(0)
+    made.scenario_of(made.searched)
     return made

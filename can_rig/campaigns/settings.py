@@ -35,6 +35,8 @@ from can_rig.scenario.tables.changes import change
 
 SHIPPED: Final = Path(__file__).parent / "shipped"
 MOST_RUNS: Final = 10_000_000
+ALL: Final = "all"
+"""Of the requirements: the least of their margins."""
 
 Sampling = Literal["grid", "random", "latin-hypercube", "sobol"]
 Scalar = bool | int | float | str
@@ -74,7 +76,9 @@ class CampaignSettings:
     """One campaign, whole. ``name`` is the file's own and no key of it.
 
     ``seed`` and a run's number decide what is drawn for it, nothing else does. Without ``redesign``
-    an axis over ``plant`` changes the car and not what the controller believes of it.
+    an axis over ``plant`` changes the car and not what the controller believes of it. ``search``
+    names a requirement, or ``ALL``, whose margin is made as small as can be in ``runs`` runs; as
+    many random ones are run beside them.
     """
 
     name: str
@@ -85,11 +89,14 @@ class CampaignSettings:
     repeats: Annotated[int, Field(ge=1, le=MOST_RUNS)] = 1
     seed: NonNegativeInt = 0
     redesign: bool = False
+    search: str | None = None
     settings: dict[str, Any] = dataclasses.field(default_factory=dict)
     axes: dict[str, AxisSettings] = dataclasses.field(default_factory=dict)
     requirements: dict[str, str] = dataclasses.field(default_factory=dict)
 
     def __post_init__(self) -> None:
+        if self.search is not None:
+            self._refuse_search(self.search)
         if self.sampling == "grid":
             if self.runs is not None:
                 raise ValueError(
@@ -109,6 +116,19 @@ class CampaignSettings:
                 raise ValueError(
                     f"axes.{key}.points = {axis.points}: must not be set but of a grid"
                 )
+
+    def _refuse_search(self, search: str) -> None:
+        known = [*self.requirements, ALL]
+        if search not in known or not self.requirements:
+            raise ValueError(
+                f"search = {search!r}: must be a requirement, {' or '.join(known)}"
+                if self.requirements
+                else f"search = {search!r}: must come with a requirement"
+            )
+        if self.sampling != "random":
+            raise ValueError(f'search = {search!r}: must come with sampling = "random"')
+        if not self.axes:
+            raise ValueError(f"search = {search!r}: must come with axes to search on")
 
     def as_dict(self) -> dict[str, Any]:
         """Every key and value."""
@@ -151,12 +171,24 @@ def read_campaign(name: str, settings: Iterable[str] = (), **keys: Any) -> Campa
     if "name" in values:
         raise ScenarioError(f"campaign {name}: name: unknown key; a campaign is named by its file")
     values |= {key: value for key, value in keys.items() if value is not None}
+    if keys.get("search") is not None:
+        _draw(values)
     common = values.setdefault("settings", {})
     for setting in settings:
         if not isinstance(common, dict):
             raise ScenarioError(f"campaign {name}: settings = {common!r}: must be a table")
         change(common, setting)
     return campaign_of(path.stem, values)
+
+
+def _draw(values: dict[str, Any]) -> None:
+    """A search draws its points, whatever the campaign would do without one."""
+    values["sampling"] = "random"
+    values.pop("repeats", None)
+    axes = values.get("axes")
+    for axis in axes.values() if isinstance(axes, dict) else ():
+        if isinstance(axis, dict):
+            axis.pop("points", None)
 
 
 def campaign_of(name: str, values: dict[str, Any]) -> CampaignSettings:

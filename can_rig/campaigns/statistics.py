@@ -13,7 +13,8 @@ from scipy.stats import binomtest, chi2
 
 from can_rig.campaigns.plan import Plan
 from can_rig.campaigns.requirements import Requirement
-from can_rig.campaigns.table import TRUTHS
+from can_rig.campaigns.settings import ALL
+from can_rig.campaigns.table import RANDOM, SEARCH, TRUTHS
 from firmware_model.target.structs import FloatArray
 
 CONFIDENCE: Final = 0.95
@@ -61,8 +62,27 @@ class Spread:
 
 
 @dataclass(frozen=True)
+class Found:
+    """What a way to choose the runs has found of one requirement's margin.
+
+    Attributes:
+        method: search or random.
+        runs: how many it had.
+        least: the least margin of them; None where no run has one.
+        failed: how many are below zero.
+        first_failed: the number of runs until the first of them.
+    """
+
+    method: str
+    runs: int
+    least: float | None
+    failed: int
+    first_failed: int | None
+
+
+@dataclass(frozen=True)
 class Summary:
-    """A campaign in numbers.
+    """A campaign in numbers; where some runs were searched, rates and spreads are of the others.
 
     Attributes:
         runs, failed: how many there are, and how many gave no metrics.
@@ -71,8 +91,9 @@ class Summary:
         false_alarms: in them, and per hour with the exact (Poisson) interval of ``CONFIDENCE``.
         rates: of the requirements, and of all of them at once.
         spreads: of the metrics that the requirements are about.
-        worst: rows of the runs with the least margin.
+        worst: rows of the runs with the least margin, searched or not.
         sensitivities: of each metric, the share of its variance that each axis explains alone.
+        found: by the search and by the random runs beside it; empty without a search.
     """
 
     runs: int
@@ -84,10 +105,13 @@ class Summary:
     spreads: list[Spread]
     worst: list[dict[str, Any]]
     sensitivities: dict[str, dict[str, float | None]]
+    found: list[Found]
 
 
 def summarise(plan: Plan, required: Sequence[Requirement], columns: Columns) -> Summary:
     """The summary of a table that ``table.read_columns`` has read."""
+    everything = columns
+    columns = {name: values[plan.searched :] for name, values in columns.items()}
     reasons = Counter(reason for reason in columns["failure"] if reason is not None)
     shown = metrics_shown(required)
     hours = sum(s or 0.0 for s in columns["simulated_s"]) / HOUR_S
@@ -112,12 +136,47 @@ def summarise(plan: Plan, required: Sequence[Requirement], columns: Columns) -> 
         false_alarms=per_hour,
         rates=rates,
         spreads=[each for name in shown if (each := spread(name, columns[name])) is not None],
-        worst=worst(columns, axes),
+        worst=worst(everything, list(axes)),
         sensitivities={
             name: {key: explained(values, numbers(columns[name])) for key, values in axes.items()}
             for name in (*shown, "margin")
         },
+        found=found_by(plan, everything),
     )
+
+
+def found_by(plan: Plan, columns: Columns) -> list[Found]:
+    """What the search and the random runs have found; nothing without a search."""
+    if not plan.searched:
+        return []
+    margins = columns[margin_column(plan)]
+    return [
+        found(SEARCH, margins[: plan.searched]),
+        found(RANDOM, margins[plan.searched :]),
+    ]
+
+
+def margin_column(plan: Plan) -> str:
+    """The column that a search makes as small as can be."""
+    return "margin" if plan.settings.search in (None, ALL) else f"margin.{plan.settings.search}"
+
+
+def found(method: str, margins: Sequence[float | None]) -> Found:
+    """What ``margins``, in the order of the runs, amount to."""
+    values, so_far = numbers(margins), least_so_far(margins)
+    failed = np.flatnonzero(values < 0.0)
+    return Found(
+        method=method,
+        runs=len(values),
+        least=None if np.isnan(so_far[-1]) else float(so_far[-1]),
+        failed=len(failed),
+        first_failed=int(failed[0]) + 1 if len(failed) else None,
+    )
+
+
+def least_so_far(margins: Sequence[float | None]) -> FloatArray:
+    """The least margin up to each run; not a number before the first."""
+    return np.fmin.accumulate(numbers(margins))
 
 
 def metrics_shown(required: Sequence[Requirement]) -> list[str]:
@@ -156,7 +215,7 @@ def spread(name: str, values: Sequence[float | None]) -> Spread | None:
     return Spread(name, len(found), least, median, high, greatest)
 
 
-def worst(columns: Columns, axes: Columns) -> list[dict[str, Any]]:
+def worst(columns: Columns, axes: Sequence[str]) -> list[dict[str, Any]]:
     """The rows of least margin, the worst first; of equal ones the first runs."""
     margins = numbers(columns["margin"])
     order = np.argsort(np.where(np.isnan(margins), np.inf, margins), kind="stable")[:WORST]

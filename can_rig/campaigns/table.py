@@ -48,6 +48,9 @@ METRICS: Final = (
 TRUTHS: Final = {"missed_detection"}
 """Which of them are true or false."""
 
+SEARCH, RANDOM = "search", "random"
+"""How the values of a run came about, where some were searched."""
+
 ROW_GROUP: Final = 16384
 """Rows that are held at once when blocks are put together."""
 
@@ -59,17 +62,21 @@ def schema(plan: Plan) -> pa.Schema:
     kinds = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}
     columns: dict[str, pa.DataType] = {"run": pa.int64(), "seed": pa.int64()}
     for key, axis in plan.settings.axes.items():
-        some: Sequence[Any] = [value_at(plan.base, key), *(axis.values or [])]
+        some: Sequence[Any] = [value_at(plan.base_values, key), *(axis.values or [])]
         found = {type(value) for value in some if value is not None} or {float}
-        if axis.values is None and value_at(plan.base, key) is None:
+        if axis.values is None and value_at(plan.base_values, key) is None:
             found = {float}
         kind = found.pop() if len(found) == 1 else float if found == {int, float} else str
         columns[key] = kinds[kind]
+    if plan.searched:
+        columns["method"] = pa.string()
     columns["simulated_s"] = pa.float64()
     for name in METRICS:
         columns[name] = pa.bool_() if name in TRUTHS else pa.float64()
     for name in plan.settings.requirements:
         columns[f"passed.{name}"] = pa.bool_()
+    for name in plan.settings.requirements:
+        columns[f"margin.{name}"] = pa.float64()
     columns |= {"margin": pa.float64(), "failure": pa.string(), "command": pa.string()}
     return pa.schema(list(columns.items()))
 

@@ -95,7 +95,7 @@ class LinearBehind:
         self, command_1: float, command_2: float, left_1: float, left_2: float
     ) -> Mapping[str, float]:
         """See ``PlantBehind``."""
-        commands = self._memory[1]
+        commands = self._memory[2]
         x = self._memory[0].tolist()
         values = {TRUE_OUTPUT: self._output}
         for name, state in zip(self._names, x, strict=False):

@@ -78,16 +78,30 @@ def frameless(
     Raises:
         ScenarioError: a scenario that cannot run.
     """
+    loop = frameless_loop(scenario, network, table, inputs)
+    loop.run()
+    return loop.trace
+
+
+def frameless_loop(
+    scenario: Scenario,
+    network: Network,
+    table: Record | None = None,
+    inputs: Inputs | None = None,
+) -> Simulation:
+    """The same at rest, to be run as far as somebody wants it.
+
+    Raises:
+        ScenarioError: as ``frameless``.
+    """
     plant = plant_behind(scenario.plant, scenario.tick_s)
-    loop = simulation(
+    return simulation(
         scenario,
         network,
         plant.sampled if isinstance(plant, LinearBehind) else _UntilItFails(plant),
         controller_table(scenario, network) if table is None else table,
         inputs_of(scenario, network) if inputs is None else inputs,
     )
-    loop.run()
-    return loop.trace
 
 
 def simulation(

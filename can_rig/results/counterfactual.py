@@ -9,12 +9,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig.plant.faults.plant_faults import DISTORTING, PlantFaults
-from can_rig.plant.frameless import frameless
+from can_rig.plant.frameless import frameless_loop
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.fault import SENSOR
+from firmware_model.analysis.simulation import Simulation
 from firmware_model.target.structs import FloatArray
 
 
@@ -30,42 +31,49 @@ class Counterfactual(NamedTuple):
 
 def fault_free(scenario: Scenario, signals: Signals) -> Counterfactual:
     """The same run without its fault: same plant, table, frames and noise."""
-    return _instead(scenario.healthy, signals)
+    return _instead(scenario.healthy, signals, len(signals))
 
 
 def without_fault(scenario: Scenario, at: int, signals: Signals) -> Counterfactual:
     """The same run without one of its faults, by its number."""
     others = scenario.faults[:at] + scenario.faults[at + 1 :]
-    return _instead(replace(scenario, fault=others), signals)
+    return _instead(replace(scenario, fault=others), signals, len(signals))
 
 
-def noise_free(scenario: Scenario, signals: Signals) -> Counterfactual:
-    """The same run without its fault and without the sensor's noise."""
+def noise_free(scenario: Scenario, signals: Signals, rows: int) -> Counterfactual:
+    """The same run without its fault and without the sensor's noise.
+
+    Its first ``rows`` rows at least; not a number where nobody has asked for more.
+    """
     silent = replace(scenario.healthy.noise_free, seed=0)  # of which nothing is drawn
-    return _instead(silent, signals)
+    return _instead(silent, signals, rows)
 
 
 def uncompensated(scenario: Scenario, signals: Signals) -> Counterfactual:
     """The same run with its fault and no compensation of it."""
     off = replace(scenario.design, compensation="off")
-    return _instead(replace(scenario, design=off), signals)
+    return _instead(replace(scenario, design=off), signals, len(signals))
 
 
-def _instead(scenario: Scenario, signals: Signals) -> Counterfactual:
+def _instead(scenario: Scenario, signals: Signals, rows: int) -> Counterfactual:
     if not len(signals):
         return Counterfactual(np.empty(0), np.empty(0), np.empty(0))
     first = round(float(signals.time_s[0]) / scenario.tick_s)
     ticks = first + len(signals)
-    as_long = replace(scenario, duration_s=max(scenario.duration_s, ticks * scenario.tick_s))
-    return Counterfactual(*(values[first:ticks] for values in _driven(as_long)))
+    if ticks > scenario.ticks:
+        scenario = replace(scenario, duration_s=ticks * scenario.tick_s)
+    loop = loop_of(scenario)
+    loop.run(first + rows)
+    trace = loop.trace
+    force = np.where(np.isnan(trace.measured), np.nan, trace.command_2)
+    car = car_output(scenario, trace.measured, trace.measurement)
+    return Counterfactual(*(values[first:ticks] for values in (trace.measured, force, car)))
 
 
 @remembered(4)
-def _driven(scenario: Scenario) -> Counterfactual:
-    trace = frameless(scenario, network_of(scenario))
-    force = np.where(np.isnan(trace.measured), np.nan, trace.command_2)
-    car = car_output(scenario, trace.measured, trace.measurement)
-    return Counterfactual(trace.measured, force, car)
+def loop_of(scenario: Scenario) -> Simulation:
+    """A run that somebody may have begun, and that goes on as far as it is asked for."""
+    return frameless_loop(scenario, network_of(scenario))
 
 
 def car_output(

@@ -147,7 +147,8 @@ def _noise_rms(scenario: Scenario, signals: Signals, settled: Mask) -> float | N
     """Rms of what the sensor's noise alone adds to X_diff, N: the run less the run without it."""
     if scenario.plant.sensor.noise_mps2 == 0.0 or not settled.any():
         return None
-    added = signals.force_difference_n - noise_free(scenario, signals).force_difference_n
+    rows = int(np.flatnonzero(settled)[-1]) + 1
+    added = signals.force_difference_n - noise_free(scenario, signals, rows).force_difference_n
     added = added[settled & np.isfinite(added)]
     return float(np.sqrt(np.mean(added**2))) if len(added) else None
 

@@ -28,7 +28,8 @@ def on_the_bus(scenario: Scenario, network: Network) -> list[float]:
             f"scenario {scenario.name}: reference: reaches {largest:g} {frame.unit}; must be "
             f"at most {frame.maximum:g}, what {frame.name} carries"
         )
-    return [float(value) for value in values]
+    fitting: list[float] = values.tolist()
+    return fitting
 
 
 def reference(scenario: Scenario) -> FloatArray:

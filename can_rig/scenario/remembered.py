@@ -13,9 +13,10 @@ Result = TypeVar("Result")
 def remembered(
     most: int,
 ) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
-    """Keep the last ``most`` results of a function of settings, which nobody may change.
+    """Keep those ``most`` results of a function of settings that were asked for last.
 
-    Settings are known by their text, which has every key and every digit; they need no hash.
+    Nobody may change them. Settings are known by their text, which has every key and every digit;
+    they need no hash.
     """
 
     def keeping(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
@@ -24,12 +25,12 @@ def remembered(
         @wraps(function)
         def asked(*arguments: Arguments.args, **keywords: Arguments.kwargs) -> Result:
             key = repr((arguments, keywords))
-            if key not in known:
-                result = function(*arguments, **keywords)
-                if len(known) >= most:
-                    del known[next(iter(known))]
-                known[key] = result
-            return known[key]
+            result = known[key] if key in known else function(*arguments, **keywords)
+            known.pop(key, None)
+            known[key] = result  # the last that somebody asked for
+            if len(known) > most:
+                del known[next(iter(known))]
+            return result
 
         return asked
 

@@ -132,10 +132,10 @@ def both(scenario: Scenario) -> _Loop:
 
 def _response(car: SampledPlant, u1: FloatArray, u2: FloatArray) -> FloatArray:
     """The plant's response to commands held from tick to tick: L⁻¹[G1 u1] + L⁻¹[G2 u2]."""
-    x, y = car.rest, np.empty(len(u1))
+    x, after, y = car.rest, car.rest, np.empty(len(u1))
     for k in range(len(y)):
         y[k] = measure_plant(car.c, x)
-        advance_plant(car.phi, car.gamma, x, u1[k], u2[k])
+        advance_plant(car.phi, car.gamma, x, after, u1[k], u2[k])
     return y
 
 

@@ -19,7 +19,7 @@ from typing import Any
 import numpy as np
 from scipy import linalg
 
-from firmware_model.compiled import firmware
+from firmware_model.compiled import compiled, firmware
 from firmware_model.design.plants import Plant
 from firmware_model.errors import ParameterError
 from firmware_model.target.structs import FloatArray
@@ -68,9 +68,12 @@ class SampledPlant:
 
     @property
     def memory(self) -> Any:
-        """All that ``follow`` changes, at rest: the state, and rings of commands and of samples."""
+        """All that ``follow`` changes, at rest.
+
+        The state, room for the next one, and rings of commands and of samples.
+        """
         length = max(self.dead_ticks) + 2
-        return self.rest, np.zeros((length, 2)), np.zeros(self.sensor_dead_ticks + 1)
+        return self.rest, self.rest, np.zeros((length, 2)), np.zeros(self.sensor_dead_ticks + 1)
 
 
 def sample(plant: Plant, tick_s: float) -> SampledPlant:
@@ -152,10 +155,12 @@ def _exponential(a: FloatArray, b: FloatArray, duration_s: float) -> tuple[Float
 
 
 @firmware
-def advance_plant(phi: Any, gamma: Any, x: Any, u1: float, u2: float) -> None:
-    """The state one tick later, in place; plain loops, so that every machine adds in one order."""
+def advance_plant(phi: Any, gamma: Any, x: Any, after: Any, u1: float, u2: float) -> None:
+    """The state one tick later, in place; plain loops, so that every machine adds in one order.
+
+    ``after`` is like ``x`` and free to be overwritten.
+    """
     n = len(x)
-    after = np.empty(n)
     for i in range(n):
         total = gamma[i, 0] * u1 + gamma[i, 1] * u2
         for j in range(n):
@@ -174,10 +179,10 @@ def measure_plant(c: Any, x: Any) -> float:
     return total
 
 
-@firmware
+@compiled
 def follow_plant(phi: Any, gamma: Any, c: Any, x: Any, u1: float, u2: float) -> float:
     """Advance by one tick, in place, and measure."""
-    advance_plant(phi, gamma, x, u1, u2)
+    advance_plant(phi, gamma, x, np.empty(len(x)), u1, u2)
     return measure_plant(c, x)
 
 
@@ -197,9 +202,9 @@ def follow(
         left_2: that of actuator 2.
     """
     (phi, gamma, gamma_old, changes), (sensed, c, looks_back, within), dead, immediate = constants
-    x, commands, samples = memory
+    x, after, commands, samples = memory
     if immediate:  # no dead time: nothing waits
-        advance_plant(phi, gamma, x, left_1 * u1, left_2 * u2)
+        advance_plant(phi, gamma, x, after, left_1 * u1, left_2 * u2)
         return measure_plant(sensed, x), measure_plant(c, x)
     length = len(commands)
     commands[k % length, 0] = u1
@@ -215,7 +220,7 @@ def follow(
         reading += looks_back[n + 2] * old_1 + looks_back[n + 3] * old_2
         for j in range(n):
             reading += looks_back[j] * x[j]
-    advance_plant(phi, gamma, x, new_1, new_2)
+    advance_plant(phi, gamma, x, after, new_1, new_2)
     if changes:
         for i in range(len(x)):
             x[i] += gamma_old[i, 0] * old_1 + gamma_old[i, 1] * old_2

@@ -131,6 +131,7 @@ class Simulation:
             self._states,
         )
         self._output = (0.0, 0.0)  # of the plant at rest, and what its sensor reads
+        self._memory: Any = ()
         self.plant_states = np.zeros((0, 0))
         """(ticks, n), at the beginning of each tick, where they are kept."""
         if isinstance(plant, SampledPlant):
@@ -145,17 +146,35 @@ class Simulation:
         """Go on up to the tick ``until``; None: to the end. What the plant raises is passed on."""
         end, plant = self.ticks if until is None else min(until, self.ticks), self._plant
         if isinstance(plant, SampledPlant):
+            if end <= self.done:
+                return
             self._output = _run(
                 *self._loop, self.done, end, *self._output, plant.constants, self._memory,
                 self.plant_states,
             )  # fmt: skip
-            self.done = max(self.done, end)
+            self.done = end
             return
         effectiveness = self.inputs[3]
         while self.done < end:
             u1, u2 = tick(*self._loop, self.done, *self._output)
             self.done += 1
             self._output = plant.follow(u1, u2, *effectiveness[self.done - 1].tolist())
+
+    def go_on_from(self, other: Simulation) -> None:
+        """Be where ``other`` is: a loop of the same table and ``SampledPlant``, as long as this.
+
+        As far as that is its inputs must have been the same.
+        """
+        for own, its in zip(self._changing, other._changing, strict=True):
+            own[...] = its
+        self.done, self._output = other.done, other._output
+
+    @property
+    def _changing(self) -> tuple[Any, ...]:
+        """Every array that a tick changes."""
+        _, controllers, _, _, (held, silent, _, reached, *_), signals, states = self._loop
+        rest = (*self._memory, self.plant_states)
+        return controllers, held, silent, reached, signals, states, *rest
 
     @property
     def trace(self) -> Trace:
@@ -288,7 +307,8 @@ def _run(
     for k in range(begin, end):
         u1, u2 = tick(tables, controllers, inputs, grid, actuators, signals, states, k, y, read)
         if len(plant_states) > 0:
-            plant_states[k] = memory[0]
+            for i in range(plant_states.shape[1]):
+                plant_states[k, i] = memory[0][i]
         left_1, left_2 = effectiveness[k, 0], effectiveness[k, 1]
         y, read = follow(plant, memory, k, u1, u2, left_1, left_2)
     return y, read

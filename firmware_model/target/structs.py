@@ -10,6 +10,7 @@ of the measurement (m/s²), ``tick`` for a sampling period, ``1`` for a pure num
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cache
 from typing import Any, Literal
 
 import numpy as np
@@ -47,6 +48,7 @@ class Field:
 Struct = tuple[Field, ...]
 
 
+@cache
 def struct_type(struct: Struct, precision: Precision) -> np.dtype[np.void]:
     """The aligned layout of ``struct`` with its real numbers in ``precision``."""
 
@@ -58,6 +60,7 @@ def struct_type(struct: Struct, precision: Precision) -> np.dtype[np.void]:
     return np.dtype([(field.name, type_of(field), field.shape) for field in struct], align=True)
 
 
+@cache
 def record_type(struct: Struct, precision: Precision) -> np.dtype[np.void]:
     """``struct_type`` whose members, nested ones too, are read and written as attributes."""
     return np.dtype((np.record, struct_type(struct, precision)))

@@ -7,7 +7,10 @@ import sys
 from pathlib import Path
 from types import ModuleType
 
+import numpy as np
 import pytest
+from numba.core import config
+from numba.core.errors import NumbaError
 
 from firmware_model import compiled
 
@@ -34,12 +37,22 @@ def test_another_state_of_the_package_has_another_folder(
 def test_refusal_to_cache_is_no_refusal_to_compile(monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
 
-    def njit(cache=False, error_model=None):  # type: ignore[no-untyped-def]
-        calls.append((cache, error_model))
+    def njit(cache=False, error_model=None, _nrt=True):  # type: ignore[no-untyped-def]
+        calls.append((cache, error_model, _nrt))
         if cache:
             raise RuntimeError("no locator available")
         return lambda function: function
 
     monkeypatch.setattr(compiled, "njit", njit)
     assert compiled.firmware(abs) is abs
-    assert calls == [(True, "numpy"), (False, "numpy")]
+    assert calls == [(True, "numpy", False), (False, "numpy", False)]
+
+
+@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
+def test_what_runs_on_the_target_cannot_allocate() -> None:
+    @compiled.firmware
+    def reserve(n: int) -> float:
+        return float(np.zeros(n)[0])
+
+    with pytest.raises(NumbaError, match="zeros"):
+        reserve(3)

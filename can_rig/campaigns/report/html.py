@@ -30,6 +30,12 @@ def html_page(plan: Plan, summary: Summary, figure: Figure) -> str:
         f"{html.escape(settings.sampling)}, seed {settings.seed}; {summary.hours:.4g} h simulated; "
         f"{summary.failed:,} gave no result.</p>",
     ]
+    if summary.found:
+        parts += [f"<h2>Search: least margin of {html.escape(settings.search or '')}</h2>", table(
+            ("", "runs", "least margin", "failed", "first failed at run"),
+            ((each.method, each.runs, *("-" if value is None else value for value in
+              (each.least, each.failed, each.first_failed))) for each in summary.found),
+        ), "<p>What follows is of the random runs, but for the worst ones.</p>"]  # fmt: skip
     if summary.rates:
         parts += ["<h2>Requirements</h2>", table(
             ("", "expression", "passed", "failed", "without", "rate", "95 %"),

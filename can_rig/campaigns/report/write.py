@@ -10,7 +10,7 @@ from can_rig.campaigns.campaign import CampaignFolder
 from can_rig.campaigns.report.html import html_page
 from can_rig.campaigns.report.picture import draw
 from can_rig.campaigns.run import requirements_of
-from can_rig.campaigns.statistics import Summary, metrics_shown, summarise
+from can_rig.campaigns.statistics import Summary, margin_column, metrics_shown, summarise
 from can_rig.campaigns.table import read_columns
 from can_rig.files import atomic
 
@@ -30,6 +30,7 @@ def write_report(folder: CampaignFolder) -> Summary:
         *plan.settings.axes,
         *metrics_shown(required),
         *(f"passed.{each.name}" for each in required),
+        margin_column(plan),
     ]  # fmt: skip
     columns = read_columns(folder.table, list(dict.fromkeys(names)))
     summary = summarise(plan, required, columns)

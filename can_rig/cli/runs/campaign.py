@@ -5,17 +5,20 @@ from __future__ import annotations
 import os
 import sys
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import asdict
 from pathlib import Path
 
 import click
+from rich.table import Table
 
-from can_rig.campaigns.campaign import CampaignFolder, execute, open_folder
-from can_rig.campaigns.plan import plan
+from can_rig.campaigns.campaign import CampaignFolder, open_folder
+from can_rig.campaigns.execution import execute
+from can_rig.campaigns.plan import Plan, plan
 from can_rig.campaigns.report import write_report
 from can_rig.campaigns.settings import read_campaign
 from can_rig.campaigns.statistics import Summary
+from can_rig.campaigns.workers import Compute, in_processes, serially
 from can_rig.cli.options import json_option, set_option
 from can_rig.cli.output import json_line, say, table, wide
 from can_rig.cli.progress import counting
@@ -34,6 +37,12 @@ from can_rig.nodes.watchdog import StopRequest
     type=click.IntRange(1),
     help="Processes; the result does not depend on it.  [default: the cores]",
 )
+@click.option("--scheduler", metavar="ADDRESS", help="Of a Dask cluster, in place of --workers.")
+@click.option(
+    "--search",
+    metavar="REQUIREMENT",
+    help="Look for the runs that fail it worst, or all of them; as many random ones beside.",
+)
 @click.option("--out", type=click.Path(path_type=Path), help="Folder [campaigns/CAMPAIGN-TIME].")
 @click.option("--resume", is_flag=True, help="Go on with the campaign that is in --out.")
 @click.option("--force", is_flag=True, help="Replace the campaign that is in --out.")
@@ -45,6 +54,8 @@ def command(
     runs: int | None,
     seed: int | None,
     workers: int | None,
+    scheduler: str | None,
+    search: str | None,
     out: Path | None,
     resume: bool,
     force: bool,
@@ -58,12 +69,15 @@ def command(
     """
     if resume and (out is None or force):
         raise click.UsageError("--resume: must come with --out, and not with --force")
-    planned = plan(read_campaign(campaign, settings, scenario=scenario, runs=runs, seed=seed))
+    if scheduler is not None and workers is not None:
+        raise click.UsageError("--scheduler: must come without --workers")
+    keys = {"scenario": scenario, "runs": runs, "seed": seed, "search": search}
+    planned = plan(read_campaign(campaign, settings, **keys))
     folder = open_folder(out, planned, resume=resume, force=force)
     stop = StopRequest().on_signals()
+    cores = min(workers or len(os.sched_getaffinity(0)), planned.runs)
     with counting(planned.settings.name, "runs", planned.runs) as on_done, _told(folder):
-        cores = workers or len(os.sched_getaffinity(0))
-        whole = execute(folder, min(cores, planned.runs), lambda: stop.wanted, on_done)
+        whole = execute(folder, computing(planned, cores, scheduler), lambda: stop.wanted, on_done)
     if not whole:
         say(f"{folder.done} of {planned.runs} runs are done; --resume --out {folder.path} goes on")
         sys.exit(INTERRUPTED)
@@ -75,6 +89,19 @@ def command(
     sys.exit(1 if any(rate.failed for rate in summary.rates) or summary.failed else 0)
 
 
+def computing(
+    planned: Plan, workers: int, scheduler: str | None
+) -> AbstractContextManager[Compute]:
+    """Who computes the runs."""
+    if scheduler is not None:
+        from can_rig.campaigns.cluster import on_cluster  # noqa: PLC0415 (an extra)
+
+        return on_cluster(planned, scheduler)
+    if workers == 1:
+        return serially(planned)
+    return in_processes(planned, workers)
+
+
 @contextmanager
 def _told(folder: CampaignFolder) -> Iterator[None]:
     """Say where the campaign is, whatever ends it."""
@@ -83,6 +110,15 @@ def _told(folder: CampaignFolder) -> Iterator[None]:
     except BaseException:
         say(f"campaign folder  {folder.path}")
         raise
+
+
+def _found(summary: Summary) -> Table:
+    found = table("chosen by", "runs", "least margin", "failed", "first failed at", left=1)
+    for each in summary.found:
+        least = "-" if each.least is None else f"{each.least:.4g}"
+        first = "-" if each.first_failed is None else str(each.first_failed)
+        found.add_row(each.method, str(each.runs), least, str(each.failed), first)
+    return found
 
 
 def _print(summary: Summary, folder: CampaignFolder) -> None:
@@ -100,6 +136,8 @@ def _print(summary: Summary, folder: CampaignFolder) -> None:
         values = (each.least, each.median, each.percentile_99, each.greatest)
         spreads.add_row(each.name, str(each.runs), *(f"{number:.4g}" for number in values))
     console.print(spreads)
+    if summary.found:
+        console.print(_found(summary))
     alarms = summary.false_alarms
     if alarms["per_hour"] is not None:
         say(

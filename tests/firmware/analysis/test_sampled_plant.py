@@ -20,7 +20,7 @@ def test_is_exact_for_held_commands(plant) -> None:  # type: ignore[no-untyped-d
     commands = np.random.default_rng(7).standard_normal((40, 2)) * [30.0, 2000.0]
     x, expected = sampled.rest, np.zeros(len(plant.a))
     for u in commands:
-        advance_plant(sampled.phi, sampled.gamma, x, u[0], u[1])
+        advance_plant(sampled.phi, sampled.gamma, x, sampled.rest, u[0], u[1])
         expected = integrate.solve_ivp(
             lambda _, state, u=u: plant.a @ state + plant.b @ u,
             (0.0, tick_s),

@@ -99,3 +99,25 @@ def test_in_pieces_it_is_the_same_run_with_what_its_plant_did() -> None:
         sent = np.concatenate([np.zeros(LATENCY), run.trace.command_1[:-LATENCY]])
         np.testing.assert_array_equal(run.reached[0], np.clip(sent, -limit, limit))
     assert np.abs(limited.trace.command_1).max() > weak
+
+
+def test_a_run_goes_on_from_another_that_was_the_same_so_far() -> None:
+    arrives = np.ones((TICKS, 2), dtype=np.bool_)
+    arrives[LOST_AT:, 0] = False
+    noise = np.random.default_rng(2).normal(0.0, 0.01, TICKS)
+    before = Simulation(TABLE, sample(CAR, TICK_S), REFERENCE, noise=noise)
+    branch, whole = (
+        Simulation(TABLE, sample(CAR, TICK_S), REFERENCE, noise=noise, arrives=arrives)
+        for _ in range(2)
+    )
+    before.run(LOST_AT)
+    branch.go_on_from(before)
+    assert branch.done == LOST_AT
+    for loop in (branch, whole, before):
+        loop.run()
+    before.run(LOST_AT)  # which it has done long ago
+    assert before.done == TICKS
+    for name in ("measured", "command_1", "command_2", "fault_estimate", "evidence", "mode"):
+        np.testing.assert_array_equal(getattr(branch.trace, name), getattr(whole.trace, name))
+    np.testing.assert_array_equal(branch.reached, whole.reached)
+    assert (before.trace.measured != branch.trace.measured).any()

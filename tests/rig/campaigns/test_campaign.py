@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
@@ -17,14 +18,18 @@ import pytest
 from pyarrow import parquet
 
 from can_rig.assessment.resolve import load
-from can_rig.campaigns.campaign import CampaignFolder, execute, open_folder
+from can_rig.campaigns.campaign import CampaignFolder, open_folder
+from can_rig.campaigns.execution import execute
 from can_rig.campaigns.plan import Plan, plan
-from can_rig.campaigns.run import run_rows
+from can_rig.campaigns.run import Task, run_rows
 from can_rig.campaigns.settings import campaign_of
 from can_rig.campaigns.table import METRICS, TRUTHS
+from can_rig.campaigns.workers import Compute, in_processes, serially
 from can_rig.errors import RunFolderError, ScenarioError
 from can_rig.results.without_log import metrics_of
 from tests.helpers import asked
+
+WhoComputes = AbstractContextManager[Compute]
 
 SHORT: dict[str, Any] = {
     "settings": {"duration_s": 0.3, "fault.at_s": 0.2, "fault.kind": "actuator-dead"},
@@ -64,15 +69,29 @@ def planned(**values: Any) -> Plan:
     return plan(campaign_of("some", {**SHORT, **values}))
 
 
+def by(some: Plan, number: int) -> WhoComputes:
+    """This process, or so many others."""
+    return serially(some) if number == 1 else in_processes(some, number)
+
+
+def never() -> bool:
+    """Nobody stops it."""
+    return False
+
+
+def quiet(_done: int) -> None:
+    """Progress that nobody watches."""
+
+
 def ran(path: Path, some: Plan, number: int = 1, blocks: int | None = None) -> CampaignFolder:
     """The campaign, stopped after so many blocks and gone on with."""
     folder = open_folder(path, some, resume=False, force=False)
     if blocks is not None:
         left = iter([False] * blocks)
-        assert not execute(folder, number, lambda: next(left, True), lambda done: None)
+        assert not execute(folder, by(some, number), lambda: next(left, True), quiet)
         assert 0 < folder.done < some.runs
         folder = open_folder(path, some, resume=True, force=False)
-    assert execute(folder, number, lambda: False, lambda done: None)
+    assert execute(folder, by(some, number), never, quiet)
     return folder
 
 
@@ -136,7 +155,7 @@ def test_a_worker_that_is_killed_costs_nothing(done: CampaignFolder, tmp_path: P
                 victims.append(busy[0].pid)
                 busy[0].kill()
 
-    assert execute(folder, 2, lambda: False, kill_one)
+    assert execute(folder, by(planned(), 2), never, kill_one)
     assert victims
     assert folder.table.read_bytes() == done.table.read_bytes()
 
@@ -153,8 +172,8 @@ def test_workers_that_always_die_end_it_in_a_line(
     )
     some = planned(settings={**SHORT["settings"], "plant.kind": "deadly_car:Deadly"})
     folder = open_folder(tmp_path / "out", some, resume=False, force=False)
-    with pytest.raises(Exception, match=r"runs 0 to 0: the worker died 3 times"):
-        execute(folder, 2, lambda: False, lambda done: None)
+    with pytest.raises(Exception, match=r"runs 0 to 0: the worker died 5 times"):
+        execute(folder, by(some, 2), never, quiet)
 
 
 def test_a_run_that_fails_is_a_row_with_its_reason(
@@ -165,7 +184,7 @@ def test_a_run_that_fails_is_a_row_with_its_reason(
     axes = {"plant.mass_kg": {"values": [1300.0, 1500.0]}, "tick_s": {"values": [0.001, 1e-9]}}
     settings = {**SHORT["settings"], "plant.kind": "brittle_car:Brittle"}
     some = plan(campaign_of("some", {"sampling": "grid", "axes": axes, "settings": settings}))
-    found = run_rows(some, 0, 4)
+    found = run_rows(some, Task(0, 4))
     assert "failure" not in found[0]
     assert "axle broken" in found[2]["failure"]
     assert all("tick_s = 1e-09: must be" in found[at]["failure"] for at in (1, 3))

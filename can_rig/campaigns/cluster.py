@@ -1,0 +1,124 @@
+"""A Dask cluster as who computes a campaign; its workers need this package and nothing else.
+
+A task and its campaign are all that a worker is told, and its rows all that it answers: the files
+are written here. So nothing is lost or counted twice, whichever worker dies, is slow or is asked
+again. A scheduler that goes away ends the command; what is done is kept.
+"""
+
+from __future__ import annotations
+
+import pickle
+from collections.abc import Iterable, Iterator
+from concurrent.futures import CancelledError
+from contextlib import contextmanager
+from functools import lru_cache
+from threading import Lock
+from typing import Any, Final
+
+from can_rig.campaigns.plan import Plan
+from can_rig.campaigns.run import Row, Task, run_rows
+from can_rig.campaigns.versions import versions
+from can_rig.campaigns.workers import AHEAD, Compute, Done, Todo, deaths_after
+from can_rig.errors import RigError, one_line, require
+
+PATIENCE_S: Final = 30.0
+"""For the scheduler to answer, and for its first worker."""
+
+_ONE_AT_A_TIME: Final = Lock()
+"""Threads of a worker share what is remembered of a scenario, and one core's worth of Python."""
+
+
+@contextmanager
+def on_cluster(plan: Plan, scheduler: str) -> Iterator[Compute]:
+    """The cluster whose scheduler listens at that address.
+
+    Raises:
+        MissingExtraError: distributed is not installed.
+        RigError: no scheduler, or one without workers; to compute raises it where the scheduler
+            goes away, workers die again and again, or have other versions of packages.
+    """
+    require("distributed", extra="cluster")
+    from distributed import Client  # noqa: PLC0415 (an extra)
+
+    try:
+        client = Client(scheduler, timeout=PATIENCE_S, set_as_default=False)
+    except (OSError, ValueError, TypeError) as error:
+        raise RigError(f"--scheduler {scheduler}: cannot be reached: {one_line(error)}") from None
+    try:
+        client.wait_for_workers(1, timeout=PATIENCE_S)
+        yield _Cluster(client, scheduler, plan).compute
+    except TimeoutError:
+        raise RigError(f"--scheduler {scheduler}: has no workers") from None
+    finally:
+        client.close(timeout=PATIENCE_S)
+
+
+class _Cluster:
+    def __init__(self, client: Any, scheduler: str, plan: Plan) -> None:
+        self._client, self._scheduler = client, scheduler
+        self._plan = pickle.dumps(plan)
+        self._asked = 0
+
+    def compute(self, tasks: Iterable[Task]) -> Done:
+        """See ``Compute``."""
+        from distributed import KilledWorker, as_completed  # noqa: PLC0415 (an extra)
+
+        todo, deaths = Todo(tasks), 0
+        running: dict[Any, Task] = {}
+        completed = as_completed(loop=self._client.loop)
+        while todo or running:
+            while len(running) < self._wanted() and todo:
+                task = todo.take()
+                future = self._submit(task)
+                running[future] = task
+                completed.add(future)
+            future = next(completed)
+            task = running.pop(future)
+            try:
+                rows = future.result()
+            except KilledWorker:
+                deaths = deaths_after(deaths, task)
+                todo.put_back([task])
+            except (OSError, CancelledError) as error:
+                raise RigError(
+                    f"--scheduler {self._scheduler}: went away ({one_line(error)}); what is done "
+                    "is kept, and --resume goes on"
+                ) from None
+            else:
+                deaths = 0
+                yield task, rows
+
+    def _wanted(self) -> int:
+        """Tasks that are given out at once; workers come and go."""
+        threads: dict[str, int] = self._client.nthreads()
+        return AHEAD * max(1, sum(threads.values()))
+
+    def _submit(self, task: Task) -> Any:
+        self._asked += 1
+        return self._client.submit(
+            rows_of, self._plan, task, versions(), pure=False,
+            key=f"runs {task.begin} to {task.end - 1}, {self._client.id}, {self._asked}",
+        )  # fmt: skip
+
+
+def rows_of(plan: bytes, task: Task, wanted: dict[str, str]) -> list[Row]:
+    """On a worker: the rows of a task.
+
+    Raises:
+        RigError: packages are not those of who asks.
+    """
+    found = versions()
+    for package, version in wanted.items():
+        if found[package] != version:
+            raise RigError(
+                f"a worker has {package} {found[package]}, and not {version} as here; "
+                "must be the same"
+            )
+    with _ONE_AT_A_TIME:
+        return run_rows(_plan_of(plan), task)
+
+
+@lru_cache(1)
+def _plan_of(written: bytes) -> Plan:
+    plan: Plan = pickle.loads(written)
+    return plan

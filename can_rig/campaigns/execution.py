@@ -1,0 +1,101 @@
+"""A campaign computed block by block: drawn runs, a search, and in the end one table."""
+
+from __future__ import annotations
+
+import shutil
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import AbstractContextManager
+from itertools import takewhile
+from typing import Final
+
+from can_rig.campaigns.campaign import CampaignFolder
+from can_rig.campaigns.run import Row, Task
+from can_rig.campaigns.search import GENERATION, Search
+from can_rig.campaigns.statistics import margin_column
+from can_rig.campaigns.table import put_together, read_columns, schema, write_block
+from can_rig.campaigns.workers import Compute
+
+Stopped = Callable[[], bool]
+OnRun = Callable[[int], None]
+
+PART: Final = 8
+"""Runs that a worker is given at once: a part of a block that is lost with it is soon made good."""
+
+
+def execute(
+    folder: CampaignFolder,
+    workers: AbstractContextManager[Compute],
+    stopped: Stopped,
+    on_done: OnRun,
+) -> bool:
+    """Compute what is not there yet; whether all is.
+
+    Args:
+        folder: of the campaign.
+        workers: who computes.
+        stopped: asked before a block is begun; those under way are finished.
+        on_done: called with the number of runs that are done.
+
+    Raises:
+        RigError: workers die again and again.
+        LogError: a file cannot be written.
+    """
+    if folder.table.is_file():
+        return True
+    blocks, columns, searched = folder.blocks, schema(folder.plan), folder.plan.searched
+    with workers as compute:
+        found = not searched or search(folder, compute, stopped, on_done)
+        drawn = (task for task in blocks if found and task.begin >= searched)
+        missing = (task for task in drawn if not blocks[task].is_file())
+        todo = takewhile(lambda _: not stopped(), missing)
+        for task, rows in computed(todo, compute, PART):
+            write_block(blocks[task], rows, columns)
+            on_done(folder.done)
+    if folder.done < folder.plan.runs:
+        return False
+    put_together(list(blocks.values()), folder.table)
+    shutil.rmtree(folder.blocks_path)
+    return True
+
+
+def search(folder: CampaignFolder, compute: Compute, stopped: Stopped, on_done: OnRun) -> bool:
+    """Go through the generations, those that are there already too; whether it got to the end."""
+    settings, columns = folder.plan.settings, schema(folder.plan)
+    searcher = Search(len(settings.axes), settings.seed)
+    margin = margin_column(folder.plan)
+    for task, file in folder.blocks.items():
+        if task.begin >= folder.plan.searched:
+            break
+        points = searcher.ask()[: task.end - task.begin]
+        if not file.is_file():
+            if stopped():
+                return False
+            for _, rows in computed([task._replace(points=tuple(points))], compute, 1):
+                write_block(file, rows, columns)
+                on_done(folder.done)
+        if len(points) == GENERATION:
+            searcher.tell(read_columns(file, [margin])[margin])
+    return True
+
+
+def computed(
+    blocks: Iterable[Task], compute: Compute, most: int
+) -> Iterator[tuple[Task, list[Row]]]:
+    """Blocks that are whole, in parts of ``most`` runs that workers compute in whatever order."""
+    wholes: dict[Task, Task] = {}
+    rows: dict[Task, dict[int, Row]] = {}
+
+    def parts() -> Iterator[Task]:
+        for block in blocks:
+            rows[block] = {}
+            for part in block.parts(most):
+                wholes[part] = block
+                yield part
+
+    for part, some in compute(parts()):
+        block = wholes.pop(part)
+        known = rows[block]
+        known |= dict(zip(range(part.begin, part.end), some, strict=True))
+        if len(known) == block.end - block.begin:
+            del rows[block]
+            yield block, [known[run] for run in range(block.begin, block.end)]

@@ -1,0 +1,138 @@
+"""The search for the worst run: repeatable, gone on with, and better than chance."""
+
+from __future__ import annotations
+
+import json
+import re
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from pyarrow import parquet
+
+from can_rig.campaigns.campaign import CampaignFolder, open_folder
+from can_rig.campaigns.execution import execute
+from can_rig.campaigns.plan import Plan, plan
+from can_rig.campaigns.report import write_report
+from can_rig.campaigns.run import requirements_of
+from can_rig.campaigns.search import GENERATION, Search
+from can_rig.campaigns.settings import campaign_of, read_campaign
+from can_rig.campaigns.statistics import found, summarise
+from can_rig.campaigns.table import read_columns
+from can_rig.campaigns.workers import serially
+from can_rig.errors import ScenarioError
+
+BUDGET = 40
+SHORT: dict[str, Any] = {
+    "settings": {"duration_s": 0.06, "fault.at_s": 0.03, "fault.kind": "actuator-dead"},
+    "axes": {
+        "fault.left": {"range": [0.0, 0.9]},
+        "plant.sensor.noise_mps2": {"range": [1e-4, 1e-2], "scale": "log"},
+    },
+    "requirements": {"small": "deviation_peak_after_fault_mps2 <= 1e-3", "calm": "suspicions == 0"},
+    "runs": BUDGET,
+    "search": "small",
+}
+
+
+def planned(**values: Any) -> Plan:
+    return plan(campaign_of("some", {**SHORT, **values}))
+
+
+def ran(path: Path, stops: int = 0) -> CampaignFolder:
+    """The search, stopped so often after two blocks."""
+    some, folder = planned(), open_folder(path, planned(), resume=False, force=False)
+    for _ in range(stops):
+        left = iter([False] * 2)
+        assert not execute(folder, serially(some), lambda left=left: next(left, True), str)
+    assert execute(folder, serially(some), lambda: False, str)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def done(tmp_path_factory: pytest.TempPathFactory) -> CampaignFolder:
+    return ran(tmp_path_factory.mktemp("search") / "one")
+
+
+def test_the_search_and_as_many_random_runs_share_a_table(done: CampaignFolder) -> None:
+    rows = parquet.read_table(done.table).to_pylist()
+    assert [row["run"] for row in rows] == list(range(2 * BUDGET))
+    assert [row["method"] for row in rows] == ["search"] * BUDGET + ["random"] * BUDGET
+    searched, drawn = rows[:BUDGET], rows[BUDGET:]
+    assert min(row["margin.small"] for row in searched) < min(row["margin.small"] for row in drawn)
+    some = planned()
+    assert drawn[3]["fault.left"] == some.values_of(BUDGET + 3)["fault.left"]
+    assert all(0.0 <= row["fault.left"] <= 0.9 for row in rows)
+
+
+def test_an_interruption_changes_nothing(done: CampaignFolder, tmp_path: Path) -> None:
+    assert ran(tmp_path / "stopped", stops=2).table.read_bytes() == done.table.read_bytes()
+
+
+def test_the_report_is_of_the_random_runs_and_says_what_was_found(done: CampaignFolder) -> None:
+    summary = write_report(done)
+    assert summary.runs == BUDGET
+    columns = read_columns(done.table)
+    assert summarise(done.plan, requirements_of(done.plan), columns) == summary
+    assert [each.method for each in summary.found] == ["search", "random"]
+    assert summary.found[0].least == min(columns["margin.small"][:BUDGET])
+    least = min(margin for margin in columns["margin"] if margin is not None)
+    assert summary.worst[0]["margin"] == least
+    assert json.loads((done.path / "summary.json").read_text())["found"][1]["runs"] == BUDGET
+    assert "least margin of small" in (done.path / "report.html").read_text("utf-8")
+
+
+@pytest.mark.parametrize("axes", [1, 2, 5])
+def test_a_valley_is_found_by_the_margins_alone(axes: int) -> None:
+    def margin(point: tuple[float, ...]) -> float:
+        return sum((u - 0.83) ** 2 for u in point)
+
+    search, again = Search(axes, seed=3), Search(axes, seed=3)
+    before = np.random.get_state()[1].tolist()
+    best = []
+    for _ in range(40):
+        points = search.ask()
+        assert points == again.ask()
+        assert len(points) == GENERATION
+        assert all(0.0 <= u <= 1.0 and len(point) == axes for point in points for u in point)
+        margins = [margin(point) for point in points]
+        for each in (search, again):
+            each.tell(margins)
+        best.append(min(margins))
+    assert min(best) < 1e-3
+    assert np.random.get_state()[1].tolist() == before
+    assert Search(axes, seed=4).ask() != Search(axes, seed=3).ask()
+
+
+def test_runs_without_a_margin_and_flat_ground_do_not_end_it() -> None:
+    search = Search(2, seed=0)
+    for _ in range(40):
+        assert len(search.ask()) == GENERATION
+        search.tell([None, *[1.0] * (GENERATION - 1)])
+
+
+def test_what_was_found_is_counted() -> None:
+    one = found("search", [None, 0.5, -0.1, 0.2, -0.3])
+    assert (one.runs, one.least, one.failed, one.first_failed) == (5, -0.3, 2, 3)
+    assert found("random", [None, None]).least is None
+
+
+@pytest.mark.parametrize(
+    ("values", "line"),
+    [
+        ({"search": "smal"}, "search = 'smal': must be a requirement, small or calm or all"),
+        ({"axes": {}}, "must come with axes"),
+        ({"requirements": {}}, "must come with a requirement"),
+        ({"sampling": "sobol"}, 'must come with sampling = "random"'),
+    ],
+)
+def test_what_cannot_be_searched_is_one_line(values: dict[str, Any], line: str) -> None:
+    with pytest.raises(ScenarioError, match=re.escape(line)):
+        planned(**values)
+
+
+def test_a_grid_is_searched_between_its_ends() -> None:
+    settings = read_campaign("cars", search="deviation", runs=10)
+    assert (settings.sampling, plan(settings).runs) == ("random", 20)
+    assert all(axis.points is None for axis in settings.axes.values())
