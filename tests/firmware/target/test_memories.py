@@ -105,6 +105,8 @@ def test_an_overflow_forgets_what_the_measurement_feeds_alone(on_confirmation: b
     expected.probe.tick = 0
     expected.tracking.filter.accumulators[:] = 0.0
     expected.tracking.error = 0.0
+    expected.tracking.stabiliser.accumulators[:] = 0.0
+    expected.estimator.measurement.accumulators[:] = 0.0
     expected.estimator.one_plus_q.accumulators[:] = 0.0
     if not on_confirmation:
         expected.compensator.filter.accumulators[:] = 0.0
