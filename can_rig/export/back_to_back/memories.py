@@ -61,7 +61,9 @@ def random_table(
         table.decision.recover = random.exponential(3.0)
         table.mismatch.noise = random.exponential(1.0)
         table.mismatch.white = random.exponential(1.0)
-        table.sequential_test.restart = -1.0
+        test = table.sequential_test
+        test.restart, test.promising, test.freshness = -1.0, random.exponential(), random.random()
+        test.needed = random.exponential()
     cars = table.other_cars
     for filter in (
         table.tracking.filter, table.estimator.channel_1, table.estimator.channel_2,
@@ -102,6 +104,11 @@ def random_state(
         ("shown_index_2", constants.shown_ticks_2),
     ):  # fmt: skip
         setattr(estimator, index, random.integers(0, max(size, 1)))
+    if random.random() < 0.5:  # a candidate that may have grown old
+        test = state.sequential_test
+        test.half_age, test.evidence = random.integers(2, 9), random.exponential()
+        test.age = 2.0 * test.half_age + random.integers(-2, 3)
+        test.half_information, test.information = np.sort(random.exponential(1.0, 2))
     if random.random() < 0.3:
         state.bumpless_transfer.carried_speed = random.choice([np.inf, np.nan])
     state.mode, state.fault_state = random.integers(0, 4, 2)
