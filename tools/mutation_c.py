@@ -14,7 +14,7 @@ import subprocess
 import sys
 import tempfile
 import tomllib
-from collections.abc import Callable
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from functools import partial
@@ -35,10 +35,13 @@ from can_rig.scenario.build import network_of
 
 SETTINGS: Final = Path(__file__).with_suffix(".toml")
 COMPILER: Final = "tcc" if shutil.which("tcc") else "gcc"  # ten times as fast, and as exact
-FLAGS: Final = ("-std=c99",) if COMPILER == "tcc" else (*HOST_FLAGS, "-O0")
+FAST: Final = (COMPILER, "-std=c99") if COMPILER == "tcc" else (COMPILER, *HOST_FLAGS, "-O0")
 FEW, MANY = 20, 200  # memories: most mutants are noticed by the few
 TICKS: Final = 16
 SEEDS: Final = range(60)
+SLOW: Final = (
+    "gcc", *HOST_FLAGS, "-O0", "-fsanitize=address,undefined", "-fno-sanitize-recover=all",
+)  # fmt: skip
 CPU_S: Final = 10
 LONGEST_S: Final = 300
 
@@ -49,26 +52,30 @@ class Bench:
 
     Attributes:
         folder: its sources and objects.
-        orders: each a file, the quick one first.
+        sanitized: the same, with gcc's sanitizers.
+        orders: each a file, the quick one first, which the sanitized one gets last.
         noticed: whether answers to the orders of that number are others than they must be.
     """
 
     folder: Path
+    sanitized: Path
     orders: list[Path]
     noticed: Callable[[int, bytes], bool]
 
 
-def built(folder: Path, files: dict[str, str]) -> None:
+def built(folder: Path, files: dict[str, str], compile_: Sequence[str]) -> None:
     """Sources and objects in a folder of their own."""
     folder.mkdir()
     for name, text in {**files, "bench_main.c": support("bench_main.c")}.items():
         (folder / name).write_text(text, encoding="utf-8")
-    run([COMPILER, *FLAGS, "-c", *(path.name for path in folder.glob("*.c"))], folder)
+    run([*compile_, "-c", *(path.name for path in folder.glob("*.c"))], folder)
 
 
-def answers(folder: Path, objects: list[str], orders: Path, program: str) -> bytes | None:
+def answers(
+    folder: Path, objects: list[str], orders: Path, program: str, compile_: Sequence[str]
+) -> bytes | None:
     """What a program of these objects answers; None where it fails."""
-    run([COMPILER, "-o", program, *objects, "-lm"], folder)
+    run([*compile_, "-o", program, *objects, "-lm"], folder)
     limited = ["prlimit", f"--cpu={CPU_S}", f"./{program}"]
     with orders.open("rb") as source:
         try:
@@ -90,26 +97,35 @@ def objects_of(folder: Path) -> list[str]:
     )
 
 
+def said_by(
+    mutant: Mutant, name: str, number: int, folder: Path, orders: list[Path], by: Sequence[str]
+) -> Iterator[bytes | None]:
+    """What a mutant of ``name`` answers to each of the orders; None where it fails."""
+    stem = f"{Path(name).stem}-{number}"
+    (folder / f"{stem}.c").write_text(mutant.source, encoding="utf-8")
+    compiled = subprocess.run(
+        [*by, "-c", f"{stem}.c"], cwd=folder, capture_output=True, check=False
+    )
+    (folder / f"{stem}.c").unlink()
+    if compiled.returncode:
+        yield None
+        return
+    own = Path(name).with_suffix(".o").name
+    objects = [f"{stem}.o" if each == own else each for each in objects_of(folder)]
+    try:
+        for each in orders:
+            yield answers(folder, objects, each, stem, by)
+    finally:
+        (folder / f"{stem}.o").unlink()
+
+
 def is_noticed(bench: Bench, name: str, number: int, mutant: Mutant) -> bool:
     """Whether a mutant of ``name`` fails to compile, fails, or answers otherwise."""
-    stem = f"{Path(name).stem}-{number}"
-    (bench.folder / f"{stem}.c").write_text(mutant.source, encoding="utf-8")
-    compiled = subprocess.run(
-        [COMPILER, *FLAGS, "-c", f"{stem}.c"], cwd=bench.folder, capture_output=True, check=False
-    )
-    (bench.folder / f"{stem}.c").unlink()
-    if compiled.returncode:
-        return True
-    own = Path(name).with_suffix(".o").name
-    objects = [f"{stem}.o" if each == own else each for each in objects_of(bench.folder)]
-    try:
-        for at, orders in enumerate(bench.orders):
-            said = answers(bench.folder, objects, orders, stem)
-            if said is None or bench.noticed(at, said):
-                return True
-    finally:
-        (bench.folder / f"{stem}.o").unlink()
-    return False
+    for at, said in enumerate(said_by(mutant, name, number, bench.folder, bench.orders, FAST)):
+        if said is None or bench.noticed(at, said):
+            return True
+    checked = said_by(mutant, name, number, bench.sanitized, bench.orders[:1], SLOW)
+    return any(said is None for said in checked)
 
 
 def law_bench(place: Path) -> Bench:
@@ -118,8 +134,9 @@ def law_bench(place: Path) -> Bench:
     Raises:
         SystemExit: the C differs unchanged.
     """
-    folder = place / "law"
-    built(folder, trial_files(law_files("float64")))
+    folder, sanitized = place / "law", place / "law-sanitized"
+    for each, by in ((folder, FAST), (sanitized, SLOW)):
+        built(each, trial_files(law_files("float64")), by)
     trials: list[list[Trial]] = [
         random_trials("float64", seed, memories, TICKS) for seed, memories in ((1, FEW), (2, MANY))
     ]
@@ -131,9 +148,9 @@ def law_bench(place: Path) -> Bench:
     def noticed(at: int, said: bytes) -> bool:
         return said != expected[at] and different(expected[at], said, trials[at]) > 0
 
-    found = Bench(folder, orders, noticed)
+    found = Bench(folder, sanitized, orders, noticed)
     for at, path in enumerate(orders):
-        said = answers(folder, objects_of(folder), path, "unchanged")
+        said = answers(folder, objects_of(folder), path, "unchanged", FAST)
         if said is None or noticed(at, said):
             sys.exit("error: the C differs from Python before anything is changed")
     return found
@@ -141,13 +158,14 @@ def law_bench(place: Path) -> Bench:
 
 def node_bench(place: Path) -> Bench:
     """Random frames for the node."""
-    folder, scenario = place / "node", load("default", [])
+    folder, sanitized, scenario = place / "node", place / "node-sanitized", load("default", [])
     whole = application(scenario)
-    built(folder, whole | bench(whole))
+    for each, by in ((folder, FAST), (sanitized, SLOW)):
+        built(each, whole | bench(whole), by)
     orders = place / "frames"
     orders.write_bytes(as_orders(network_of(scenario), SEEDS, round(scenario.tick_s * 1e6)))
-    expected = answers(folder, objects_of(folder), orders, "unchanged")
-    return Bench(folder, [orders], lambda _, said: said != expected)
+    expected = answers(folder, objects_of(folder), orders, "unchanged", FAST)
+    return Bench(folder, sanitized, [orders], lambda _, said: said != expected)
 
 
 def main() -> None:
@@ -157,7 +175,9 @@ def main() -> None:
     parser.add_argument("--processes", type=int, default=2)
     asked = parser.parse_args()
     entries = tomllib.loads(SETTINGS.read_text("utf-8")).get("accepted", [])
-    accepted = {(each["file"], each["before"], each["after"]) for each in entries}
+    accepted = {
+        (each["file"], each["before"], after) for each in entries for after in each["after"]
+    }
     law, whole = law_files("float64"), application(load("default", []))
     chosen = sorted(n for n in whole if n.endswith(".c") and n in (asked.files or whole))
     noticed = survived = excused = 0

@@ -112,7 +112,7 @@ class _Session(Plugin):
         gc.freeze()
         work = lambda mutant: self._tried(session, *mutant)  # noqa: E731
         for key, answer in answers(work, self._mutants, self._workers):
-            self.tests.kills[answer or ""] += 1
+            self.tests.count(answer)
             self._to.send((key, answer))
         return True
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 import signal
 import time
-from collections import Counter, defaultdict
+from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, field
 from typing import Final
@@ -22,6 +22,7 @@ OPTIONS: Final = (
     "-m",
     "not vcan and not long",
 )
+_FORGOTTEN: Final = 0.8  # what each mutant leaves of the count of those before
 _SLOWER: Final = 10  # times the usual duration of a test, and then it hangs
 _SLOWER_S: Final = 2.0
 _WAITS_S: Final = 120.0  # of the clock on the wall: a test that waits without computing hangs
@@ -37,8 +38,14 @@ class Tests:
     """CPU time of each test on the unchanged code [s], as far as it is known."""
     below_s: float = math.inf
     """Tests that take longer are left out."""
-    kills: Counter[str] = field(default_factory=Counter)
-    """Number of mutants that each test has noticed first."""
+    kills: dict[str, float] = field(default_factory=dict)
+    """Number of mutants that each test has noticed first, the last ones above all."""
+
+    def count(self, killer: str | None) -> None:
+        """Take in what noticed a mutant: that test is likely to notice its neighbours too."""
+        self.kills = {test: _FORGOTTEN * number for test, number in self.kills.items()}
+        if killer:
+            self.kills[killer] = self.kills.get(killer, 0.0) + 1.0
 
 
 class Plugin:
@@ -75,10 +82,11 @@ class Plugin:
             file_s[test.partition("::")[0]] += test_s
         own = f"/test_{self.module}.py"
 
-        def place(item: pytest.Item) -> tuple[bool, int, float, float]:
+        def place(item: pytest.Item) -> tuple[bool, float, float, float]:
             name = item.nodeid
             file, test_s = name.partition("::")[0], self.tests.cpu_s.get(name, 0.0)
-            return not file.endswith(own), -self.tests.kills[name], file_s[file], test_s
+            kills = self.tests.kills.get(name, 0.0)
+            return not (kills or file.endswith(own)), -kills, file_s[file], test_s
 
         items.sort(key=place)
 

@@ -23,6 +23,7 @@ from can_rig.errors import BusError, BusLostError, one_line
 
 _NETWORK: Final = Path("/sys/class/net")
 _IFF_UP: Final = 1
+_FD_MTU: Final = 72  # bytes of the kernel's frame of CAN FD
 _ALWAYS_FD = ("local", "virtual", "udp_multicast")  # or without an argument for it
 _NO_CAN: Final = {errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT}
 
@@ -56,6 +57,8 @@ def open_bus(name: str, **kwargs: Any) -> can.BusABC:
         raise BusError(f"unknown bus interface {interface!r}; {_suggestion(interface)}")
     if interface == "socketcan" and channel:
         _check_is_up(str(channel))
+        if {**arguments, **kwargs}.get("fd"):
+            _check_carries_fd(str(channel))
     try:
         with _quiet():
             return can.Bus(
@@ -135,6 +138,16 @@ def _check_is_up(channel: str) -> None:
     flags = _NETWORK / channel / "flags"
     if flags.exists() and not int(flags.read_text(), 16) & _IFF_UP:
         raise BusError(f"CAN interface {channel} is down: sudo ip link set up {channel}")
+
+
+def _check_carries_fd(channel: str) -> None:
+    # Only the first send() would fail, and with "Invalid argument".
+    mtu = _NETWORK / channel / "mtu"
+    if mtu.exists() and int(mtu.read_text()) < _FD_MTU:
+        raise BusError(
+            f"CAN interface {channel} carries no CAN FD frames: sudo ip link set {channel} down; "
+            f"sudo ip link set {channel} mtu {_FD_MTU} up (of hardware: ip link ... type can fd on)"
+        )
 
 
 def lost(bus: object, error: can.CanError, for_s: float) -> BusLostError:

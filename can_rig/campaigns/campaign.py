@@ -10,10 +10,10 @@ from functools import cached_property
 from pathlib import Path
 from typing import Any, Final
 
+from can_rig.campaigns.computing.versions import versions
 from can_rig.campaigns.plan import Plan
 from can_rig.campaigns.run import Task, requirements_of
 from can_rig.campaigns.search import GENERATION
-from can_rig.campaigns.versions import versions
 from can_rig.errors import LogError, RunFolderError, require
 from can_rig.files import atomic
 

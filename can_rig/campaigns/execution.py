@@ -9,11 +9,11 @@ from itertools import takewhile
 from typing import Final
 
 from can_rig.campaigns.campaign import CampaignFolder
+from can_rig.campaigns.computing.workers import Compute
 from can_rig.campaigns.run import Row, Task
 from can_rig.campaigns.search import GENERATION, Search
 from can_rig.campaigns.statistics import margin_column
 from can_rig.campaigns.table import put_together, read_columns, schema, write_block
-from can_rig.campaigns.workers import Compute
 
 Stopped = Callable[[], bool]
 OnRun = Callable[[int], None]

@@ -50,7 +50,8 @@ def _members(struct: Struct, record: Any, precision: Precision, indent: str) -> 
         else:
             yield from _member(field, np.asarray(value), precision, indent)
     if len(zeros) == len(struct):  # an initialiser must not be empty
-        yield f"{indent}.{name(struct[0].name)} = {'{0}' if struct[0].shape else '0'},"
+        nested = len(struct[0].shape)
+        yield f"{indent}.{name(struct[0].name)} = {'{' * nested}0{'}' * nested},"
 
 
 def _member(field: Field, value: Any, precision: Precision, indent: str) -> Iterator[str]:

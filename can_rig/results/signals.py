@@ -22,7 +22,7 @@ from can_rig.logs.reading import read_log
 from can_rig.nodes.summary import RunColumns
 from can_rig.plant.columns import ON_THE_BUS
 from can_rig.plant.faults.delivery import Delivery
-from firmware_model.analysis.simulation import Trace
+from firmware_model.analysis.trace import Trace
 from firmware_model.target.structs import FloatArray
 
 ROLE_COLUMNS: Final = 5  # one of each frame; mode and fault state follow

@@ -10,19 +10,17 @@ same ``tick`` alternates with the plant's own ``follow``.
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
-from numpy.typing import NDArray
 
 from firmware_model.analysis import hardware
 from firmware_model.analysis.sampled_plant import SampledPlant, follow
+from firmware_model.analysis.trace import BoolArray, Trace
 from firmware_model.compiled import firmware
 from firmware_model.target import controller
 from firmware_model.target.structs import FloatArray, Record, RecordArray
 
-BoolArray = NDArray[np.bool_]
 Vectors = tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]
 
 # Rows of the signals of a tick.
@@ -40,30 +38,6 @@ class AnyPlant(Protocol):
 
         The commands reach their actuators now; ``left_1`` and ``left_2`` is what a fault leaves.
         """
-
-
-@dataclass(frozen=True)
-class Trace:
-    """One value a tick, each of shape (ticks,)."""
-
-    time_s: FloatArray
-    reference: FloatArray
-    measurement: FloatArray
-    """The plant's output y, before its sensor."""
-    measured: FloatArray
-    """y as the controller gets it: by the sensor, with bias and noise, on the grid of its frame."""
-    command_1: FloatArray
-    command_2: FloatArray
-    fault_estimate: FloatArray
-    fault_state: NDArray[np.int64]
-    mode: NDArray[np.int64]
-    evidence: FloatArray
-    """The log-likelihood ratio of a loss, or of the return of a lost channel."""
-
-    @property
-    def error(self) -> FloatArray:
-        """e = r - y (3.41)."""
-        return self.reference - self.measurement
 
 
 class Simulation:

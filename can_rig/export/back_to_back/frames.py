@@ -50,10 +50,11 @@ def as_orders(network: Network, seeds: range, tick_us: int) -> bytes:
         choose, at_us = random.Random(seed), 2**32 - TICKS // 2 * tick_us
         orders.append(RESTART)
         for frames in random_frames(network, seed):
-            orders.append(time_order(at_us + choose.randrange(-tick_us // 20, tick_us // 20)))
+            late_us = choose.choice([0, choose.randrange(-tick_us // 20, tick_us // 20)])
+            orders.append(time_order(at_us + late_us))
             for message in frames:
                 orders.append(frame_order(message.arbitration_id, bytes(message.data)))
-            orders += [time_order(at_us + tick_us * tenth // 10) for tenth in (4, 6)]
+            orders += [time_order(at_us + tick_us * tenth // 10) for tenth in (4, 5, 6)]
             at_us += tick_us
         orders.append(COUNT)
     return b"".join(orders)

@@ -18,8 +18,12 @@ from firmware_model.target.structs import (
 TICKS = (0, 0, 1, 2, 7, MAX_LATENCY_TICKS)
 
 
-def reals(random: np.random.Generator, shape: tuple[int, ...], precision: Precision) -> Any:
-    """Mostly of ordinary size, some of every kind that there is."""
+def reals(
+    random: np.random.Generator, shape: tuple[int, ...], precision: Precision, even: bool = False
+) -> Any:
+    """Mostly of ordinary size, some of every kind that there is; ``even``: many are equal."""
+    if even:
+        return random.choice([-1.0, -0.0, 0.0, 0.5, 1.0, 2.0], shape).astype(precision)
     limits = np.finfo(precision)
     ordinary = random.standard_normal(shape) * 10.0 ** random.uniform(-3, 3, shape)
     kinds: list[float] = [0.0, -0.0, np.inf, -np.inf, np.nan, 1.0, -1.0]
@@ -31,31 +35,35 @@ def reals(random: np.random.Generator, shape: tuple[int, ...], precision: Precis
         return np.where(random.random(shape) < share, odd, ordinary).astype(precision)
 
 
-def fill(random: np.random.Generator, record: Any, precision: Precision) -> None:
+def fill(random: np.random.Generator, record: Any, precision: Precision, even: bool) -> None:
     """Every real number of ``record``, nested ones too."""
     for name in record.dtype.names:
         kind = record.dtype[name]
         if kind.names:
-            fill(random, record[name], precision)
+            fill(random, record[name], precision, even)
         elif kind.base.kind == "f":
-            record[name] = reals(random, kind.shape, precision)
+            record[name] = reals(random, kind.shape, precision, even)
 
 
-def random_table(random: np.random.Generator, precision: Precision) -> RecordArray:
+def random_table(
+    random: np.random.Generator, precision: Precision, even: bool = False
+) -> RecordArray:
     """A table, shape (1,), in which counts and indices are in range and some numbers make sense."""
     tables = np.zeros(1, table_type(precision))
     table: Record = tables[0]
-    fill(random, tables[0], precision)
+    fill(random, tables[0], precision, even)
     if random.random() < 0.8:  # limits that are limits
         for actuator in (table.actuator_1, table.actuator_2):
             actuator.limit, actuator.slew = abs(actuator.limit), abs(actuator.slew)
             actuator.lsb = random.choice([0.0, 1e-3])
-    if random.random() < 0.8:  # thresholds that something passes
+    if random.random() < 0.8 and not even:  # thresholds that something passes
         table.decision.suspect, table.decision.confirm = np.sort(random.exponential(2.0, 2))
         table.decision.recover = random.exponential(3.0)
         table.mismatch.noise = random.exponential(1.0)
         table.mismatch.white = random.exponential(1.0)
-        table.sequential_test.restart = -1.0
+        test = table.sequential_test
+        test.restart, test.promising, test.freshness = -1.0, random.exponential(), random.random()
+        test.needed = random.exponential()
     cars = table.other_cars
     for filter in (
         table.tracking.filter, table.estimator.channel_1, table.estimator.channel_2,
@@ -82,11 +90,13 @@ def random_table(random: np.random.Generator, precision: Precision) -> RecordArr
     return tables
 
 
-def random_state(random: np.random.Generator, table: Record, precision: Precision) -> RecordArray:
+def random_state(
+    random: np.random.Generator, table: Record, precision: Precision, even: bool = False
+) -> RecordArray:
     """A state for ``table``, shape (1,), with indices that exist."""
     states = np.zeros(1, state_type(precision))
     state: Record = states[0]
-    fill(random, states[0], precision)
+    fill(random, states[0], precision, even)
     constants, estimator = table.estimator, state.estimator
     for index, size in (
         ("delay_index", constants.latency_ticks), ("dead_index_1", constants.dead_ticks_1),
@@ -94,6 +104,11 @@ def random_state(random: np.random.Generator, table: Record, precision: Precisio
         ("shown_index_2", constants.shown_ticks_2),
     ):  # fmt: skip
         setattr(estimator, index, random.integers(0, max(size, 1)))
+    if random.random() < 0.5:  # a candidate that may have grown old
+        test = state.sequential_test
+        test.half_age, test.evidence = random.integers(2, 9), random.exponential()
+        test.age = 2.0 * test.half_age + random.integers(-2, 3)
+        test.half_information, test.information = np.sort(random.exponential(1.0, 2))
     if random.random() < 0.3:
         state.bumpless_transfer.carried_speed = random.choice([np.inf, np.nan])
     state.mode, state.fault_state = random.integers(0, 4, 2)

@@ -33,9 +33,10 @@ def random_trials(precision: Precision, seed: int, memories: int, ticks: int) ->
     """Trials of any memory and any inputs, the same for the same ``seed``."""
     random, trials = np.random.default_rng(seed), []
     for _ in range(memories):
-        tables = random_table(random, precision)
-        states = random_state(random, tables[0], precision)
-        trials.append(Trial(tables, states, reals(random, (ticks, 2), precision)))
+        even = random.random() < 0.2  # where one number is compared with another that it equals
+        tables = random_table(random, precision, even)
+        states = random_state(random, tables[0], precision, even)
+        trials.append(Trial(tables, states, reals(random, (ticks, 2), precision, even)))
     return trials
 
 

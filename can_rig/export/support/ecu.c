@@ -4,7 +4,6 @@
 
 static void receiver_init(struct ecu_receiver *receiver, const struct frame *frame)
 {
-    receiver->frame = frame;
     receiver->judged = false;
     e2e_checker_init(&receiver->checker, frame->data_id);
 }

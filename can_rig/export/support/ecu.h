@@ -15,7 +15,6 @@
 
 /* The receiving end of one frame. */
 struct ecu_receiver {
-    const struct frame *frame;
     struct e2e_checker checker;
     bool judged; /* whether the checker has judged a frame of this tick */
 };

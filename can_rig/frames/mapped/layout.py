@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -34,6 +35,24 @@ class Places:
     fault_state: Signal | None = None
 
 
+@dataclass(frozen=True)
+class Where:
+    """Where something is wrong.
+
+    Attributes:
+        message: its file and its name.
+        keys: of a scenario, by the name of the signal that it names.
+    """
+
+    message: str
+    keys: Mapping[str, str]
+
+    def of(self, signal: Signal) -> str:
+        """The begin of a line about ``signal``."""
+        key = self.keys.get(signal.name)
+        return f"{self.message}: signal {signal.name}" + (f" ({key})" if key else "")
+
+
 class AnyLayout:
     """The layout of one message of a database.
 
@@ -46,15 +65,13 @@ class AnyLayout:
         DbcError: a message that no frame holds, a signal that the rig cannot use.
     """
 
-    def __init__(self, message: Message, places: Places, where: str) -> None:
+    def __init__(self, message: Message, places: Places, where: Where) -> None:
         self._message, self._places = message, places
         self.has_tick: Final = places.tick is not None
         self.length: Final = _frame_length(message, where)
         for signal in (places.value, places.tick, places.mode, places.fault_state):
             if signal is not None and signal.multiplexer_ids:
-                raise DbcError(
-                    f"{where}: signal {signal.name} is multiplexed: must be in every frame"
-                )
+                raise DbcError(f"{where.of(signal)} is multiplexed: must be in every frame")
         self._from_zero = 0 if is_float(places.value) else _steps_to_zero(places.value, where)
         self._rest = {s.name: _initial(message, s) for s in message.signals}
         if places.tick is not None:
@@ -63,8 +80,7 @@ class AnyLayout:
         for code in (places.mode, places.fault_state):
             if code is not None and not _holds(code, CODES):
                 raise DbcError(
-                    f"{where}: signal {code.name}: must be an integer of at least 2 bits, "
-                    "factor 1, offset 0"
+                    f"{where.of(code)}: must be an integer of at least 2 bits, factor 1, offset 0"
                 )
 
     def pack(self, k: float, tick: int, mode: int, fault_state: int) -> bytearray:
@@ -110,7 +126,7 @@ class Scale:
     float_format: str = ""
 
 
-def scale_of(signal: Signal, where: str) -> Scale:
+def scale_of(signal: Signal, where: Where) -> Scale:
     """The steps of ``signal`` that reach as far down as up.
 
     Raises:
@@ -119,9 +135,7 @@ def scale_of(signal: Signal, where: str) -> Scale:
     low, high = signal.minimum, signal.maximum
     if is_float(signal):
         if (signal.scale, signal.offset) != (1, 0):
-            raise DbcError(
-                f"{where}: signal {signal.name} is a float: must have factor 1, offset 0"
-            )
+            raise DbcError(f"{where.of(signal)} is a float: must have factor 1, offset 0")
         form = FLOATS[signal.length]
         largest = _largest(form)
         reach = min(-(low or -largest), high or largest, largest)
@@ -146,18 +160,18 @@ def is_float(signal: Signal) -> bool:
     return bool(signal.is_float)
 
 
-def _one_sign(signal: Signal, carries: str, where: str) -> str:
-    return f"{where}: signal {signal.name} carries {carries}: must reach below 0 and above 0"
+def _one_sign(signal: Signal, carries: str, where: Where) -> str:
+    return f"{where.of(signal)} carries {carries}: must reach below 0 and above 0"
 
 
-def _steps_to_zero(signal: Signal, where: str) -> int:
+def _steps_to_zero(signal: Signal, where: Where) -> int:
     """Steps from raw 0 to the value 0, negative: what is added to a raw value."""
     if not signal.scale > 0:
-        raise DbcError(f"{where}: signal {signal.name}: factor {signal.scale}: must be above 0")
+        raise DbcError(f"{where.of(signal)}: factor {signal.scale}: must be above 0")
     steps = float(signal.offset) / float(signal.scale)
     if abs(steps - round(steps)) > ON_GRID * max(1.0, abs(steps)):
         raise DbcError(
-            f"{where}: signal {signal.name}: offset {signal.offset}: must be a multiple of the "
+            f"{where.of(signal)}: offset {signal.offset}: must be a multiple of the "
             f"factor {signal.scale}, so that 0 can be sent"
         )
     return round(steps)
@@ -169,10 +183,10 @@ def _largest(form: str) -> float:
     return float(struct.unpack(form, bytes.fromhex(ones))[0])
 
 
-def _frame_length(message: Message, where: str) -> int:
+def _frame_length(message: Message, where: Where) -> int:
     longest, own = FD_LENGTHS[-1] if message.is_fd else 8, int(message.length)
     if not 0 < own <= longest:
-        raise DbcError(f"{where}: {own} bytes: must be 1 to {longest}")
+        raise DbcError(f"{where.message}: {own} bytes: must be 1 to {longest}")
     return min(length for length in FD_LENGTHS if length >= own)
 
 
@@ -182,10 +196,10 @@ def _holds(signal: Signal, largest: int) -> bool:
     return bool(plain and largest >> bits == 0)
 
 
-def _require_counter(signal: Signal, where: str) -> None:
+def _require_counter(signal: Signal, where: Where) -> None:
     if signal.is_signed or not _holds(signal, (1 << TICK_BITS) - 1):
         raise DbcError(
-            f"{where}: signal {signal.name}: must be an unsigned integer of at least "
+            f"{where.of(signal)}: must be an unsigned integer of at least "
             f"{TICK_BITS} bits, factor 1, offset 0, to count the ticks"
         )
 

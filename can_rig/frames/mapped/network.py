@@ -17,7 +17,7 @@ from can_rig.errors import DbcError
 from can_rig.frames.codec import MessageCodec
 from can_rig.frames.layout import ROLES
 from can_rig.frames.mapped.database import load_database
-from can_rig.frames.mapped.layout import AnyLayout, Places, scale_of
+from can_rig.frames.mapped.layout import AnyLayout, Places, Where, scale_of
 from can_rig.frames.network import Network, require_distinct_data_ids, words_of
 
 STATUS = "fault_estimate"  # the key of the status message's value
@@ -61,7 +61,6 @@ def map_network(path: str | Path, mapping: Roles) -> Network:
     for role in ROLES:
         key = STATUS if role == "status" else role
         message, value = found[key]
-        where = f"{path}: message {message.name}"
         codes = {code: found[code][1] for code in CODES if role == "status" and code in found}
         for code in codes:
             if found[code][0] is not message:
@@ -76,6 +75,11 @@ def map_network(path: str | Path, mapping: Roles) -> Network:
                 f"0x{message.frame_id:X} ({message.name}): each must have a message of its own"
             )
         tick = _tick(message, role, mapping.tick, path)
+        keys = {found[each][1].name: f"network.signals.{each}" for each in (key, *codes)}
+        if tick is not None:
+            tick_key = "tick" if isinstance(mapping.tick, str) else f"ticks.{role}"
+            keys.setdefault(tick.name, f"network.{tick_key}")
+        where = Where(f"{path}: message {message.name}", keys)
         layout = AnyLayout(message, Places(value, tick, **codes), where)
         data_id = mapping.data_ids.get(role)
         if data_id is not None:
@@ -152,17 +156,17 @@ def _tick(
     return signals[names[role]]
 
 
-def _require_room(message: Message, signals: tuple[Signal | None, ...], where: str) -> None:
+def _require_room(message: Message, signals: tuple[Signal | None, ...], where: Where) -> None:
     """Refuse a protected message whose signals lie where profile 1 has its CRC and counter."""
     taken = (1 << 12) - 1  # byte 0 and the low nibble of byte 1
     for signal in signals:
         if signal is not None and taken & _bits(message, signal):
             raise DbcError(
-                f"{where}: signal {signal.name} lies in byte 0 or the low half of byte 1: must "
+                f"{where.of(signal)} lies in byte 0 or the low half of byte 1: must "
                 "leave them to the CRC and the counter of E2E profile 1"
             )
     if message.length < 2:
-        raise DbcError(f"{where}: must have at least 2 bytes for E2E profile 1")
+        raise DbcError(f"{where.message}: must have at least 2 bytes for E2E profile 1")
 
 
 def _bits(message: Message, signal: Signal) -> int:

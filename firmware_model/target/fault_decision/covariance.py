@@ -93,6 +93,16 @@ def grow(state: Record, which: int, variance: float) -> None:
 
 
 @firmware
+def variance_of(state: Record, n: int, which: int) -> float:
+    """The variance in P of the state ``which`` of the ``n`` in use."""
+    upper, variances = state.upper, state.variances
+    variance: float = variances[which]
+    for j in range(which + 1, n):
+        variance += upper[which, j] * upper[which, j] * variances[j]
+    return variance
+
+
+@firmware
 def replace_loss(state: Record, share: float, moment: float) -> None:
     """P with new states of a loss, of these variances, in place of the old; the others stay."""
     state.upper[:LOSS_STATES, 1:] = 0.0

@@ -24,8 +24,9 @@ What other cars show beyond the first order is a remainder that changes as slowl
 one more θ, whose x is 1. Both wander only where the car moves: the steady state of a bend is the
 same for any time, so what d̂ is there is soon known, and a loss is told from it at once. The measure
 of motion is the fading largest change of the x_i, M, against their fading largest extent: the
-remainder's variance is a share of the first, and θ wanders at the ratio of both. A model that is
-trusted has no x.
+remainder's variance is a share of the first, and θ wanders at the ratio of both. The remainder is
+of second order, so its variance goes with the square of the mean θ² that is still possible: of a
+car that has shown that it is the model little remains. A model that is trusted has no x.
 """
 
 from __future__ import annotations
@@ -42,6 +43,7 @@ from firmware_model.target.fault_decision.covariance import (
     grow,
     measure,
     replace_loss,
+    variance_of,
 )
 from firmware_model.target.precision import real
 from firmware_model.target.structs import Field, Record
@@ -52,7 +54,7 @@ CONSTANTS = (
     Field("forgetting", "1", "1 - φ of each θ where the car moves", shape=SIZES),
     Field("growth", "1", "1 - φ², times the variance of θ", shape=SIZES),
     Field("motion", "1", "(time constant of the remainder/tick)², from changes to extents"),
-    Field("beyond", "1", "variance of the remainder, as a share of M"),
+    Field("beyond", "1", "variance of the remainder, as a share of M, for cars all over the box"),
     Field("rule", "1", "the same for what F1's rule leaves, of the change of G1 u1 + G2 u2"),
     Field("white", "1", "share of the remainder's variance that differs from tick to tick"),
     Field("fading", "1", "what a tick leaves of M and of the largest extent"),
@@ -68,6 +70,7 @@ STATE = (
     Field("memory", "1", "φ, what that tick left of each θ", shape=SIZES),
     Field("extent", "y²", "fading largest Σ x²"),
     Field("change", "y²", "M, fading largest Σ (time constant · dx/dt)²"),
+    Field("rule", "y²", "part of it that F1's rule leaves, fading"),
     Field("remainder", "y²", "variance of the remainder"),
     Field("previous_model_output", "y", "G1 u1 + G2 u2 of the last tick"),
     Field("previous_residual", "y", "d̂ of the last tick, less the known loss"),
@@ -109,7 +112,21 @@ def predict_mismatch(
     mismatch.extent = max(fading * mismatch.extent, finite(extent))
     mismatch.change = max(fading * mismatch.change, finite(motion * change))
     beyond, rule = constants.beyond * mismatch.change, finite(constants.rule * moved * moved)
-    mismatch.remainder = max(fading * mismatch.remainder, beyond, rule)
+    mismatch.rule = max(fading * mismatch.rule, rule)
+    off = difference(table, mismatch)
+    mismatch.remainder = max(beyond * off * off, mismatch.rule)
+
+
+@firmware
+def difference(table: Record, state: Record) -> float:
+    """The mean square of θ by what is known of this car, over that of the box; 1 at most."""
+    constants, cars = table.mismatch, table.other_cars.n
+    zero, one = real(0.0, constants.prior), real(1.0, constants.prior)
+    squares = box = zero
+    for i in range(LOSS_STATES, LOSS_STATES + cars):
+        squares += variance_of(state.covariance, constants.n, i) + state.theta[i] * state.theta[i]
+        box += constants.prior
+    return min(squares / box, one) if box > zero else one
 
 
 @firmware
@@ -157,7 +174,7 @@ def clear_mismatch(constants: Record, state: Record) -> None:
     clear_covariance(state.covariance)
     for i in range(LOSS_STATES, constants.n - 1):
         state.covariance.variances[i] = constants.prior
-    state.extent = state.change = state.remainder = 0.0
+    state.extent = state.change = state.rule = state.remainder = 0.0
     state.previous_model_output = 0.0
     state.previous_residual = 0.0
 
@@ -168,7 +185,9 @@ def settle_mismatch(table: Record, state: Record, model_output: float) -> None:
     clear_mismatch(table.mismatch, state.mismatch)
     zero = real(0.0, model_output)
     predict_mismatch(table, state, model_output, zero, zero)
-    state.mismatch.change = state.mismatch.remainder = 0.0  # it came there long ago
+    state.mismatch.change = state.mismatch.rule = state.mismatch.remainder = (
+        0.0  # it came there long ago
+    )
 
 
 @firmware

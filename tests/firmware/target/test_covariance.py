@@ -19,6 +19,7 @@ from firmware_model.target.fault_decision.covariance import (
     grow,
     measure,
     replace_loss,
+    variance_of,
 )
 from firmware_model.target.structs import Precision, Record, record_type
 
@@ -43,6 +44,15 @@ def begun(precision: Precision = "float64", variances: Any = VARIANCES) -> Recor
 
 numbers = st.lists(st.floats(-3.0, 3.0), min_size=N, max_size=N).map(np.array)
 parts = st.lists(st.floats(0.0, 1.0), min_size=N, max_size=N).map(np.array)
+
+
+@given(measurements=st.lists(numbers, max_size=8))
+def test_a_variance_is_on_the_diagonal(measurements: list[Matrix]) -> None:
+    state = begun()
+    for x in measurements:
+        measure(state, N, x, 0.5, np.zeros(N))
+    variances = [variance_of(state, N, i) for i in range(N)]
+    np.testing.assert_allclose(variances, matrix(state).diagonal(), atol=1e-12)
 
 
 @given(measurements=st.lists(numbers, min_size=1, max_size=8), noise=st.floats(1e-3, 10.0))

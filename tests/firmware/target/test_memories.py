@@ -105,12 +105,14 @@ def test_an_overflow_forgets_what_the_measurement_feeds_alone(on_confirmation: b
     expected.probe.tick = 0
     expected.tracking.filter.accumulators[:] = 0.0
     expected.tracking.error = 0.0
+    expected.tracking.stabiliser.accumulators[:] = 0.0
+    expected.estimator.measurement.accumulators[:] = 0.0
     expected.estimator.one_plus_q.accumulators[:] = 0.0
     if not on_confirmation:
         expected.compensator.filter.accumulators[:] = 0.0
     known = expected.mismatch
     for name in ("x", "theta", "extent", "change", "remainder", "previous_model_output",
-                 "previous_residual"):  # fmt: skip
+                 "previous_residual", "rule"):  # fmt: skip
         known[name] = 0.0
     known.covariance.upper[:] = 0.0
     known.covariance.variances[:] = [0.0, 0.0, 0.36, 0.36, 0.36, 0.36, 0.0]

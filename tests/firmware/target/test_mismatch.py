@@ -102,7 +102,7 @@ def test_motion_is_measured_against_extent() -> None:
     rows, x = predicted(tables_of(2)[0]), differences(2)
     extent = sum(value**2 for value in x)
     change = sum(np.diff(value, prepend=0.0) ** 2 for value in x) * (0.12 / TICK_S) ** 2
-    remainder = 0.04 * 0.36 * fading_largest(change)
+    remainder = 0.01 * 0.36 * fading_largest(change)
     for ours, expected in zip(
         rows[:, MAX_STATES:].T, (fading_largest(extent), fading_largest(change), remainder),
         strict=True,
@@ -205,3 +205,18 @@ def test_a_settled_car_has_not_moved() -> None:
     assert known.change == pytest.approx(0.0, abs=1e-9 * known.extent)
     assert known.remainder == pytest.approx(0.0, abs=1e-9 * known.extent)
     assert np.diag(covariance_of(known)).tolist() == [0.0, 0.0, 0.36, 0.36, 0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("part", [1.0, 0.5, 0.1])
+def test_the_remainder_is_of_second_order(part: float) -> None:
+    """Of a car with ``part`` of the box's θ, known or not, it is the square of that."""
+    table = tables_of(4)[0]
+    state = controller.init(table)[0]
+    known, cars = state.mismatch, slice(2, 6)
+    known.covariance.variances[cars] = 0.36 * part**2
+    known.covariance.variances[2] = 0.0
+    known.theta[2] = 0.6 * part
+    for command in (0.0, 1.0, 2.0, 3.0):
+        predict(table, state, command, 0.0, 0.0)
+    assert known.change > 0.0
+    assert known.remainder == pytest.approx(0.01 * 0.36 * part**4 * known.change, rel=1e-9)

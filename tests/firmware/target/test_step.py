@@ -15,12 +15,15 @@ from firmware_model.design.plants import chapter_2
 from firmware_model.discretisation.tables import Filters, build, discretise
 from firmware_model.discretisation.targets import Target
 from firmware_model.target import controller
+from firmware_model.target.fault_decision.bumpless_transfer import transfer
+from firmware_model.target.fault_decision.decision import compensated_output
 from firmware_model.target.fault_decision.probe import probe_torque
+from firmware_model.target.filters.biquad import advance
 from firmware_model.target.filters.shortfall import make_up
-from firmware_model.target.filters.tracking import missing_output
+from firmware_model.target.filters.tracking import missing_output, track_on
 from firmware_model.target.status import FaultState, Mode
 from firmware_model.target.structs import Record
-from tests.firmware.target.cases import CAR, TICK_S, changed
+from tests.firmware.target.cases import CAR, TICK_S, changed, other_cars
 
 DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 OPEN_LOOP = design(chapter_2(), DesignSpecification(tau_s=0.01, feedback=False))
@@ -236,3 +239,59 @@ def test_an_overflow_holds_both_commands_and_says_so(huge: float, on_confirmatio
     controller.step(table, state, 1.0, 0.1)
     assert state.mode == Mode.RUN
     assert np.isfinite([state[name] for name in NAMES[:3]]).all()
+
+
+def test_nor_does_channel_2_follow_what_is_no_number() -> None:
+    table, state, _ = of(Target(TICK_S))
+    controller.step(table, state, 1.0, 0.1)
+    before = [float(state[name]) for name in NAMES[:3]]
+    state.compensator.filter.accumulators[0, 0] = math.inf
+    controller.step(table, state, 1.0, 0.1)
+    assert [float(state[name]) for name in NAMES[:3]] == before
+    assert state.mode == Mode.HOLD
+
+
+@pytest.mark.parametrize("on_confirmation", [False, True])
+def test_a_hold_owes_what_c_and_f_hat_would_have_asked_for(on_confirmation: bool) -> None:
+    target = Target(TICK_S, 1, "zoh", on_confirmation=on_confirmation)
+    table, state, _ = of(target, loss_model={"follow": 0.0})
+    state.loss_model.share = state.loss_model.followed = 1.0
+    state.fault_state = FaultState.CONFIRMED
+    for _ in range(6):
+        controller.step(table, state, 1.0, 0.0)
+    was = state.copy()
+    short_1 = track_on(table.tracking, was.tracking, was.command_1) - was.command_1
+    short_2 = 0.0
+    if on_confirmation:
+        drive = transfer(was.bumpless_transfer, compensated_output(table, was))
+        short_2 = advance(table.compensator.filter, was.compensator.filter, drive) - was.command_2
+        assert short_2 != 0.0
+    advance(table.estimator.channel_1, was.shortfall_1, short_1)
+    advance(table.estimator.channel_2, was.shortfall_2, short_2)
+    controller.step(table, state, math.nan, 0.0)
+    for name in ("shortfall_1", "shortfall_2"):
+        np.testing.assert_array_equal(state[name].accumulators, was[name].accumulators)
+    assert was.shortfall_1.accumulators.any()
+
+
+@pytest.mark.parametrize("latency", [0, 2])
+def test_the_model_among_other_cars_moves_as_f1_does(latency: int) -> None:
+    table, state, _ = of(Target(TICK_S, latency, "zoh", mismatch=other_cars(1)))
+    measured = MEASURED.copy()
+    measured[HELD] = math.nan
+    run(table, state, measured)
+    for name in ("channel_1", "channel_2"):
+        ours, theirs = state.other_cars.model[name], state.estimator[name]
+        np.testing.assert_allclose(ours.accumulators, theirs.accumulators, rtol=1e-12)
+        assert ours.accumulators.any()
+
+
+def test_c_tracks_the_shaped_reference_where_there_is_a_shaper() -> None:
+    shaping, shaped, _ = of(Target(TICK_S, reference_acceleration=40.0))
+    plain, followed, _ = of(Target(TICK_S))
+    for _ in range(5):
+        controller.step(shaping, shaped, 1.0, 0.0)
+        controller.step(plain, followed, float(shaped.reference_shaper.shaped), 0.0)
+        assert shaped.command_1 == followed.command_1 != 0.0
+    assert 0.0 < shaped.reference_shaper.shaped < 1e-3
+    assert followed.reference_shaper.shaped == 0.0

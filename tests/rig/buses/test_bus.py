@@ -169,6 +169,21 @@ def test_interface_that_is_down(
     assert opened["channel"] == "vcan9"
 
 
+def test_interface_without_can_fd(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, opened: dict[str, Any]
+) -> None:
+    monkeypatch.setattr(bus_module, "_NETWORK", tmp_path)
+    mtu = tmp_path / "vcan9" / "mtu"
+    mtu.parent.mkdir()
+    mtu.write_text("16\n")
+    open_bus("socketcan:vcan9")
+    with pytest.raises(BusError, match=r"^CAN interface vcan9 carries no CAN FD frames: sudo ip "):
+        open_bus("socketcan:vcan9", fd=True)
+    mtu.write_text("72\n")
+    open_bus("socketcan:vcan9", fd=True)
+    assert opened["fd"] is True
+
+
 def test_missing_package_comes_with_its_recipe(monkeypatch: pytest.MonkeyPatch) -> None:
     error = can.CanInterfaceNotImplementedError("msgpack not installed")
     monkeypatch.setattr(can, "Bus", raising(error))

@@ -140,7 +140,7 @@ def loop(scenario: Scenario, left: tuple[float, float], gain: float = 1.0) -> co
 
 def step_response(scenario: Scenario) -> FloatArray:
     """y, u1, u2, d̂ at each tick, (4, ticks): a step from rest, the fault in its time."""
-    fault = scenario.fault
+    fault = scenario.loss
     lost = round(fault.at_s / scenario.tick_s)
     x, answers = None, []
     for left, ticks in (((1.0, 1.0), lost), ((fault.left, 1.0), scenario.ticks - lost)):

@@ -4,21 +4,20 @@ from __future__ import annotations
 
 import math
 import re
-from pathlib import Path
 
 import numpy as np
 import pytest
 
-from can_rig.assessment.limitations import plant_limitations
+from can_rig.assessment.limitations import describe, plant_limitations
 from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import refuse_unstable
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_plant, controller_table
+from can_rig.scenario.settings import Scenario
 from can_rig.thesis.continuous import solve
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, margins
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
-from tests.helpers import asked
 from tests.rig.by_numbers.by_control import loop, step_response
 
 NAMES = ("nonminimum-phase", "oversteering", "pendulum")
@@ -33,7 +32,7 @@ def test_the_step_the_loss_and_its_peak_are_python_controls(name: str) -> None:
     scenario = load(name, LINEAR)
     table = controller_table(scenario, None)
     left = np.ones((scenario.ticks, 2))
-    left[round(scenario.fault.at_s / scenario.tick_s) :, 0] = 0.0
+    left[round(scenario.loss.at_s / scenario.tick_s) :, 0] = 0.0
     drive = np.full(scenario.ticks, scenario.reference.amplitude_mps2)
     plant = sample(continuous_plant(scenario.plant), scenario.tick_s)
     run = simulate(table, plant, drive, effectiveness=left)
@@ -59,18 +58,21 @@ def test_the_margins_are_python_controls(name: str, left: tuple[float, float]) -
     assert found.spectral_radius == pytest.approx(np.abs(whole.poles()).max(), abs=1e-6)
 
 
+def said(scenario: Scenario) -> str:
+    """The lines of ``check`` on what the plant makes impossible."""
+    return " ".join(describe(scenario, plant_limitations(scenario)))
+
+
 def test_check_says_what_zeros_and_poles_make_impossible() -> None:
-    said = {name: " ".join(asked("check", name).stdout.split()) for name in NAMES}
-    assert (
+    assert said(load("nonminimum-phase")) == (
         "plant: zeros from X_diff at 2.37 ± 20.1j rad/s: for any compensation a loss can be "
         "halved up to 20.2 rad/s at most, or it is more than doubled elsewhere"
-    ) in said["nonminimum-phase"]
-    assert (
-        "plant: unstable: poles at 4.33 rad/s double a motion of angle every 0.16 s"
-        in (said["pendulum"])
     )
-    assert "poles at 0.694 ± 4j rad/s double a motion of D* every 1 s" in said["oversteering"]
-    assert all(words.endswith("every drive is calm") for words in said.values())
+    assert said(load("pendulum")) == (
+        "plant: unstable: poles at 4.33 rad/s double a motion of angle every 0.16 s"
+    )
+    assert "poles at 0.694 ± 4j rad/s double a motion of D* every 1 s" in said(load("oversteering"))
+    assert said(load("default")) == ""
 
 
 RIGHT_ZERO = ("plant.kind=transfer-functions", "plant.g2.poles=[2, -7]", "plant.g2.gain=4",
@@ -78,14 +80,12 @@ RIGHT_ZERO = ("plant.kind=transfer-functions", "plant.g2.poles=[2, -7]", "plant.
               "budget.box=0", "design.alpha=2")  # fmt: skip
 
 
-def test_a_zero_near_a_pole_is_said_to_cost_much(tmp_path: Path) -> None:
-    path = tmp_path / "near.toml"
-    path.write_text("latency_ticks = 20\n")
-    settings = [f"--set={setting}" for setting in (*RIGHT_ZERO, "plant.g1.zeros=[6]")]
-    said = " ".join(asked("check", path, *settings).stdout.split())
-    assert "|T| peaks at 2.08 or more" in said  # (6 + 2)/(6 - 2) e^(2·0.02)
-    assert "for any controller a deviation cannot be halved at any frequency" in said
-    assert "|S| peaks at 2 or more, 2 after the loss" in said
+def test_a_zero_near_a_pole_is_said_to_cost_much() -> None:
+    settings = (*RIGHT_ZERO, "plant.g1.zeros=[6]", "latency_ticks=20")
+    words = said(load("thesis-step", settings))
+    assert "|T| peaks at 2.08 or more" in words  # (6 + 2)/(6 - 2) e^(2·0.02)
+    assert "for any controller a deviation cannot be halved at any frequency" in words
+    assert "|S| peaks at 2 or more, 2 after the loss" in words
 
 
 REFUSED = {

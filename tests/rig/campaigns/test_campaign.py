@@ -19,12 +19,12 @@ from pyarrow import parquet
 
 from can_rig.assessment.resolve import load
 from can_rig.campaigns.campaign import CampaignFolder, open_folder
+from can_rig.campaigns.computing.workers import Compute, in_processes, serially
 from can_rig.campaigns.execution import execute
 from can_rig.campaigns.plan import Plan, plan
 from can_rig.campaigns.run import Task, run_rows
 from can_rig.campaigns.settings import campaign_of
 from can_rig.campaigns.table import METRICS, TRUTHS
-from can_rig.campaigns.workers import Compute, in_processes, serially
 from can_rig.errors import RunFolderError, ScenarioError
 from can_rig.results.without_log import metrics_of
 from tests.helpers import asked

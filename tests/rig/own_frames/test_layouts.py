@@ -133,16 +133,16 @@ def test_other_databases_are_read_too(tmp_path: Path, kind: str) -> None:
 
 
 BAD = {
-    "one sign": ("32|16@1+ (0.01,0) [0|0]", {}, "Value carries 0..655.35: must reach below 0"),
-    "offset": ("32|16@1- (0.01,0.005) [0|0]", {}, "offset 0.005: must be a multiple of the factor"),
-    "factor": ("32|16@1- (-1,0) [0|0]", {}, "factor -1: must be above 0"),
+    "one sign": ("32|16@1+ (0.01,0) [0|0]", {}, "signals.reference) carries 0..655.35: must"),
+    "offset": ("32|16@1- (0.01,0.005) [0|0]", {}, "signals.reference): offset 0.005: must be"),
+    "factor": ("32|16@1- (-1,0) [0|0]", {}, "signals.reference): factor -1: must be above 0"),
     "tick": ("32|16@1- (1,0) [0|0]", {"tick": "Cnt"}, "network.tick = 'Cnt'"),
     "tick is the value": (
         "32|16@1- (1,0) [0|0]", {"tick": "Value"}, "must be an unsigned integer of at least 16",
     ),
     "room": (
         "4|4@1- (1,0) [0|0]", {"data_ids": {"command_1": 7}},
-        "Value lies in byte 0 or the low half of byte 1: must leave them to the CRC",
+        "Value (network.signals.command_1) lies in byte 0 or the low half of byte 1: must leave",
     ),
     "alike": (
         "32|16@1- (1,0) [0|0]", {"data_ids": {"command_1": 7, "command_2": 7}}, "give the same CRC",

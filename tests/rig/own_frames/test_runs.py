@@ -147,13 +147,13 @@ KEYS = {
     "network.signals.feedback=VMC_Request.Speed": "reference and feedback both have identifier",
     "network.signals.feedback=''": "network.signals.feedback: must be set beside the other",
     "network.signals.mode=ESP_Motion.Valid": "must be in message EPS_Status, with the fault",
-    "network.signals.mode=EPS_Status.Estimate": "Estimate: must be an integer of at least 2 bits",
+    "network.signals.mode=EPS_Status.Estimate": "Estimate (network.signals.mode): must be an int",
     "network.signals.torque=A.B": "network.signals.torque: unknown key",
     "network.tick=Tick": "network.tick = 'Tick'",
     "network.dbc=''": "network.dbc: must name the database of network.signals",
     "network.data_ids.feedback=0": "network.data_ids.feedback = 0: must be at least 1",
     "network.data_ids.status=70000": "network.data_ids.status = 70000: must be at most 65535",
-    "network.data_ids.command_1=9": "MotorTorque lies in byte 0 or the low half of byte 1",
+    "network.data_ids.command_1=9": "MotorTorque (network.signals.command_1) lies in byte 0",
     "fault.kind=frames-corrupted": "network.data_ids.command_1 must be set: nothing tells that",
 }
 

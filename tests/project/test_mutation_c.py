@@ -1,0 +1,72 @@
+"""The mutants of the exported C: what changes, and that every excuse is of a mutant."""
+
+from __future__ import annotations
+
+import importlib.util
+import sys
+import tomllib
+from pathlib import Path
+
+from can_rig.assessment.resolve import load
+from can_rig.export.application import application
+
+TOOLS = Path(__file__).parents[2] / "tools"
+SPEC = importlib.util.spec_from_file_location("mutation_c_sites", TOOLS / "mutation_c_sites.py")
+assert SPEC is not None
+assert SPEC.loader is not None
+sites = importlib.util.module_from_spec(SPEC)
+sys.modules[SPEC.name] = sites
+SPEC.loader.exec_module(sites)
+
+SOURCE = """\
+/* a + b */
+#define LIMIT 80.0f /* 1 + 1 */
+static real f(real x);
+
+real f(real x)
+{
+    const real y = x * 2.0 + 1.0; /* 3 < 4 */
+    if (!(y < LIMIT)) {
+        count++;
+        return -x;
+    }
+    return real_min(x, 0.0);
+}
+"""
+
+
+def test_each_change_is_there_once() -> None:
+    found = [(each.line, each.after) for each in sites.mutants(SOURCE)]
+    assert found == [
+        (2, "#define LIMIT 160.0f"),
+        (7, "const real y = x / 2.0 + 1.0;"),
+        (7, "const real y = x * 4.0 + 1.0;"),
+        (7, "const real y = x * 2.0 - 1.0;"),
+        (7, "const real y = x * 2.0 + 0.0;"),
+        (7, "const real y = x * 2.0 + 2.0;"),
+        (8, "if ((y < LIMIT)) {"),
+        (8, "if (!(y <= LIMIT)) {"),
+        (8, "if (!(y >= LIMIT)) {"),
+        (9, "count--;"),
+        (9, ";"),
+        (12, "return real_max(x, 0.0);"),
+        (12, "return real_min(x, 1.0);"),
+    ]
+    for each in sites.mutants(SOURCE):
+        changed = zip(SOURCE.splitlines(), each.source.splitlines(), strict=True)
+        assert [at + 1 for at, (one, other) in enumerate(changed) if one != other] == [each.line]
+
+
+def test_every_excuse_is_of_a_mutant_and_has_a_reason() -> None:
+    files = application(load("default", []))
+    known = {
+        (name, each.before, each.after)
+        for name, text in files.items()
+        if name.endswith(".c")
+        for each in sites.mutants(text)
+    }
+    entries = tomllib.loads((TOOLS / "mutation_c.toml").read_text("utf-8"))["accepted"]
+    for entry in entries:
+        assert len(entry["reason"]) > 10
+        for after in entry["after"]:
+            assert (entry["file"], entry["before"], after) in known, after
