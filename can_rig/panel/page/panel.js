@@ -56,7 +56,7 @@ function makeCharts() {
     const plot = new uPlot({
       ...size(), title: panel.title(signal) + unit, cursor: { sync: { key: "time" }, drag: { x: true, y: false } },
       legend: { show: panel.curves.length > 1 }, scales: { x: { time: false } }, hooks: { drawClear: [stateShade] },
-      axes: [{ stroke: ink, grid, label: last ? "time in s" : undefined, labelSize: 18, size: last ? 30 : 8, values: last ? undefined : (u, ticks) => ticks.map(() => "") }, { stroke: ink, grid, size: 64 }],
+      axes: [{ stroke: ink, grid, label: last ? "time in s" : undefined, labelSize: 18, size: last ? 30 : 8, values: last ? undefined : (u, ticks) => ticks.map(() => "") }, { stroke: ink, grid, size: 64, space: 22 }],
       series: [{ label: "t" }, ...panel.curves.map(([name, colour, dash, label]) => ({
         label: label || (name === "output" ? signal.name : name), stroke: COLOURS[colour],
         width: name.startsWith("command") ? 2.5 : 1.4, dash: dash || undefined, spanGaps: false, points: { show: false } }))],
