@@ -84,6 +84,7 @@ def test_the_loop_is_python_controls_and_stable(plant: Plant, left: tuple[float,
     assert np.prod(own[own > 0.5]) == pytest.approx(np.prod(expected[expected > 0.5]), rel=1e-4)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("latency", [0, 2])
 @pytest.mark.parametrize("plant", [PENDULUM, OVERSTEERING], ids=["pendulum", "car"])
 def test_the_loss_of_channel_1_is_carried(plant: Plant, latency: int) -> None:

@@ -78,6 +78,7 @@ def driven(of: Target, makes_up: bool, reference: FloatArray, **how: FloatArray)
     return simulate(table, sample(CAR, TICK_S), reference, **how)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("rate", [1000.0, 5000.0, 50_000.0, np.inf])
 def test_what_a_limit_took_is_given_back(rate: float) -> None:
     """The squares of what D* misses are fewer, whatever the rate, and nothing swings."""
@@ -92,6 +93,7 @@ def test_what_a_limit_took_is_given_back(rate: float) -> None:
     assert np.abs(np.diff(made_up.command_1)).max() <= rate * TICK_S * (1.0 + 1e-12)
 
 
+@pytest.mark.long
 def test_a_saturated_loss_is_made_up_when_the_demand_is_feasible() -> None:
     """1 m/s² takes 3 kN: with 2.5 it is missed, with 0.5 m/s² from then on it is not."""
     free = Target(TICK_S, LATENCY, "zoh", on_confirmation=True)
