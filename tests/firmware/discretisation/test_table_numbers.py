@@ -67,7 +67,7 @@ def test_what_wanders_keeps_its_variance() -> None:
     )
     assert constants.growth[:2].tolist() == [0.0, 0.0]
     assert constants.prior == 0.36
-    assert constants.beyond == pytest.approx(0.04 * 0.36)
+    assert constants.beyond == pytest.approx(0.01 * 0.36)
     assert constants.white == 0.1
 
 

@@ -1,0 +1,92 @@
+"""What a fault makes of a command or a reading, and of a loop with it, by hand."""
+
+import math
+
+import numpy as np
+import pytest
+
+from firmware_model.analysis.hardware import (
+    ADDED,
+    BY,
+    GAIN,
+    HEALTHY,
+    HELD,
+    LATE,
+    REPLACED,
+    SENSOR,
+    SLEW,
+    distorted,
+)
+from firmware_model.analysis.sampled_plant import sample
+from firmware_model.analysis.simulation import Simulation
+from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.design.plants import steer_by_wire
+from firmware_model.discretisation.tables import Target, build
+
+TICK_S, TICKS = 1e-3, 40
+TABLE = build(design(steer_by_wire(), DesignSpecification()), Target(TICK_S))
+
+
+@pytest.mark.parametrize(
+    ("changes", "previous", "expected"),
+    [
+        ({}, 9.0, 2.0),
+        ({GAIN: 0.5, ADDED: 3.0}, 9.0, 4.0),
+        ({HELD: 1.0}, 9.0, 9.0),
+        ({SLEW: 0.5}, 9.0, 8.5),
+        ({SLEW: 0.5}, -9.0, -8.5),
+        ({SLEW: 100.0}, 9.0, 2.0),
+        ({SLEW: 0.5}, math.nan, 2.0),
+    ],
+)
+def test_what_is_said_or_done_instead(changes, previous, expected):
+    fault = HEALTHY.copy()
+    for at, value in changes.items():
+        fault[at] = value
+    assert distorted(2.0, previous, fault) == expected
+
+
+def loop(faults: np.ndarray | None = None, lsb: float = 0.0) -> Simulation:
+    more = {} if faults is None else {"faults": faults}
+    plant = sample(steer_by_wire(), TICK_S)
+    made = Simulation(TABLE, plant, np.full(TICKS, 0.5), lsb=lsb, **more)
+    made.run()
+    return made
+
+
+def healthy() -> np.ndarray:
+    return np.tile(HEALTHY, (TICKS, 3, 1))
+
+
+def test_faults_that_do_nothing_change_nothing():
+    for name in ("measured", "command_1", "command_2", "fault_estimate"):
+        assert np.array_equal(getattr(loop(healthy()).trace, name), getattr(loop().trace, name))
+
+
+def test_a_sensor_that_is_late_says_what_was():
+    faults = healthy()
+    faults[10:, SENSOR, LATE] = 7
+    trace = loop(faults).trace
+    assert np.array_equal(trace.measured[10:], trace.measurement[3:-7])
+    early = healthy()
+    early[:5, SENSOR, LATE] = 10  # before the first reading there is none
+    assert not loop(early).trace.measured[:5].any()
+
+
+def test_what_comes_in_place_of_a_frame_is_what_is_used():
+    faults = healthy()
+    faults[20, SENSOR, [REPLACED, BY]] = 1.0, 0.125
+    faults[25:, 1, [REPLACED, BY]] = 1.0, 700.0
+    trace = loop(faults, lsb=1e-3).trace
+    assert trace.measured[20] == 0.125
+    other = loop(lsb=1e-3).trace
+    assert np.array_equal(trace.measured[:20], other.measured[:20])
+    force = (trace.measurement - other.measurement)[30]
+    assert force != 0.0
+
+
+def test_late_actuators_do_what_they_were_told_before():
+    faults = healthy()
+    faults[:, :2, LATE] = 3
+    late, other = loop(faults).trace, loop().trace
+    assert np.array_equal(late.measurement[:5], np.r_[np.zeros(3), other.measurement[:2]])
