@@ -35,7 +35,7 @@ def functions() -> Functions:
     """Every function that there is."""
     found = defaultdict(list)
     for each in gc.get_objects():
-        if isinstance(each, FunctionType):
+        if type(each) is FunctionType:  # what a weak proxy stands for may be gone
             found[each.__code__.co_filename, each.__code__.co_qualname].append(each)
     return found
 

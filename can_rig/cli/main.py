@@ -18,7 +18,7 @@ COMMANDS: Final = {
     "campaign": ("runs.campaign", "Run thousands of variants of a scenario, and report."),
     "plant": ("runs.plant", "Run the plant node: the simulated car."),
     "controller": ("runs.controller", "Run the controller node: the firmware."),
-    "inject": ("runs.inject", "Inject a fault into a run that goes on, clear it, pause it."),
+    "inject": ("runs.inject", "Touch a run that goes on: faults injected, cleared; a pause."),
     "panel": ("runs.panel", "Watch and touch a run in a browser."),
     "scenarios": ("design.scenarios", "List the scenarios that come with the package."),
     "check": ("design.check", "Say whether SCENARIO's loop is stable, and by how much."),

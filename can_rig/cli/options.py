@@ -34,11 +34,12 @@ def set_option(what: str) -> Callable[[Function], Function]:
 
 
 def above_zero(
-    _context: click.Context, _option: click.Parameter, value: float | None
+    _context: click.Context, option: click.Parameter, value: float | None
 ) -> float | None:
-    """Refuse a number that is not above 0."""
+    """Refuse a number, or a time in seconds, that is not above 0."""
     if value is not None and not value > 0.0:  # nan too
-        raise click.BadParameter(f"{value:g}: must be above 0")
+        unit = " s" if option.metavar == "S" else ""
+        raise click.BadParameter(f"{value:g}{unit}: must be above 0")
     return value
 
 

@@ -48,8 +48,9 @@ def test_refusal_to_cache_is_no_refusal_to_compile(monkeypatch: pytest.MonkeyPat
     assert calls == [(True, "numpy", False), (False, "numpy", False)]
 
 
-@pytest.mark.skipif(config.DISABLE_JIT, reason="nothing is compiled")
-def test_what_runs_on_the_target_cannot_allocate() -> None:
+def test_what_runs_on_the_target_cannot_allocate(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(config, "DISABLE_JIT", 0)
+
     @compiled.firmware
     def reserve(n: int) -> float:
         return float(np.zeros(n)[0])

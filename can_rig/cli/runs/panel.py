@@ -26,7 +26,7 @@ from can_rig.scenario.catalogue import shipped
 def command(
     scenario: str, settings: tuple[str, ...], bus: str | None, allow_control: bool, port: int
 ) -> None:
-    """Show SCENARIO while it runs, in a browser on this machine.
+    """Watch SCENARIO while it runs, and touch it, in a browser on this machine.
 
     Two addresses are printed, each with a token of this start: one for who may touch the run, one
     for who may look only.

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
-from can_rig.nodes.operator.operated_bus import Touch
+if TYPE_CHECKING:  # python-can is not needed for --help
+    from can_rig.nodes.operator.operated_bus import Touch
 
 
 @dataclass(frozen=True)

@@ -105,14 +105,12 @@ def test_a_list_of_tables_from_python_is_exact(at_s: float, left: float, late: i
 
 
 def test_an_axis_may_be_of_any_fault(several: str) -> None:
-    scenario = load(several)
+    scenario, default = load(several).as_dict(), load("default").as_dict()
     assert value_at(scenario, "fault.0.drift_per_s") == 0.2
     assert has_key(scenario, "fault.1.left")
     assert not has_key(scenario, "fault.2.left")
     assert not has_key(scenario, "fault.left")
-    assert (
-        value_at(load("default"), "fault.0.at_s") == value_at(load("default"), "fault.at_s") == 10
-    )
+    assert value_at(default, "fault.0.at_s") == value_at(default, "fault.at_s") == 10
 
 
 def test_a_difference_names_the_fault(several: str) -> None:
