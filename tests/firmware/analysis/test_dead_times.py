@@ -125,6 +125,7 @@ KNOWN = behind(
 SLOW = DesignSpecification(tau_s=0.02, alpha=3, tau_q_s=0.03, alpha_q=4)
 
 
+@pytest.mark.long
 def test_f1_waits_for_the_dead_times_of_each_channel() -> None:
     """Whole ticks, sensor included; a loop without a fault then has no d̂."""
     table = build(design(KNOWN, SLOW), Target(TICK_S, latency_ticks=2, estimator="zoh"))

@@ -120,6 +120,7 @@ def test_a_loose_connection_asks_for_no_more_than_the_load_in_a_tick(
     assert np.abs(trace.error[6000:]).max() < 0.1
 
 
+@pytest.mark.long
 def test_a_loss_that_comes_back_while_the_last_is_released_makes_no_bump() -> None:
     table = build(DESIGN, late(1e-3))
     plant, left = sample(CAR, TICK_S), np.ones((2500, 2))

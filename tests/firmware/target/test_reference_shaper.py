@@ -120,6 +120,7 @@ def limited_table(torque_nm: float, share: float):  # type: ignore[no-untyped-de
     )
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("torque_nm", [200.0, 400.0, 1000.0])
 def test_a_raw_step_keeps_off_the_limit_of_the_torque(torque_nm: float) -> None:
     """With half of the limit for r̈, where without shaping the loop hits both limits."""
@@ -133,6 +134,7 @@ def test_a_raw_step_keeps_off_the_limit_of_the_torque(torque_nm: float) -> None:
     assert abs(shaped.error[-1]) < 1e-9
 
 
+@pytest.mark.long
 def test_a_gentle_reference_gets_the_commands_of_the_loop_without_shaping() -> None:
     plant, t = sample(CAR, TICK_S), TICK_S * np.arange(3000)
     gentle = 1.0 - np.cos(5.0 * t)

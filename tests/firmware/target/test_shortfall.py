@@ -128,6 +128,7 @@ def stalled(lost: range, tell: bool, latency: int = LATENCY) -> FloatArray:
     return np.array(measured)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("latency", [1, 3])
 def test_commands_that_came_too_late_are_made_up_for(latency: int) -> None:
     lost = range(1000, 1020)

@@ -85,6 +85,7 @@ rates = st.sampled_from([300.0, 3000.0, math.inf])
 grids = st.sampled_from([0.0, 0.01, 0.5])
 
 
+@pytest.mark.long
 @settings(max_examples=25)
 @given(
     levels=st.lists(st.floats(-2.0, 2.0), min_size=1, max_size=5), latency=st.integers(0, 4),
