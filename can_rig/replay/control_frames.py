@@ -11,7 +11,7 @@ from can_rig.frames.beside import control
 from can_rig.frames.network import Network
 from can_rig.logs.frames import EXTENDED, Frames
 from can_rig.nodes.operator.operated_bus import Touch
-from can_rig.plant.faults.injection import Injection
+from can_rig.plant.faults.injection import FAULT_ACTIONS, Injection
 from can_rig.scenario.settings import Scenario
 
 
@@ -56,9 +56,7 @@ def done(scenario: Scenario, told: Iterable[Touch]) -> Done:
         if command is None:  # it was refused
             continue
         sequence = (sequence + 1) % control.SEQUENCES
-        if command.action == "INJECT":
-            injection.inject(command, touch.tick)
-        elif command.action == "CLEAR":
-            injection.clear(command.place, touch.tick)
+        if command.action in FAULT_ACTIONS:
+            injection.obey(command, touch.tick)
         moved |= command.action == "MOVE_REFERENCE"
     return Done(injection.scenario, moved)

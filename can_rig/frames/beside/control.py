@@ -61,6 +61,7 @@ def _message(name: str) -> DbcMessage:
     raise DbcError(f"{path}: has no message {name}; it must have one")
 
 
+@cache
 def identifiers() -> tuple[int, int, int]:
     """Of ``RIG_CONTROL``, ``RIG_STATE`` and ``RIG_APPLIED``."""
     control, state, applied = (
@@ -79,6 +80,7 @@ def places() -> tuple[str, ...]:
     return tuple(word for word in _choices("Place").values() if word != ALL)
 
 
+@cache
 def _choices(signal: str) -> dict[int, str]:
     found: Mapping[int, object] = _message("RIG_CONTROL").get_signal_by_name(signal).choices or {}
     return {int(number): str(word) for number, word in found.items()}

@@ -115,9 +115,11 @@ class PlantNode:
         commands: list[float | None] = [None, None]
         while True:
             message = watchdog.receive(tick)
-            self._overhear(message)
+            if self._recorder is not None:
+                self._recorder.record(message, sent=False)
             judged = self._end.judge(message, tick)
             if judged is None:
+                self._control.take(message)
                 watchdog.go_on_waiting(tick)
                 continue
             at, record = judged
@@ -131,7 +133,7 @@ class PlantNode:
         self._control.applied()
 
     def _overhear(self, message: can.Message) -> None:
-        """Note a frame, whatever it is."""
+        """Note a frame that comes between two ticks."""
         if self._recorder is not None:
             self._recorder.record(message, sent=False)
         self._control.take(message)

@@ -13,7 +13,7 @@ from can_rig.nodes.clock import NS_PER_S, Clock
 from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.plant_end import PlantEnd
 from can_rig.nodes.watchdog import Watchdog
-from can_rig.plant.faults.injection import Injection
+from can_rig.plant.faults.injection import FAULT_ACTIONS, Injection
 from can_rig.scenario.settings import Scenario
 
 TELL_EVERY_NS: Final = NS_PER_S // 20
@@ -51,7 +51,7 @@ class RunControl:
         self._end = end
         self._send = send
         self._clock = clock
-        self._frame_id = control.identifiers()[0] if interaction != UNTOUCHED else None
+        self._touched = interaction != UNTOUCHED
         self._asked: list[control.Command] = []  # and not done yet
         self._paused = False
         self._steps = 0
@@ -65,10 +65,8 @@ class RunControl:
         """Commands that were not obeyed."""
 
     def take(self, message: can.Message) -> None:
-        """Note a frame that may be a command."""
-        if message.arbitration_id != self._frame_id:
-            if self._frame_id is None and message.arbitration_id == control.identifiers()[0]:
-                self.refused += 1
+        """Note a frame that is none of the network's, and may be a command."""
+        if message.arbitration_id != control.identifiers()[0]:
             return
         command = control.read_command(message, self._next)
         if command is None or not self._interaction.injectable:
@@ -86,7 +84,7 @@ class RunControl:
         Raises:
             Interrupted: a stop was requested.
         """
-        if self._frame_id is None:
+        if not self._touched:
             return
         if self._interaction.injectable:
             self._listen(watchdog, hear, tick)
@@ -124,12 +122,9 @@ class RunControl:
 
     def _does(self, command: control.Command, tick: int) -> bool:
         value = command.value
-        if command.action == "INJECT":
-            if not self._injection.inject(command, tick):
+        if command.action in FAULT_ACTIONS:
+            if not self._injection.obey(command, tick):
                 return False
-            self._end.plant.change_faults(self._injection.scenario)
-        elif command.action == "CLEAR":
-            self._injection.clear(command.place, tick)
             self._end.plant.change_faults(self._injection.scenario)
         elif command.action == "PAUSE":
             self._paused, self._steps = True, 0

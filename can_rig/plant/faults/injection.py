@@ -30,6 +30,10 @@ NUMBER: Final = {
 """Of each kind that can be injected, the key of its one number."""
 
 
+FAULT_ACTIONS: Final = ("INJECT", "CLEAR")
+"""What of a command concerns faults."""
+
+
 def injected(command: Command, tick: int, tick_ns: int) -> FaultSettings | None:
     """The fault that ``command`` asks for, from ``tick`` on; None if there is none such."""
     key = NUMBER.get(command.kind or "")
@@ -57,6 +61,13 @@ class Injection:
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
         """With all faults until now; its ticks until now are not touched by any change."""
+
+    def obey(self, command: Command, tick: int) -> bool:
+        """Do what one of ``FAULT_ACTIONS`` asks for, from ``tick`` on; whether it can be done."""
+        if command.action == "INJECT":
+            return self.inject(command, tick)
+        self.clear(command.place, tick)
+        return True
 
     def inject(self, command: Command, tick: int) -> bool:
         """Add a fault from ``tick`` on; whether there is such a one, and room for it."""
