@@ -7,7 +7,7 @@ import json
 import os
 import signal
 import sys
-from contextlib import ExitStack, suppress
+from contextlib import suppress
 from dataclasses import dataclass, field
 from typing import Any, Final
 
@@ -51,16 +51,18 @@ class Session:
     _process: asyncio.subprocess.Process | None = None
 
     def __post_init__(self) -> None:
-        self._stack = ExitStack()
-        self.live = LiveSignals(self.scenario, network_of(self.scenario))
-        opened = self._stack.enter_context(open_bus(self.bus))
-        self._opened = opened
-        self._notifier = can.Notifier(opened, [self.live.frames], timeout=0.2)
+        self._opened = open_bus(self.bus)
+        self.live = self._new()
+        self._notifier = can.Notifier(self._opened, [self.live.frames], timeout=0.2)
+
+    def _new(self) -> LiveSignals:
+        """Signals of a run that has not begun."""
+        return LiveSignals(self.scenario, network_of(self.scenario))
 
     def close(self) -> None:
         """Leave the bus."""
         self._notifier.stop()
-        self._stack.close()
+        self._opened.shutdown()
 
     @property
     def running(self) -> bool:
@@ -72,6 +74,9 @@ class Session:
         if self.running:
             return
         self.said, self.folder = [], None
+        self._notifier.remove_listener(self.live.frames)
+        self.live = self._new()  # the ticks of another run begin at 0 again
+        self._notifier.add_listener(self.live.frames)
         arguments = [argument for setting in self.settings for argument in ("--set", setting)]
         self._process = await asyncio.create_subprocess_exec(
             sys.executable, "-m", "can_rig", "run", self.name, *arguments,

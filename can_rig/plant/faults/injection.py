@@ -10,23 +10,9 @@ from pydantic import ValidationError
 from can_rig.frames.beside.control import ALL, Command
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.fault import CHANNELS, MAX_LATE_TICKS, FaultSettings
+from can_rig.scenario.tables.fault import NUMBER as OF_SCENARIOS
 
-NUMBER: Final = {
-    "actuator-dead": "left",
-    "sensor-dead": "left",
-    "actuator-stuck": "value",
-    "sensor-stuck": "value",
-    "actuator-offset": "offset",
-    "actuator-drift": "drift_per_s",
-    "sensor-drift": "drift_per_s",
-    "actuator-oscillating": "amplitude",
-    "sensor-oscillating": "amplitude",
-    "actuator-rate-limited": "rate_per_s",
-    "sensor-rate-limited": "rate_per_s",
-    "actuator-late": "late_ticks",
-    "sensor-late": "late_ticks",
-    "sensor-biased": "bias_mps2",
-}
+NUMBER: Final = {k: v for k, v in OF_SCENARIOS.items() if not k.startswith("frames-")}
 """Of each kind that can be injected, the key of its one number."""
 
 

@@ -50,7 +50,11 @@ MAX_LATE_TICKS: Final = 1000
 Moment = Annotated[float, Field(ge=0.0, le=MAX_DURATION_S)]
 """In a run, or a length of time that may be none, s."""
 
-NEEDED: Final = {
+NUMBER: Final = {
+    "actuator-dead": "left",
+    "sensor-dead": "left",
+    "actuator-stuck": "value",
+    "sensor-stuck": "value",
     "actuator-offset": "offset",
     "actuator-drift": "drift_per_s",
     "sensor-drift": "drift_per_s",
@@ -58,9 +62,15 @@ NEEDED: Final = {
     "sensor-oscillating": "amplitude",
     "actuator-rate-limited": "rate_per_s",
     "sensor-rate-limited": "rate_per_s",
+    "actuator-late": "late_ticks",
+    "sensor-late": "late_ticks",
+    "sensor-biased": "bias_mps2",
     "frames-forged": "value",
 }
-"""The key without which a kind means nothing."""
+"""Of each kind that has one, the key of its one number."""
+
+WHERE_IT_IS: Final = ("actuator-stuck", "sensor-stuck")
+"""Kinds that mean something without their number too."""
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -87,7 +97,7 @@ class FaultSettings:
     late_ticks: Annotated[int, Field(ge=1, le=MAX_LATE_TICKS)] = 10
 
     def __post_init__(self) -> None:
-        needed = NEEDED.get(self.kind)
+        needed = None if self.kind in WHERE_IT_IS else NUMBER.get(self.kind)
         if needed is not None and getattr(self, needed) is None:
             raise ValueError(f"{needed}: must be set for {self.kind!r}")
         if self.channel == SENSOR and self.kind.startswith("actuator-"):
