@@ -41,10 +41,14 @@ def test_the_step_the_loss_and_its_peak_are_python_controls(name: str) -> None:
         np.testing.assert_allclose(ours, theirs, atol=1e-8 * np.abs(theirs).max())
 
 
-@pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD])
+@pytest.mark.parametrize(
+    ("left", "compensation"), [(HEALTHY, "off"), (HEALTHY, "always"), (TORQUE_DEAD, "always")]
+)
 @pytest.mark.parametrize("name", NAMES)
-def test_the_margins_are_python_controls(name: str, left: tuple[float, float]) -> None:
-    scenario = load(name, LINEAR)
+def test_the_margins_are_python_controls(
+    name: str, left: tuple[float, float], compensation: str
+) -> None:
+    scenario = load(name, (*LINEAR, f"design.compensation={compensation}"))
     table, plant = controller_table(scenario, None), continuous_plant(scenario.plant)
     found = margins(table, plant, scenario.tick_s, left)
     whole = loop(scenario, left)
