@@ -6,7 +6,7 @@ from contextlib import asynccontextmanager
 
 import numpy as np
 import pytest
-from aiohttp import WSServerHandshakeError
+from aiohttp import WSCloseCode, WSMsgType, WSServerHandshakeError
 from aiohttp.test_utils import TestClient, TestServer
 
 from can_rig.assessment.resolve import load
@@ -131,6 +131,18 @@ def test_who_only_listens_sends_nothing(run):
         assert "may look only" in await refusal(client, own, TOUCH, '{"order": "clear"}')
 
     run(test, sends=False)
+
+
+def test_a_server_that_ends_says_so_to_who_looks(run):
+    async def test(client, own):
+        async with client.ws_connect(f"/{LOOK}/socket", headers=own) as socket:
+            ends = asyncio.create_task(client.server.close())
+            while (message := await socket.receive(5)).type is not WSMsgType.CLOSE:
+                pass
+            assert message.data == WSCloseCode.GOING_AWAY
+            await asyncio.wait_for(ends, 5)
+
+    run(test)
 
 
 def test_a_browser_that_takes_nothing_loses_the_oldest_and_holds_nothing_up():
