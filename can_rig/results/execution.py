@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from can_rig.assessment.stability import refuse_unstable
+from can_rig.assessment.speeds import refuse as refuse_unstable
 from can_rig.buses.bus import in_one_process
 from can_rig.errors import INTERRUPTED, BusError, RigError, RunFolderError
 from can_rig.export.running.controllers import PYTHON, Controller

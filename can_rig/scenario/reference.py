@@ -7,6 +7,7 @@ import numpy as np
 from can_rig.errors import ScenarioError
 from can_rig.frames.network import Network
 from can_rig.scenario.driving.csv_columns import over_time
+from can_rig.scenario.driving.driver import lane_changes
 from can_rig.scenario.settings import MAX_REFERENCE_MPS2, Scenario
 from firmware_model.target.structs import FloatArray
 
@@ -44,6 +45,8 @@ def reference(scenario: Scenario) -> FloatArray:
         return settings.amplitude_mps2 * np.sin(settings.frequency_rad_per_s * time_s)
     if settings.kind == "lane-change":
         return lane_change(settings.amplitude_mps2, settings.frequency_rad_per_s, time_s)
+    if settings.kind == "driver":
+        return lane_changes(settings, time_s, scenario.tick_s)
     return _from_csv(scenario, time_s)
 
 

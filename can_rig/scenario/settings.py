@@ -25,7 +25,7 @@ from can_rig.scenario.tables.numbers import SignalSettings
 from firmware_model.discretisation.rules import Rule
 from firmware_model.target.structs import MAX_LATENCY_TICKS, Precision
 
-ReferenceKind = Literal["step", "sine", "lane-change", "csv"]
+ReferenceKind = Literal["step", "sine", "lane-change", "driver", "csv"]
 
 MAX_TICKS = 10_000_000  # of a run: a log of 2 GB
 MAX_REFERENCE_MPS2 = 1e6  # far beyond any frame, and its square is still a number
@@ -76,15 +76,22 @@ class BudgetSettings:
 class ReferenceSettings:
     """What D* is to follow; ``reference`` has the shapes.
 
-    ``csv`` reads two columns, time in s and reference in m/s².
+    ``csv`` reads two columns, time in s and reference in m/s². ``driver`` changes to the other of
+    two lanes, ``lane_m`` apart, at each of ``lane_changes_s``.
     """
 
     kind: ReferenceKind = "step"
     amplitude_mps2: Annotated[float, Field(ge=-MAX_REFERENCE_MPS2, le=MAX_REFERENCE_MPS2)] = 1.0
     frequency_rad_per_s: PositiveFloat = 5.0
     file: str = ""
+    lane_changes_s: tuple[Moment, ...] | None = None
+    lane_m: Annotated[float, Field(gt=0.0, le=100.0)] = 3.5
+    preview_s: Annotated[float, Field(ge=0.1, le=10.0)] = 2.0
+    reaction_s: Annotated[float, Field(ge=0.01, le=1.0)] = 0.2
 
     def __post_init__(self) -> None:
+        if self.kind == "driver" and not self.lane_changes_s:
+            raise ValueError('lane_changes_s: must have a time for a reference of kind "driver"')
         if self.kind == "csv" and not self.file:
             raise ValueError('file: must name the CSV file of a reference of kind "csv"')
 

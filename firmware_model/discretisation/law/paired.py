@@ -11,7 +11,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
-from scipy.optimize import linear_sum_assignment
 
 from firmware_model.discretisation.sections import ComplexArray, Sections, section
 from firmware_model.discretisation.tustin import DeltaRoots
@@ -59,10 +58,19 @@ def followed(roots: Sequence[Sequence[complex]]) -> ComplexArray:
             raise ParameterError(
                 f"{len(rows[0])} roots at one speed and {len(after)} at the next: must be as many"
             )
-        distance = np.abs(rows[-1][:, None] - after)
-        _, nearest = linear_sum_assignment(distance)
-        rows.append(after[nearest])
+        rows.append(after[nearest(rows[-1], after)])
     return np.array(rows)
+
+
+def nearest(roots: ComplexArray, others: ComplexArray) -> list[int]:
+    """For each of ``roots`` (n,) its own of ``others`` (n,), the closest pairs first."""
+    distance = np.abs(roots[:, None] - others)
+    chosen = [0] * len(roots)
+    for _ in roots:
+        i, j = np.unravel_index(np.argmin(distance), distance.shape)
+        chosen[int(i)] = int(j)
+        distance[i, :] = distance[:, j] = np.inf
+    return chosen
 
 
 def groups(roots: ComplexArray) -> list[Group]:

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 from scipy import linalg
-from scipy.optimize import linear_sum_assignment
 
 from firmware_model.design.plants import Plant
+from firmware_model.discretisation.law.paired import nearest
 from firmware_model.discretisation.rules import Rule
 from firmware_model.discretisation.sections import Sections, realisation
 from firmware_model.errors import DesignError, ParameterError
@@ -35,14 +35,12 @@ def turn(
         ParameterError: a model of more order than the layout holds.
         DesignError: two modes that are one, as two equal lags in series have.
     """
-    ours = [coordinates(plant, sections, channel, rule) for plant, sections in (before, after)]
     reached = realisation(before[1])[4]
-    if max(reached, default=0) >= SIZE:
+    if max(reached) >= SIZE:
         raise ParameterError(
             f"a model of {len(reached)} states: must have at most {SIZE} for several speeds"
         )
-    if not reached:
-        return np.zeros((SIZE, SIZE))
+    ours = [coordinates(plant, sections, channel, rule) for plant, sections in (before, after)]
     generator = np.zeros((SIZE, SIZE))
     scale = np.linalg.norm(ours[0], axis=1)  # accumulators differ by powers of the tick
     first, second = (each / scale[:, None] for each in ours)
@@ -71,8 +69,7 @@ def coordinates(plant: Plant, sections: Sections, channel: int, rule: Rule) -> F
         expected = np.exp(poles * tick_s)
     else:
         expected = (2.0 + poles * tick_s) / (2.0 - poles * tick_s)
-    _, order = linear_sum_assignment(np.abs(expected[:, None] - z))
-    sampled = sampled[:, order]
+    sampled = sampled[:, nearest(expected, z)]
     if max(np.linalg.cond(modes), np.linalg.cond(sampled / np.abs(sampled).max())) > WORST:
         raise DesignError(
             f"{plant.name}: channel {channel + 1} has two modes that are hardly different: lags "
