@@ -80,18 +80,18 @@ class Network:
         return tuple(codec.frame_id | codec.extended * EXTENDED_FLAG for codec in self.on_the_bus)
 
 
-def load_network(path: str | Path) -> Network:
-    """The frames of the rig in the DBC at ``path``; that of the speed may be missing.
+def load_network(path: str | Path, says_speed: bool = False) -> Network:
+    """The frames of the rig in the DBC at ``path``; that of the speed where ``says_speed``.
 
     Raises:
-        DbcError: it is not a DBC, another role is missing or one is given twice, the layout of a
+        DbcError: it is not a DBC, a role is missing or given twice, the layout of a
             frame is not that of the rig, or an `E2EDataId` is missing or gives the same CRC as
             another.
     """
     by_role: dict[int | str, DbcMessage] = {}
     for message in load_dbc(path).messages:
         role = attribute(message, "RigRole")
-        if role is None or role == "none":
+        if role is None or role == "none" or (role == SPEED and not says_speed):
             continue
         other = by_role.setdefault(role, message)
         if other is not message:
@@ -99,11 +99,11 @@ def load_network(path: str | Path) -> Network:
                 f"{path}: messages {other.name} and {message.name} both have RigRole {role}; "
                 "exactly one must"
             )
-    for role in ROLES:
+    for role in (*ROLES, SPEED) if says_speed else ROLES:
         if role not in by_role:
             raise DbcError(f"{path}: no message has RigRole {role}; exactly one must")
     first, second, third, fourth, last = (_codec(by_role[role], role, path) for role in ROLES)
-    speed = _codec(by_role[SPEED], SPEED, path) if SPEED in by_role else None
+    speed = _codec(by_role[SPEED], SPEED, path) if says_speed else None
     network = Network(first, second, third, fourth, last, speed=speed)
     require_distinct_data_ids(network, path)
     return network

@@ -72,8 +72,7 @@ def dbc_of(scenario: Scenario) -> Path:
 
 @cache
 def _network(dbc: Path, says_speed: bool) -> Network:
-    network = load_network(dbc)
-    return network if says_speed else replace(network, speed=None)
+    return load_network(dbc, says_speed)
 
 
 @remembered(MOST_PLANTS)
