@@ -21,7 +21,8 @@ from functools import partial
 from pathlib import Path
 from typing import Final
 
-from mutation_c_sites import Mutant, mutants
+from mutation_c_sites import mutants
+from mutation_sites import Mutant
 
 from can_rig.assessment.resolve import load
 from can_rig.export.application import application

@@ -19,8 +19,9 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
 from typing import Final
+
+from mutation_sites import Mutant
 
 OPERATORS: Final = {
     " + ": [" - "], " - ": [" + "], " * ": [" / "], " / ": [" * "], " % ": [" * "],
@@ -44,16 +45,6 @@ STATEMENT: Final = re.compile(
 DECLARATION: Final = re.compile(
     r"^\s*(?:typedef|struct|enum|extern|static|const|real|int\d+_t|uint\d+_t|int|bool|double|void)\b"
 )
-
-
-@dataclass(frozen=True)
-class Mutant:
-    """One changed file; ``before`` and ``after`` are the line that changes."""
-
-    line: int
-    before: str
-    after: str
-    source: str
 
 
 def mutants(source: str) -> Iterator[Mutant]:

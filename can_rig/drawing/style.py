@@ -36,9 +36,15 @@ COLUMN_WIDTH_IN: Final = 6.9
 """Of a picture between the margins of a page."""
 
 
-def page(height_in: float, width_in: float = A4_WIDTH_IN) -> Figure:
-    """An empty page, drawn without a display."""
-    figure = Figure(figsize=(width_in, height_in), layout="constrained")
+def page(height_in: float, width_in: float = A4_WIDTH_IN, constrained: bool = True) -> Figure:
+    """An empty page, drawn without a display.
+
+    Args:
+        height_in: its height in inches.
+        width_in: its width in inches.
+        constrained: matplotlib finds the margins, which takes as long as drawing everything.
+    """
+    figure = Figure(figsize=(width_in, height_in), layout="constrained" if constrained else None)
     FigureCanvasAgg(figure)
     return figure
 

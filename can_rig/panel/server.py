@@ -56,6 +56,7 @@ class Server:
             app.router.add_get(f"/{{token}}/{name}", _static("can_rig.drawing", f"uplot/{file}"))
         app.router.add_get("/{token}/socket", self._socket)
         app.cleanup_ctx.append(self._updating)
+        app.on_shutdown.append(self._screen.viewers.close)
         return app
 
     @web.middleware

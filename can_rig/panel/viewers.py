@@ -7,13 +7,16 @@ from collections import deque
 from contextlib import suppress
 from typing import Final
 
-from aiohttp import web
+from aiohttp import WSCloseCode, web
 
 MOST_WAITING: Final = 60
 """Messages that wait for one browser, two seconds of them; then the oldest goes."""
 
 STUCK_S: Final = 10.0
 """After which a browser that takes nothing at all is given up."""
+
+GOODBYE_S: Final = 1.0
+"""For a browser to answer that the connection ends."""
 
 
 class Viewer:
@@ -43,8 +46,12 @@ class Viewer:
                 self._some.clear()
                 while self._waiting:
                     await asyncio.wait_for(self._send(self._waiting.popleft()), STUCK_S)
+        await self.close()
+
+    async def close(self) -> None:
+        """End the connection, whether the browser answers or not."""
         with suppress(ConnectionError, TimeoutError):
-            await asyncio.wait_for(self.socket.close(), 1.0)
+            await asyncio.wait_for(self.socket.close(code=WSCloseCode.GOING_AWAY), GOODBYE_S)
 
     async def _send(self, message: bytes | str) -> None:
         if isinstance(message, bytes):
@@ -74,3 +81,7 @@ class Viewers:
         """Let every one have ``message``."""
         for viewer in self._all:
             viewer.offer(message)
+
+    async def close(self, _app: web.Application) -> None:
+        """End all connections, for the server ends."""
+        await asyncio.gather(*(viewer.close() for viewer in tuple(self._all)))

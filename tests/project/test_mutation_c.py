@@ -2,21 +2,25 @@
 
 from __future__ import annotations
 
-import importlib.util
-import sys
+import importlib
 import tomllib
 from pathlib import Path
+from types import ModuleType
+
+import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.export.application import application
 
 TOOLS = Path(__file__).parents[2] / "tools"
-SPEC = importlib.util.spec_from_file_location("mutation_c_sites", TOOLS / "mutation_c_sites.py")
-assert SPEC is not None
-assert SPEC.loader is not None
-sites = importlib.util.module_from_spec(SPEC)
-sys.modules[SPEC.name] = sites
-SPEC.loader.exec_module(sites)
+
+
+@pytest.fixture
+def sites(monkeypatch: pytest.MonkeyPatch) -> ModuleType:
+    """The module, imported as the tools do."""
+    monkeypatch.syspath_prepend(str(TOOLS))
+    return importlib.import_module("mutation_c_sites")
+
 
 SOURCE = """\
 /* a + b */
@@ -35,7 +39,7 @@ real f(real x)
 """
 
 
-def test_each_change_is_there_once() -> None:
+def test_each_change_is_there_once(sites: ModuleType) -> None:
     found = [(each.line, each.after) for each in sites.mutants(SOURCE)]
     assert found == [
         (2, "#define LIMIT 160.0f"),
@@ -57,7 +61,7 @@ def test_each_change_is_there_once() -> None:
         assert [at + 1 for at, (one, other) in enumerate(changed) if one != other] == [each.line]
 
 
-def test_every_excuse_is_of_a_mutant_and_has_a_reason() -> None:
+def test_every_excuse_is_of_a_mutant_and_has_a_reason(sites: ModuleType) -> None:
     files = application(load("default", []))
     known = {
         (name, each.before, each.after)

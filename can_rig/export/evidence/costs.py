@@ -11,6 +11,7 @@ import subprocess
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
+from functools import cache
 from pathlib import Path
 from typing import Final
 
@@ -127,11 +128,12 @@ def _code_and_stack(files: Mapping[str, str], board: str) -> tuple[int, int]:
             found = re.findall(r":(\w+)\t(\d+)\t", path.read_text(encoding="utf-8"))
             own |= {function: int(size) for function, size in found}
     code = sum(int(line.split()[0]) for line in sizes.splitlines()[1:])
-    return code, own.get("firmware_step", 0) + _deepest("controller_step", own)
+    law = law_program().functions
 
+    @cache
+    def deepest(function: str) -> int:
+        """Stack of a function and of what it calls; what was inlined has none of its own."""
+        below = {callee.function.c_name for callee in law[function].calls.values()}
+        return own.get(function, 0) + max(map(deepest, below), default=0)
 
-def _deepest(function: str, own: Mapping[str, int]) -> int:
-    """Stack of a function and of what it calls; what was inlined has none of its own."""
-    typed = law_program().functions[function]
-    below = {callee.function.c_name for callee in typed.calls.values()}
-    return own.get(function, 0) + max((_deepest(each, own) for each in below), default=0)
+    return code, own.get("firmware_step", 0) + deepest("controller_step")

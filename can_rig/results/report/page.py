@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
-from matplotlib.figure import Figure, SubFigure
+from matplotlib.figure import Figure
 
 from can_rig.assessment.control_authority import control_authority
 from can_rig.drawing import scales, style
@@ -25,7 +25,9 @@ from can_rig.scenario.tables.fault import SENSOR
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray
 
-HEIGHT_IN, HEIGHT_WITH_TIMING_IN = 10.6, 11.4
+HEIGHT_IN, HEIGHT_WITH_TIMING_IN, TIMING_IN = 10.6, 11.4, 1.8
+LEFT_IN, RIGHT_IN, BOTTOM_IN, TITLE_LINE_IN, LABEL_IN = 0.95, 0.2, 0.5, 0.19, 0.6
+"""Margins, fixed so that a page is drawn once and not first to see how much room it needs."""
 
 
 def draw_report(
@@ -53,16 +55,14 @@ def page(
     applies beside what it is commanded. A real-time run has a sixth panel: how late the plant node
     woke and how long the answers took.
     """
-    figure = style.page(HEIGHT_WITH_TIMING_IN if realtime else HEIGHT_IN)
-    signals_part: Figure | SubFigure = figure
-    if realtime:
-        parts: Any = figure.subfigures(2, 1, height_ratios=(5.25, 1.2))
-        signals_part = parts[0]
-        draw_timing(parts[1].subplots(), scenario.tick_s, realtime)
-    axes: list[Axes] = list(
-        signals_part.subplots(5, 1, sharex=True, height_ratios=(1.25, 1, 1, 1, 1))
-    )
     names, time_s = names_of(scenario.plant), signals.time_s
+    title = page_title(scenario, names, signals)
+    title_in = TITLE_LINE_IN * (1 + title.count("\n"))
+    figure = _empty_page(title_in, timed=bool(realtime))
+    figure.suptitle(title, fontsize=11, y=1.0 - 0.08 / figure.get_figheight())
+    axes = list(figure.axes[:5])
+    if realtime:
+        draw_timing(figure.axes[5], scenario.tick_s, realtime)
     beside, label, distance = compared_with(scenario, signals)
     for axis in axes:
         style.ruled(axis)
@@ -82,8 +82,31 @@ def page(
         axis.set_ylabel(style.labelled(name, unit), fontsize=9)
     axes[4].set_xlabel("time in s")
     _mark_loss(axes, scenario, names)
-    signals_part.align_ylabels(axes)
-    signals_part.suptitle(page_title(scenario, names, signals), fontsize=11)
+    figure.align_ylabels(axes)
+    return figure
+
+
+def _empty_page(title_in: float, timed: bool) -> Figure:
+    """Five panels over one time axis below the title, and below them one for the timing."""
+    height_in, timing_in = (HEIGHT_WITH_TIMING_IN, TIMING_IN) if timed else (HEIGHT_IN, 0.0)
+    figure = style.page(height_in, constrained=False)
+    margins = {"left": LEFT_IN / style.A4_WIDTH_IN, "right": 1.0 - RIGHT_IN / style.A4_WIDTH_IN}
+    figure.subplots(
+        5,
+        1,
+        sharex=True,
+        gridspec_kw={
+            **margins,
+            "height_ratios": (1.25, 1, 1, 1, 1),
+            "top": 1.0 - (title_in + LABEL_IN) / height_in,
+            "bottom": (BOTTOM_IN + timing_in) / height_in,
+            "hspace": 0.2,
+        },
+    )
+    if timed:
+        top = (timing_in - LABEL_IN / 2.0) / height_in
+        grid = figure.add_gridspec(1, 1, **margins, top=top, bottom=BOTTOM_IN / height_in)
+        figure.add_subplot(grid[0])
     return figure
 
 

@@ -74,6 +74,7 @@ def test_peak_sensitivity_is_what_a_sine_of_noise_becomes(
     assert peak >= size.max() * (1.0 - 1e-9)
 
 
+@pytest.mark.long
 def test_noise_gain_is_the_impulse_response_summed() -> None:
     """Parseval: rms² = Σ h_k², h the answer to one tick of measurement noise."""
     target = Target(1e-3, 1, "zoh")

@@ -117,6 +117,7 @@ def test_at_low_order_it_is_scipys_cont2discrete(seed: int, filters: int) -> Non
     assert compared >= 1
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("seed", "filters"), [A_FEW, *MANY])
 def test_every_assertion_of_the_testing_module_holds(seed: int, filters: int) -> None:
     rng = np.random.default_rng(seed)

@@ -71,8 +71,9 @@ def test_it_beats_waiting_for_the_estimate(latency: int) -> None:
     assert np.abs(early.error[LOST:]).max() < 0.95 * np.abs(always.error[LOST:]).max()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("precision", ["float64", "float32"])
-@pytest.mark.parametrize("latency", [0, pytest.param(2, marks=pytest.mark.long)])
+@pytest.mark.parametrize("latency", [0, 2])
 @pytest.mark.parametrize("estimator", ["zoh", "tustin-held"])
 def test_without_a_fault_it_never_acts(latency: int, estimator: str, precision: str) -> None:
     """The rule's own error included, and single precision's."""
@@ -126,7 +127,8 @@ def test_a_spike_is_suspected_compensated_and_forgotten() -> None:
     assert abs(trace.command_2[-1]) < 1e-3 * load
 
 
-@pytest.mark.parametrize("latency", [0, *(pytest.param(n, marks=pytest.mark.long) for n in (1, 3))])
+@pytest.mark.long
+@pytest.mark.parametrize("latency", [0, 1, 3])
 @pytest.mark.parametrize("rms", [0.0, 2e-2])
 def test_a_channel_that_comes_back_is_cleared_without_a_bump(latency: int, rms: float) -> None:
     target = confirming(latency, noise_rms=rms)
@@ -139,6 +141,7 @@ def test_a_channel_that_comes_back_is_cleared_without_a_bump(latency: int, rms: 
     assert np.abs(np.diff(trace.command_2[BACK:])).max() < 1.0 / CAR.g2.dc_gain
 
 
+@pytest.mark.long
 def test_a_reference_through_zero_clears_nothing() -> None:
     """d̂ goes through zero with the command; the loss stays confirmed."""
     reference = np.cos(np.arange(TICKS) * 0.02)

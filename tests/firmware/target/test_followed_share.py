@@ -56,7 +56,8 @@ def test_it_is_the_scalar_kalman_filter_of_the_share(latency: int) -> None:
     np.testing.assert_allclose(shares, expected, rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.parametrize("left", [pytest.param(0.0, marks=pytest.mark.long), 0.7])
+@pytest.mark.long
+@pytest.mark.parametrize("left", [0.0, 0.7])
 def test_a_loss_is_followed_carried_and_given_back(left: float) -> None:
     lost, back, ticks = 1000, 4000, 7000
     effectiveness = np.ones((ticks, 2))

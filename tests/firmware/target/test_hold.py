@@ -97,7 +97,8 @@ def test_so_does_the_model_of_the_loss(latency: int) -> None:
     np.testing.assert_allclose(run.lost[known], run.estimate[known], atol=1e-12)
 
 
-@pytest.mark.parametrize("latency", [1, pytest.param(3, marks=pytest.mark.long)])
+@pytest.mark.long
+@pytest.mark.parametrize("latency", [1, 3])
 def test_the_compensation_goes_on(latency: int) -> None:
     """u2 = F̂ w of all commands since the loss, by scipy: of those that were held too.
 

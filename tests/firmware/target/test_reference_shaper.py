@@ -91,6 +91,7 @@ def test_a_reference_within_the_limit_comes_through_exactly(accelerations: list[
     np.testing.assert_array_equal(follow(reference), reference)
 
 
+@pytest.mark.long
 @given(st.lists(st.floats(-50.0, 50.0), min_size=1, max_size=20), st.floats(-50.0, 50.0))
 def test_comes_to_rest_wherever_it_is_sent(before: list[float], last: float) -> None:
     shaped = follow(np.concatenate([before, np.full(2000, last)]))

@@ -56,6 +56,7 @@ def test_no_command_leaves_its_limits(latency: int, rule: str, limit: float) -> 
     assert np.abs(trace.command_2).max() <= limit
 
 
+@pytest.mark.long
 def test_rates_are_limited_and_the_estimator_knows() -> None:
     slow = design(CAR, DesignSpecification(tau_s=0.02, tau_q_s=0.02, alpha_q=3))
     table = build(slow, Target(1e-3, 1, "zoh", rate_1=2000.0, rate_2=5e4))

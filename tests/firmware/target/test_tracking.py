@@ -123,8 +123,9 @@ def test_whatever_the_limits_it_comes_to_rest_where_it_can(
     assert np.abs(np.diff(trace.command_1[-500:])).max() < 1e-6
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("disturbance", [0.2, -0.1])
-@pytest.mark.parametrize("latency", [0, pytest.param(3, marks=pytest.mark.long)])
+@pytest.mark.parametrize("latency", [0, 3])
 def test_a_constant_disturbance_of_y_leaves_no_error(latency: int, disturbance: float) -> None:
     """The integrator: Q G1 is 1 at rest. What is measured settles at r, in some of Q's lags."""
     bias = np.where(np.arange(1500) < 500, 0.0, disturbance)

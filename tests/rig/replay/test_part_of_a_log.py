@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 from can import Message
 
-from tests.helpers import asked, rig
+from tests.helpers import asked
 from tests.rig.replay.drive import SETTINGS as DRIVE
 from tests.rig.replay.drive import off_by_one_bit, write_log_of
 
@@ -20,7 +20,7 @@ PART = ("--from", "0.1", "--to", "0.15")
 @pytest.fixture(scope="module")
 def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("part") / "run"
-    done = rig("run", "thesis-sine", *DURATION, "--in-process", "--out", folder)
+    done = asked("run", "thesis-sine", *DURATION, "--in-process", "--out", folder)
     assert done.returncode == 0, done.stderr
     return folder
 

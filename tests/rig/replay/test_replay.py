@@ -16,7 +16,7 @@ from can_rig.logs.reading import read_log
 from can_rig.logs.writing import write_log
 from can_rig.replay.gaps import Gap
 from can_rig.replay.replay import OpenLoop
-from tests.helpers import NAMES, asked, rig
+from tests.helpers import NAMES, asked
 from tests.rig.replay.drive import (
     ALL,
     NETWORK,
@@ -37,7 +37,7 @@ SIGNALS = ("SteerTorque", "ForceDifference", "FaultEstimate", "Mode", "FaultStat
 
 def test_a_run_folder_replays_bit_for_bit(tmp_path: Path) -> None:
     for name, settings_ in (("default", ()), ("noisy", ("fault.kind=sensor-biased",))):
-        run = rig(
+        run = asked(
             "run",
             name,
             "--in-process",
@@ -127,7 +127,7 @@ def test_a_log_without_the_rig_is_refused(frames: list[Message]) -> None:
 def test_the_command_line_says_what_differs(drive: Path, frames: list[Message]) -> None:
     log, wrong = mangled(frames, 7)
     write_log_of(log, Path("mangled.log"))
-    done = rig(
+    done = asked(
         "replay",
         "mangled.log",
         "--scenario",

@@ -17,7 +17,7 @@ from can_rig.errors import LogError
 from can_rig.views.diff_picture import difference_page
 from can_rig.views.run_diff import compare, tolerances_of
 from can_rig.views.signal_table import SignalTable, read_table, unit
-from tests.helpers import asked, rig
+from tests.helpers import asked
 
 SHORT = ("--set", "duration_s=0.3", "--set", "fault.at_s=0.2", "--in-process")
 
@@ -32,7 +32,7 @@ def table(label: str = "a", start: int = 0, **columns: list[float]) -> SignalTab
 def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("runs")
     for name, change in (("a", ()), ("again", ()), ("later", ("--set", "fault.at_s=0.25"))):
-        done = rig("run", "thesis-sine", *SHORT, *change, "--out", folder / name)
+        done = asked("run", "thesis-sine", *SHORT, *change, "--out", folder / name)
         assert done.returncode == 0, done.stderr
     return folder
 
@@ -58,7 +58,7 @@ def test_a_later_fault_parts_them_at_the_fault(runs: Path) -> None:
     by_name = {signal["signal"]: signal for signal in result["signals"]}
     assert by_name["reference_mps2"]["beyond"] == 0
     allowed = [f"{name}={1.01 * s['largest'] + 1e-12}" for name, s in by_name.items()]
-    within = rig(
+    within = asked(
         "diff", runs / "a", runs / "later", *(a for t in allowed for a in ("--tolerance", t))
     )
     assert within.returncode == 0, within.stdout
@@ -159,7 +159,7 @@ def test_the_picture_shows_the_place(runs: Path) -> None:
 
 
 def test_what_if_nothing_changes_is_the_log_itself(runs: Path) -> None:
-    done = rig("replay", runs / "a", "--what-if", "--out", "same", "--json")
+    done = asked("replay", runs / "a", "--what-if", "--out", "same", "--json")
     assert done.returncode == 0, done.stderr
     assert json.loads(done.stdout)["same"]
     assert Path("same/bus.log").read_bytes() == (runs / "a" / "bus.log").read_bytes()
@@ -167,7 +167,7 @@ def test_what_if_nothing_changes_is_the_log_itself(runs: Path) -> None:
 
 def test_what_if_the_fault_comes_later_is_that_run(runs: Path) -> None:
     """The logged sine through the other scenario is the run that was made with it."""
-    done = rig("replay", runs / "a", "--what-if", "--set", "fault.at_s=0.25", "--out", "if")
+    done = asked("replay", runs / "a", "--what-if", "--set", "fault.at_s=0.25", "--out", "if")
     assert done.returncode == 0, done.stderr
     assert Path("if/bus.log").read_bytes() == (runs / "later" / "bus.log").read_bytes()
     assert {"signals.csv", "run.json", "report.png", "what-if.png"} <= {
@@ -182,7 +182,7 @@ def test_what_if_takes_its_reference_from_the_log(runs: Path) -> None:
     """A scenario with a reference of its own, a step, drives the logged sine."""
     change = ("--set", "fault.at_s=0.2", "--out", "step")
     log = runs / "a" / "bus.log"
-    done = rig("replay", log, "--what-if", "--scenario", "thesis-step", *change)
+    done = asked("replay", log, "--what-if", "--scenario", "thesis-step", *change)
     assert done.returncode == 0, done.stderr
     assert Path("step/bus.log").read_bytes() == log.read_bytes()
 
