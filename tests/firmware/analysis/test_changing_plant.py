@@ -38,7 +38,7 @@ def commands(ticks):
 
 @pytest.mark.parametrize("stages", [LAGS, DEAD, SENSED_LATE, IMMEDIATE])
 def test_at_a_constant_speed_it_is_the_sampled_plant(stages):
-    tick_s, ticks = 1e-3, 120
+    tick_s, ticks = 1e-3, 40
     changing = changing_plant(lambda speed: car(speed, stages), 30.0, tick_s)
     speeds = changing.speeds(lambda time_s: np.full(time_s.shape, 17.0), ticks)
     _, ours = driven(changing, speeds, commands(ticks), left=(1.0, 0.5))

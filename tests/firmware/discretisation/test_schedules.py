@@ -1,6 +1,5 @@
 """One filter at several speeds in the same sections, and what cannot be put into a schedule."""
 
-import math
 from dataclasses import replace
 
 import numpy as np
@@ -8,15 +7,17 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_model.design.actuator_dynamics import IDEAL, Stage, behind
-from firmware_model.design.continuous_design import DesignSpecification
-from firmware_model.design.plants import Plant
+from firmware_model.design.actuator_dynamics import Stage, behind
+from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.design.plants import Plant, steer_by_wire
+from firmware_model.design.vehicle import TABLE_3_2
 from firmware_model.discretisation.law.paired import followed, groups, paired_alike
 from firmware_model.discretisation.law.turning import turn
+from firmware_model.discretisation.schedules import AtSpeed, schedule
 from firmware_model.discretisation.sections import from_delta_zpk
 from firmware_model.discretisation.tustin import zoh
 from firmware_model.errors import DesignError, ImproperError, ParameterError, UnstablePlantError
-from tests.firmware.scheduled import SPEEDS, TARGET, car, scheduled
+from tests.firmware.scheduled import SPECIFICATION, SPEEDS, TARGET, car, scheduled
 
 TICK_S = 1e-3
 ON_CIRCLE = np.exp(1j * np.geomspace(1e-3, 3.0, 40))
@@ -78,10 +79,25 @@ def test_a_root_that_changes_its_partner_is_refused():
 
 
 def test_an_unstable_car_has_no_schedule():
-    fast = (70.0, 90.0)
-    unstable = replace(TARGET, limit_1=math.inf)
-    with pytest.raises((UnstablePlantError, DesignError)):
-        scheduled(fast, unstable, stages=(Stage(0.005), IDEAL, Stage(0.4)))
+    oversteering = steer_by_wire(
+        replace(TABLE_3_2, speed_mps=30.0, rear_cornering_stiffness_n_per_rad=20000.0,
+                steering_damping_nms_per_rad=90.0, trail_m=0.01)
+    )  # fmt: skip
+    made = design(oversteering, DesignSpecification())
+    with pytest.raises(UnstablePlantError, match="at 30 m/s: pole at .*: must be stable at every"):
+        schedule([AtSpeed(30.0, made, TARGET)])
+
+
+def test_designs_of_different_order_are_refused_by_name():
+    orders = (2, 3)
+    designs = [
+        AtSpeed(
+            12.0 + order, design(car(12.0 + order), replace(SPECIFICATION, alpha=order)), TARGET
+        )
+        for order in orders
+    ]
+    with pytest.raises(ParameterError, match="compensator: . roots at one speed and . at the next"):
+        schedule(designs)
 
 
 def test_too_many_speeds_are_refused():

@@ -91,6 +91,7 @@ def test_speeds_beyond_the_designs_are_the_nearest_and_no_number_is_none():
     assert same(at.table, before)
 
 
+@pytest.mark.long
 def test_the_motion_of_the_car_goes_on_at_another_speed():
     """What a cascade remembers, at either speed, by its free response; A and C know the answer."""
     rng = np.random.default_rng(1)
@@ -181,6 +182,7 @@ def healthy_estimate(of, ticks=450):
     return np.abs(loop.trace.fault_estimate).max()
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("cars", range(5))
 def test_a_healthy_car_that_gets_faster_shows_no_fault(cars):
     of = scheduled(cars=cars)
@@ -189,6 +191,7 @@ def test_a_healthy_car_that_gets_faster_shows_no_fault(cars):
     assert healthy_estimate(of) < 0.003 < 0.1 * frozen
 
 
+@pytest.mark.long
 def test_without_the_turn_of_the_states_it_shows_one():
     of = scheduled()
     turned = healthy_estimate(of)
@@ -212,6 +215,27 @@ def test_the_commands_of_a_firmware_are_those_of_its_working_table():
         assert answer[:3] == (at.state.command_1, at.state.command_2, at.state.fault_estimate)
         other = plain.step(r, y)
     assert other != answer
+
+
+def test_the_first_ticks_of_a_drive_show_no_fault():
+    assert healthy_estimate(OF, 12) < 1e-4
+
+
+def test_every_other_car_is_blended_and_turned():
+    of = scheduled(SPEEDS[:2], cars=4)
+    at, cars = Blended(of), ("model", "car_1", "car_2", "car_3", "car_4")
+    for each in cars:
+        for channel in (1, 2):
+            at.state.other_cars[each][f"channel_{channel}"].accumulators[:3] = 1.0
+    before = of.table.other_cars
+    at.to(SPEEDS[1])
+    for each in cars:
+        for channel in (1, 2):
+            moved = at.state.other_cars[each][f"channel_{channel}"].accumulators[:2]
+            assert (moved != 1.0).all()
+            if each != "model":
+                own = at.table.other_cars[each][f"channel_{channel}"].coefficients
+                assert not np.array_equal(own, before[each][f"channel_{channel}"].coefficients)
 
 
 def test_single_precision_stays_single_and_is_as_near_as_it_can_be():
