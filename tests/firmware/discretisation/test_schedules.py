@@ -84,7 +84,7 @@ def test_an_unstable_car_has_no_schedule():
                 steering_damping_nms_per_rad=90.0, trail_m=0.01)
     )  # fmt: skip
     made = design(oversteering, DesignSpecification())
-    with pytest.raises(UnstablePlantError, match="at 30 m/s: pole at .*: must be stable at every"):
+    with pytest.raises(UnstablePlantError, match=r"at 30 m/s: pole at .*: must be stable at every"):
         schedule([AtSpeed(30.0, made, TARGET)])
 
 
@@ -96,7 +96,7 @@ def test_designs_of_different_order_are_refused_by_name():
         )
         for order in orders
     ]
-    with pytest.raises(ParameterError, match="compensator: . roots at one speed and . at the next"):
+    with pytest.raises(ParameterError, match=r"compensator: . roots at one speed and . at"):
         schedule(designs)
 
 
