@@ -19,7 +19,7 @@ def touches(chunks: Iterable[Frames], network: Network) -> list[Touch]:
     """The commands in a log, in their order."""
     frame_id, _, _ = control.identifiers()
     feedback = network.feedback.frame_id
-    its = np.array([each.frame_id for each in network])
+    its = np.array([each.frame_id for each in network.by_role])
     found: list[Touch] = []
     frames, tick = 0, 0
     for chunk in chunks:
