@@ -18,7 +18,9 @@ from typing import TYPE_CHECKING
 
 from can_rig.assessment.resolve import load as load_scenario
 from can_rig.assessment.resolve import load_run
-from can_rig.assessment.stability import StabilityCheck, check_stability
+from can_rig.assessment.speeds import DriveCheck
+from can_rig.assessment.speeds import check as check_speeds
+from can_rig.assessment.stability import StabilityCheck
 from can_rig.assessment.tuning.box import cars_of
 from can_rig.assessment.tuning.search import Tunings
 from can_rig.assessment.tuning.search import tune as search
@@ -87,7 +89,7 @@ def load(folder: str | Path) -> RecordedRun:
 
 def check(
     name: str | Path | Scenario = "default", changes: Changes | None = None
-) -> StabilityCheck:
+) -> StabilityCheck | DriveCheck:
     """Whether the sampled loop is stable, healthy and after the fault, and by what margin.
 
     ``stable``, ``verdict``, ``healthy`` and ``faulted`` say it; ``as_dict()`` has every figure.
@@ -95,7 +97,7 @@ def check(
     Raises:
         ScenarioError: as ``scenario``, or no such design.
     """
-    return check_stability(scenario(name, changes))
+    return check_speeds(scenario(name, changes))
 
 
 def tune(

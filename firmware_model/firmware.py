@@ -8,11 +8,11 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from firmware_model.target import controller
+from firmware_model.target import controller, schedule
 from firmware_model.target.filters.biquad import advance, at_rest
 from firmware_model.target.layout import precision_of
 from firmware_model.target.precision import real
-from firmware_model.target.structs import FloatArray, Record, RecordArray
+from firmware_model.target.structs import FloatArray, Record, RecordArray, record_type
 
 
 class Answer(NamedTuple):
@@ -41,6 +41,16 @@ class Law(Protocol):
     def reset(self, table: Record, state: Record, reference: float) -> None:
         """See ``controller.reset``."""
 
+    def change_speed(
+        self,
+        schedules: RecordArray,
+        owns: RecordArray,
+        tables: RecordArray,
+        states: RecordArray,
+        speed: float,
+    ) -> None:
+        """See ``schedule.change_speed``, for the first of each array."""
+
 
 class PythonLaw:
     """The lines of ``controller`` themselves, interpreted or compiled by numba."""
@@ -57,6 +67,17 @@ class PythonLaw:
         """See ``Law``."""
         controller.reset(table, state, reference)
 
+    def change_speed(
+        self,
+        schedules: RecordArray,
+        owns: RecordArray,
+        tables: RecordArray,
+        states: RecordArray,
+        speed: float,
+    ) -> None:
+        """See ``Law``."""
+        schedule.change_first_speed(schedules, owns, tables, states, speed)
+
 
 PYTHON_LAW = PythonLaw()
 
@@ -67,14 +88,18 @@ class Firmware:
     Args:
         table: from ``tables.build``.
         law: what runs.
+        speeds: of a car whose speed changes, from ``schedules.schedule``; None: it does not, and
+            ``change_speed`` changes nothing.
     """
 
-    def __init__(self, table: Record, law: Law = PYTHON_LAW) -> None:
+    def __init__(self, table: Record, law: Law = PYTHON_LAW, speeds: Record | None = None) -> None:
         self._law = law
         self._tables = np.zeros(1, table.dtype)
         self._tables[0] = table
         self._states = law.init(self._tables[0])
         self._step = law.step_of(self._tables, self._states)
+        self._speeds = None if speeds is None else np.array([speeds], speeds.dtype)
+        self._blending = np.zeros(1, record_type(schedule.STATE, precision_of(table)))
 
     def step(self, reference: float, measurement: float) -> Answer:
         """One tick; see ``controller.step``."""
@@ -86,6 +111,12 @@ class Firmware:
     def reset(self, reference: float) -> None:
         """Start from the settled healthy loop at ``reference``; see ``controller.reset``."""
         self._law.reset(self._tables[0], self._states[0], reference)
+
+    def change_speed(self, speed: float) -> None:
+        """Before the ``step`` of a tick: the speed of the car, m/s; not a number: as it was."""
+        if self._speeds is not None:
+            memory = (self._speeds, self._blending, self._tables, self._states)
+            self._law.change_speed(*memory, speed)
 
     def move(self, sections: FloatArray) -> None:
         """Add a motion of the plant to F1 that no command of this controller caused.

@@ -167,8 +167,13 @@ def several(items: dict[str, Any]) -> str:
     """What the entries of a list may be, more than one of it."""
     if not items:
         return "numbers or pairs"
+    if "prefixItems" in items:
+        return "pairs"
     one = allowed(items)
-    return f"lists{one.removeprefix('list')}" if one.startswith("list") else f"{one}s"
+    if one.startswith("list"):
+        return f"lists{one.removeprefix('list')}"
+    kind, comma, bounds = one.partition(",")
+    return f"{kind}s{comma}{bounds}"
 
 
 def number(value: float) -> str:

@@ -31,6 +31,7 @@ from can_rig.scenario.build import continuous_plant, controller_table, slowness,
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import LimitSettings, Scenario
 from can_rig.scenario.tables.fault import CHANNELS, Channel, FaultSettings
+from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray, Record
 
@@ -99,7 +100,7 @@ class Drives:
         """What is wrong with ``plant`` in a drive that ends with one of ``LOSSES``."""
         scenario, tick_s = self._scenario, self._scenario.tick_s
         driven = replace(scenario, plant=plant)
-        trace = frameless(driven, self._network, self._table, self._inputs(loss))
+        trace = frameless(driven, self._network, Scheduled(None, self._table), self._inputs(loss))
         alarms = np.flatnonzero(trace.fault_state[: self._lost] == FaultState.CONFIRMED)
         if len(alarms):
             yield Finding(car, True, f"false alarm after {alarms[0] * tick_s:.3g} s")

@@ -14,7 +14,7 @@ from can_rig.decoding import e2e_columns
 from can_rig.decoding.message_columns import MessageColumns
 from can_rig.decoding.signal_columns import Column, signal_column
 from can_rig.frames.dbc import attribute
-from can_rig.frames.layout import ROLES
+from can_rig.frames.layout import ROLES, SPEED
 from can_rig.logs.frames import CLASSIC_BYTES, REMOTE, Frames, UInt8s
 
 Rows = NDArray[np.bool_]
@@ -193,6 +193,6 @@ def _at_least(data: UInt8s, width: int) -> UInt8s:
 def protected_by(message: DbcMessage) -> int | None:
     """The E2E data identifier of a message of the rig; None for any other message."""
     data_id = attribute(message, "E2EDataId")
-    if attribute(message, "RigRole") not in ROLES or not isinstance(data_id, int):
+    if attribute(message, "RigRole") not in (*ROLES, SPEED) or not isinstance(data_id, int):
         return None
     return data_id if 0 < data_id <= 0xFFFF and message.length == CLASSIC_BYTES else None

@@ -11,11 +11,14 @@ from can_rig.export.translation.program import Program
 from can_rig.export.translation.source import Sources
 from can_rig.export.translation.types import REAL, Record, Type
 from can_rig.export.writing.c_files import CFiles
-from firmware_model.target import controller, layout
+from firmware_model.target import controller, layout, schedule
 from firmware_model.target.structs import Precision, Struct
 
 ENTRIES: Final = ("start_up", "step", "reset")
 """What a node calls: each gets table and state first, then real numbers."""
+
+CHANGE_SPEED: Final = "change_speed"
+"""What a node calls too, before a step, where the speed of the car changes; see ``schedule``."""
 
 
 def support(name: str) -> str:
@@ -73,6 +76,37 @@ def law_program() -> Program:
         inputs = len(functions[name].parameters) - len(memory)
         program.add(functions[name], [*memory, *(REAL,) * inputs])
     return program
+
+
+def speed_program() -> Program:
+    """What blends tables by the speed of the car, with the types of everything in it.
+
+    It is a program of its own, for it writes the table, which is constant to the law.
+
+    Raises:
+        ExportError: something is outside the subset.
+    """
+    sources = target_sources()
+    program = Program(sources)
+    structs = (schedule.CONSTANTS, schedule.STATE, layout.TABLE, layout.STATE)
+    function = sources.module(schedule.__name__).functions[CHANGE_SPEED]
+    program.add(function, [*(record(sources, each) for each in structs), REAL])
+    return program
+
+
+@cache
+def speed_files(precision: Precision) -> dict[str, str]:
+    """Text by file name of what is compiled beside ``law_files`` where the speed changes.
+
+    Raises:
+        ExportError: something is outside the subset.
+    """
+    program = speed_program()
+    structs = [
+        record(program.sources, each).struct for each in (schedule.CONSTANTS, schedule.STATE)
+    ]
+    written = CFiles(program, structs, {f"schedule_{CHANGE_SPEED}"}, precision).files()
+    return {name: written[name] for name in ("schedule.h", "schedule.c")}
 
 
 @cache

@@ -30,7 +30,10 @@ NOT_AVAILABLE: Final = -(2**31)
 """Raw value of a signal without a value: the one integer without a positive counterpart."""
 
 ROLES: Final = ("reference", "feedback", "command_1", "command_2", "status")
-"""The roles of the frames of a tick, in their order on the bus."""
+"""The roles of the frames of every tick, in their order on the bus."""
+
+SPEED: Final = "speed"
+"""The role of one more, which comes first; only where the speed of the car changes."""
 
 _HEADER: Final = {"Checksum": (0, 8), "AliveCounter": (8, 4), "Tick": (16, 16)}  # start, length
 _STATUS: Final = ("Mode", "FaultState")

@@ -1,4 +1,4 @@
-"""The five frames of a tick, found in a DBC by their roles.
+"""The frames of a tick, found in a DBC by their roles.
 
 The DBC is the only truth about frames: names, identifiers, units, scaling and ranges come from it.
 A frame is found by its attribute `RigRole`, and its layout must be that of `layout`.
@@ -16,7 +16,7 @@ from cantools.database.can import Signal
 from can_rig.errors import DbcError
 from can_rig.frames.codec import MessageCodec
 from can_rig.frames.dbc import attribute, load_dbc
-from can_rig.frames.layout import ROLES, RigLayout, require_layout, value_signal
+from can_rig.frames.layout import ROLES, SPEED, RigLayout, require_layout, value_signal
 from can_rig.frames.protection import FRAME_BYTES, Protector
 
 EXTENDED_FLAG = 1 << 31
@@ -24,7 +24,7 @@ EXTENDED_FLAG = 1 << 31
 
 @dataclass(frozen=True, slots=True)
 class Network:
-    """The five frames of a tick."""
+    """The frames of a tick: five, and before them the speed, where the network has it."""
 
     reference: MessageCodec
     feedback: MessageCodec
@@ -33,15 +33,31 @@ class Network:
     status: MessageCodec
     collisions: tuple[str, ...] = ()
     """Messages of the database with the identifier of one of them."""
+    speed: MessageCodec | None = None
 
     def __iter__(self) -> Iterator[MessageCodec]:
-        """The frames in the order of `ROLES`."""
+        """The five of every tick in the order of `ROLES`."""
         return (getattr(self, role) for role in ROLES)
+
+    @property
+    def by_role(self) -> tuple[MessageCodec, ...]:
+        """All of them, the five of `ROLES` first."""
+        return (*self, self.speed) if self.speed else tuple(self)
+
+    @property
+    def on_the_bus(self) -> tuple[MessageCodec, ...]:
+        """All of them in their order on the bus."""
+        return (self.speed, *self) if self.speed else tuple(self)
+
+    @property
+    def offered(self) -> int:
+        """How many of them the plant node sends at the start of a tick, the first on the bus."""
+        return 2 if self.speed is None else 3
 
     @property
     def has_ticks(self) -> bool:
         """Whether every frame says the tick that it belongs to, which lockstep needs."""
-        return all(codec.layout.has_tick for codec in self)
+        return all(codec.layout.has_tick for codec in self.by_role)
 
     @property
     def is_the_rigs(self) -> bool:
@@ -60,21 +76,22 @@ class Network:
 
     @property
     def identifiers(self) -> tuple[int, ...]:
-        """Their CAN identifiers, in the order of `ROLES`; with bit 31 set if of 29 bits."""
-        return tuple(codec.frame_id | codec.extended * EXTENDED_FLAG for codec in self)
+        """Their CAN identifiers, in their order on the bus; with bit 31 set if of 29 bits."""
+        return tuple(codec.frame_id | codec.extended * EXTENDED_FLAG for codec in self.on_the_bus)
 
 
-def load_network(path: str | Path) -> Network:
-    """The frames of the rig in the DBC at ``path``.
+def load_network(path: str | Path, says_speed: bool = False) -> Network:
+    """The frames of the rig in the DBC at ``path``; that of the speed where ``says_speed``.
 
     Raises:
-        DbcError: it is not a DBC, a role is missing or given twice, the layout of a frame is not
-            that of the rig, or an `E2EDataId` is missing or gives the same CRC as another.
+        DbcError: it is not a DBC, a role is missing or given twice, the layout of a
+            frame is not that of the rig, or an `E2EDataId` is missing or gives the same CRC as
+            another.
     """
     by_role: dict[int | str, DbcMessage] = {}
     for message in load_dbc(path).messages:
         role = attribute(message, "RigRole")
-        if role is None or role == "none":
+        if role is None or role == "none" or (role == SPEED and not says_speed):
             continue
         other = by_role.setdefault(role, message)
         if other is not message:
@@ -82,11 +99,12 @@ def load_network(path: str | Path) -> Network:
                 f"{path}: messages {other.name} and {message.name} both have RigRole {role}; "
                 "exactly one must"
             )
-    for role in ROLES:
+    for role in (*ROLES, SPEED) if says_speed else ROLES:
         if role not in by_role:
             raise DbcError(f"{path}: no message has RigRole {role}; exactly one must")
     first, second, third, fourth, last = (_codec(by_role[role], role, path) for role in ROLES)
-    network = Network(first, second, third, fourth, last)
+    speed = _codec(by_role[SPEED], SPEED, path) if says_speed else None
+    network = Network(first, second, third, fourth, last, speed=speed)
     require_distinct_data_ids(network, path)
     return network
 
@@ -137,7 +155,7 @@ def require_distinct_data_ids(network: Network, path: str | Path) -> None:
         DbcError: names both messages.
     """
     by_crc: dict[int, MessageCodec] = {}
-    for codec in network:
+    for codec in network.by_role:
         if codec.data_id is None:
             continue
         frame = bytearray(FRAME_BYTES)

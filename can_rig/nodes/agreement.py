@@ -33,7 +33,7 @@ WHOLE: Final = 0
 UNSETTLED_S: Final = 1.0
 """How long a node waits for the key when it knows that the scenarios are not the same."""
 
-OWN: Final = ("name", "description", "reference.file", "network.dbc")
+OWN: Final = ("name", "description", "reference.file", "drive.file", "network.dbc")
 """Keys that say nothing about the run: what it is called, and where one node finds a file."""
 
 

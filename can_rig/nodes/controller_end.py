@@ -1,4 +1,4 @@
-"""The controller's end of the frames of a tick: it receives two of them and sends three."""
+"""The controller's end of the frames of a tick: it receives the plant's and sends three."""
 
 from __future__ import annotations
 
@@ -6,18 +6,21 @@ import math
 from itertools import chain
 from typing import Final
 
+import can
+
+from can_rig.frames.codec import Record
 from can_rig.frames.endpoints import Receiver, Transmitter
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import Send
 from can_rig.plant.faults.frame_faults import FrameFaults
-from can_rig.scenario.build import controller_table
+from can_rig.scenario.driving.schedule import controls
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, Firmware, Law
-from firmware_model.target.structs import Record
+from firmware_model.target.structs import Record as Memory
 
 
 class ControllerEnd:
-    """The receivers of reference and feedback, and the senders of the answer.
+    """The receivers of reference, feedback and speed, and the senders of the answer.
 
     Args:
         scenario: the run, whose faults of frames are those of the answer.
@@ -28,6 +31,7 @@ class ControllerEnd:
     def __init__(self, scenario: Scenario, network: Network, send: Send) -> None:
         self.reference: Final = Receiver(network.reference)
         self.feedback: Final = Receiver(network.feedback)
+        self.speed: Final = None if network.speed is None else Receiver(network.speed)
         self._send = send
         self._commands = (Transmitter(network.command_1), Transmitter(network.command_2))
         self._status = Transmitter(network.status)
@@ -48,18 +52,31 @@ class ControllerEnd:
         """The status, which closes ``tick``."""
         self._send(self._status.frame(estimate, tick, mode, fault_state))
 
+    def is_speed(self, message: can.Message) -> bool:
+        """Whether it is the frame of the speed, if there is such a frame."""
+        return self.speed is not None and message.arbitration_id == self.speed.codec.frame_id
+
+    def speed_of(self, message: can.Message, tick: int | None) -> Record | None:
+        """The content of a frame of the speed; see ``Receiver.accept``."""
+        assert self.speed is not None
+        return self.speed.accept(message, tick)
+
     def end_tick(self) -> None:
         """No more of this tick comes."""
-        self.reference.end_tick()
-        self.feedback.end_tick()
+        for receiver in self._receivers:
+            receiver.end_tick()
 
     def rejected(self) -> dict[str, dict[str, int]]:
         """Per message, how many frames were not used and why."""
-        receivers = (self.reference, self.feedback)
-        return {receiver.codec.name: receiver.rejected for receiver in receivers}
+        return {receiver.codec.name: receiver.rejected for receiver in self._receivers}
+
+    @property
+    def _receivers(self) -> tuple[Receiver, ...]:
+        both = (self.reference, self.feedback)
+        return both if self.speed is None else (self.speed, *both)
 
 
-def started(scenario: Scenario, network: Network, law: Law = PYTHON_LAW) -> tuple[Record, Firmware]:
+def started(scenario: Scenario, network: Network, law: Law = PYTHON_LAW) -> tuple[Memory, Firmware]:
     """The controller's table and the firmware at rest, compiled before the first tick needs it.
 
     ``law`` is what runs as the control law.
@@ -67,8 +84,8 @@ def started(scenario: Scenario, network: Network, law: Law = PYTHON_LAW) -> tupl
     Raises:
         ScenarioError: a design that cannot be made.
     """
-    table = controller_table(scenario, network)
-    firmware = Firmware(table, law)
+    of = controls(scenario, network)
+    firmware = Firmware(of.table, law, of.schedule)
     firmware.step(math.nan, math.nan)
     firmware.reset(0.0)
-    return table, firmware
+    return of.table, firmware

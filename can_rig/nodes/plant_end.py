@@ -1,4 +1,4 @@
-"""The plant's end of the frames of a tick: it sends two of them and judges the other three."""
+"""The plant's end of the frames of a tick: it sends its own and judges the three of the answer."""
 
 from __future__ import annotations
 
@@ -16,6 +16,7 @@ from can_rig.nodes.recording.plant_recorder import PlantRecorder
 from can_rig.nodes.recording.recorder import Log
 from can_rig.plant.faults.frame_faults import SENSOR_PLACE, FrameFaults
 from can_rig.plant.simulated import SimulatedPlant
+from can_rig.scenario.driving.speed import speeds_at_ticks
 from can_rig.scenario.reference import on_the_bus
 from can_rig.scenario.settings import Scenario
 
@@ -24,7 +25,7 @@ COMMANDS: Final = 2
 
 
 class PlantEnd:
-    """Samples the plant, sends reference and feedback, and judges commands and status.
+    """Samples the plant, sends it with the reference, and judges commands and status.
 
     Args:
         scenario: the run, whose faults of frames are those of D*; ``latency_ticks`` is the delay of
@@ -58,6 +59,8 @@ class PlantEnd:
         self._send_reference = Transmitter(network.reference)
         self._send_feedback = Transmitter(network.feedback)
         self._send_nothing = Transmitter(network.feedback)  # with the counter of the other
+        self._send_speed = None if network.speed is None else Transmitter(network.speed)
+        self._speeds = [] if network.speed is None else speeds_at_ticks(scenario).tolist()
         self._faults = FrameFaults(scenario, network)
         self._receivers = tuple(
             Receiver(codec) for codec in (network.command_1, network.command_2, network.status)
@@ -75,6 +78,8 @@ class PlantEnd:
                 own, SENSOR_PLACE, tick, self._send_nothing.frame(math.nan, tick)
             )
         self._offered = (reference, *feedback)
+        if self._send_speed is not None:
+            self._offered = (self._send_speed.frame(self._speeds[tick], tick), *self._offered)
 
     def send_sample(self) -> None:
         """Send what was sampled."""

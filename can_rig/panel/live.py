@@ -15,6 +15,7 @@ import numpy as np
 from can_rig.assessment.bus_timing.frame_length import FrameError, worst_case_bits
 from can_rig.errors import one_line
 from can_rig.frames.beside import control
+from can_rig.frames.endpoints import Receiver
 from can_rig.frames.network import Network
 from can_rig.panel.decimation import BUCKET_S, Decimator
 from can_rig.results.signals import SignalRows
@@ -55,6 +56,8 @@ class Lamps:
     bus_load: float | None = None
     """Frames at their longest, at the bit rate and the tick of the scenario; 1 is full."""
     ticks_per_s: float = 0.0
+    speed_mps: float | None = None
+    """Of the car, where a frame says it."""
     injectable: bool = False
     paused: bool = False
     pace: float = 0.0
@@ -115,6 +118,7 @@ class LiveSignals:
         self._nodes = {
             getattr(network, role).frame_id: node for node, roles in ENDS.items() for role in roles
         }
+        self._speed = None if network.speed is None else Receiver(network.speed)
         self._control, self._state, self._applied_id = control.identifiers()
         self._applied: dict[int, tuple[float, float]] = {}
         self._heard_s: dict[str, float] = {}
@@ -154,6 +158,10 @@ class LiveSignals:
         if node is not None:
             self._heard_s[node] = now_s
             self._rows.take(message)
+        elif self._speed is not None and message.arbitration_id == self._speed.codec.frame_id:
+            said = self._speed.accept(message)
+            if said is not None and math.isfinite(said.value):
+                self.lamps.speed_mps = said.value
         elif message.arbitration_id == self._applied_id:
             applied = control.read_applied(message)
             if applied is not None:

@@ -74,7 +74,7 @@ class LinearBehind:
 
     def __init__(self, settings: PlantSettings, tick_s: float) -> None:
         self.sampled = sampled_plant(settings, tick_s)
-        self._constants, self._memory = self.sampled.constants, self.sampled.memory
+        self._constants, self.memory = self.sampled.constants, self.sampled.memory
         # Compiles before the first tick needs it, on a memory of its own.
         follow(self._constants, self.sampled.memory, 0, 0.0, 0.0, 1.0, 1.0)
         self._tick = 0
@@ -95,8 +95,8 @@ class LinearBehind:
         self, command_1: float, command_2: float, left_1: float, left_2: float
     ) -> Mapping[str, float]:
         """See ``PlantBehind``."""
-        commands = self._memory[2]
-        x = self._memory[0].tolist()
+        commands = self.memory[2]
+        x = self.memory[0].tolist()
         values = {TRUE_OUTPUT: self._output}
         for name, state in zip(self._names, x, strict=False):
             if name:
@@ -151,11 +151,15 @@ class LinearBehind:
     ) -> tuple[float, float]:
         """See ``PlantBehind``."""
         output, read = follow(
-            self._constants, self._memory, self._tick, command_1, command_2, left_1, left_2
+            self._constants, self.memory, self._tick, command_1, command_2, left_1, left_2
         )
+        self.moved(output)
+        return output, read
+
+    def moved(self, output: float) -> None:
+        """A tick has passed, in which ``memory`` was advanced; D* of the car is ``output``."""
         self._tick += 1
         self._output = output
-        return output, read
 
 
 class ClassBehind:

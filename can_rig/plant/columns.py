@@ -18,5 +18,7 @@ ON_THE_BUS: Final = (
 
 TRUE_OUTPUT: Final = "true_dstar_mps2"
 APPLIED: Final = ("applied_torque_nm", "applied_force_difference_n")
-TAKEN: Final = (*ON_THE_BUS, TRUE_OUTPUT, *APPLIED)
+SPEED: Final = "speed_mps"
+"""Of the car, where it has a drive."""
+TAKEN: Final = (*ON_THE_BUS, TRUE_OUTPUT, *APPLIED, SPEED)
 """What every plant reports, or the frames."""

@@ -13,11 +13,13 @@ from can_rig.errors import RigError
 from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
 from can_rig.plant.actuators import actuator_limits
-from can_rig.plant.behind import LinearBehind, PlantBehind, plant_behind
+from can_rig.plant.behind import LinearBehind, PlantBehind
+from can_rig.plant.changing_car import plant_of
 from can_rig.plant.faults.delivery import Delivery, delivery
 from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.plant.sensor import noise
-from can_rig.scenario.build import controller_table
+from can_rig.scenario.driving.schedule import controls
+from can_rig.scenario.driving.speed import speeds_at_ticks
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.fault import PLACES
@@ -25,7 +27,8 @@ from firmware_model.analysis.hardware import BY, HEALTHY, REPLACED
 from firmware_model.analysis.sampled_plant import SampledPlant
 from firmware_model.analysis.simulation import AnyPlant, Simulation
 from firmware_model.analysis.trace import Trace
-from firmware_model.target.structs import FloatArray, Record
+from firmware_model.discretisation.schedules import Scheduled
+from firmware_model.target.structs import FloatArray
 
 
 @dataclass(frozen=True)
@@ -38,6 +41,8 @@ class Inputs:
     bias: FloatArray
     delivery: Delivery
     faults: FloatArray
+    speed: FloatArray | None
+    """Of the car; None: it has no drive."""
 
 
 def inputs_of(scenario: Scenario, network: Network) -> Inputs:
@@ -51,6 +56,7 @@ def inputs_of(scenario: Scenario, network: Network) -> Inputs:
         bias=plant.bias(ticks),
         delivery=delivered,
         faults=_with_replaced(plant.rows(ticks), delivered, scenario.ticks),
+        speed=quantised(network.speed, speeds_at_ticks(scenario)) if network.speed else None,
     )
 
 
@@ -68,18 +74,18 @@ def _with_replaced(rows: FloatArray, delivered: Delivery, ticks: int) -> FloatAr
 def frameless(
     scenario: Scenario,
     network: Network,
-    table: Record | None = None,
+    of: Scheduled | None = None,
     inputs: Inputs | None = None,
 ) -> Trace:
     """Run ``scenario`` without a bus; every signal as its frame on ``network`` would have it.
 
     A plant of one's own may fail in mid-run: what is measured is not a number from there on.
-    ``table`` is that of the scenario's controller and ``inputs`` are its own, for whoever has them.
+    ``of`` is the scenario's controller and ``inputs`` are its own, for whoever has them.
 
     Raises:
         ScenarioError: a scenario that cannot run.
     """
-    loop = frameless_loop(scenario, network, table, inputs)
+    loop = frameless_loop(scenario, network, of, inputs)
     loop.run()
     return loop.trace
 
@@ -87,7 +93,7 @@ def frameless(
 def frameless_loop(
     scenario: Scenario,
     network: Network,
-    table: Record | None = None,
+    of: Scheduled | None = None,
     inputs: Inputs | None = None,
 ) -> Simulation:
     """The same at rest, to be run as far as somebody wants it.
@@ -95,12 +101,12 @@ def frameless_loop(
     Raises:
         ScenarioError: as ``frameless``.
     """
-    plant = plant_behind(scenario.plant, scenario.tick_s)
+    plant = plant_of(scenario)
     return simulation(
         scenario,
         network,
         plant.sampled if isinstance(plant, LinearBehind) else _UntilItFails(plant),
-        controller_table(scenario, network) if table is None else table,
+        controls(scenario, network) if of is None else of,
         inputs_of(scenario, network) if inputs is None else inputs,
     )
 
@@ -109,13 +115,13 @@ def simulation(
     scenario: Scenario,
     network: Network,
     plant: SampledPlant | AnyPlant,
-    table: Record,
+    of: Scheduled,
     inputs: Inputs,
     keeps_states: bool = False,
 ) -> Simulation:
     """``scenario`` without a bus, at rest; for the arguments see ``frameless``, ``Simulation``."""
     return Simulation(
-        table,
+        of.table,
         plant,
         inputs.reference,
         tick_s=scenario.tick_s,
@@ -124,6 +130,8 @@ def simulation(
         bias=inputs.bias,
         arrives=inputs.delivery.used,
         faults=inputs.faults,
+        schedule=of.schedule,
+        speed=inputs.speed,
         hold_ticks=round(scenario.actuator.hold_s / scenario.tick_s),
         limits=actuator_limits(scenario.plant, scenario.tick_s),
         resolution=scenario.plant.sensor.resolution_mps2,

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from can_rig.plant.actuators import Actuator, actuator_limits
-from can_rig.plant.behind import plant_behind
+from can_rig.plant.changing_car import plant_of
 from can_rig.plant.faults.plant_faults import FaultsByTick
 from can_rig.plant.sensor import SensorNoise
 from can_rig.scenario.settings import Scenario
@@ -25,12 +25,12 @@ class SimulatedPlant:
         changing: whether ``change_faults`` may be called.
 
     Raises:
-        ScenarioError: see ``plant_behind``.
+        ScenarioError: see ``plant_of``.
     """
 
     def __init__(self, scenario: Scenario, changing: bool = False) -> None:
         hold_ticks = round(scenario.actuator.hold_s / scenario.tick_s)
-        self._plant = plant_behind(scenario.plant, scenario.tick_s)
+        self._plant = plant_of(scenario)
         self._tick = 0
         self._read = 0.0  # at rest
         self._faults = FaultsByTick(scenario, changing)

@@ -12,7 +12,7 @@ from can_rig.frames.layout import Unpacked
 from can_rig.frames.network import Network
 from can_rig.logs.frames import NS_PER_S
 from can_rig.replay.gaps import Row
-from can_rig.replay.rig_frames import INPUTS
+from can_rig.replay.rig_frames import INPUTS, SPEED_ROLE
 
 ANSWERS: Final = 3
 """Frames of a controller's answer: both commands and the status."""
@@ -103,6 +103,7 @@ class Comparison:
 
     def __init__(self, network: Network) -> None:
         codecs = tuple(network)[INPUTS:]
+        self._says_speed = network.speed is not None
         self._signals = [_signals(codec) for codec in codecs]
         self.ticks = 0
         """All that the controller answered."""
@@ -137,7 +138,7 @@ class Comparison:
     def tick(self, tick: int, row: Row, answer: Sequence[bytes]) -> None:
         """Compare one tick: what the log has of it, and the frames that the replay sent."""
         self.ticks += 1
-        if None in row.seen[:INPUTS]:
+        if None in row.seen[:INPUTS] or (self._says_speed and row.seen[SPEED_ROLE] is None):
             self.without_input += 1
             return
         whole = True

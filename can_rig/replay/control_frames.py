@@ -24,7 +24,7 @@ class Touches:
         self.found: Final[list[Touch]] = []
         self._command, _, _ = control.identifiers()
         self._feedback = network.feedback.frame_id
-        self._its = [self._command, *(each.frame_id for each in network)]
+        self._its = [self._command, *(each.frame_id for each in network.by_role)]
         self._frames = self._tick = 0
 
     def watching(self, chunks: Iterable[Frames]) -> Iterator[Frames]:

@@ -26,7 +26,7 @@ from can_rig.frames.layout import ROLES
 from can_rig.frames.network import Network
 from can_rig.frames.protection import COUNTERS
 from can_rig.logs.frames import NS_PER_S
-from can_rig.replay.rig_frames import INPUTS, RigFrame
+from can_rig.replay.rig_frames import SPEED_ROLE, RigFrame, is_input
 
 NEAR: Final = 32
 """How many ticks a frame may be away from the one under way and still count as its tick's."""
@@ -54,8 +54,8 @@ class Row:
     """What a log has of one tick."""
 
     time_ns: int
-    seen: list[bytes | None] = field(default_factory=lambda: [None] * len(ROLES))
-    """By role, the first intact frame."""
+    seen: list[bytes | None] = field(default_factory=lambda: [None] * (len(ROLES) + 1))
+    """By role, the first intact frame; the last is that of the speed."""
     damaged: set[int] = field(default_factory=set)
     """Roles of which a damaged frame was there."""
 
@@ -71,8 +71,8 @@ class Account:
     """
 
     def __init__(self, network: Network, tick_ns: int, on_gap: Callable[[Gap], None]) -> None:
-        self._names = [codec.name for codec in network]
-        self._lengths = [codec.layout.length for codec in network]
+        self._names = [codec.name for codec in network.by_role]
+        self._lengths = [codec.layout.length for codec in network.by_role]
         self._tick_ns = tick_ns
         self._on_gap = on_gap
         self.counts: Counter[tuple[str, str]] = Counter()
@@ -114,16 +114,17 @@ class Account:
             self.note(tick, frame.time_ns, role, word)
             return
         row.seen[role] = frame.data
-        if (tick, role) < self._reached:
+        place = -1 if role == SPEED_ROLE else role  # in the order on the bus
+        if (tick, place) < self._reached:
             word = "late" if tick < self._reached[0] else "out of order"
             self.note(tick, frame.time_ns, role, word)
             return
-        self._reached = (tick, role)
+        self._reached = (tick, place)
         self._watch_counter(frame, tick)
 
     def close(self, tick: int, row: Row) -> None:
         """Nothing more comes for ``tick``: note what is missing."""
-        for role, data in enumerate(row.seen):
+        for role, data in enumerate(row.seen[: len(self._names)]):
             if data is None and role not in row.damaged:
                 self.note(tick, row.time_ns, role, "missing")
 
@@ -139,9 +140,9 @@ class Account:
         key = (name, what)
         self.counts[key] += 1
         harmless = what == "repeated" or (what == "out of order" and role > 0)
-        if 0 <= role < INPUTS and not harmless:
+        if role >= 0 and is_input(role) and not harmless:
             self.first_input_gap = _first(self.first_input_gap, tick)
-        if role >= INPUTS and what in {"missing", "late"}:
+        if role >= 0 and not is_input(role) and what in {"missing", "late"}:
             self.first_answer_gap = _first(self.first_answer_gap, tick)
         run = self._runs.get(key)
         if run is not None and not detail and run.tick + run.ticks == tick:

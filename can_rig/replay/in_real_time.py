@@ -17,7 +17,7 @@ from can_rig.frames.network import Network
 from can_rig.frames.wire_tick import WIRE_TICKS, tick_at, ticks_ahead
 from can_rig.logs.frames import NS_PER_S, Frames
 from can_rig.plant.actuators import Actuator
-from can_rig.replay.rig_frames import INPUTS, rig_frames
+from can_rig.replay.rig_frames import INPUTS, is_input, rig_frames
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
 
@@ -78,7 +78,7 @@ def recorded(chunks: Iterable[Frames], network: Network, scenario: Scenario) -> 
             newest = tick_at(frame.tick, frame.time_ns / NS_PER_S, scenario.tick_s)
             found = Recorded(scenario, newest)
         tick = newest + ticks_ahead(frame.tick, newest)
-        if frame.role < INPUTS:
+        if is_input(frame.role):
             newest = max(newest, tick)
         elif frame.role < INPUTS + COMMANDS:
             found.answered[tick] = found.answered.get(tick, 0) + 1

@@ -26,7 +26,7 @@ from can_rig.nodes.lockstep.controller_node import ControllerNode
 from can_rig.replay.comparison import ANSWERS, Comparison
 from can_rig.replay.gaps import NEAR, Account, Gap, Row
 from can_rig.replay.in_real_time import Recorded
-from can_rig.replay.rig_frames import INPUTS, RigFrame, rig_frames
+from can_rig.replay.rig_frames import RigFrame, is_input, rig_frames
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, Law
 
@@ -58,7 +58,7 @@ class OpenLoop:
     ) -> None:
         self._tick_s = scenario.tick_s
         self._network = network
-        self._codecs = tuple(network)
+        self._codecs = network.by_role
         self._sent: list[bytes] = []
         self._node = ControllerNode(
             scenario.healthy,
@@ -94,10 +94,10 @@ class OpenLoop:
             if self.first_tick is None:
                 self._make_contact(frame)
                 continue
-            if frame.role < INPUTS:
+            if is_input(frame.role):
                 self._pass_over(frame, following)
             self._note(frame)
-            if frame.role < INPUTS:
+            if is_input(frame.role):
                 self._serve(frame)
                 self._close(self._due - NEAR, time_ns)
         if self.first_tick is None:
@@ -127,7 +127,7 @@ class OpenLoop:
         A log that begins late begins at the tick that its time stamps say, if they are the rig's.
         """
         self._contact.append(frame)
-        if frame.role < INPUTS:
+        if is_input(frame.role):
             self._serve(frame)
         if self.first_tick is None:
             if len(self._contact) > NEAR:
@@ -172,11 +172,11 @@ class OpenLoop:
     def _note(self, frame: RigFrame) -> None:
         """Put a frame where it belongs, and have it judged."""
         due = self._due
-        under_way = due if frame.role < INPUTS else due - 1
+        under_way = due if is_input(frame.role) else due - 1
         distance = ticks_ahead(frame.tick, due)
         if not frame.intact:
             self.account.take(frame, self._row(under_way, frame), under_way)
-        elif -NEAR <= distance <= (0 if frame.role < INPUTS else NEAR):
+        elif -NEAR <= distance <= (0 if is_input(frame.role) else NEAR):
             self.account.take(frame, self._row(due + distance, frame), due + distance)
         else:
             self.account.take(frame, None, under_way)
@@ -211,7 +211,7 @@ def _with_following(
 def _confirmed(frame: RigFrame, following: Iterable[RigFrame]) -> bool:
     """Whether a second frame of the same sender says that its tick, or the next, has come."""
     return any(
-        other.role < INPUTS
+        is_input(other.role)
         and other.intact
         and (other.role != frame.role or other.tick != frame.tick)
         and 0 <= ticks_ahead(other.tick, frame.tick) <= 1

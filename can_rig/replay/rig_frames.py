@@ -9,20 +9,29 @@ import numpy as np
 
 from can_rig.decoding import e2e_columns
 from can_rig.frames.codec import MessageCodec
+from can_rig.frames.layout import ROLES
 from can_rig.frames.network import Network
 from can_rig.frames.protection import COUNTERS, FRAME_BYTES, Checker, CheckStatus, Unprotected
 from can_rig.frames.wire_tick import WIRE_TICKS, ticks_on
 from can_rig.logs.frames import ERROR, EXTENDED, FD, REMOTE, Frames
 
 INPUTS: Final = 2
-"""The first roles, reference and feedback, are what the controller gets; the others its answer."""
+"""The first roles, reference and feedback, are what the controller gets; then comes its answer."""
+
+SPEED_ROLE: Final = len(ROLES)
+"""Of the speed, which the controller gets before them, where the network has it."""
+
+
+def is_input(role: int) -> bool:
+    """Whether the controller gets the frame; otherwise it is one of its answer."""
+    return role < INPUTS or role == SPEED_ROLE
 
 
 class RigFrame(NamedTuple):
     """One frame of the network, as a log has it."""
 
     role: int
-    """Which one, an index of `frames.layout.ROLES`."""
+    """Which one, an index of `frames.layout.ROLES`, or ``SPEED_ROLE``."""
     time_ns: int
     """Time stamp, as `Frames.time_ns`."""
     data: bytes
@@ -35,9 +44,9 @@ class RigFrame(NamedTuple):
 
 def rig_frames(chunks: Iterable[Frames], network: Network) -> Iterator[RigFrame]:
     """The frames of ``network`` among others, in their order."""
-    roles = {codec.frame_id: role for role, codec in enumerate(network)}
+    roles = {codec.frame_id: role for role, codec in enumerate(network.by_role)}
     identifiers = np.array(sorted(roles), dtype=np.uint32)
-    data_ids = [codec.data_id for codec in network]
+    data_ids = [codec.data_id for codec in network.by_role]
     if not network.is_the_rigs:
         yield from _of_any_layout(chunks, network, roles)
         return

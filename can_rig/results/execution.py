@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
 
-from can_rig.assessment.stability import refuse_unstable
+from can_rig.assessment.speeds import refuse as refuse_unstable
 from can_rig.buses.bus import in_one_process
 from can_rig.errors import INTERRUPTED, BusError, RigError, RunFolderError
 from can_rig.export.running.controllers import PYTHON, Controller
@@ -29,7 +29,8 @@ from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Timeouts
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.results.metrics import Metrics
 from can_rig.results.run_folder import LOG, Outcome, RunFolder, finish
-from can_rig.scenario.build import controller_table, network_of
+from can_rig.scenario.build import network_of
+from can_rig.scenario.driving.schedule import controls
 from can_rig.scenario.reference import on_the_bus
 from can_rig.scenario.settings import ReferenceSettings, Scenario
 
@@ -131,7 +132,7 @@ def refuse(scenario: Scenario, allow_unstable: bool = False) -> None:
         ScenarioError: no such design, plant or reference, or a loop that is not stable.
     """
     network = network_of(scenario)
-    controller_table(scenario, network)
+    controls(scenario, network)
     on_the_bus(scenario, network)
     SimulatedPlant(scenario)
     if not allow_unstable:

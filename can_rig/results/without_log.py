@@ -6,13 +6,15 @@ from dataclasses import replace
 
 import numpy as np
 
-from can_rig.plant.behind import LinearBehind, plant_behind
+from can_rig.plant.behind import LinearBehind
+from can_rig.plant.changing_car import plant_of
 from can_rig.plant.columns import TRUE_OUTPUT
 from can_rig.plant.frameless import inputs_of, simulation
 from can_rig.results.counterfactual import loop_of
 from can_rig.results.metrics import Metrics, metrics
 from can_rig.results.signals import Signals, signals_of_trace
-from can_rig.scenario.build import controller_table, network_of
+from can_rig.scenario.build import network_of
+from can_rig.scenario.driving.schedule import controls
 from can_rig.scenario.reference import on_the_bus
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.simulation import Simulation
@@ -35,12 +37,12 @@ def signals_without_log(scenario: Scenario) -> Signals:
     """
     network = network_of(scenario)
     on_the_bus(scenario, network)
-    plant, inputs = plant_behind(scenario.plant, scenario.tick_s), inputs_of(scenario, network)
+    plant, inputs = plant_of(scenario), inputs_of(scenario, network)
     loop = simulation(
         scenario,
         network,
         plant.sampled if isinstance(plant, LinearBehind) else plant,
-        controller_table(scenario, network),
+        controls(scenario, network),
         inputs,
     )
     if isinstance(plant, LinearBehind) and scenario.faults and not len(inputs.faults):

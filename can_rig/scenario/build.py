@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import asdict, replace
 from functools import cache
 from pathlib import Path
@@ -48,7 +49,7 @@ def network_of(scenario: Scenario) -> Network:
     """
     chosen = scenario.network
     if not chosen.signals:
-        return _network(dbc_of(scenario))
+        return _network(dbc_of(scenario), scenario.drive.is_given)
     data_ids = {role: number for role, number in asdict(chosen.data_ids).items() if number}
     ticks = asdict(chosen.ticks) if chosen.ticks else chosen.tick
     network = map_network(chosen.dbc, Roles(asdict(chosen.signals), ticks, data_ids))
@@ -70,8 +71,8 @@ def dbc_of(scenario: Scenario) -> Path:
 
 
 @cache
-def _network(dbc: Path) -> Network:
-    return load_network(dbc)
+def _network(dbc: Path, says_speed: bool) -> Network:
+    return load_network(dbc, says_speed)
 
 
 @remembered(MOST_PLANTS)
@@ -212,8 +213,7 @@ def mismatch(scenario: Scenario) -> Mismatch:
         ScenarioError: a box around an unstable plant.
     """
     model, budget, chosen = scenario.model, scenario.budget, scenario.design
-    keys = tuple(uncertain(model)) if budget.box > 0.0 else ()
-    late = budget.actuator_box > 0.0 and model.torque_actuator.lags
+    keys, late = _uncertain(scenario)
     if (keys or late) and (poles := unstable(continuous_plant(model).g1)):
         key, value = ("box", budget.box) if keys else ("actuator_box", budget.actuator_box)
         raise ScenarioError(
@@ -221,18 +221,38 @@ def mismatch(scenario: Scenario) -> Mismatch:
             f"(pole at {poles[0]:.4g} rad/s), of which the decision knows no other"
         )
 
+    other = other_plants(scenario)
+
     def channels(place: FloatArray) -> tuple[ZeroPoleGain, ZeroPoleGain]:
-        other = in_box(
-            model, {key: budget.box * float(x) for key, x in zip(keys, place, strict=False)}
-        )
-        if late:
-            other = with_lags(other, 1.0 + budget.actuator_box * float(place[-1]))
-        plant = continuous_plant(other)
+        plant = other(place)
         return plant.g1, plant.g2
 
     return principal_mismatch(
         channels, len(keys) + late, chosen.tau_q_s * chosen.alpha_q, MAX_DIRECTIONS
     )
+
+
+def other_plants(scenario: Scenario) -> Callable[[FloatArray], plants.Plant]:
+    """The plant at a place of the budget's box, shape (k,), -1..1 across it."""
+    model, budget = scenario.model, scenario.budget
+    keys, late = _uncertain(scenario)
+
+    def plant(place: FloatArray) -> plants.Plant:
+        other = in_box(
+            model, {key: budget.box * float(x) for key, x in zip(keys, place, strict=False)}
+        )
+        if late:
+            other = with_lags(other, 1.0 + budget.actuator_box * float(place[-1]))
+        return continuous_plant(other)
+
+    return plant
+
+
+def _uncertain(scenario: Scenario) -> tuple[tuple[str, ...], bool]:
+    """What differs in the budget's box: parameters by key, and whether the lags of actuators."""
+    budget, model = scenario.budget, scenario.model
+    keys = tuple(uncertain(model)) if budget.box > 0.0 else ()
+    return keys, budget.actuator_box > 0.0 and model.torque_actuator.lags
 
 
 def reference_acceleration(scenario: Scenario) -> float:

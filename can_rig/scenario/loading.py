@@ -46,7 +46,12 @@ INSTEAD: Final = (
     *product(FACTORED, POLYNOMIAL),
 )
 """A key, and one that it replaces: the two lags, the two forms of a transfer function."""
-FILES: Final = (("reference", "file", ""), ("network", "dbc", ""), ("plant", "kind", FMU))
+FILES: Final = (
+    ("reference", "file", ""),
+    ("drive", "file", ""),
+    ("network", "dbc", ""),
+    ("plant", "kind", FMU),
+)
 """Keys that name a file, and what stands before its name."""
 LIMITS: Final = ("limit_", "rate_")
 """Begins of the keys that an actuator has and a belief about it has not."""

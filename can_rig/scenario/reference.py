@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-import warnings
-from pathlib import Path
-
 import numpy as np
 
 from can_rig.errors import ScenarioError
 from can_rig.frames.network import Network
+from can_rig.scenario.driving.csv_columns import over_time
+from can_rig.scenario.driving.driver import lane_changes
 from can_rig.scenario.settings import MAX_REFERENCE_MPS2, Scenario
 from firmware_model.target.structs import FloatArray
 
@@ -46,6 +45,8 @@ def reference(scenario: Scenario) -> FloatArray:
         return settings.amplitude_mps2 * np.sin(settings.frequency_rad_per_s * time_s)
     if settings.kind == "lane-change":
         return lane_change(settings.amplitude_mps2, settings.frequency_rad_per_s, time_s)
+    if settings.kind == "driver":
+        return lane_changes(settings, time_s, scenario.tick_s)
     return _from_csv(scenario, time_s)
 
 
@@ -68,20 +69,8 @@ def lane_change(
 def _from_csv(scenario: Scenario, time_s: FloatArray) -> FloatArray:
     """Linear between the CSV's rows (time_s, reference_mps2), its ends held; a header may lead."""
     where = f"scenario {scenario.name}: reference.file = {scenario.reference.file!r}"
-    try:
-        lines = Path(scenario.reference.file).read_text(encoding="utf-8-sig").splitlines()
-        with warnings.catch_warnings(action="ignore"):  # no rows: refused below
-            rows = np.genfromtxt(lines, delimiter=",", ndmin=2)
-    except (OSError, ValueError) as error:
-        raise ScenarioError(f"{where}: {' '.join(str(error).split())}") from None
-    if len(rows) > 1 and np.isnan(rows[0]).all():
-        rows = rows[1:]  # the header
-    if rows.size == 0 or rows.shape[1] != 2 or not np.isfinite(rows).all():
-        raise ScenarioError(f"{where}: must have rows of two finite numbers, time_s,reference_mps2")
-    if not (np.diff(rows[:, 0]) > 0).all():
-        raise ScenarioError(f"{where}: times must increase from row to row")
-    largest, most = float(np.abs(rows[:, 1]).max()), MAX_REFERENCE_MPS2
+    times, references = over_time(scenario.reference.file, where, "reference_mps2")
+    largest, most = float(np.abs(references).max()), MAX_REFERENCE_MPS2
     if largest > most:
         raise ScenarioError(f"{where}: |reference_mps2| = {largest:g}: must be at most {most:g}")
-    values: FloatArray = np.interp(time_s, rows[:, 0], rows[:, 1]).astype(np.float64)
-    return values
+    return np.interp(time_s, times, references)

@@ -9,21 +9,23 @@ the key.
 from __future__ import annotations
 
 import dataclasses
+import itertools
 import math
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat
 from pydantic.dataclasses import dataclass
 
-from can_rig.scenario.plant_settings import BUILT_IN, SIGNALS, PlantSettings
+from can_rig.scenario.plant_settings import BUILT_IN, CAR, SIGNALS, PlantSettings
 from can_rig.scenario.stage_settings import STRICT
+from can_rig.scenario.tables.drive import DriveSettings, Speed
 from can_rig.scenario.tables.fault import MAX_DURATION_S, SENSOR, FaultSettings, Moment
 from can_rig.scenario.tables.network import NetworkSettings
 from can_rig.scenario.tables.numbers import SignalSettings
 from firmware_model.discretisation.rules import Rule
 from firmware_model.target.structs import MAX_LATENCY_TICKS, Precision
 
-ReferenceKind = Literal["step", "sine", "lane-change", "csv"]
+ReferenceKind = Literal["step", "sine", "lane-change", "driver", "csv"]
 
 MAX_TICKS = 10_000_000  # of a run: a log of 2 GB
 MAX_REFERENCE_MPS2 = 1e6  # far beyond any frame, and its square is still a number
@@ -51,6 +53,7 @@ class DesignSettings:
     probe_nm: NonNegativeFloat = 0.0
     probe_rad_per_s: Annotated[float, Field(ge=0.01)] = 10.0
     precision: Precision = "float64"
+    speeds_mps: tuple[Speed, ...] | None = None
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -73,15 +76,22 @@ class BudgetSettings:
 class ReferenceSettings:
     """What D* is to follow; ``reference`` has the shapes.
 
-    ``csv`` reads two columns, time in s and reference in m/s².
+    ``csv`` reads two columns, time in s and reference in m/s². ``driver`` changes to the other of
+    two lanes, ``lane_m`` apart, at each of ``lane_changes_s``.
     """
 
     kind: ReferenceKind = "step"
     amplitude_mps2: Annotated[float, Field(ge=-MAX_REFERENCE_MPS2, le=MAX_REFERENCE_MPS2)] = 1.0
     frequency_rad_per_s: PositiveFloat = 5.0
     file: str = ""
+    lane_changes_s: tuple[Moment, ...] | None = None
+    lane_m: Annotated[float, Field(gt=0.0, le=100.0)] = 3.5
+    preview_s: Annotated[float, Field(ge=0.1, le=10.0)] = 2.0
+    reaction_s: Annotated[float, Field(ge=0.01, le=1.0)] = 0.2
 
     def __post_init__(self) -> None:
+        if self.kind == "driver" and not self.lane_changes_s:
+            raise ValueError('lane_changes_s: must have a time for a reference of kind "driver"')
         if self.kind == "csv" and not self.file:
             raise ValueError('file: must name the CSV file of a reference of kind "csv"')
 
@@ -130,6 +140,7 @@ class Scenario:
     design: DesignSettings = dataclasses.field(default_factory=DesignSettings)
     budget: BudgetSettings = dataclasses.field(default_factory=BudgetSettings)
     reference: ReferenceSettings = dataclasses.field(default_factory=ReferenceSettings)
+    drive: DriveSettings = dataclasses.field(default_factory=DriveSettings)
     fault: tuple[FaultSettings, ...] = (FaultSettings(),)
     limits: LimitSettings = dataclasses.field(default_factory=LimitSettings)
     actuator: ActuatorSettings = dataclasses.field(default_factory=ActuatorSettings)
@@ -156,6 +167,7 @@ class Scenario:
         for key in SIGNALS:
             if getattr(self.model, key) != SignalSettings():
                 raise ValueError(f"model.{key}: must be plant.{key}; a signal has one name")
+        _refuse_speeds(self)
         _refuse_limits_of_the_model(self.model)
         _refuse_long_dead_times("plant", self.plant, self.tick_s)
         _refuse_long_dead_times("model", self.model, self.tick_s)
@@ -212,6 +224,31 @@ class Scenario:
         values = dataclasses.asdict(self)
         values["fault"] = values["fault"][0] if len(self.fault) == 1 else list(values["fault"])
         return values
+
+
+def _refuse_speeds(scenario: Scenario) -> None:
+    """A drive is of the linear car, whose frames say its speed; so is a design for several."""
+    speeds = scenario.design.speeds_mps
+    if not scenario.drive.is_given:
+        if speeds:
+            raise ValueError(
+                "design.speeds_mps: must not be set without a drive; the design is for "
+                "model.speed_mps"
+            )
+        return
+    for table, plant in (("plant", scenario.plant), ("model", scenario.model)):
+        if plant.kind != CAR:
+            raise ValueError(
+                f"drive: {table}.kind = {plant.kind!r}: must be {CAR}, the car that has a speed"
+            )
+    if scenario.network.signals:
+        raise ValueError(
+            "drive: network.signals: must not be set; the speed has a message in the rig's own "
+            "frames only"
+        )
+    for before, after in itertools.pairwise(speeds or ()):
+        if not after > before:
+            raise ValueError(f"design.speeds_mps: {after:g} after {before:g}: must increase")
 
 
 def _refuse_limits_of_the_model(model: PlantSettings) -> None:

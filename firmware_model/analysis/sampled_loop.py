@@ -135,16 +135,16 @@ def linear_controller(table: Record, confirmed: float = 0.0) -> LinearController
     ``confirmed``: as the law is after a confirmed loss of that share of channel 1; 0: none is. That
     is another law only for a table that compensates on confirmation.
     """
-    memories = _memories(table)
+    memories = memories_of(table)
     k = len(memories)
-    tables = _without_limits(table, k + 2)
+    tables = without_limits(table, k + 2)
     states = controller.init(tables[0], k + 2)
     if confirmed > 0.0:
         states["fault_state"] = FaultState.CONFIRMED
         for name in ("share", "between", "followed"):
             states["loss_model"][name] = confirmed
     for j, (path, index) in enumerate(memories):
-        _field(states, path)[(j, *index)] = 1.0
+        field_of(states, path)[(j, *index)] = 1.0
     inputs = np.zeros((2, k + 2))
     inputs[:, k:] = np.eye(2)
     controller.step_many(tables, states, inputs[1], inputs[0])
@@ -153,7 +153,7 @@ def linear_controller(table: Record, confirmed: float = 0.0) -> LinearController
     for name, turned, length in DELAYS:  # the ring has turned by one: oldest first again
         ring = estimator[name][:, : int(table.estimator[length])]
         ring[:] = np.roll(ring, -estimator[turned][0], axis=1)
-    after = np.array([_field(states, path)[(slice(None), *index)] for path, index in memories])
+    after = np.array([field_of(states, path)[(slice(None), *index)] for path, index in memories])
     after = after.reshape(k, k + 2)  # also when there is no memory at all
     answers = np.array([states[name] for name in ANSWERS])
     return LinearController(after[:, :k], after[:, k:], answers[:, :k], answers[:, k:], latency)
@@ -228,14 +228,14 @@ def reaching(a: FloatArray, row: FloatArray) -> NDArray[np.bool_]:
         reaches = wider
 
 
-def _field(states: RecordArray, path: tuple[str, ...]) -> RecordArray:
+def field_of(states: RecordArray, path: tuple[str, ...]) -> RecordArray:
     """A view of the field at ``path`` in every one of ``states``."""
     for name in path:
         states = states[name]
     return states
 
 
-def _memories(table: Record) -> list[Memory]:
+def memories_of(table: Record) -> list[Memory]:
     """Everything that one tick leaves to the next, but for accumulators that stay zero for ever.
 
     The second accumulator of a first-order section is never excited, nor is either of a gain; to
@@ -266,7 +266,7 @@ def _memories(table: Record) -> list[Memory]:
     return memories
 
 
-def _without_limits(table: Record, n: int) -> RecordArray:
+def without_limits(table: Record, n: int) -> RecordArray:
     """``n`` copies of ``table`` that are linear, in float64."""
     tables = np.zeros(n, table_type())
     tables[:] = np.array(table)

@@ -19,7 +19,9 @@ from firmware_model.analysis.sampled_plant import SampledPlant, follow
 from firmware_model.analysis.trace import BoolArray, Trace
 from firmware_model.compiled import firmware
 from firmware_model.target import controller
-from firmware_model.target.structs import FloatArray, Record, RecordArray
+from firmware_model.target.layout import precision_of
+from firmware_model.target.schedule import STATE, change_first_speed
+from firmware_model.target.structs import FloatArray, Record, RecordArray, record_type
 
 Vectors = tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]
 
@@ -57,6 +59,8 @@ class Simulation:
         limits: (2, 2), the actuators' own, a row a channel: largest magnitude of a command, largest
             change in a tick.
         faults: (ticks, 3, ``DISTORTION``), of channels and sensor; see ``hardware``. Default none.
+        schedule: for a plant whose speed changes, from ``schedules.schedule``. Default none.
+        speed: (ticks,), which the controller hears of it.
         resolution: of the sensor; 0: none.
         lsb: grid of what the controller measures, in the measurement's unit; 0: none.
         maximum: where that saturates.
@@ -77,6 +81,8 @@ class Simulation:
         hold_ticks: int = 0,
         limits: FloatArray = hardware.NO_LIMITS,
         faults: FloatArray = hardware.NO_FAULTS,
+        schedule: Record | None = None,
+        speed: FloatArray | None = None,
         resolution: float = 0.0,
         lsb: float = 0.0,
         maximum: float = np.inf,
@@ -104,6 +110,10 @@ class Simulation:
             self._signals,
             self._states,
         )
+        self._speed = None if schedule is None or speed is None else speed.tolist()
+        if schedule is not None:
+            blending = np.zeros(1, record_type(STATE, precision_of(table)))
+            self._speeds = (np.array([schedule], schedule.dtype), blending, *self._loop[:2])
         self._output = (0.0, 0.0)  # of the plant at rest, and what its sensor reads
         self._memory: Any = ()
         self.plant_states = np.zeros((0, 0))
@@ -130,6 +140,8 @@ class Simulation:
             return
         effectiveness = self.inputs[3]
         while self.done < end:
+            if self._speed is not None:
+                change_first_speed(*self._speeds, self._speed[self.done])
             u1, u2 = tick(*self._loop, self.done, *self._output)
             self.done += 1
             self._output = plant.follow(u1, u2, *effectiveness[self.done - 1].tolist())

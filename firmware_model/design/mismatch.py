@@ -9,7 +9,7 @@ the few combinations that matter, largest first.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -32,11 +32,18 @@ class Mismatch:
 
     Attributes:
         cars: none trusts the model.
+        directions: to each of them, shape (k,), of unit length.
         singular_values: of all directions, rms of d̂ on a step of 1 a box: what is left out too.
     """
 
     cars: tuple[Channels, ...] = ()
     singular_values: tuple[float, ...] = ()
+    directions: tuple[FloatArray, ...] = field(default=(), compare=False, repr=False)
+
+    @property
+    def places(self) -> list[FloatArray]:
+        """Where ``cars`` lie in the box, shape (k,) each."""
+        return [STEP * direction for direction in self.directions]
 
 
 TRUSTED = Mismatch()
@@ -75,4 +82,4 @@ def principal_mismatch(
         if value > LEAST * values[0]
     ][:most]
     cars = tuple(make(STEP * direction) for direction in used)
-    return Mismatch(cars, tuple(float(value) for value in values))
+    return Mismatch(cars, tuple(float(value) for value in values), tuple(used))

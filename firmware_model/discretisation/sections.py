@@ -103,7 +103,7 @@ def from_delta_zpk(
         free = [i for i, p in enumerate(pole_groups) if not partners[i] and len(p) >= len(group)]
         nearest = min(free, key=lambda i: abs(sum(pole_groups[i]) / len(pole_groups[i]) - group[0]))
         partners[nearest] = group
-    rows = [_section(z, p) for z, p in zip(partners, pole_groups, strict=True)]
+    rows = [section(z, p) for z, p in zip(partners, pole_groups, strict=True)]
     rows[0][:3] *= gain
     return Sections(np.array(rows), tick_s)
 
@@ -115,7 +115,7 @@ def make_up_gain(sections: Sections) -> FloatArray:
 
         y² + x⁺ᵀ P x⁺,  P = Aᵀ P A + cᵀ c:   v = (d c + Bᵀ P A) x/(d² + Bᵀ P B).
     """
-    a, b, c, d, reached = _realisation(sections)
+    a, b, c, d, reached = realisation(sections)
     energy = _energy(a, c)
     above, below = d * c + b @ energy @ a, d * d + b @ energy @ b
     gain = np.zeros(2 * len(sections.coefficients))
@@ -131,7 +131,7 @@ def _by_two(roots: Sequence[complex] | ComplexArray) -> list[list[complex]]:
     return [[r, r.conjugate()] for r in upper] + [real[i : i + 2] for i in range(0, len(real), 2)]
 
 
-def _section(zeros: list[complex], poles: list[complex]) -> FloatArray:
+def section(zeros: list[complex], poles: list[complex]) -> FloatArray:
     """β0 β1 β2 α1 α2 of Π(δ - zero)/Π(δ - pole).
 
     A first-order section is multiplied by δ/δ: its second accumulator then stays exactly zero.
@@ -153,7 +153,7 @@ def _energy(a: FloatArray, c: FloatArray) -> FloatArray:
     return energy
 
 
-def _realisation(
+def realisation(
     sections: Sections,
 ) -> tuple[FloatArray, FloatArray, FloatArray, float, list[int]]:
     """A, B, c, d of the cascade over the accumulators of ``biquad`` that ever leave zero."""

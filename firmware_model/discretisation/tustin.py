@@ -42,7 +42,7 @@ def tustin(g: ZeroPoleGain, tick_s: float, prewarp_rad_per_s: float | None = Non
         ParameterError: a tick or a prewarp frequency out of range, a pole at 2/T.
         ImproperError: ``g`` has more zeros than poles.
     """
-    return from_delta_zpk(*_bilinear(g, tick_s, prewarp_rad_per_s), tick_s)
+    return from_delta_zpk(*bilinear(g, tick_s, prewarp_rad_per_s), tick_s)
 
 
 def tustin_held(g: ZeroPoleGain, tick_s: float) -> Sections:
@@ -78,7 +78,7 @@ RULES: Final[Mapping[Rule, Callable[[ZeroPoleGain, float], Sections]]] = {
 def _held_bilinear(g: ZeroPoleGain, tick_s: float) -> DeltaRoots:
     """``tustin_held`` as zeros, poles and gain in δ."""
     _refuse_feedthrough(g, "tustin_held")
-    zeros, poles, gain = _bilinear(g, tick_s, None)
+    zeros, poles, gain = bilinear(g, tick_s, None)
     zeros.remove(-2.0)
     return zeros, poles, 2.0 * gain
 
@@ -102,7 +102,7 @@ def _held_exactly(g: ZeroPoleGain, tick_s: float) -> DeltaRoots:
     return zeros, [complex(pole) for pole in poles], float(gain)
 
 
-def _bilinear(g: ZeroPoleGain, tick_s: float, prewarp_rad_per_s: float | None) -> DeltaRoots:
+def bilinear(g: ZeroPoleGain, tick_s: float, prewarp_rad_per_s: float | None) -> DeltaRoots:
     """Zeros, poles and gain in δ: s = κ(z-1)/(z+1) gives δ = 2r/(κ - r) for a root r."""
     _check_tick(tick_s)
     if g.relative_degree < 0:
@@ -156,7 +156,7 @@ def _expm1(x: complex) -> complex:
 
 
 DELTA_ROOTS: Final[Mapping[Rule, Callable[[ZeroPoleGain, float], DeltaRoots]]] = {
-    "tustin": lambda g, tick_s: _bilinear(g, tick_s, None),
+    "tustin": lambda g, tick_s: bilinear(g, tick_s, None),
     "tustin-held": _held_bilinear,
     "zoh": _held_exactly,
 }

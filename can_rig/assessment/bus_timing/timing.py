@@ -95,7 +95,7 @@ class BusTiming:
 def network_timing(
     network: Network, bitrate: int, tick_s: Seconds, compute_s: Seconds
 ) -> BusTiming:
-    """The five frames of a tick.
+    """The frames of a tick.
 
     Args:
         network: the frames.
@@ -104,7 +104,7 @@ def network_timing(
         compute_s: most time from the arrival of D* until the controller queues its answer [s].
     """
     tick, compute = exact(tick_s), exact(compute_s)
-    plant = [_of_tick(codec, tick) for codec in (network.reference, network.feedback)]
+    plant = [_of_tick(codec, tick) for codec in network.on_the_bus[: network.offered]]
     commands = [_of_tick(codec, tick) for codec in (network.command_1, network.command_2)]
     answers = [*commands, _of_tick(network.status, tick)]
     frames = _apart(plant, answers, bitrate, compute)

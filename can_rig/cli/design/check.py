@@ -7,7 +7,7 @@ import sys
 import click
 
 from can_rig.assessment.resolve import load
-from can_rig.assessment.stability import check_stability
+from can_rig.assessment.speeds import check
 from can_rig.assessment.stability_table import table_rows
 from can_rig.cli.options import json_option, scenario_options
 from can_rig.cli.output import explain, json_line, say, show, table
@@ -23,7 +23,7 @@ def command(scenario: str, settings: tuple[str, ...], as_json: bool) -> None:
     Exit status: 0 stable, 1 not.
     """
     with car_bar() as on_car:
-        result = check_stability(load(scenario, settings), on_car)
+        result = check(load(scenario, settings), on_car)
     if as_json:
         json_line(**result.as_dict())
     else:

@@ -6,12 +6,13 @@ Table and state are the same memory: a record of numpy has the layout that C giv
 from __future__ import annotations
 
 import ctypes
+from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
 
 from can_rig.errors import ExportError
-from can_rig.export.law import ENTRIES, law_files
+from can_rig.export.law import CHANGE_SPEED, ENTRIES, law_files, speed_files
 from can_rig.export.running.compiler import shared_library
 from firmware_model.firmware import Step
 from firmware_model.target.layout import precision_of, state_type
@@ -23,15 +24,20 @@ class CompiledLaw:
 
     Args:
         precision: of its real numbers.
-        library: compiled from ``law_files(precision)``; None: compiled here.
+        library: compiled from ``law_files(precision)``, and ``speed_files(precision)`` where speeds
+            change; None: compiled here.
+        changes_speed: whether ``change_speed`` is called.
 
     Raises:
         ExportError: it cannot be compiled or loaded.
     """
 
-    def __init__(self, precision: Precision, library: Path | None = None) -> None:
+    def __init__(
+        self, precision: Precision, library: Path | None = None, changes_speed: bool = False
+    ) -> None:
         self._precision = precision
-        path = shared_library(law_files(precision)) if library is None else library
+        files = law_files(precision) | (speed_files(precision) if changes_speed else {})
+        path = shared_library(files) if library is None else library
         try:
             loaded = ctypes.CDLL(str(path))
         except OSError as error:
@@ -42,6 +48,11 @@ class CompiledLaw:
             function.argtypes = [ctypes.c_void_p, ctypes.c_void_p, *(real,) * inputs]
             function.restype = None
         self._start_up, self._step, self._reset = functions
+        self._change_speed: Callable[..., None] | None = None
+        if changes_speed:
+            change = getattr(loaded, f"schedule_{CHANGE_SPEED}")
+            change.argtypes, change.restype = [*(ctypes.c_void_p,) * 4, real], None
+            self._change_speed = change
 
     def init(self, table: Record) -> RecordArray:
         """One state at rest, shape (1,)."""
@@ -70,6 +81,18 @@ class CompiledLaw:
     def reset(self, table: Record, state: Record, reference: float) -> None:
         """As ``controller.reset``."""
         self._reset(_address(table), _address(state), reference)
+
+    def change_speed(
+        self,
+        schedules: RecordArray,
+        owns: RecordArray,
+        tables: RecordArray,
+        states: RecordArray,
+        speed: float,
+    ) -> None:
+        """As ``schedule.change_first_speed``."""
+        assert self._change_speed is not None
+        self._change_speed(*map(_address, (schedules, owns, tables, states)), speed)
 
 
 def _address(memory: Record) -> int:

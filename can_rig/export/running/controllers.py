@@ -49,7 +49,7 @@ def controller_of(name: str, scenario: Scenario) -> Controller:
     if name == "python":
         return PYTHON_LAW
     if name == "c":
-        return CompiledLaw(scenario.design.precision)
+        return CompiledLaw(scenario.design.precision, changes_speed=scenario.drive.is_given)
     if name == "ecu":
         library = host_library(scenario)
         return Application(lambda: HostEcu(library))

@@ -58,6 +58,7 @@ class ControllerNode(AnsweringNode):
         self._tick = 0  # the next one
         self._expected: int | None = None  # the first contact says which tick it is
         self._first_reference: can.Message | None = None
+        self._first_speed: can.Message | None = None
 
     @property
     def tick(self) -> int:
@@ -68,7 +69,9 @@ class ControllerNode(AnsweringNode):
         """Take in a frame, and answer the tick that it completes; whether it did."""
         if self._expected is None and not self._first_contact(message):
             return False
-        if message.arbitration_id == self._end.reference.codec.frame_id:
+        if self._end.is_speed(message):
+            self._take_speed(message)
+        elif message.arbitration_id == self._end.reference.codec.frame_id:
             record = self._end.reference.accept(message, self._expected)
             self._reference_now = record or self._reference_now
         elif message.arbitration_id == self._end.feedback.codec.frame_id:
@@ -87,14 +90,24 @@ class ControllerNode(AnsweringNode):
         reference, feedback = self._end.reference, self._end.feedback
         if message.arbitration_id == reference.codec.frame_id:
             self._first_reference = message
+        elif self._end.is_speed(message):
+            self._first_speed = message
         elif message.arbitration_id == feedback.codec.frame_id and self._first_reference:
             pair = ((reference, self._first_reference), (feedback, message))
             one, other = (Receiver(receiver.codec).accept(frame) for receiver, frame in pair)
             if one is not None and other is not None and one.tick == other.tick:
                 reference.accept(self._first_reference, one.tick)
                 self._reference_now, self._expected = one, one.tick
+                if self._first_speed is not None:
+                    self._take_speed(self._first_speed)
                 return True
         return False
+
+    def _take_speed(self, message: can.Message) -> None:
+        """Without one, the firmware goes on with the last."""
+        record = self._end.speed_of(message, self._expected)
+        if record is not None:
+            self._firmware.change_speed(record.value)
 
     @property
     def expected(self) -> int | None:

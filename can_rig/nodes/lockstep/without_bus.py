@@ -20,19 +20,18 @@ from can_rig.nodes.recording.plant_recorder import PlantRecorder
 from can_rig.nodes.recording.recorder import LogFile
 from can_rig.nodes.summary import NodeSummary, RunColumns
 from can_rig.nodes.watchdog import StopRequest
-from can_rig.plant.behind import LinearBehind, PlantBehind, plant_behind
+from can_rig.plant.behind import LinearBehind, PlantBehind
+from can_rig.plant.changing_car import plant_of
 from can_rig.plant.faults.delivery import delivery
 from can_rig.plant.frameless import inputs_of, simulation
-from can_rig.scenario.build import controller_table, network_of
+from can_rig.scenario.build import network_of
+from can_rig.scenario.driving.schedule import controls
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.simulation import Simulation
 from firmware_model.target.structs import FloatArray
 
 BLOCK_TICKS: Final = 8192
 """Between two looks at whether to stop; what is done is on disk by then."""
-
-OWN_FRAMES: Final = 2
-"""The first frames of a tick, which the plant node sends."""
 
 
 def run_without_bus(
@@ -61,19 +60,20 @@ class RunWithoutBus:
         self._scenario = scenario
         self._network: Network = network_of(scenario)
         inputs = inputs_of(scenario, self._network)
+        self._speed = inputs.speed
         self._delivery = inputs.delivery
         self._files = ExitStack()
         self._log = LogFile(log)
         self._files.callback(self._log.close)
         self._reports = self._files.enter_context(PlantRecorder(log))
-        plant = plant_behind(scenario.plant, scenario.tick_s)
+        plant = plant_of(scenario)
         self._linear = plant if isinstance(plant, LinearBehind) else None
         self._plant: dict[str, FloatArray] = {}
         self._loop: Simulation = simulation(
             scenario,
             self._network,
             plant.sampled if isinstance(plant, LinearBehind) else _Reporting(plant, self._reports),
-            controller_table(scenario, self._network),
+            controls(scenario, self._network),
             inputs,
             keeps_states=True,
         )
@@ -110,14 +110,14 @@ class RunWithoutBus:
     def rejected(self) -> dict[str, dict[str, int]]:
         """Per message, how many frames were not used and why."""
         network = self._network
-        always: dict[str, dict[str, int]] = {
-            codec.name: {} for codec in (network.status, network.reference, network.feedback)
-        }
+        own = network.on_the_bus[: network.offered]
+        always: dict[str, dict[str, int]] = {codec.name: {} for codec in (network.status, *own)}
         return delivery(self._scenario, network, self.ticks).rejected | always
 
     def _record(self, begin: int, end: int) -> None:
         """Frames and reports of the ticks from ``begin`` to ``end``."""
         network, trace, some = self._network, self._loop.trace, slice(begin, end)
+        own = network.offered
         frames = [
             payloads(codec, values[some], begin)
             for codec, values in (
@@ -136,14 +136,16 @@ class RunWithoutBus:
                 trace.fault_state[some],
             )
         )
+        if network.speed is not None and self._speed is not None:
+            frames.insert(0, payloads(network.speed, self._speed[some], begin))
         data = np.stack(frames, axis=1)
         damage = self._delivery.damage
         ticks, channels, at, change = damage[(damage[:, 0] >= begin) & (damage[:, 0] < end)].T
-        data[ticks - begin, OWN_FRAMES + channels, at] ^= change.astype(np.uint8)
+        data[ticks - begin, own + channels, at] ^= change.astype(np.uint8)
         there = np.ones((end - begin, len(frames)), dtype=np.bool_)
-        there[:, OWN_FRAMES : OWN_FRAMES + 2] = self._delivery.sent[some]
+        there[:, own : own + 2] = self._delivery.sent[some]
         first_us = np.arange(begin, end, dtype=np.int64) * self._scenario.tick_ns // 1000
-        lines = candump_bytes(data, there, first_us, network.identifiers, OWN_FRAMES)
+        lines = candump_bytes(data, there, first_us, network.identifiers, own)
         self._log.write_bytes(lines)
         if self._linear is not None:
             self._reports.record_columns(begin, self._reported(begin, end))

@@ -35,7 +35,7 @@ class OperatedBus:
         self._bus = bus
         self._told = deque(told)
         self._frames = 0
-        self._network = {each.frame_id for each in network}
+        self._network = {each.frame_id for each in network.by_role}
         self.channel_info = getattr(bus, "channel_info", "")
 
     def send(self, msg: can.Message) -> None:

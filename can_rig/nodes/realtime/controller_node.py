@@ -50,6 +50,8 @@ class Sample(NamedTuple):
     tick: int
     reference: float
     measurement: float
+    speed: float
+    """Not a number: none has come, and the last one stays."""
     offered_s: float
     """When the plant node sent it, by the bus's time stamp."""
 
@@ -112,6 +114,7 @@ class RealTimeControllerNode:
         self._tick = 0  # the next one
         self._expected: int | None = None  # the first contact says which tick it is
         self._reference_now = Record(math.nan, -1)
+        self._speed_now = Record(math.nan, -1)
         self._offered_s = 0.0  # the last reference's time stamp
         self._command_ids = {network.command_1.frame_id, network.command_2.frame_id}
         self._new_restart = partial(BumplessRestart, scenario, table, network.feedback.lsb)
@@ -155,6 +158,7 @@ class RealTimeControllerNode:
         newest = self._waiting[-1].tick
         for sample in self._waiting:
             self._miss(range(self._tick, sample.tick))
+            self._firmware.change_speed(sample.speed)
             if newest - sample.tick < self._latency_ticks:
                 self._answer_sample(sample)
             elif self._listens:
@@ -173,6 +177,8 @@ class RealTimeControllerNode:
             self._offered_s = message.timestamp
         elif number == self._end.feedback.codec.frame_id:
             self._take_in_feedback(message)
+        elif self._end.is_speed(message):
+            self._speed_now = self._end.speed_of(message, None) or self._speed_now
         elif number in self._command_ids and self._listens:
             raise BusError(
                 "another controller node sends commands on this bus; there must be only one"
@@ -195,7 +201,9 @@ class RealTimeControllerNode:
         self._expected = tick + 1
         now = self._reference_now
         reference = now.value if now.tick == record.tick else math.nan
-        self._waiting.append(Sample(tick, reference, record.value, self._offered_s))
+        fresh = self._speed_now.tick == record.tick
+        speed = self._speed_now.value if fresh else math.nan
+        self._waiting.append(Sample(tick, reference, record.value, speed, self._offered_s))
 
     def _miss(self, ticks: range, offered_s: float = -math.inf) -> None:
         """Let ``ticks`` pass for which no command can be in time."""

@@ -12,7 +12,7 @@ import numpy as np
 from can_rig.drawing import style
 from can_rig.drawing.names import names_of, printed
 from can_rig.frames.network import Network
-from can_rig.plant.columns import TRUE_OUTPUT
+from can_rig.plant.columns import SPEED, TRUE_OUTPUT
 from can_rig.results.applied import applied_commands
 from can_rig.results.report.page import compared_with, counterpart
 from can_rig.results.signals import Signals
@@ -82,12 +82,14 @@ def panels(scenario: Scenario, network: Network, signals: Signals) -> list[Panel
         Curve("mode", signals.mode, style.BLUE, stepped=True),
         Curve("fault state", signals.fault_state, style.ORANGE, stepped=True),
     ]
+    speed = signals.plant.get(SPEED)
     return [
         Panel(names.output.name, unit, output),
         Panel(distance, unit, [Curve(distance, size, style.BLUE, 0.8)], logarithmic=True),
         *commands,
         Panel("fault estimate", unit, [estimate]),
         Panel("state", "", state),
+        *([] if speed is None else [Panel("speed", "m/s", [Curve("speed", speed, style.INK)])]),
     ]
 
 

@@ -14,6 +14,7 @@ from can_rig.drawing import scales, style
 from can_rig.drawing.fault_words import fault_label
 from can_rig.drawing.names import Names, names_of
 from can_rig.frames.network import Network
+from can_rig.plant.columns import SPEED
 from can_rig.results.applied import applied_commands
 from can_rig.results.counterfactual import fault_free, uncompensated
 from can_rig.results.metrics import output_of_car, windows
@@ -52,8 +53,8 @@ def page(
     A closed loop shows r, D* and |r - D*|. An open loop follows nothing: it shows D* beside D* of
     the same run without the fault, and how far apart they are. From the loss on, a thin line is D*
     of the same run without compensation, and the panel of the lost channel shows what its actuator
-    applies beside what it is commanded. A real-time run has a sixth panel: how late the plant node
-    woke and how long the answers took.
+    applies beside what it is commanded. A car whose speed changes has it beside the estimate. A
+    real-time run has a sixth panel: how late the plant node woke and how long the answers took.
     """
     names, time_s = names_of(scenario.plant), signals.time_s
     title = page_title(scenario, names, signals)
@@ -71,6 +72,7 @@ def page(
     _distance(axes[1], time_s, beside - signals.dstar_mps2, network.feedback.lsb)
     _commands(axes[2:4], scenario, network, signals)
     _estimate(axes[4], signals)
+    _speed(axes[4], signals)
     output, *commands = names
     for axis, name, unit in zip(
         axes,
@@ -206,6 +208,21 @@ def _estimate(axis: Axes, signals: Signals) -> None:
         axis.axvline(at_s, color=style.INK, lw=0.9, ls=style.DOTTED, label="loss confirmed")
         style.legend_above(axis)
     scales.include_zero(axis, signals.fault_estimate_mps2)
+
+
+def _speed(axis: Axes, signals: Signals) -> None:
+    """How fast the car goes, where that changes, over a scale of its own at the right."""
+    speed = signals.plant.get(SPEED)
+    if speed is None or not len(speed):
+        return
+    own = axis.twinx()
+    own.plot(signals.time_s, speed, color=style.INK, lw=0.9, ls=style.DASHED)
+    own.set_ylim(0.0, 1.15 * float(speed.max()))
+    own.tick_params(axis="y", direction="in", pad=-16, labelsize=7)
+    own.annotate(
+        "speed in m/s, dashed", (0.0, 1.0), (4, 4), xycoords="axes fraction",
+        textcoords="offset points", fontsize=8, annotation_clip=False,
+    )  # fmt: skip
 
 
 def _time_axis(axes: list[Axes], scenario: Scenario, signals: Signals) -> None:

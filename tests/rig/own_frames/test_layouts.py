@@ -166,8 +166,8 @@ def test_what_is_wrong_elsewhere_in_a_database_is_no_matter(tmp_path: Path) -> N
     other = 'BO_ 217056298 Other: 8 B\n SG_ A : 0|9@1+ (1,0) [0|0] "" A\n'
     other += ' SG_ B : 8|9@1+ (1,0) [0|0] "" A\n'
     text = database("32|16@1- (1,0) [0|0]", 8)
-    with_it = [codec.encode(1.0, 5) for codec in network(tmp_path, text + other)]
-    assert with_it == [codec.encode(1.0, 5) for codec in network(tmp_path, text)]
+    with_it = [codec.encode(1.0, 5) for codec in network(tmp_path, text + other).by_role]
+    assert with_it == [codec.encode(1.0, 5) for codec in network(tmp_path, text).by_role]
 
 
 def test_the_other_signals_of_a_message_have_their_initial_values() -> None:

@@ -182,7 +182,7 @@ def test_reports_of_a_whole_run_are_those_of_its_ticks(own):
     left = np.where(np.arange(30)[:, None] < 17, 1.0, [0.25, 0.5])
     states, output, reports, last = [], [], [], 0.0
     for pair, share in zip(commands, left, strict=True):
-        states.append(plant._memory[0].copy())
+        states.append(plant.memory[0].copy())
         output.append(last)
         reports.append(plant.report(*pair, *share))
         last, _ = plant.follow(*pair, *share)

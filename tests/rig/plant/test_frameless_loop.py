@@ -17,6 +17,7 @@ from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
+from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.firmware import Firmware
 from tests.rig.plant.linear import LinearPlant
 
@@ -88,7 +89,7 @@ def test_a_table_and_inputs_of_one_s_own_are_used() -> None:
     zero = dataclasses.replace(inputs, reference=0.0 * inputs.reference)
     assert not frameless(scenario, network, inputs=zero).command_1.any()
     other = load("thesis-step", [*SHORT, "fault.kind=none", "design.tau_s=0.02"])
-    slower = frameless(scenario, network, controller_table(other, network))
+    slower = frameless(scenario, network, Scheduled(None, controller_table(other, network)))
     assert slower.command_1.tolist() == frameless(other, network).command_1.tolist()
     assert slower.command_1.tolist() != frameless(scenario, network).command_1.tolist()
 

@@ -1,0 +1,102 @@
+"""What the controller of a scenario runs from: one table, or designs at the speeds of its drive."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+
+import numpy as np
+
+from can_rig.errors import ScenarioError
+from can_rig.frames.network import Network
+from can_rig.scenario.build import (
+    continuous_design,
+    controller_table,
+    mismatch,
+    other_plants,
+    target,
+)
+from can_rig.scenario.driving.speed import speed_profile
+from can_rig.scenario.remembered import remembered
+from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.drive import DriveSettings
+from firmware_model.design.mismatch import Mismatch
+from firmware_model.discretisation.schedules import AtSpeed, Scheduled, schedule
+from firmware_model.errors import DesignError
+from firmware_model.target.schedule import MAX_SPEEDS
+
+RATIO = 1.12  # of neighbouring speeds: between them a blend is far closer than another car
+
+
+def controls(scenario: Scenario, network: Network | None) -> Scheduled:
+    """The controller of ``scenario`` on ``network`` (None: without frames).
+
+    Raises:
+        ScenarioError: a design that cannot be made or discretised, a drive that is none.
+    """
+    if not scenario.drive.is_given:
+        return Scheduled(None, controller_table(scenario, network))
+    speeds = design_speeds(scenario)
+    if len(speeds) == 1:
+        return Scheduled(None, controller_table(frozen(scenario, speeds[0]), network))
+    return _scheduled(_without_run(scenario, speeds), network)
+
+
+def design_speeds(scenario: Scenario) -> tuple[float, ...]:
+    """The speeds that the controller is designed for, ascending.
+
+    Raises:
+        ScenarioError: see ``speed_profile``.
+    """
+    if scenario.design.speeds_mps:
+        return scenario.design.speeds_mps
+    slowest, fastest = speed_profile(scenario).range_mps
+    steps = min(math.ceil(math.log(fastest / slowest) / math.log(RATIO) - 1e-9), MAX_SPEEDS - 1)
+    return tuple(np.geomspace(slowest, fastest, steps + 1).tolist())
+
+
+def frozen(scenario: Scenario, speed_mps: float) -> Scenario:
+    """The scenario with a car, and a design, that keeps one speed."""
+    return replace(
+        scenario,
+        drive=DriveSettings(),
+        plant=replace(scenario.plant, speed_mps=speed_mps),
+        model=replace(scenario.model, speed_mps=speed_mps),
+        design=replace(scenario.design, speeds_mps=None),
+    )
+
+
+def _without_run(scenario: Scenario, speeds: tuple[float, ...]) -> Scenario:
+    """What the schedule follows from, and nothing else, so that it is computed once."""
+    usual = Scenario(name=scenario.name)
+    return replace(
+        scenario,
+        description="",
+        seed=0,
+        reference=usual.reference,
+        fault=(),
+        drive=DriveSettings(speed_mps=speeds[0]),
+        design=replace(scenario.design, speeds_mps=speeds),
+    )
+
+
+@remembered(4)
+def _scheduled(scenario: Scenario, network: Network | None) -> Scheduled:
+    speeds = scenario.design.speeds_mps or ()
+    middle = mismatch(frozen(scenario, speeds[len(speeds) // 2]))
+    try:
+        return schedule([_at(frozen(scenario, speed), network, middle) for speed in speeds])
+    except DesignError as error:
+        raise ScenarioError(f"scenario {scenario.name}: design.speeds_mps: {error}") from None
+
+
+def _at(scenario: Scenario, network: Network | None, middle: Mismatch) -> AtSpeed:
+    """The design for one speed; other cars lie in the same directions at all of them."""
+    others = tuple(other_plants(scenario)(place) for place in middle.places)
+    cars = Mismatch(tuple((plant.g1, plant.g2) for plant in others))
+    return AtSpeed(
+        speed_mps=scenario.model.speed_mps,
+        design=continuous_design(scenario),
+        target=replace(target(scenario, network), mismatch=cars),
+        others=others,
+    )

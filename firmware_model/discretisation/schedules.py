@@ -1,0 +1,158 @@
+"""Designs for several speeds as the constants of ``target.schedule``, and the table for the first.
+
+What does not depend on the speed must be the same in all of them: rule, latency, limits, decision.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+
+from firmware_model.design.continuous_design import ContinuousDesign
+from firmware_model.design.factors.coprime import unstable
+from firmware_model.design.plants import Plant
+from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.discretisation.law.paired import paired_alike
+from firmware_model.discretisation.law.turning import turn
+from firmware_model.discretisation.sections import Sections, make_up_gain
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Target
+from firmware_model.discretisation.tustin import DELTA_ROOTS, bilinear
+from firmware_model.errors import DesignError, ParameterError, UnstablePlantError
+from firmware_model.target.schedule import CONSTANTS, MAX_SPEEDS
+from firmware_model.target.structs import Record, record_type
+
+
+@dataclass(frozen=True)
+class AtSpeed:
+    """The design for one speed.
+
+    Attributes:
+        speed_mps: V.
+        design: of the model at this speed.
+        target: where it runs, with the other cars of this speed in its ``mismatch``.
+        others: those cars, in the same order.
+    """
+
+    speed_mps: float
+    design: ContinuousDesign
+    target: Target
+    others: tuple[Plant, ...] = ()
+
+
+@dataclass(frozen=True)
+class Scheduled:
+    """The table of the first speed, and the schedule; without one the speed does not change."""
+
+    schedule: Record | None
+    table: Record
+
+
+def schedule(designs: Sequence[AtSpeed]) -> Scheduled:
+    """The constants for ``designs``, ascending in speed, one or more.
+
+    Raises:
+        DesignError: a design that cannot be discretised, an unstable model, models whose states
+            cannot be followed from speed to speed.
+    """
+    if not 0 < len(designs) <= MAX_SPEEDS:
+        raise ParameterError(f"{len(designs)} speeds: must be 1 to {MAX_SPEEDS}")
+    for each in designs:
+        for plant in (each.design.plant, *each.others):
+            if poles := unstable(plant.g1):
+                raise UnstablePlantError(
+                    f"{plant.name} at {each.speed_mps:g} m/s: pole at {poles[0]:.4g} rad/s: must "
+                    "be stable at every speed"
+                )
+    tables = [build(each.design, each.target) for each in designs]
+    made = np.zeros(1, record_type(CONSTANTS, designs[0].target.precision))[0]
+    made.n = len(designs)
+    made.speed[: made.n] = [each.speed_mps for each in designs]
+    filters = _filters(designs)
+    for name, alike in filters.items():
+        for k, sections in enumerate(alike):
+            made[name][k, : sections.coefficients.size] = sections.coefficients.ravel()
+    for k, table in enumerate(tables):
+        made.tracking_inverse[k] = table.tracking.loop_inverse
+        made.feedthrough_2[k] = table.estimator.feedthrough_2
+        made.compensator_feedthrough[k] = table.compensator.feedthrough
+        made.compensator_inverse[k] = table.compensator.loop_inverse
+        for channel in (1, 2):
+            gain = make_up_gain(filters[f"channel_{channel}"][k])
+            made[f"make_up_{channel}"][k, : gain.size] = gain.ravel()
+    _turn_states(made, designs, filters)
+    return Scheduled(made, _first(tables[0], filters))
+
+
+def _filters(designs: Sequence[AtSpeed]) -> dict[str, list[Sections]]:
+    """By member of the schedule, the sections of each speed."""
+    first = designs[0]
+    tick_s, prewarp = first.target.tick_s, first.target.prewarp_rad_per_s
+    sampled = DELTA_ROOTS[first.target.estimator]
+    one, nothing = ZeroPoleGain.constant(1.0), ZeroPoleGain.constant(0.0)
+
+    def tracking(design: ContinuousDesign) -> ZeroPoleGain:
+        return design.tracking.filter if design.tracking else one
+
+    roots = {
+        "tracking": [bilinear(tracking(each.design), tick_s, prewarp) for each in designs],
+        "compensator": [
+            bilinear(each.design.compensator or nothing, tick_s, prewarp) for each in designs
+        ],
+        "channel_1": [sampled(each.design.plant.g1, tick_s) for each in designs],
+        "channel_2": [sampled(each.design.plant.g2, tick_s) for each in designs],
+    }
+    for car in range(len(first.others)):
+        for channel in (1, 2):
+            roots[f"car_{car + 1}_channel_{channel}"] = [
+                sampled(each.target.mismatch.cars[car][channel - 1], tick_s) for each in designs
+            ]
+    found = {}
+    for name, each in roots.items():
+        try:
+            found[name] = paired_alike(each, tick_s)
+        except DesignError as error:
+            raise ParameterError(f"{name}: {error}") from None
+    return found
+
+
+def _turn_states(
+    made: Record, designs: Sequence[AtSpeed], filters: dict[str, list[Sections]]
+) -> None:
+    rule = designs[0].target.estimator
+    for car in range(len(designs[0].others) + 1):  # the model, then the others
+        prefix = f"car_{car}_" if car else ""
+        plants = [each.others[car - 1] if car else each.design.plant for each in designs]
+        for channel in (0, 1):
+            alike = filters[f"{prefix}channel_{channel + 1}"]
+            for k, (before, after) in enumerate(pairwise(zip(plants, alike, strict=True))):
+                made[f"{prefix}turn_{channel + 1}"][k] = turn(before, after, channel, rule).ravel()
+
+
+def _first(table: Record, filters: dict[str, list[Sections]]) -> Record:
+    """``table`` with its coefficients in the sections of the schedule."""
+    tables = np.array([table], table.dtype)
+    own = tables[0]
+    places = {
+        "tracking": own.tracking.filter,
+        "channel_1": own.estimator.channel_1,
+        "channel_2": own.estimator.channel_2,
+        "compensator": own.compensator.filter,
+    }
+    for car in range(own.other_cars.n):
+        for channel in (1, 2):
+            name = f"car_{car + 1}"
+            places[f"{name}_channel_{channel}"] = own.other_cars[name][f"channel_{channel}"]
+    for name, cascade in places.items():
+        sections = filters[name][0].coefficients
+        cascade.coefficients[:] = 0.0
+        cascade.n = len(sections)
+        cascade.coefficients[: cascade.n] = sections
+    for channel in (1, 2):
+        gain = make_up_gain(filters[f"channel_{channel}"][0])
+        own[f"shortfall_{channel}"].gain[: len(gain)] = gain
+    tables.flags.writeable = False
+    return tables[0]

@@ -1,0 +1,161 @@
+"""A car whose speed changes, on the bus: its frame, what the controller makes of it, its log."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from can_rig.assessment.resolve import load
+from can_rig.export.running.controllers import controller_of
+from can_rig.frames.endpoints import Transmitter
+from can_rig.logs.reading import read_log
+from can_rig.nodes.lockstep.controller_node import ControllerNode
+from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.watchdog import StopRequest
+from can_rig.plant.frameless import frameless
+from can_rig.replay.gaps import Gap
+from can_rig.replay.replay import OpenLoop
+from can_rig.results.signals import read_signals
+from can_rig.scenario.build import network_of
+from can_rig.scenario.driving.speed import speeds_at_ticks
+from tests.helpers import asked, decoded, rig
+
+DRIVE = (
+    "duration_s=0.6",
+    "drive.ramps=[[0.0, 10.0], [0.5, 13.0]]",
+    "reference.kind=sine",
+    "fault.at_s=0.3",
+    "budget.box=0",
+    "budget.actuator_box=0",
+)
+SCENARIO = load("default", DRIVE)
+NETWORK = network_of(SCENARIO)
+FRAMES = 6
+
+
+@pytest.fixture(scope="module")
+def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("drive") / "bus.log"
+    run_in_process(SCENARIO, "virtual:drive", path, StopRequest(), lambda tick: None)
+    return path
+
+
+def test_the_speed_is_the_first_frame_of_every_tick(log: Path) -> None:
+    (frames,) = read_log(log)
+    assert NETWORK.speed is not None
+    identifiers = frames.arbitration_id.reshape(-1, FRAMES)
+    assert (identifiers == [codec.frame_id for codec in NETWORK.on_the_bus]).all()
+    assert (np.diff(identifiers[0].astype(int)) > 0).all()  # the order in which they win the bus
+    values = decoded(log)["VEHICLE_SPEED"]
+    np.testing.assert_allclose(values, speeds_at_ticks(SCENARIO), atol=0.5001 * NETWORK.speed.lsb)
+    assert network_of(load("default")).speed is None
+
+
+def test_signals_have_it_and_replay_knows_it(log: Path) -> None:
+    signals = read_signals(log, NETWORK, SCENARIO.tick_s)
+    assert signals.plant["speed_mps"].tolist() == speeds_at_ticks(SCENARIO).tolist()
+    gaps: list[Gap] = []
+    loop = OpenLoop(SCENARIO, NETWORK, gaps.append)
+    loop.run(read_log(log))
+    assert not gaps
+    assert loop.comparison.same_bytes == 3 * SCENARIO.ticks
+    other = OpenLoop(load("default", [*DRIVE, "design.speeds_mps=[10]"]), NETWORK, gaps.append)
+    other.run(read_log(log))
+    assert not other.comparison.identical
+
+
+def test_the_law_in_c_and_the_loop_without_a_bus_leave_the_same(log: Path, tmp_path: Path) -> None:
+    law = controller_of("c", SCENARIO)
+    own = tmp_path / "c.log"
+    run_in_process(SCENARIO, "virtual:c", own, StopRequest(), lambda tick: None, controller=law)
+    assert own.read_bytes() == log.read_bytes()
+    trace = frameless(SCENARIO, NETWORK)
+    assert trace.fault_state[-1] == 2
+    assert (
+        trace.measured.tolist() == read_signals(log, NETWORK, SCENARIO.tick_s).dstar_mps2.tolist()
+    )
+
+
+def test_a_replay_says_which_frames_of_the_speed_are_missing(log: Path) -> None:
+    (frames,) = read_log(log)
+    at = 100 * FRAMES
+    keep = np.ones(len(frames), dtype=np.bool_)
+    keep[[at, at + FRAMES]] = False
+    gaps: list[Gap] = []
+    loop = OpenLoop(SCENARIO, NETWORK, gaps.append)
+    loop.run([frames[keep]])
+    assert [(gap.tick, gap.message, gap.what, gap.ticks) for gap in gaps] == [
+        (100, "VEHICLE_SPEED", "missing", 2)
+    ]
+    assert loop.comparison.without_input == 2
+
+
+Change = Callable[[can.Message], can.Message | None]
+
+
+def damaged(message: can.Message) -> can.Message:
+    message.data[5] ^= 1
+    return message
+
+
+def commands(change: Change, ticks: range) -> tuple[list[bytes], ControllerNode]:
+    """What a node answers to 30 ticks while ``change`` is made to the speeds of ``ticks``."""
+    sent: list[bytes] = []
+    node = ControllerNode(SCENARIO, NETWORK, lambda message: sent.append(bytes(message.data)))
+    assert NETWORK.speed is not None
+    senders = [Transmitter(codec) for codec in (NETWORK.speed, NETWORK.reference, NETWORK.feedback)]
+    for tick in range(30):
+        values = (10.0 + 0.05 * tick, 0.5, 0.01 * tick)
+        own, *others = (s.frame(v, tick) for s, v in zip(senders, values, strict=True))
+        speed = change(own) if tick in ticks else own
+        for message in ([speed] if speed else []) + others:
+            node.take(message)
+    return sent, node
+
+
+def test_without_a_good_frame_the_last_speed_is_held() -> None:
+    whole, node = commands(lambda message: message, range(30))
+    assert node.rejected()["VEHICLE_SPEED"] == {}
+    missing, node = commands(lambda message: None, range(10, 20))
+    assert node.rejected()["VEHICLE_SPEED"] == {"no_new_data": 10}
+    wrong, node = commands(damaged, range(10, 20))
+    assert node.rejected()["VEHICLE_SPEED"] == {"wrong_crc": 10}
+    assert wrong == missing
+    assert whole[:30] == missing[:30]
+    assert whole[30:60] != missing[30:60]
+
+
+def test_a_node_of_one_speed_and_a_node_of_many_differ_only_where_the_speed_does() -> None:
+    """At the speed of a design the blended table is that design, to rounding."""
+    still = ["duration_s=0.3", "fault.at_s=0.1", "reference.kind=sine"]
+    alone = load("default", [*still, "plant.speed_mps=13"])
+    told = load("default", [*still, "drive.speed_mps=13", "design.speeds_mps=[12, 13]"])
+    ours, theirs = (frameless(each, network_of(each)) for each in (told, alone))
+    np.testing.assert_allclose(ours.measurement, theirs.measurement, atol=2e-6)
+    np.testing.assert_allclose(ours.command_1, theirs.command_1, atol=2e-2)
+
+
+def test_what_if_repeats_a_drive(tmp_path: Path) -> None:
+    folder = tmp_path / "run"
+    settings = [f"--set={each}" for each in DRIVE]
+    assert asked("run", "default", *settings, "--in-process", "--out", folder).returncode == 0
+    again = tmp_path / "again"
+    done = asked("replay", folder, "--what-if", "--out", again)
+    assert done.returncode == 0, done.stderr
+    assert (again / "bus.log").read_bytes() == (folder / "bus.log").read_bytes()
+    assert "speed_mps" in (folder / "signals.csv").read_text().splitlines()[0]
+    shown = asked("decode", folder / "bus.log", "--out", tmp_path / "decoded.csv")
+    assert shown.returncode == 0, shown.stderr
+    assert "VehicleSpeed" in (tmp_path / "decoded.csv").read_text().splitlines()[0]
+
+
+def test_a_drive_by_the_wall_clock(tmp_path: Path) -> None:
+    settings = [f"--set={each}" for each in (*DRIVE, "tick_s=0.005", "latency_ticks=2")]
+    done = rig("run", "default", *settings, "--realtime", "--out", tmp_path / "run")
+    assert done.returncode == 0, done.stderr
+    assert "VEHICLE_SPEED" not in done.stderr
+    assert len((tmp_path / "run" / "signals.csv").read_text().splitlines()) == 121

@@ -1,0 +1,89 @@
+"""A drive as a scenario has it: what is refused, the speed over time, the driver."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from can_rig.assessment.resolve import load
+from can_rig.errors import ScenarioError
+from can_rig.scenario.build import controller_table, network_of
+from can_rig.scenario.driving.schedule import RATIO, controls, design_speeds, frozen
+from can_rig.scenario.driving.speed import speed_profile, speeds_at_ticks
+from can_rig.scenario.reference import reference
+
+RAMP = "drive.ramps=[[1, 10], [3, 16]]"
+REFUSED = {
+    ("drive.speed_mps=10", "drive.ramps=[[0, 10]]"): "drive.ramps: must not stand beside speed_mps",
+    ("drive.ramps=[[2, 10], [1, 12]]",): "time 1 s after 2 s: times must increase",
+    ("drive.speed_mps=0.5",): "drive.speed_mps = 0.5: must be at least 1",
+    ("drive.ramps=[[0, 10], [1, 101]]",): "must be at most 100",
+    ("design.speeds_mps=[10, 12]",): "design.speeds_mps: must not be set without a drive",
+    (RAMP, "design.speeds_mps=[12, 10]"): "design.speeds_mps: 10 after 12: must increase",
+    (RAMP, "plant.kind=can_rig.plant.nonlinear_car:NonlinearCar"): "must be steer-by-wire",
+    ("reference.kind=driver",): "lane_changes_s: must have a time",
+}
+
+
+@pytest.mark.parametrize("settings", REFUSED)
+def test_what_is_no_drive_is_refused_in_one_line(settings: tuple[str, ...]) -> None:
+    with pytest.raises(ScenarioError) as refused:
+        load("default", settings)
+    line = str(refused.value)
+    assert REFUSED[settings] in line
+    assert "\n" not in line
+
+
+def test_straight_lines_between_pairs_whose_ends_are_held() -> None:
+    scenario = load("default", [RAMP, "duration_s=4", "tick_s=0.5", "latency_ticks=1"])
+    assert speeds_at_ticks(scenario).tolist() == [10, 10, 10, 11.5, 13, 14.5, 16, 16]
+    profile = speed_profile(scenario)
+    assert profile.range_mps == (10.0, 16.0)
+    assert profile.fastest_change_mps2 == 3.0
+
+
+def test_a_change_that_is_too_fast_is_refused() -> None:
+    with pytest.raises(ScenarioError, match=r"by 3 m/s²: must be at most .* = 2$"):
+        speed_profile(load("default", [RAMP, "drive.speed_rate_max_mps2=2"]))
+
+
+def test_a_drive_from_a_file(tmp_path: Path) -> None:
+    (tmp_path / "v.csv").write_text("time_s,speed_mps\n1,10\n3,16\n")
+    (tmp_path / "mine.toml").write_text('[drive]\nfile = "v.csv"\n')
+    profile = speed_profile(load(str(tmp_path / "mine.toml")))
+    assert profile(np.array([0.0, 2.0, 9.0])).tolist() == [10.0, 13.0, 16.0]
+    (tmp_path / "v.csv").write_text("1,10\n3,0\n")
+    with pytest.raises(ScenarioError, match="speed_mps = 0: must be 1 to 100"):
+        speed_profile(load(str(tmp_path / "mine.toml")))
+
+
+def test_designs_are_near_enough_to_each_other_and_reach_both_ends() -> None:
+    speeds = design_speeds(load("drive-cycle"))
+    assert speeds[0] == pytest.approx(8.0) and speeds[-1] == pytest.approx(30.0)
+    assert (np.diff(np.log(speeds)) <= np.log(RATIO) * (1 + 1e-9)).all()
+    assert len(design_speeds(load("default", ["drive.ramps=[[0, 1], [60, 100]]"]))) == 16
+    assert design_speeds(load("default", [RAMP, "design.speeds_mps=[11]"])) == (11.0,)
+
+
+def test_one_speed_has_the_table_of_a_scenario_without_a_drive() -> None:
+    scenario = load("default", ["drive.speed_mps=14"])
+    of = controls(scenario, network_of(scenario))
+    alone = load("default", ["plant.speed_mps=14"])
+    assert of.schedule is None
+    assert str(of.table) == str(controller_table(alone, network_of(alone)))
+    assert frozen(scenario, 14.0).plant == alone.plant
+
+
+def test_the_driver_goes_to_the_other_lane_and_back() -> None:
+    settings = ["reference.kind=driver", "reference.lane_changes_s=[4, 14]", "duration_s=25"]
+    scenario = load("default", [*settings, "reference.amplitude_mps2=1.5"])
+    r = reference(scenario)
+    assert np.abs(r).max() <= 1.5
+    assert (r[: round(2.0 / scenario.tick_s)] == 0.0).all()  # nobody reacts before seeing it
+    offset = np.cumsum(np.cumsum(r)) * scenario.tick_s**2
+    assert offset[12_000] == pytest.approx(3.5, abs=0.02)
+    assert offset[-1] == pytest.approx(0.0, abs=0.02)
+    assert offset.max() < 3.5 * 1.06
+    assert np.abs(np.diff(r)).max() < 2.0 * 1.5 / 0.2 * scenario.tick_s
