@@ -172,7 +172,8 @@ class PlantSettings(VehicleParameters):
                 beside = f" beside {', '.join(own)}" if own and self.is_own else ""
                 has = next(kind for kind, built_in in BUILT_IN.items() if key in built_in.keys)
                 raise ValueError(
-                    f"{key}: must not be set{beside} for kind = {self.kind!r}; kind = {has!r} has it"
+                    f"{key}: must not be set{beside} for kind = {self.kind!r}; "
+                    f"kind = {has!r} has it"
                 )
             if key in own and not given:
                 raise ValueError(

@@ -145,7 +145,7 @@ def test_names_are_those_of_the_scenario(tmp_path: Path) -> None:
 
 SS = "plant={kind='state-space', "
 BAD = {
-    "plant.kind=state-space": "g1: must not be set for kind = 'state-space'; kind = 'transfer-functions' has",
+    "plant.kind=state-space": "g1: must not be set for kind = 'state-space'; kind = 'trans",
     "plant={kind='state-space'}": "plant.a: must be set for kind = 'state-space', which has a, b",
     SS + "a=[[-1]], b=[[1, 1]]}": "plant.c: must be set",
     SS + "a=[[-1, 0]], b=[[1, 1]], c=[1]}": "plant.a[0]: has length 2: must have 1",
