@@ -19,15 +19,17 @@ class _Names:
     """Names by key: all but those in ``OPTIONAL``, or none."""
 
     def _given(self) -> dict[str, str]:
-        return dataclasses.asdict(self)  # type: ignore[call-overload, no-any-return]
+        return vars(self)
 
     def __bool__(self) -> bool:
         """Whether any is given."""
         return any(self._given().values())
 
     def _require_all(self, others: str) -> None:
+        if not self:
+            return
         for key, name in self._given().items():
-            if self and not name and key not in OPTIONAL:
+            if not name and key not in OPTIONAL:
                 raise ValueError(f"{key}: must be set beside the other {others}")
 
 
@@ -100,7 +102,7 @@ class NetworkSettings:
         others = (
             self.tick
             or self.ticks
-            or any(v is not None for v in dataclasses.asdict(self.data_ids).values())
+            or any(number is not None for number in vars(self.data_ids).values())
         )
         if others and not self.signals:
             raise ValueError("signals: must be set beside network.tick, ticks and data_ids")
