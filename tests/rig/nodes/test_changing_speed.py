@@ -70,6 +70,10 @@ def test_signals_have_it_and_replay_knows_it(log: Path) -> None:
 
 def test_the_law_in_c_and_the_loop_without_a_bus_leave_the_same(log: Path, tmp_path: Path) -> None:
     law = controller_of("c", SCENARIO)
+    whole = controller_of("ecu", SCENARIO)  # the node in C, with its receive rules
+    own = tmp_path / "ecu.log"
+    run_in_process(SCENARIO, "virtual:ecu", own, StopRequest(), lambda tick: None, controller=whole)
+    assert own.read_bytes() == log.read_bytes()
     own = tmp_path / "c.log"
     run_in_process(SCENARIO, "virtual:c", own, StopRequest(), lambda tick: None, controller=law)
     assert own.read_bytes() == log.read_bytes()
