@@ -10,16 +10,23 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.design.continuous_design import (
+    ContinuousDesign,
+    DesignSpecification,
+    design,
+)
 from firmware_model.design.plants import chapter_2, steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.law.loop_gains import algebraic_loop_gain
+from firmware_model.discretisation.sections import Sections
 from firmware_model.discretisation.tables import build, discretise
 from firmware_model.discretisation.targets import Target
 from firmware_model.errors import DesignError, ParameterError
 from firmware_model.target.structs import MAX_LATENCY_TICKS
+from tests.firmware.discretisation.test_coprime import PENDULUM
 
 DESIGN = design(steer_by_wire(), DesignSpecification())
+UNSTABLE = design(PENDULUM, DesignSpecification(alpha=2, tau_q_s=0.05, alpha_q=3))
 
 
 @given(tau_s=st.floats(1e-4, 1.0), tick_s=st.floats(1e-4, 1e-2))
@@ -46,12 +53,18 @@ def test_a_loop_gain_of_one_or_more_is_refused() -> None:
 
 
 @pytest.mark.parametrize("precision", ["float64", "float32"])
-def test_the_table_is_the_filters(precision: Any) -> None:
-    target = Target(1e-3, 2, precision=precision, limit_1=10.0, lsb_2=0.5)
-    table, filters = build(DESIGN, target), discretise(DESIGN, target)
+@pytest.mark.parametrize("designed", [DESIGN, UNSTABLE], ids=["stable", "unstable"])
+def test_the_table_is_the_filters(designed: ContinuousDesign, precision: Any) -> None:
+    target = Target(1e-3, 2, "zoh", precision=precision, limit_1=10.0, lsb_2=0.5)
+    table, filters = build(designed, target), discretise(designed, target)
     estimator = table.estimator
+    assert table.tracking.excuses_limits == (designed is DESIGN)
+    assert (filters.stabiliser is None) == (designed is DESIGN)
+    none = Sections(np.zeros((0, 5)), target.tick_s)
     for cascade, sections in (
         (table.tracking.filter, filters.tracking),
+        (table.tracking.stabiliser, filters.stabiliser or none),
+        (estimator.measurement, filters.measurement),
         (estimator.channel_1, filters.estimator_1),
         (estimator.channel_2, filters.estimator_2),
         (estimator.one_plus_q, filters.one_plus_q),
