@@ -25,7 +25,7 @@ from can_rig.assessment.tuning.box import cars_of
 from can_rig.assessment.tuning.search import Tunings
 from can_rig.assessment.tuning.search import tune as search
 from can_rig.decoding.decode import decode_log
-from can_rig.errors import require
+from can_rig.errors import ScenarioError, require
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.changes import Changes, as_settings
 from can_rig.views.recorded_run import RecordedRun, record
@@ -46,7 +46,9 @@ def scenario(name: str | Path | Scenario = "default", changes: Changes | None = 
     Raises:
         ScenarioError: no such scenario, an unknown key, a bad value.
     """
-    settings = as_settings(changes or {})
+    settings = as_settings({} if changes is None else changes)
+    if not isinstance(name, str | Path | Scenario):
+        raise ScenarioError(f"scenario {name!r}: must be a name, a path or a Scenario")
     if isinstance(name, Scenario):
         return load_run(name.as_dict(), settings) if settings else name
     return load_scenario(str(name), settings)
@@ -127,6 +129,11 @@ def tune(
         ScenarioError: as ``scenario``, or a range that is none.
     """
     chosen = scenario(name, changes)
+    if not isinstance(box, int | float):
+        raise ScenarioError(f"box = {box!r}: must be a share, as in 0.2 for ±20 %")
+    for key, pair in (ranges or {}).items():
+        if not (isinstance(pair, tuple | list) and len(pair) == 2):
+            raise ScenarioError(f"ranges: {key} = {pair!r}: must be a pair, lowest and highest")
     limits = [f"{key}={low}..{high}" for key, (low, high) in (ranges or {}).items()]
     some = cars_of(chosen, box, limits)
     return search(chosen, some, spare_ticks, noise_limit_n, torque_noise_limit_nm)

@@ -1,5 +1,6 @@
 """What can go wrong where the user can put it right, and the exit status that says so."""
 
+import sys
 from importlib.util import find_spec
 from typing import Final
 
@@ -66,5 +67,6 @@ def require(package: str, extra: str) -> None:
     """
     if find_spec(package) is None:
         raise MissingExtraError(
-            f"{package} is not installed: pip install 'fault-tolerant-steering[{extra}]'"
+            f"{package} is not installed: {sys.executable} -m pip install "
+            f"'fault-tolerant-steering[{extra}]'"
         )

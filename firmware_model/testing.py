@@ -3,11 +3,13 @@
 Each takes a ``Filter`` of ``discretise`` and raises ``AssertionError`` with one line: where the
 filter is how far from theory, and what was allowed. What is allowed comes from the coefficients,
 where the caller does not say: how far rounding can move the answer (``single_filter.rounding``).
+What is no filter, frequency or sample raises ``ParameterError``.
 """
 
 from __future__ import annotations
 
 import math
+from numbers import Integral, Real
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -19,6 +21,7 @@ from firmware_model.discretisation.single_filter import rounding
 from firmware_model.discretisation.single_filter.filters import Filter
 from firmware_model.discretisation.systems import continuous, zero_pole_gain
 from firmware_model.discretisation.tustin import image_of_infinity
+from firmware_model.errors import ParameterError
 from firmware_model.target.filters import biquad
 from firmware_model.target.structs import FloatArray
 
@@ -49,7 +52,8 @@ def assert_follows(
         rad_per_s: frequencies below π/T, shape (m,); left out: 200 up to 0.95 of that.
         within: relative error that is allowed; left out: a bound from the coefficients.
     """
-    omega = _grid(filter) if rad_per_s is None else np.atleast_1d(np.asarray(rad_per_s, float))
+    _require_filter(filter)
+    omega = _grid(filter) if rad_per_s is None else _below_nyquist(rad_per_s, filter.tick_s)
     theory, conditioning = _theory(filter, system, omega)
     angle = omega * filter.tick_s
     answer = filter.frequency_response(omega)
@@ -100,9 +104,8 @@ def assert_dc_gain(
         expected: that gain, or the continuous filter that has it.
         within: relative error that is allowed; left out: a bound from the number of sections.
     """
-    gain = (
-        float(expected) if isinstance(expected, int | float) else zero_pole_gain(expected).dc_gain
-    )
+    _require_filter(filter)
+    gain = float(expected) if isinstance(expected, Real) else zero_pole_gain(expected).dc_gain
     if within is None:
         roundings = ROUNDINGS * 2 * len(filter.sections.coefficients)
         allowed = roundings * rounding.ROUNDING[filter.precision] * abs(gain)
@@ -119,6 +122,9 @@ def assert_dc_gain(
 
 def assert_stable(filter: Filter, *, margin: float = 0.0) -> None:
     """Every pole lies inside the circle of radius ``1 - margin``, by the stored coefficients."""
+    _require_filter(filter)
+    if not 0.0 <= margin < 1.0:
+        raise ParameterError(f"margin = {margin}: must be 0 or above, below 1")
     radius = float(np.abs(filter.poles).max(initial=0.0))
     inside = filter.is_stable and radius <= 1.0 - margin
     assert inside, f"a pole at |z| = {radius:.9g}: must be inside {1.0 - margin:.9g}"
@@ -136,6 +142,9 @@ def assert_step(filter: Filter, system: object, *, ticks: int = 1000, within: fl
         ticks: for how long.
         within: error that is allowed, as a share of the largest answer.
     """
+    _require_filter(filter)
+    if not isinstance(ticks, Integral) or ticks < 1:
+        raise ParameterError(f"ticks = {ticks!r}: must be a whole number of at least 1")
     g = zero_pole_gain(system)
     theory = _step_of(g, filter.tick_s, ticks, late=filter.rule == "tustin")
     answer = filter.in_precision(filter.precision).run(np.ones(ticks))
@@ -165,7 +174,8 @@ def assert_float32_follows(filter: Filter, u: ArrayLike | None = None) -> None:
         filter: the discretised filter, in either precision.
         u: samples, shape (n,), rounded to float32 for both; left out: white noise.
     """
-    inputs = _noise() if u is None else np.asarray(u, np.float32)
+    _require_filter(filter)
+    inputs = _noise() if u is None else _samples(u).astype(np.float32)
     single = filter.in_precision("float32")
     allowed = rounding.run_error(single.sections, len(inputs)) * float(np.abs(inputs).max())
     error = np.abs(single.run(inputs) - filter.in_precision("float64").run(inputs))
@@ -182,7 +192,8 @@ def assert_bit_identical(filter: Filter, u: ArrayLike | None = None) -> None:
         filter: the discretised filter.
         u: samples, shape (n,); left out: white noise.
     """
-    inputs = np.asarray(_noise() if u is None else u, filter.precision)
+    _require_filter(filter)
+    inputs = (_noise() if u is None else _samples(u)).astype(filter.precision)
     answers = filter.in_precision(filter.precision).run(inputs)
     interpreted = getattr(biquad.advance, "py_func", biquad.advance)
     state = biquad.at_rest(filter.precision)
@@ -190,6 +201,32 @@ def assert_bit_identical(filter: Filter, u: ArrayLike | None = None) -> None:
         answer = np.asarray(interpreted(filter.cascade, state, sample))
         same = answer.tobytes() == answers[k].tobytes()
         assert same, f"at tick {k} compiled answers {answers[k]!r}, interpreted {answer!r}"
+
+
+def _require_filter(filter: object) -> None:
+    if not isinstance(filter, Filter):
+        raise ParameterError(
+            f"filter must be a Filter, which discretise returns; not {type(filter).__name__}"
+        )
+
+
+def _below_nyquist(rad_per_s: ArrayLike, tick_s: float) -> FloatArray:
+    omega = np.atleast_1d(np.asarray(rad_per_s, np.float64))
+    if omega.ndim != 1 or not omega.size or not ((omega >= 0) & (omega < math.pi / tick_s)).all():
+        raise ParameterError(
+            f"rad_per_s = {rad_per_s!r}: must be one row of frequencies, at least 0 and below "
+            f"the Nyquist frequency, {math.pi / tick_s:g} rad/s"
+        )
+    return omega
+
+
+def _samples(u: ArrayLike) -> FloatArray:
+    samples = np.asarray(u)
+    if samples.ndim != 1 or not samples.size or samples.dtype.kind not in "iufb":
+        raise ParameterError(
+            f"u has shape {samples.shape}: must be one row of real samples, one at least"
+        )
+    return samples
 
 
 def _grid(filter: Filter) -> FloatArray:

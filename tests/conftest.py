@@ -12,6 +12,10 @@ from tests.processes import end_all
 # Assertions in helpers tell their values too.
 pytest.register_assert_rewrite("tests.helpers", "tests.vcan", "tests.firmware", "tests.rig")
 
+# Seconds; a busy machine takes 30 for the longest test, and one that waits for ever fails. As a key
+# of pyproject.toml pytest would refuse it where pytest-timeout is not installed: after ./tools/run.
+os.environ.setdefault("PYTEST_TIMEOUT", "300")
+
 # No deadline and no complaint of slow data: the time that an example takes depends on the machine.
 # In CI the examples are the same every time, so that a failure comes from the change and not from
 # the draw; by hand they are new every time, and a failing one is printed so that it can be rerun.

@@ -106,7 +106,7 @@ def log(recorder: Recorder, frame: can.Message) -> None:
 def main() -> None:
     """Print the tables."""
     parser = argparse.ArgumentParser(description=__doc__)
-    kinds = ("loop", "decode", "campaign", "c")
+    kinds = ("loop", "decode", "campaign", "c", "filter", "plants")
     parser.add_argument("what", nargs="?", choices=kinds, default="loop")
     parser.add_argument("--rounds", type=int, default=5, help="interleaved rounds [5]")
     parser.add_argument("--seconds", type=float, default=5.0, help="loop: simulated time a run [5]")
@@ -115,6 +115,8 @@ def main() -> None:
     )
     parser.add_argument("--runs", type=int, default=1000, help="campaign: of each [1000]")
     parser.add_argument("--workers", type=int, default=2, help="campaign: processes [2]")
+    parser.add_argument("--filters", type=int, default=1000, help="filter: random ones [1000]")
+    parser.add_argument("--seeds", type=int, default=15, help="plants: runs of each [15]")
     options = parser.parse_args()
     if options.what == "decode":
         from bench_decode import bench_decode  # noqa: PLC0415 (asammdf is slow to import)
@@ -128,6 +130,14 @@ def main() -> None:
         from bench_c import bench_c  # noqa: PLC0415 (as above)
 
         bench_c()
+    elif options.what == "filter":
+        from bench_filter import bench_filter  # noqa: PLC0415 (as above)
+
+        bench_filter(options.rounds, options.filters)
+    elif options.what == "plants":
+        from bench_plants import bench_plants  # noqa: PLC0415 (as above)
+
+        bench_plants(options.seeds)
     else:
         bench_loop(options.rounds, options.seconds)
 

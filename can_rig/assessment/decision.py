@@ -56,7 +56,10 @@ class DecisionFigures:
         if budget.box > 0.0:
             yield f"{others}: within ±{budget.box:.0%} of the model are not taken for a loss"
         else:
-            yield f"{others}: none: budget.box says by how much one may differ from the model"
+            yield (
+                f"{others}: none (budget.box = 0): one that is not the model may be taken for a "
+                "loss, and for its end, again and again"
+            )
 
 
 def decision_figures(scenario: Scenario, network: Network) -> DecisionFigures:

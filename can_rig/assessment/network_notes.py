@@ -21,6 +21,8 @@ def frame_notes(network: Network) -> Iterator[str]:
             f"network: {len(network.unprotected)} of 5 frames unprotected "
             f"({', '.join(network.unprotected)}): what is damaged, repeated or forged is used"
         )
+    if not network.has_ticks:
+        yield "network: no network.tick: runs in real time (--realtime) only, not in lockstep"
     for collision in network.collisions:
         yield f"network: identifiers collide: {collision}"
     compared = {ComparisonFrame(node).frame_id for node in SENDERS}

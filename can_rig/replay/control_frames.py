@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections import deque
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from typing import Final
 
 import numpy as np
 
@@ -15,26 +17,41 @@ from can_rig.plant.faults.injection import FAULT_ACTIONS, Injection
 from can_rig.scenario.settings import Scenario
 
 
-def touches(chunks: Iterable[Frames], network: Network) -> list[Touch]:
-    """The commands in a log, in their order."""
-    frame_id, _, _ = control.identifiers()
-    feedback = network.feedback.frame_id
-    its = np.array([each.frame_id for each in network.by_role])
-    found: list[Touch] = []
-    frames, tick = 0, 0
-    for chunk in chunks:
-        ours = chunk[~chunk.has(EXTENDED) & np.isin(chunk.arbitration_id, [*its, frame_id])]
-        if not (ours.arbitration_id == frame_id).any():
-            frames += len(ours)
-            tick += int((ours.arbitration_id == feedback).sum())
-            continue
+class Touches:
+    """The commands in a log, in their order: ``found``, of what has passed ``watching``."""
+
+    def __init__(self, network: Network) -> None:
+        self.found: Final[list[Touch]] = []
+        self._command, _, _ = control.identifiers()
+        self._feedback = network.feedback.frame_id
+        self._its = [self._command, *(each.frame_id for each in network.by_role)]
+        self._frames = self._tick = 0
+
+    def watching(self, chunks: Iterable[Frames]) -> Iterator[Frames]:
+        """The same chunks, so that a log is read once for everything that is asked of it."""
+        for chunk in chunks:
+            self._add(chunk)
+            yield chunk
+
+    def _add(self, chunk: Frames) -> None:
+        ours = chunk[~chunk.has(EXTENDED) & np.isin(chunk.arbitration_id, self._its)]
+        if not (ours.arbitration_id == self._command).any():
+            self._frames += len(ours)
+            self._tick += int((ours.arbitration_id == self._feedback).sum())
+            return
         for message in ours.messages():
-            if message.arbitration_id == frame_id:
-                found.append(Touch(frames, tick, message))
+            if message.arbitration_id == self._command:
+                self.found.append(Touch(self._frames, self._tick, message))
                 continue
-            frames += 1
-            tick += message.arbitration_id == feedback
-    return found
+            self._frames += 1
+            self._tick += message.arbitration_id == self._feedback
+
+
+def touches(chunks: Iterable[Frames], network: Network) -> list[Touch]:
+    """The commands in a log that nothing else is asked of."""
+    reader = Touches(network)
+    deque(reader.watching(chunks), maxlen=0)
+    return reader.found
 
 
 @dataclass(frozen=True)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -10,12 +10,13 @@ from typing import Final
 import numpy as np
 
 from can_rig.errors import LogError, ScenarioError
+from can_rig.logs.frames import Frames
 from can_rig.logs.log import ALL, Window
 from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.operator.operated_bus import Touch
 from can_rig.nodes.progress import Progress, no_progress
 from can_rig.nodes.watchdog import StopRequest
-from can_rig.replay.control_frames import touches
+from can_rig.replay.control_frames import Touches
 from can_rig.results.execution import Execution, execute, refuse
 from can_rig.results.run_folder import LOG
 from can_rig.results.signals import Signals, read_signals, signals_of, with_plant_signals
@@ -80,13 +81,13 @@ def question(
         if setting.startswith("reference."):
             raise ScenarioError(f"--set {setting}: the reference of a what-if is that of the log")
     recorded = source_of(path, None if path.is_dir() else name, (), channel, window)
-    logged = _logged(recorded, reading)
+    told = Touches(network_of(recorded.scenario))
+    logged = _logged(recorded, told.watching(recorded.frames(reading)))
     scenario = source_of(path, name, settings).scenario
     if not any(setting.startswith("duration_s") for setting in settings):
         last_s = float(logged.time_s[-1]) + recorded.scenario.tick_s
         scenario = replace(scenario, duration_s=max(last_s, scenario.tick_s))
-    told = tuple(touches(recorded.frames(), network_of(recorded.scenario)))
-    return Question(recorded, logged, told, str(path), scenario)
+    return Question(recorded, logged, tuple(told.found), str(path), scenario)
 
 
 def what_if(
@@ -144,9 +145,9 @@ def what_if(
     return WhatIf(execution, before, difference)
 
 
-def _logged(source: Source, reading: Reading) -> Signals:
+def _logged(source: Source, chunks: Iterable[Frames]) -> Signals:
     """The signals of the log, by the tick that it was recorded with."""
-    messages = (m for frames in source.frames(reading) for m in frames.messages())
+    messages = (m for frames in chunks for m in frames.messages())
     scenario = source.scenario
     network = network_of(scenario)
     signals = signals_of(messages, network, scenario.tick_s, source.in_time_ticks)

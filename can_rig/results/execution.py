@@ -17,6 +17,7 @@ from can_rig.buses.bus import in_one_process
 from can_rig.errors import INTERRUPTED, BusError, RigError, RunFolderError
 from can_rig.export.running.controllers import PYTHON, Controller
 from can_rig.frames.network import Network
+from can_rig.nodes.lockstep.plant_node import require_ticks
 from can_rig.nodes.lockstep.without_bus import run_without_bus
 from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.processes import run_processes
@@ -187,6 +188,8 @@ def execute(
     bus = bus or (NO_BUS if without else f"local:run-{os.getpid()}")
     if runner is real_time:
         require_causal(scenario)
+    else:
+        require_ticks(scenario, network)
     if runner is not in_process:
         _require_shared(bus)
     folder = RunFolder.create(out, scenario, force)

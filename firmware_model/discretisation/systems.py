@@ -28,6 +28,8 @@ WANTED = (
     "must be a TransferFunction or StateSpace of python-control or scipy.signal, a ZerosPolesGain, "
     "a ZeroPoleGain, or a tuple (num, den)"
 )
+OF_SCIPY = {3: "ZerosPolesGain(zeros, poles, gain)", 4: "StateSpace(a, b, c, d)"}
+"""What scipy's other tuples may be, by length; those of sampled filters look the same."""
 
 
 @dataclass(frozen=True)
@@ -143,7 +145,11 @@ def continuous(system: object) -> ZeroPoleGain | Polynomials | StateSpace:
             _refuse_several(1, len(num))
             num = num[0]
         return Polynomials(_row("num", num), _row("den", den))
-    raise ParameterError(f"a continuous filter {WANTED}; not {type(system).__name__}")
+    kind = type(system).__name__
+    if isinstance(system, tuple):
+        meant = OF_SCIPY.get(len(system))
+        kind = f"a tuple of {len(system)}" + (f" (scipy.signal.{meant} is one)" if meant else "")
+    raise ParameterError(f"a continuous filter {WANTED}; not {kind}")
 
 
 def zero_pole_gain(system: object) -> ZeroPoleGain:
@@ -170,7 +176,7 @@ def _refuse_several(inputs: int, outputs: int) -> None:
 
 def _row(name: str, values: Any) -> FloatArray:
     row = np.atleast_1d(np.asarray(values))
-    if row.ndim != 1 or row.dtype.kind not in "iuf":
+    if row.ndim != 1 or not row.size or row.dtype.kind not in "iuf":
         raise ParameterError(f"{name} = {values}: must be one row of real coefficients")
     return row.astype(np.float64)
 

@@ -14,6 +14,7 @@ from firmware_model import Filter, discretise, testing
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.sections import Sections
 from firmware_model.discretisation.single_filter.rounding import run_error
+from firmware_model.errors import ParameterError
 from firmware_model.target.filters import biquad
 
 TICK_S = 1e-3
@@ -103,6 +104,43 @@ def test_stability_is_by_the_stored_coefficients(pole: float, margin: float) -> 
             testing.assert_stable(made, margin=margin)
     else:
         testing.assert_stable(made)  # 1 - 1e-16, which z alone cannot tell from 1
+
+
+MADE = discretise(([1.0], [0.1, 1.0]), TICK_S)
+REFUSED: dict[str, tuple[Any, str]] = {
+    "filter and system exchanged": (
+        lambda: testing.assert_follows(([1.0], [1.0, 1.0]), MADE),  # type: ignore[arg-type]
+        "filter must be a Filter, which discretise returns; not tuple",
+    ),
+    "beyond Nyquist": (
+        lambda: testing.assert_follows(MADE, ([1.0], [0.1, 1.0]), [1.0, math.pi / TICK_S]),
+        "rad_per_s = .*below the Nyquist frequency, 3141.59 rad/s",
+    ),
+    "below 0": (lambda: testing.assert_follows(MADE, ([1.0], [0.1, 1.0]), -1.0), "at least 0"),
+    "no frequency": (lambda: testing.assert_follows(MADE, ([1.0], [0.1, 1.0]), []), "one row of f"),
+    "no ticks": (
+        lambda: testing.assert_step(MADE, ([1.0], [0.1, 1.0]), ticks=0),
+        "ticks = 0: must be a whole number of at least 1",
+    ),
+    "a margin outside the circle": (
+        lambda: testing.assert_stable(MADE, margin=2.0),
+        "margin = 2.0: must be 0 or above, below 1",
+    ),
+    "no samples": (lambda: testing.assert_float32_follows(MADE, []), r"u has shape \(0,\): must"),
+    "letters": (lambda: testing.assert_bit_identical(MADE, "abc"), "must be one row of real"),  # type: ignore[arg-type]
+}
+
+
+@pytest.mark.parametrize("kind", REFUSED)
+def test_what_cannot_be_compared_is_refused_in_one_line(kind: str) -> None:
+    asked, message = REFUSED[kind]
+    with pytest.raises(ParameterError, match=message):
+        asked()
+
+
+def test_a_number_of_any_library_is_a_gain() -> None:
+    for one in (1, 1.0, np.float32(1.0), np.int64(1)):
+        testing.assert_dc_gain(MADE, one)
 
 
 def test_float32_that_computes_less_exactly_than_it_could_is_seen(

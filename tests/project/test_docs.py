@@ -128,7 +128,13 @@ def test_the_test_of_a_filter_is_short_and_runs_by_pytest_alone(tmp_path: Path) 
     code = blocks(text_of("docs/unit-test-a-filter.md"), "python")[0]
     assert len(code.splitlines()) <= 6
     (tmp_path / "test_of_the_docs.py").write_text(code, "utf-8")
-    command = [sys.executable, "-m", "pytest", "-q", "-p", "no:cacheprovider", str(tmp_path)]
+    bare = [
+        word
+        for name in ("cacheprovider", "timeout", "xdist", "cov")
+        for word in ("-p", f"no:{name}")
+    ]
+    of_the_checkout = ("-c", str(ROOT / "pyproject.toml"), str(tmp_path))
+    command = [sys.executable, "-m", "pytest", "-q", *bare, *of_the_checkout]
     done = subprocess.run(command, capture_output=True, text=True, timeout=120, check=False)
     assert "1 passed" in done.stdout, done.stdout
 

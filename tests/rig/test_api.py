@@ -216,6 +216,26 @@ BAD: dict[str, tuple[Any, type[errors.RigError], str]] = {
         "none.log",
     ),
     "no database": (lambda: can_rig.decode("none.log", "none.dbc"), errors.DbcError, "none.dbc"),
+    "changes as in --set": (
+        lambda: can_rig.check("default", "plant.speed_mps=20"),  # type: ignore[arg-type]
+        errors.ScenarioError,
+        "changes = 'plant.speed_mps=20': must be a mapping of keys",
+    ),
+    "changes in place of a name": (
+        lambda: can_rig.run({"plant.speed_mps": 20.0}),  # type: ignore[arg-type]
+        errors.ScenarioError,
+        "must be a name, a path or a Scenario",
+    ),
+    "a box in words": (
+        lambda: can_rig.tune("default", box="20 %"),  # type: ignore[arg-type]
+        errors.ScenarioError,
+        "box = '20 %': must be a share",
+    ),
+    "half a range": (
+        lambda: can_rig.tune("default", ranges={"plant.speed_mps": 8.0}),  # type: ignore[dict-item]
+        errors.ScenarioError,
+        "ranges: plant.speed_mps = 8.0: must be a pair",
+    ),
     "a box that is none": (
         lambda: can_rig.tune("default", box=-1.0),
         errors.ScenarioError,

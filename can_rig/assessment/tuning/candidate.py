@@ -31,6 +31,8 @@ RESPONSE_TICKS, RESPONSE_S = (
     20.0,
     0.05,
 )  # largest lag of D* behind the reference, α_q τ_q: the longer
+OF_ZERO = 0.05, 2.0  # and where a zero lies right of the axis at z: of 1/|z|, which F̂ cannot beat
+RESPONSE_OF_ZERO = 10.0  # nor can C
 ORDERS, TRACKING_ORDERS = 2, 3  # from the least that the car allows upwards
 
 BEFORE_S, AFTER_S = 2.0, 2.0  # the loss; times ``slowness`` of a plant that is no car
@@ -75,13 +77,16 @@ def grid(scenario: Scenario) -> list[Values]:
     """τ, α, τ_q, α_q of every candidate; round numbers between multiples of the tick."""
     car, tick_s = continuous_plant(scenario.model), scenario.tick_s
     least, least_q = car.g2.relative_degree, car.g1.relative_degree
-    slowest_s = max(RESPONSE_TICKS * tick_s, RESPONSE_S)
+    right = [abs(zero) for g in (car.g1, car.g2) for zero in g.zeros if zero.real > 0.0]
+    zero_s = 1.0 / min(right) if right else 0.0
+    slowest_s = max(RESPONSE_TICKS * tick_s, RESPONSE_S, RESPONSE_OF_ZERO * zero_s)
+    low_s, high_s = (max(n * tick_s, m * zero_s) for n, m in zip(TAU_TICKS, OF_ZERO, strict=True))
     return [
         (tau_s, alpha, tau_q_s, alpha_q)
         for alpha_q in range(least_q, least_q + TRACKING_ORDERS)
         for tau_q_s, tau_s, alpha in product(
-            _round_numbers(E12, tick_s, slowest_s / alpha_q),
-            _round_numbers(E6, *(n * tick_s for n in TAU_TICKS)),
+            _round_numbers(E12, max(tick_s, low_s), slowest_s / alpha_q),
+            _round_numbers(E6, low_s, high_s),
             range(least, least + ORDERS),
         )
     ]

@@ -11,7 +11,7 @@ from cantools.database.can import Database
 from can_rig.decoding.decode import Databases
 from can_rig.errors import RigError
 from can_rig.frames.dbc import shipped_dbc
-from can_rig.frames.mapped.database import load_database
+from can_rig.frames.mapped.database import load_database, load_for
 from can_rig.results.source import source_of
 from can_rig.scenario.build import dbc_of
 
@@ -25,7 +25,7 @@ def databases_of(source: Path, named: Sequence[str], strict: bool) -> Databases:
         DbcError: one cannot be loaded.
     """
     if not named:
-        return load_database(own_dbc(source), strict)
+        return load_for(own_dbc(source), ()) if strict else load_database(own_dbc(source), False)
     found: list[tuple[str | None, Database]] = []
     for name in named:
         bus, equals, file = name.partition("=")

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import click
 
@@ -21,11 +21,14 @@ from can_rig.cli.options import (
 from can_rig.cli.output import json_line, note, say, table, wide
 from can_rig.cli.progress import reading
 from can_rig.decoding.decode import Decoder
+from can_rig.errors import RigError
 from can_rig.files import atomic, refuse_picture
 from can_rig.logs.log import window_of
 from can_rig.logs.reading import read_log
-from can_rig.results.source import log_path, only_channel
+from can_rig.results.source import log_path, only_channel, source_of
 from can_rig.views.log_statistics import LogStatistics
+
+USUAL_BITRATE: Final = 500_000
 
 
 @click.command("stats")
@@ -33,7 +36,11 @@ from can_rig.views.log_statistics import LogStatistics
 @dbc_options
 @channel_option
 @window_options
-@click.option("--bitrate", default=500_000, show_default=True, help="Of the buses, in bit/s.")
+@click.option(
+    "--bitrate",
+    type=int,
+    help="Of the buses, in bit/s.  [default: that of a run folder's scenario, otherwise 500000]",
+)
 @click.option(
     "--data-bitrate", default=2_000_000, show_default=True, help="Of CAN FD's data phase, in bit/s."
 )
@@ -49,7 +56,7 @@ def command(
     channel: str | None,
     from_s: float | None,
     to_s: float | None,
-    bitrate: int,
+    bitrate: int | None,
     data_bitrate: int,
     out: Path | None,
     force: bool,
@@ -61,6 +68,7 @@ def command(
     """
     if out is not None:
         refuse_picture(out, force)
+    bitrate = _bitrate_of(log) if bitrate is None else bitrate
     try:
         statistics = LogStatistics(bitrate, data_bitrate)
     except FrameError as error:
@@ -71,7 +79,7 @@ def command(
         statistics.add(frames)
         decoder.decode(frames)
     statistics.finish()
-    result = _summary(statistics, decoder)
+    result = {"bitrate": bitrate, **_summary(statistics, decoder)}
     if out is not None:
         from can_rig.views.load_picture import load_page  # noqa: PLC0415 (matplotlib)
 
@@ -84,6 +92,14 @@ def command(
     note(source.notice)
     if out is not None:
         say(f"picture in {out}")
+
+
+def _bitrate_of(log: Path) -> int:
+    """That of the scenario of a run folder, where there is one."""
+    try:
+        return source_of(log, None, ()).scenario.bus.bitrate
+    except RigError:
+        return USUAL_BITRATE
 
 
 def _summary(statistics: LogStatistics, decoder: Decoder) -> dict[str, Any]:
@@ -141,7 +157,8 @@ def _lines(result: dict[str, Any]) -> Iterator[str]:
         yield f"error frames: {result['error_frames']}"
     for bus, load in result["load"].items():
         yield (
-            f"load of {bus}: at most {100 * load['mean']:.1f} %, "
+            f"load of {bus} at {result['bitrate'] / 1000:g} kbit/s: "
+            f"at most {100 * load['mean']:.1f} %, "
             f"{100 * load['most']:.1f} % in its busiest second"
         )
     for name, counts in result["e2e"].items():

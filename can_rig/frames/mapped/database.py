@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import re
 from collections import Counter
+from collections.abc import Collection
 from pathlib import Path
 from typing import Final
 
 import cantools
 from cantools.database.can import Database, Message
+from cantools.database.errors import Error as DatabaseError
 
 from can_rig.errors import DbcError, one_line
 from can_rig.frames.dbc import load_dbc
@@ -73,6 +75,28 @@ def load_database(path: str | Path, strict: bool = True) -> Database:
             raise DbcError(f"{path}: message {message.name} must have 11 or 29 bits of identifier")
         if len(set(names)) < len(names):
             _tell_apart(message, strict)
+    return loaded
+
+
+def load_for(path: str | Path, names: Collection[str]) -> Database:
+    """Load a database of which only these messages have to be sound.
+
+    Raises:
+        DbcError: it cannot be read or loaded, or signals of one of these overlap or do not fit.
+    """
+    try:
+        return load_database(path)
+    except DbcError as error:
+        try:
+            loaded = load_database(path, strict=False)
+        except DbcError:
+            raise error from None
+    for message in loaded.messages:
+        if message.name in names:
+            try:
+                message.refresh(strict=True)
+            except DatabaseError as error:
+                raise DbcError(f"{path}: cannot be used: {one_line(error)}") from None
     return loaded
 
 

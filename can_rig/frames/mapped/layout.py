@@ -1,7 +1,8 @@
 """A frame of any layout: cantools packs and unpacks it, whatever its signals look like.
 
-A signal counts steps k of its factor from the value 0, so that a record means the same whatever
-the offset: k = raw + offset/factor, value = k · factor. Of a float k is the value itself.
+A signal counts steps k of its factor's size from the value 0, so that a record means the same
+whatever offset and sign: k = ±(raw + offset/factor), value = k · |factor|. Of a float k is the
+value itself.
 """
 
 from __future__ import annotations
@@ -73,6 +74,7 @@ class AnyLayout:
             if signal is not None and signal.multiplexer_ids:
                 raise DbcError(f"{where.of(signal)} is multiplexed: must be in every frame")
         self._from_zero = 0 if is_float(places.value) else _steps_to_zero(places.value, where)
+        self._sign = -1 if places.value.scale < 0 else 1
         self._rest = {s.name: _initial(message, s) for s in message.signals}
         if places.tick is not None:
             _require_counter(places.tick, where)
@@ -86,7 +88,10 @@ class AnyLayout:
     def pack(self, k: float, tick: int, mode: int, fault_state: int) -> bytearray:
         """The bytes of a frame, with those of the signals that mean nothing to the rig."""
         places, raw = self._places, self._rest
-        raw[places.value.name] = k if is_float(places.value) else int(k) - self._from_zero
+        if is_float(places.value):
+            raw[places.value.name] = k
+        else:
+            raw[places.value.name] = self._sign * int(k) - self._from_zero
         if places.tick is not None:
             raw[places.tick.name] = tick & 0xFFFF & self._tick_mask
         for signal, code in ((places.mode, mode), (places.fault_state, fault_state)):
@@ -102,7 +107,7 @@ class AnyLayout:
         places = self._places
         k = raw[places.value.name]
         return (
-            k if is_float(places.value) else k + self._from_zero,
+            k if is_float(places.value) else self._sign * (k + self._from_zero),
             0 if places.tick is None else int(raw[places.tick.name]) & 0xFFFF,
             0 if places.mode is None else raw[places.mode.name],
             0 if places.fault_state is None else raw[places.fault_state.name],
@@ -130,7 +135,7 @@ def scale_of(signal: Signal, where: Where) -> Scale:
     """The steps of ``signal`` that reach as far down as up.
 
     Raises:
-        DbcError: a range that has only one sign, a factor that is not above 0.
+        DbcError: a range that has only one sign, a factor of 0.
     """
     low, high = signal.minimum, signal.maximum
     if is_float(signal):
@@ -142,10 +147,12 @@ def scale_of(signal: Signal, where: Where) -> Scale:
         if not reach > 0.0:
             raise DbcError(_one_sign(signal, f"{low}..{high}", where))
         return Scale(0.0, reach, math.nan, form)
-    offset, lsb = _steps_to_zero(signal, where), float(signal.scale)
+    offset, lsb = _steps_to_zero(signal, where), abs(float(signal.scale))
     bits = signal.length
     lowest = (-(1 << (bits - 1)) if signal.is_signed else 0) + offset
     highest = lowest + (1 << bits) - 1
+    if signal.scale < 0:
+        lowest, highest = -highest, -lowest
     first = lowest if low is None else max(lowest, math.ceil(low / lsb - ON_GRID))
     last = highest if high is None else min(highest, math.floor(high / lsb + ON_GRID))
     reach = min(last, -first)
@@ -165,9 +172,9 @@ def _one_sign(signal: Signal, carries: str, where: Where) -> str:
 
 
 def _steps_to_zero(signal: Signal, where: Where) -> int:
-    """Steps from raw 0 to the value 0, negative: what is added to a raw value."""
-    if not signal.scale > 0:
-        raise DbcError(f"{where.of(signal)}: factor {signal.scale}: must be above 0")
+    """Steps of the factor from raw 0 to the value 0, negative: what is added to a raw value."""
+    if not signal.scale:
+        raise DbcError(f"{where.of(signal)}: factor {signal.scale}: must not be 0")
     steps = float(signal.offset) / float(signal.scale)
     if abs(steps - round(steps)) > ON_GRID * max(1.0, abs(steps)):
         raise DbcError(

@@ -16,7 +16,7 @@ from cantools.database.can import Database, Message, Signal
 from can_rig.errors import DbcError
 from can_rig.frames.codec import MessageCodec
 from can_rig.frames.layout import ROLES
-from can_rig.frames.mapped.database import load_database
+from can_rig.frames.mapped.database import load_for
 from can_rig.frames.mapped.layout import AnyLayout, Places, Where, scale_of
 from can_rig.frames.network import Network, require_distinct_data_ids, words_of
 
@@ -52,7 +52,8 @@ def map_network(path: str | Path, mapping: Roles) -> Network:
         DbcError: no such database, message or signal, two roles in one message, a signal that
             cannot say what it should.
     """
-    database = load_database(path)
+    used = {name.partition(".")[0] for name in mapping.signals.values()}
+    database = load_for(path, used)
     found = {
         key: _signal(database, path, key, name) for key, name in mapping.signals.items() if name
     }

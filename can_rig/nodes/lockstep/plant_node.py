@@ -57,12 +57,7 @@ class PlantNode:
         interaction: Interaction = UNTOUCHED,
         clock: Clock = SYSTEM_CLOCK,
     ) -> None:
-        if not network.has_ticks:
-            raise ScenarioError(
-                f"scenario {scenario.name}: network.tick: must name the signal that counts the "
-                "ticks in every message, or the run be in real time (--realtime): in lockstep a "
-                "frame must say which tick it is of"
-            )
+        require_ticks(scenario, network)
         self.ticks: Final = scenario.ticks
         self._recorder = recorder
         self._end = PlantEnd(scenario, network, send, recorder, reports, interaction.injectable)
@@ -154,3 +149,17 @@ class PlantNode:
         """Per message, how many frames were not used and why."""
         refused = self._control.refused
         return self._end.rejected() | ({CONTROL: {"refused": refused}} if refused else {})
+
+
+def require_ticks(scenario: Scenario, network: Network) -> None:
+    """Refuse frames that do not say which tick they are of.
+
+    Raises:
+        ScenarioError: one of them has no such signal.
+    """
+    if not network.has_ticks:
+        raise ScenarioError(
+            f"scenario {scenario.name}: network.tick: must name the signal that counts the "
+            "ticks in every message, or the run be in real time (--realtime): in lockstep a "
+            "frame must say which tick it is of"
+        )

@@ -66,8 +66,12 @@ def as_settings(changes: Changes) -> list[str]:
     """``KEY=VALUE`` for each change, exact.
 
     Raises:
-        ScenarioError: a value that TOML does not know.
+        ScenarioError: no mapping, or a value that TOML does not know.
     """
+    if not isinstance(changes, Mapping):
+        raise ScenarioError(
+            f"changes = {changes!r}: must be a mapping of keys, as in {{'plant.speed_mps': 20.0}}"
+        )
     return [f"{key}={toml_text(key, value)}" for key, value in flat(changes)]
 
 

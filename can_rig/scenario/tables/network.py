@@ -15,8 +15,24 @@ DataId = Annotated[int, Field(ge=1, le=0xFFFF)]
 OPTIONAL: Final = ("mode", "fault_state")
 
 
+class _Names:
+    """Names by key: all but those in ``OPTIONAL``, or none."""
+
+    def _given(self) -> dict[str, str]:
+        return dataclasses.asdict(self)  # type: ignore[call-overload, no-any-return]
+
+    def __bool__(self) -> bool:
+        """Whether any is given."""
+        return any(self._given().values())
+
+    def _require_all(self, others: str) -> None:
+        for key, name in self._given().items():
+            if self and not name and key not in OPTIONAL:
+                raise ValueError(f"{key}: must be set beside the other {others}")
+
+
 @dataclass(frozen=True, config=STRICT)
-class SignalNames:
+class SignalNames(_Names):
     """The signal of each role, as ``Message.Signal``; all but the last two are needed."""
 
     reference: str = ""
@@ -28,18 +44,25 @@ class SignalNames:
     fault_state: str = ""
 
     def __post_init__(self) -> None:
-        given = dataclasses.asdict(self)
-        for key, name in given.items():
+        for key, name in self._given().items():
             message, dot, signal = name.partition(".")
             if name and not (message and dot and signal):
                 raise ValueError(f"{key} = {name!r}: must be Message.Signal")
-        for key, name in given.items():
-            if any(given.values()) and not name and key not in OPTIONAL:
-                raise ValueError(f"{key}: must be set beside the other signals, as Message.Signal")
+        self._require_all("signals, as Message.Signal")
 
-    def __bool__(self) -> bool:
-        """Whether any is given."""
-        return any(dataclasses.asdict(self).values())
+
+@dataclass(frozen=True, config=STRICT)
+class TickNames(_Names):
+    """The signal that counts the ticks in the message of each role: all of them, or none."""
+
+    reference: str = ""
+    feedback: str = ""
+    command_1: str = ""
+    command_2: str = ""
+    status: str = ""
+
+    def __post_init__(self) -> None:
+        self._require_all("ticks")
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -51,27 +74,6 @@ class DataIds:
     command_1: DataId | None = None
     command_2: DataId | None = None
     status: DataId | None = None
-
-
-@dataclass(frozen=True, config=STRICT)
-class TickNames:
-    """The signal that counts the ticks in the message of each role: all of them, or none."""
-
-    reference: str = ""
-    feedback: str = ""
-    command_1: str = ""
-    command_2: str = ""
-    status: str = ""
-
-    def __post_init__(self) -> None:
-        given = dataclasses.asdict(self)
-        for key, name in given.items():
-            if any(given.values()) and not name:
-                raise ValueError(f"{key}: must be set beside the other ticks")
-
-    def __bool__(self) -> bool:
-        """Whether any is given."""
-        return any(dataclasses.asdict(self).values())
 
 
 @dataclass(frozen=True, config=STRICT)

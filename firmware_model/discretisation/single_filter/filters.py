@@ -62,7 +62,12 @@ class Filter:
         self._states = np.zeros(1, record_type(biquad.STATE, precision))
 
     def in_precision(self, precision: Precision) -> Filter:
-        """The same filter at rest, stored and computed in ``precision``."""
+        """The same filter at rest, stored and computed in ``precision``.
+
+        Raises:
+            ParameterError: no such precision, or one that cannot hold a coefficient.
+        """
+        _require_precision(precision)
         return Filter(self._exact, self.rule, self.prewarp_rad_per_s, precision)
 
     def step(self, u: float) -> float:
@@ -187,12 +192,13 @@ def discretise(
         ParameterError: not such a filter, tick, rule or precision; an order above 16.
         ImproperError: more zeros than poles, or feedthrough with a rule for held inputs.
     """
-    if not isinstance(tick_s, int | float | np.floating):
+    if not _is_number(tick_s):
         raise ParameterError(f"tick_s = {tick_s!r}: must be one number of seconds (one rate)")
-    if rule not in RULES:
+    if not (isinstance(rule, str) and rule in RULES):
         raise ParameterError(f"rule = {rule!r}: must be one of {', '.join(RULES)}")
-    if precision not in ("float64", "float32"):
-        raise ParameterError(f"precision = {precision!r}: must be float64 or float32")
+    _require_precision(precision)
+    if not (prewarp_rad_per_s is None or _is_number(prewarp_rad_per_s)):
+        raise ParameterError(f"prewarp_rad_per_s = {prewarp_rad_per_s!r}: must be one frequency")
     if rule != "tustin" and prewarp_rad_per_s is not None:
         raise ParameterError(f"prewarp_rad_per_s with rule = {rule}: must be left out, or tustin")
     g = zero_pole_gain(system)
@@ -204,6 +210,15 @@ def discretise(
     tick_s = float(tick_s)
     sections = tustin(g, tick_s, prewarp_rad_per_s) if rule == "tustin" else RULES[rule](g, tick_s)
     return Filter(_spread(sections), rule, prewarp_rad_per_s, precision)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float | np.floating) and not isinstance(value, bool)
+
+
+def _require_precision(precision: object) -> None:
+    if not (isinstance(precision, str) and precision in ("float64", "float32")):
+        raise ParameterError(f"precision = {precision!r}: must be float64 or float32")
 
 
 @compiled

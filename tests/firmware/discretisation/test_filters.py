@@ -135,6 +135,9 @@ REFUSED: dict[str, tuple[dict[str, Any], str]] = {
     "a tick of zero": ({"tick_s": 0.0}, "tick_s = 0: must be finite and above 0"),
     "several rates": ({"tick_s": [0.001, 0.01]}, "tick_s = .*must be one number of seconds"),
     "a tick in words": ({"tick_s": "1 ms"}, "tick_s = '1 ms': must be one number"),
+    "a tick of true": ({"tick_s": True}, "tick_s = True: must be one number"),
+    "two rules": ({"rule": ["zoh", "tustin"]}, "rule = .*must be one of"),
+    "prewarp in words": ({"prewarp_rad_per_s": "3 Hz"}, "prewarp_rad_per_s = '3 Hz': must be one"),
     "another rule": ({"rule": "euler"}, "rule = 'euler': must be one of tustin, tustin-held, zoh"),
     "another precision": ({"precision": "float16"}, "precision = 'float16': must be float64 or"),
     "prewarp of a held input": (
@@ -175,6 +178,11 @@ def test_order_16_runs() -> None:
     system = ZeroPoleGain.lag(0.05, 16)
     answer = discretise(system, 0.01).run(np.ones(1000))
     assert answer[-1] == pytest.approx(1.0, abs=1e-3)
+
+
+def test_another_precision_is_one_that_there_is() -> None:
+    with pytest.raises(ParameterError, match="precision = 'half': must be float64 or float32"):
+        discretise(LOW_PASS, TICK_S).in_precision("half")  # type: ignore[arg-type]
 
 
 def test_the_package_has_no_other_names() -> None:

@@ -113,6 +113,12 @@ REFUSED: dict[str, tuple[Any, str]] = {
     "a list": ([[1.0], [1.0, 1.0]], "not list"),
     "a response": (control.frd([1.0], [1.0]), "not FrequencyResponseData"),
     "nothing": (None, "not NoneType"),
+    "no coefficients": (([], [1.0, 1.0]), r"num = \[\]: must be one row of real"),
+    "scipy's zeros, poles, gain": (
+        signal.butter(2, 1.0, analog=True, output="zpk"),
+        r"not a tuple of 3 \(scipy.signal.ZerosPolesGain\(zeros, poles, gain\) is one\)",
+    ),
+    "a tuple of one": (([1.0],), "not a tuple of 1$"),
     "letters": (("ab", [1.0, 1.0]), "num = ab: must be one row of real"),
     "complex coefficients": (([1j], [1.0, 1.0]), "num = .*must be one row of real"),
     "a matrix of coefficients": (([1.0], [[1.0, 1.0]]), "den = .*must be one row of real"),

@@ -49,6 +49,14 @@ def test_real_zeros_and_pairs_are_refined_at_once() -> None:
     assert found[4:] == [zero.conjugate() for zero in found[2:4]]
 
 
+def test_pairs_stay_conjugate_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Also on their way, where the others are summed in another order for each of a pair."""
+    monkeypatch.setattr(zeros, "REFINEMENTS", 1)
+    for error in np.linspace(0.001, 0.1, 50):
+        found = refined(*parallel(), PLACES, rough(error))
+        assert found[4:] == [zero.conjugate() for zero in found[2:4]]
+
+
 def test_a_step_triples_the_digits(monkeypatch: pytest.MonkeyPatch) -> None:
     """Newton's alone, without the other zeros and the poles, would double them."""
     monkeypatch.setattr(zeros, "REFINEMENTS", 1)

@@ -76,6 +76,14 @@ def test_a_grid_of_round_numbers_follows_the_tick_and_the_car() -> None:
     assert (0.0022, 2, 0.0047, 3) in grid(load("thesis-step"))
 
 
+def test_a_zero_on_the_right_slows_the_grid() -> None:
+    """Those of (3.36) lie at 20.2 rad/s: time constants around 50 ms, and none far below."""
+    values = grid(load("nonminimum-phase"))
+    assert {(0.0047, 1, 0.1, 3), (0.047, 1, 0.1, 2)} <= set(values)
+    assert len(values) < 3000 and min(tau_s for tau_s, _, _, _ in values) > 0.0024
+    assert max(alpha_q * tau_q_s for _, _, tau_q_s, alpha_q in values) < 0.5
+
+
 def test_actuators_that_lag_raise_the_orders_of_the_grid() -> None:
     """By a lag each: G1 from 2 to 3, G2 from 1 to 2."""
     values = grid(load("default"))

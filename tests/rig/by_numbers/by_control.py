@@ -91,6 +91,8 @@ def filters(scenario: Scenario) -> list[control.StateSpace]:
         mirrored(own), [*mirrored(zeros_2), *[complex(-1 / chosen.tau_s)] * chosen.alpha],
         1.0 / (chosen.tau_s**chosen.alpha * gain_2 * flips), tick_s,
     )  # fmt: skip
+    if chosen.compensation == "off":
+        f = control.ss([], [], [], 0.0, tick_s)
     one = control.ss([], [], [], 1.0, tick_s)
     named = ((u, "w", "v"), (control.feedback(one, stabiliser, sign=1), "v", "u1"), (f, "d", "u2"))
     parts = [control.ss(part, inputs=[i], outputs=[o], name=f"to {o}") for part, i, o in named]

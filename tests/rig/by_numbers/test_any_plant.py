@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import math
 import re
+from dataclasses import replace
 
 import numpy as np
 import pytest
 
 from can_rig.assessment.limitations import describe, plant_limitations
 from can_rig.assessment.resolve import load
-from can_rig.assessment.stability import refuse_unstable
+from can_rig.assessment.stability import check_stability, refuse_unstable
+from can_rig.assessment.tuning.box import cars_of
+from can_rig.assessment.tuning.candidate import Values
+from can_rig.assessment.tuning.search import tune
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_plant, controller_table
 from can_rig.scenario.settings import Scenario
@@ -41,10 +45,14 @@ def test_the_step_the_loss_and_its_peak_are_python_controls(name: str) -> None:
         np.testing.assert_allclose(ours, theirs, atol=1e-8 * np.abs(theirs).max())
 
 
-@pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD])
+@pytest.mark.parametrize(
+    ("left", "compensation"), [(HEALTHY, "off"), (HEALTHY, "always"), (TORQUE_DEAD, "always")]
+)
 @pytest.mark.parametrize("name", NAMES)
-def test_the_margins_are_python_controls(name: str, left: tuple[float, float]) -> None:
-    scenario = load(name, LINEAR)
+def test_the_margins_are_python_controls(
+    name: str, left: tuple[float, float], compensation: str
+) -> None:
+    scenario = load(name, (*LINEAR, f"design.compensation={compensation}"))
     table, plant = controller_table(scenario, None), continuous_plant(scenario.plant)
     found = margins(table, plant, scenario.tick_s, left)
     whole = loop(scenario, left)
@@ -102,6 +110,24 @@ def test_what_cannot_be_is_refused_in_one_line(setting: str) -> None:
     with pytest.raises(ScenarioError, match=REFUSED[setting]) as refused:
         controller_table(load("pendulum", [setting]), None)
     assert "\n" not in str(refused.value)
+
+
+TUNINGS: dict[str, list[Values]] = {
+    "pendulum": [(0.0033, 3, 0.0022, 3), (0.003, 3, 0.06, 3), (0.0033, 3, 0.012, 3)],
+    "oversteering": [(0.0001, 3, 0.0068, 3), (0.003, 2, 0.2, 3), (0.01, 2, 5.0, 3)],
+    "nonminimum-phase": [(0.001, 1, 0.01, 2), (0.05, 1, 0.1, 2), (0.0047, 1, 0.1, 3)],
+}
+"""Of each, one that does not hold the plant, and two that do."""
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_tune_tells_what_holds_the_plant_and_costs_least(name: str) -> None:
+    scenario = load(name)
+    found = tune(scenario, cars_of(scenario, 0.0), candidates=TUNINGS[name])
+    peaks = [tuning.peak_mps2 for tuning in found.front]
+    assert len(peaks) == 2 and peaks[0] < 0.7 * peaks[1]
+    assert sum(found.refusals.values()) == 1
+    assert check_stability(replace(scenario, design=found.chosen.design)).stable
 
 
 def test_the_thesis_s_continuous_loop_is_of_stable_plants() -> None:

@@ -55,7 +55,7 @@ def test_one_line_names_the_extra(
     extra = {"control": "figures", "mcap": "mcap", "fmpy": "fmu"}.get(packages[0], "logs")
     done = rig_without(packages, *words)
     assert done.returncode == 2
-    install = f"pip install 'fault-tolerant-steering[{extra}]'"
+    install = f"{sys.executable} -m pip install 'fault-tolerant-steering[{extra}]'"
     assert done.stderr == f"error: {line}: {install}\n"
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.log", "a.mf4"]
 

@@ -105,5 +105,6 @@ def test_what_is_in_a_log(tmp_path: Path) -> None:
     # 111 bits and 24 stuff bits at most (Davis et al. 2007, Table 1: 135 bits of 8 bytes).
     assert found["load"]["can0"]["most"] == pytest.approx(100 * 135 / 500_000)
     assert (tmp_path / "load.png").stat().st_size > 10_000
-    assert "can1  12345678" in asked("stats", path).stdout
+    said = asked("stats", path).stdout
+    assert "can1  12345678" in said and "load of can0 at 500 kbit/s: at most" in said
     assert asked("stats", path, "--bitrate", 0).returncode == 2

@@ -28,9 +28,9 @@ def network(folder: Path, text: str, **roles: object) -> Network:
 
 @st.composite
 def layouts(draw: st.DrawFn) -> tuple[str, float, int, bool]:
-    """A value above bit 32 of 8 bytes: its line in a DBC, factor, offset in factors, sign."""
+    """A value above bit 32 of 8 bytes: its line in a DBC, size of a step, bits, signed or not."""
     bits = draw(st.integers(2, 32))
-    signed, factor = draw(st.booleans()), draw(st.sampled_from([1.0, 0.5, 0.001, 3.0]))
+    signed, factor = draw(st.booleans()), draw(st.sampled_from([1.0, 0.5, 0.001, 3.0, -0.35]))
     lowest = -(2 ** (bits - 1)) if signed else 0
     offset = draw(st.integers(2 - 2**bits - lowest, -1 - lowest))  # both signs can be sent
     start = draw(st.integers(32, 64 - bits))
@@ -40,7 +40,7 @@ def layouts(draw: st.DrawFn) -> tuple[str, float, int, bool]:
         start = 8 * (4 + at // 8) + 7 - at % 8
     order, sign = ("0" if motorola else "1"), ("-" if signed else "+")
     line = f"{start}|{bits}@{order}{sign} ({factor:g},{offset * factor:.17g}) [0|0]"
-    return line, factor, bits, signed
+    return line, abs(factor), bits, signed
 
 
 @settings(max_examples=60)
@@ -135,7 +135,8 @@ def test_other_databases_are_read_too(tmp_path: Path, kind: str) -> None:
 BAD = {
     "one sign": ("32|16@1+ (0.01,0) [0|0]", {}, "signals.reference) carries 0..655.35: must"),
     "offset": ("32|16@1- (0.01,0.005) [0|0]", {}, "signals.reference): offset 0.005: must be"),
-    "factor": ("32|16@1- (-1,0) [0|0]", {}, "signals.reference): factor -1: must be above 0"),
+    "factor": ("32|16@1- (0,0) [0|0]", {}, "signals.reference): factor 0: must not be 0"),
+    "overlap": ("8|16@1- (1,0) [0|0]", {"tick": "Count"}, "cannot be used: The signals Count and"),
     "tick": ("32|16@1- (1,0) [0|0]", {"tick": "Cnt"}, "network.tick = 'Cnt'"),
     "tick is the value": (
         "32|16@1- (1,0) [0|0]", {"tick": "Value"}, "must be an unsigned integer of at least 16",
@@ -158,6 +159,15 @@ def test_a_signal_that_cannot_do_is_one_line(
         network(tmp_path, database(value, 8), **roles)
     assert line in str(caught.value)
     assert "\n" not in str(caught.value)
+
+
+def test_what_is_wrong_elsewhere_in_a_database_is_no_matter(tmp_path: Path) -> None:
+    """Signals that overlap, and an extended identifier that is not marked as one."""
+    other = 'BO_ 217056298 Other: 8 B\n SG_ A : 0|9@1+ (1,0) [0|0] "" A\n'
+    other += ' SG_ B : 8|9@1+ (1,0) [0|0] "" A\n'
+    text = database("32|16@1- (1,0) [0|0]", 8)
+    with_it = [codec.encode(1.0, 5) for codec in network(tmp_path, text + other).by_role]
+    assert with_it == [codec.encode(1.0, 5) for codec in network(tmp_path, text).by_role]
 
 
 def test_the_other_signals_of_a_message_have_their_initial_values() -> None:

@@ -111,6 +111,8 @@ def test_real_time_needs_no_tick(tmp_path: Path) -> None:
     refused = asked("run", "default", *words, "--out", tmp_path / "lockstep")
     assert refused.returncode == 2
     assert "network.tick: must name the signal that counts the ticks" in refused.stderr
+    assert not (tmp_path / "lockstep").exists()
+    assert "no network.tick: runs in real time" in asked("bus", "default", *words).stdout
     done = rig("run", "default", *words, "--realtime", "--out", tmp_path / "run")
     assert done.returncode == 0, done.stderr
     scenario = load("default", [*CHASSIS, *options(MOTOROLA, SIGNALS, "")])

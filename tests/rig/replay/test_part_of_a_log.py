@@ -4,10 +4,13 @@ from __future__ import annotations
 
 import json
 from pathlib import Path
+from typing import Any
 
 import pytest
 from can import Message
 
+from can_rig.replay.what_if import question
+from can_rig.results.source import Source
 from tests.helpers import asked
 from tests.rig.replay.drive import SETTINGS as DRIVE
 from tests.rig.replay.drive import off_by_one_bit, write_log_of
@@ -23,6 +26,27 @@ def run(tmp_path_factory: pytest.TempPathFactory) -> Path:
     done = asked("run", "thesis-sine", *DURATION, "--in-process", "--out", folder)
     assert done.returncode == 0, done.stderr
     return folder
+
+
+def test_a_what_if_reads_its_log_once(run: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    read: list[Path] = []
+    frames = Source.frames
+
+    def counted(source: Source, *reading: Any) -> Any:
+        read.append(source.log.path)
+        return frames(source, *reading)
+
+    monkeypatch.setattr(Source, "frames", counted)
+    asked_of = question(run, None, ())
+    assert read == [run / "bus.log"] and len(asked_of.logged) == 300 and asked_of.told == ()
+
+
+def test_the_load_is_that_of_the_scenarios_bit_rate(run: Path) -> None:
+    said = asked("stats", run).stdout
+    assert "at 1000 kbit/s: at most" in said
+    assert (
+        json.loads(asked("stats", run, "--bitrate", 250000, "--json").stdout)["bitrate"] == 250000
+    )
 
 
 def test_what_is_before_is_replayed_but_not_compared(
