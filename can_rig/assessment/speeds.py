@@ -20,7 +20,7 @@ from can_rig.assessment.stability import (
 )
 from can_rig.assessment.stability_table import finite_or_null
 from can_rig.errors import ScenarioError
-from can_rig.scenario.build import continuous_plant
+from can_rig.scenario.build import continuous_plant, network_of
 from can_rig.scenario.driving.schedule import controls, frozen
 from can_rig.scenario.driving.speed import speed_profile
 from can_rig.scenario.settings import Scenario
@@ -156,7 +156,7 @@ def _ends(scenario: Scenario) -> list[Scenario]:
 
 
 def _sweeps(scenario: Scenario) -> dict[str, SpeedSweep]:
-    of = controls(scenario, None)
+    of = controls(scenario, network_of(scenario))
     if of.schedule is None:
         return {}
 

@@ -6,12 +6,14 @@ from typing import Final
 
 from can_rig.errors import ExportError
 from can_rig.export.constants import constants_header, constants_source
-from can_rig.export.law import filled, law_files, support
+from can_rig.export.law import filled, law_files, speed_files, support
+from can_rig.export.speed_words import words
 from can_rig.export.writing.c_text import comment
 from can_rig.frames.codec import MessageCodec
 from can_rig.frames.layout import RigLayout
 from can_rig.frames.network import Network
-from can_rig.scenario.build import controller_table, network_of
+from can_rig.scenario.build import network_of
+from can_rig.scenario.driving.schedule import controls
 from can_rig.scenario.settings import Scenario
 
 BY_HAND: Final = ("e2e.h", "e2e.c", "frames.h", "frames.c", "ecu.h", "ecu.c")
@@ -31,16 +33,19 @@ def application(scenario: Scenario) -> dict[str, str]:
             f"network.dbc = {scenario.network.dbc!r}: must be left out; "
             "the controller in C has the rig's own frames"
         )
-    table = controller_table(scenario, network)
+    of = controls(scenario, network)
+    changing = of.schedule is not None
     precision = scenario.design.precision
     title = f"The constants of the controller of scenario {scenario.name}."
     zero = "0.0f" if precision == "float32" else "0.0"
     return {
         **law_files(precision),
-        "constants.h": constants_header(title),
-        "constants.c": constants_source(table, title),
+        **(speed_files(precision) if changing else {}),
+        "constants.h": constants_header(title, of.schedule),
+        "constants.c": constants_source(of.table, title, of.schedule),
         "firmware.h": filled(
-            support("firmware.h"),
+            support("firmware_speeds.h" if changing else "firmware.h"),
+            speed=_signal(network.speed) if network.speed else "",
             scenario=scenario.name,
             tick=f"{scenario.tick_s * 1e3:g} ms",
             latency=_latency(scenario),
@@ -50,17 +55,17 @@ def application(scenario: Scenario) -> dict[str, str]:
             reference=_signal(network.reference),
             measurement=_signal(network.feedback),
         ),
-        "firmware.c": support("firmware.c"),
-        **{name: filled(support(name), zero=zero) for name in BY_HAND},
-        "network.c": _network_source(network, scenario.dbc, round(scenario.tick_s * 1e6)),
+        "firmware.c": support("firmware_speeds.c" if changing else "firmware.c"),
+        **{name: filled(support(name), zero=zero, **words(changing)) for name in BY_HAND},
+        "network.c": _network_source(network, scenario.dbc, round(scenario.tick_s * 1e6), changing),
     }
 
 
-def _network_source(network: Network, dbc: str, tick_us: int) -> str:
+def _network_source(network: Network, dbc: str, tick_us: int, changing: bool) -> str:
     """``network.c``: what the DBC says of each frame, and the time between them."""
     lines = [*comment(f"The frames of {dbc}."), '#include "ecu.h"', ""]
     lines.append(f"const uint32_t ecu_tick_us = {tick_us};")
-    for codec in network:
+    for codec in network.by_role if changing else network:
         numbers = {
             "id": f"0x{codec.frame_id:X}",
             "data_id": f"0x{codec.data_id:X}",

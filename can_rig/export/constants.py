@@ -9,15 +9,17 @@ import numpy as np
 
 from can_rig.export.writing.c_text import INDENT, WIDTH, comment, name, number, wrapped
 from firmware_model.target.layout import TABLE, precision_of
+from firmware_model.target.schedule import CONSTANTS
 from firmware_model.target.structs import Field, Precision, Record, Struct
 
 
-def constants_source(table: Record, title: str) -> str:
+def constants_source(table: Record, title: str, speeds: Record | None = None) -> str:
     """``constants.c``: the table, every number exactly as it is stored.
 
     Args:
         table: of ``tables.build``.
         title: what it is the table of.
+        speeds: of ``schedules.schedule``, where the speed of the car changes.
     """
     lines = [
         *comment(title), '#include "constants.h"', "",
@@ -25,14 +27,20 @@ def constants_source(table: Record, title: str) -> str:
         *_members(TABLE, table, precision_of(table), INDENT),
         "};",
     ]  # fmt: skip
+    if speeds is not None:
+        members = _members(CONSTANTS, speeds, precision_of(table), INDENT)
+        lines += ["", "const struct schedule_constants controller_schedule = {", *members, "};"]
     return "\n".join(lines) + "\n"
 
 
-def constants_header(title: str) -> str:
+def constants_header(title: str, speeds: Record | None = None) -> str:
     """``constants.h``, which declares it."""
+    more = [] if speeds is None else ["extern const struct schedule_constants controller_schedule;"]
     lines = [
         *comment(title), "#ifndef CONSTANTS_H", "#define CONSTANTS_H", "", '#include "layout.h"',
-        "", "extern const struct layout_table controller_table;", "", "#endif",
+        *([] if speeds is None else ['#include "schedule.h"']),
+        "", "extern const struct layout_table controller_table;", *more,
+        "", "#endif",
     ]  # fmt: skip
     return "\n".join(lines) + "\n"
 

@@ -9,6 +9,7 @@ from typing import Final
 from can_rig.export.application import application
 from can_rig.export.law import filled, support
 from can_rig.export.running.ecu import bench
+from can_rig.export.speed_words import words
 from can_rig.files import atomic, refuse_existing
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import Precision
@@ -34,7 +35,13 @@ def exported(scenario: Scenario, precision: Precision | None = None) -> dict[str
     objects = " \\\n    ".join(f"{name.removesuffix('.c')}.o" for name in units)
     sources = "\n".join(f"  {name}" for name in units)
     return {**files, **bench(files)} | {
-        name: filled(support(name), zero=zero, objects=objects, sources=sources)
+        name: filled(
+            support(name),
+            zero=zero,
+            objects=objects,
+            sources=sources,
+            **words("schedule.c" in files),
+        )
         for name in BUILD_FILES
     }
 

@@ -7,6 +7,7 @@ from numpy.typing import NDArray
 
 from can_rig.assessment.unavoidable import Unavoidable, unavoidable
 from can_rig.results.signals import Signals
+from can_rig.scenario.driving.schedule import at_speed_of
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.fault import CHANNELS, FaultSettings
 from firmware_model.discretisation.targets import HOUR_S
@@ -30,7 +31,7 @@ def unavoidable_deviation(
     if fault.kind != "actuator-dead" or fault.every > 1 or not n <= at < len(signals):
         return None
     command = (signals.torque_nm, signals.force_difference_n)[CHANNELS.index(fault.place)]
-    return unavoidable(scenario, command[at - n :], fault)
+    return unavoidable(at_speed_of(scenario, fault), command[at - n :], fault)
 
 
 def decision_metrics(

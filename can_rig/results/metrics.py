@@ -15,6 +15,7 @@ from can_rig.results.counterfactual import Counterfactual, car_output, fault_fre
 from can_rig.results.loss_metrics import decision_metrics, unavoidable_deviation
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of
+from can_rig.scenario.driving.schedule import at_speed_of
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.fault import CHANNELS
@@ -89,7 +90,8 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
         deviation = deviation_from(scenario, signals, fault_free(scenario, signals))
     settled = window.settled_after if window.after.any() else window.settled_before
     torque_lost = window.lost.any() and any(f.place == CHANNELS[0] for f in scenario.faults)
-    authority = control_authority(scenario, network_of(scenario)) if torque_lost else None
+    lost_at = at_speed_of(scenario, scenario.loss)
+    authority = control_authority(lost_at, network_of(scenario)) if torque_lost else None
     alone = scenario.faults[0] if len(scenario.faults) == 1 else None
     bound = None if alone is None else unavoidable_deviation(scenario, signals, alone)
     unavoidable = None if bound is None else bound.deviation_mps2

@@ -205,6 +205,11 @@ def _refuse(scenario: Scenario, spare_ticks: int) -> None:
     where = f"scenario {scenario.name}:"
     if not scenario.design.feedback:
         raise ScenarioError(f"{where} design.feedback = false: must be true, for there is no C")
+    if scenario.drive.is_given:
+        raise ScenarioError(
+            f"{where} drive: must not be given, for a tuning is for one speed; the speed is "
+            "plant.speed_mps"
+        )
     if scenario.design.compensation == "off":
         raise ScenarioError(
             f"{where} design.compensation = 'off': must be on-confirmation or always"

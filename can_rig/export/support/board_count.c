@@ -13,7 +13,7 @@
 
 #define MOST_TICKS 65536
 
-static struct layout_state state;
+static struct {memory} state;
 static double inputs[MOST_TICKS][2];
 static uint32_t counts[MOST_TICKS];
 

@@ -14,7 +14,7 @@ void ecu_init(struct ecu *ecu)
     firmware_init(&ecu->state);
     firmware_reset(&ecu->state, {zero});
     receiver_init(&ecu->reference, &frame_reference);
-    receiver_init(&ecu->feedback, &frame_feedback);
+    receiver_init(&ecu->feedback, &frame_feedback);{speed_init}
     e2e_protector_init(&ecu->command_1, frame_command_1.data_id);
     e2e_protector_init(&ecu->command_2, frame_command_2.data_id);
     e2e_protector_init(&ecu->status, frame_status.data_id);
@@ -41,7 +41,7 @@ static void take_reference(struct ecu *ecu, uint8_t length, const uint8_t *data)
         ecu->wanted_tick = frame_tick(data);
     }
 }
-
+{speed_function}
 /* Whether this is the first feedback: intact, and of the tick of the reference before it.
  *
  * One frame of 256 that another sender makes up has the right CRC, and would do where the tick is
@@ -54,7 +54,7 @@ static bool first_contact(struct ecu *ecu, uint16_t id, uint8_t length, const ui
         ecu->first_length = length;
         (void)memcpy(ecu->first, data, length < 8 ? length : 8);
         return false;
-    }
+    }{speed_first}
     if (id != frame_feedback.id || !ecu->offered ||
         !e2e_intact(&ecu->feedback.checker, data, length) ||
         !e2e_intact(&ecu->reference.checker, ecu->first, ecu->first_length) ||
@@ -63,7 +63,7 @@ static bool first_contact(struct ecu *ecu, uint16_t id, uint8_t length, const ui
     }
     ecu->running = true;
     ecu->tick = frame_tick(data);
-    take_reference(ecu, ecu->first_length, ecu->first);
+    take_reference(ecu, ecu->first_length, ecu->first);{speed_started}
     return true;
 }
 
@@ -75,7 +75,7 @@ bool ecu_on_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *d
     }
     if (id == frame_reference.id) {
         take_reference(ecu, length, data);
-    } else if (id == frame_feedback.id && receive(&ecu->feedback, ecu->tick, length, data)) {
+    }{speed_frame} else if (id == frame_feedback.id && receive(&ecu->feedback, ecu->tick, length, data)) {
         ecu->measured = frame_value(&frame_feedback, data);
         ecu->expected_us = now_us;
         return true;
@@ -124,7 +124,7 @@ void ecu_on_tick(struct ecu *ecu)
     answer(&frame_command_2, &ecu->command_2, (double)now.command_2, ecu->tick, 0);
     answer(&frame_status, &ecu->status, (double)now.fault_estimate, ecu->tick, bits);
     end_tick(&ecu->reference);
-    end_tick(&ecu->feedback);
+    end_tick(&ecu->feedback);{speed_end}
     ecu->measured = (double)NAN;
     ecu->tick++;
     ecu->expected_us += ecu_tick_us;

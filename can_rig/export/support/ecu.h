@@ -21,12 +21,12 @@ struct ecu_receiver {
 
 /* Everything that a controller node remembers. */
 struct ecu {
-    struct layout_state state;
+    struct {memory} state;
     struct ecu_receiver reference;
     struct ecu_receiver feedback;
     struct e2e_protector command_1;
     struct e2e_protector command_2;
-    struct e2e_protector status;
+    struct e2e_protector status;{speed_members}
     bool running;         /* whether the first contact has said which tick it is */
     uint16_t tick;        /* the next one, modulo 65536 */
     double wanted;        /* the value of the last reference that was accepted */

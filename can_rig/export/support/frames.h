@@ -28,7 +28,7 @@ extern const struct frame frame_reference;
 extern const struct frame frame_feedback;
 extern const struct frame frame_command_1;
 extern const struct frame frame_command_2;
-extern const struct frame frame_status;
+extern const struct frame frame_status;{speed_declared}
 
 /* Write value and tick into a frame that is all zero. */
 void frame_pack(const struct frame *frame, double value, uint16_t tick, uint8_t data[8]);

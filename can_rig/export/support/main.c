@@ -5,7 +5,7 @@
 
 #include "firmware.h"
 
-static struct layout_state state;
+static struct {memory} state;
 
 int main(void)
 {

@@ -24,7 +24,7 @@ class EcuNode(AnsweringNode):
         self._send = send
         self._ecu = ecu
         self._inputs = (network.reference, network.feedback)
-        self._wanted = {codec.frame_id for codec in self._inputs}
+        self._wanted = {codec.frame_id for codec in network.on_the_bus[: network.offered]}
         commands = (network.command_1, network.command_2)
         self._channels = {codec.frame_id: channel for channel, codec in enumerate(commands)}
         self._faults = FrameFaults(scenario, network)

@@ -21,6 +21,7 @@ from can_rig.results.metrics import output_of_car, windows
 from can_rig.results.report.timing import draw_timing
 from can_rig.results.report.title import page_title
 from can_rig.results.signals import Signals
+from can_rig.scenario.driving.schedule import at_speed_of
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.fault import SENSOR
 from firmware_model.target.status import FaultState
@@ -186,7 +187,7 @@ def _commands(axes: list[Axes], scenario: Scenario, network: Network, signals: S
 
 def _control_authority(axis: Axes, scenario: Scenario, network: Network, signals: Signals) -> None:
     """Where limit and tires end, if X_diff comes near."""
-    authority = control_authority(scenario, network)
+    authority = control_authority(at_speed_of(scenario, scenario.loss), network)
     force = np.abs(signals.force_difference_n)
     if authority is None or not np.isfinite(force).any():
         return

@@ -20,6 +20,7 @@ from can_rig.scenario.driving.speed import speed_profile
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.drive import DriveSettings
+from can_rig.scenario.tables.fault import FaultSettings
 from firmware_model.design.mismatch import Mismatch
 from firmware_model.discretisation.schedules import AtSpeed, Scheduled, schedule
 from firmware_model.errors import DesignError
@@ -64,6 +65,18 @@ def frozen(scenario: Scenario, speed_mps: float) -> Scenario:
         model=replace(scenario.model, speed_mps=speed_mps),
         design=replace(scenario.design, speeds_mps=None),
     )
+
+
+def at_speed_of(scenario: Scenario, fault: FaultSettings) -> Scenario:
+    """The scenario with the car that it has when ``fault`` begins, for figures of one speed.
+
+    Raises:
+        ScenarioError: see ``speed_profile``.
+    """
+    if not scenario.drive.is_given:
+        return scenario
+    speed = speed_profile(scenario)(np.array([fault.at_s]))
+    return frozen(scenario, float(speed[0]))
 
 
 def _without_run(scenario: Scenario, speeds: tuple[float, ...]) -> Scenario:

@@ -8,9 +8,10 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
+from can_rig.assessment.tuning.search import tune
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import controller_table, network_of
-from can_rig.scenario.driving.schedule import RATIO, controls, design_speeds, frozen
+from can_rig.scenario.driving.schedule import RATIO, at_speed_of, controls, design_speeds, frozen
 from can_rig.scenario.driving.speed import speed_profile, speeds_at_ticks
 from can_rig.scenario.reference import reference
 
@@ -74,6 +75,19 @@ def test_one_speed_has_the_table_of_a_scenario_without_a_drive() -> None:
     assert of.schedule is None
     assert str(of.table) == str(controller_table(alone, network_of(alone)))
     assert frozen(scenario, 14.0).plant == alone.plant
+
+
+def test_figures_of_one_speed_are_those_where_the_fault_begins() -> None:
+    scenario = load("default", [RAMP, "fault.at_s=2"])
+    assert at_speed_of(scenario, scenario.loss).plant.speed_mps == 13.0
+    assert at_speed_of(scenario, scenario.loss).model.speed_mps == 13.0
+    still = load("default")
+    assert at_speed_of(still, still.loss) is still
+
+
+def test_a_tuning_is_for_one_speed() -> None:
+    with pytest.raises(ScenarioError, match=r"drive: must not be given, for a tuning is for one"):
+        tune(load("default", [RAMP]), [])
 
 
 def test_the_driver_goes_to_the_other_lane_and_back() -> None:

@@ -1,0 +1,61 @@
+/* The controller of scenario {scenario}, of a car whose speed changes: what an application calls.
+ *
+ * Timing: firmware_step once every {tick}, with the reference and the measurement of that
+ * tick; its commands must be at the actuators {latency}. Before it firmware_change_speed, in
+ * a tick that brings the speed of the car.
+ * Memory: it is the caller's, and static; nothing is allocated, nothing recurses, no other
+ * functions of the C library are used than sqrt, fabs, ceil, rint and memset.
+ * Not for two threads at once with the same memory.
+ */
+#ifndef FIRMWARE_H
+#define FIRMWARE_H
+
+#include "layout.h"
+#include "schedule.h"
+#include "status.h"
+
+/* Everything that changes: the table too, which is blended between designs. */
+struct firmware_memory {
+    struct layout_state state;
+    struct layout_table table;
+    struct schedule_state blending;
+};
+
+/* What a tick answers. */
+struct firmware_answer {
+    real command_1;       /* {command_1} */
+    real command_2;       /* {command_2} */
+    real fault_estimate;  /* {estimate} */
+    int32_t mode;         /* an enum status_mode */
+    int32_t fault_state;  /* an enum status_fault_state */
+};
+
+/* Put a memory at rest, as after power-up: mode MODE_INIT, at the speed of the slowest design. */
+void firmware_init(struct firmware_memory *memory);
+
+/* Put a memory that firmware_init has seen into the steady state of a healthy loop at a constant
+ * reference: the next step with that reference, and the measurement that settles at it, repeats
+ * the commands.
+ *
+ * reference: {reference}
+ */
+void firmware_reset(struct firmware_memory *memory, real reference);
+
+/* Say the speed of the car: {speed}
+ *
+ * One that is missing must be NAN, or left out: then it is as it was.
+ */
+void firmware_change_speed(struct firmware_memory *memory, real speed);
+
+/* One tick.
+ *
+ * reference: {reference}
+ * measurement: {measurement}
+ *
+ * An input that is missing must be NAN: then the last good commands are held, the models follow
+ * them, and the mode is MODE_HOLD.
+ */
+struct firmware_answer firmware_step(struct firmware_memory *memory, real reference,
+                                     real measurement);
+
+#endif
