@@ -117,7 +117,8 @@ def written(name: str) -> Written:
         given = table.get(key) if isinstance(table, dict) else None
         if isinstance(table, dict) and isinstance(given, str) and given.startswith(prefix):
             # in a scenario relative to it, as everywhere else; in --set to the working directory
-            table[key] = prefix + str(path.parent / given.removeprefix(prefix))
+            file = given.removeprefix(prefix)
+            table[key] = prefix + (str(path.parent / file) if file else "")
     return Written(name, path.stem, values)
 
 

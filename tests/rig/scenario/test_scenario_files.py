@@ -33,6 +33,19 @@ def test_a_file_that_cannot_be_read():
         load("/proc/self/mem")
 
 
+@pytest.mark.parametrize(
+    ("text", "line"),
+    [
+        ('[plant]\nkind = "fmu:"\n', "plant.kind = 'fmu:': must be .*fmu:FILE.fmu"),
+        ('[reference]\nkind = "csv"\nfile = ""\n', "reference.file: must name the CSV file"),
+    ],
+)
+def test_a_file_without_a_name_is_not_the_scenarios_folder(tmp_path, text, line):
+    (tmp_path / "x.toml").write_text(text)
+    with pytest.raises(ScenarioError, match=line):
+        load(str(tmp_path / "x.toml"))
+
+
 def test_a_csv_is_found_beside_its_scenario_or_from_where_one_is(tmp_path):
     (tmp_path / "x.toml").write_text('[reference]\nkind = "csv"\nfile = "r.csv"\n')
     assert load(str(tmp_path / "x.toml")).reference.file == str(tmp_path / "r.csv")
