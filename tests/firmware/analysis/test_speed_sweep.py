@@ -26,6 +26,7 @@ def test_a_loop_that_is_stable_everywhere(left):
     assert SPEEDS[0] <= found.at_mps <= SPEEDS[1]
 
 
+@pytest.mark.long
 def test_slowly_it_shrinks_as_the_frozen_loops_do():
     """Long at each speed, the cycle has the mean of the frozen rates."""
     found = sweep(OF, car, TICK_S, 0.05)
@@ -37,6 +38,7 @@ def test_slowly_it_shrinks_as_the_frozen_loops_do():
     assert found.between_mps == SPEEDS[:2]
 
 
+@pytest.mark.long
 def test_a_car_that_the_designs_do_not_know_is_not_stable():
     slow = (Stage(0.4), Stage(0.4), IDEAL)
     found = sweep(OF, lambda speed: car(speed, slow, mass=0.3), TICK_S, 8.0, LOST)

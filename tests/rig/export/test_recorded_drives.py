@@ -15,7 +15,7 @@ from tests.rig.replay.test_drives import DRIVES, FOLDER
 @pytest.mark.parametrize("name", DRIVES)
 def test_c_answers_as_it_was_recorded(name: str) -> None:
     scenario = load(DRIVES[name]["scenario"], DRIVES[name]["set"])
-    law = CompiledLaw(scenario.design.precision)
+    law = CompiledLaw(scenario.design.precision, changes_speed=scenario.drive.is_given)
     loop = OpenLoop(scenario, network_of(scenario), lambda gap: None, law=law)
     loop.run(read_log(FOLDER / f"{name}.log.gz"))
     fault, comparison = scenario.loss, loop.comparison

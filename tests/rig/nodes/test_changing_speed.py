@@ -16,9 +16,12 @@ from can_rig.logs.reading import read_log
 from can_rig.nodes.lockstep.controller_node import ControllerNode
 from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.watchdog import StopRequest
+from can_rig.panel.live import LiveSignals
 from can_rig.plant.frameless import frameless
 from can_rig.replay.gaps import Gap
 from can_rig.replay.replay import OpenLoop
+from can_rig.results.report.curves import panels
+from can_rig.results.report.page import page
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving.speed import speeds_at_ticks
@@ -67,6 +70,23 @@ def test_signals_have_it_and_replay_knows_it(log: Path) -> None:
     other = OpenLoop(load("default", [*DRIVE, "design.speeds_mps=[10]"]), NETWORK, gaps.append)
     other.run(read_log(log))
     assert not other.comparison.identical
+
+
+def test_report_and_panel_show_it(log: Path) -> None:
+    signals = read_signals(log, NETWORK, SCENARIO.tick_s)
+    speed = panels(SCENARIO, NETWORK, signals)[-1]
+    assert (speed.name, speed.unit) == ("speed", "m/s")
+    assert speed.curves[0].values[-1] == pytest.approx(13.0)
+    drawn = page(SCENARIO, NETWORK, signals).axes[-1]  # over the fault estimate
+    assert drawn.lines[0].get_ydata().max() == pytest.approx(13.0)
+    live = LiveSignals(SCENARIO, NETWORK)
+    assert live.lamps.speed_mps is None
+    for frames in read_log(log):
+        for message in frames.messages():
+            live.frames.on_message_received(message)
+    live.update()  # it holds the newest frames until it looks again
+    live.update()
+    assert live.lamps.speed_mps == pytest.approx(13.0)
 
 
 def test_the_law_in_c_and_the_loop_without_a_bus_leave_the_same(log: Path, tmp_path: Path) -> None:
