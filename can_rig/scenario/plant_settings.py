@@ -64,6 +64,7 @@ BUILT_IN: Final = {
 }
 """The linear plants, by ``kind``."""
 
+BY_NUMBERS: Final = (TRANSFER_FUNCTIONS, STATE_SPACE)
 NUMBERS: Final = tuple(key for kind in BUILT_IN.values() for key in kind.keys)
 """Keys that describe a plant by numbers."""
 OWN: Final = ("parameters", "variables", "fmi_type")
@@ -74,7 +75,7 @@ SIGNALS: Final = ("input_1", "input_2", "output")
 
 @validated(frozen=True, config=STRICT)
 class PlantSettings(VehicleParameters):
-    """The simulated plant; for a plant by numbers the parameters of the car mean nothing.
+    """The simulated plant; of a plant by numbers those of the car must not be set.
 
     ``kind`` is built in or a plant of one's own: ``package.module:Class`` (``plant.protocol``) or
     ``fmu:FILE.fmu`` (``plant.fmu``).
@@ -178,6 +179,13 @@ class PlantSettings(VehicleParameters):
             if key in own and not given:
                 raise ValueError(
                     f"{key}: must be set for kind = {self.kind!r}, which has {', '.join(own)}"
+                )
+        for field in dataclasses.fields(VehicleParameters) if self.kind in BY_NUMBERS else ():
+            value = getattr(self, field.name)
+            if value != getattr(TABLE_3_2, field.name):
+                raise ValueError(
+                    f"{field.name} = {value:g}: must not be set for kind = {self.kind!r}; "
+                    f"kind = {CAR!r} has it"
                 )
         for key in SIGNALS if self.kind == CAR else ():
             if getattr(self, key) != SignalSettings():

@@ -145,6 +145,8 @@ def test_names_are_those_of_the_scenario(tmp_path: Path) -> None:
 
 SS = "plant={kind='state-space', "
 BAD = {
+    SS
+    + "a=[[-1]], b=[[1, 1]], c=[1], mass_kg=900}": "mass_kg = 900: must not be set for kind = 's",
     "plant.kind=state-space": "g1: must not be set for kind = 'state-space'; kind = 'trans",
     "plant={kind='state-space'}": "plant.a: must be set for kind = 'state-space', which has a, b",
     SS + "a=[[-1]], b=[[1, 1]]}": "plant.c: must be set",
