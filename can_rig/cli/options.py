@@ -7,10 +7,13 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 import click
+from click.shell_completion import CompletionItem
 
 from can_rig.export.choices import CONTROLLERS, SERIAL
 from can_rig.nodes.operator.interaction import Interaction
+from can_rig.scenario.catalogue import shipped
 
+Completions = list[CompletionItem]
 Function = TypeVar("Function", bound=Callable[..., Any])
 
 
@@ -19,7 +22,13 @@ def scenario_options(function: Function) -> Function:
     return scenario_argument(set_option("Change one key of the scenario")(function))
 
 
-scenario_argument = click.argument("scenario", default="default")
+def _scenarios(_context: click.Context, _argument: click.Parameter, begun: str) -> Completions:
+    """The shipped ones for a shell, and files."""
+    names = [CompletionItem(name) for name in shipped() if name.startswith(begun)]
+    return [CompletionItem(begun, type="file"), *names]
+
+
+scenario_argument = click.argument("scenario", default="default", shell_complete=_scenarios)
 
 
 def set_option(what: str) -> Callable[[Function], Function]:

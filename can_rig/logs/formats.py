@@ -53,9 +53,12 @@ def format_in(path: Path) -> str:
     """The format of a log by what it begins with, or else by its name.
 
     Raises:
-        LogError: neither tells.
+        LogError: neither tells, or there is no such file.
     """
-    return content_format(path) or format_of(path)
+    found = content_format(path)
+    if found is None and not path.exists():
+        raise LogError(f"{path}: there is no such file")
+    return found or format_of(path)
 
 
 def content_format(path: Path) -> str | None:

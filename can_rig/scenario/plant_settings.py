@@ -170,7 +170,11 @@ class PlantSettings(VehicleParameters):
             given = bool(getattr(self, key))
             if given and key not in own:
                 beside = f" beside {', '.join(own)}" if own and self.is_own else ""
-                raise ValueError(f"{key}: must not be set{beside} for kind = {self.kind!r}")
+                has = next(kind for kind, built_in in BUILT_IN.items() if key in built_in.keys)
+                raise ValueError(
+                    f"{key}: must not be set{beside} for kind = {self.kind!r}; "
+                    f"kind = {has!r} has it"
+                )
             if key in own and not given:
                 raise ValueError(
                     f"{key}: must be set for kind = {self.kind!r}, which has {', '.join(own)}"
@@ -240,10 +244,10 @@ def _refuse_shapes(a: tuple[Row, ...], b: tuple[Row, ...], c: Row) -> None:
     if b and len(b) != n:
         raise ValueError(f"b: has {len(b)} rows: must have {n}, as many as a")
     if c and len(c) != n:
-        raise ValueError(f"c: has {len(c)} numbers: must have {n}, as many as a has rows")
+        raise ValueError(f"c: has length {len(c)}: must have {n}, as many as a has rows")
     for key, matrix, width in (("a", a, n), ("b", b, INPUTS)):
         for at, row in enumerate(matrix):
             if len(row) != width:
-                raise ValueError(f"{key}[{at}]: has {len(row)} numbers: must have {width}")
+                raise ValueError(f"{key}[{at}]: has length {len(row)}: must have {width}")
             refuse_large(f"{key}[{at}]", row)
     refuse_large("c", c)

@@ -17,6 +17,7 @@ from can_rig.campaigns.plan import plan
 from can_rig.campaigns.settings import read_campaign
 from can_rig.cli.main import main
 from can_rig.plant.protocol import PlantProtocol, load_plant
+from can_rig.results.execution import refuse
 from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.settings import PlantSettings
 from tests.project.pages import PAGES, ROOT, blocks, command_lines, prose, text_of
@@ -73,7 +74,9 @@ def test_a_command_parses_and_its_scenario_loads(line: str) -> None:
         keys = {key: context.params[key] for key in ("scenario", "runs", "seed")}
         plan(read_campaign(context.params["campaign"], context.params["settings"], **keys))
     elif "scenario" in context.params:
-        load(context.params["scenario"], context.params["settings"])
+        scenario = load(context.params["scenario"], context.params["settings"])
+        if name == "run":
+            refuse(scenario, context.params["allow_unstable"])
 
 
 @pytest.mark.parametrize(("page", "line"), LINES)

@@ -12,6 +12,7 @@ from can_rig.decoding.decode import Databases
 from can_rig.errors import RigError
 from can_rig.frames.dbc import shipped_dbc
 from can_rig.frames.mapped.database import load_database, load_for
+from can_rig.results.run_folder import LOG
 from can_rig.results.source import source_of
 from can_rig.scenario.build import dbc_of
 
@@ -37,10 +38,11 @@ def databases_of(source: Path, named: Sequence[str], strict: bool) -> Databases:
 
 
 def own_dbc(source: Path) -> Path:
-    """The DBC of a run folder's scenario; otherwise that of the car."""
-    if not source.is_dir():
+    """The DBC of a run folder's scenario, also where its log is named; else that of the car."""
+    if not source.is_dir() and source.name != LOG:
         return shipped_dbc(CAR)
+    folder = source if source.is_dir() else source.parent
     try:
-        return dbc_of(source_of(source, None, ()).scenario)
+        return dbc_of(source_of(folder, None, ()).scenario)
     except RigError:  # a run that was killed before its run.json
         return shipped_dbc(CAR)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import difflib
+from collections import Counter
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -101,10 +102,11 @@ def resolve(messages: Mapping[str, MessageDecoder], name: str) -> tuple[str, str
         by_lower[".".join(pair).lower()] = ".".join(pair)
     near = difflib.get_close_matches(name.lower(), by_lower, 3, 0.5)
     hint = " or ".join(by_lower[key] for key in near)
-    raise DbcError(
-        f"no signal {name} in the database; "
-        + (f"did you mean {hint}?" if hint else f"it has {', '.join(s for _, s in every[:6])}, …")
-    )
+    if not hint:  # of the rig's messages each has a checksum, a counter and a tick
+        often = Counter(signal for _, signal in every)
+        hint = ", ".join([signal for signal in often if often[signal] == 1][:6]) or "none"
+        raise DbcError(f"no signal {name} in the database; it has {hint}, …")
+    raise DbcError(f"no signal {name} in the database; did you mean {hint}?")
 
 
 def _bare(path: Path) -> str:

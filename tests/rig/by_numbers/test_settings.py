@@ -145,13 +145,13 @@ def test_names_are_those_of_the_scenario(tmp_path: Path) -> None:
 
 SS = "plant={kind='state-space', "
 BAD = {
-    "plant.kind=state-space": "plant.g1: must not be set for kind = 'state-space'",
+    "plant.kind=state-space": "g1: must not be set for kind = 'state-space'; kind = 'trans",
     "plant={kind='state-space'}": "plant.a: must be set for kind = 'state-space', which has a, b",
     SS + "a=[[-1]], b=[[1, 1]]}": "plant.c: must be set",
-    SS + "a=[[-1, 0]], b=[[1, 1]], c=[1]}": "plant.a[0]: has 2 numbers: must have 1",
-    SS + "a=[[-1]], b=[[1]], c=[1]}": "plant.b[0]: has 1 numbers: must have 2",
+    SS + "a=[[-1, 0]], b=[[1, 1]], c=[1]}": "plant.a[0]: has length 2: must have 1",
+    SS + "a=[[-1]], b=[[1]], c=[1]}": "plant.b[0]: has length 1: must have 2",
     SS + "a=[[-1]], b=[[1, 1], [0, 1]], c=[1]}": "plant.b: has 2 rows: must have 1, as many as a",
-    SS + "a=[[-1]], b=[[1, 1]], c=[1, 0]}": "plant.c: has 2 numbers: must have 1",
+    SS + "a=[[-1]], b=[[1, 1]], c=[1, 0]}": "plant.c: has length 2: must have 1",
     SS + "a=[[-1]], b=[[1, 1e300]], c=[1]}": "plant.b[0] = 1e+300: must be at most 1e+100",
     SS + "a=[['x']], b=[[1, 1]], c=[1]}": "plant.a.0.0 = 'x': must be a valid number",
     "plant={kind='transfer-functions', g1={num=[1], den=[1, 1]}}": "plant.g2: must be set",

@@ -69,6 +69,8 @@ def test_the_shell_completes_names() -> None:
     assert {name: helps[name] for name in COMMANDS} == {
         n: line for n, (_, line) in COMMANDS.items()
     }
+    names = [item.value for item in complete.get_completions(["run"], "no")]
+    assert names == ["no", "no-compensation", "noisy", "nonlinear-car", "nonminimum-phase"]
     assert "--verbose" in [item.value for item in complete.get_completions([], "--")]
 
 

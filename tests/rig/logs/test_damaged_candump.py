@@ -123,6 +123,9 @@ def test_compressed_and_cut_off(tmp_path: Path) -> None:
     ],
 )
 def test_names_that_say_nothing(tmp_path: Path, name: str, reason: str) -> None:
+    with pytest.raises(LogError, match="there is no such file"):
+        read_log(tmp_path / name)
+    (tmp_path / name).write_text("no log\n")
     with pytest.raises(LogError, match=reason):
         read_log(tmp_path / name)
 

@@ -102,6 +102,8 @@ def test_a_run_folder_is_replayed_and_decoded_by_its_own_database(tmp_path: Path
     assert done.returncode == 0, done.stderr
     again = asked("replay", tmp_path / "run")
     assert again.returncode == 0 and "identical, bit for bit" in again.stdout
+    alone = asked("decode", tmp_path / "run" / "bus.log")  # the file itself, which lies in its run
+    assert alone.returncode == 0 and "EPS_Command" in alone.stdout
     other = asked("replay", tmp_path / "run", "--set", "design.tau_q_s=0.12")
     assert other.returncode == 1 and "MotorTorque" in other.stdout
 

@@ -121,5 +121,5 @@ def test_names() -> None:
         resolve(messages, "Tick")
     with pytest.raises(DbcError, match="did you mean DStar"):
         resolve(messages, "dstar")
-    with pytest.raises(DbcError, match="it has Checksum"):
+    with pytest.raises(DbcError, match="it has VehicleSpeed, DStarReference, DStar, "):
         resolve(messages, "qqqq")
