@@ -6,7 +6,7 @@ import dataclasses
 import difflib
 import re
 from collections.abc import Sequence
-from typing import Any, Final
+from typing import Any, Final, get_args, get_origin, get_type_hints
 
 from pydantic import ValidationError
 
@@ -65,7 +65,13 @@ def _keys(settings: Any, location: Sequence[str]) -> list[str]:
     for part in location:
         if part.isdecimal():  # of a list
             continue
+        if get_origin(settings) is dict:  # of tables by names of one's own
+            settings = get_args(settings)[1]
+            continue
         field: Any = next(each for each in dataclasses.fields(settings) if each.name == part)
         has_factory = field.default_factory is not dataclasses.MISSING
-        settings = field.default_factory if has_factory else field.default[0]
+        if field.default_factory is dict:
+            settings = get_type_hints(settings)[part]
+        else:
+            settings = field.default_factory if has_factory else field.default[0]
     return [field.name for field in dataclasses.fields(settings) if field.name != "name"]

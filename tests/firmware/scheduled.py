@@ -5,6 +5,8 @@ from __future__ import annotations
 import math
 from dataclasses import replace
 
+import numpy as np
+
 from firmware_model.design.actuator_dynamics import IDEAL, Stage, behind
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.mismatch import Mismatch
@@ -12,6 +14,10 @@ from firmware_model.design.plants import Plant, steer_by_wire
 from firmware_model.design.vehicle import TABLE_3_2
 from firmware_model.discretisation.schedules import AtSpeed, Scheduled, schedule
 from firmware_model.discretisation.targets import Target
+from firmware_model.target import controller
+from firmware_model.target.layout import precision_of
+from firmware_model.target.schedule import STATE, change_speed
+from firmware_model.target.structs import record_type
 
 TICK_S = 1e-3
 LAGS = (Stage(0.005), Stage(0.015), IDEAL)
@@ -40,3 +46,16 @@ def scheduled(
         made = design(car(speed, stages), specification)
         designs.append(AtSpeed(speed, made, replace(target, mismatch=known), others))
     return schedule(designs)
+
+
+class Blended:
+    """A working table with its state, and the record of the blending."""
+
+    def __init__(self, of: Scheduled) -> None:
+        self.schedule = of.schedule
+        self.table = np.array([of.table])[0]
+        self.state = controller.init(self.table)[0]
+        self.own = np.zeros(1, record_type(STATE, precision_of(of.table)))[0]
+
+    def to(self, speed: float) -> None:
+        change_speed(self.schedule, self.own, self.table, self.state, speed)

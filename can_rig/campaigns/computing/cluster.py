@@ -24,6 +24,9 @@ from can_rig.errors import RigError, one_line, require
 PATIENCE_S: Final = 30.0
 """For the scheduler to answer, and for its first worker."""
 
+ABSENCE_S: Final = 120.0
+"""For workers to come back when all have gone."""
+
 _ONE_AT_A_TIME: Final = Lock()
 """Threads of a worker share what is remembered of a scenario, and one core's worth of Python."""
 
@@ -72,10 +75,11 @@ class _Cluster:
                 future = self._submit(task)
                 running[future] = task
                 completed.add(future)
+            self._wait_for(completed, running)
             future = next(completed)
             task = running.pop(future)
             try:
-                rows = future.result()
+                rows = self._result(future)
             except KilledWorker:
                 deaths = deaths_after(deaths, task)
                 todo.put_back([task])
@@ -87,6 +91,47 @@ class _Cluster:
             else:
                 deaths = 0
                 yield task, rows
+
+    def _wait_for(self, completed: Any, running: Iterable[Any]) -> None:
+        """Until one of ``running`` is completed.
+
+        Raises:
+            RigError: see ``_require_workers``.
+        """
+        from distributed import wait  # noqa: PLC0415 (an extra)
+
+        while not completed.has_ready():
+            try:
+                with self._client.as_current():
+                    wait(list(running), timeout=ABSENCE_S, return_when="FIRST_COMPLETED")
+            except TimeoutError:
+                self._require_workers()
+
+    def _result(self, future: Any) -> list[Row]:
+        """The rows of a task, computed again where the worker that had them has gone.
+
+        Raises:
+            RigError: see ``_require_workers``. Whatever the task has raised.
+        """
+        while True:
+            try:
+                rows: list[Row] = future.result(ABSENCE_S)
+            except TimeoutError:
+                self._require_workers()
+            else:
+                return rows
+
+    def _require_workers(self) -> None:
+        """Go on waiting only where somebody may answer.
+
+        Raises:
+            RigError: all workers have gone.
+        """
+        if not self._client.nthreads():
+            raise RigError(
+                f"--scheduler {self._scheduler}: all workers have gone, and none has come back "
+                f"within {ABSENCE_S:g} s; what is done is kept, and --resume goes on"
+            )
 
     def _wanted(self) -> int:
         """Tasks that are given out at once; workers come and go."""

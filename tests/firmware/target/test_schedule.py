@@ -14,25 +14,10 @@ from firmware_model.discretisation.sections import Sections
 from firmware_model.firmware import Firmware
 from firmware_model.target import controller
 from firmware_model.target.filters.biquad import advance, at_rest
-from firmware_model.target.layout import precision_of
-from firmware_model.target.schedule import STATE, change_speed, place_of
-from firmware_model.target.structs import record_type
-from tests.firmware.scheduled import SPEEDS, TARGET, TICK_S, car, scheduled
+from firmware_model.target.schedule import place_of
+from tests.firmware.scheduled import SPEEDS, TARGET, TICK_S, Blended, car, scheduled
 
 OF = scheduled(cars=1)
-
-
-class Blended:
-    """A working table with its state, and the record of the blending."""
-
-    def __init__(self, of):
-        self.schedule = of.schedule
-        self.table = np.array([of.table])[0]
-        self.state = controller.init(self.table)[0]
-        self.own = np.zeros(1, record_type(STATE, precision_of(of.table)))[0]
-
-    def to(self, speed):
-        change_speed(self.schedule, self.own, self.table, self.state, speed)
 
 
 def same(one, other):

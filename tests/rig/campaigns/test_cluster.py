@@ -38,7 +38,7 @@ def planned(**values: Any) -> Plan:
 def address() -> Iterator[str]:
     """Of a cluster in this process: a scheduler, and a worker with two threads."""
     with LocalCluster(
-        n_workers=1, threads_per_worker=2, processes=False, dashboard_address=None, protocol="tcp"
+        n_workers=1, threads_per_worker=2, processes=False, dashboard_address=":0", protocol="tcp"
     ) as local:
         yield local.scheduler_address
 
@@ -63,10 +63,10 @@ def test_a_worker_that_dies_costs_nothing_and_one_that_always_dies_ends_it(
     deaths = iter([True, True, False, *[True] * 5])
     result = Future.result
 
-    def dying(future: Any) -> Any:
+    def dying(future: Any, timeout: float) -> Any:
         if next(deaths):
             raise KilledWorker("a task", None, 3)
-        return result(future)
+        return result(future, timeout)
 
     monkeypatch.setattr(Future, "result", dying)
     with on_cluster(planned(), address) as compute:
@@ -74,6 +74,28 @@ def test_a_worker_that_dies_costs_nothing_and_one_that_always_dies_ends_it(
         assert (task, rows[0]["run"]) == (Task(0, 1), 0)
         with pytest.raises(RigError, match="runs 1 to 1: the worker died 5 times"):
             list(compute([Task(1, 2)]))
+
+
+def test_a_cluster_that_all_workers_have_left_is_one_line(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    monkeypatch.setattr(cluster, "ABSENCE_S", 0.5)
+    with (
+        LocalCluster(
+            n_workers=1,
+            threads_per_worker=1,
+            processes=False,
+            dashboard_address=None,
+            protocol="tcp",
+        ) as local,
+        on_cluster(planned(), local.scheduler_address) as compute,
+    ):
+        rows = compute([Task(0, 1), Task(1, 2), Task(2, 3)])
+        assert next(rows)[0] == Task(0, 1)
+        local.scale(0)
+        with pytest.raises(RigError, match=r"all workers have gone, .* 0\.5 s; .* --resume"):
+            while True:
+                next(rows)
 
 
 def test_other_versions_are_refused_in_a_line() -> None:

@@ -152,6 +152,7 @@ def test_a_seed_of_one_s_own_stays() -> None:
         ({"sampling": "grid", "axes": MASS}, "must have points"),
         ({"runs": 3, "axes": {"plant.mas_kg": {"range": [1.0, 2.0]}}}, "mas_kg: unknown key"),
         ({"runs": 3, "axes": {"plant.mas_kg": {"share": 0.1}}}, "mas_kg: unknown key"),
+        ({"runs": 3, "axes": {"plant.mass_kg": {"shar": 0.1}}}, "shar: unknown key; did you mean"),
         ({"runs": 3, "axes": {"seed": {"share": 0.1}}}, "must be a number other than 0"),
         ({"runs": 3, "settings": {"tick": 1}}, "tick: unknown key"),
         ({"runs": 3, "scenario": "nowhere"}, "no such scenario"),

@@ -9,12 +9,12 @@ import numpy as np
 import pytest
 from numba.core import types as nb
 
-from can_rig.export.law import law_program
+from can_rig.export.law import law_program, speed_program
 from can_rig.export.translation.program import Typed
 from can_rig.export.translation.types import BOOL, REAL, Answers, Array, Record, Scalar, Type
 from firmware_model.target.structs import Precision, record_type
 
-PROGRAM = law_program()
+FUNCTIONS = {**law_program().functions, **speed_program().functions}
 
 
 def as_numba(kind: Type, precision: Precision) -> Any:
@@ -60,9 +60,9 @@ def compiled_types(typed: Typed, precision: Precision) -> tuple[dict[str, Any], 
 
 @pytest.mark.long
 @pytest.mark.parametrize("precision", ["float64", "float32"])
-@pytest.mark.parametrize("name", PROGRAM.functions)
+@pytest.mark.parametrize("name", FUNCTIONS)
 def test_types_are_those_of_numba(name: str, precision: Precision) -> None:
-    typed = PROGRAM.functions[name]
+    typed = FUNCTIONS[name]
     found, returned = compiled_types(typed, precision)
     for variable, kind in found.items():
         local = variable.removeprefix("arg.").split(".")[0]
