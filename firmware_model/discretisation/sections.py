@@ -118,10 +118,10 @@ def make_up_gain(sections: Sections) -> FloatArray:
     a, b, c, d, reached = realisation(sections)
     energy = _energy(a, c)
     above, below = d * c + b @ energy @ a, d * d + b @ energy @ b
-    gain = np.zeros(2 * len(sections.coefficients))
+    gain = np.zeros((len(sections.coefficients), 2))
     if below > 0.0:
-        gain[reached] = above / below
-    return gain.reshape(-1, 2)
+        gain.flat[reached] = above / below
+    return gain
 
 
 def _by_two(roots: Sequence[complex] | ComplexArray) -> list[list[complex]]:

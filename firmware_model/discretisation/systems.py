@@ -7,7 +7,6 @@ imported here. A state space is never expanded into polynomials.
 from __future__ import annotations
 
 import cmath
-import math
 from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
@@ -23,6 +22,9 @@ from firmware_model.target.structs import FloatArray
 
 ROUNDING = 100 * np.finfo(np.float64).eps
 """Relative distance within which two roots of another library are a conjugate pair."""
+
+PROBED = cmath.exp(1j)
+"""Direction in s in which responses are compared: at π/4 or π/2 a root may well be."""
 
 WANTED = (
     "must be a TransferFunction or StateSpace of python-control or scipy.signal, a ZerosPolesGain, "
@@ -79,24 +81,23 @@ class StateSpace:
         if not markov:
             return ZeroPoleGain.constant(0.0)
         held = a - b @ (rows[-1:] @ a) / markov
-        directions = rows / np.linalg.norm(rows, axis=1, keepdims=True)
-        silent = linalg.qr(directions.T)[0][:, len(rows) :]
+        silent = linalg.qr(rows.T)[0][:, len(rows) :]
         found = linalg.eigvals(silent.T @ held @ silent) if silent.size else np.empty(0)
         candidates = (found, refined(a, b, c, poles, found))
-        return min((self._matched(zeros, poles) for zeros in candidates), key=self._distance)
+        return min((self._matched(zeros, poles) for zeros in candidates), key=self.distance)
 
     def _matched(self, zeros: Iterable[complex], poles: ComplexArray) -> ZeroPoleGain:
         """With the gain that is right where zeros and poles lie, not at infinity."""
         size = np.abs(poles[poles != 0.0])
-        probe = cmath.rect(float(np.exp(np.log(size).mean())) if size.size else 1.0, math.pi / 4.0)
+        probe = PROBED * float(np.exp(np.log(size).mean())) if size.size else PROBED
         shape = np.prod([probe - q for q in zeros]) / np.prod([probe - p for p in poles])
         gain = (self(np.array([probe])).item() / shape).real
         return ZeroPoleGain(tuple(zeros), tuple(poles), gain)
 
-    def _distance(self, g: ZeroPoleGain) -> float:
-        """How far ``g`` is from this system, relatively, where its roots show."""
+    def distance(self, g: ZeroPoleGain) -> float:
+        """The largest relative error of ``g`` as far from the origin as each of its roots."""
         sizes = np.abs([*g.zeros, *g.poles])
-        points = cmath.rect(1.0, math.pi / 4.0) * np.unique(sizes[sizes > 0.0])
+        points = PROBED * np.unique(sizes[sizes > 0.0])
         with np.errstate(all="ignore"):
             return float(np.nan_to_num(np.abs(g(points) / self(points) - 1.0)).max(initial=0.0))
 

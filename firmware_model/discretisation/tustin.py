@@ -98,7 +98,7 @@ def _held_exactly(g: ZeroPoleGain, tick_s: float) -> DeltaRoots:
     if (poles.real > 0.0).any():
         probe = 2.0 * float(middle.max())  # right of all poles
     scale = np.prod([probe - p for p in poles]) / np.prod([probe - q for q in zeros])
-    gain = (response(system, np.array([probe + 0j])).item() * scale).real
+    gain = (response(system, np.array([probe], np.complex128)).item() * scale).real
     return zeros, [complex(pole) for pole in poles], float(gain)
 
 

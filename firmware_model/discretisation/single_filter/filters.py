@@ -55,10 +55,10 @@ class Filter:
         self.prewarp_rad_per_s = prewarp_rad_per_s
         self.precision = precision
         self._cascades = np.zeros(1, record_type(biquad.CONSTANTS, precision))
-        self.cascade: Record = self._cascades[0]
-        self.cascade.n = len(stored)
-        self.cascade.coefficients[: len(stored)] = stored
+        self._cascades["n"] = len(stored)
+        self._cascades["coefficients"][0, : len(stored)] = stored
         self._cascades.flags.writeable = False
+        self.cascade: Record = self._cascades[0]  # a record taken earlier could still be written
         self._states = np.zeros(1, record_type(biquad.STATE, precision))
 
     def in_precision(self, precision: Precision) -> Filter:
@@ -99,8 +99,7 @@ class Filter:
 
     def frequency_response(self, rad_per_s: ArrayLike) -> ComplexArray:
         """H(e^{jωT}) of the stored coefficients at ω, an array of any shape, in rad/s."""
-        half = 0.5 * np.asarray(rad_per_s, np.float64) * self.tick_s
-        return self.sections.at_delta(2j * np.sin(half) * np.exp(1j * half))  # e^{jωT} - 1
+        return self.sections.at_delta(_on_circle(np.asarray(rad_per_s, np.float64) * self.tick_s))
 
     @property
     def poles(self) -> ComplexArray:
@@ -116,7 +115,7 @@ class Filter:
     @property
     def dc_gain(self) -> float:
         """The limit for z → 1; an infinity where the filter integrates."""
-        gain, zeros = 1.0, 0
+        gain, zeros = 1.0, 0.0
         for above, below in map(_fraction, self.sections.coefficients):
             (numerator, order), (denominator, poles) = _lowest(above), _lowest(below)
             gain *= numerator / denominator
@@ -244,8 +243,7 @@ def _stored(coefficients: FloatArray, precision: Precision) -> FloatArray:
 def _spread(sections: Sections) -> Sections:
     """The same filter with gains of the same size in all sections, by powers of two."""
     poles = np.angle(sections.poles)
-    angles = np.concatenate([np.abs(poles[poles != 0.0]), [1e-9, math.pi / 2.0, math.pi]])
-    delta = 2j * np.sin(angles / 2.0) * np.exp(0.5j * angles)
+    delta = _on_circle(np.array([*poles[poles > 0.0], 1e-9, math.pi / 2.0, math.pi]))
     exponents = []
     for row in sections.coefficients:
         with np.errstate(divide="ignore", invalid="ignore"):  # a pole on the circle
@@ -258,17 +256,23 @@ def _spread(sections: Sections) -> Sections:
     return Sections(coefficients, sections.tick_s)
 
 
+def _on_circle(angles: FloatArray) -> ComplexArray:
+    """e^{jθ} - 1 at θ in radians, any shape, with all digits near θ = 0."""
+    half = 0.5 * angles
+    return np.asarray(2j * np.sin(half) * np.exp(1j * half))
+
+
 def _fraction(row: FloatArray) -> tuple[Sequence[float], Sequence[float]]:
     """Numerator and denominator in δ, without the δ/δ of a section of lower order."""
     above, below = [float(b) for b in row[:3]], [1.0, *(float(a) for a in row[3:])]
-    while len(below) > 1 and above[-1] == 0.0 and below[-1] == 0.0:
+    while above[-1] == 0.0 and below[-1] == 0.0:
         del above[-1], below[-1]
     return above, below
 
 
-def _lowest(polynomial: Sequence[float]) -> tuple[float, int]:
-    """The coefficient of the lowest power of δ that is there, and that power."""
+def _lowest(polynomial: Sequence[float]) -> tuple[float, float]:
+    """The coefficient of the lowest power of δ that is there, and that power; of zero, 0 and ∞."""
     for power, coefficient in enumerate(reversed(polynomial)):
         if coefficient != 0.0:
             return coefficient, power
-    return 0.0, 0
+    return 0.0, math.inf

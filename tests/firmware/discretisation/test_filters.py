@@ -14,6 +14,7 @@ import firmware_model
 from firmware_model import Filter, discretise
 from firmware_model.design.plants import steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.discretisation.sections import Sections
 from firmware_model.discretisation.tustin import tustin, tustin_held, zoh
 from firmware_model.errors import ImproperError, ParameterError
 
@@ -129,6 +130,63 @@ def test_a_slow_filter_of_high_order_fits_float32() -> None:
     )
     with pytest.raises(ParameterError, match="outside the range of float32"):
         discretise(ZeroPoleGain((), (-1e-18,), 1e-36), 1e-25, precision="float32")
+
+
+def test_its_constants_can_only_be_read() -> None:
+    made = discretise(LOW_PASS, TICK_S)
+    with pytest.raises(ValueError, match="read-only"):
+        made.cascade.n = 2
+    with pytest.raises(ValueError, match="read-only"):
+        made.cascade.coefficients[0, 0] = 2.0
+    assert made.cascade.n == 1
+
+
+def test_a_tick_of_any_type_is_computed_with_in_float64() -> None:
+    tick_s = np.float32(TICK_S)
+    made, same = discretise(BUTTERWORTH, tick_s), discretise(BUTTERWORTH, float(tick_s))  # type: ignore[arg-type]
+    assert np.array_equal(made.sections.coefficients, same.sections.coefficients)
+
+
+def test_the_smallest_normal_number_is_held() -> None:
+    least = float(np.finfo(np.float32).tiny)
+    rows = np.array([[least, 0.0, 0.0, 0.0, 0.0]])
+    assert Filter(Sections(rows, TICK_S), "tustin", None, "float32").dc_gain == least
+    with pytest.raises(ParameterError, match="outside the range of float32"):
+        Filter(Sections(0.5 * rows, TICK_S), "tustin", None, "float32")
+
+
+def test_nothing_integrated_is_nothing() -> None:
+    rows = np.array([[0.0, 0.0, 0.0, -0.5, 0.0], [0.0, 1.0, 0.0, 0.0, 0.0]])
+    assert Filter(Sections(rows, TICK_S), "tustin", None, "float64").dc_gain == 0.0
+
+
+SECOND = {
+    "resonance": (1.0, 2e-4, 1.0),
+    "integrators": (1.0, 0.0, 0.0),
+    "lags": (1.0, 2400.0, 1.28e6),
+}
+
+
+@pytest.mark.parametrize("second", SECOND)
+@pytest.mark.parametrize("num", [[1e-12], [1.0, 0.0], [1e12, 0.0, 0.0]])
+def test_all_sections_have_gains_of_the_same_size(second: str, num: list[float]) -> None:
+    """The largest of each, on the circle from 1e-9 rad on, within a few powers of two."""
+    den = np.polymul(np.polymul(SECOND[second], [1.0, 20.0, 1e6]), [1.0, 30.0, 9e4])
+    made = discretise((num, den), TICK_S)
+    angles = np.concatenate([np.geomspace(1e-9, math.pi, 500), np.abs(np.angle(made.poles))])
+    delta = np.expm1(1j * angles[angles > 0.0])
+    peaks = [
+        np.abs(Sections(row[None].copy(), TICK_S).at_delta(delta)).max()
+        for row in made.sections.coefficients
+    ]
+    assert len(peaks) == 3
+    assert max(peaks) / min(peaks) < 8.0
+
+
+def test_its_c_says_what_it_is() -> None:
+    made = discretise(BUTTERWORTH, TICK_S)
+    first = made.to_c()["filter.h"].splitlines()[0]
+    assert first == f"/* {str(made).removeprefix('<').removesuffix('>')}"
 
 
 REFUSED: dict[str, tuple[dict[str, Any], str]] = {

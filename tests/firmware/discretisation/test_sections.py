@@ -2,12 +2,16 @@
 
 from __future__ import annotations
 
+from itertools import product
+
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_model.discretisation.sections import Sections, from_delta_zpk
+from firmware_model.discretisation.sections import Sections, from_delta_zpk, realisation
+from firmware_model.target.filters import biquad
+from firmware_model.target.structs import record_type
 
 coefficient = st.sampled_from([0.0, 0.5, -0.7, 1.0, 2.0])
 row = st.tuples(*[coefficient] * 5)
@@ -59,3 +63,33 @@ def test_of_a_pair_and_a_single_pole_the_nearer_gets_the_zero() -> None:
     rows = from_delta_zpk((-5.5,), poles, 1.0, 1e-3).coefficients
     np.testing.assert_allclose(rows[0], [0.0, 1.0, 5.5, 12.0, 37.0])
     np.testing.assert_allclose(rows[1], [0.0, 1.0, 0.0, 3.5, 0.0])
+
+
+ZERO_OR_NOT = list(product([0.0, 0.25], repeat=4))
+
+
+@pytest.mark.parametrize("row", ZERO_OR_NOT)
+def test_standard_sections_are_the_same_fractions(row: tuple[float, ...]) -> None:
+    """In powers of 1/z, whichever coefficients are zero."""
+    sections = Sections(np.array([[0.5, *row]]), 1e-3)
+    sos = sections.sos[0]
+    back = 1.0 / OFF_THE_POLES
+    expected = np.polyval(sos[2::-1], back) / np.polyval(sos[:2:-1], back)
+    np.testing.assert_allclose(sections(OFF_THE_POLES), expected, rtol=1e-12)
+    _, b2, _, a2 = row
+    if b2 == a2 == 0.0:  # and of first order where they are
+        assert sos[2] == sos[5] == 0.0
+
+
+@pytest.mark.parametrize("row", ZERO_OR_NOT)
+def test_the_realisation_has_the_accumulators_that_leave_zero(row: tuple[float, ...]) -> None:
+    """In a run of the firmware's cascade, of which this is the second section."""
+    rows = np.array([[0.5, 0.3, 0.0, 0.2, 0.0], [0.5, *row]])
+    cascade = np.zeros(1, record_type(biquad.CONSTANTS, "float64"))[0]
+    cascade.n, cascade.coefficients[:2] = 2, rows
+    state = biquad.at_rest("float64")
+    for u in (1.0, 0.3, -0.7):
+        biquad.advance(cascade, state, u)
+    moved = np.flatnonzero(state.accumulators[:2])
+    *_, reached = realisation(Sections(rows, 1e-3))
+    assert reached == moved.tolist()

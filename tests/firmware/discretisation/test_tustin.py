@@ -192,13 +192,18 @@ def test_a_held_input_passes_with_one_tick_of_delay(rule: Rule) -> None:
     assert rule(FILTERS["G2 of the car"], 1e-3).feedthrough == 0.0
 
 
-def test_zoh_of_integrators_equals_the_textbook() -> None:
+def test_zoh_of_integrators_and_growth_equals_the_textbook() -> None:
     """Partial fractions, each held: k/s is kT/(z-1), k/(s+a) is k/a (1 - e^{-aT})/(z - e^{-aT})."""
     tick_s, z = 0.01, np.array([1.3 + 0.2j, -0.7 + 0.9j])
     lag = (1.0 - math.exp(-2.0 * tick_s)) / (z - math.exp(-2.0 * tick_s))
     once = tick_s / (z - 1.0)
     twice = tick_s**2 / 2.0 * (z + 1.0) / (z - 1.0) ** 2
+    unstable = [  # of δ = e^{aT} - 1 = √2 also 2/δ is the pole
+        (ZeroPoleGain((), (at / tick_s,), at / tick_s), math.expm1(at) / (z - math.exp(at)))
+        for at in (0.01, math.asinh(1.0), 3.0)
+    ]
     for g, expected in (
+        *unstable,
         (ZeroPoleGain((), (0.0,), 3.0), 3.0 * once),
         (ZeroPoleGain((), (0.0, 0.0), 3.0), 3.0 * twice),
         (ZeroPoleGain((-1.0,), (0.0, -2.0), 1.0), once / 2.0 + lag / 4.0),
