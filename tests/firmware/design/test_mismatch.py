@@ -103,3 +103,11 @@ def test_what_shows_nothing_is_no_direction_and_there_is_room_for_so_many(most: 
 def test_without_parameters_the_model_is_trusted() -> None:
     assert made(0, lambda place: lag_at(0.0, 0.0)) == (TRUSTED, [])
     assert TRUSTED.cars == ()
+
+
+def test_each_car_stands_at_its_place() -> None:
+    found, _ = made(2, lambda place: lag_at(*place))
+    assert len(found.cars) == len(found.places) == 2
+    for (g1, _), place in zip(found.cars, found.places, strict=True):
+        assert g1(1j) == pytest.approx(lag_at(*place)(1j), rel=1e-14)
+    assert TRUSTED.places == []
