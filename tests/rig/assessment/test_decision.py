@@ -99,7 +99,7 @@ def test_the_words_say_the_box() -> None:
     assert "confirmed after" in lines[0] and "at most 0.001 false alarms an hour" in lines[0]
     assert lines[1] == "other cars: within ±20% of the model are not taken for a loss"
     none = list(figures(load("thesis-step")).describe(load("thesis-step")))
-    assert "none: budget.box says by how much" in none[1]
+    assert "none (budget.box = 0): one that is not the model may be taken for a loss" in none[1]
 
 
 @pytest.mark.long
