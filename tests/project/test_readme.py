@@ -42,7 +42,7 @@ def test_the_files_of_a_run_folder_are_named() -> None:
             assert f"`{name}`" in page
 
 
-def test_both_pictures_are_there() -> None:
+def test_the_pictures_are_there() -> None:
     pictures = re.findall(r"!\[[^]]+\]\(([^)]+)\)", README)
-    assert pictures == ["docs/run.png", "docs/architecture.svg"]
+    assert pictures == ["docs/run.png", "docs/architecture.svg", "docs/campaign.png"]
     assert all((ROOT / picture).is_file() for picture in pictures)
