@@ -26,7 +26,9 @@ def over_time(file: str, where: str, column: str) -> tuple[FloatArray, FloatArra
         lines = Path(file).read_text(encoding="utf-8-sig").splitlines()
         with warnings.catch_warnings(action="ignore"):  # no rows: refused below
             rows = np.genfromtxt(lines, delimiter=",", ndmin=2)
-    except (OSError, ValueError) as error:
+    except OSError as error:
+        raise ScenarioError(f"{where}: cannot be read: {error.strerror}") from None
+    except ValueError as error:
         raise ScenarioError(f"{where}: {' '.join(str(error).split())}") from None
     if len(rows) > 1 and np.isnan(rows[0]).all():
         rows = rows[1:]  # the header
