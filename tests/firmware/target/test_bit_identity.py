@@ -4,10 +4,6 @@ from __future__ import annotations
 
 import itertools
 import math
-import os
-import subprocess
-import sys
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -20,9 +16,9 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.target import controller
 from firmware_model.target.status import FaultState, Mode
+from tests.firmware.both_ways import lines_compiled_and_interpreted
 from tests.firmware.target.cases import other_cars
 
-ROOT = str(Path(__file__).parents[3])
 TICK_S, TICKS, LOST, BACK = 1e-3, 420, 120, 250
 CAR = steer_by_wire()
 PLANT = sample(CAR, TICK_S)
@@ -75,16 +71,7 @@ CASES = list(itertools.product(TARGETS, ("float32", "float64")))
 
 @pytest.mark.long
 def test_compiled_and_interpreted_states_are_bit_identical() -> None:
-    outputs = [
-        subprocess.run(
-            [sys.executable, __file__],
-            check=True,
-            capture_output=True,
-            text=True,
-            env={**os.environ, "NUMBA_DISABLE_JIT": flag, "PYTHONPATH": ROOT},
-        ).stdout.splitlines()
-        for flag in ("0", "1")
-    ]
+    outputs = lines_compiled_and_interpreted(__file__)
     compiled, interpreted = outputs
     assert len(compiled) == len(interpreted) == len(CASES) * TICKS
     different = [

@@ -4,12 +4,8 @@ from __future__ import annotations
 
 import hashlib
 import math
-import os
-import subprocess
-import sys
 from collections.abc import Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -17,9 +13,9 @@ import pytest
 from firmware_model.target import controller
 from firmware_model.target.schedule import STATE, change_speed
 from firmware_model.target.structs import Precision, record_type
+from tests.firmware.both_ways import lines_compiled_and_interpreted
 from tests.firmware.scheduled import SPEEDS, TARGET, scheduled
 
-ROOT = str(Path(__file__).parents[3])
 TICKS = 60
 PRECISIONS: tuple[Precision, ...] = ("float32", "float64")
 
@@ -40,16 +36,7 @@ def digests(precision: Precision) -> Iterator[str]:
 
 @pytest.mark.long
 def test_a_drive_is_bit_identical_compiled_and_interpreted() -> None:
-    outputs = [
-        subprocess.run(
-            [sys.executable, __file__],
-            check=True,
-            capture_output=True,
-            text=True,
-            env={**os.environ, "NUMBA_DISABLE_JIT": flag, "PYTHONPATH": ROOT},
-        ).stdout.splitlines()
-        for flag in ("0", "1")
-    ]
+    outputs = lines_compiled_and_interpreted(__file__)
     assert len(set(outputs[0])) == len(PRECISIONS) * TICKS
     assert outputs[0] == outputs[1]
 
