@@ -28,6 +28,11 @@ class Answer(NamedTuple):
 Step = Callable[[float, float], tuple[float, float, float, int, int]]
 """From reference and measurement to what ``controller.step_first`` answers."""
 
+Memories = tuple[RecordArray, RecordArray, RecordArray, RecordArray]
+"""Constants and state of ``schedule``, table and state of ``controller``, each in an array."""
+
+ChangeSpeed = Callable[[float], None]
+
 
 class Law(Protocol):
     """The control law as something that runs."""
@@ -41,15 +46,8 @@ class Law(Protocol):
     def reset(self, table: Record, state: Record, reference: float) -> None:
         """See ``controller.reset``."""
 
-    def change_speed(
-        self,
-        schedules: RecordArray,
-        owns: RecordArray,
-        tables: RecordArray,
-        states: RecordArray,
-        speed: float,
-    ) -> None:
-        """See ``schedule.change_speed``, for the first of each array."""
+    def change_speed_of(self, memories: Memories) -> ChangeSpeed:
+        """``schedule.change_speed`` for the first of each array."""
 
 
 class PythonLaw:
@@ -67,16 +65,9 @@ class PythonLaw:
         """See ``Law``."""
         controller.reset(table, state, reference)
 
-    def change_speed(
-        self,
-        schedules: RecordArray,
-        owns: RecordArray,
-        tables: RecordArray,
-        states: RecordArray,
-        speed: float,
-    ) -> None:
+    def change_speed_of(self, memories: Memories) -> ChangeSpeed:
         """See ``Law``."""
-        schedule.change_first_speed(schedules, owns, tables, states, speed)
+        return partial(schedule.change_first_speed, *memories)
 
 
 PYTHON_LAW = PythonLaw()
@@ -98,8 +89,12 @@ class Firmware:
         self._tables[0] = table
         self._states = law.init(self._tables[0])
         self._step = law.step_of(self._tables, self._states)
-        self._speeds = None if speeds is None else np.array([speeds], speeds.dtype)
-        self._blending = np.zeros(1, record_type(schedule.STATE, precision_of(table)))
+        self._change_speed: ChangeSpeed | None = None
+        if speeds is not None:
+            blending = np.zeros(1, record_type(schedule.STATE, precision_of(table)))
+            constants = np.array([speeds], speeds.dtype)
+            self._memories = (constants, blending, self._tables, self._states)  # C has addresses
+            self._change_speed = law.change_speed_of(self._memories)
 
     def step(self, reference: float, measurement: float) -> Answer:
         """One tick; see ``controller.step``."""
@@ -114,9 +109,8 @@ class Firmware:
 
     def change_speed(self, speed: float) -> None:
         """Before the ``step`` of a tick: the speed of the car, m/s; not a number: as it was."""
-        if self._speeds is not None:
-            memory = (self._speeds, self._blending, self._tables, self._states)
-            self._law.change_speed(*memory, speed)
+        if self._change_speed is not None:
+            self._change_speed(speed)
 
     def move(self, sections: FloatArray) -> None:
         """Add a motion of the plant to F1 that no command of this controller caused.

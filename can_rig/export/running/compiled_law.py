@@ -7,6 +7,7 @@ from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,7 @@ import numpy as np
 from can_rig.errors import ExportError
 from can_rig.export.law import CHANGE_SPEED, ENTRIES, law_files, speed_files
 from can_rig.export.running.compiler import shared_library
-from firmware_model.firmware import Step
+from firmware_model.firmware import ChangeSpeed, Memories, Step
 from firmware_model.target.layout import precision_of, state_type
 from firmware_model.target.structs import Precision, Record, RecordArray
 
@@ -26,7 +27,7 @@ class CompiledLaw:
         precision: of its real numbers.
         library: compiled from ``law_files(precision)``, and ``speed_files(precision)`` where speeds
             change; None: compiled here.
-        changes_speed: whether ``change_speed`` is called.
+        changes_speed: whether ``change_speed_of`` is called.
 
     Raises:
         ExportError: it cannot be compiled or loaded.
@@ -82,17 +83,10 @@ class CompiledLaw:
         """As ``controller.reset``."""
         self._reset(_address(table), _address(state), reference)
 
-    def change_speed(
-        self,
-        schedules: RecordArray,
-        owns: RecordArray,
-        tables: RecordArray,
-        states: RecordArray,
-        speed: float,
-    ) -> None:
-        """As ``schedule.change_first_speed``."""
+    def change_speed_of(self, memories: Memories) -> ChangeSpeed:
+        """As ``schedule.change_first_speed`` for these arrays, which must be kept."""
         assert self._change_speed is not None
-        self._change_speed(*map(_address, (schedules, owns, tables, states)), speed)
+        return partial(self._change_speed, *map(_address, memories))
 
 
 def _address(memory: Record) -> int:
