@@ -155,6 +155,11 @@ class Firmware:
         return missing
 
     @property
+    def hypotheses(self) -> Record:
+        """What ``hypotheses`` makes of d̂, now and after any further ``step``; read only."""
+        return self._states[0]["hypotheses"]
+
+    @property
     def commands(self) -> tuple[float, float]:
         """The last commands, computed, held or settled."""
         state = self._states[0]

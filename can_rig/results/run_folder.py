@@ -19,6 +19,7 @@ from can_rig.nodes.summary import RunColumns
 from can_rig.results.fault_metrics import fault_metrics
 from can_rig.results.metrics import Metrics, metrics
 from can_rig.results.signals import Signals, read_signals, signals_of_columns
+from can_rig.results.whose_fault import whose_fault, with_verdict
 from can_rig.scenario.settings import Scenario
 
 LOG, SIGNALS, SUMMARY = "bus.log", "signals.csv", "run.json"
@@ -47,6 +48,8 @@ class Outcome:
     bus_events: dict[str, dict[str, int]] = field(default_factory=dict)
     faults: list[dict[str, Any]] = field(default_factory=list)
     """What each fault did, from the log."""
+    whose_fault: dict[str, dict[str, Any]] = field(default_factory=dict)
+    """Each verdict that was a fault; see ``results.whose_fault``."""
     realtime: dict[str, Any] | None = None
     """Of a real-time run; empty where it ended without figures."""
 
@@ -160,6 +163,8 @@ def finish(
         signals = signals_of_columns(columns, network, scenario.tick_s, folder / LOG)
     values = metrics(scenario, signals)
     outcome.faults = fault_metrics(scenario, signals)
+    signals = with_verdict(scenario, network, signals)
+    outcome.whose_fault = whose_fault(scenario, signals)
     summary: dict[str, Any] = {
         "scenario": (recorded or scenario).as_dict(),
         "seed": scenario.seed,

@@ -48,6 +48,8 @@ class Signals:
     fault_state: FloatArray
     plant: PlantSignals = field(default_factory=dict)
     """What the plant reported besides, by name; nothing where there is only a log."""
+    whose_fault: PlantSignals = field(default_factory=dict)
+    """The verdict on whose fault it is, and the evidence; see ``results.whose_fault``."""
 
     @property
     def error_mps2(self) -> FloatArray:
@@ -58,12 +60,13 @@ class Signals:
         return len(self.time_s)
 
     def write_csv(self, path: Path) -> None:
-        """The contract's columns, then the plant's; an empty cell where nothing was said."""
+        """The contract's columns, the plant's, the verdict's; an empty cell: nothing was said."""
         columns = [getattr(self, name).tolist() for name in ON_THE_BUS]
-        columns += [column.tolist() for column in self.plant.values()]
+        further = self.plant | self.whose_fault
+        columns += [column.tolist() for column in further.values()]
         whole = ",".join(["%.10g"] * len(columns)) + "\n"
         with path.open("w", encoding="ascii", newline="\n") as file:
-            file.write(",".join((*ON_THE_BUS, *self.plant)) + "\n")
+            file.write(",".join((*ON_THE_BUS, *further)) + "\n")
             for row in zip(*columns, strict=True):
                 line = whole % row
                 file.write(line if "nan" not in line else ",".join(map(cell, row)) + "\n")

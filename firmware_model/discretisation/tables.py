@@ -49,6 +49,9 @@ RULE_ERROR = {"zoh": 0.0, "tustin": 1.0, "tustin-held": 1.0}  # of a tick's chan
 # rms, in units of the measurement, that rounding leaves of a perfect sensor
 NO_NOISE: dict[Precision, float] = {"float64": 1e-9, "float32": 1e-6}
 LEAST_EVIDENCE = 1.0  # log-likelihood ratio of about 3 to 1
+AHEAD = 2.0  # times the evidence of any other place, where a fault is found
+LEAST_SHARE, MOST_SHARE = 0.5, 1.5  # of a lost force; of a channel that another car may have
+LEAST_CHANCE = 1e-6  # of a number that is repeated: no sensor is finer
 PROBE_PERIODS = 2  # the half phase of ``probe`` goes once around
 PROBE_SHARE = 0.4  # missing that confirms; a car that is 20 % off looks like 0.3 at 10 rad/s
 
@@ -109,6 +112,7 @@ def build(design: ContinuousDesign, target: Target) -> Record:
         shortfall.gain[: len(model.coefficients)] = make_up_gain(model)
     _fill_decision(table, target)
     _fill_mismatch(table, target)
+    _fill_hypotheses(table, target)
     if target.probe > 0.0:
         _fill_probe(table.probe, target)
     tables.flags.writeable = False
@@ -206,6 +210,36 @@ def _fill_decision(table: Record, target: Target) -> None:
     test.needed = decision.confirm
     test.promising = decision.suspect
     test.deviations = DEVIATIONS if target.mismatch.cars else NEVER
+
+
+def _fill_hypotheses(table: Record, target: Target) -> None:
+    """What the faults may be, and when one is told from the others."""
+    constants, hypotheses = table.hypotheses, table.hypotheses.signatures
+    constants.ahead = AHEAD
+    constants.both_lost = RECOVER * table.decision.confirm
+    hypotheses.candidate.restart = RESTART
+    hypotheses.candidate.lifetime = HORIZON_S / target.tick_s
+    hypotheses.candidate.promising = table.decision.suspect
+    for limits, least, most in (
+        (constants.torque_lost, -MOST_SHARE, MOST_SHARE),
+        (hypotheses.torque_offset, -target.limit_1, target.limit_1),
+        (hypotheses.force_lost, LEAST_SHARE, MOST_SHARE),
+        (hypotheses.sensor_biased, -math.inf, math.inf),
+        (hypotheses.sensor_drifting, -math.inf, math.inf),
+        (constants.frozen.size_of_one, 1.0, 1.0),
+    ):
+        limits.least, limits.most = least, most
+    constants.frozen.repetition = _repetition(target)
+
+
+def _repetition(target: Target) -> float:
+    """-ln of the chance that the noise of two ticks in a row falls into one step of the sensor.
+
+    Their difference has a density of 1/(√(2π) σ) at most; 0 where that says nothing.
+    """
+    change = target.noise_rms * math.sqrt(2.0 * (1.0 - target.noise_pole))
+    chance = target.resolution / (math.sqrt(2.0 * math.pi) * change) if change > 0.0 else 1.0
+    return -math.log(min(max(chance, LEAST_CHANCE), 1.0))
 
 
 def _fill_mismatch(table: Record, target: Target) -> None:

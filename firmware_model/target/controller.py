@@ -36,6 +36,8 @@ from firmware_model.target.fault_decision.decision import (
     compensated_output,
     decide,
 )
+from firmware_model.target.fault_decision.hypotheses.signatures import advance_signatures
+from firmware_model.target.fault_decision.hypotheses.verdict import clear_hypotheses
 from firmware_model.target.fault_decision.loss_model import (
     advance_loss_model,
     known_share,
@@ -198,6 +200,7 @@ def advance_models(table: Record, state: Record, short_1: float, short_2: float)
     advance_loss_model(table, state)
     advance_candidate(table, state)
     advance_other_cars(table, state)
+    advance_signatures(table, state)
     advance_model(table.estimator, state.estimator, state.command_1, state.command_2)
 
 
@@ -236,6 +239,7 @@ def reset(table: Record, state: Record, reference: float) -> None:
     state.fault_state = CLEAR  # before what is lost settles: nothing is
     settle_loss_model(table, state)
     start_candidate(table, state)
+    clear_hypotheses(state)
     state.shortfall_1.accumulators[:] = 0.0
     state.shortfall_2.accumulators[:] = 0.0
     state.probe.tick = 0

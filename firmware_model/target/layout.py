@@ -18,6 +18,7 @@ from firmware_model.target.fault_decision import (
     probe,
     sequential_test,
 )
+from firmware_model.target.fault_decision.hypotheses import verdict
 from firmware_model.target.filters import compensator, estimator, shortfall, tracking
 from firmware_model.target.structs import Field, Precision, Record, record_type
 
@@ -37,6 +38,7 @@ TABLE = (
     Field("decision", "1", "on the fault state", decision.CONSTANTS),
     Field("bumpless_transfer", "1", "of F̂ to s w", bumpless_transfer.CONSTANTS),
     Field("probe", "1", "of the torque", probe.CONSTANTS),
+    Field("hypotheses", "1", "whose fault it may be", verdict.CONSTANTS),
 )  # fmt: skip
 STATE = (
     *status.STATE,
@@ -55,6 +57,7 @@ STATE = (
     Field("decision", "1", "on the fault state", decision.STATE),
     Field("bumpless_transfer", "1", "of F̂ to s w", bumpless_transfer.STATE),
     Field("probe", "1", "of the torque", probe.STATE),
+    Field("hypotheses", "1", "whose fault it may be", verdict.STATE),
 )
 
 

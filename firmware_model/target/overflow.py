@@ -7,6 +7,7 @@ import math
 from firmware_model.compiled import firmware
 from firmware_model.target.fault_decision.bumpless_transfer import release
 from firmware_model.target.fault_decision.decision import CLEAR, compensated_output
+from firmware_model.target.fault_decision.hypotheses.verdict import clear_hypotheses
 from firmware_model.target.fault_decision.loss_model import clear_loss_model
 from firmware_model.target.fault_decision.mismatch import clear_mismatch
 from firmware_model.target.fault_decision.other_cars import clear_other_cars, show_other_cars
@@ -38,6 +39,7 @@ def clear_memories(table: Record, state: Record) -> None:
     if not math.isfinite(sum_of_models(table, state)):
         clear_models(state)
     start_candidate(table, state)
+    clear_hypotheses(state)
 
 
 @firmware

@@ -33,6 +33,31 @@ class FaultState(IntEnum):
     """Channel 1 contributes so little at present that its loss would not show."""
 
 
+class Verdict(IntEnum):
+    """Whose fault it is, as far as ``hypotheses`` can tell: what explains d̂ best, by far."""
+
+    NOTHING = 0
+    """Nothing speaks for a fault."""
+    TORQUE_LOST = 1
+    """Channel 1 is lost, or a part of it."""
+    TORQUE_OFFSET = 2
+    """Channel 1 does more or less than it is told, by a constant."""
+    FORCE_LOST = 3
+    """Channel 2 is lost, or a part of it."""
+    SENSOR_BIASED = 4
+    """The sensor is off by a constant."""
+    SENSOR_DRIFTING = 5
+    """The sensor is off by more and more."""
+    SENSOR_FROZEN = 6
+    """The sensor says the same, whatever the plant does."""
+    ANOTHER_CAR = 7
+    """No fault: the plant is not the model."""
+    BOTH_LOST = 8
+    """Channel 2 is lost after channel 1."""
+    CANNOT_BE_TOLD = 9
+    """There is a fault, and more than one hypothesis that explains it."""
+
+
 STATE = (
     Field("reference", "y", "r of this tick"),
     Field("measurement", "y", "y (D*) of this tick"),

@@ -10,7 +10,7 @@ import pytest
 
 from can_rig.plant.behind import plant_behind
 from can_rig.plant.columns import ON_THE_BUS as COLUMNS
-from can_rig.plant.columns import SPEED
+from can_rig.plant.columns import EVIDENCE, SPEED, VERDICT
 from can_rig.scenario.plant_settings import PlantSettings
 from tests.project.pages import table, text_of
 from tools.scenario_keys import unit
@@ -41,7 +41,7 @@ def names(heading: str) -> list[str]:
 def test_columns_of_signals() -> None:
     car = plant_behind(PlantSettings(), 0.001)
     reported = car.report(0.0, 0.0, 1.0, 1.0)
-    assert names("column") == [*COLUMNS, *reported, SPEED]
+    assert names("column") == [*COLUMNS, *reported, SPEED, VERDICT, *EVIDENCE]
 
 
 def test_keys_of_run_json(summary: dict[str, Any]) -> None:

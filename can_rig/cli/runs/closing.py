@@ -10,6 +10,7 @@ from can_rig.nodes.realtime import timing
 from can_rig.results.fault_metrics import fault_rows
 from can_rig.results.metrics import Metrics, rows
 from can_rig.results.run_folder import Outcome
+from can_rig.results.whose_fault import verdict_rows
 from can_rig.scenario.settings import Scenario
 
 
@@ -23,6 +24,8 @@ def closing_table(scenario: Scenario, values: Metrics, outcome: Outcome, folder:
         for label, text in rows(values, scenario.plant):
             closing.add_row(label, text)
         for label, text in fault_rows(scenario, outcome.faults):
+            closing.add_row(label, text)
+        for label, text in verdict_rows(scenario, outcome.whose_fault):
             closing.add_row(label, text)
         factor = outcome.ticks_per_s * scenario.tick_s
         closing.add_row("rate", f"{outcome.ticks_per_s:.0f} ticks/s, {factor:.1f} x real time")

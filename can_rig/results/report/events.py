@@ -10,8 +10,11 @@ import numpy as np
 from can_rig.drawing.fault_words import fault_label
 from can_rig.drawing.names import names_of
 from can_rig.frames.network import Network
+from can_rig.plant.columns import VERDICT
 from can_rig.results.signals import Signals
+from can_rig.results.whose_fault import in_words
 from can_rig.scenario.settings import Scenario
+from firmware_model.target.status import Verdict
 from firmware_model.target.structs import FloatArray
 
 
@@ -36,6 +39,9 @@ def events(scenario: Scenario, network: Network, signals: Signals) -> list[Event
     found += _changes("mode", signals.time_s, signals.mode, network.status.modes)
     states = network.status.fault_states
     found += _changes("fault state", signals.time_s, signals.fault_state, states)
+    if VERDICT in signals.whose_fault:
+        words = {int(verdict): in_words(verdict, names) for verdict in Verdict}
+        found += _changes("whose fault", signals.time_s, signals.whose_fault[VERDICT], words)
     return sorted(found, key=lambda event: event.time_s)
 
 

@@ -23,6 +23,8 @@ from __future__ import annotations
 
 from firmware_model.compiled import firmware
 from firmware_model.target.fault_decision.bumpless_transfer import begin_transfer
+from firmware_model.target.fault_decision.hypotheses.signatures import begin_all
+from firmware_model.target.fault_decision.hypotheses.verdict import weigh_hypotheses
 from firmware_model.target.fault_decision.loss_model import (
     earlier_shown,
     follow_share,
@@ -97,6 +99,7 @@ def decide(table: Record, state: Record, residual: float, model_1: float, model_
     state.decision.pause = max(state.decision.pause - 1, 0)
     share = table.sequential_test.share
     update_test(table, state, new, -known_share(state) if before == CONFIRMED else share)
+    weigh_hypotheses(table, state, new, model_1 + model_2 - state.loss_model.share * w)
     proven = test.evidence > constants.confirm
     if before == CONFIRMED:
         if test.evidence > constants.recover:
@@ -183,6 +186,7 @@ def take_candidate(table: Record, state: Record, share: float, sign: float) -> N
     forget_candidate(table, state, sign * share)
     learn_loss(state.mismatch, min(constants.share_variance, doubt), moment * moment)
     start_candidate(table, state)
+    begin_all(state.hypotheses.signatures)
 
 
 @firmware

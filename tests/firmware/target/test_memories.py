@@ -12,6 +12,7 @@ from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.target import controller
+from firmware_model.target.fault_decision.hypotheses.verdict import clear_hypotheses
 from firmware_model.target.fault_decision.sequential_test import start_candidate
 from firmware_model.target.layout import STATE
 from firmware_model.target.overflow import clear_memories
@@ -117,6 +118,7 @@ def test_an_overflow_forgets_what_the_measurement_feeds_alone(on_confirmation: b
     known.covariance.upper[:] = 0.0
     known.covariance.variances[:] = [0.0, 0.0, 0.36, 0.36, 0.36, 0.36, 0.0]
     start_candidate(table, expected)
+    clear_hypotheses(expected)
     asked = {"estimator.showing_1", "estimator.showing_2", "other_cars.command_1",
              "other_cars.command_2", "other_cars.shown"}  # fmt: skip
     assert changes(state, expected) <= asked  # what each model shows of no command

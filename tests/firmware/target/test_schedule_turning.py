@@ -17,11 +17,13 @@ ONES = (  # whatever follows G1, and whatever follows G2
         lambda s: s.sequential_test.earlier,
         lambda s: s.loss_model.channel_1,
         lambda s: s.loss_model.earlier,
+        lambda s: s.hypotheses.signatures.torque_offset.answer,
         lambda s: s.other_cars.model.channel_1,
     ),
     (
         lambda s: s.estimator.channel_2,
         lambda s: s.shortfall_2,
+        lambda s: s.hypotheses.signatures.force_lost.answer,
         lambda s: s.other_cars.model.channel_2,
     ),
 )

@@ -1,0 +1,101 @@
+"""What a fault of size 1 adds to d̂ = G1 u1 + G2 u2 - y, from its onset on.
+
+A torque offset o is one more command, and shows as -G1 o. Of a lost force difference d̂ has the part
+of G2 u2 that is missing. A biased sensor adds -b to d̂ in the very tick in which the bias begins,
+where no torque ever jumps: this is what tells it from a loss. A drift is a ramp. Of a plant that is
+not stable y is M y, and so are bias and drift.
+
+A bias or a drift of now would be in d̂ of now: where that alone explains more than all since the
+present onset, the onset is now.
+"""
+
+from __future__ import annotations
+
+from firmware_model.compiled import firmware
+from firmware_model.target.fault_decision.hypotheses import candidate
+from firmware_model.target.fault_decision.hypotheses.candidate import has_failed, start, take_in
+from firmware_model.target.filters import biquad
+from firmware_model.target.filters.biquad import advance, output
+from firmware_model.target.precision import real
+from firmware_model.target.structs import Field, Record
+
+CONSTANTS = (
+    Field("candidate", "1", "when one begins again", candidate.CONSTANTS),
+    Field("torque_offset", "u1", "limits of its size", candidate.LIMITS),
+    Field("force_lost", "1", "limits of the share that is lost", candidate.LIMITS),
+    Field("sensor_biased", "y", "limits of its size", candidate.LIMITS),
+    Field("sensor_drifting", "y/tick", "limits of its size", candidate.LIMITS),
+)
+ONE = (
+    Field("candidate", "1", "how well it explains d̂", candidate.STATE),
+    Field("answer", "y", "state of what it goes through: G1, G2 or M", biquad.STATE),
+)
+STATE = (
+    Field("torque_offset", "u1", "an offset of the torque", ONE),
+    Field("force_lost", "1", "loss of channel 2", ONE),
+    Field("sensor_biased", "y", "a bias of the sensor", ONE),
+    Field("sensor_drifting", "y/tick", "a drift of the sensor", ONE),
+    Field("ramp", "tick", "the drift of 1/tick as of this tick"),
+)
+
+
+@firmware
+def weigh_signatures(table: Record, state: Record, innovation: float) -> None:
+    """Take the innovation of this tick into each; one whose onset was none begins again."""
+    constants, own = table.hypotheses.signatures, state.hypotheses.signatures
+    g1, g2, m = table.estimator.channel_1, table.estimator.channel_2, table.estimator.measurement
+    one = real(1.0, innovation)
+    offset, force = own.torque_offset, own.force_lost
+    shown = output(g1, offset.answer, -one)
+    take_in(table, state, offset.candidate, constants.torque_offset, shown, innovation)
+    if has_failed(constants.candidate, offset.candidate):
+        begin(offset)
+    shown = output(g2, force.answer, state.other_cars.command_2)
+    take_in(table, state, force.candidate, constants.force_lost, shown, innovation)
+    if has_failed(constants.candidate, force.candidate):
+        begin(force)
+    half = real(0.5, innovation)
+    fresh = half * innovation * innovation / state.mismatch.variance
+    bias, drift = own.sensor_biased, own.sensor_drifting
+    shown = output(m, bias.answer, -one)
+    take_in(table, state, bias.candidate, constants.sensor_biased, shown, innovation)
+    if fresh > bias.candidate.evidence or has_failed(constants.candidate, bias.candidate):
+        begin(bias)
+        shown = output(m, bias.answer, -one)
+        take_in(table, state, bias.candidate, constants.sensor_biased, shown, innovation)
+    shown = output(m, drift.answer, own.ramp)
+    take_in(table, state, drift.candidate, constants.sensor_drifting, shown, innovation)
+    if fresh > drift.candidate.evidence or has_failed(constants.candidate, drift.candidate):
+        begin(drift)
+        own.ramp = -one
+        shown = output(m, drift.answer, own.ramp)
+        take_in(table, state, drift.candidate, constants.sensor_drifting, shown, innovation)
+
+
+@firmware
+def begin(hypothesis: Record) -> None:
+    """Its onset is now."""
+    start(hypothesis.candidate)
+    hypothesis.answer.accumulators[:] = 0.0
+
+
+@firmware
+def begin_all(state: Record) -> None:
+    """The onset of each is now."""
+    begin(state.torque_offset)
+    begin(state.force_lost)
+    begin(state.sensor_biased)
+    begin(state.sensor_drifting)
+    state.ramp = 0.0
+
+
+@firmware
+def advance_signatures(table: Record, state: Record) -> None:
+    """A tick on; ``other_cars`` has the command 2 of it."""
+    own, estimator = state.hypotheses.signatures, table.estimator
+    one = real(1.0, own.ramp)
+    advance(estimator.channel_1, own.torque_offset.answer, -one)
+    advance(estimator.channel_2, own.force_lost.answer, state.other_cars.command_2)
+    advance(estimator.measurement, own.sensor_biased.answer, -one)
+    advance(estimator.measurement, own.sensor_drifting.answer, own.ramp)
+    own.ramp -= one

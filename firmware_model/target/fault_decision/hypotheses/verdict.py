@@ -1,0 +1,213 @@
+"""Whose fault it is: the hypothesis that explains d̂ better than any other.
+
+The evidence of each is the logarithm of how much likelier the innovations are with that fault than
+without one, each with its own onset. A fault is found with as much evidence as confirms a loss, and
+``ahead`` times what a fault elsewhere explains: torque, force difference or sensor must be far
+ahead of both others, for a loss whose onset is a few ticks off keeps hardly more than half of its
+own. With less d̂ cannot tell, and the verdict says so. Its name is the likeliest fault at that
+place. It stands until another is found, or the same with the opposite sign: then it is gone.
+
+A torque that is lost has a test of its own, ``sequential_test``; once that has confirmed it, its
+evidence is how many deviations its share is from none, by what has been learnt since. Likewise
+another car: the evidence is that of the direction in which it differs most clearly. It explains
+what no fault does, and is none.
+
+A table with a ``share_drift`` has no test, and no verdict.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from firmware_model.compiled import firmware
+from firmware_model.target.fault_decision.covariance import LOSS_STATES, variance_of
+from firmware_model.target.fault_decision.hypotheses import candidate, frozen, signatures
+from firmware_model.target.fault_decision.hypotheses.candidate import likeliest
+from firmware_model.target.fault_decision.hypotheses.frozen import thaw, weigh_frozen
+from firmware_model.target.fault_decision.hypotheses.signatures import begin_all, weigh_signatures
+from firmware_model.target.fault_decision.loss_model import known_share
+from firmware_model.target.precision import real
+from firmware_model.target.status import FaultState, Verdict
+from firmware_model.target.structs import Field, Record
+
+CONFIRMED = int(FaultState.CONFIRMED)
+NOTHING, CANNOT_BE_TOLD = int(Verdict.NOTHING), int(Verdict.CANNOT_BE_TOLD)
+TORQUE_LOST, TORQUE_OFFSET = int(Verdict.TORQUE_LOST), int(Verdict.TORQUE_OFFSET)
+FORCE_LOST, BOTH_LOST = int(Verdict.FORCE_LOST), int(Verdict.BOTH_LOST)
+SENSOR_BIASED, SENSOR_DRIFTING = int(Verdict.SENSOR_BIASED), int(Verdict.SENSOR_DRIFTING)
+SENSOR_FROZEN, ANOTHER_CAR = int(Verdict.SENSOR_FROZEN), int(Verdict.ANOTHER_CAR)
+HYPOTHESES = 8  # from NOTHING, whose evidence is 0, to ANOTHER_CAR; before it the faults
+
+CONSTANTS = (
+    Field("signatures", "1", "of what has one", signatures.CONSTANTS),
+    Field("frozen", "1", "of a sensor that repeats itself", frozen.CONSTANTS),
+    Field("torque_lost", "1", "limits of the share that is lost, or works again", candidate.LIMITS),
+    Field("ahead", "1", "times the evidence of a fault at another place that a verdict needs"),
+    Field("both_lost", "1", "evidence by which the loss of channel 2 is ahead after that of 1"),
+)
+STATE = (
+    Field("signatures", "1", "of what has one", signatures.STATE),
+    Field("frozen", "1", "of a sensor that repeats itself", frozen.STATE),
+    Field("evidence", "1", "of each hypothesis, by the number of its verdict", shape=(HYPOTHESES,)),
+    Field("verdict", "1", "a Verdict", "int32"),
+    Field("found_size", "1", "of the fault that the verdict is about, when it was found"),
+)
+
+
+@firmware
+def weigh_hypotheses(table: Record, state: Record, innovation: float, expected: float) -> None:
+    """The evidence of this tick, and the verdict.
+
+    Args:
+        table: the constant table.
+        state: changed in place; ``mismatch`` and ``sequential_test`` are those of this tick.
+        innovation: of d̂.
+        expected: y by the model.
+    """
+    weigh_signatures(table, state, innovation)
+    weigh_frozen(table, state, innovation, expected)
+    own = state.hypotheses
+    own.evidence[TORQUE_LOST] = torque_evidence(table, state)
+    own.evidence[TORQUE_OFFSET] = own.signatures.torque_offset.candidate.evidence
+    own.evidence[FORCE_LOST] = own.signatures.force_lost.candidate.evidence
+    own.evidence[SENSOR_BIASED] = own.signatures.sensor_biased.candidate.evidence
+    own.evidence[SENSOR_DRIFTING] = own.signatures.sensor_drifting.candidate.evidence
+    own.evidence[SENSOR_FROZEN] = own.frozen.evidence
+    own.evidence[ANOTHER_CAR] = other_car_evidence(table, state)
+    judge(table, state)
+
+
+@firmware
+def torque_evidence(table: Record, state: Record) -> float:
+    """The evidence of a lost torque: of its test, or of its share once that has confirmed it."""
+    limits, test = table.hypotheses.torque_lost, state.sequential_test
+    half = real(0.5, test.evidence)
+    if state.fault_state == CONFIRMED:
+        share = known_share(state)
+        return half * share * share / variance_of(state.mismatch.covariance, table.mismatch.n, 0)
+    share = likeliest(test.correlation, test.information, limits)
+    evidence: float = share * (test.correlation - half * share * test.information)
+    return evidence
+
+
+@firmware
+def other_car_evidence(table: Record, state: Record) -> float:
+    """The evidence of the direction in which this car differs most clearly from the model."""
+    mismatch, n, half = state.mismatch, table.mismatch.n, real(0.5, state.command_1)
+    most = real(0.0, half)
+    for i in range(LOSS_STATES, LOSS_STATES + table.other_cars.n):
+        theta = mismatch.theta[i]
+        most = max(most, half * theta * theta / variance_of(mismatch.covariance, n, i))
+    return most
+
+
+@firmware
+def judge(table: Record, state: Record) -> None:
+    """The verdict of this tick."""
+    own, evidence, confirm = state.hypotheses, state.hypotheses.evidence, table.decision.confirm
+    lost, was = state.fault_state == CONFIRMED, own.verdict
+    own.verdict = standing(own, lost, evidence[TORQUE_LOST] > confirm)
+    if own.verdict == NOTHING:
+        own.found_size = 0.0
+    torque = strongest(evidence, TORQUE_LOST, FORCE_LOST)
+    if lost:  # what is tested is its end
+        torque = max(state.sequential_test.evidence, evidence[TORQUE_OFFSET])
+    force, sensor = evidence[FORCE_LOST], strongest(evidence, SENSOR_BIASED, ANOTHER_CAR)
+    actuators = max(torque, force)
+    most = max(actuators, sensor)
+    second = max(min(torque, force), min(actuators, sensor))
+    if lost:
+        if force - max(torque, sensor) > table.hypotheses.both_lost:
+            own.verdict = BOTH_LOST
+    elif most > confirm and most > table.hypotheses.ahead * second:
+        find(own, likeliest_fault(evidence, most))
+    elif own.verdict == NOTHING and most > confirm:
+        own.verdict = CANNOT_BE_TOLD
+    elif own.verdict == NOTHING:
+        enough = table.decision.suspect if was == ANOTHER_CAR else confirm
+        own.verdict = ANOTHER_CAR if evidence[ANOTHER_CAR] > enough else NOTHING
+
+
+@firmware
+def standing(own: Record, lost: bool, beyond_doubt: bool) -> int:
+    """What the verdict of the last tick still says, where nothing new is found."""
+    verdict: int = own.verdict
+    if lost:
+        if verdict == FORCE_LOST:
+            verdict = BOTH_LOST
+        elif verdict != BOTH_LOST:
+            verdict = TORQUE_LOST if beyond_doubt else CANNOT_BE_TOLD
+        return verdict
+    if verdict == SENSOR_FROZEN and own.frozen.repetitions > real(0.0, own.found_size):
+        return verdict
+    if verdict == TORQUE_LOST or verdict > SENSOR_DRIFTING:
+        verdict = NOTHING
+    return verdict
+
+
+@firmware
+def strongest(evidence: Any, first: int, end: int) -> float:
+    """The most evidence of a fault from ``first`` on, before ``end``."""
+    most: float = evidence[first]
+    for i in range(first + 1, end):
+        most = max(most, evidence[i])
+    return most
+
+
+@firmware
+def likeliest_fault(evidence: Any, most: float) -> int:
+    """The fault whose evidence is ``most``; the first of them, where they are as likely."""
+    fault = ANOTHER_CAR
+    for i in range(1, ANOTHER_CAR):
+        last = ANOTHER_CAR - i
+        if evidence[last] == most:
+            fault = last
+    return fault
+
+
+@firmware
+def find(own: Record, fault: int) -> None:
+    """Take in a ``fault`` that has been found: it is there, or what was there is gone.
+
+    What has been weighed for it is known from now on, so every onset is yet to come.
+    """
+    found = size_of(own.signatures, fault)
+    if fault != TORQUE_LOST:
+        begin_all(own.signatures)
+    gone = own.found_size * found < real(0.0, found) and place_of(fault) == place_of(own.verdict)
+    own.found_size = found
+    own.verdict = NOTHING if gone else fault
+
+
+@firmware
+def place_of(fault: int) -> int:
+    """The first fault of the place where ``fault`` is: torque, force difference or sensor."""
+    if fault < FORCE_LOST:
+        return TORQUE_LOST
+    return min(fault, SENSOR_BIASED)
+
+
+@firmware
+def size_of(own: Record, fault: int) -> float:
+    """The size of a fault that has been found, in the unit of its signature; 0: it has none."""
+    size = real(0.0, own.ramp)
+    if fault == TORQUE_OFFSET:
+        size = own.torque_offset.candidate.size_now
+    elif fault == FORCE_LOST:
+        size = own.force_lost.candidate.size_now
+    elif fault == SENSOR_BIASED:
+        size = own.sensor_biased.candidate.size_now
+    elif fault == SENSOR_DRIFTING:
+        size = own.sensor_drifting.candidate.size_now
+    return size
+
+
+@firmware
+def clear_hypotheses(state: Record) -> None:
+    """Nothing is known."""
+    own = state.hypotheses
+    begin_all(own.signatures)
+    thaw(own.frozen)
+    own.frozen.measurement = own.frozen.expected = own.found_size = 0.0
+    own.evidence[:] = 0.0
+    own.verdict = NOTHING

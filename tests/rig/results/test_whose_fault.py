@@ -1,0 +1,102 @@
+"""Whose fault it is, in runs: what the verdict is, when, and what it does not disturb."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from can_rig.assessment.resolve import load
+from can_rig.drawing.names import CAR
+from can_rig.plant.columns import EVIDENCE, VERDICT
+from can_rig.results.signals import Signals
+from can_rig.results.whose_fault import in_words, verdict_rows, whose_fault, with_verdict
+from can_rig.results.without_log import signals_without_log
+from can_rig.scenario.build import network_of
+from can_rig.scenario.settings import Scenario
+from firmware_model.target.status import FaultState, Verdict
+
+LANE_CHANGE = ["reference.kind=lane-change", "reference.frequency_rad_per_s=1.34", "duration_s=5"]
+SENSOR = (Verdict.SENSOR_BIASED, Verdict.SENSOR_DRIFTING, Verdict.SENSOR_FROZEN)
+
+
+def run(name: str, changes: Sequence[str]) -> tuple[Scenario, Signals]:
+    scenario = load(name, list(changes))
+    signals = with_verdict(scenario, network_of(scenario), signals_without_log(scenario))
+    return scenario, signals
+
+
+def verdicts(signals: Signals, begin_s: float = 0.0, end_s: float = 99.0) -> set[Verdict]:
+    inside = (signals.time_s >= begin_s) & (signals.time_s < end_s)
+    return {Verdict(int(code)) for code in set(signals.whose_fault[VERDICT][inside])}
+
+
+@pytest.mark.parametrize(
+    ("fault", "within_s", "verdict"),
+    [
+        (["kind=sensor-biased", "bias_mps2=0.1"], 0.002, Verdict.SENSOR_BIASED),
+        (["kind=sensor-biased", "bias_mps2=-0.1"], 0.002, Verdict.SENSOR_BIASED),
+        (["kind=sensor-stuck"], 0.003, Verdict.SENSOR_FROZEN),
+        (["kind=actuator-dead"], 0.12, Verdict.TORQUE_LOST),
+        (["kind=actuator-dead", "left=0.5"], 0.2, Verdict.TORQUE_LOST),
+    ],
+)
+def test_a_fault_in_a_lane_change_is_named(
+    fault: list[str], within_s: float, verdict: Verdict
+) -> None:
+    changes = [*LANE_CHANGE, "fault.at_s=3.5", *(f"fault.{key}" for key in fault)]
+    scenario, signals = run("default", changes)
+    assert verdicts(signals, 0.0, 3.5) == {Verdict.NOTHING}
+    found = whose_fault(scenario, signals)[verdict.name]
+    assert 3.5 <= found["since_s"] <= 3.5 + within_s
+    assert Verdict.BOTH_LOST not in verdicts(signals)
+
+
+def test_the_loss_of_both_channels_is_named_and_that_of_one_is_not_taken_for_it() -> None:
+    faults = ["fault.0.kind=actuator-dead", "fault.0.at_s=3.5", "fault.1.kind=actuator-dead",
+              "fault.1.channel=force-difference", "fault.1.at_s=4.4"]  # fmt: skip
+    scenario, signals = run("default", [*LANE_CHANGE, *faults])
+    assert Verdict.BOTH_LOST not in verdicts(signals, 0.0, 4.4)
+    found = whose_fault(scenario, signals)
+    assert 4.4 < found["BOTH_LOST"]["since_s"] < 4.7
+    evidence = found["BOTH_LOST"]["evidence"]
+    assert evidence["force_lost"] > max(evidence["torque_offset"], evidence["sensor_drifting"])
+    assert len(evidence) == len(EVIDENCE)
+
+
+@pytest.mark.parametrize("name", ["default", "noisy", "chassis-can"])
+@pytest.mark.parametrize("seed", range(3))
+def test_a_lost_motor_is_never_the_fault_of_the_sensor(name: str, seed: int) -> None:
+    """Nor is a healthy car's."""
+    changes = ["duration_s=3", "fault.at_s=2", f"seed={seed}"]
+    scenario, signals = run(name, changes)
+    assert verdicts(signals, 0.0, 2.0) == {Verdict.NOTHING}
+    assert not verdicts(signals) & {*SENSOR, Verdict.BOTH_LOST}
+    last = signals.whose_fault[VERDICT][-1], signals.fault_state[-1]
+    assert last == (Verdict.TORQUE_LOST, FaultState.CONFIRMED)
+
+
+def test_the_verdict_waits_while_inputs_are_missing() -> None:
+    scenario, signals = run("default", ["duration_s=0.3", "fault.kind=none"])
+    measured = signals.dstar_mps2.copy()
+    measured[100:110] = np.nan
+    found = with_verdict(scenario, network_of(scenario), replace(signals, dstar_mps2=measured))
+    held = np.array([found.whose_fault[name][99:110] for name in EVIDENCE])
+    assert (held == held[:, :1]).all()
+    assert held.any()
+
+
+def test_what_is_said_of_a_run() -> None:
+    scenario, signals = run("default", ["duration_s=0.2", "fault.kind=none"])
+    assert whose_fault(scenario, signals) == {}
+    assert verdict_rows(scenario, {}) == []
+    found = {name: {"since_s": 3.5, "for_s": for_s} for name, for_s in
+             (("CANNOT_BE_TOLD", 0.1), ("FORCE_LOST", 2.0))}  # fmt: skip
+    assert verdict_rows(scenario, found) == [
+        ("whose fault", "rear force difference lost, from 3.5 s")
+    ]
+    words = {in_words(verdict, CAR) for verdict in Verdict}
+    assert len(words) == len(Verdict)
+    assert not any("{" in each for each in words)
