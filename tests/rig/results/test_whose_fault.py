@@ -71,7 +71,7 @@ def test_the_loss_of_both_channels_is_named_and_that_of_one_is_not_taken_for_it(
 def test_a_lost_motor_is_never_the_fault_of_the_sensor(name: str, seed: int) -> None:
     """Nor is a healthy car's."""
     changes = ["duration_s=3", "fault.at_s=2", f"seed={seed}"]
-    scenario, signals = run(name, changes)
+    _, signals = run(name, changes)
     assert verdicts(signals, 0.0, 2.0) == {Verdict.NOTHING}
     assert not verdicts(signals) & {*SENSOR, Verdict.BOTH_LOST}
     last = signals.whose_fault[VERDICT][-1], signals.fault_state[-1]
