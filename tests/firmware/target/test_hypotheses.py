@@ -44,6 +44,10 @@ def tables_of(**changes: Any) -> RecordArray:
     return tables
 
 
+NO_CARS = tables_of()
+NO_CARS[0].mismatch.n = 0
+
+
 def filtered(table: Record, residual: FloatArray, x: FloatArray) -> tuple[FloatArray, Record]:
     """The innovations of a residual, where other cars show x; and the filter that made them."""
     state = controller.init(table)[0]
@@ -89,9 +93,7 @@ def test_evidence_is_the_likelihood_ratio_of_the_likeliest_size(
     draw = np.random.default_rng(seed)
     f, sigma = draw.standard_normal(12), draw.uniform(0.5, 2.0, 12)
     new = draw.uniform(-1, 1) * f + sigma * draw.standard_normal(12)
-    tables = tables_of()
-    table, state = tables[0], controller.init(tables[0])[0]
-    table.mismatch.n = 0
+    table, state = NO_CARS[0], controller.init(NO_CARS[0])[0]
     own, bounds = state.hypotheses.signatures.force_lost.candidate, table.hypotheses.torque_lost
     bounds.least, bounds.most = limits
     for k in range(12):
