@@ -13,7 +13,7 @@ from can_rig.results.metrics import metrics
 from can_rig.results.signals import Signals
 from tests.rig.results.quiet import Run, quiet
 
-COLUMNS = [name for name in Signals.__dataclass_fields__ if name != "plant"]
+COLUMNS = [name for name in Signals.__dataclass_fields__ if name not in ("plant", "whose_fault")]
 
 LSB_MPS2 = 1e-8
 

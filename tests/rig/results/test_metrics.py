@@ -13,7 +13,7 @@ from can_rig.scenario.settings import Scenario
 from can_rig.thesis.continuous import solve
 from tests.rig.results.quiet import Run, quiet
 
-COLUMNS = [name for name in Signals.__dataclass_fields__ if name != "plant"]
+COLUMNS = [name for name in Signals.__dataclass_fields__ if name not in ("plant", "whose_fault")]
 
 LSB_MPS2 = 1e-8
 

@@ -64,8 +64,8 @@ def take_in(
         signature -= mismatch.regressor[i] * own.explained[i]
     for i in range(table.mismatch.n):
         own.explained[i] = mismatch.memory[i] * (own.explained[i] + mismatch.gain[i] * signature)
-    correlation = signature * innovation / mismatch.variance
-    information = signature * signature / mismatch.variance
+    weight = signature / mismatch.variance
+    correlation, information = weight * innovation, weight * signature
     own.foretold += own.size_now * (correlation - half * own.size_now * information)
     own.correlation += correlation
     own.information += information
