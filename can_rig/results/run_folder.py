@@ -17,9 +17,10 @@ from can_rig.files import atomic
 from can_rig.frames.network import Network
 from can_rig.nodes.summary import RunColumns
 from can_rig.results.fault_metrics import fault_metrics
+from can_rig.results.isolation.verdicts import with_verdict
+from can_rig.results.isolation.words import whose_fault
 from can_rig.results.metrics import Metrics, metrics
 from can_rig.results.signals import Signals, read_signals, signals_of_columns
-from can_rig.results.whose_fault import whose_fault, with_verdict
 from can_rig.scenario.settings import Scenario
 
 LOG, SIGNALS, SUMMARY = "bus.log", "signals.csv", "run.json"
@@ -49,7 +50,7 @@ class Outcome:
     faults: list[dict[str, Any]] = field(default_factory=list)
     """What each fault did, from the log."""
     whose_fault: dict[str, dict[str, Any]] = field(default_factory=dict)
-    """Each verdict that was a fault; see ``results.whose_fault``."""
+    """Each verdict that was a fault; see ``results.isolation``."""
     realtime: dict[str, Any] | None = None
     """Of a real-time run; empty where it ended without figures."""
 

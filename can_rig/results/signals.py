@@ -49,7 +49,7 @@ class Signals:
     plant: PlantSignals = field(default_factory=dict)
     """What the plant reported besides, by name; nothing where there is only a log."""
     whose_fault: PlantSignals = field(default_factory=dict)
-    """The verdict on whose fault it is, and the evidence; see ``results.whose_fault``."""
+    """The verdict on whose fault it is, and the evidence; see ``results.isolation``."""
 
     @property
     def error_mps2(self) -> FloatArray:

@@ -11,8 +11,9 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.drawing.names import CAR
 from can_rig.plant.columns import EVIDENCE, VERDICT
+from can_rig.results.isolation.verdicts import with_verdict
+from can_rig.results.isolation.words import in_words, verdict_rows, whose_fault
 from can_rig.results.signals import Signals
-from can_rig.results.whose_fault import in_words, verdict_rows, whose_fault, with_verdict
 from can_rig.results.without_log import signals_without_log
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario

@@ -1,29 +1,16 @@
-"""Whose fault it is, by the control law itself, from what was on the bus.
-
-The status frame has no room for the evidence of every hypothesis. But the law answers the same
-inputs with the same bits, so it goes through those of the run once more, and says what it thought.
-"""
+"""Each verdict of a run, since when and for how long, and what it is called."""
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
 
 from can_rig.drawing.names import Names, names_of
-from can_rig.frames.frame_columns import quantised
-from can_rig.frames.network import Network
 from can_rig.plant.columns import EVIDENCE, VERDICT
 from can_rig.results.signals import Signals
-from can_rig.scenario.driving.schedule import controls
-from can_rig.scenario.driving.speed import speeds_at_ticks
 from can_rig.scenario.settings import Scenario
-from firmware_model.firmware import Firmware
 from firmware_model.target.status import Verdict
-from firmware_model.target.structs import FloatArray
-
-DECIMALS: Final = 3  # of the evidence, a natural logarithm
 
 _WORDS: Final = {
     Verdict.NOTHING: "no fault",
@@ -38,40 +25,6 @@ _WORDS: Final = {
     Verdict.CANNOT_BE_TOLD: "cannot be told",
 }
 _NO_FAULT: Final = (Verdict.NOTHING, Verdict.ANOTHER_CAR)
-
-
-def with_verdict(scenario: Scenario, network: Network, signals: Signals) -> Signals:
-    """``signals`` with the verdict of each tick and the evidence of each hypothesis.
-
-    In a tick without inputs the law waits, and so does the verdict.
-
-    Raises:
-        ScenarioError: a design that cannot be made.
-    """
-    of = controls(scenario, network)
-    firmware = Firmware(of.table, speeds=of.schedule)
-    speeds = _speeds(scenario, network, signals)
-    verdicts, evidence = np.zeros(len(signals)), np.zeros((len(signals), len(EVIDENCE)))
-    hypotheses = firmware.hypotheses
-    inputs = zip(signals.reference_mps2.tolist(), signals.dstar_mps2.tolist(), strict=True)
-    for row, (reference, measured) in enumerate(inputs):
-        if speeds is not None:
-            firmware.change_speed(speeds[row])
-        firmware.step(reference, measured)
-        verdicts[row] = hypotheses["verdict"]
-        evidence[row] = hypotheses["evidence"][1:]
-    columns = dict(zip(EVIDENCE, np.round(evidence, DECIMALS).T + 0.0, strict=True))
-    return replace(signals, whose_fault={VERDICT: verdicts, **columns})
-
-
-def _speeds(scenario: Scenario, network: Network, signals: Signals) -> list[float] | None:
-    """What the controller hears of the speed in each row, where it changes."""
-    if network.speed is None:
-        return None
-    heard: FloatArray = quantised(network.speed, speeds_at_ticks(scenario))
-    ticks = np.rint(signals.time_s / scenario.tick_s).astype(np.int64)
-    speeds: list[float] = heard[np.minimum(ticks, len(heard) - 1)].tolist()
-    return speeds
 
 
 def whose_fault(scenario: Scenario, signals: Signals) -> dict[str, dict[str, Any]]:
