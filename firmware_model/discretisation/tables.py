@@ -10,6 +10,7 @@ from firmware_model.design.continuous_design import ContinuousDesign
 from firmware_model.design.mismatch import STEP
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.law.coprime import sampled_factors
+from firmware_model.discretisation.law.hypotheses import fill_hypotheses
 from firmware_model.discretisation.law.loop_gains import (
     Filters,
     algebraic_loop_gain,
@@ -18,7 +19,7 @@ from firmware_model.discretisation.law.loop_gains import (
 )
 from firmware_model.discretisation.sections import Sections, make_up_gain
 from firmware_model.discretisation.targets import Target
-from firmware_model.discretisation.tustin import RULES, tustin
+from firmware_model.discretisation.tustin import tustin
 from firmware_model.errors import DesignError, ParameterError
 from firmware_model.target.fault_decision.covariance import LOSS_STATES, MAX_DIRECTIONS
 from firmware_model.target.layout import table_type
@@ -49,9 +50,6 @@ RULE_ERROR = {"zoh": 0.0, "tustin": 1.0, "tustin-held": 1.0}  # of a tick's chan
 # rms, in units of the measurement, that rounding leaves of a perfect sensor
 NO_NOISE: dict[Precision, float] = {"float64": 1e-9, "float32": 1e-6}
 LEAST_EVIDENCE = 1.0  # log-likelihood ratio of about 3 to 1
-AHEAD = 2.0  # times the evidence of any other place, where a fault is found
-LEAST_SHARE, MOST_SHARE = 0.5, 1.5  # of a lost force; of a channel that another car may have
-LEAST_CHANCE = 1e-6  # of a number that is repeated: no sensor is finer
 PROBE_PERIODS = 2  # the half phase of ``probe`` goes once around
 PROBE_SHARE = 0.4  # missing that confirms; a car that is 20 % off looks like 0.3 at 10 rad/s
 
@@ -64,7 +62,12 @@ def discretise(design: ContinuousDesign, target: Target) -> Filters:
     """
     tick_s, prewarp = target.tick_s, target.prewarp_rad_per_s
     nothing, unity = ZeroPoleGain.constant(0.0), ZeroPoleGain.constant(1.0)
-    factors = sampled_factors(design.plant, target.estimator, tick_s)
+    factors = sampled_factors(
+        (design.plant.g1, design.plant.g2),
+        design.factors.slowest_rad_per_s,
+        target.estimator,
+        tick_s,
+    )
     follow = design.tracking
     stabiliser = follow.stabiliser if follow else None
     filters = Filters(
@@ -111,8 +114,8 @@ def build(design: ContinuousDesign, target: Target) -> Record:
     ):
         shortfall.gain[: len(model.coefficients)] = make_up_gain(model)
     _fill_decision(table, target)
-    _fill_mismatch(table, target)
-    _fill_hypotheses(table, target)
+    _fill_mismatch(table, design, target)
+    fill_hypotheses(table, target)
     if target.probe > 0.0:
         _fill_probe(table.probe, target)
     tables.flags.writeable = False
@@ -212,37 +215,7 @@ def _fill_decision(table: Record, target: Target) -> None:
     test.deviations = DEVIATIONS if target.mismatch.cars else NEVER
 
 
-def _fill_hypotheses(table: Record, target: Target) -> None:
-    """What the faults may be, and when one is told from the others."""
-    constants, hypotheses = table.hypotheses, table.hypotheses.signatures
-    constants.ahead = AHEAD
-    constants.both_lost = RECOVER * table.decision.confirm
-    hypotheses.candidate.restart = RESTART
-    hypotheses.candidate.lifetime = HORIZON_S / target.tick_s
-    hypotheses.candidate.promising = table.decision.suspect
-    for limits, least, most in (
-        (constants.torque_lost, -MOST_SHARE, MOST_SHARE),
-        (hypotheses.torque_offset, -target.limit_1, target.limit_1),
-        (hypotheses.force_lost, LEAST_SHARE, MOST_SHARE),
-        (hypotheses.sensor_biased, -math.inf, math.inf),
-        (hypotheses.sensor_drifting, -math.inf, math.inf),
-        (constants.frozen.size_of_one, 1.0, 1.0),
-    ):
-        limits.least, limits.most = least, most
-    constants.frozen.repetition = _repetition(target)
-
-
-def _repetition(target: Target) -> float:
-    """-ln of the chance that the noise of two ticks in a row falls into one step of the sensor.
-
-    Their difference has a density of 1/(√(2π) σ) at most; 0 where that says nothing.
-    """
-    change = target.noise_rms * math.sqrt(2.0 * (1.0 - target.noise_pole))
-    chance = target.resolution / (math.sqrt(2.0 * math.pi) * change) if change > 0.0 else 1.0
-    return -math.log(min(max(chance, LEAST_CHANCE), 1.0))
-
-
-def _fill_mismatch(table: Record, target: Target) -> None:
+def _fill_mismatch(table: Record, design: ContinuousDesign, target: Target) -> None:
     """What other cars and noise make of d̂."""
     constants, other, cars = table.mismatch, table.other_cars, target.mismatch.cars
     if len(cars) > MAX_DIRECTIONS:
@@ -251,11 +224,12 @@ def _fill_mismatch(table: Record, target: Target) -> None:
     other.scale = 1.0 / STEP
     rule = RULE_ERROR[target.estimator] ** 2
     constants.n = LOSS_STATES + (len(cars) + 1 if cars or rule else 0)
-    discretised = RULES[target.estimator]
+    slowest = design.factors.slowest_rad_per_s
     places = (other.car_1, other.car_2, other.car_3, other.car_4)
-    for place, (g1, g2) in zip(places, cars, strict=False):
-        _fill_filter(place.channel_1, discretised(g1, target.tick_s))
-        _fill_filter(place.channel_2, discretised(g2, target.tick_s))
+    for place, car in zip(places, cars, strict=False):
+        n1, n2 = sampled_factors(car, slowest, target.estimator, target.tick_s).numerators
+        _fill_filter(place.channel_1, n1)
+        _fill_filter(place.channel_2, n2)
     constants.prior = MISMATCH_VARIANCE
     slow, fast = _memory(target, MISMATCH_S), _memory(target, REMAINDER_S)
     last = LOSS_STATES + len(cars)

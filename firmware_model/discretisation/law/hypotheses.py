@@ -1,0 +1,42 @@
+"""The constants of ``target.fault_decision.hypotheses``: what a fault may be, and what is enough."""
+
+from __future__ import annotations
+
+import math
+
+from firmware_model.discretisation.targets import Target
+from firmware_model.target.structs import Record
+
+AHEAD = 2.0  # times the evidence of any other place, where a fault is found
+LEAST_SHARE, MOST_SHARE = 0.5, 1.5  # of a lost force; of a channel that another car may have
+LEAST_CHANCE = 1e-6  # of a number that is repeated: no sensor is finer
+
+
+def fill_hypotheses(table: Record, target: Target) -> None:
+    """Fill in the constants; those of the decision and of its test are there already."""
+    constants, signatures = table.hypotheses, table.hypotheses.signatures
+    constants.ahead = AHEAD
+    constants.both_lost = table.decision.recover
+    signatures.candidate.restart = table.sequential_test.restart
+    signatures.candidate.lifetime = table.decision.horizon
+    signatures.candidate.promising = table.decision.suspect
+    for limits, least, most in (
+        (constants.torque_lost, -MOST_SHARE, MOST_SHARE),
+        (signatures.torque_offset, -target.limit_1, target.limit_1),
+        (signatures.force_lost, LEAST_SHARE, MOST_SHARE),
+        (signatures.sensor_biased, -math.inf, math.inf),
+        (signatures.sensor_drifting, -math.inf, math.inf),
+        (constants.frozen.size_of_one, 1.0, 1.0),
+    ):
+        limits.least, limits.most = least, most
+    constants.frozen.repetition = repetition(target)
+
+
+def repetition(target: Target) -> float:
+    """-ln of the chance that the noise of two ticks in a row falls into one step of the sensor.
+
+    Their difference has a density of 1/(√(2π) σ) at most; 0 where that says nothing.
+    """
+    change = target.noise_rms * math.sqrt(2.0 * (1.0 - target.noise_pole))
+    chance = target.resolution / (math.sqrt(2.0 * math.pi) * change) if change > 0.0 else 1.0
+    return -math.log(min(max(chance, LEAST_CHANCE), 1.0))
