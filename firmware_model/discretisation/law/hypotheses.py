@@ -1,4 +1,4 @@
-"""The constants of ``target.fault_decision.hypotheses``: what a fault may be, and what is enough."""
+"""Constants of ``target.fault_decision.hypotheses``: what faults may be, and what is enough."""
 
 from __future__ import annotations
 
