@@ -106,7 +106,7 @@ def judge(table: Record, state: Record) -> None:
     """The verdict of this tick."""
     own, evidence, confirm = state.hypotheses, state.hypotheses.evidence, table.decision.confirm
     lost, was = state.fault_state == CONFIRMED, own.verdict
-    own.verdict = standing(own, lost, evidence[TORQUE_LOST] > confirm)
+    own.verdict = standing(table, state)
     if own.verdict == NOTHING:
         own.found_size = 0.0
     torque = strongest(evidence, TORQUE_LOST, FORCE_LOST)
@@ -129,14 +129,17 @@ def judge(table: Record, state: Record) -> None:
 
 
 @firmware
-def standing(own: Record, lost: bool, beyond_doubt: bool) -> int:
+def standing(table: Record, state: Record) -> int:
     """What the verdict of the last tick still says, where nothing new is found."""
+    own = state.hypotheses
     verdict: int = own.verdict
-    if lost:
+    if state.fault_state == CONFIRMED:
         if verdict == FORCE_LOST:
             verdict = BOTH_LOST
         elif verdict != BOTH_LOST:
-            verdict = TORQUE_LOST if beyond_doubt else CANNOT_BE_TOLD
+            verdict = CANNOT_BE_TOLD
+            if own.evidence[TORQUE_LOST] > table.decision.confirm:
+                verdict = TORQUE_LOST
         return verdict
     if verdict == SENSOR_FROZEN and own.frozen.repetitions > real(0.0, own.found_size):
         return verdict
