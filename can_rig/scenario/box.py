@@ -34,11 +34,10 @@ def uncertain(settings: PlantSettings) -> dict[str, float]:
     """What may differ, with the values of ``settings``."""
     if settings.is_car:
         return {key: float(getattr(settings, key)) for key in CAR}
-    if settings.kind == TRANSFER_FUNCTIONS and any(
-        p != 0.0 for p in unstable(settings.g1.factored)
-    ):
-        return dict.fromkeys(FACTORS[STATE_SPACE], 1.0)
-    return dict.fromkeys(FACTORS[settings.kind], 1.0)
+    kind = settings.kind
+    if kind == TRANSFER_FUNCTIONS and any(p != 0.0 for p in unstable(settings.g1.factored)):
+        kind = STATE_SPACE  # one speed, or the modes would be shared no more
+    return dict.fromkeys(FACTORS[kind], 1.0)
 
 
 def with_values(settings: PlantSettings, values: Mapping[str, float]) -> PlantSettings:

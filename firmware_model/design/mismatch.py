@@ -5,8 +5,8 @@ sum over the parameters, of which some show almost alike and some hardly at all:
 vectors of what they make of d̂ on a step of the reference, which G1 follows or G2 in its place, give
 the few combinations that matter, largest first.
 
-Of a plant that is not stable d̂ = ΔN1 u1 + ΔN2 u2 - ΔM y, which for y = G u is to first order M ΔG/G y:
-the same, as large as M leaves it (``factors.coprime``).
+Of a plant that is not stable d̂ = ΔN1 u1 + ΔN2 u2 - ΔM y, which for y = G u is to first order
+M ΔG/G y: the same, as large as M leaves it (``factors.coprime``).
 """
 
 from __future__ import annotations
@@ -63,7 +63,8 @@ def principal_mismatch(
         make: G1, G2 of a car in the box; zeros are the model.
         parameters: k.
         most: of the directions, largest first; what runs has room for ``MAX_DIRECTIONS``.
-        tau_q_s, alpha_q: of q̂, behind which D* lags the reference: what is faster is hardly driven.
+        tau_q_s: τq of q̂, behind which D* lags the reference: what is faster is hardly driven.
+        alpha_q: its order.
     """
     if parameters == 0:
         return TRUSTED

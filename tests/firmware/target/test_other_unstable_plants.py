@@ -48,7 +48,7 @@ def other(plant: Plant, gain_1: float, gain_2: float, speed: float) -> Channels:
 def drive(
     model: Plant, cars: tuple[Channels, ...], plant: Plant, missing: range
 ) -> tuple[FloatArray, FloatArray]:
-    """d̂, u1, u2, y (4, ticks) and x (cars, ticks) of ``plant`` under the controller of ``model``."""
+    """d̂, u1, u2, y (4, ticks) and x (cars, ticks) of ``plant`` under ``model``'s controller."""
     target = Target(TICK_S, estimator="zoh", noise_rms=0.01, mismatch=Mismatch(cars))
     table = changed(build(design(model, SPECIFICATION), target), decision=NEVER)[0]
     state, held, x = controller.init(table)[0], sample(plant, TICK_S), np.zeros(len(plant.a))
