@@ -13,7 +13,7 @@ from can_rig.errors import RigError
 from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
 from can_rig.plant.actuators import actuator_limits
-from can_rig.plant.behind import LinearBehind, PlantBehind
+from can_rig.plant.behind import PlantBehind, sampled_plant
 from can_rig.plant.changing_car import plant_of
 from can_rig.plant.faults.delivery import Delivery, delivery
 from can_rig.plant.faults.plant_faults import PlantFaults
@@ -101,11 +101,13 @@ def frameless_loop(
     Raises:
         ScenarioError: as ``frameless``.
     """
-    plant = plant_of(scenario)
+    whole = not (scenario.plant.is_own or scenario.drive.is_given)
     return simulation(
         scenario,
         network,
-        plant.sampled if isinstance(plant, LinearBehind) else _UntilItFails(plant),
+        sampled_plant(scenario.plant, scenario.tick_s)
+        if whole
+        else _UntilItFails(plant_of(scenario)),
         controls(scenario, network) if of is None else of,
         inputs_of(scenario, network) if inputs is None else inputs,
     )

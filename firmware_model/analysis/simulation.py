@@ -17,7 +17,7 @@ import numpy as np
 from firmware_model.analysis import hardware
 from firmware_model.analysis.sampled_plant import SampledPlant, follow
 from firmware_model.analysis.trace import BoolArray, Trace
-from firmware_model.compiled import firmware
+from firmware_model.compiled import firmware, firmware_run
 from firmware_model.target import controller
 from firmware_model.target.layout import precision_of
 from firmware_model.target.schedule import STATE, change_first_speed
@@ -272,7 +272,7 @@ def tick(
     return reached[0], reached[1]
 
 
-@firmware
+@firmware_run
 def _run(
     tables: RecordArray,
     controllers: RecordArray,
