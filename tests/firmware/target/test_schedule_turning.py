@@ -92,7 +92,10 @@ def test_as_many_other_cars_turn_as_the_table_knows_each_by_its_own_two_matrices
 
 
 def test_everything_that_is_blended_lies_on_the_line_between_two_designs():
-    """Every place has a number of its own, so that no other can stand for it."""
+    """Every place has a number of its own, so that no other can stand for it.
+
+    Behind the last design of a full schedule there is none, and none is read.
+    """
     schedule = np.zeros(1, record_type(CONSTANTS, "float64"))[0]
     for i, field in enumerate(CONSTANTS[2:]):
         value = schedule[field.name]
@@ -115,19 +118,19 @@ def test_everything_that_is_blended_lies_on_the_line_between_two_designs():
     }
     gains = {"make_up_1": ("shortfall_1", "gain"), "make_up_2": ("shortfall_2", "gain")}
 
-    def at(path):
+    def field(path):
         found = table
         for name in path:
             found = found[name]
         return found
 
     for path in filters.values():
-        at(path)["n"] = sections
-    for share in (0.0, 0.25):
-        blend(schedule, table, 4, share)
+        field(path)["n"] = sections
+    for at, share in ((4, 0.25), (4, 0.0), (MAX_SPEEDS - 1, 0.0)):
+        blend(schedule, table, at, share)
         for name, path in (*filters.items(), *ones.items(), *gains.items()):
-            low, high = schedule[name][4:6]
-            ours = at((*path, "coefficients") if name in filters else path)
+            low, high = schedule[name][[at, (at + 1) % MAX_SPEEDS]]
+            ours = field((*path, "coefficients") if name in filters else path)
             expected = np.reshape(low + share * (high - low), (-1, *np.shape(ours)[1:]))
             used = sections if np.ndim(ours) else 1
             np.testing.assert_allclose(np.reshape(ours, expected.shape)[:used], expected[:used])
