@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import fields, is_dataclass
 from functools import wraps
-from typing import ParamSpec, TypeVar
+from typing import Any, Final, ParamSpec, TypeVar
 
 Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
+
+MOST_TEXTS: Final = 256
+"""Tables of settings whose text is kept: those of some scenarios."""
+
+_TEXTS: Final[dict[int, tuple[object, str]]] = {}
+"""Tables and their texts, by the identity of the table, which being here keeps it its own."""
 
 
 def remembered(
@@ -20,11 +27,11 @@ def remembered(
     """
 
     def keeping(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
-        known: dict[str, Result] = {}
+        known: dict[tuple[str, ...], Result] = {}
 
         @wraps(function)
         def asked(*arguments: Arguments.args, **keywords: Arguments.kwargs) -> Result:
-            key = repr((arguments, keywords))
+            key = (*map(text_of, arguments), repr(keywords))
             result = known[key] if key in known else function(*arguments, **keywords)
             known.pop(key, None)
             known[key] = result  # the last that somebody asked for
@@ -35,3 +42,20 @@ def remembered(
         return asked
 
     return keeping
+
+
+def text_of(settings: Any) -> str:
+    """Every key and every digit; of a table that was asked for not long ago, not again.
+
+    What runs of a campaign have in common are the same tables, which are frozen.
+    """
+    if not is_dataclass(settings):
+        return repr(settings)
+    kept = _TEXTS.pop(id(settings), None)
+    if kept is None:
+        parts = (text_of(getattr(settings, field.name)) for field in fields(settings))
+        kept = settings, f"{type(settings).__qualname__}({', '.join(parts)})"
+    _TEXTS[id(settings)] = kept  # the last that somebody asked for
+    if len(_TEXTS) > MOST_TEXTS:
+        del _TEXTS[next(iter(_TEXTS))]
+    return kept[1]

@@ -65,6 +65,7 @@ class Simulation:
         lsb: grid of what the controller measures, in the measurement's unit; 0: none.
         maximum: where that saturates.
         keeps_states: whether ``plant_states`` has those of a ``SampledPlant``.
+        at_rest: (1,), what ``controller.init`` makes of the table, for whoever has it.
     """
 
     def __init__(
@@ -87,6 +88,7 @@ class Simulation:
         lsb: float = 0.0,
         maximum: float = np.inf,
         keeps_states: bool = False,
+        at_rest: RecordArray | None = None,
     ) -> None:
         self.ticks = ticks = len(reference)
         self.done = 0
@@ -103,7 +105,7 @@ class Simulation:
         self._states = np.zeros((2, ticks), dtype=np.int64)
         self._loop = (
             np.array([table], table.dtype),
-            controller.init(table),
+            controller.init(table) if at_rest is None else at_rest.copy(),
             self.inputs,
             (float(resolution), float(lsb), float(maximum)),
             (np.zeros(2), np.zeros(2, dtype=np.int64), hold_ticks, np.zeros(3), limits, faults),
