@@ -54,6 +54,7 @@ class Common:
     """What runs have in common that differ in their faults and in their noise and in nothing else.
 
     Attributes:
+        undisturbed: what they have in common, as a scenario.
         network: their frames.
         of: their controller.
         at_rest: its state.
@@ -61,6 +62,7 @@ class Common:
         quiet: their inputs where nothing fails and the sensor has no noise.
     """
 
+    undisturbed: Scenario
     network: Network
     of: Scheduled
     at_rest: RecordArray
@@ -86,7 +88,7 @@ def common(scenario: Scenario) -> Common:
     """
     files = [Path(file) for file in (scenario.reference.file, scenario.drive.file) if file]
     states = [file.stat().st_mtime_ns for file in files if file.is_file()]
-    return _common(replace(scenario, fault=(), seed=0), states)
+    return _common(scenario.undisturbed, states)
 
 
 @remembered(4)
@@ -94,7 +96,8 @@ def _common(scenario: Scenario, _: list[int]) -> Common:
     network = network_of(scenario)
     of = controls(scenario, network)
     quiet = inputs_of(scenario.noise_free, network)
-    return Common(network, of, controller.init(of.table), linear_plant(scenario), quiet)
+    at_rest = controller.init(of.table)
+    return Common(scenario, network, of, at_rest, linear_plant(scenario), quiet)
 
 
 def inputs_of(scenario: Scenario, network: Network) -> Inputs:

@@ -45,8 +45,7 @@ def noise_free(scenario: Scenario, signals: Signals, rows: int) -> Counterfactua
 
     Its first ``rows`` rows at least; not a number where nobody has asked for more.
     """
-    silent = replace(scenario.healthy.noise_free, seed=0)  # of which nothing is drawn
-    return _instead(silent, signals, rows)
+    return _instead(common(scenario).undisturbed.noise_free, signals, rows)
 
 
 def uncompensated(scenario: Scenario, signals: Signals) -> Counterfactual:
