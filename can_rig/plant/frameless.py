@@ -5,8 +5,10 @@ Bit for bit the signals of the run on a lockstep bus; thousands of times faster 
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
@@ -34,6 +36,9 @@ from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.target import controller
 from firmware_model.target.structs import FloatArray, RecordArray
 
+DISTURBANCES: Final = ("fault", "seed")
+"""Keys that differ from ``Scenario.undisturbed``."""
+
 
 @dataclass(frozen=True)
 class Inputs:
@@ -51,7 +56,7 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Common:
-    """What runs have in common that differ in their faults and in their noise and in nothing else.
+    """What runs have in common that differ in their faults and in their seed and in nothing else.
 
     Attributes:
         undisturbed: what they have in common, as a scenario.
@@ -80,24 +85,29 @@ class Common:
         return simulation(scenario, self.network, plant, self.of, inputs, at_rest=self.at_rest)
 
 
+def _apart_from_disturbances(scenario: Scenario) -> Iterator[object]:
+    """Everything else that a run follows from, also the states of its files."""
+    for field in fields(scenario):
+        if field.name not in DISTURBANCES:
+            yield getattr(scenario, field.name)
+    for file in (scenario.reference.file, scenario.drive.file):
+        if file and Path(file).is_file():
+            yield Path(file).stat().st_mtime_ns
+
+
+@remembered(4, by=_apart_from_disturbances)
 def common(scenario: Scenario) -> Common:
-    """What ``scenario`` has in common with all that differ in their faults and noise alone.
+    """What ``scenario`` has in common with all that differ in ``DISTURBANCES`` alone.
 
     Raises:
         ScenarioError: as ``frameless``.
     """
-    files = [Path(file) for file in (scenario.reference.file, scenario.drive.file) if file]
-    states = [file.stat().st_mtime_ns for file in files if file.is_file()]
-    return _common(scenario.undisturbed, states)
-
-
-@remembered(4)
-def _common(scenario: Scenario, _: list[int]) -> Common:
-    network = network_of(scenario)
-    of = controls(scenario, network)
-    quiet = inputs_of(scenario.noise_free, network)
+    undisturbed = scenario.undisturbed
+    network = network_of(undisturbed)
+    of = controls(undisturbed, network)
+    quiet = inputs_of(undisturbed.noise_free, network)
     at_rest = controller.init(of.table)
-    return Common(scenario, network, of, at_rest, linear_plant(scenario), quiet)
+    return Common(undisturbed, network, of, at_rest, linear_plant(undisturbed), quiet)
 
 
 def inputs_of(scenario: Scenario, network: Network) -> Inputs:

@@ -13,7 +13,7 @@ from can_rig.results.counterfactual import loop_of
 from can_rig.results.metrics import Metrics, metrics
 from can_rig.results.signals import Signals, signals_of_trace
 from can_rig.scenario.build import network_of
-from can_rig.scenario.reference import on_the_bus
+from can_rig.scenario.reference import refuse_saturation
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.simulation import Simulation
 
@@ -33,7 +33,7 @@ def signals_without_log(scenario: Scenario) -> Signals:
     Raises:
         RigError: as ``metrics_of``.
     """
-    on_the_bus(scenario, network_of(scenario))
+    refuse_saturation(scenario, network_of(scenario))
     shared = common(scenario)
     inputs = shared.inputs_of(scenario)
     loop = shared.loop(scenario, inputs, shared.plant or plant_of(scenario))

@@ -19,17 +19,26 @@ def on_the_bus(scenario: Scenario, network: Network) -> list[float]:
     """The reference of every tick, refused where its frame would saturate.
 
     Raises:
+        ScenarioError: as ``refuse_saturation``.
+    """
+    refuse_saturation(scenario, network)
+    fitting: list[float] = reference(scenario).tolist()
+    return fitting
+
+
+def refuse_saturation(scenario: Scenario, network: Network) -> None:
+    """Refuse a reference that its frame cannot carry.
+
+    Raises:
         ScenarioError: it does not fit; what ``reference`` refuses.
     """
-    values, frame = reference(scenario), network.reference
-    largest = float(np.abs(values).max())
+    frame = network.reference
+    largest = float(np.abs(reference(scenario)).max())
     if largest > frame.maximum:
         raise ScenarioError(
             f"scenario {scenario.name}: reference: reaches {largest:g} {frame.unit}; must be "
             f"at most {frame.maximum:g}, what {frame.name} carries"
         )
-    fitting: list[float] = values.tolist()
-    return fitting
 
 
 def reference(scenario: Scenario) -> FloatArray:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import fields, is_dataclass
 from functools import wraps
 from typing import Any, Final, ParamSpec, TypeVar
@@ -18,12 +18,12 @@ _TEXTS: Final[dict[int, tuple[object, str]]] = {}
 
 
 def remembered(
-    most: int,
+    most: int, by: Callable[..., Iterable[object]] | None = None
 ) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
     """Keep those ``most`` results of a function of settings that were asked for last.
 
     Nobody may change them. Settings are known by their text, which has every key and every digit;
-    they need no hash.
+    they need no hash. ``by`` says what the result follows from, where it is not every argument.
     """
 
     def keeping(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
@@ -31,7 +31,8 @@ def remembered(
 
         @wraps(function)
         def asked(*arguments: Arguments.args, **keywords: Arguments.kwargs) -> Result:
-            key = (*map(text_of, arguments), repr(keywords))
+            what = (*arguments, *keywords.items()) if by is None else by(*arguments, **keywords)
+            key = tuple(map(text_of, what))
             result = known[key] if key in known else function(*arguments, **keywords)
             known.pop(key, None)
             known[key] = result  # the last that somebody asked for

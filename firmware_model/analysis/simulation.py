@@ -103,9 +103,12 @@ class Simulation:
         self._plant = plant
         self._signals = np.full((ROWS, ticks), np.nan)
         self._states = np.zeros((2, ticks), dtype=np.int64)
+        at_rest = controller.init(table) if at_rest is None else at_rest
+        controllers = np.zeros_like(at_rest)
+        controllers[0] = at_rest[0]  # a record to a record: all bytes at once
         self._loop = (
-            np.array([table], table.dtype),
-            controller.init(table) if at_rest is None else at_rest.copy(),
+            np.asarray(table).reshape(1),
+            controllers,
             self.inputs,
             (float(resolution), float(lsb), float(maximum)),
             (np.zeros(2), np.zeros(2, dtype=np.int64), hold_ticks, np.zeros(3), limits, faults),
@@ -153,16 +156,17 @@ class Simulation:
 
         As far as that is its inputs must have been the same.
         """
+        self._loop[1][0] = other._loop[1][0]
         for own, its in zip(self._changing, other._changing, strict=True):
             own[...] = its
         self.done, self._output = other.done, other._output
 
     @property
     def _changing(self) -> tuple[Any, ...]:
-        """Every array that a tick changes."""
-        _, controllers, _, _, (held, silent, _, reached, *_), signals, states = self._loop
+        """Every array that a tick changes, but for the controller."""
+        _, _, _, _, (held, silent, _, reached, *_), signals, states = self._loop
         rest = (*self._memory, self.plant_states)
-        return controllers, held, silent, reached, signals, states, *rest
+        return held, silent, reached, signals, states, *rest
 
     @property
     def trace(self) -> Trace:
