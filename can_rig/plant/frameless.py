@@ -85,7 +85,7 @@ class Common:
         return simulation(scenario, self.network, plant, self.of, inputs, at_rest=self.at_rest)
 
 
-def _apart_from_disturbances(scenario: Scenario) -> Iterator[object]:
+def apart_from_disturbances(scenario: Scenario) -> Iterator[object]:
     """Everything else that a run follows from, also the states of its files."""
     for field in fields(scenario):
         if field.name not in DISTURBANCES:
@@ -95,7 +95,7 @@ def _apart_from_disturbances(scenario: Scenario) -> Iterator[object]:
             yield Path(file).stat().st_mtime_ns
 
 
-@remembered(4, by=_apart_from_disturbances)
+@remembered(4, by=apart_from_disturbances)
 def common(scenario: Scenario) -> Common:
     """What ``scenario`` has in common with all that differ in ``DISTURBANCES`` alone.
 

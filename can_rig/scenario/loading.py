@@ -7,7 +7,6 @@ may be given as a word, ``latency_ticks = "from-bus"``: a ``Draft`` keeps it, an
 
 from __future__ import annotations
 
-import copy
 import difflib
 import json
 import tomllib
@@ -149,10 +148,17 @@ def with_changes(file: Written, settings: Iterable[str] = ()) -> dict[str, Any]:
     Raises:
         ScenarioError: a change that is none.
     """
-    values = copy.deepcopy(file.values)
+    values: dict[str, Any] = _copied(file.values)
     for setting in settings:
         change(values, setting)
     return values
+
+
+def _copied(value: Any) -> Any:
+    """Tables and lists of what TOML has, which a change goes into."""
+    if isinstance(value, dict):
+        return {key: _copied(each) for key, each in value.items()}
+    return [_copied(each) for each in value] if isinstance(value, list) else value
 
 
 def of_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Draft:

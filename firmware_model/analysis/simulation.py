@@ -103,12 +103,11 @@ class Simulation:
         self._plant = plant
         self._signals = np.full((ROWS, ticks), np.nan)
         self._states = np.zeros((2, ticks), dtype=np.int64)
-        at_rest = controller.init(table) if at_rest is None else at_rest
-        controllers = np.zeros_like(at_rest)
-        controllers[0] = at_rest[0]  # a record to a record: all bytes at once
+        if at_rest is None:
+            at_rest = controller.init(table)
         self._loop = (
             np.asarray(table).reshape(1),
-            controllers,
+            at_rest.view(np.uint8).copy().view(at_rest.dtype),  # much faster than field by field
             self.inputs,
             (float(resolution), float(lsb), float(maximum)),
             (np.zeros(2), np.zeros(2, dtype=np.int64), hold_ticks, np.zeros(3), limits, faults),
