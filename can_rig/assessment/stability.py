@@ -214,7 +214,7 @@ def refuse_unstable(scenario: Scenario) -> None:
         if not finding.false_alarm:
             raise ScenarioError(
                 f"scenario {scenario.name}: not calm: {finding}; can-rig check says more, "
-                "--allow-unstable runs it as it is"
+                "can-rig tune looks for a calmer design, --allow-unstable runs it as it is"
             )
 
 

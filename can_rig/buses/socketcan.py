@@ -3,9 +3,9 @@
 A raw CAN socket has one receive queue, and the kernel silently drops what does not fit: a flood of
 other identifiers would drop the frames of the loop. So a node has two sockets with filters in the
 kernel. The identifiers of the loop have a queue of their own; the other socket takes everything
-else, for the log. While both have frames they are read in turns, so that a flood at most doubles
-what a node has to read. Frames that the kernel drops from either are counted (``SO_MEMINFO``,
-sock_diag(7): ``SK_MEMINFO_DROPS``).
+else, for the log, and sends it too, so that the node does not hear itself. While both have frames
+they are read in turns, so that a flood at most doubles what a node has to read. Frames that the
+kernel drops from either are counted (``SO_MEMINFO``, sock_diag(7): ``SK_MEMINFO_DROPS``).
 """
 
 from __future__ import annotations
@@ -60,6 +60,7 @@ class NodeSocketcanBus(can.BusABC):
         ]
         self._own = _socketcan(opened(can_filters=own))
         self._buses = [self._own]
+        self._own_identifiers = frozenset(identifiers)
         self._last = self._own  # the one read last
         self.channel = self._own.channel
         self.channel_info = self._own.channel_info
@@ -92,7 +93,9 @@ class NodeSocketcanBus(can.BusABC):
 
     def send(self, msg: can.Message, timeout: float | None = None) -> None:
         """As `can.BusABC.send`."""
-        self._own.send(msg, timeout)
+        identifier = msg.arbitration_id | msg.is_extended_id * _EXTENDED_FLAG
+        its = self._own if identifier in self._own_identifiers else self._buses[-1]
+        its.send(msg, timeout)
 
     def _recv_internal(self, timeout: float | None) -> tuple[can.Message | None, bool]:
         if len(self._buses) == 1:

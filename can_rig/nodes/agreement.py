@@ -30,7 +30,7 @@ from can_rig.scenario.tables.changes import FAULT
 from can_rig.scenario.tables.fault import FaultSettings
 
 WHOLE: Final = 0
-UNSETTLED_S: Final = 1.0
+UNSETTLED_S: Final = 5.0
 """How long a node waits for the key when it knows that the scenarios are not the same."""
 
 OWN: Final = ("name", "description", "reference.file", "drive.file", "network.dbc")

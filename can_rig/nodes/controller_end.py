@@ -35,12 +35,13 @@ class ControllerEnd:
         self._send = send
         self._commands = (Transmitter(network.command_1), Transmitter(network.command_2))
         self._status = Transmitter(network.status)
-        self._faults = FrameFaults(scenario, network)
+        self.faults: Final = FrameFaults(scenario, network)
+        """Those of the answer."""
 
     def send_commands(self, tick: int, command_1: float, command_2: float) -> None:
         """Both commands of ``tick``, as far as the scheduled faults leave them."""
         frames = [
-            self._faults.on_the_wire(transmitter.frame(command, tick), channel, tick)
+            self.faults.on_the_wire(transmitter.frame(command, tick), channel, tick)
             for channel, (transmitter, command) in enumerate(
                 zip(self._commands, (command_1, command_2), strict=True)
             )

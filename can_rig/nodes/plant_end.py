@@ -34,7 +34,7 @@ class PlantEnd:
         send: sends a frame.
         log: gets every frame that is sent; None records nothing.
         reports: gets what the plant reports of every tick; None records nothing.
-        changing: whether the plant's faults may change while the run goes on.
+        changing: whether the faults may change while the run goes on.
 
     Raises:
         ScenarioError: a reference that does not fit its frame, a plant that is none.
@@ -61,12 +61,17 @@ class PlantEnd:
         self._send_nothing = Transmitter(network.feedback)  # with the counter of the other
         self._send_speed = None if network.speed is None else Transmitter(network.speed)
         self._speeds = [] if network.speed is None else speeds_at_ticks(scenario).tolist()
-        self._faults = FrameFaults(scenario, network)
+        self._faults = FrameFaults(scenario, network, changing)
         self._receivers = tuple(
             Receiver(codec) for codec in (network.command_1, network.command_2, network.status)
         )
         self._by_id = {each.codec.frame_id: at for at, each in enumerate(self._receivers)}
         self._offered: tuple[can.Message, ...] = ()
+
+    def change_faults(self, scenario: Scenario) -> None:
+        """From the next tick on, the faults of ``scenario``."""
+        self.plant.change_faults(scenario)
+        self._faults.change(scenario)
 
     def sample(self, tick: int) -> None:
         """Measure D* of ``tick`` and pack its frames."""

@@ -11,6 +11,7 @@ from typing import Literal, NamedTuple, Protocol
 
 from can_rig.buses.bus import open_for_node
 from can_rig.export.running.controllers import PYTHON, Controller
+from can_rig.frames.beside import control
 from can_rig.frames.beside.agreement import SENDERS, ComparisonFrame
 from can_rig.nodes.agreement import Agreement
 from can_rig.nodes.bus_access import NodeBus, PersistentSender, Send, TolerantBus, bus_events
@@ -160,7 +161,9 @@ def run_in_process(
     timeouts = Timeouts(first_s=Timeouts.silence_s)  # the other node is there already
     with (
         open_for_node(bus_name, network.identifiers, True, network.fd) as plant_bus,
-        open_for_node(bus_name, network.identifiers, False, network.fd) as controller_bus,
+        open_for_node(
+            bus_name, (*network.identifiers, control.identifiers().taken), False, network.fd
+        ) as controller_bus,
         Recorder(log, scenario.tick_ns) as recorder,
         PlantRecorder(log) as reports,
         ExitStack() as stack,
@@ -223,8 +226,9 @@ def _open(
 ) -> Iterator[NodeBus]:
     """The bus, and for a node that was started by hand the comparison of scenarios on it."""
     network = network_of(scenario)
-    compared = tuple(ComparisonFrame(each).frame_id for each in SENDERS) if by_hand else ()
-    with open_for_node(bus_name, (*network.identifiers, *compared), overhear, network.fd) as bus:
+    beside = [control.identifiers().taken] if node == "controller" else []
+    beside += [ComparisonFrame(each).frame_id for each in SENDERS] if by_hand else []
+    with open_for_node(bus_name, (*network.identifiers, *beside), overhear, network.fd) as bus:
         if not by_hand:
             yield bus
             return

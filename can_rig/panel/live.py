@@ -119,7 +119,7 @@ class LiveSignals:
             getattr(network, role).frame_id: node for node, roles in ENDS.items() for role in roles
         }
         self._speed = None if network.speed is None else Receiver(network.speed)
-        self._control, self._state, self._applied_id = control.identifiers()
+        self._control, self._state, self._applied_id, _ = control.identifiers()
         self._applied: dict[int, tuple[float, float]] = {}
         self._heard_s: dict[str, float] = {}
         self._bits: dict[tuple[bool, bool, int], int] = {}

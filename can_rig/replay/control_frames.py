@@ -22,8 +22,8 @@ class Touches:
 
     def __init__(self, network: Network) -> None:
         self.found: Final[list[Touch]] = []
-        self._command, _, _ = control.identifiers()
-        self._feedback = network.feedback.frame_id
+        self._command = control.identifiers().control
+        self._reference = network.reference.frame_id  # one a tick; others may come again
         self._its = [self._command, *(each.frame_id for each in network.by_role)]
         self._frames = self._tick = 0
 
@@ -37,14 +37,14 @@ class Touches:
         ours = chunk[~chunk.has(EXTENDED) & np.isin(chunk.arbitration_id, self._its)]
         if not (ours.arbitration_id == self._command).any():
             self._frames += len(ours)
-            self._tick += int((ours.arbitration_id == self._feedback).sum())
+            self._tick += int((ours.arbitration_id == self._reference).sum())
             return
         for message in ours.messages():
             if message.arbitration_id == self._command:
                 self.found.append(Touch(self._frames, self._tick, message))
                 continue
             self._frames += 1
-            self._tick += message.arbitration_id == self._feedback
+            self._tick += message.arbitration_id == self._reference
 
 
 def touches(chunks: Iterable[Frames], network: Network) -> list[Touch]:

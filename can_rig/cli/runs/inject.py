@@ -22,7 +22,8 @@ DO: dict[str, control.Action] = {
 def _kinds(place: str) -> dict[str, str]:
     """What can be wrong with ``place``: the word on the command line → the kind."""
     prefix = "sensor-" if place == "sensor" else "actuator-"
-    return {kind.removeprefix(prefix): kind for kind in control.kinds() if kind.startswith(prefix)}
+    its = (kind for kind in control.kinds() if kind.startswith((prefix, "frames-")))
+    return {kind.removeprefix(prefix): kind for kind in its}
 
 
 @click.command("inject")
@@ -43,8 +44,9 @@ def command(what: str, how: str | None, bus: str, for_s: float | None, value: fl
 
     WHAT is torque, force-difference or sensor, with HOW it fails: dead (--value: what is left),
     stuck, offset, drift, oscillating, rate-limited, late; a sensor is biased rather than offset.
-    Or it is clear [all or one of them], reference MPS2 (added to it), pace TIMES-REAL-TIME, pause
-    (pace goes on), step TICKS.
+    Its frames fail too: frames-missing, -corrupted, -repeated, -late, -forged. Or it is clear [all
+    or one of them], reference MPS2 (added to it), pace TIMES-REAL-TIME, pause (pace goes on), step
+    TICKS.
     """
     asked = _command(what, how, for_s, value)
     with open_bus(bus) as opened:

@@ -64,6 +64,7 @@ def random_table(
         test = table.sequential_test
         test.restart, test.promising, test.freshness = -1.0, random.exponential(), random.random()
         test.needed = random.exponential()
+        test.share = random.choice([0.0, random.random(), test.share])
     cars = table.other_cars
     for filter in (
         table.tracking.filter, table.estimator.channel_1, table.estimator.channel_2,
@@ -109,6 +110,8 @@ def random_state(
         test.half_age, test.evidence = random.integers(2, 9), random.exponential()
         test.age = 2.0 * test.half_age + random.integers(-2, 3)
         test.half_information, test.information = np.sort(random.exponential(1.0, 2))
+        if random.random() < 0.4:  # because it has nothing to show
+            test.delay[:], test.explained[:], test.previous_shown = 0.0, 0.0, 0.0
     if random.random() < 0.3:
         state.bumpless_transfer.carried_speed = random.choice([np.inf, np.nan])
     state.mode, state.fault_state = random.integers(0, 4, 2)

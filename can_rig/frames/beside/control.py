@@ -25,6 +25,8 @@ SHORTEST_S: Final = 0.1
 LONGEST_S: Final = 25.5
 """Of a fault that ends by itself."""
 
+_NAMES: Final = ("CONTROL", "STATE", "APPLIED", "TAKEN")
+
 Action = Literal["INJECT", "CLEAR", "MOVE_REFERENCE", "PACE", "PAUSE", "STEP"]
 
 
@@ -61,13 +63,19 @@ def _message(name: str) -> DbcMessage:
     raise DbcError(f"{path}: has no message {name}; it must have one")
 
 
+class Identifiers(NamedTuple):
+    """Of ``RIG_CONTROL``, ``RIG_STATE``, ``RIG_APPLIED`` and ``RIG_TAKEN``."""
+
+    control: int
+    state: int
+    applied: int
+    taken: int
+
+
 @cache
-def identifiers() -> tuple[int, int, int]:
-    """Of ``RIG_CONTROL``, ``RIG_STATE`` and ``RIG_APPLIED``."""
-    control, state, applied = (
-        _message(f"RIG_{name}").frame_id for name in ("CONTROL", "STATE", "APPLIED")
-    )
-    return control, state, applied
+def identifiers() -> Identifiers:
+    """Those of the DBC."""
+    return Identifiers(*(_message(f"RIG_{name}").frame_id for name in _NAMES))
 
 
 def kinds() -> tuple[str, ...]:
@@ -88,6 +96,29 @@ def _choices(signal: str) -> dict[int, str]:
 
 def command_message(command: Command, sequence: int) -> Message:
     """The frame of ``command``, of which ``NextSequence`` was ``sequence``; values saturate."""
+    return _command_message("RIG_CONTROL", command, sequence)
+
+
+def taken_message(command: Command, sequence: int) -> Message:
+    """The frame with which the plant node says that it takes ``command``."""
+    return _command_message("RIG_TAKEN", command, sequence)
+
+
+def read_command(message: Message, sequence: int | None = None) -> Command | None:
+    """What a ``RIG_CONTROL`` says; None if it is damaged, or is not number ``sequence``.
+
+    Without a ``sequence`` its number does not matter.
+    """
+    numbered = _read_command("RIG_CONTROL", message)
+    return None if numbered is None or sequence not in (None, numbered[0]) else numbered[1]
+
+
+def read_taken(message: Message) -> tuple[int, Command] | None:
+    """Number and content of a ``RIG_TAKEN``; None if it is damaged."""
+    return _read_command("RIG_TAKEN", message)
+
+
+def _command_message(name: str, command: Command, sequence: int) -> Message:
     value = _message("RIG_CONTROL").get_signal_by_name("Value")
     low, high = float(value.minimum or 0), float(value.maximum or 0)
     data = {
@@ -103,18 +134,15 @@ def command_message(command: Command, sequence: int) -> Message:
         else min(max(command.duration_s, SHORTEST_S), LONGEST_S),
         "Value": min(max(command.value or 0.0, low), high),
     }
-    return _protected("RIG_CONTROL", data, sequence % COUNTERS)
+    return _protected(name, data, sequence % COUNTERS)
 
 
-def read_command(message: Message, sequence: int | None = None) -> Command | None:
-    """What a ``RIG_CONTROL`` says; None if it is damaged, or is not number ``sequence``.
-
-    Without a ``sequence`` its number does not matter.
-    """
-    said = _intact("RIG_CONTROL", message)
-    if said is None or said["AliveCounter"] != cast(int, said["Sequence"]) % COUNTERS:
+def _read_command(name: str, message: Message) -> tuple[int, Command] | None:
+    said = _intact(name, message)
+    if said is None:
         return None
-    if sequence is not None and said["Sequence"] != sequence:
+    sequence = cast(int, said["Sequence"])
+    if said["AliveCounter"] != sequence % COUNTERS:
         return None
     action, kind, place = (str(said[name]) for name in ("Action", "Kind", "Place"))
     if action not in _choices("Action").values():
@@ -122,13 +150,14 @@ def read_command(message: Message, sequence: int | None = None) -> Command | Non
     injects = action == "INJECT"
     if injects != (kind in kinds()):
         return None
-    return Command(
+    command = Command(
         cast(Action, action),
         kind if injects else None,
         place,
         float(cast(float, said["Value"])) if said["HasValue"] else None,
         float(cast(float, said["Duration"])) or None,
     )
+    return sequence, command
 
 
 def state_message(state: State, counter: int) -> Message:

@@ -14,6 +14,7 @@ from can_rig.frames.wire_tick import WIRE_TICKS, tick_from
 from can_rig.nodes.bus_access import Send
 from can_rig.nodes.controller_end import ControllerEnd, started
 from can_rig.nodes.lockstep.answering import AnsweringNode
+from can_rig.nodes.operator.following import FollowedFaults
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, Firmware, Law
 
@@ -53,6 +54,7 @@ class ControllerNode(AnsweringNode):
         self._actuation = actuation
         self.ticks = scenario.ticks
         self._end = ControllerEnd(scenario, network, send)
+        self._followed = FollowedFaults(scenario, self._end.faults)
         _, self._firmware = started(scenario, network, law)
         self._reference_now = Record(math.nan, -1)
         self._tick = 0  # the next one
@@ -67,6 +69,8 @@ class ControllerNode(AnsweringNode):
 
     def take(self, message: can.Message) -> bool:
         """Take in a frame, and answer the tick that it completes; whether it did."""
+        if self._followed.take(message, self._tick):
+            return False
         if self._expected is None and not self._first_contact(message):
             return False
         if self._end.is_speed(message):

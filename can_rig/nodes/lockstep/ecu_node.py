@@ -12,6 +12,7 @@ from can_rig.export.running.ecu import COUNTS, Ecu, rejected
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import Send
 from can_rig.nodes.lockstep.answering import AnsweringNode
+from can_rig.nodes.operator.following import FollowedFaults
 from can_rig.plant.faults.frame_faults import FrameFaults
 from can_rig.scenario.settings import Scenario
 
@@ -28,6 +29,7 @@ class EcuNode(AnsweringNode):
         commands = (network.command_1, network.command_2)
         self._channels = {codec.frame_id: channel for channel, codec in enumerate(commands)}
         self._faults = FrameFaults(scenario, network)
+        self._followed = FollowedFaults(scenario, self._faults)
         self._tick = 0  # the next one
 
     @property
@@ -40,6 +42,7 @@ class EcuNode(AnsweringNode):
         if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
             return False
         if message.arbitration_id not in self._wanted:
+            self._followed.take(message, self._tick)
             return False
         sent = self._ecu.take(message.arbitration_id, bytes(message.data))
         for frame_id, data in sent:

@@ -47,7 +47,7 @@ def operate(bus: can.BusABC, name: str, command: control.Command) -> None:
 
 def _state(bus: can.BusABC) -> control.State | None:
     """The next that a plant node says of itself; None if it says nothing."""
-    _, frame_id, _ = control.identifiers()
+    frame_id = control.identifiers().state
     end_s = time.monotonic() + WITHIN_S
     while (left_s := end_s - time.monotonic()) > 0.0:
         message = bus.recv(left_s)

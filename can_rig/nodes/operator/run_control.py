@@ -52,7 +52,7 @@ class RunControl:
         self._send = send
         self._clock = clock
         self._touched = interaction != UNTOUCHED
-        self._asked: list[control.Command] = []  # and not done yet
+        self._asked: list[tuple[int, control.Command]] = []  # and not done yet
         self._paused = False
         self._steps = 0
         self._pace = interaction.pace
@@ -66,15 +66,15 @@ class RunControl:
 
     def take(self, message: can.Message) -> None:
         """Note a frame that is none of the network's, and may be a command."""
-        if message.arbitration_id != control.identifiers()[0]:
+        if message.arbitration_id != control.identifiers().control:
             return
         command = control.read_command(message, self._next)
         if command is None or not self._interaction.injectable:
             self.refused += 1
             return
+        self._asked.append((self._next, command))
         self._next = (self._next + 1) % control.SEQUENCES
         self._last_checksum = message.data[0]
-        self._asked.append(command)
 
     def begin(self, tick: int, watchdog: Watchdog, hear: Callable[[can.Message], None]) -> None:
         """Wait until ``tick`` may begin, then let what was asked for act from it on.
@@ -114,7 +114,8 @@ class RunControl:
     def _obey(self, tick: int) -> None:
         """Do what was asked for before ``tick``."""
         asked, self._asked = self._asked, []
-        for command in asked:
+        for number, command in asked:
+            self._send(control.taken_message(command, number))  # the controller's frames fail too
             if not self._does(command, tick):
                 self.refused += 1
         if asked:
@@ -125,7 +126,7 @@ class RunControl:
         if command.action in FAULT_ACTIONS:
             if not self._injection.obey(command, tick):
                 return False
-            self._end.plant.change_faults(self._injection.scenario)
+            self._end.change_faults(self._injection.scenario)
         elif command.action == "PAUSE":
             self._paused, self._steps = True, 0
         elif value is None or (value < 0.0 and command.action != "MOVE_REFERENCE"):

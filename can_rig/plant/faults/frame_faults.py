@@ -5,13 +5,15 @@ from __future__ import annotations
 import random
 from collections import deque
 from copy import copy
-from typing import Final, Protocol
+from dataclasses import replace
+from typing import Final, NamedTuple, Protocol
 
 from can import Message
 
 from can_rig.frames.codec import MessageCodec
 from can_rig.frames.endpoints import Transmitter
 from can_rig.frames.network import Network
+from can_rig.frames.protection import COUNTERS
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.fault import PLACES, FaultSettings
 
@@ -20,40 +22,36 @@ SENSOR_PLACE: Final = 2
 
 
 class FrameFault(Protocol):
-    """One fault; it is asked at every tick."""
+    """What becomes of the frames of one sender; it is asked at every tick."""
 
-    def pass_on(self, frames: list[Message], tick: int) -> list[Message]:
-        """The frames that go on, of those of ``tick`` that have come so far."""
+    def pass_on(self, frames: list[Message], tick: int, there: bool) -> list[Message]:
+        """The frames that go on, of those of ``tick`` that have come so far.
+
+        ``there`` says whether the fault is there at this tick.
+        """
 
 
 class Missing:
     """No frame goes on."""
 
-    def __init__(self, ticks: range) -> None:
-        self._ticks = ticks
-
-    def pass_on(self, frames: list[Message], tick: int) -> list[Message]:
+    def pass_on(self, frames: list[Message], tick: int, there: bool) -> list[Message]:
         """See ``FrameFault``."""
-        return [] if tick in self._ticks else frames
+        return [] if there else frames
 
 
 class Corrupted:
     """One byte of each frame is changed after protection.
 
     That is a burst of at most 8 bits, which a CRC-8 always detects, so a corrupted frame is never
-    taken for a good one by luck. Faults that overlap share one of these, so that no frame is
-    changed twice.
+    taken for a good one by luck.
     """
 
     def __init__(self, seed: int) -> None:
-        self.ticks: Final[list[range]] = []
         self._random = random.Random(seed)
 
-    def pass_on(self, frames: list[Message], tick: int) -> list[Message]:
+    def pass_on(self, frames: list[Message], tick: int, there: bool) -> list[Message]:
         """See ``FrameFault``."""
-        if not any(tick in ticks for ticks in self.ticks):
-            return frames
-        return [self._damaged(frame) for frame in frames]
+        return [self._damaged(frame) for frame in frames] if there else frames
 
     def _damaged(self, frame: Message) -> Message:
         damaged, data = copy(frame), bytearray(frame.data)
@@ -63,15 +61,17 @@ class Corrupted:
 
 
 class Repeated:
-    """The last frame before the fault goes on again and again; none where there was none."""
+    """The last frame before the fault goes on again and again; none where there was none.
 
-    def __init__(self, ticks: range) -> None:
-        self._ticks = ticks
-        self._last: list[Message] = []
+    ``last`` is that of the tick before the first at which it is asked.
+    """
 
-    def pass_on(self, frames: list[Message], tick: int) -> list[Message]:
+    def __init__(self, last: list[Message]) -> None:
+        self._last = last
+
+    def pass_on(self, frames: list[Message], tick: int, there: bool) -> list[Message]:
         """See ``FrameFault``."""
-        if tick in self._ticks:
+        if there:
             return [copy(frame) for frame in self._last]
         self._last = frames[-1:]
         return frames
@@ -80,14 +80,13 @@ class Repeated:
 class Late:
     """Each frame goes on so many ticks later, before that of the tick."""
 
-    def __init__(self, ticks: range, late_ticks: int) -> None:
-        self._ticks = ticks
+    def __init__(self, late_ticks: int) -> None:
         self._late_ticks = late_ticks
         self._waiting: deque[tuple[int, list[Message]]] = deque()
 
-    def pass_on(self, frames: list[Message], tick: int) -> list[Message]:
+    def pass_on(self, frames: list[Message], tick: int, there: bool) -> list[Message]:
         """See ``FrameFault``."""
-        if tick in self._ticks:
+        if there:
             self._waiting.append((tick + self._late_ticks, frames))
             frames = []
         due: list[Message] = []
@@ -97,45 +96,83 @@ class Late:
 
 
 class Forged:
-    """An intruder's frame with a value of its own comes first, with the right CRC and counter."""
+    """An intruder's frame with a value of its own comes first, with the right CRC and counter.
 
-    def __init__(self, ticks: range, codec: MessageCodec, value: float) -> None:
-        self._ticks = ticks
+    ``before`` says how many frames were sent before the first tick at which it is asked.
+    """
+
+    def __init__(self, codec: MessageCodec, value: float, before: int) -> None:
         self._intruder = Transmitter(codec)
         self._value = value
+        for tick in range(before % COUNTERS):
+            self._intruder.frame(value, tick)
 
-    def pass_on(self, frames: list[Message], tick: int) -> list[Message]:
+    def pass_on(self, frames: list[Message], tick: int, there: bool) -> list[Message]:
         """See ``FrameFault``."""
         forged = self._intruder.frame(self._value, tick)  # at every tick, so that it counts along
-        return [forged, *frames] if tick in self._ticks else frames
+        return [forged, *frames] if there else frames
+
+
+class Scheduled(NamedTuple):
+    """A fault, and when it is there."""
+
+    settings: FaultSettings
+    """As if it were there for good."""
+    fault: FrameFault
+    ticks: list[range]
+
+    def at(self, tick: int) -> bool:
+        """Whether it is there at ``tick``."""
+        return any(tick in ticks for ticks in self.ticks)
 
 
 class FrameFaults:
     """The faults of a scenario that concern its commands and the frame of D*.
 
     A place is 0 or 1 for a command, ``SENSOR_PLACE`` for D*. Faults that overlap act one after the
-    other, in the order of the scenario.
+    other, in the order of the scenario; but all that corrupt a place's frames are one, so that no
+    frame is changed twice.
+
+    Args:
+        scenario: whose faults they are.
+        network: its frames.
+        changing: whether they may change while the run goes on.
     """
 
-    def __init__(self, scenario: Scenario, network: Network) -> None:
-        codecs = (network.command_1, network.command_2, network.feedback)
-        self._faults: tuple[list[FrameFault], ...] = tuple([] for _ in codecs)
-        self.ticks: Final[tuple[list[range], ...]] = tuple([] for _ in codecs)
+    def __init__(self, scenario: Scenario, network: Network, changing: bool = False) -> None:
+        self._codecs = (network.command_1, network.command_2, network.feedback)
+        self._changing = changing
+        self._damage = tuple(Corrupted(scenario.seed) for _ in self._codecs)
+        self._faults: tuple[list[Scheduled], ...] = tuple([] for _ in self._codecs)
+        self._sent = [0] * len(self._codecs)  # frames of each place until now
+        self._last: list[list[Message]] = [[] for _ in self._codecs]  # that went on
+        self.change(scenario)
+
+    def change(self, scenario: Scenario) -> None:
+        """From the next frame on, the faults of ``scenario``.
+
+        One that was there before, for another time perhaps, goes on with what it remembers.
+        """
+        before, self._faults = self._faults, tuple([] for _ in self._codecs)
+        self.ticks: tuple[list[range], ...] = tuple([] for _ in self._codecs)
         """Of each place, from when to when a fault may change something."""
-        damage = tuple(Corrupted(scenario.seed) for _ in codecs)
-        run = range(scenario.ticks)
-        for fault in scenario.faults:
-            if not fault.acts_on_frames:
+        for settings in scenario.faults:
+            if not settings.acts_on_frames:
                 continue
-            place, ticks = PLACES.index(fault.place), fault.ticks(scenario.tick_ns, run)
-            late_ticks = fault.late_ticks if fault.kind == "frames-late" else 0
+            place = PLACES.index(settings.place)
+            ticks = settings.ticks(scenario.tick_ns, range(scenario.ticks))
+            late_ticks = settings.late_ticks if settings.kind == "frames-late" else 0
             self.ticks[place].append(range(ticks.start, ticks.stop + late_ticks))
-            if fault.kind == "frames-corrupted":
-                damage[place].ticks.append(ticks)
-                if damage[place] not in self._faults[place]:
-                    self._faults[place].append(damage[place])
-            else:
-                self._faults[place].append(_fault(fault, ticks, codecs[place]))
+            always, faults = replace(settings, for_s=None), self._faults[place]
+            damaging = [each for each in faults if each.fault is self._damage[place]]
+            if damaging and settings.kind == "frames-corrupted":
+                damaging[0].ticks.append(ticks)
+                continue
+            known = [each for each in before[place] if each.settings == always]
+            fault = known[0].fault if known else self._new(always, place)
+            for each in known[:1]:
+                before[place].remove(each)
+            faults.append(Scheduled(always, fault, [ticks]))
 
     def on_the_wire(
         self, frame: Message, place: int, tick: int, otherwise: Message | None = None
@@ -146,23 +183,26 @@ class FrameFaults:
         controller, which a lockstep run cannot go on without.
         """
         frames = [frame]
-        for fault in self._faults[place]:
-            frames = fault.pass_on(frames, tick)
+        for each in self._faults[place]:
+            frames = each.fault.pass_on(frames, tick, each.at(tick))
+        self._sent[place] += 1
+        self._last[place] = frames[-1:]
         if otherwise is not None and not any(each is frame for each in frames):
             frames.append(otherwise)
         return frames
 
     def concerns(self, place: int) -> bool:
-        """Whether frames of ``place`` are changed at some time."""
-        return bool(self._faults[place])
+        """Whether frames of ``place`` are changed at some time, or may be."""
+        return self._changing or bool(self._faults[place])
 
-
-def _fault(fault: FaultSettings, ticks: range, codec: MessageCodec) -> FrameFault:
-    if fault.kind == "frames-repeated":
-        return Repeated(ticks)
-    if fault.kind == "frames-late":
-        return Late(ticks, fault.late_ticks)
-    if fault.kind == "frames-forged":
-        assert fault.value is not None
-        return Forged(ticks, codec, fault.value)
-    return Missing(ticks)
+    def _new(self, settings: FaultSettings, place: int) -> FrameFault:
+        if settings.kind == "frames-corrupted":
+            return self._damage[place]
+        if settings.kind == "frames-repeated":
+            return Repeated(self._last[place])
+        if settings.kind == "frames-late":
+            return Late(settings.late_ticks)
+        if settings.kind == "frames-forged":
+            assert settings.value is not None
+            return Forged(self._codecs[place], settings.value, self._sent[place])
+        return Missing()

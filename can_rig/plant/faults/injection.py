@@ -9,12 +9,13 @@ from pydantic import ValidationError
 
 from can_rig.frames.beside.control import ALL, Command
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import CHANNELS, MAX_LATE_TICKS, FaultSettings
-from can_rig.scenario.tables.fault import NUMBER as OF_SCENARIOS
-
-NUMBER: Final = {k: v for k, v in OF_SCENARIOS.items() if not k.startswith("frames-")}
-"""Of each kind that can be injected, the key of its one number."""
-
+from can_rig.scenario.tables.fault import (
+    CHANNELS,
+    MAX_LATE_TICKS,
+    NUMBER,
+    SENSOR,
+    FaultSettings,
+)
 
 FAULT_ACTIONS: Final = ("INJECT", "CLEAR")
 """What of a command concerns faults."""
@@ -22,15 +23,14 @@ FAULT_ACTIONS: Final = ("INJECT", "CLEAR")
 
 def injected(command: Command, tick: int, tick_ns: int) -> FaultSettings | None:
     """The fault that ``command`` asks for, from ``tick`` on; None if there is none such."""
-    key = NUMBER.get(command.kind or "")
-    if key is None:
-        return None
-    values: dict[str, object] = {"kind": command.kind, "at_s": tick * tick_ns / 1e9}
-    if command.place in CHANNELS:
+    kind = command.kind or ""
+    values: dict[str, object] = {"kind": kind, "at_s": tick * tick_ns / 1e9}
+    if command.place in CHANNELS or (command.place == SENSOR and kind.startswith("frames-")):
         values["channel"] = command.place
-    elif not str(command.kind).startswith("sensor-"):
+    elif not kind.startswith("sensor-"):
         return None
-    if command.value is not None:
+    key = NUMBER.get(kind)
+    if command.value is not None and key is not None:
         values[key] = round(command.value) if key == "late_ticks" else command.value
     if command.duration_s is not None:
         values["for_s"] = command.duration_s
@@ -74,7 +74,7 @@ class Injection:
         faults = []
         for fault in scenario.faults:
             begin_ns, end_ns = fault.span_ns
-            if place not in (ALL, fault.place) or end_ns <= now_ns or fault.acts_on_frames:
+            if place not in (ALL, fault.place) or end_ns <= now_ns:
                 faults.append(fault)
             elif begin_ns < now_ns:
                 faults.append(replace(fault, for_s=(now_ns - begin_ns) / 1e9))

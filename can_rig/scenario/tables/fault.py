@@ -65,6 +65,7 @@ NUMBER: Final = {
     "actuator-late": "late_ticks",
     "sensor-late": "late_ticks",
     "sensor-biased": "bias_mps2",
+    "frames-late": "late_ticks",
     "frames-forged": "value",
 }
 """Of each kind that has one, the key of its one number."""

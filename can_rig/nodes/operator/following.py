@@ -1,0 +1,43 @@
+"""The controller node's side of a touched run: its frames fail as the plant node says."""
+
+from __future__ import annotations
+
+from typing import Final
+
+import can
+
+from can_rig.frames.beside import control
+from can_rig.plant.faults.frame_faults import FrameFaults
+from can_rig.plant.faults.injection import FAULT_ACTIONS, Injection
+from can_rig.scenario.settings import Scenario
+
+
+class FollowedFaults:
+    """Faults of frames that are injected and cleared as the plant node does it.
+
+    It says each command that it takes, in their order and before the frames of the first tick in
+    which it acts. A frame that is damaged, or not the next one, changes nothing.
+
+    Args:
+        scenario: the run.
+        faults: what is changed.
+    """
+
+    def __init__(self, scenario: Scenario, faults: FrameFaults) -> None:
+        self._injection = Injection(scenario)
+        self._faults = faults
+        self._frame_id: Final = control.identifiers().taken
+        self._next: int | None = None  # the first may have any number
+
+    def take(self, message: can.Message, tick: int) -> bool:
+        """Follow a frame that says a command of ``tick``; whether it is such a one."""
+        if message.arbitration_id != self._frame_id:
+            return False
+        numbered = control.read_taken(message)
+        if numbered is None or self._next not in (None, numbered[0]):
+            return True
+        number, command = numbered
+        self._next = (number + 1) % control.SEQUENCES
+        if command.action in FAULT_ACTIONS and self._injection.obey(command, tick):
+            self._faults.change(self._injection.scenario)
+        return True

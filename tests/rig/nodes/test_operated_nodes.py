@@ -1,0 +1,107 @@
+"""Faults of frames injected into two nodes on a bus: the log says what a scenario would say."""
+
+from __future__ import annotations
+
+import os
+import threading
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import can
+import pytest
+
+from can_rig.assessment.resolve import load
+from can_rig.buses.bus import open_bus
+from can_rig.frames.beside import control
+from can_rig.frames.beside.control import Command
+from can_rig.logs.reading import read_log
+from can_rig.nodes.operator.interaction import Interaction
+from can_rig.nodes.operator.operating import operate
+from can_rig.nodes.runner import run_controller, run_in_process, run_plant
+from can_rig.nodes.watchdog import StopRequest
+from can_rig.replay.control_frames import done, touches
+from can_rig.scenario.build import network_of
+from can_rig.scenario.settings import Scenario
+from tests.vcan import PATIENT, TIMEOUT_S
+
+TOLD = (
+    Command("PAUSE"),
+    Command("INJECT", "frames-missing", "torque", None, 0.1),
+    Command("INJECT", "frames-forged", "force-difference", 40.0),
+    Command("STEP", value=50.0),
+    Command("INJECT", "frames-corrupted", "sensor"),
+    Command("STEP", value=80.0),
+    Command("CLEAR", place="force-difference"),
+    Command("PACE", value=0.0),
+)
+
+
+@contextmanager
+def two_nodes(scenario: Scenario, bus: str, log: Path) -> Iterator[None]:
+    """A run that can be touched, on a bus; the block begins with it, and it ends by itself."""
+    stop, ready = StopRequest(), threading.Event()
+    interaction = Interaction(injectable=True, pace=0.05)  # until somebody pauses it
+
+    def controller() -> None:
+        run_controller(scenario, bus, PATIENT, stop, ready.set, lambda _: None)
+
+    def plant() -> None:
+        ready.wait(TIMEOUT_S)
+        run_plant(scenario, bus, log, PATIENT, stop, lambda _: None, interaction=interaction)
+
+    threads = [threading.Thread(target=each) for each in (controller, plant)]
+    for thread in threads:
+        thread.start()
+    try:
+        ready.wait(TIMEOUT_S)
+        yield
+    except BaseException:
+        stop.wanted = True
+        raise
+    finally:
+        for thread in threads:
+            thread.join(TIMEOUT_S)
+
+
+def wait_for(bus: can.BusABC, frame_id: int) -> None:
+    """Until somebody sends such a frame."""
+    end_s = time.monotonic() + TIMEOUT_S
+    while time.monotonic() < end_s:
+        message = bus.recv(1.0)
+        if message is not None and message.arbitration_id == frame_id:
+            return
+    raise AssertionError(f"no frame {frame_id:03X} has come")
+
+
+def sent(log: Path) -> list[str]:
+    """The frames of the network in a log, in their order."""
+    said = [line.split()[2] for line in log.read_text().splitlines()]
+    return [frame for frame in said if not frame.startswith("71")]
+
+
+@pytest.mark.parametrize("bus", ["local:", pytest.param("socketcan:vcan0", marks=pytest.mark.vcan)])
+def test_frames_fail_at_both_nodes_from_the_same_tick_on(bus: str, tmp_path: Path) -> None:
+    scenario = load("ideal", ["duration_s=0.4", "fault.kind=none"])
+    bus += f"{os.getpid()}-operated" if bus == "local:" else ""
+    log, other = tmp_path / "bus.log", tmp_path / "scheduled.log"
+    with two_nodes(scenario, bus, log), open_bus(bus) as operator:
+        wait_for(operator, control.identifiers().state)
+        for command in TOLD:
+            operate(operator, bus, command)
+    told = tuple(touches(read_log(log), network_of(scenario)))
+    what = done(scenario, told).scenario
+    assert [(each.kind, each.place) for each in what.faults] == [
+        (command.kind, command.place) for command in TOLD if command.action == "INJECT"
+    ]
+    run_in_process(what, "virtual:scheduled", other, StopRequest(), lambda _: None)
+    assert sent(log) == sent(other)
+    again = tmp_path / "again.log"
+    run_in_process(
+        scenario, "virtual:again", again, StopRequest(), lambda _: None,
+        interaction=Interaction(injectable=True, told=told),
+    )  # fmt: skip
+    assert again.read_bytes() == log.read_bytes()
+    _, *ours = control.identifiers()
+    assert not [each for each in ours if f" {each:03X}#" in log.read_text()]
