@@ -14,7 +14,7 @@ MOST_TEXTS: Final = 256
 """Tables of settings whose text is kept: those of some scenarios."""
 
 _TEXTS: Final[dict[int, tuple[object, str]]] = {}
-"""Tables and their texts, by the identity of the table, which being here keeps it its own."""
+"""The last tables and their texts by identity, which is theirs alone as long as they are here."""
 
 
 def remembered(
@@ -50,13 +50,14 @@ def text_of(settings: Any) -> str:
 
     What runs of a campaign have in common are the same tables, which are frozen.
     """
+    kept = _TEXTS.get(id(settings))
+    if kept is not None:
+        return kept[1]
     if not is_dataclass(settings):
         return repr(settings)
-    kept = _TEXTS.pop(id(settings), None)
-    if kept is None:
-        parts = (text_of(getattr(settings, field.name)) for field in fields(settings))
-        kept = settings, f"{type(settings).__qualname__}({', '.join(parts)})"
-    _TEXTS[id(settings)] = kept  # the last that somebody asked for
+    parts = (text_of(getattr(settings, field.name)) for field in fields(settings))
+    text = f"{type(settings).__qualname__}({', '.join(parts)})"
+    _TEXTS[id(settings)] = settings, text
     if len(_TEXTS) > MOST_TEXTS:
         del _TEXTS[next(iter(_TEXTS))]
-    return kept[1]
+    return text
