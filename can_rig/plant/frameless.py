@@ -85,17 +85,23 @@ class Common:
         return simulation(scenario, self.network, plant, self.of, inputs, at_rest=self.at_rest)
 
 
-def apart_from_disturbances(scenario: Scenario) -> Iterator[object]:
-    """Everything else that a run follows from, also the states of its files."""
+def sources(scenario: Scenario, *apart_from: str) -> Iterator[object]:
+    """Everything that a run follows from but for some keys, and the states of its files."""
     for field in fields(scenario):
-        if field.name not in DISTURBANCES:
+        if field.name not in apart_from:
             yield getattr(scenario, field.name)
     for file in (scenario.reference.file, scenario.drive.file):
         if file and Path(file).is_file():
-            yield Path(file).stat().st_mtime_ns
+            state = Path(file).stat()
+            yield state.st_mtime_ns, state.st_size
 
 
-@remembered(4, by=apart_from_disturbances)
+def common_sources(scenario: Scenario) -> Iterator[object]:
+    """Those of ``common``."""
+    return sources(scenario, *DISTURBANCES)
+
+
+@remembered(4, by=common_sources)
 def common(scenario: Scenario) -> Common:
     """What ``scenario`` has in common with all that differ in ``DISTURBANCES`` alone.
 
