@@ -103,11 +103,10 @@ class Simulation:
         self._plant = plant
         self._signals = np.full((ROWS, ticks), np.nan)
         self._states = np.zeros((2, ticks), dtype=np.int64)
-        if at_rest is None:
-            at_rest = controller.init(table)
+        state = controller.init(table) if at_rest is None else at_rest
         self._loop = (
             np.asarray(table).reshape(1),
-            at_rest.view(np.uint8).copy().view(at_rest.dtype),  # much faster than field by field
+            state.view(np.uint8).copy().view(state.dtype),  # not field by field, which is slow
             self.inputs,
             (float(resolution), float(lsb), float(maximum)),
             (np.zeros(2), np.zeros(2, dtype=np.int64), hold_ticks, np.zeros(3), limits, faults),
@@ -123,24 +122,21 @@ class Simulation:
         self.plant_states = np.zeros((0, 0))
         """(ticks, n), at the beginning of each tick, where they are kept."""
         if isinstance(plant, SampledPlant):
-            self.tick_s = plant.tick_s
-            self._memory = plant.memory
+            self._memory, tick_s = plant.memory, plant.tick_s
             self.plant_states = np.zeros((ticks if keeps_states else 0, len(plant.c)))
-        else:
-            assert tick_s is not None
-            self.tick_s = tick_s
+        assert tick_s is not None
+        self.tick_s = tick_s
 
     def run(self, until: int | None = None) -> None:
         """Go on up to the tick ``until``; None: to the end. What the plant raises is passed on."""
         end, plant = self.ticks if until is None else min(until, self.ticks), self._plant
         if isinstance(plant, SampledPlant):
-            if end <= self.done:
-                return
-            self._output = _run(
-                *self._loop, self.done, end, *self._output, plant.constants, self._memory,
-                self.plant_states,
-            )  # fmt: skip
-            self.done = end
+            if end > self.done:
+                self._output = _run(
+                    *self._loop, self.done, end, *self._output, plant.constants, self._memory,
+                    self.plant_states,
+                )  # fmt: skip
+                self.done = end
             return
         effectiveness = self.inputs[3]
         while self.done < end:
@@ -164,8 +160,7 @@ class Simulation:
     def _changing(self) -> tuple[Any, ...]:
         """Every array that a tick changes, but for the controller."""
         _, _, _, _, (held, silent, _, reached, *_), signals, states = self._loop
-        rest = (*self._memory, self.plant_states)
-        return held, silent, reached, signals, states, *rest
+        return held, silent, reached, signals, states, *self._memory, self.plant_states
 
     @property
     def trace(self) -> Trace:
