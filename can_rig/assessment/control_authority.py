@@ -16,7 +16,7 @@ from dataclasses import asdict, dataclass
 import numpy as np
 
 from can_rig.frames.network import Network
-from can_rig.plant.frameless import common_sources
+from can_rig.plant.frameless import undisturbed_with_files
 from can_rig.plant.nonlinear_car import car_of
 from can_rig.scenario.build import continuous_plant, target
 from can_rig.scenario.reference import reference
@@ -69,7 +69,7 @@ class ControlAuthority:
 
 
 def _what_it_follows_from(scenario: Scenario, _: Network) -> Iterator[object]:
-    return common_sources(scenario)
+    return undisturbed_with_files(scenario)
 
 
 @remembered(4, by=_what_it_follows_from)

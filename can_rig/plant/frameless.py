@@ -6,9 +6,8 @@ Bit for bit the signals of the run on a lockstep bus; thousands of times faster 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
@@ -35,9 +34,6 @@ from firmware_model.analysis.trace import Trace
 from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.target import controller
 from firmware_model.target.structs import FloatArray, RecordArray
-
-DISTURBANCES: Final = ("fault", "seed")
-"""Keys that differ from ``Scenario.undisturbed``."""
 
 
 @dataclass(frozen=True)
@@ -85,25 +81,23 @@ class Common:
         return simulation(scenario, self.network, plant, self.of, inputs, at_rest=self.at_rest)
 
 
-def sources(scenario: Scenario, *apart_from: str) -> Iterator[object]:
-    """Everything that a run follows from but for some keys, and the states of its files."""
-    for field in fields(scenario):
-        if field.name not in apart_from:
-            yield getattr(scenario, field.name)
+def with_files(scenario: Scenario) -> Iterator[object]:
+    """What a run follows from: its scenario, and the states of the files that this names."""
+    yield scenario
     for file in (scenario.reference.file, scenario.drive.file):
         if file and Path(file).is_file():
             state = Path(file).stat()
             yield state.st_mtime_ns, state.st_size
 
 
-def common_sources(scenario: Scenario) -> Iterator[object]:
-    """Those of ``common``."""
-    return sources(scenario, *DISTURBANCES)
+def undisturbed_with_files(scenario: Scenario) -> Iterator[object]:
+    """The same of what it has in common with others."""
+    return with_files(scenario.undisturbed)
 
 
-@remembered(4, by=common_sources)
+@remembered(4, by=undisturbed_with_files)
 def common(scenario: Scenario) -> Common:
-    """What ``scenario`` has in common with all that differ in ``DISTURBANCES`` alone.
+    """What ``scenario`` has in common with all that have the same ``undisturbed`` one.
 
     Raises:
         ScenarioError: as ``frameless``.

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from can_rig.plant.changing_car import plant_of
 from can_rig.plant.faults.plant_faults import DISTORTING, PlantFaults
-from can_rig.plant.frameless import UntilItFails, common, sources
+from can_rig.plant.frameless import UntilItFails, common, with_files
 from can_rig.results.signals import Signals
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
@@ -69,7 +69,7 @@ def _instead(scenario: Scenario, signals: Signals, rows: int) -> Counterfactual:
     return Counterfactual(*(values[first:ticks] for values in (trace.measured, force, car)))
 
 
-@remembered(4, by=sources)
+@remembered(4, by=with_files)
 def loop_of(scenario: Scenario) -> Simulation:
     """A run that somebody may have begun, and that goes on as far as it is asked for."""
     shared = common(scenario)

@@ -59,6 +59,7 @@ LIMITS: Final = ("limit_", "rate_")
 MOST_TABLES: Final = 128
 """That are kept: runs of a campaign have most of theirs in common."""
 
+_ENCODER: Final = json.JSONEncoder(default=str)
 _ADAPTER: Final = TypeAdapter(Scenario)
 _TABLES: Final = {
     key: TypeAdapter(kind) for key, kind in get_type_hints(Scenario, include_extras=True).items()
@@ -230,7 +231,7 @@ def _table(key: str, text: str) -> Any:
 
 def _json(value: Any) -> str:
     """As JSON, where strict still takes a table for a dataclass and a whole number for a float."""
-    return json.dumps(value, default=str)
+    return _ENCODER.encode(value)
 
 
 def _believed(plant: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str, Any]:

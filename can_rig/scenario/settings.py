@@ -196,7 +196,7 @@ class Scenario:
     @cached_property
     def undisturbed(self) -> Scenario:
         """The same for all runs that differ in what fails and in their seed and in nothing else."""
-        return dataclasses.replace(self.healthy, seed=0)
+        return self.healthy.undisturbed if self.fault else dataclasses.replace(self, seed=0)
 
     @cached_property
     def noise_free(self) -> Scenario:
@@ -204,7 +204,7 @@ class Scenario:
         sensor = dataclasses.replace(self.plant.sensor, noise_mps2=0.0)
         return dataclasses.replace(self, plant=dataclasses.replace(self.plant, sensor=sensor))
 
-    @property
+    @cached_property
     def faults(self) -> tuple[FaultSettings, ...]:
         """Those that do something, in the order in which they act."""
         return tuple(fault for fault in self.fault if fault.kind != "none")
