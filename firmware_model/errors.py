@@ -16,7 +16,7 @@ class ParameterError(DesignError):
 
 
 class UnstablePlantError(DesignError):
-    """A pole on the imaginary axis, or an unstable mode that one input alone cannot hold."""
+    """A mode that is not stable where it must be, or that one input alone cannot hold."""
 
 
 class ImproperError(DesignError):

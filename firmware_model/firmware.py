@@ -12,6 +12,7 @@ from firmware_model.target import controller, schedule
 from firmware_model.target.filters.biquad import advance, at_rest
 from firmware_model.target.layout import precision_of
 from firmware_model.target.precision import real
+from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray, Record, RecordArray, record_type
 
 
@@ -124,24 +125,40 @@ class Firmware:
     def act(self, command_1: float, command_2: float) -> None:
         """Say which commands act from the next ``step`` on, where those sent were lost.
 
-        F1 goes on with them, and what was lost is made up for. Only for a latency of at least one
-        tick: without it no command can be late.
+        F1 and the decision go on with them, and what was lost is made up for. Only for a latency
+        of at least one tick: without it no command can be late.
         """
         estimator = self._states[0].estimator
         lost_1 = float(estimator.delay_1[estimator.delay_index]) - command_1
         lost_2 = float(estimator.delay_2[estimator.delay_index]) - command_2
         estimator.delay_1[estimator.delay_index] = command_1
         estimator.delay_2[estimator.delay_index] = command_2
-        self._lose(1, lost_1)
-        missing = self._lose(2, lost_2)
+        motion, missing = self._lose(1, lost_1)
+        self._owe_less(motion, missing)
+        _, missing = self._lose(2, lost_2)
         shown = int(self._tables[0].estimator.shown_ticks_2)
-        for i, output in enumerate(missing, start=estimator.shown_index_2 - len(missing)):
-            self._states[0].tracking.delay[i % shown] += output
+        _change(self._states[0].tracking.delay, shown, int(estimator.shown_index_2), missing)
 
-    def _lose(self, channel: int, lost: float) -> list[float]:
+    def _owe_less(self, motion: FloatArray, missing: FloatArray) -> None:
+        """A channel that is lost, known or not, does not owe what it was not told.
+
+        Args:
+            motion: of G1, (MAX_SECTIONS, 2), and
+            missing: its outputs of the last ticks, that the command would have caused.
+        """
+        table, state = self._tables[0], self._states[0]
+        owing = [state.sequential_test]
+        if state.fault_state == FaultState.CONFIRMED or table.decision.tracks_share:
+            owing.append(state.loss_model)
+        for each in owing:
+            each.channel_1.accumulators -= motion
+            shown = int(table.estimator.shown_ticks_1)
+            _change(each.delay, shown, int(state.estimator.shown_index_1), -missing)
+
+    def _lose(self, channel: int, lost: float) -> tuple[FloatArray, FloatArray]:
         """Take ``lost`` for a shortfall of the tick whose command would act now.
 
-        Returns what has been missing of the output since then.
+        Returns the motion that is missing now, and what has been missing of the output since then.
         """
         table, state = self._tables[0], self._states[0]
         cascade, shortfall = table.estimator[f"channel_{channel}"], state[f"shortfall_{channel}"]
@@ -152,10 +169,16 @@ class Firmware:
             for k in range(ticks)
         ]
         shortfall.accumulators += more.accumulators
-        return missing
+        return more.accumulators, np.array(missing)
 
     @property
     def commands(self) -> tuple[float, float]:
         """The last commands, computed, held or settled."""
         state = self._states[0]
         return float(state.command_1), float(state.command_2)
+
+
+def _change(delay: FloatArray, size: int, index: int, outputs: FloatArray) -> None:
+    """Add ``outputs`` to the newest entries of a ring whose oldest is at ``index``."""
+    for i, each in enumerate(outputs, start=index - len(outputs)):
+        delay[i % size] += each

@@ -16,7 +16,7 @@ from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
 from tests.rig.by_numbers.by_control import loop, step_response
 
-NAMES = ("two-masses", "nonminimum-phase", "oversteering", "pendulum")
+NAMES = ("two-masses", "nonminimum-phase", "oversteering", "pendulum", "satellite")
 LOOPS = (
     ("healthy, no compensation", HEALTHY, "off"),
     ("healthy, compensated always", HEALTHY, "always"),

@@ -16,14 +16,14 @@ import numpy as np
 
 from can_rig.drawing.names import names_of, with_unit
 from can_rig.frames.network import Network
-from can_rig.scenario.build import continuous_plant, controller_table
+from can_rig.scenario.build import continuous_plant, controller_table, slowness
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
 from firmware_model.target.status import FaultState
 
-AFTER_S = 5.0  # of the loss, in which it has to be found
+AFTER_S = 5.0  # of the loss, in which it has to be found; times ``slowness`` of a plant
 
 
 @dataclass(frozen=True)
@@ -34,7 +34,7 @@ class DecisionFigures:
         expected_delay_s: from the loss of the torque in this scenario to its confirmation; None:
             not within ``AFTER_S``, or the run ends before.
         noise_mps2: rms of D* that no model explains: noise and rounding.
-        least_torque_nm: steady |torque| whose loss shows within a second.
+        least_torque_nm: steady |torque| whose loss shows within a second; d̂ is N1 u1 then.
     """
 
     expected_delay_s: float | None
@@ -69,8 +69,9 @@ def decision_figures(scenario: Scenario, network: Network) -> DecisionFigures:
         ScenarioError: a design that cannot be made.
     """
     table, plant = controller_table(scenario, network), continuous_plant(scenario.model)
+    n1, _ = plant.coprime(scenario.design.tau_q_s).numerators
     lost = round(scenario.loss.at_s / scenario.tick_s)
-    ticks = min(scenario.ticks, lost + round(AFTER_S / scenario.tick_s))
+    ticks = min(scenario.ticks, lost + round(AFTER_S * slowness(scenario) / scenario.tick_s))
     left = np.ones((ticks, 2))
     left[lost:, 0] = scenario.loss.left
     drive = reference(replace(scenario, duration_s=max(ticks, 1) * scenario.tick_s))[:ticks]
@@ -81,5 +82,5 @@ def decision_figures(scenario: Scenario, network: Network) -> DecisionFigures:
     return DecisionFigures(
         expected_delay_s=float(found[0]) * scenario.tick_s if len(found) else None,
         noise_mps2=math.sqrt(variance),
-        least_torque_nm=shows / abs(plant.g1.dc_gain),
+        least_torque_nm=shows / abs(n1.dc_gain),
     )

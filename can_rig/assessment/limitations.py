@@ -37,8 +37,16 @@ def describe(scenario: Scenario, found: dict[str, Limitations]) -> Iterator[str]
     """A line for each reason; none for a stable plant that is minimum phase."""
     output, lost, other = names_of(scenario.plant)
     healthy, faulted, compensation = (found[key] for key in found)
-    if healthy.poles:
-        doubles_s = math.log(2.0) / max(pole.real for pole in healthy.poles)
+    if continuous_plant(scenario.model).integrates:
+        yield (
+            f"plant: integrates: to hold {output.said} takes no {lost.short}, and a loss shows "
+            "once there is some again"
+        )
+    if swinging := [pole.imag for pole in healthy.poles if pole.real == 0.0 < pole.imag]:
+        listed = ", ".join(f"{omega:.3g}" for omega in swinging)
+        yield f"plant: swings: nothing damps the motion of {output.said} at {listed} rad/s"
+    if growing := tuple(pole for pole in healthy.poles if pole.real > 0.0):
+        doubles_s = math.log(2.0) / max(pole.real for pole in growing)
         peak = ""
         if faulted.complementary > MENTIONED:
             peak = (
@@ -46,7 +54,7 @@ def describe(scenario: Scenario, found: dict[str, Limitations]) -> Iterator[str]
                 f"{faulted.complementary:.3g} after the loss"
             )
         yield (
-            f"plant: unstable: poles at {_listed(healthy.poles)} double a motion of {output.said} "
+            f"plant: unstable: poles at {_listed(growing)} double a motion of {output.said} "
             f"every {doubles_s:.2g} s{peak}"
         )
     if healthy.zeros:

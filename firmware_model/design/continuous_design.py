@@ -8,10 +8,10 @@ from dataclasses import dataclass
 from firmware_model.design.compensator import compensator
 from firmware_model.design.estimator import FaultEstimator, fault_estimator
 from firmware_model.design.factorisation import inner_outer
-from firmware_model.design.factors.coprime import unstable
+from firmware_model.design.factors.coprime import CoprimeFactors, unstable
 from firmware_model.design.plants import Plant
 from firmware_model.design.tracking import Tracking, tracking
-from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.design.zpk import ZeroPoleGain, in_words
 from firmware_model.errors import (
     UnstablePlantError,
     ZeroChannelError,
@@ -55,12 +55,14 @@ class DesignSpecification:
 class ContinuousDesign:
     """The controllers of Figs. 2.1 and 3.4 and the factors of G2; ``None`` where not asked for.
 
+    ``factors`` are M, N1 and N2 of the plant, 1, G1 and G2 of a stable one.
     ``compensator`` is F̂2 from d̂ to u2, ``tracking`` is C from r - y to u1 and what it is made of;
     ``inner`` and ``outer`` are G2i and G2o of (3.31), of a plant that is not stable those of N2.
     """
 
     plant: Plant
     specification: DesignSpecification
+    factors: CoprimeFactors
     estimator: FaultEstimator
     compensator: ZeroPoleGain | None
     tracking: Tracking | None
@@ -73,7 +75,7 @@ def design(plant: Plant, specification: DesignSpecification) -> ContinuousDesign
 
     | assumption | where | refused with |
     |---|---|---|
-    | no pole on the imaginary axis, G1 ≠ 0, G2 ≠ 0 | (2.3) | ``Plant`` cannot be made otherwise |
+    | G1 ≠ 0, G2 ≠ 0 | (2.3) | ``Plant`` cannot be made otherwise |
     | each channel reaches every unstable mode; feedback | (3.17) | ``UnstablePlantError`` |
     | Q in RH∞ | Theorem 2.3.1 | ``UnstableFilterError``, ``ImproperError`` |
     | 1 + Q ≠ 0, or F̂ has nothing to act on | (2.35) | ``ZeroChannelError`` |
@@ -83,16 +85,18 @@ def design(plant: Plant, specification: DesignSpecification) -> ContinuousDesign
     | q̂/G1 is proper | (3.33) | ``ImproperError`` |
     """
     refuse_unreachable(plant, specification.feedback)
-    estimator = fault_estimator(plant, specification.q)
+    factors = plant.coprime(specification.tau_q_s)
+    estimator = fault_estimator(factors, specification.q)
     if specification.compensation and estimator.one_plus_q.gain == 0:
         raise ZeroChannelError(
             "q = -1: the fault estimate is identically zero; compensation must have Q other than -1"
         )
-    _, n2 = plant.coprime.numerators
+    _, n2 = factors.numerators
     inner, outer = inner_outer(n2)
     return ContinuousDesign(
         plant=plant,
         specification=specification,
+        factors=factors,
         estimator=estimator,
         compensator=(
             compensator(n2, specification.tau_s, specification.alpha)
@@ -119,11 +123,11 @@ def refuse_unreachable(plant: Plant, feedback: bool) -> None:
             for zero in channel.zeros:
                 if abs(zero - pole) <= REACH * abs(pole):
                     raise UnstablePlantError(
-                        f"{plant.name}: {label} does not reach the unstable mode at {pole:.6g} "
-                        "rad/s: must, or the mode cannot be held by that input alone"
+                        f"{plant.name}: {label} does not reach the unstable mode at "
+                        f"{in_words(pole)}: must, or the mode cannot be held by that input alone"
                     )
             if not feedback:
                 raise UnstablePlantError(
-                    f"{plant.name}: pole at {pole:.6g} rad/s, must have real part < 0 without "
+                    f"{plant.name}: pole at {in_words(pole)}, must have real part < 0 without "
                     "feedback"
                 )

@@ -10,7 +10,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from firmware_model.design.plants import Plant
+from firmware_model.design.factors.coprime import CoprimeFactors
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.errors import ImproperError, UnstableFilterError
 
@@ -30,13 +30,14 @@ class FaultEstimator:
     one_plus_q: ZeroPoleGain
 
 
-def fault_estimator(plant: Plant, q: ZeroPoleGain | None = None) -> FaultEstimator:
-    """Theorem 2.3.1 for ``q``; ``None`` is Theorem 2.3.2, where d̂ = G1 u1 after the loss (2.9).
+def fault_estimator(factors: CoprimeFactors, q: ZeroPoleGain | None = None) -> FaultEstimator:
+    """Theorem 2.3.1 for ``q``; ``None`` is Theorem 2.3.2, where d̂ = N1 u1 after the loss (2.9).
+
+    ``factors`` are the plant's.
 
     Raises ``UnstableFilterError`` or ``ImproperError`` for a ``q`` outside RH∞.
     """
     one_plus_q = ZeroPoleGain.constant(1.0) if q is None else _one_plus(q)
-    factors = plant.coprime
     n1, n2 = factors.numerators
     return FaultEstimator(
         f1=(one_plus_q * n1, one_plus_q * n2),

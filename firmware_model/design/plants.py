@@ -7,8 +7,10 @@ The state space simulates; the channels G1, G2 design. Numerators come from Fadd
 where a structural zero of A, B, C stays exactly zero, so a relative degree is never a rounding.
 """
 
+import cmath
 import math
 from collections import Counter
+from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Self
 
@@ -30,6 +32,7 @@ from firmware_model.errors import ParameterError, UnstablePlantError, ZeroChanne
 Matrix = NDArray[np.float64]
 
 _EPS = float(np.finfo(np.float64).eps)
+LOOKED_AT = cmath.exp(1j)  # direction in s in which channels are compared: no pole as a rule
 _AGREEMENT = 1e-6  # of the channels with C(sI - A)⁻¹B; far above rounding, far below a wrong root
 
 
@@ -46,8 +49,8 @@ class Plant:
     ``sensed`` (1, n) is the output before the sensor; by default that is ``c``.
 
     Raises ``ParameterError`` for shapes that do not fit, values that are not finite, dead times
-    below zero and channels that are not those of the state space; ``UnstablePlantError`` for a
-    pole on the imaginary axis, and unstable poles of one channel alone; ``ZeroChannelError``.
+    below zero and channels that are not those of the state space; ``UnstablePlantError`` for poles
+    of one channel alone that are not in the left half plane; ``ZeroChannelError``.
     """
 
     name: str
@@ -69,7 +72,6 @@ class Plant:
                 raise ParameterError(
                     f"{self.name}: dead time {dead_time_s:g} s: must be finite and 0 or above"
                 )
-        _refuse_axis_poles(self.name, self.a)
         for label, channel in (("G1", self.g1), ("G2", self.g2)):
             if channel.gain == 0:
                 raise ZeroChannelError(f"{self.name}: {label}(s) is identically zero")
@@ -82,10 +84,14 @@ class Plant:
         first, second = self.dead_times_s
         return first + self.sensor_dead_time_s, second + self.sensor_dead_time_s
 
+    def coprime(self, tau_q_s: float) -> CoprimeFactors:
+        """M, N1 and N2 for a q̂ of ``tau_q_s`` seconds; of a stable plant 1, G1 and G2."""
+        return left_coprime(self.g1, self.g2, tau_q_s)
+
     @property
-    def coprime(self) -> CoprimeFactors:
-        """M, N1 and N2, of a stable plant 1, G1 and G2."""
-        return left_coprime(self.g1, self.g2)
+    def integrates(self) -> bool:
+        """Whether it has a pole at 0: no command then holds a steady output."""
+        return 0j in self.g1.poles
 
     @classmethod
     def from_state_space(cls, name: str, a: ArrayLike, b: ArrayLike, c: ArrayLike) -> Self:
@@ -95,7 +101,7 @@ class Plant:
         Raises what ``Plant`` raises.
         """
         a, b, c = _validated(name, a, b, c)
-        poles = tuple(complex(pole) for pole in np.linalg.eigvals(a))
+        poles = _poles(a)
         rows = (ZeroPoleGain.from_coefficients(row, [1.0]) for row in numerators(a, b, c))
         g1, g2 = (ZeroPoleGain(row.zeros, poles, row.gain) for row in rows)
         return cls(name, a, b, c, g1, g2)
@@ -109,6 +115,10 @@ class Plant:
 
         Raises what ``Plant`` raises, and ``ParameterError`` for a channel that feeds through.
         """
+        largest = max(map(abs, (*g1.poles, *g2.poles)), default=0.0)
+        rounding = (g1.order + g2.order) * _EPS * largest
+        g1 = ZeroPoleGain(g1.zeros, tuple(_on_axis(p, rounding) for p in g1.poles), g1.gain)
+        g2 = ZeroPoleGain(g2.zeros, tuple(_on_axis(p, rounding) for p in g2.poles), g2.gain)
         g2 = with_poles_of(g2, unstable(g1))
         _refuse_unshared(name, g1, g2)
         poles = unstable(g1)
@@ -128,8 +138,7 @@ def steer_by_wire(parameters: VehicleParameters = TABLE_3_2, variant: Variant = 
     The front wheels are free to align, so what makes a car weave is a short trail with little
     damping at speed, or oversteer with a steering gear that hardly lets them align.
 
-    Raises ``ParameterError`` for an unknown variant and ``UnstablePlantError`` for a pole on the
-    imaginary axis.
+    Raises ``ParameterError`` for an unknown variant.
     """
     a, b, c = vehicle_state_space(parameters, variant)
     return Plant.from_state_space(f"steer-by-wire ({variant})", a, b, c)
@@ -147,16 +156,44 @@ def numerators(a: Matrix, b: Matrix, c: Matrix) -> Matrix:
     A coefficient within its own rounding error of zero is returned as zero.
     """
     n = len(a)
-    m, size = np.eye(n), np.eye(n)  # size bounds |M_k|, hence the rounding error of C M_k B
     coefficients, errors = np.empty((2, n)), np.empty((2, n))
-    for k in range(n):
+    for k, (m, size, _) in enumerate(_leverrier(a)):
         coefficients[:, k] = c[0] @ m @ b
         errors[:, k] = n * n * _EPS * (np.abs(c[0]) @ size @ np.abs(b))
+    return np.where(np.abs(coefficients) <= errors, 0.0, coefficients)
+
+
+def _leverrier(a: Matrix) -> Iterator[tuple[Matrix, Matrix, float]]:
+    """M_k, a bound of |M_k| and so of its rounding error over eps, and c_k, for k = 1..n."""
+    n = len(a)
+    m, size = np.eye(n), np.eye(n)
+    for k in range(n):
         a_m = a @ m
         shift = -float(np.trace(a_m)) / (k + 1)
+        yield m, size, shift
         m = a_m + shift * np.eye(n)
         size = np.abs(a) @ size + abs(shift) * np.eye(n)
-    return np.where(np.abs(coefficients) <= errors, 0.0, coefficients)
+
+
+def _poles(a: Matrix) -> Roots:
+    """The eigenvalues of A; those that rounding alone keeps off 0 or off the imaginary axis there.
+
+    m poles at 0 are as many last coefficients of det(sI - A) within their own rounding error of
+    zero; their eigenvalues may be off by the m-th root of that.
+    """
+    n = len(a)
+    rounding = n * _EPS * float(np.linalg.norm(a))
+    poles = np.array([_on_axis(complex(pole), rounding) for pole in np.linalg.eigvals(a)])
+    vanishing = [
+        abs(c_k) <= n * n * _EPS * float(np.trace(np.abs(a) @ size))
+        for _, size, c_k in _leverrier(a)
+    ]
+    at_rest = n if all(vanishing) else vanishing[::-1].index(False)
+    smallest = np.argsort(np.abs(poles))[:at_rest]
+    reach = float(np.linalg.norm(a)) * (n * _EPS) ** (1.0 / max(at_rest, 1))
+    if (np.abs(poles[smallest]) <= reach).all():
+        poles[smallest] = 0.0
+    return tuple(complex(pole) for pole in poles)
 
 
 def _validated(name: str, a: ArrayLike, b: ArrayLike, c: ArrayLike) -> tuple[Matrix, ...]:
@@ -176,14 +213,8 @@ def _validated(name: str, a: ArrayLike, b: ArrayLike, c: ArrayLike) -> tuple[Mat
     return tuple(matrices)
 
 
-def _refuse_axis_poles(name: str, a: Matrix) -> None:
-    """A pole within rounding of the imaginary axis counts as on it."""
-    poles = np.linalg.eigvals(a)
-    nearest = poles[np.argmin(np.abs(poles.real))]
-    if abs(nearest.real) <= len(a) * _EPS * np.linalg.norm(a):
-        raise UnstablePlantError(
-            f"{name}: pole at {nearest:.6g} rad/s, must be clear of the imaginary axis"
-        )
+def _on_axis(pole: complex, rounding: float) -> complex:
+    return complex(0.0 if abs(pole.real) <= rounding else pole.real, pole.imag)
 
 
 def _refuse_unshared(name: str, g1: ZeroPoleGain, g2: ZeroPoleGain) -> None:
@@ -203,13 +234,14 @@ def _listed(roots: Roots) -> str:
 
 def _refuse_disagreement(plant: Plant) -> None:
     """The channels must be C(sI - A)⁻¹B; looked at where they change, at the poles' magnitudes."""
-    for omega in np.unique(np.abs(np.linalg.eigvals(plant.a))):
-        resolvent = np.linalg.inv(1j * omega * np.eye(len(plant.a)) - plant.a)
+    sizes = {abs(pole) for pole in (*plant.g1.poles, *plant.g2.poles)} - {0.0} or {1.0}
+    for s in LOOKED_AT * np.array(sorted(sizes)):
+        resolvent = np.linalg.inv(s * np.eye(len(plant.a)) - plant.a)
         response = (plant.c @ resolvent @ plant.b)[0]
         scale = (np.abs(plant.c) @ np.abs(resolvent) @ np.abs(plant.b))[0]
-        given = np.array([plant.g1(1j * omega), plant.g2(1j * omega)])
+        given = np.array([plant.g1(s), plant.g2(s)])
         if not (np.abs(given - response) <= _AGREEMENT * scale).all():
             raise ParameterError(
-                f"{plant.name}: [G1 G2] = {given} at {omega:.6g} rad/s,"
+                f"{plant.name}: [G1 G2] = {given} at s = {s:.6g} rad/s,"
                 f" but C(sI - A)^-1 B = {response}"
             )

@@ -1,4 +1,4 @@
-"""The tracking controller C of (3.32)-(3.34), for any plant with no zero or pole on the axis.
+"""The tracking controller C of (3.32)-(3.34), for any plant with no zero on the imaginary axis.
 
 The thesis's is for a stable, minimum-phase G1: Q = q̂/G1 makes the healthy loop T = q̂, and C is run
 as u1 = Q (r - y + G1 u1). Of any other, with G1 = N1/M of ``coprime`` and N1 = N1i N1o in inner and
@@ -60,7 +60,8 @@ def tracking(g1: ZeroPoleGain, tau_q_s: float, alpha_q: int) -> Tracking:
         )
     poles = unstable(g1)
     zeros = tuple(zero for zero in g1.zeros if zero.real > 0)
-    inner, outer = inner_outer(left_coprime(g1, g1).numerators[0], name="G1")
+    factors = left_coprime(g1, g1, tau_q_s)
+    inner, outer = inner_outer(factors.numerators[0], name="G1")
     found = interpolate(zeros, poles, tau_q_s, alpha_q)
     lag = ZeroPoleGain.lag(tau_q_s, alpha_q)
     lags = (*lag.poles, *lag.poles[:1] * len(poles))
@@ -72,7 +73,7 @@ def tracking(g1: ZeroPoleGain, tau_q_s: float, alpha_q: int) -> Tracking:
             gain=gain / outer.gain,
         ),
         filter=ZeroPoleGain((*found.zeros, *outer.poles), (*outer.zeros, *lags), gain / outer.gain),
-        stabiliser=_stabiliser(inner, found, lags, poles) if poles else None,
+        stabiliser=_stabiliser(inner, found, lags, factors.denominator) if poles else None,
         complementary=inner * ZeroPoleGain(found.zeros, lags, gain),
     )
 
@@ -81,10 +82,10 @@ def _stabiliser(
     inner: ZeroPoleGain,
     found: Interpolation,
     lags: tuple[complex, ...],
-    poles: tuple[complex, ...],
+    m: ZeroPoleGain,
 ) -> ZeroPoleGain:
-    """R: of Π(s - p) - Π(s + p̄) the powers of s that both have, the highest, cancel."""
-    difference = (np.poly(poles) - np.poly([-pole.conjugate() for pole in poles])).real[1:]
+    """R: of Π(s - p) - Π(s - p*) the powers of s that both have, the highest, cancel."""
+    difference = (np.poly(m.zeros) - np.poly(m.poles)).real[1:]
     return ZeroPoleGain(
         zeros=(*(complex(root) for root in np.roots(difference)), 0j, *found.remaining),
         poles=(*inner.poles, *lags),

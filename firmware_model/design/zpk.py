@@ -156,6 +156,11 @@ class ZeroPoleGain:
         return _expanded(self.poles)
 
 
+def in_words(root: complex) -> str:
+    """A root in rad/s, a real one without an imaginary part."""
+    return f"{root if root.imag else root.real:.6g} rad/s"
+
+
 def _canonical(name: str, roots: Iterable[complex]) -> Roots:
     """Real roots by magnitude, then pairs (u, conj u); the mirror image -conj sorts alike."""
     values = [complex(root) + 0j for root in roots]  # + 0j turns -0.0 into 0.0

@@ -18,7 +18,7 @@ from firmware_model.discretisation.law.loop_gains import (
 )
 from firmware_model.discretisation.sections import Sections, make_up_gain
 from firmware_model.discretisation.targets import Target
-from firmware_model.discretisation.tustin import RULES, tustin
+from firmware_model.discretisation.tustin import tustin
 from firmware_model.errors import DesignError, ParameterError
 from firmware_model.target.fault_decision.covariance import LOSS_STATES, MAX_DIRECTIONS
 from firmware_model.target.layout import table_type
@@ -61,7 +61,12 @@ def discretise(design: ContinuousDesign, target: Target) -> Filters:
     """
     tick_s, prewarp = target.tick_s, target.prewarp_rad_per_s
     nothing, unity = ZeroPoleGain.constant(0.0), ZeroPoleGain.constant(1.0)
-    factors = sampled_factors(design.plant, target.estimator, tick_s)
+    factors = sampled_factors(
+        (design.plant.g1, design.plant.g2),
+        design.factors.slowest_rad_per_s,
+        target.estimator,
+        tick_s,
+    )
     follow = design.tracking
     stabiliser = follow.stabiliser if follow else None
     filters = Filters(
@@ -108,7 +113,7 @@ def build(design: ContinuousDesign, target: Target) -> Record:
     ):
         shortfall.gain[: len(model.coefficients)] = make_up_gain(model)
     _fill_decision(table, target)
-    _fill_mismatch(table, target)
+    _fill_mismatch(table, design, target)
     if target.probe > 0.0:
         _fill_probe(table.probe, target)
     tables.flags.writeable = False
@@ -208,7 +213,7 @@ def _fill_decision(table: Record, target: Target) -> None:
     test.deviations = DEVIATIONS if target.mismatch.cars else NEVER
 
 
-def _fill_mismatch(table: Record, target: Target) -> None:
+def _fill_mismatch(table: Record, design: ContinuousDesign, target: Target) -> None:
     """What other cars and noise make of d̂."""
     constants, other, cars = table.mismatch, table.other_cars, target.mismatch.cars
     if len(cars) > MAX_DIRECTIONS:
@@ -217,11 +222,12 @@ def _fill_mismatch(table: Record, target: Target) -> None:
     other.scale = 1.0 / STEP
     rule = RULE_ERROR[target.estimator] ** 2
     constants.n = LOSS_STATES + (len(cars) + 1 if cars or rule else 0)
-    discretised = RULES[target.estimator]
+    slowest = design.factors.slowest_rad_per_s
     places = (other.car_1, other.car_2, other.car_3, other.car_4)
-    for place, (g1, g2) in zip(places, cars, strict=False):
-        _fill_filter(place.channel_1, discretised(g1, target.tick_s))
-        _fill_filter(place.channel_2, discretised(g2, target.tick_s))
+    for place, car in zip(places, cars, strict=False):
+        n1, n2 = sampled_factors(car, slowest, target.estimator, target.tick_s).numerators
+        _fill_filter(place.channel_1, n1)
+        _fill_filter(place.channel_2, n2)
     constants.prior = MISMATCH_VARIANCE
     slow, fast = _memory(target, MISMATCH_S), _memory(target, REMAINDER_S)
     last = LOSS_STATES + len(cars)

@@ -228,7 +228,7 @@ def reset(table: Record, state: Record, reference: float) -> None:
     torque = quantise(table.actuator_1, state.actuator_1, saturate(table.actuator_1, asked_1))
     force = quantise(table.actuator_2, state.actuator_2, saturate(table.actuator_2, asked_2))
     state.command_1, state.command_2, state.fault_estimate = torque, force, zero
-    settle_estimator(table.estimator, state.estimator, torque, force)
+    settle_estimator(table.estimator, state.estimator, torque, force, target)
     settle(table.compensator.filter, state.compensator.filter, zero)
     model_1, model_2 = model_output(table.estimator, state.estimator, torque, force)
     settle_other_cars(table, state, torque, force)

@@ -14,10 +14,12 @@ from can_rig.assessment.tuning.refusals import Refusal
 from can_rig.assessment.unavoidable import unavoidable
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_design, continuous_plant, slowness, target
+from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import DesignSettings, Scenario
 from firmware_model.analysis.margins import noise_gain
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
+from firmware_model.design.factors.coprime import unstable
 from firmware_model.discretisation.tables import build
 from firmware_model.errors import DesignError
 from firmware_model.target.structs import FloatArray, Record
@@ -33,6 +35,7 @@ RESPONSE_TICKS, RESPONSE_S = (
 )  # largest lag of D* behind the reference, α_q τ_q: the longer
 OF_ZERO = 0.05, 2.0  # and where a zero lies right of the axis at z: of 1/|z|, which F̂ cannot beat
 RESPONSE_OF_ZERO = 10.0  # nor can C
+HELD = 10.0  # times as slow where C has to hold the plant, in spite of all delays
 ORDERS, TRACKING_ORDERS = 2, 3  # from the least that the car allows upwards
 
 BEFORE_S, AFTER_S = 2.0, 2.0  # the loss; times ``slowness`` of a plant that is no car
@@ -80,6 +83,7 @@ def grid(scenario: Scenario) -> list[Values]:
     right = [abs(zero) for g in (car.g1, car.g2) for zero in g.zeros if zero.real > 0.0]
     zero_s = 1.0 / min(right) if right else 0.0
     slowest_s = max(RESPONSE_TICKS * tick_s, RESPONSE_S, RESPONSE_OF_ZERO * zero_s)
+    slowest_s *= HELD if unstable(car.g1) else 1.0
     low_s, high_s = (max(n * tick_s, m * zero_s) for n, m in zip(TAU_TICKS, OF_ZERO, strict=True))
     return [
         (tau_s, alpha, tau_q_s, alpha_q)
@@ -122,12 +126,14 @@ def assess(
 
 
 def _lose_torque(scenario: Scenario, table: Record, noise: tuple[float, float]) -> Tuning | Refusal:
-    """The loss during a settled step."""
+    """The loss during a settled step, or of a plant that integrates in the scenario's drive."""
     tick_s, car = scenario.tick_s, continuous_plant(scenario.plant)
-    loss, step, left = loss_in_a_step(scenario)
+    loss, drive = _loss_in_its_drive(scenario) if car.integrates else _loss_in_a_step(scenario)
+    left = np.ones((len(drive), 2))
+    left[loss:, 0] = 0.0
     plant = sample(car, tick_s)
-    healthy = simulate(table, plant, step)
-    lost = simulate(table, plant, step, effectiveness=left)
+    healthy = simulate(table, plant, drive)
+    lost = simulate(table, plant, drive, effectiveness=left)
     deviation = np.abs(lost.measurement - healthy.measurement)[loss:]
     peak = float(deviation.max())
     if not (math.isfinite(peak) and deviation[-len(deviation) // 4 :].max() <= DECAYED * peak):
@@ -152,14 +158,18 @@ def _lose_torque(scenario: Scenario, table: Record, noise: tuple[float, float]) 
     )
 
 
-def loss_in_a_step(scenario: Scenario) -> tuple[int, FloatArray, FloatArray]:
-    """The tick of the loss, the reference (ticks,), what is left of the actuators (ticks, 2)."""
+def _loss_in_its_drive(scenario: Scenario) -> tuple[int, FloatArray]:
+    """The tick of the scenario's loss, and its reference (ticks,)."""
+    loss = round(scenario.loss.at_s / scenario.tick_s)
+    return min(loss, scenario.ticks - 1), reference(scenario)
+
+
+def _loss_in_a_step(scenario: Scenario) -> tuple[int, FloatArray]:
+    """The tick of the loss, and the reference (ticks,)."""
     slow = slowness(scenario)
     loss = round(BEFORE_S * slow / scenario.tick_s)
     ticks = loss + round(AFTER_S * slow / scenario.tick_s)
-    left = np.ones((ticks, 2))
-    left[loss:, 0] = 0.0
-    return loss, np.full(ticks, scenario.reference.amplitude_mps2), left
+    return loss, np.full(ticks, scenario.reference.amplitude_mps2)
 
 
 def trusting_table(scenario: Scenario) -> Record:

@@ -8,7 +8,7 @@ from dataclasses import replace
 from can_rig.assessment.drives import Drives, Finding
 from can_rig.assessment.tuning.box import Car, is_stable
 from can_rig.assessment.tuning.refusals import Refusal
-from can_rig.scenario.build import network_of, target
+from can_rig.scenario.build import continuous_plant, network_of, target
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import Record
@@ -30,6 +30,8 @@ def box_refusal(
         stable = is_stable(table, cars, scenario.tick_s, 0)
         return (Refusal.BOX_SPARE if stable else Refusal.BOX), None
     stepped = replace(scenario, reference=replace(scenario.reference, kind="step"))
+    if continuous_plant(scenario.model).integrates:
+        stepped = scenario  # at rest it takes no command, whose loss would show
     drives = Drives(stepped, network_of(scenario))
     for car in cars:
         plant = with_sensor_and_limits(car.settings, scenario.plant)

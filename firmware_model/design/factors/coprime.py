@@ -1,13 +1,18 @@
 """Left-coprime factors of a plant that need not be stable: [G1 G2] = M⁻¹ [N1 N2], all in RH∞.
 
-M has the unstable poles p of the plant as its zeros, and their mirror images as its poles:
+M has the poles p of the plant that are not in the left half plane as its zeros, and of each an
+image there as a pole:
 
-    M = Π (s - p)/(s + p̄),   N1 = M G1,   N2 = M G2
+    M = Π (s - p)/(s - p*),   N1 = M G1,   N2 = M G2
 
-In Theorem 2.3.1 that is a choice of the free parameter, 1 + Q = M: the only ones that keep F1 of an
-unstable plant stable have all p among their zeros. M is all-pass, so white noise in y is as large
-and as white in M y: what decides on d̂ need not know of it. Of a stable plant M = 1 and N = G, the
-thesis's own.
+In Theorem 2.3.1 that is a choice of the free parameter, 1 + Q = M: the only ones that keep F1 of
+such a plant stable have all p among their zeros. Of a stable plant M = 1 and N = G, the thesis's
+own.
+
+Where p is fast its image is its mirror image, p* = -p̄: M is then all-pass, so white noise in y is
+as large and as white in M y, and what decides on d̂ need not know of M. The mirror image of a pole
+at 0 or anywhere on the imaginary axis is that pole itself. So p* is at least ``slowest_rad_per_s``
+to the left: the sensor of a plant that integrates is heard through a high-pass filter.
 """
 
 from dataclasses import dataclass
@@ -18,20 +23,33 @@ SAME_POLE = 1e-6
 """Relative distance up to which poles of two channels are one: those of two polynomials, which are
 known to half of the digits where they are double."""
 
+SLOWEST = 0.1
+"""Of the bandwidth 1/τq, how far left an image is at least. C and F̂ themselves do not depend on it.
+What a limit took off y fades as fast as that; noise above it is as white in d̂ as it is in y."""
+
 
 @dataclass(frozen=True)
 class CoprimeFactors:
-    """``denominator`` is M, ``numerators`` are N1 and N2."""
+    """``denominator`` is M, ``numerators`` are N1 and N2.
+
+    ``slowest_rad_per_s`` is how far left an image is at least.
+    """
 
     denominator: ZeroPoleGain
     numerators: tuple[ZeroPoleGain, ZeroPoleGain]
+    slowest_rad_per_s: float
 
 
-def left_coprime(g1: ZeroPoleGain, g2: ZeroPoleGain) -> CoprimeFactors:
-    """M, N1 and N2 of two channels that have the same unstable poles, with M(∞) = 1."""
+def left_coprime(g1: ZeroPoleGain, g2: ZeroPoleGain, tau_q_s: float) -> CoprimeFactors:
+    """M, N1 and N2 of two channels that have the same unstable poles, with M(∞) = 1.
+
+    ``tau_q_s`` is that of q̂, in seconds.
+    """
+    slowest = SLOWEST / tau_q_s
     poles = unstable(g1)
-    denominator = ZeroPoleGain(poles, tuple(-p.conjugate() for p in poles), 1.0)
-    return CoprimeFactors(denominator, (_with_mirrored_poles(g1), _with_mirrored_poles(g2)))
+    denominator = ZeroPoleGain(poles, tuple(image(p, slowest) for p in poles), 1.0)
+    numerators = (_with_images(g1, slowest), _with_images(g2, slowest))
+    return CoprimeFactors(denominator, numerators, slowest)
 
 
 def unstable(g: ZeroPoleGain) -> Roots:
@@ -39,9 +57,14 @@ def unstable(g: ZeroPoleGain) -> Roots:
     return tuple(pole for pole in g.poles if pole.real >= 0)
 
 
-def _with_mirrored_poles(g: ZeroPoleGain) -> ZeroPoleGain:
+def image(pole: complex, slowest_rad_per_s: float) -> complex:
+    """Where M has the pole that belongs to its zero at ``pole``."""
+    return complex(-max(pole.real, slowest_rad_per_s), pole.imag)
+
+
+def _with_images(g: ZeroPoleGain, slowest: float) -> ZeroPoleGain:
     return ZeroPoleGain(
-        g.zeros, tuple(-p.conjugate() if p.real > 0 else p for p in g.poles), g.gain
+        g.zeros, tuple(image(p, slowest) if p.real >= 0 else p for p in g.poles), g.gain
     )
 
 

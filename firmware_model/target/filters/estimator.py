@@ -115,13 +115,20 @@ def expect_measurement(constants: Record, state: Record, shown: float) -> None:
 
 
 @firmware
-def settle_estimator(constants: Record, state: Record, command_1: float, command_2: float) -> None:
-    """The steady state of a healthy plant for constant commands: d̂ = 0."""
+def settle_estimator(
+    constants: Record, state: Record, command_1: float, command_2: float, level: float
+) -> None:
+    """The steady state of a healthy plant for constant commands: d̂ = 0.
+
+    ``level`` is y of a plant that integrates, which stays at any y where its commands are zero.
+    """
     shown = settle(constants.channel_1, state.channel_1, command_1)
     shown += settle(constants.channel_2, state.channel_2, command_2)
     settle(constants.one_plus_q, state.one_plus_q, real(0.0, command_1))
     for_one = settle(constants.measurement, state.measurement, real(1.0, command_1))
-    settle(constants.measurement, state.measurement, shown / for_one)
+    if for_one != 0.0:
+        level = shown / for_one
+    settle(constants.measurement, state.measurement, level)
     state.delay_1[:] = command_1
     state.delay_2[:] = command_2
     state.delay_index = 0

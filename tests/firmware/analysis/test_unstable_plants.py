@@ -18,7 +18,13 @@ from firmware_model.discretisation.sections import Sections
 from firmware_model.discretisation.tables import build, discretise
 from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
-from tests.firmware.discretisation.test_coprime import PENDULUM, TICK_S, WEAVING
+from tests.firmware.discretisation.test_coprime import (
+    PENDULUM,
+    SATELLITE,
+    SWINGING,
+    TICK_S,
+    WEAVING,
+)
 
 SPECIFICATION = DesignSpecification(tau_s=0.005, alpha=2, tau_q_s=0.05, alpha_q=3)
 OVERSTEERING = steer_by_wire(
@@ -33,6 +39,7 @@ OVERSTEERING = steer_by_wire(
     )
 )
 TARGET = Target(TICK_S, estimator="zoh")
+ANY = [PENDULUM, WEAVING, SATELLITE, SWINGING]
 
 
 def cascade(sections: Sections) -> control.StateSpace:
@@ -73,7 +80,7 @@ def loop_by_control(plant: Plant, target: Target, left: tuple[float, float]) -> 
 
 
 @pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD])
-@pytest.mark.parametrize("plant", [PENDULUM, WEAVING], ids=["pendulum", "weaving"])
+@pytest.mark.parametrize("plant", ANY, ids=[plant.name for plant in ANY])
 def test_the_loop_is_python_controls_and_stable(plant: Plant, left: tuple[float, float]) -> None:
     specification = SPECIFICATION
     table = build(design(plant, specification), TARGET)
@@ -86,7 +93,7 @@ def test_the_loop_is_python_controls_and_stable(plant: Plant, left: tuple[float,
 
 @pytest.mark.long
 @pytest.mark.parametrize("latency", [0, 2])
-@pytest.mark.parametrize("plant", [PENDULUM, OVERSTEERING], ids=["pendulum", "car"])
+@pytest.mark.parametrize("plant", [PENDULUM, OVERSTEERING, SATELLITE], ids=lambda plant: plant.name)
 def test_the_loss_of_channel_1_is_carried(plant: Plant, latency: int) -> None:
     """d̂ is silent to rounding, the step is followed as T says, and channel 2 alone holds it."""
     made = design(plant, SPECIFICATION)
@@ -116,16 +123,18 @@ def test_without_compensation_the_loss_runs_away() -> None:
     assert loop.spectral_radius() == pytest.approx(np.exp(3.0 * TICK_S), rel=1e-9)
 
 
-def test_reset_is_bumpless_and_a_gap_of_ticks_bears_the_motion() -> None:
-    firmware = Firmware(build(design(PENDULUM, SPECIFICATION), TARGET))
+@pytest.mark.parametrize("plant", [PENDULUM, SATELLITE], ids=lambda plant: plant.name)
+def test_reset_is_bumpless_and_a_gap_of_ticks_bears_the_motion(plant: Plant) -> None:
+    """A plant that integrates is held at any place by no command at all."""
+    firmware = Firmware(build(design(plant, SPECIFICATION), TARGET))
     firmware.reset(0.7)
     before = firmware.commands
-    assert before[0] == pytest.approx(0.7 / PENDULUM.g1.dc_gain, rel=1e-9)
+    assert before[0] == pytest.approx(0.7 / plant.g1.dc_gain, rel=1e-9)
     answers = [firmware.step(0.7, 0.7) for _ in range(300)]
-    assert np.ptp([answer.command_1 for answer in answers]) < 1e-9 * abs(before[0])
+    assert np.ptp([answer.command_1 for answer in answers]) < 1e-9 * max(abs(before[0]), 1.0)
     assert max(abs(answer.fault_estimate) for answer in answers) < 1e-12
     # In motion, ten ticks without a measurement: M goes on with what the model expects of it.
-    held, x = sample(PENDULUM, TICK_S), np.zeros(len(PENDULUM.a))
+    held, x = sample(plant, TICK_S), np.zeros(len(plant.a))
     firmware.reset(0.0)
     estimates = []
     for k in range(200):

@@ -27,6 +27,8 @@ unstable_poles = st.one_of(
     RIGHT_POLE.map(lambda p: (p,)),
     st.floats(0.3, 2.0).map(lambda p: (p, p)),  # repeated
     st.builds(pair, RIGHT_POLE, st.floats(0.5, 4.0)),
+    st.sampled_from([(0.0,), (0.0, 0.0), (0.0, 1.5)]),  # that integrate
+    st.floats(0.5, 4.0).map(lambda w: pair(0.0, w)),  # that swing
 )
 right_zeros = st.one_of(
     st.just(()), RIGHT_ZERO.map(lambda z: (z,)), st.builds(pair, RIGHT_ZERO, RIGHT_ZERO)
@@ -44,12 +46,17 @@ channels = st.builds(
 
 
 @settings(max_examples=60)
-@given(channels)
-def test_m_is_all_pass_and_n_stable(g: ZeroPoleGain) -> None:
-    factors = left_coprime(g, g)
+@given(channels, st.floats(0.02, 2.0))
+def test_m_has_the_unstable_poles_and_n_is_stable(g: ZeroPoleGain, tau_q_s: float) -> None:
+    """M is all-pass where all these poles are fast, and a high-pass filter where they are not."""
+    factors = left_coprime(g, g, tau_q_s)
     m, n = factors.denominator, factors.numerators[0]
-    assert m.is_stable() and n.is_stable()
-    assert np.abs(m(AXIS)) == pytest.approx(1.0, rel=1e-12)
+    assert all(pole.real <= -0.1 / tau_q_s for pole in m.poles) and n.is_stable()
+    least = min((pole.real for pole in unstable(g)), default=np.inf)
+    if least >= 0.1 / tau_q_s:
+        assert np.abs(m(AXIS)) == pytest.approx(1.0, rel=1e-12)
+    assert np.abs(m(AXIS)).max() <= 1.0 + 1e-12
+    assert abs(m(1e7j)) == pytest.approx(1.0, rel=1e-6)
     assert all(abs(m(pole)) == 0.0 for pole in unstable(g))
     assert n(AXIS) / m(AXIS) == pytest.approx(g(AXIS), rel=1e-9)
 
@@ -59,7 +66,7 @@ def test_m_is_all_pass_and_n_stable(g: ZeroPoleGain) -> None:
 def test_c_is_youlas_and_holds_the_plant(g1: ZeroPoleGain, tau_q_s: float, alpha_q: int) -> None:
     """U N1 + V M = 1 with V = 1 - U N1 - R; T as asked; the loop's poles by python-control."""
     made = tracking(g1, tau_q_s, alpha_q)
-    factors = left_coprime(g1, g1)
+    factors = left_coprime(g1, g1, tau_q_s)
     m, n = factors.denominator(AXIS), factors.numerators[0](AXIS)
     u, t = made.filter(AXIS), made.complementary(AXIS)
     r = made.stabiliser(AXIS) if made.stabiliser else np.zeros(len(AXIS))

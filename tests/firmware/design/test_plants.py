@@ -9,12 +9,13 @@ import numpy as np
 import pytest
 from hypothesis import example, given, settings
 from hypothesis import strategies as st
+from scipy import linalg
 
 from firmware_model.design.factors.coprime import unstable
 from firmware_model.design.plants import Plant, chapter_2, numerators, steer_by_wire
 from firmware_model.design.vehicle import TABLE_3_2, VehicleParameters
 from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.errors import ParameterError, UnstablePlantError, ZeroChannelError
+from firmware_model.errors import ParameterError, ZeroChannelError
 
 OMEGAS = np.logspace(-2, 5, 8)
 weights = st.sampled_from([0.0, 1.0]) | st.floats(1e-6, 1)
@@ -173,10 +174,45 @@ def test_a_short_trail_makes_a_car_weave_and_a_stiff_steering_gear_one_that_over
     assert weaving[0] == pytest.approx(0.64 + 5.15j, abs=0.01)
 
 
-@pytest.mark.parametrize("pole", [0.0, -1e-17, 1e-17])
-def test_a_pole_on_the_axis_is_named(pole: float) -> None:
-    with pytest.raises(UnstablePlantError, match=f"bad: pole at {pole:.6g}"):
-        Plant.from_state_space("bad", np.diag([-2.0, pole]), np.eye(2), [[1, 1]])
+def free_masses(springs: int) -> np.ndarray:
+    """Three masses on a rail and springs between them, of 1, 2 and 5 kg and 300 N/m: x, then v."""
+    stiffness = 300.0 * np.array([[1.0, -1, 0], [-1, 2, -1], [0, -1, 1]])
+    if springs < 2:
+        stiffness = 300.0 * np.array([[1.0, -1, 0], [-1, 1, 0], [0, 0, 0]])
+    by_mass = -stiffness / np.array([[1.0], [2.0], [5.0]])
+    return np.block([[np.zeros((3, 3)), np.eye(3)], [by_mass, np.zeros((3, 3))]])
+
+
+TURNED = linalg.qr(np.arange(36.0).reshape(6, 6) + np.eye(6))[0]
+
+
+@pytest.mark.parametrize(("springs", "at_rest"), [(2, 2), (1, 4)])
+@pytest.mark.parametrize("turned", [np.eye(6), TURNED], ids=["plain", "turned"])
+def test_poles_on_the_axis_are_exactly_there(
+    springs: int, at_rest: int, turned: np.ndarray
+) -> None:
+    """Double ones at 0, which eigenvalues miss by √eps, and pairs that nothing damps."""
+    a = turned @ free_masses(springs) @ turned.T
+    plant = Plant.from_state_space("masses", a, turned[:, [3, 4]], turned[:, :1].T)
+    assert plant.g1.poles.count(0j) == at_rest
+    swinging = [pole for pole in plant.g1.poles if pole.imag > 0]
+    assert all(pole.real == 0.0 for pole in plant.g1.poles)
+    laplacian = linalg.eigvals(-free_masses(springs)[3:, :3]).real
+    expected = np.sqrt(laplacian[laplacian > 1e-6])
+    assert sorted(p.imag for p in swinging) == pytest.approx(sorted(expected), rel=1e-9)
+
+
+@pytest.mark.parametrize("pole", [0.0, -1e-17, 1e-17, 1e-17j])
+def test_a_pole_beside_the_axis_by_rounding_is_on_it(pole: complex) -> None:
+    a = [[pole.real, pole.imag, 1], [-pole.imag, pole.real, 0], [0, 0, -2.0]]
+    plant = Plant.from_state_space("made", a, np.ones((3, 2)), [[1, 1, 0]])
+    assert sorted(plant.g1.poles, key=abs) == [0, 0, -2]
+
+
+def test_slow_poles_are_not_taken_for_poles_at_0() -> None:
+    slow = [-1e-6, -2e-6, -1.0, -3.0]
+    plant = Plant.from_state_space("slow", np.diag(slow), np.ones((4, 2)), np.ones((1, 4)))
+    assert sorted(pole.real for pole in plant.g1.poles) == sorted(slow)
 
 
 @pytest.mark.parametrize(("b", "named"), [([[0, 1]], "G1"), ([[1, 0]], "G2")])
@@ -205,7 +241,7 @@ def test_matrices_refused(a: object, b: object, c: object, named: str) -> None:
 
 def test_channels_of_another_state_space_are_refused() -> None:
     right = chapter_2()
-    with pytest.raises(ParameterError, match=r"chapter-2: \[G1 G2\] = .* at 1 rad/s"):
+    with pytest.raises(ParameterError, match=r"chapter-2: \[G1 G2\] = .* at s = 0.540302"):
         replace(right, g2=ZeroPoleGain(right.g2.zeros, right.g2.poles, 1.0001))
     with pytest.raises(ParameterError, match=r"\[G1 G2\]"):
         replace(right, g1=right.g2)

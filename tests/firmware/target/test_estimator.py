@@ -70,7 +70,7 @@ def test_a_settled_model_stays_until_new_commands_act(latency: int) -> None:
     constants, state = made(latency)
     run(constants, state, COMMANDS[:, :5])
     biquad.advance(constants.one_plus_q, state.one_plus_q, 1.0)
-    settle_estimator(constants, state, 4.0, -2.5)
+    settle_estimator(constants, state, 4.0, -2.5, 0.0)
     assert (state.showing_1, state.showing_2) == (4.0, -2.5)
     settled = np.array([4.0 * CAR.g1.dc_gain, -2.5 * CAR.g2.dc_gain])
     outputs = run(constants, state, COMMANDS + np.array([[4.0], [-2.5]]))

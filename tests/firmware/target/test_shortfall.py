@@ -22,6 +22,7 @@ from firmware_model.discretisation.tustin import RULES
 from firmware_model.firmware import Firmware
 from firmware_model.target.filters.biquad import advance, at_rest
 from firmware_model.target.filters.shortfall import make_up
+from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray
 
 CAR = steer_by_wire()
@@ -109,21 +110,30 @@ def test_a_saturated_loss_is_made_up_when_the_demand_is_feasible() -> None:
     assert left_over < 0.7 * right
 
 
-def stalled(lost: range, tell: bool, latency: int = LATENCY) -> FloatArray:
-    """D* of a car in a bend of 1 m/s² that gets no torque in the ticks ``lost``."""
+def stalled(
+    lost: range, tell: bool, latency: int = LATENCY, dead_from: int | None = None
+) -> FloatArray:
+    """D* of a car in a bend of 1 m/s² that gets no torque in the ticks ``lost``.
+
+    Where the motor is dead from some tick on, it gets no force either.
+    """
     firmware = Firmware(build(DESIGN, Target(TICK_S, latency, "zoh", on_confirmation=True)))
     plant = sample(CAR, TICK_S)
     state, measured, waiting = plant.rest, [], [(0.0, 0.0)] * latency
     for tick in range(lost.stop + 400):
         acting = waiting.pop(0)
         if tick in lost:
-            acting = (0.0, acting[1])
+            acting = (0.0, acting[1] if dead_from is None else 0.0)
             firmware.act(*acting)
             if not tell:
                 firmware._states[0].shortfall_1.accumulators[:] = 0.0
         measured.append(float(plant.c @ state))
         answer = firmware.step(1.0, measured[-1])
         waiting.append((answer.command_1, answer.command_2))
+        if dead_from is not None and tick >= dead_from:
+            acting = (0.0, acting[1])
+            known = tick > dead_from + 100
+            assert not known or answer.fault_state == FaultState.CONFIRMED, tick
         state = plant.phi @ state + plant.gamma @ acting
     return np.array(measured)
 
@@ -138,3 +148,14 @@ def test_commands_that_came_too_late_are_made_up_for(latency: int) -> None:
     assert made_up.max() < 0.025
     assert made_up.max() < 1.5 * unavoidable
     assert made_up[60:].max() < 0.02
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("latency", [1, 3])
+def test_a_lost_motor_stays_lost_while_commands_come_too_late(latency: int) -> None:
+    lost = range(1000, 1020)
+    away = np.abs(stalled(lost, True, latency, dead_from=600)[1000:] - 1.0)
+    unavoidable = away[: 20 + latency].max()
+    assert unavoidable > 0.1
+    assert away.max() < 1.5 * unavoidable
+    assert away[150:].max() < 0.02

@@ -1,15 +1,15 @@
 """The controller of a scenario once more, by python-control alone, and the loop that it makes.
 
 From A, B, C: the residual is an observer whose poles are the plant's with the unstable ones
-mirrored at the unit circle, U, R and F̂ are rational functions put together by hand, and P comes of
-a Vandermonde system.
+mirrored at the unit circle, or 0.1/τq within it, U, R and F̂ are rational functions put together by
+hand, and P comes of a Taylor series at 0 and a Vandermonde system.
 """
 
 from __future__ import annotations
 
 import control
 import numpy as np
-from scipy import signal
+from scipy import linalg, signal
 
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.settings import Scenario
@@ -18,8 +18,13 @@ from firmware_model.target.structs import FloatArray
 Roots = list[complex]
 
 
-def mirrored(roots: Roots) -> Roots:
-    return [-root.conjugate() if root.real > 0 else root for root in roots]
+def mirrored(roots: Roots, least: float = 0.0) -> Roots:
+    return [complex(-max(r.real, least), r.imag) if r.real >= 0 else r for r in roots]
+
+
+def poles_of(plant: control.StateSpace) -> Roots:
+    """With those at 0 there, which are double as a rule and so off by the root of rounding."""
+    return [0j if abs(p) < 1e-6 else complex(p) for p in control.poles(plant)]
 
 
 def sections(zeros: Roots, poles: Roots, gain: float, tick_s: float) -> control.StateSpace:
@@ -55,22 +60,27 @@ def filters(scenario: Scenario) -> list[control.StateSpace]:
     chosen, tick_s = scenario.design, scenario.tick_s
     model = continuous_plant(scenario.model)
     plant = control.ss(model.a, model.b, model.c, 0.0)
-    own = [complex(pole) for pole in control.poles(plant)]
-    poles = [pole for pole in own if pole.real > 0]
+    own, least = poles_of(plant), 0.1 / chosen.tau_q_s
+    poles = [pole for pole in own if pole.real >= 0]
     zeros, gain = first_of(plant, 0)
     right = [zero for zero in zeros if zero.real > 0]
     order, tau = chosen.alpha_q + len(poles), chosen.tau_q_s
 
-    def inner(s: complex) -> complex:
-        return complex(np.prod([(z - s) / (z.conjugate() + s) for z in right]))
-
-    at = np.array([0j, *poles])
-    wanted = np.array([(1 + tau * s) ** order / inner(s) for s in at])
-    p = np.linalg.solve(np.vander(at), wanted).real
     sign = (-1.0) ** len(right)
+    above = np.polymul(
+        np.poly([-1 / tau] * order) * tau**order, np.atleast_1d(np.poly(mirrored(right))).real
+    )
+    below = sign * np.atleast_1d(np.poly(right)).real
+    away = np.array([q for q in poles if q != 0])
+    flat = order + 1 - chosen.alpha_q - len(away)  # derivatives at 0 that T has as 1 does
+    series = signal.lfilter(above[::-1], below[::-1], np.eye(1, flat)[0])
+    rows = np.eye(flat + len(away), dtype=complex)
+    rows[flat:] = np.vander(away, len(rows), increasing=True)
+    wanted = np.array([*series, *(np.polyval(above, away) / np.polyval(below, away))])
+    p = np.linalg.solve(rows, wanted).real[::-1]
     lags = [complex(-1 / tau)] * order
     u = sections(
-        [*np.roots(p), *mirrored(own)], [*mirrored(zeros), *lags],
+        [*np.roots(p), *mirrored(own, least)], [*mirrored(zeros), *lags],
         p[0] / (tau**order * gain * sign), tick_s,
     )  # fmt: skip
     stabiliser = control.ss([], [], [], 0.0, tick_s)
@@ -79,7 +89,7 @@ def filters(scenario: Scenario) -> list[control.StateSpace]:
         rest, _ = np.polydiv(
             np.polysub(t_den, sign * np.polymul(np.poly(right), p)), np.poly(poles)
         )
-        change = np.polysub(np.poly(poles), np.poly([-q.conjugate() for q in poles])).real
+        change = np.polysub(np.poly(poles), np.poly(mirrored(poles, least))).real
         change = np.trim_zeros(np.polymul(change, rest).real, "f")
         stabiliser = sections(
             [complex(root) for root in np.roots(change)], [*mirrored(right), *lags],
@@ -88,7 +98,7 @@ def filters(scenario: Scenario) -> list[control.StateSpace]:
     zeros_2, gain_2 = first_of(plant, 1)
     flips = (-1.0) ** sum(zero.real > 0 for zero in zeros_2)
     f = sections(
-        mirrored(own), [*mirrored(zeros_2), *[complex(-1 / chosen.tau_s)] * chosen.alpha],
+        mirrored(own, least), [*mirrored(zeros_2), *[complex(-1 / chosen.tau_s)] * chosen.alpha],
         1.0 / (chosen.tau_s**chosen.alpha * gain_2 * flips), tick_s,
     )  # fmt: skip
     if chosen.compensation == "off":
@@ -96,17 +106,26 @@ def filters(scenario: Scenario) -> list[control.StateSpace]:
     one = control.ss([], [], [], 1.0, tick_s)
     named = ((u, "w", "v"), (control.feedback(one, stabiliser, sign=1), "v", "u1"), (f, "d", "u2"))
     parts = [control.ss(part, inputs=[i], outputs=[o], name=f"to {o}") for part, i, o in named]
-    return [*parts, observer(plant, tick_s)]
+    return [*parts, observer(plant, poles, least, tick_s)]
 
 
-def observer(plant: control.StateSpace, tick_s: float) -> control.StateSpace:
+def observer(
+    plant: control.StateSpace, poles: Roots, least: float, tick_s: float
+) -> control.StateSpace:
+    """Its gain moves the modes of ``poles`` alone, by Ackermann's formula in their subspace."""
     held = control.c2d(plant, tick_s)
-    own = np.linalg.eigvals(held.A)
-    images = np.where(np.abs(own) > 1.0, 1.0 / own.conj(), own)
-    gain = np.zeros((plant.nstates, 1))
-    if (images != own).any():
-        gain = signal.place_poles(held.A.T, held.C.T, images).gain_matrix.T
-    scale = 1.0 / np.prod(np.maximum(np.abs(own), 1.0))
+    gain, scale = np.zeros((plant.nstates, 1)), 1.0
+    if poles:
+        form, basis, size = linalg.schur(held.A, sort=lambda re, im: np.hypot(re, im) > 1 - 1e-6)
+        assert size == len(poles)
+        moved, own = mirrored(poles, least), form[:size, :size]
+        inside = control.acker(
+            own.T, (held.C @ basis[:, :size]).T, np.exp(np.array(moved) * tick_s)
+        )
+        gain = basis[:, :size] @ np.asarray(inside).reshape(-1, 1)
+        for pole, image in zip(poles, moved, strict=True):
+            change = abs(np.expm1(pole * tick_s) / pole) if pole else tick_s
+            scale *= abs(np.expm1(image * tick_s) / image) / change
     return control.ss(
         np.kron(np.eye(2), held.A - gain @ held.C),
         np.block([
