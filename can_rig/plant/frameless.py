@@ -52,7 +52,7 @@ class Inputs:
 
 @dataclass(frozen=True)
 class Common:
-    """What runs have in common that differ in their faults and in their seed and in nothing else.
+    """What runs have in common that differ in their faults and in their noise and in nothing else.
 
     Attributes:
         undisturbed: what they have in common, as a scenario.
@@ -104,8 +104,8 @@ def common(scenario: Scenario) -> Common:
     """
     undisturbed = scenario.undisturbed
     network = network_of(undisturbed)
-    of = controls(undisturbed, network)
-    quiet = inputs_of(undisturbed.noise_free, network)
+    of = controls(scenario, network)  # a refusal may name the noise
+    quiet = inputs_of(undisturbed, network)
     at_rest = controller.init(of.table)
     return Common(undisturbed, network, of, at_rest, linear_plant(undisturbed), quiet)
 

@@ -45,7 +45,7 @@ def noise_free(scenario: Scenario, signals: Signals, rows: int) -> Counterfactua
 
     Its first ``rows`` rows at least; not a number where nobody has asked for more.
     """
-    return _instead(common(scenario).undisturbed.noise_free, signals, rows)
+    return _instead(common(scenario).undisturbed, signals, rows)
 
 
 def uncompensated(scenario: Scenario, signals: Signals) -> Counterfactual:

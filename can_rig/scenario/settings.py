@@ -194,15 +194,16 @@ class Scenario:
         return dataclasses.replace(self, fault=()) if self.fault else self
 
     @cached_property
-    def undisturbed(self) -> Scenario:
-        """The same for all runs that differ in what fails and in their seed and in nothing else."""
-        return self.healthy.undisturbed if self.fault else dataclasses.replace(self, seed=0)
-
-    @cached_property
     def noise_free(self) -> Scenario:
         """The same with a sensor that has no noise."""
-        sensor = dataclasses.replace(self.plant.sensor, noise_mps2=0.0)
-        return dataclasses.replace(self, plant=dataclasses.replace(self.plant, sensor=sensor))
+        return dataclasses.replace(self, plant=self.plant.noise_free)
+
+    @cached_property
+    def undisturbed(self) -> Scenario:
+        """The same for all runs that differ in their faults and in their noise alone."""
+        if self.fault:
+            return self.healthy.undisturbed
+        return dataclasses.replace(self, plant=self.plant.noise_free, seed=0)
 
     @cached_property
     def faults(self) -> tuple[FaultSettings, ...]:
