@@ -25,7 +25,7 @@ from can_rig.assessment.tuning.box import cars_of
 from can_rig.assessment.tuning.search import Tunings
 from can_rig.assessment.tuning.search import tune as search
 from can_rig.decoding.decode import decode_log
-from can_rig.errors import ScenarioError, require
+from can_rig.errors import ScenarioError, in_python, require
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.changes import Changes, as_settings
 from can_rig.views.recorded_run import RecordedRun, record
@@ -36,6 +36,7 @@ if TYPE_CHECKING:
 __all__ = ["RecordedRun", "Scenario", "check", "decode", "load", "run", "scenario", "tune"]
 
 
+@in_python
 def scenario(name: str | Path | Scenario = "default", changes: Changes | None = None) -> Scenario:
     """A scenario with some keys changed, every default filled in.
 
@@ -54,6 +55,7 @@ def scenario(name: str | Path | Scenario = "default", changes: Changes | None = 
     return load_scenario(str(name), settings)
 
 
+@in_python
 def run(
     name: str | Path | Scenario = "default",
     changes: Changes | None = None,
@@ -77,6 +79,7 @@ def run(
     return record(scenario(name, changes), allow_unstable=allow_unstable)
 
 
+@in_python
 def load(folder: str | Path) -> RecordedRun:
     """A run folder, of ``can-rig run`` or of ``save``.
 
@@ -87,6 +90,7 @@ def load(folder: str | Path) -> RecordedRun:
     return RecordedRun.load(Path(folder))
 
 
+@in_python
 def check(
     name: str | Path | Scenario = "default", changes: Changes | None = None
 ) -> StabilityCheck | DriveCheck:
@@ -100,6 +104,7 @@ def check(
     return check_speeds(scenario(name, changes))
 
 
+@in_python
 def tune(
     name: str | Path | Scenario = "default",
     changes: Changes | None = None,
@@ -139,6 +144,7 @@ def tune(
     return search(chosen, some, spare_ticks, noise_limit_n, torque_noise_limit_nm)
 
 
+@in_python
 def decode(
     log: str | Path,
     dbc: str | Path,

@@ -1,8 +1,27 @@
 """What can go wrong where the user can put it right, and the exit status that says so."""
 
+import re
 import sys
+from collections.abc import Callable
+from functools import wraps
 from importlib.util import find_spec
-from typing import Final
+from typing import Final, ParamSpec, TypeVar
+
+P = ParamSpec("P")
+T = TypeVar("T")
+
+ARGUMENTS: Final = {
+    "--allow-unstable": "allow_unstable=True",
+    "--force": "force=True",
+    "--box-set": "ranges",
+    "--box": "box",
+    "--spare-ticks": "spare_ticks",
+    "--torque-noise-limit": "torque_noise_limit_nm",
+    "--noise-limit": "noise_limit_n",
+    "--out": "folder",
+    "--set ": "",
+}
+"""What options of the command line are called in Python."""
 
 INTERRUPTED: Final = 130
 """Exit status of what was stopped by Ctrl-C, as a shell reports it."""
@@ -17,6 +36,22 @@ class RigError(Exception):
     """A failure that is shown to the user as one line, with exit status 2."""
 
     exit_status = 2
+
+
+def in_python(function: Callable[P, T]) -> Callable[P, T]:
+    """``function``, whose errors name arguments of Python in place of options."""
+    option = re.compile("|".join(ARGUMENTS))
+
+    @wraps(function)
+    def called(*arguments: P.args, **keywords: P.kwargs) -> T:
+        try:
+            return function(*arguments, **keywords)
+        except RigError as error:
+            said = option.sub(lambda found: ARGUMENTS[found[0]], str(error))
+            error.args = (said, *error.args[1:])
+            raise
+
+    return called
 
 
 class BusError(RigError):

@@ -5,7 +5,7 @@ rest of Table 3.1 is known. Of a plant by numbers nothing is known of the kind, 
 how strongly each input acts (``gain_1``, ``gain_2``) and how fast the plant answers: the frequency
 of every pole and zero, with damping and steady gain as they are, for each channel (``speed_1``,
 ``speed_2``) where each has a transfer function of its own, and for the whole (``speed``) where they
-share a state.
+share a state, as unstable modes always are.
 """
 
 from __future__ import annotations
@@ -15,6 +15,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 from can_rig.scenario.plant_settings import STATE_SPACE, TRANSFER_FUNCTIONS, PlantSettings
+from firmware_model.design.factors.coprime import unstable
 
 CAR: Final = (
     "mass_kg",
@@ -33,7 +34,10 @@ def uncertain(settings: PlantSettings) -> dict[str, float]:
     """What may differ, with the values of ``settings``."""
     if settings.is_car:
         return {key: float(getattr(settings, key)) for key in CAR}
-    return dict.fromkeys(FACTORS[settings.kind], 1.0)
+    kind = settings.kind
+    if kind == TRANSFER_FUNCTIONS and any(p != 0.0 for p in unstable(settings.g1.factored)):
+        kind = STATE_SPACE  # one speed, or the modes would be shared no more
+    return dict.fromkeys(FACTORS[kind], 1.0)
 
 
 def with_values(settings: PlantSettings, values: Mapping[str, float]) -> PlantSettings:
@@ -42,13 +46,13 @@ def with_values(settings: PlantSettings, values: Mapping[str, float]) -> PlantSe
         changes: dict[str, Any] = dict(values)
         return replace(settings, **changes)
     gain_1, gain_2 = values.get("gain_1", 1.0), values.get("gain_2", 1.0)
+    speed = values.get("speed", 1.0)
     if settings.kind == TRANSFER_FUNCTIONS:
         return replace(
             settings,
-            g1=settings.g1.scaled(gain_1, values.get("speed_1", 1.0)),
-            g2=settings.g2.scaled(gain_2, values.get("speed_2", 1.0)),
+            g1=settings.g1.scaled(gain_1, values.get("speed_1", speed)),
+            g2=settings.g2.scaled(gain_2, values.get("speed_2", speed)),
         )
-    speed = values.get("speed", 1.0)
     return replace(
         settings,
         a=tuple(tuple(speed * each for each in row) for row in settings.a or ()),

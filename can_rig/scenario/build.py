@@ -21,7 +21,6 @@ from can_rig.scenario.tables.fault import PLACES
 from firmware_model.design import plants
 from firmware_model.design.actuator_dynamics import behind
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
-from firmware_model.design.factors.coprime import unstable
 from firmware_model.design.mismatch import Mismatch, principal_mismatch
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.tables import build
@@ -75,7 +74,12 @@ def _network(dbc: Path, says_speed: bool) -> Network:
     return load_network(dbc, says_speed)
 
 
-@remembered(MOST_PLANTS)
+def but_for_noise(settings: PlantSettings, *others: object) -> tuple[object, ...]:
+    """What a linear plant follows from: its sensor's noise is no part of it."""
+    return settings.noise_free, *others
+
+
+@remembered(MOST_PLANTS, by=but_for_noise)
 def continuous_car(settings: PlantSettings) -> plants.Plant:
     """The linear plant that ``settings`` describe, without its actuators and its sensor.
 
@@ -105,7 +109,7 @@ def slowness(scenario: Scenario) -> float:
     return max(1.0, CAR_DECAYS_PER_S / slowest)
 
 
-@remembered(MOST_PLANTS)
+@remembered(MOST_PLANTS, by=but_for_noise)
 def continuous_plant(settings: PlantSettings) -> plants.Plant:
     """``continuous_car`` behind its actuators and its sensor, as far as they are linear.
 
@@ -206,21 +210,9 @@ def target(scenario: Scenario, network: Network | None) -> Target:
 
 
 def mismatch(scenario: Scenario) -> Mismatch:
-    """The plants that are not the model, along the principal directions of the budget's box.
-
-    Raises:
-        ScenarioError: a box around a plant with a pole that differs and is not stable.
-    """
-    model, budget, chosen = scenario.model, scenario.budget, scenario.design
+    """The plants that are not the model, along the principal directions of the budget's box."""
+    chosen = scenario.design
     keys, late = _uncertain(scenario)
-    poles = [pole for pole in unstable(continuous_plant(model).g1) if pole != 0.0]
-    if (keys or late) and poles:  # one at 0 is there in every other plant too
-        key, value = ("box", budget.box) if keys else ("actuator_box", budget.actuator_box)
-        raise ScenarioError(
-            f"scenario {scenario.name}: budget.{key} = {value:g}: must be 0 for an unstable plant "
-            f"(pole at {poles[0]:.4g} rad/s), of which the decision knows no other"
-        )
-
     other = other_plants(scenario)
 
     def channels(place: FloatArray) -> tuple[ZeroPoleGain, ZeroPoleGain]:
@@ -228,7 +220,7 @@ def mismatch(scenario: Scenario) -> Mismatch:
         return plant.g1, plant.g2
 
     return principal_mismatch(
-        channels, len(keys) + late, chosen.tau_q_s * chosen.alpha_q, MAX_DIRECTIONS
+        channels, len(keys) + late, chosen.tau_q_s, chosen.alpha_q, MAX_DIRECTIONS
     )
 
 

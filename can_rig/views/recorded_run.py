@@ -13,7 +13,7 @@ from pathlib import Path
 from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Any, Final
 
-from can_rig.errors import LogError, RunFolderError, ScenarioError, require
+from can_rig.errors import LogError, RunFolderError, ScenarioError, in_python, require
 from can_rig.nodes.watchdog import StopRequest
 from can_rig.results.execution import execute, refuse
 from can_rig.results.metrics import Metrics, rows
@@ -94,6 +94,7 @@ class RecordedRun:
         signals = signals_of_log(self.folder, self.scenario, network, realtime)
         return page(self.scenario, network, signals, realtime)
 
+    @in_python
     def save(self, folder: str | Path, *, force: bool = False) -> Path:
         """Copy the run into a folder of its own, with ``report.png``; returns the folder.
 

@@ -4,6 +4,9 @@ A car that differs in k parameters shows d̂ = (G1 - G1') u1 + (G2 - G2') u2. To
 sum over the parameters, of which some show almost alike and some hardly at all: the singular
 vectors of what they make of d̂ on a step of the reference, which G1 follows or G2 in its place, give
 the few combinations that matter, largest first.
+
+Of a plant that is not stable d̂ = ΔN1 u1 + ΔN2 u2 - ΔM y, which for y = G u is to first order
+M ΔG/G y: the same, as large as M leaves it (``factors.coprime``).
 """
 
 from __future__ import annotations
@@ -14,6 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
+from firmware_model.design.factors.coprime import left_coprime
 from firmware_model.design.zpk import ZeroPoleGain
 
 STEP = 0.05  # of the box, for a difference that is still linear
@@ -51,7 +55,7 @@ TRUSTED = Mismatch()
 
 
 def principal_mismatch(
-    make: MakeChannels, parameters: int, tracking_lag_s: float, most: int
+    make: MakeChannels, parameters: int, tau_q_s: float, alpha_q: int, most: int
 ) -> Mismatch:
     """The principal directions of a box of ``parameters`` parameters.
 
@@ -59,11 +63,12 @@ def principal_mismatch(
         make: G1, G2 of a car in the box; zeros are the model.
         parameters: k.
         most: of the directions, largest first; what runs has room for ``MAX_DIRECTIONS``.
-        tracking_lag_s: of D* behind the reference: what is faster is hardly driven.
+        tau_q_s: τq of q̂, behind which D* lags the reference: what is faster is hardly driven.
+        alpha_q: its order.
     """
     if parameters == 0:
         return TRUSTED
-    nominal = make(np.zeros(parameters))
+    nominal, tracking_lag_s = make(np.zeros(parameters)), tau_q_s * alpha_q
     omega = np.geomspace(min(0.3, 0.1 / tracking_lag_s), 10.0 / tracking_lag_s, FREQUENCIES)
     # d̂ on a step 1/s of the reference, which G1 follows, or G2 instead: the relative difference
     s = np.asarray(1j * omega, dtype=np.complex128)
@@ -72,8 +77,10 @@ def principal_mismatch(
     for i in range(parameters):
         place = np.zeros(parameters)
         place[i] = STEP
-        pairs = zip(make(place), nominal, strict=True)
-        differences = [(other(s) / own(s) - 1.0) / STEP * weight for other, own in pairs]
+        channels = make(place)
+        left = np.abs(left_coprime(*channels, tau_q_s).denominator(s))
+        pairs = zip(channels, nominal, strict=True)
+        differences = [(other(s) / own(s) - 1.0) / STEP * weight * left for other, own in pairs]
         columns.append(np.concatenate([part for d in differences for part in (d.real, d.imag)]))
     _, values, directions = np.linalg.svd(np.array(columns).T, full_matrices=False)
     used = [

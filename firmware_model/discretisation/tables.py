@@ -9,7 +9,7 @@ import numpy as np
 from firmware_model.design.continuous_design import ContinuousDesign
 from firmware_model.design.mismatch import STEP
 from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.discretisation.law.coprime import sampled_factors
+from firmware_model.discretisation.law.coprime import SampledFactors, sampled_factors, sampled_over
 from firmware_model.discretisation.law.loop_gains import (
     Filters,
     algebraic_loop_gain,
@@ -61,12 +61,7 @@ def discretise(design: ContinuousDesign, target: Target) -> Filters:
     """
     tick_s, prewarp = target.tick_s, target.prewarp_rad_per_s
     nothing, unity = ZeroPoleGain.constant(0.0), ZeroPoleGain.constant(1.0)
-    factors = sampled_factors(
-        (design.plant.g1, design.plant.g2),
-        design.factors.slowest_rad_per_s,
-        target.estimator,
-        tick_s,
-    )
+    factors = _factors(design, target)
     follow = design.tracking
     stabiliser = follow.stabiliser if follow else None
     filters = Filters(
@@ -118,6 +113,13 @@ def build(design: ContinuousDesign, target: Target) -> Record:
         _fill_probe(table.probe, target)
     tables.flags.writeable = False
     return tables[0]
+
+
+def _factors(design: ContinuousDesign, target: Target) -> SampledFactors:
+    """M, N1 and N2 of the model, as d̂ has them."""
+    channels = (design.plant.g1, design.plant.g2)
+    slowest = design.factors.slowest_rad_per_s
+    return sampled_factors(channels, slowest, target.estimator, target.tick_s)
 
 
 def _fill_filter(cascade: Record, sections: Sections) -> None:
@@ -222,12 +224,13 @@ def _fill_mismatch(table: Record, design: ContinuousDesign, target: Target) -> N
     other.scale = 1.0 / STEP
     rule = RULE_ERROR[target.estimator] ** 2
     constants.n = LOSS_STATES + (len(cars) + 1 if cars or rule else 0)
-    slowest = design.factors.slowest_rad_per_s
+    model = _factors(design, target)
     places = (other.car_1, other.car_2, other.car_3, other.car_4)
     for place, car in zip(places, cars, strict=False):
-        n1, n2 = sampled_factors(car, slowest, target.estimator, target.tick_s).numerators
-        _fill_filter(place.channel_1, n1)
-        _fill_filter(place.channel_2, n2)
+        factors = sampled_over(car, model, target.estimator, target.tick_s)
+        _fill_filter(place.channel_1, factors.numerators[0])
+        _fill_filter(place.channel_2, factors.numerators[1])
+        _fill_filter(place.measurement, factors.denominator)
     constants.prior = MISMATCH_VARIANCE
     slow, fast = _memory(target, MISMATCH_S), _memory(target, REMAINDER_S)
     last = LOSS_STATES + len(cars)

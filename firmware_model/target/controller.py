@@ -59,6 +59,7 @@ from firmware_model.target.filters.estimator import (
     expect_measurement,
     model_output,
     settle_estimator,
+    take_measurement,
 )
 from firmware_model.target.filters.shortfall import make_up
 from firmware_model.target.filters.tracking import (
@@ -131,7 +132,7 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
     model_1, model_2 = model_output(estimator, state.estimator, state.command_1, zero)
     error = wanted + table.tracking.feedback * model_1
     track(table.tracking, state.tracking, error, state.command_1)
-    known = model_1 + model_2 - advance(estimator.measurement, state.estimator.measurement, y)
+    known = model_1 + model_2 - take_measurement(estimator, state.estimator, y)
     q_rest = output(estimator.one_plus_q, state.estimator.one_plus_q, zero)
     rest_2 = output(compensator.filter, state.compensator.filter, zero)
     from_reference = compensator.reference_share * r

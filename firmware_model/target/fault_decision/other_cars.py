@@ -5,6 +5,10 @@
 with G1_i, G2_i the models of another car, along the i-th principal direction of the box of cars
 that the design allows for and scaled to the end of it (``design.mismatch``). A command that is
 known to be lost drives none of them.
+
+Of a plant that is not stable that is, in coprime factors over the same poles,
+
+    x_i = (N1_i - N1) u1 + (N2_i - N2) u2 - (M_i - M) y
 """
 
 from __future__ import annotations
@@ -18,10 +22,12 @@ from firmware_model.target.structs import Field, Record
 CAR = (
     Field("channel_1", "y/u1", "G1 of this car", biquad.CONSTANTS),
     Field("channel_2", "y/u2", "G2 of this car", biquad.CONSTANTS),
+    Field("measurement", "1", "M of this car; no section where it is stable", biquad.CONSTANTS),
 )
 CAR_STATE = (
     Field("channel_1", "y", "its state", biquad.STATE),
     Field("channel_2", "y", "its state", biquad.STATE),
+    Field("measurement", "y", "its state", biquad.STATE),
 )
 CONSTANTS = (
     Field("n", "1", "principal directions in use", "int32"),
@@ -50,45 +56,50 @@ def show_other_cars(table: Record, state: Record, command_1: float, command_2: f
     own.command_1, own.command_2 = command_1, command_2
     if cars.n == 0:
         return
-    model = output(table.estimator.channel_1, own.model.channel_1, command_1)
-    model += output(table.estimator.channel_2, own.model.channel_2, command_2)
-    shown[0] = (car_output(cars.car_1, own.car_1, command_1, command_2) - model) * cars.scale
+    u1, u2, y = command_1, command_2, state.estimator.measured
+    model = output(table.estimator.channel_1, own.model.channel_1, u1)
+    model += output(table.estimator.channel_2, own.model.channel_2, u2)
+    if table.estimator.measurement.n > 0:
+        model -= output(table.estimator.measurement, own.model.measurement, y)
+    shown[0] = (car_output(cars.car_1, own.car_1, u1, u2, y) - model) * cars.scale
     if cars.n > 1:
-        shown[1] = (car_output(cars.car_2, own.car_2, command_1, command_2) - model) * cars.scale
+        shown[1] = (car_output(cars.car_2, own.car_2, u1, u2, y) - model) * cars.scale
     if cars.n > 2:
-        shown[2] = (car_output(cars.car_3, own.car_3, command_1, command_2) - model) * cars.scale
+        shown[2] = (car_output(cars.car_3, own.car_3, u1, u2, y) - model) * cars.scale
     if cars.n > 3:
-        shown[3] = (car_output(cars.car_4, own.car_4, command_1, command_2) - model) * cars.scale
+        shown[3] = (car_output(cars.car_4, own.car_4, u1, u2, y) - model) * cars.scale
 
 
 @firmware
 def advance_other_cars(table: Record, state: Record) -> None:
     """Advance every car by the commands of ``show_other_cars``, or what became of command 2."""
-    cars, own = table.other_cars, state.other_cars
+    cars, own, y = table.other_cars, state.other_cars, state.estimator.measured
     if table.estimator.shown_ticks_2 == 0:
         own.command_2 = state.command_2
     if cars.n > 0:
         advance(table.estimator.channel_1, own.model.channel_1, own.command_1)
         advance(table.estimator.channel_2, own.model.channel_2, own.command_2)
-        advance_car(cars.car_1, own.car_1, own.command_1, own.command_2)
+        advance(table.estimator.measurement, own.model.measurement, y)
+        advance_car(cars.car_1, own.car_1, own.command_1, own.command_2, y)
     if cars.n > 1:
-        advance_car(cars.car_2, own.car_2, own.command_1, own.command_2)
+        advance_car(cars.car_2, own.car_2, own.command_1, own.command_2, y)
     if cars.n > 2:
-        advance_car(cars.car_3, own.car_3, own.command_1, own.command_2)
+        advance_car(cars.car_3, own.car_3, own.command_1, own.command_2, y)
     if cars.n > 3:
-        advance_car(cars.car_4, own.car_4, own.command_1, own.command_2)
+        advance_car(cars.car_4, own.car_4, own.command_1, own.command_2, y)
 
 
 @firmware
 def settle_other_cars(table: Record, state: Record, command_1: float, command_2: float) -> None:
     """The steady state for constant commands."""
-    cars, own = table.other_cars, state.other_cars
+    cars, own, y = table.other_cars, state.other_cars, state.estimator.measured
     settle(table.estimator.channel_1, own.model.channel_1, command_1)
     settle(table.estimator.channel_2, own.model.channel_2, command_2)
-    settle_car(cars.car_1, own.car_1, command_1, command_2)
-    settle_car(cars.car_2, own.car_2, command_1, command_2)
-    settle_car(cars.car_3, own.car_3, command_1, command_2)
-    settle_car(cars.car_4, own.car_4, command_1, command_2)
+    settle(table.estimator.measurement, own.model.measurement, y)
+    settle_car(cars.car_1, own.car_1, command_1, command_2, y)
+    settle_car(cars.car_2, own.car_2, command_1, command_2, y)
+    settle_car(cars.car_3, own.car_3, command_1, command_2, y)
+    settle_car(cars.car_4, own.car_4, command_1, command_2, y)
     show_other_cars(table, state, command_1, command_2)
 
 
@@ -106,25 +117,29 @@ def clear_other_cars(state: Record) -> None:
 
 
 @firmware
-def car_output(car: Record, state: Record, command_1: float, command_2: float) -> float:
-    """y of a car."""
-    y: float = output(car.channel_1, state.channel_1, command_1)
-    y += output(car.channel_2, state.channel_2, command_2)
-    return y
+def car_output(car: Record, state: Record, u1: float, u2: float, y: float) -> float:
+    """What a car explains of ``y``: G1 u1 + G2 u2, or N1 u1 + N2 u2 less M y."""
+    explained: float = output(car.channel_1, state.channel_1, u1)
+    explained += output(car.channel_2, state.channel_2, u2)
+    if car.measurement.n > 0:
+        explained -= output(car.measurement, state.measurement, y)
+    return explained
 
 
 @firmware
-def advance_car(car: Record, state: Record, command_1: float, command_2: float) -> None:
+def advance_car(car: Record, state: Record, u1: float, u2: float, y: float) -> None:
     """A tick on."""
-    advance(car.channel_1, state.channel_1, command_1)
-    advance(car.channel_2, state.channel_2, command_2)
+    advance(car.channel_1, state.channel_1, u1)
+    advance(car.channel_2, state.channel_2, u2)
+    advance(car.measurement, state.measurement, y)
 
 
 @firmware
-def settle_car(car: Record, state: Record, command_1: float, command_2: float) -> None:
+def settle_car(car: Record, state: Record, u1: float, u2: float, y: float) -> None:
     """Its steady state."""
-    settle(car.channel_1, state.channel_1, command_1)
-    settle(car.channel_2, state.channel_2, command_2)
+    settle(car.channel_1, state.channel_1, u1)
+    settle(car.channel_2, state.channel_2, u2)
+    settle(car.measurement, state.measurement, y)
 
 
 @firmware
@@ -132,3 +147,4 @@ def clear_car(state: Record) -> None:
     """At rest."""
     state.channel_1.accumulators[:] = 0.0
     state.channel_2.accumulators[:] = 0.0
+    state.measurement.accumulators[:] = 0.0

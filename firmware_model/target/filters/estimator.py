@@ -36,6 +36,7 @@ STATE = (
     Field("channel_2", "y", "state of G2", biquad.STATE),
     Field("one_plus_q", "y", "state of 1 + Q", biquad.STATE),
     Field("measurement", "y", "state of M", biquad.STATE),
+    Field("measured", "y", "y of this tick, or the one that was expected where it is missing"),
     Field("delay_1", "u1", "ring of commands on their way to the plant", shape=RING),
     Field("delay_2", "u2", "ring of commands on their way to the plant", shape=RING),
     Field("delay_index", "1", "where the rings hold the command that acts next", "int32"),
@@ -105,13 +106,22 @@ def advance_model(constants: Record, state: Record, command_1: float, command_2:
 
 
 @firmware
+def take_measurement(constants: Record, state: Record, measurement: float) -> float:
+    """M y of this tick."""
+    state.measured = measurement
+    shown: float = advance(constants.measurement, state.measurement, measurement)
+    return shown
+
+
+@firmware
 def expect_measurement(constants: Record, state: Record, shown: float) -> None:
     """Let a tick without a measurement pass: M gets the one that makes M y what is ``shown``."""
     cascade, own = constants.measurement, state.measurement
     if cascade.n > 0:
         rest = output(cascade, own, real(0.0, shown))
         for_one = output(cascade, own, real(1.0, shown)) - rest
-        advance(cascade, own, (shown - rest) / for_one)
+        state.measured = (shown - rest) / for_one
+        advance(cascade, own, state.measured)
 
 
 @firmware
@@ -128,6 +138,7 @@ def settle_estimator(
     for_one = settle(constants.measurement, state.measurement, real(1.0, command_1))
     if for_one != 0.0:
         level = shown / for_one
+    state.measured = level
     settle(constants.measurement, state.measurement, level)
     state.delay_1[:] = command_1
     state.delay_2[:] = command_2

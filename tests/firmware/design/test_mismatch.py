@@ -35,7 +35,7 @@ def made(parameters: int, of, most: int = 4) -> tuple[Mismatch, Places]:  # type
         channels = of(place)
         return channels if isinstance(channels, tuple) else (channels, unity())
 
-    return principal_mismatch(make, parameters, TRACKING_S, most), places
+    return principal_mismatch(make, parameters, TRACKING_S, 1, most), places
 
 
 def gram(*of_g2: int) -> FloatArray:

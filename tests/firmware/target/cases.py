@@ -36,7 +36,7 @@ def channels_at(place: FloatArray) -> Channels:
 
 
 def other_cars(parameters: int = 3) -> Mismatch:
-    return principal_mismatch(channels_at, parameters, 0.05, MAX_DIRECTIONS)
+    return principal_mismatch(channels_at, parameters, 0.05, 1, MAX_DIRECTIONS)
 
 
 def changed(table: Record, **numbers: dict[str, Any]) -> RecordArray:
