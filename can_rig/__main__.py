@@ -4,14 +4,14 @@ import os
 
 from can_rig.cli.garbage import collect_nothing
 from can_rig.cli.interrupts import end_at_once
-from can_rig.cli.libraries import hide_asammdf, silence
+from can_rig.cli.libraries import leave_out, silence
 
 
 def main() -> None:
     """Run the command line; Ctrl-C counts from the first moment on."""
     end_at_once()
     collect_nothing()
-    hide_asammdf()
+    leave_out()
     silence()
     # The matrices are small: threads of OpenBLAS cost more than they save, and do not survive fork.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")

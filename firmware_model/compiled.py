@@ -54,12 +54,20 @@ def firmware(function: Function) -> Function:
     return _compiled(function, allocates=False)
 
 
-def _compiled(function: Function, *, allocates: bool) -> Function:
+def firmware_run(function: Function) -> Function:
+    """The same for a whole run: without the interpreter's lock, so that other threads go on.
+
+    A tick keeps it: a node that let go of it there would wait for a thread that has taken it.
+    """
+    return _compiled(function, allocates=False, nogil=True)
+
+
+def _compiled(function: Function, *, allocates: bool, nogil: bool = False) -> Function:
     settings: Any = config
     package = ".".join(function.__module__.split(".")[:2])  # a room, or the package
     before, settings.CACHE_DIR = settings.CACHE_DIR, _folder(package)
     # _nrt: numba's own option, which its hints do not name
-    options: dict[str, Any] = {"error_model": "numpy", "_nrt": allocates}
+    options: dict[str, Any] = {"error_model": "numpy", "nogil": nogil, "_nrt": allocates}
     try:
         return cast(Function, njit(cache=True, **options)(function))
     except RuntimeError:  # there is no folder to keep it in

@@ -10,14 +10,17 @@ limit; a nonlinear one slides.
 from __future__ import annotations
 
 import math
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass
 
 import numpy as np
 
 from can_rig.frames.network import Network
+from can_rig.plant.frameless import undisturbed_with_files
 from can_rig.plant.nonlinear_car import car_of
 from can_rig.scenario.build import continuous_plant, target
 from can_rig.scenario.reference import reference
+from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
 
 
@@ -65,6 +68,11 @@ class ControlAuthority:
         return {**asdict(self), "enough": self.enough}
 
 
+def _what_it_follows_from(scenario: Scenario, _: Network) -> Iterator[object]:
+    return undisturbed_with_files(scenario)
+
+
+@remembered(4, by=_what_it_follows_from)
 def control_authority(scenario: Scenario, network: Network) -> ControlAuthority | None:
     """The control authority that X_diff has in ``scenario``; None for a plant that is no car."""
     if not scenario.plant.is_car:

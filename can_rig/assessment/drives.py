@@ -16,6 +16,7 @@ Other cars are the vertices of the budget's box and some drawn from its inside.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import product
@@ -25,12 +26,14 @@ import numpy as np
 
 from can_rig.drawing.names import CAR, Names, names_of, with_unit
 from can_rig.frames.network import Network
-from can_rig.plant.frameless import Inputs, frameless, inputs_of
+from can_rig.plant.frameless import Inputs, frameless, frameless_loop, inputs_of
 from can_rig.scenario.box import in_box, uncertain, with_lags
 from can_rig.scenario.build import continuous_plant, controller_table, slowness, target
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import LimitSettings, Scenario
 from can_rig.scenario.tables.fault import CHANNELS, Channel, FaultSettings
+from firmware_model.analysis.simulation import Simulation
+from firmware_model.analysis.trace import Trace
 from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray, Record
@@ -96,17 +99,24 @@ class Drives:
         sensor = self.scenario.plant.sensor
         return AWAY * float(np.abs(self._goal).max()) + NOISE_SIGMAS * sensor.noise_mps2
 
+    def at_start(self, plant: PlantSettings, loss: str) -> Simulation:
+        """The drive of ``plant`` that ends with one of ``LOSSES``, at rest."""
+        driven, of = replace(self._scenario, plant=plant), Scheduled(None, self._table)
+        return frameless_loop(driven, self._network, of, self._inputs(loss))
+
     def findings(self, car: str, plant: PlantSettings, loss: str) -> Iterator[Finding]:
         """What is wrong with ``plant`` in a drive that ends with one of ``LOSSES``."""
-        scenario, tick_s = self._scenario, self._scenario.tick_s
-        driven = replace(scenario, plant=plant)
-        trace = frameless(driven, self._network, Scheduled(None, self._table), self._inputs(loss))
+        yield from self.judged(car, plant, loss, to_the_end(self.at_start(plant, loss)))
+
+    def judged(self, car: str, plant: PlantSettings, loss: str, trace: Trace) -> Iterator[Finding]:
+        """What is wrong with ``plant`` in this drive."""
+        tick_s = self._scenario.tick_s
         alarms = np.flatnonzero(trace.fault_state[: self._lost] == FaultState.CONFIRMED)
         if len(alarms):
             yield Finding(car, True, f"false alarm after {alarms[0] * tick_s:.3g} s")
         distance = np.abs(trace.measurement - self._goal)
         phases = [("healthy", slice(0, self._lost))]
-        names = names_of(scenario.plant)
+        names = names_of(self._scenario.plant)
         if self._returns(plant, loss):
             phases.append((_said(loss, names), slice(self._lost, None)))
         for state, phase in phases:
@@ -149,6 +159,12 @@ class Drives:
         return max(float(piece[-1] - piece[0] + 1) for piece in pieces) * tick_s
 
 
+def to_the_end(loop: Simulation) -> Trace:
+    """What happens in the drive that is about to start."""
+    loop.run()
+    return loop.trace
+
+
 def _said(loss: str, names: Names) -> str:
     """``loss`` by the words of a car, or by the name of the channel."""
     if names.output == CAR.output:
@@ -171,15 +187,22 @@ def own_findings(drives: Drives) -> list[Finding]:
 def box_findings(
     drives: Drives, on_car: Callable[[int, int], None] = lambda done, of: None
 ) -> list[Finding]:
-    """What is wrong with other cars of the budget's box when the torque is lost."""
-    scenario = drives.scenario
+    """What is wrong with other cars of the budget's box when the torque is lost.
+
+    While some drive, compiled and without the lock of the interpreter, the next is made.
+    """
+    scenario, loss = drives.scenario, "torque dead"
     if not scenario.design.feedback or scenario.plant.is_own:
         return []
     found: list[Finding] = []
-    some = list(box_cars(scenario))
-    for done, (label, car) in enumerate(some, 1):
-        found += drives.findings(label, car, "torque dead")
-        on_car(done, len(some))
+    with ThreadPoolExecutor() as beside:
+        driven = [
+            (label, car, beside.submit(to_the_end, drives.at_start(car, loss)))
+            for label, car in box_cars(scenario)
+        ]
+        for done, (label, car, trace) in enumerate(driven, 1):
+            found += drives.judged(label, car, loss, trace.result())
+            on_car(done, len(driven))
     return found
 
 

@@ -20,9 +20,11 @@ from typing import Any
 import numpy as np
 
 from can_rig.scenario.build import continuous_plant, target
+from can_rig.scenario.plant_settings import PlantSettings
+from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.fault import CHANNELS, FaultSettings
-from firmware_model.analysis.sampled_plant import sample
+from firmware_model.analysis.sampled_plant import SampledPlant, sample
 from firmware_model.compiled import compiled
 from firmware_model.target.structs import FloatArray
 
@@ -49,15 +51,7 @@ def unavoidable(
     that is a class, whose Φ is not known, it is that of the linear car with the same parameters.
     """
     tick_s, fault = scenario.tick_s, fault or scenario.loss
-    immediate = replace(
-        scenario.plant,
-        torque_actuator=replace(scenario.plant.torque_actuator, dead_time_s=0.0),
-        force_difference_actuator=replace(
-            scenario.plant.force_difference_actuator, dead_time_s=0.0
-        ),
-        sensor=replace(scenario.plant.sensor, dead_time_s=0.0),
-    )  # a loss comes behind the dead time of its actuator
-    plant = sample(continuous_plant(immediate), tick_s)
+    plant = _immediate(scenario.plant, tick_s)
     gamma = plant.gamma[:, CHANNELS.index(fault.place)] * (fault.left - 1.0)
     place = target(scenario, None)
     per_tick = 2.0 * (
@@ -70,6 +64,19 @@ def unavoidable(
         scenario.latency_ticks,
     )  # fmt: skip
     return Unavoidable(found, largest) if found else None
+
+
+@remembered(4)
+def _immediate(settings: PlantSettings, tick_s: float) -> SampledPlant:
+    """The plant without dead times; a loss comes behind that of its actuator."""
+    torque, force = settings.torque_actuator, settings.force_difference_actuator
+    without = replace(
+        settings,
+        torque_actuator=replace(torque, dead_time_s=0.0),
+        force_difference_actuator=replace(force, dead_time_s=0.0),
+        sensor=replace(settings.sensor, dead_time_s=0.0),
+    )
+    return sample(continuous_plant(without), tick_s)
 
 
 @compiled

@@ -19,8 +19,8 @@ from can_rig.files import atomic
 
 TABLE, PLAN, BLOCKS = "runs.parquet", "campaign.json", "blocks"
 MOST_IN_A_BLOCK: Final = 256
-BLOCKS_WANTED: Final = 64
-"""So that few runs keep several workers busy, and many make few files."""
+BLOCKS_WANTED: Final = 16
+"""So that little is lost where few runs are interrupted; a file costs as much as several runs."""
 
 
 @dataclass(frozen=True)

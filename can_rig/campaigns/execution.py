@@ -18,7 +18,7 @@ from can_rig.campaigns.table import put_together, read_columns, schema, write_bl
 Stopped = Callable[[], bool]
 OnRun = Callable[[int], None]
 
-PART: Final = 8
+PART: Final = 16
 """Runs that a worker is given at once: a part of a block that is lost with it is soon made good."""
 
 

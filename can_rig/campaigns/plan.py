@@ -6,7 +6,7 @@ import math
 import shlex
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Final
 
@@ -16,7 +16,7 @@ from scipy.stats import qmc
 from can_rig.assessment.resolve import resolve
 from can_rig.campaigns.settings import MOST_RUNS, AxisSettings, CampaignSettings, Scalar
 from can_rig.errors import ScenarioError
-from can_rig.scenario.loading import LIMITS, Written, changed, written
+from can_rig.scenario.loading import LIMITS, Written, changed, with_changes, written
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.changes import as_settings, toml_text, value_in
 from firmware_model.target.structs import FloatArray
@@ -79,31 +79,31 @@ class Plan:
         return int(word[0])
 
     def changes_of(self, run: int, values: dict[str, Scalar] | None = None) -> list[str]:
-        """``KEY=VALUE`` of everything that makes the scenario that of ``run``.
+        """``KEY=VALUE`` of everything in which ``run`` is not as every other.
 
         ``values`` are those of its axes, where a search has chosen them.
         """
         values = self.values_of(run) if values is None else values
         seed = [] if self._has_seed else [f"seed={self.seed_of(run)}"]
         own = [f"{key}={toml_text(key, value)}" for key, value in values.items()]
-        return [*self._common, *self._kept_beliefs, *own, *seed]
+        return [*own, *seed]
 
     def scenario_of(self, run: int) -> Scenario:
         """The scenario of ``run``, which is none of a search; see ``scenario_with``."""
         return self.scenario_with(self.changes_of(run))
 
     def scenario_with(self, changes: list[str]) -> Scenario:
-        """The scenario of a run with these changes.
+        """The scenario of a run with these changes beside what all runs have.
 
         Raises:
             ScenarioError: its values do not make one.
         """
-        return resolve(changed(self.file, changes))
+        return resolve(changed(self._file_of_all, changes))
 
     def command_with(self, changes: list[str]) -> str:
         """What repeats the run with these changes, with all its frames."""
         words = ["can-rig", "run", self.file.given, "--in-process", "--allow-unstable"]
-        for change in changes:
+        for change in [*self._of_all, *changes]:
             words += ["--set", change]
         return shlex.join(words)
 
@@ -114,6 +114,15 @@ class Plan:
     @cached_property
     def _common(self) -> list[str]:
         return as_settings(self.settings.settings)
+
+    @cached_property
+    def _of_all(self) -> list[str]:
+        """What is changed in every run, before what its axes say."""
+        return [*self._common, *self._kept_beliefs]
+
+    @cached_property
+    def _file_of_all(self) -> Written:
+        return replace(self.file, values=with_changes(self.file, self._of_all))
 
     @cached_property
     def _has_seed(self) -> bool:

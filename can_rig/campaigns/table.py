@@ -92,22 +92,24 @@ def write_block(path: Path, rows: Iterable[dict[str, Any]], columns: pa.Schema) 
 
     rows = list(rows)
     arrays = [
-        pa.array([_cell(row.get(field.name), field.type) for row in rows], field.type)
+        pa.array(_cells([row.get(field.name) for row in rows], field.type), field.type)
         for field in columns
     ]
     with atomic(path) as part:
         parquet.write_table(pa.Table.from_arrays(arrays, schema=columns), part)
 
 
-def _cell(value: Any, kind: pa.DataType) -> Any:
-    """A value as its column has it."""
+def _cells(values: list[Any], kind: pa.DataType) -> list[Any]:
+    """Values as their column has them."""
     import pyarrow as pa  # noqa: PLC0415 (an extra)
 
-    if value is None:
-        return None
     if pa.types.is_string(kind):
-        return value if isinstance(value, str) else repr(value)
-    return float(value) if pa.types.is_floating(kind) else value
+        return [
+            value if value is None or isinstance(value, str) else repr(value) for value in values
+        ]
+    if pa.types.is_floating(kind):
+        return [None if value is None else float(value) for value in values]
+    return values
 
 
 def put_together(blocks: Sequence[Path], path: Path) -> None:

@@ -1,23 +1,32 @@
-"""Libraries as the command line wants them: python-can without asammdf, and none that prints."""
+"""Libraries as the command line wants them: without others that it has no use for, and silent."""
 
 import logging
 import sys
 import warnings
 
+_NOT_WANTED = {
+    "asammdf": ("can.io.mf4", "MF4Writer"),
+    "coverage": ("numba.misc.coverage_support", "coverage_available"),
+}
+"""By name: which module imports it if it can, and what that module has once it is imported.
 
-class _WithoutAsammdf:
-    """Hides asammdf from python-can, and from nothing else.
+Asammdf brings pandas with it, most of a second that only .mf4 logs need, and ``can_rig.logs`` calls
+it itself. Coverage would be told which lines numba compiles.
+"""
 
-    Where asammdf is installed, ``import can`` imports it, and with it pandas: most of a second that
-    only .mf4 logs need, and ``can_rig.logs`` calls asammdf itself.
-    """
+
+class _WithoutThem:
+    """Hides each from the module that would import it, and from nothing else."""
 
     @staticmethod
     def find_spec(name: str, _path: object, _target: object = None) -> None:
-        """Refuse asammdf while the one module of python-can that asks for it is being imported."""
-        importer = sys.modules.get("can.io.mf4")
-        if name == "asammdf" and importer is not None and not hasattr(importer, "MF4Writer"):
-            raise ModuleNotFoundError(f"{name} is left to can_rig.logs", name=name)
+        """Refuse what is not wanted while the module that asks for it is being imported."""
+        if name not in _NOT_WANTED:
+            return
+        asking, has = _NOT_WANTED[name]
+        importer = sys.modules.get(asking)
+        if importer is not None and not hasattr(importer, has):
+            raise ModuleNotFoundError(f"{name} is left out of {asking}", name=name)
 
 
 def silence() -> None:
@@ -27,6 +36,6 @@ def silence() -> None:
         warnings.simplefilter("ignore")
 
 
-def hide_asammdf() -> None:
-    """Of this process alone; a program that imports ``can_rig`` keeps python-can as it is."""
-    sys.meta_path.insert(0, _WithoutAsammdf)
+def leave_out() -> None:
+    """Of this process alone; a program that imports ``can_rig`` has its libraries as they are."""
+    sys.meta_path.insert(0, _WithoutThem)

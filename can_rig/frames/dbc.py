@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import cache
 from importlib.resources import files
 from pathlib import Path
 
@@ -11,6 +12,7 @@ from cantools.database.can import Database, Message
 from can_rig.errors import DbcError, one_line
 
 
+@cache
 def shipped_dbc(name: str) -> Path:
     """The DBC called ``name`` that comes with the package, or is in the checkout."""
     package = Path(str(files("can_rig")))

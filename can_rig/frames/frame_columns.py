@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,6 +12,7 @@ from can_rig.frames.crc_columns import UInt8s, crcs
 from can_rig.frames.layout import NOT_AVAILABLE, RigLayout
 from can_rig.frames.protection import COUNTERS, FRAME_BYTES
 from can_rig.frames.wire_tick import WIRE_TICKS
+from firmware_model.compiled import compiled
 from firmware_model.target.structs import FloatArray
 
 Ints = NDArray[np.int64]
@@ -48,12 +51,27 @@ def payloads(
 
 def raw_values(codec: MessageCodec, values: FloatArray) -> Ints:
     """(n,) raw values; see `MessageCodec.to_raw`."""
-    known = np.nan_to_num(values, nan=0.0, posinf=codec.maximum, neginf=codec.minimum)
-    within = np.clip(known, codec.minimum, codec.maximum)
-    raw: Ints = np.rint(within / codec.lsb).astype(np.int64)
-    raw[values >= codec.maximum] = codec.raw_maximum
-    raw[values <= codec.minimum] = codec.raw_minimum
-    raw[np.isnan(values)] = NOT_AVAILABLE
+    limits = float(codec.lsb), float(codec.minimum), float(codec.maximum)
+    ends = int(codec.raw_minimum), int(codec.raw_maximum), NOT_AVAILABLE
+    return _raw(np.ascontiguousarray(values), limits, ends)
+
+
+@compiled
+def _raw(
+    values: FloatArray, limits: tuple[float, float, float], ends: tuple[int, int, int]
+) -> Ints:
+    lsb, minimum, maximum = limits
+    raw_minimum, raw_maximum, not_available = ends
+    raw = np.empty(len(values), np.int64)
+    for k in range(len(values)):
+        if math.isnan(values[k]):
+            raw[k] = not_available
+        elif values[k] >= maximum:
+            raw[k] = raw_maximum
+        elif values[k] <= minimum:
+            raw[k] = raw_minimum
+        else:
+            raw[k] = int(np.rint(values[k] / lsb))
     return raw
 
 

@@ -16,7 +16,7 @@ from can_rig.plant.actuators import FollowedCommand
 from can_rig.plant.columns import APPLIED, TRUE_OUTPUT
 from can_rig.plant.protocol import GuardedPlant, load_plant
 from can_rig.plant.sensor import FilteredSamples
-from can_rig.scenario.build import continuous_car, continuous_plant
+from can_rig.scenario.build import but_for_noise, continuous_car, continuous_plant
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.remembered import remembered
 from firmware_model.analysis.sampled_plant import SampledPlant, follow, sample
@@ -59,7 +59,7 @@ def plant_behind(settings: PlantSettings, tick_s: float) -> PlantBehind:
     return LinearBehind(settings, tick_s)
 
 
-@remembered(16)
+@remembered(16, by=but_for_noise)
 def sampled_plant(settings: PlantSettings, tick_s: float) -> SampledPlant:
     """A linear plant behind its actuators and its sensor between two ticks.
 

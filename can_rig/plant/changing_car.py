@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
-from can_rig.plant.behind import LinearBehind, PlantBehind, plant_behind
+from can_rig.plant.behind import LinearBehind, PlantBehind, plant_behind, sampled_plant
 from can_rig.plant.columns import SPEED
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.driving.speed import speed_profile, speeds_at_ticks
@@ -13,6 +13,7 @@ from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.changing_plant import ChangingPlant, changing_plant, follow_changing
+from firmware_model.analysis.sampled_plant import SampledPlant
 
 
 def plant_of(scenario: Scenario) -> PlantBehind:
@@ -24,6 +25,17 @@ def plant_of(scenario: Scenario) -> PlantBehind:
     if scenario.drive.is_given:
         return ChangingCar(scenario)
     return plant_behind(scenario.plant, scenario.tick_s)
+
+
+def linear_plant(scenario: Scenario) -> SampledPlant | None:
+    """The same where it is one step from tick to tick; None: a plant of one's own, or a drive.
+
+    Raises:
+        ScenarioError: a car that is not stable.
+    """
+    if scenario.plant.is_own or scenario.drive.is_given:
+        return None
+    return sampled_plant(scenario.plant, scenario.tick_s)
 
 
 @remembered(4)

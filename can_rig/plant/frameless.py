@@ -5,7 +5,9 @@ Bit for bit the signals of the run on a lockstep bus; thousands of times faster 
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
 
 import numpy as np
 
@@ -13,22 +15,25 @@ from can_rig.errors import RigError
 from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
 from can_rig.plant.actuators import actuator_limits
-from can_rig.plant.behind import LinearBehind, PlantBehind
-from can_rig.plant.changing_car import plant_of
+from can_rig.plant.behind import PlantBehind
+from can_rig.plant.changing_car import linear_plant, plant_of
 from can_rig.plant.faults.delivery import Delivery, delivery
 from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.plant.sensor import noise
+from can_rig.scenario.build import network_of
 from can_rig.scenario.driving.schedule import controls
 from can_rig.scenario.driving.speed import speeds_at_ticks
 from can_rig.scenario.reference import reference
+from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.fault import PLACES
-from firmware_model.analysis.hardware import BY, HEALTHY, REPLACED
+from firmware_model.analysis.hardware import BY, HEALTHY, NO_FAULTS, REPLACED
 from firmware_model.analysis.sampled_plant import SampledPlant
 from firmware_model.analysis.simulation import AnyPlant, Simulation
 from firmware_model.analysis.trace import Trace
 from firmware_model.discretisation.schedules import Scheduled
-from firmware_model.target.structs import FloatArray
+from firmware_model.target import controller
+from firmware_model.target.structs import FloatArray, RecordArray
 
 
 @dataclass(frozen=True)
@@ -45,18 +50,95 @@ class Inputs:
     """Of the car; None: it has no drive."""
 
 
+@dataclass(frozen=True)
+class Common:
+    """What runs have in common that differ in their faults and in their noise and in nothing else.
+
+    Attributes:
+        undisturbed: what they have in common, as a scenario.
+        network: their frames.
+        of: their controller.
+        at_rest: its state.
+        plant: what is linear; None: each run has one of its own.
+        quiet: their inputs where nothing fails and the sensor has no noise.
+    """
+
+    undisturbed: Scenario
+    network: Network
+    of: Scheduled
+    at_rest: RecordArray
+    plant: SampledPlant | None
+    quiet: Inputs
+
+    def inputs_of(self, scenario: Scenario) -> Inputs:
+        """Those of one of them."""
+        return with_disturbances(self.quiet, scenario, self.network)
+
+    def loop(
+        self, scenario: Scenario, inputs: Inputs, plant: SampledPlant | AnyPlant
+    ) -> Simulation:
+        """The loop of one of them at rest."""
+        return simulation(scenario, self.network, plant, self.of, inputs, at_rest=self.at_rest)
+
+
+def with_files(scenario: Scenario) -> Iterator[object]:
+    """What a run follows from: its scenario, and the states of the files that this names."""
+    yield scenario
+    for file in (scenario.reference.file, scenario.drive.file):
+        if file and Path(file).is_file():
+            state = Path(file).stat()
+            yield state.st_mtime_ns, state.st_size
+
+
+def undisturbed_with_files(scenario: Scenario) -> Iterator[object]:
+    """The same of what it has in common with others."""
+    return with_files(scenario.undisturbed)
+
+
+@remembered(4, by=undisturbed_with_files)
+def common(scenario: Scenario) -> Common:
+    """What ``scenario`` has in common with all that have the same ``undisturbed`` one.
+
+    Raises:
+        ScenarioError: as ``frameless``.
+    """
+    undisturbed = scenario.undisturbed
+    network = network_of(undisturbed)
+    of = controls(scenario, network)  # a refusal may name the noise
+    quiet = inputs_of(undisturbed, network)
+    at_rest = controller.init(of.table)
+    return Common(undisturbed, network, of, at_rest, linear_plant(undisturbed), quiet)
+
+
 def inputs_of(scenario: Scenario, network: Network) -> Inputs:
     """The inputs of ``scenario``, which do not depend on its car."""
-    plant, delivered = PlantFaults(scenario), delivery(scenario, network)
-    ticks = range(scenario.ticks)
-    return Inputs(
+    ticks = scenario.ticks
+    quiet = Inputs(
         reference=quantised(network.reference, reference(scenario)),
+        effectiveness=np.ones((ticks, 2)),
+        noise=np.zeros(ticks),
+        bias=np.zeros(ticks),
+        delivery=delivery(scenario.healthy, network),
+        faults=NO_FAULTS,
+        speed=quantised(network.speed, speeds_at_ticks(scenario)) if network.speed else None,
+    )
+    return with_disturbances(quiet, scenario, network)
+
+
+def with_disturbances(quiet: Inputs, scenario: Scenario, network: Network) -> Inputs:
+    """``quiet`` inputs with the faults and the noise of ``scenario``."""
+    if not scenario.faults:
+        return replace(quiet, noise=noise(scenario))
+    plant, ticks = PlantFaults(scenario), range(scenario.ticks)
+    on_frames = any(fault.acts_on_frames for fault in scenario.faults)
+    delivered = delivery(scenario, network) if on_frames else quiet.delivery
+    return replace(
+        quiet,
         effectiveness=plant.left(ticks),
         noise=noise(scenario),
         bias=plant.bias(ticks),
         delivery=delivered,
         faults=_with_replaced(plant.rows(ticks), delivered, scenario.ticks),
-        speed=quantised(network.speed, speeds_at_ticks(scenario)) if network.speed else None,
     )
 
 
@@ -101,11 +183,10 @@ def frameless_loop(
     Raises:
         ScenarioError: as ``frameless``.
     """
-    plant = plant_of(scenario)
     return simulation(
         scenario,
         network,
-        plant.sampled if isinstance(plant, LinearBehind) else _UntilItFails(plant),
+        linear_plant(scenario) or UntilItFails(plant_of(scenario)),
         controls(scenario, network) if of is None else of,
         inputs_of(scenario, network) if inputs is None else inputs,
     )
@@ -118,6 +199,7 @@ def simulation(
     of: Scheduled,
     inputs: Inputs,
     keeps_states: bool = False,
+    at_rest: RecordArray | None = None,
 ) -> Simulation:
     """``scenario`` without a bus, at rest; for the arguments see ``frameless``, ``Simulation``."""
     return Simulation(
@@ -138,10 +220,11 @@ def simulation(
         lsb=network.feedback.lsb,
         maximum=network.feedback.maximum,
         keeps_states=keeps_states,
+        at_rest=at_rest,
     )
 
 
-class _UntilItFails:
+class UntilItFails:
     """A plant whose output is not a number from its first error on."""
 
     def __init__(self, plant: PlantBehind) -> None:

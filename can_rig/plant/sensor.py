@@ -11,6 +11,7 @@ from collections import deque
 
 import numpy as np
 
+from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import split_ticks
 from firmware_model.compiled import compiled
@@ -46,14 +47,23 @@ class SensorNoise:
 
 
 def noise(scenario: Scenario) -> FloatArray:
-    """(ticks,), the noise of every tick of a run, m/s²: what ``SensorNoise`` draws one by one."""
+    """(ticks,), the noise of every tick of a run, m/s²: what ``SensorNoise`` draws one by one.
+
+    Not to be changed: it is that of the run without its fault too.
+    """
     sensor = scenario.plant.sensor
     if sensor.noise_mps2 == 0.0:
         return np.zeros(scenario.ticks)
-    random = np.random.Generator(np.random.PCG64(scenario.seed))
-    drawn: FloatArray = sensor.noise_mps2 * random.standard_normal(scenario.ticks)
-    if sensor.lag_s > 0.0:
-        colour(drawn, math.exp(-scenario.tick_s / sensor.lag_s))
+    memory = math.exp(-scenario.tick_s / sensor.lag_s) if sensor.lag_s > 0.0 else 0.0
+    return _drawn(scenario.seed, sensor.noise_mps2, memory, scenario.ticks)
+
+
+@remembered(1)
+def _drawn(seed: int, rms: float, memory: float, ticks: int) -> FloatArray:
+    random = np.random.Generator(np.random.PCG64(seed))
+    drawn: FloatArray = rms * random.standard_normal(ticks)
+    if memory > 0.0:
+        colour(drawn, memory)
     return drawn
 
 

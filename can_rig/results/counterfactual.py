@@ -8,10 +8,10 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from can_rig.plant.changing_car import plant_of
 from can_rig.plant.faults.plant_faults import DISTORTING, PlantFaults
-from can_rig.plant.frameless import frameless_loop
+from can_rig.plant.frameless import UntilItFails, common, with_files
 from can_rig.results.signals import Signals
-from can_rig.scenario.build import network_of
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.fault import SENSOR
@@ -45,8 +45,7 @@ def noise_free(scenario: Scenario, signals: Signals, rows: int) -> Counterfactua
 
     Its first ``rows`` rows at least; not a number where nobody has asked for more.
     """
-    silent = replace(scenario.healthy.noise_free, seed=0)  # of which nothing is drawn
-    return _instead(silent, signals, rows)
+    return _instead(common(scenario).undisturbed, signals, rows)
 
 
 def uncompensated(scenario: Scenario, signals: Signals) -> Counterfactual:
@@ -70,10 +69,12 @@ def _instead(scenario: Scenario, signals: Signals, rows: int) -> Counterfactual:
     return Counterfactual(*(values[first:ticks] for values in (trace.measured, force, car)))
 
 
-@remembered(4)
+@remembered(4, by=with_files)
 def loop_of(scenario: Scenario) -> Simulation:
     """A run that somebody may have begun, and that goes on as far as it is asked for."""
-    return frameless_loop(scenario, network_of(scenario))
+    shared = common(scenario)
+    plant = shared.plant or UntilItFails(plant_of(scenario))
+    return shared.loop(scenario, shared.inputs_of(scenario), plant)
 
 
 def car_output(

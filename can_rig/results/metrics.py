@@ -185,8 +185,11 @@ def rows(values: Metrics, plant: PlantSettings) -> list[tuple[str, str]]:
 
 def peak_of(values: FloatArray) -> float | None:
     """The largest finite value; None where there is none."""
-    finite = values[np.isfinite(values)]
-    return float(finite.max()) if len(finite) else None
+    largest = float(values.max(initial=-math.inf))
+    if not math.isfinite(largest):  # there is one that is none, or nothing at all
+        finite = values[np.isfinite(values)]
+        return float(finite.max()) if len(finite) else None
+    return largest
 
 
 def _end(time_ns: NDArray[np.int64], part: Mask, wanted_s: float) -> Mask:

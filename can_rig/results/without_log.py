@@ -6,16 +6,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from can_rig.plant.behind import LinearBehind
 from can_rig.plant.changing_car import plant_of
 from can_rig.plant.columns import TRUE_OUTPUT
-from can_rig.plant.frameless import inputs_of, simulation
+from can_rig.plant.frameless import common
 from can_rig.results.counterfactual import loop_of
 from can_rig.results.metrics import Metrics, metrics
 from can_rig.results.signals import Signals, signals_of_trace
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving.schedule import controls
-from can_rig.scenario.reference import on_the_bus
+from can_rig.scenario.reference import refuse_saturation
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.simulation import Simulation
 
@@ -35,20 +33,14 @@ def signals_without_log(scenario: Scenario) -> Signals:
     Raises:
         RigError: as ``metrics_of``.
     """
-    network = network_of(scenario)
-    on_the_bus(scenario, network)
-    plant, inputs = plant_of(scenario), inputs_of(scenario, network)
-    loop = simulation(
-        scenario,
-        network,
-        plant.sampled if isinstance(plant, LinearBehind) else plant,
-        controls(scenario, network),
-        inputs,
-    )
-    if isinstance(plant, LinearBehind) and scenario.faults and not len(inputs.faults):
+    refuse_saturation(scenario, network_of(scenario))
+    shared = common(scenario)
+    inputs = shared.inputs_of(scenario)
+    loop = shared.loop(scenario, inputs, shared.plant or plant_of(scenario))
+    if shared.plant is not None and scenario.faults and not len(inputs.faults):
         _begin_without_fault(loop, scenario)
     loop.run()
-    signals = signals_of_trace(loop.trace, inputs.delivery, loop.ticks, network)
+    signals = signals_of_trace(loop.trace, inputs.delivery, loop.ticks, shared.network)
     return replace(signals, plant={TRUE_OUTPUT: loop.trace.measurement})
 
 
@@ -60,8 +52,9 @@ def _begin_without_fault(loop: Simulation, scenario: Scenario) -> None:
     healthy = loop_of(scenario.healthy)
     first = loop.ticks
     for own, its in zip(loop.inputs, healthy.inputs, strict=True):
-        differs = np.flatnonzero((own != its).reshape(loop.ticks, -1).any(axis=1))
-        first = min([first, *differs[:1].tolist()])
+        if own is not its:
+            differs = np.flatnonzero((own != its).reshape(loop.ticks, -1).any(axis=1))
+            first = min([first, *differs[:1].tolist()])
     if healthy.done <= first:
         healthy.run(first)
         loop.go_on_from(healthy)

@@ -74,7 +74,12 @@ def _network(dbc: Path, says_speed: bool) -> Network:
     return load_network(dbc, says_speed)
 
 
-@remembered(MOST_PLANTS)
+def but_for_noise(settings: PlantSettings, *others: object) -> tuple[object, ...]:
+    """What a linear plant follows from: its sensor's noise is no part of it."""
+    return settings.noise_free, *others
+
+
+@remembered(MOST_PLANTS, by=but_for_noise)
 def continuous_car(settings: PlantSettings) -> plants.Plant:
     """The linear plant that ``settings`` describe, without its actuators and its sensor.
 
@@ -104,7 +109,7 @@ def slowness(scenario: Scenario) -> float:
     return max(1.0, CAR_DECAYS_PER_S / slowest)
 
 
-@remembered(MOST_PLANTS)
+@remembered(MOST_PLANTS, by=but_for_noise)
 def continuous_plant(settings: PlantSettings) -> plants.Plant:
     """``continuous_car`` behind its actuators and its sensor, as far as they are linear.
 

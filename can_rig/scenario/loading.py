@@ -7,15 +7,15 @@ may be given as a word, ``latency_ticks = "from-bus"``: a ``Draft`` keeps it, an
 
 from __future__ import annotations
 
-import copy
 import difflib
 import json
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import product
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, get_type_hints
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -56,7 +56,14 @@ FILES: Final = (
 LIMITS: Final = ("limit_", "rate_")
 """Begins of the keys that an actuator has and a belief about it has not."""
 
+MOST_TABLES: Final = 128
+"""That are kept: runs of a campaign have most of theirs in common."""
+
+_ENCODER: Final = json.JSONEncoder(default=str)
 _ADAPTER: Final = TypeAdapter(Scenario)
+_TABLES: Final = {
+    key: TypeAdapter(kind) for key, kind in get_type_hints(Scenario, include_extras=True).items()
+}
 
 
 @dataclass(frozen=True)
@@ -142,10 +149,17 @@ def with_changes(file: Written, settings: Iterable[str] = ()) -> dict[str, Any]:
     Raises:
         ScenarioError: a change that is none.
     """
-    values = copy.deepcopy(file.values)
+    values: dict[str, Any] = _copied(file.values)
     for setting in settings:
         change(values, setting)
     return values
+
+
+def _copied(value: Any) -> Any:
+    """Tables and lists of what TOML has, which a change goes into."""
+    if isinstance(value, dict):
+        return {key: _copied(each) for key, each in value.items()}
+    return [_copied(each) for each in value] if isinstance(value, list) else value
 
 
 def of_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Draft:
@@ -187,14 +201,37 @@ def draft(name: str, values: Mapping[str, Any]) -> Draft:
         merged["fault"] = [merged["fault"]]
     words = frozenset(pair for pair in (FROM_BUS,) if _take(merged, *pair))
     try:
-        # As JSON, where strict still takes a table for a dataclass and a whole number for a float.
-        scenario = _ADAPTER.validate_json(json.dumps({"name": name, **merged}, default=str))
-    except ValidationError as error:
-        said = refusal(error, Scenario)
-        if not several:  # one table has no number
-            said = said.replace(f"{FAULT}.0", FAULT, 1)
-        raise ScenarioError(f"scenario {name}: {said}") from None
+        scenario = Scenario(name=name, **{key: _valid(key, each) for key, each in merged.items()})
+    except (ValidationError, KeyError):  # in one table; of the whole, the finding has its key
+        try:
+            scenario = _ADAPTER.validate_json(_json({"name": name, **merged}))
+        except ValidationError as error:
+            said = refusal(error, Scenario)
+            if not several:  # one table has no number
+                said = said.replace(f"{FAULT}.0", FAULT, 1)
+            raise ScenarioError(f"scenario {name}: {said}") from None
     return Draft(scenario, words)
+
+
+def _valid(key: str, value: Any) -> Any:
+    """``value`` as ``Scenario`` has it, if it is a table or a list of them."""
+    return _table(key, _json(value)) if isinstance(value, Mapping | list) else value
+
+
+@lru_cache(MOST_TABLES)
+def _table(key: str, text: str) -> Any:
+    """A table of a scenario: of one text one and the same.
+
+    Raises:
+        KeyError: there is no such key.
+        ValidationError: a bad value.
+    """
+    return _TABLES[key].validate_json(text)
+
+
+def _json(value: Any) -> str:
+    """As JSON, where strict still takes a table for a dataclass and a whole number for a float."""
+    return _ENCODER.encode(value)
 
 
 def _believed(plant: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str, Any]:

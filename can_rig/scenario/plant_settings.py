@@ -5,6 +5,7 @@ from __future__ import annotations
 import dataclasses
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field
@@ -228,6 +229,12 @@ class PlantSettings(VehicleParameters):
     def is_car(self) -> bool:
         """Whether the parameters, and a lateral acceleration, mean anything."""
         return self.linear is BUILT_IN[CAR]
+
+    @cached_property
+    def noise_free(self) -> PlantSettings:
+        """The same with a sensor that has no noise."""
+        sensor = dataclasses.replace(self.sensor, noise_mps2=0.0)
+        return dataclasses.replace(self, sensor=sensor) if sensor != self.sensor else self
 
     @property
     def stages(self) -> tuple[Stage, Stage, Stage]:

@@ -8,7 +8,8 @@ from can_rig.errors import ScenarioError
 from can_rig.frames.network import Network
 from can_rig.scenario.driving.csv_columns import over_time
 from can_rig.scenario.driving.driver import lane_changes
-from can_rig.scenario.settings import MAX_REFERENCE_MPS2, Scenario
+from can_rig.scenario.remembered import remembered
+from can_rig.scenario.settings import MAX_REFERENCE_MPS2, ReferenceSettings, Scenario
 from firmware_model.target.structs import FloatArray
 
 LANE_CHANGE_S = 1.0  # when a lane change begins
@@ -18,36 +19,53 @@ def on_the_bus(scenario: Scenario, network: Network) -> list[float]:
     """The reference of every tick, refused where its frame would saturate.
 
     Raises:
+        ScenarioError: as ``refuse_saturation``.
+    """
+    refuse_saturation(scenario, network)
+    fitting: list[float] = reference(scenario).tolist()
+    return fitting
+
+
+def refuse_saturation(scenario: Scenario, network: Network) -> None:
+    """Refuse a reference that its frame cannot carry.
+
+    Raises:
         ScenarioError: it does not fit; what ``reference`` refuses.
     """
-    values, frame = reference(scenario), network.reference
-    largest = float(np.abs(values).max())
+    frame = network.reference
+    largest = float(np.abs(reference(scenario)).max())
     if largest > frame.maximum:
         raise ScenarioError(
             f"scenario {scenario.name}: reference: reaches {largest:g} {frame.unit}; must be "
             f"at most {frame.maximum:g}, what {frame.name} carries"
         )
-    fitting: list[float] = values.tolist()
-    return fitting
 
 
 def reference(scenario: Scenario) -> FloatArray:
-    """r at every tick of the run, shape (ticks,), m/s².
+    """r at every tick of the run, shape (ticks,), m/s²; not to be changed.
 
     Raises:
         ScenarioError: a CSV that cannot be read, or whose times do not increase.
     """
-    settings = scenario.reference
-    time_s = np.arange(scenario.ticks, dtype=np.float64) * (scenario.tick_ns * 1e-9)
+    if scenario.reference.kind == "csv":
+        return _from_csv(scenario, _times_s(scenario.ticks, scenario.tick_ns))
+    return _computed(scenario.reference, scenario.ticks, scenario.tick_ns, scenario.tick_s)
+
+
+@remembered(1)
+def _computed(settings: ReferenceSettings, ticks: int, tick_ns: int, tick_s: float) -> FloatArray:
+    time_s = _times_s(ticks, tick_ns)
     if settings.kind == "step":
-        return np.full(scenario.ticks, settings.amplitude_mps2)
+        return np.full(ticks, settings.amplitude_mps2)
     if settings.kind == "sine":
         return settings.amplitude_mps2 * np.sin(settings.frequency_rad_per_s * time_s)
     if settings.kind == "lane-change":
         return lane_change(settings.amplitude_mps2, settings.frequency_rad_per_s, time_s)
-    if settings.kind == "driver":
-        return lane_changes(settings, time_s, scenario.tick_s)
-    return _from_csv(scenario, time_s)
+    return lane_changes(settings, time_s, tick_s)
+
+
+def _times_s(ticks: int, tick_ns: int) -> FloatArray:
+    return np.arange(ticks, dtype=np.float64) * (tick_ns * 1e-9)
 
 
 def lane_change(

@@ -11,6 +11,7 @@ from __future__ import annotations
 import dataclasses
 import itertools
 import math
+from functools import cached_property
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat
@@ -187,18 +188,24 @@ class Scenario:
         """File name of the network's DBC in ``dbc/``."""
         return self.plant.linear.dbc
 
-    @property
+    @cached_property
     def healthy(self) -> Scenario:
         """The same with nothing lost."""
-        return dataclasses.replace(self, fault=())
+        return dataclasses.replace(self, fault=()) if self.fault else self
 
-    @property
+    @cached_property
     def noise_free(self) -> Scenario:
         """The same with a sensor that has no noise."""
-        sensor = dataclasses.replace(self.plant.sensor, noise_mps2=0.0)
-        return dataclasses.replace(self, plant=dataclasses.replace(self.plant, sensor=sensor))
+        return dataclasses.replace(self, plant=self.plant.noise_free)
 
-    @property
+    @cached_property
+    def undisturbed(self) -> Scenario:
+        """The same for all runs that differ in their faults and in their noise alone."""
+        if self.fault:
+            return self.healthy.undisturbed
+        return dataclasses.replace(self, plant=self.plant.noise_free, seed=0)
+
+    @cached_property
     def faults(self) -> tuple[FaultSettings, ...]:
         """Those that do something, in the order in which they act."""
         return tuple(fault for fault in self.fault if fault.kind != "none")

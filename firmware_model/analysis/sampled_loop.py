@@ -18,6 +18,7 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -92,6 +93,8 @@ class SampledLoop:
         """
         a = self.closed(gain)
         reaches = reaching(a, self.c)
+        if reaches.all():
+            return np.linalg.eigvals(a).astype(np.complex128)
         acting = np.linalg.eigvals(a[np.ix_(reaches, reaches)])
         idle = np.linalg.eigvals(a[np.ix_(~reaches, ~reaches)])
         idle = idle[np.abs(idle - 1.0) > OPEN_INTEGRATOR]
@@ -104,18 +107,21 @@ class SampledLoop:
     def loop_gain(self, z: ComplexArray) -> ComplexArray:
         """L(z) = -c(zI - A)⁻¹b from measurement to measurement, for ``z`` of shape (m,).
 
-        Back-substitution in the Schur form, for all ``z`` at once; balanced first, because
-        commands are 1e5 times as large as D*.
+        Back-substitution in the Schur form, for all ``z`` at once.
         """
-        balanced, scaling = linalg.matrix_balance(self.a, permute=False)
-        scale = np.diag(scaling)
-        triangle, unitary = linalg.schur(balanced, output="complex")
-        b = unitary.conj().T @ (self.b[:, 0] / scale)
-        c = (self.c * scale) @ unitary
+        triangle, b, c = self._triangular
         x = np.zeros((len(b), len(z)), dtype=np.complex128)
         for i in reversed(range(len(b))):
             x[i] = (b[i] + triangle[i, i + 1 :] @ x[i + 1 :]) / (z - triangle[i, i])
         return np.asarray(-(c @ x), dtype=np.complex128)
+
+    @cached_property
+    def _triangular(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
+        """A's Schur form, b and c with it; balanced first: commands are 1e5 times D*."""
+        balanced, scaling = linalg.matrix_balance(self.a, permute=False)
+        scale = np.diag(scaling)
+        triangle, unitary = linalg.schur(balanced, output="complex")
+        return triangle, unitary.conj().T @ (self.b[:, 0] / scale), (self.c * scale) @ unitary
 
     def angles(self) -> FloatArray:
         """ωT, ascending to π: a logarithmic grid, closer where a pole is near the unit circle."""
@@ -220,11 +226,11 @@ def sampled_loop(
 
 def reaching(a: FloatArray, row: FloatArray) -> NDArray[np.bool_]:
     """Which states (n,) can ever be seen in ``row`` ξ: by a path of non-zeros of ``a`` to it."""
-    reaches = row != 0.0
+    reaches, steps = np.asarray(row != 0.0, dtype=np.bool_), a != 0.0
     while True:
-        wider = reaches | (a[reaches] != 0.0).any(axis=0)
+        wider = reaches | (reaches @ steps)
         if (wider == reaches).all():
-            return np.asarray(reaches, dtype=np.bool_)
+            return reaches
         reaches = wider
 
 

@@ -17,7 +17,7 @@ import numpy as np
 from firmware_model.analysis import hardware
 from firmware_model.analysis.sampled_plant import SampledPlant, follow
 from firmware_model.analysis.trace import BoolArray, Trace
-from firmware_model.compiled import firmware
+from firmware_model.compiled import firmware, firmware_run
 from firmware_model.target import controller
 from firmware_model.target.layout import precision_of
 from firmware_model.target.schedule import STATE, change_first_speed
@@ -65,6 +65,7 @@ class Simulation:
         lsb: grid of what the controller measures, in the measurement's unit; 0: none.
         maximum: where that saturates.
         keeps_states: whether ``plant_states`` has those of a ``SampledPlant``.
+        at_rest: (1,), what ``controller.init`` makes of the table, for whoever has it.
     """
 
     def __init__(
@@ -87,6 +88,7 @@ class Simulation:
         lsb: float = 0.0,
         maximum: float = np.inf,
         keeps_states: bool = False,
+        at_rest: RecordArray | None = None,
     ) -> None:
         self.ticks = ticks = len(reference)
         self.done = 0
@@ -101,9 +103,10 @@ class Simulation:
         self._plant = plant
         self._signals = np.full((ROWS, ticks), np.nan)
         self._states = np.zeros((2, ticks), dtype=np.int64)
+        state = controller.init(table) if at_rest is None else at_rest
         self._loop = (
-            np.array([table], table.dtype),
-            controller.init(table),
+            np.asarray(table).reshape(1),
+            state.view(np.uint8).copy().view(state.dtype),  # not field by field, which is slow
             self.inputs,
             (float(resolution), float(lsb), float(maximum)),
             (np.zeros(2), np.zeros(2, dtype=np.int64), hold_ticks, np.zeros(3), limits, faults),
@@ -119,24 +122,21 @@ class Simulation:
         self.plant_states = np.zeros((0, 0))
         """(ticks, n), at the beginning of each tick, where they are kept."""
         if isinstance(plant, SampledPlant):
-            self.tick_s = plant.tick_s
-            self._memory = plant.memory
+            self._memory, tick_s = plant.memory, plant.tick_s
             self.plant_states = np.zeros((ticks if keeps_states else 0, len(plant.c)))
-        else:
-            assert tick_s is not None
-            self.tick_s = tick_s
+        assert tick_s is not None
+        self.tick_s = tick_s
 
     def run(self, until: int | None = None) -> None:
         """Go on up to the tick ``until``; None: to the end. What the plant raises is passed on."""
         end, plant = self.ticks if until is None else min(until, self.ticks), self._plant
         if isinstance(plant, SampledPlant):
-            if end <= self.done:
-                return
-            self._output = _run(
-                *self._loop, self.done, end, *self._output, plant.constants, self._memory,
-                self.plant_states,
-            )  # fmt: skip
-            self.done = end
+            if end > self.done:
+                self._output = _run(
+                    *self._loop, self.done, end, *self._output, plant.constants, self._memory,
+                    self.plant_states,
+                )  # fmt: skip
+                self.done = end
             return
         effectiveness = self.inputs[3]
         while self.done < end:
@@ -151,16 +151,16 @@ class Simulation:
 
         As far as that is its inputs must have been the same.
         """
+        self._loop[1][0] = other._loop[1][0]
         for own, its in zip(self._changing, other._changing, strict=True):
             own[...] = its
         self.done, self._output = other.done, other._output
 
     @property
     def _changing(self) -> tuple[Any, ...]:
-        """Every array that a tick changes."""
-        _, controllers, _, _, (held, silent, _, reached, *_), signals, states = self._loop
-        rest = (*self._memory, self.plant_states)
-        return controllers, held, silent, reached, signals, states, *rest
+        """Every array that a tick changes, but for the controller."""
+        _, _, _, _, (held, silent, _, reached, *_), signals, states = self._loop
+        return held, silent, reached, signals, states, *self._memory, self.plant_states
 
     @property
     def trace(self) -> Trace:
@@ -272,7 +272,7 @@ def tick(
     return reached[0], reached[1]
 
 
-@firmware
+@firmware_run
 def _run(
     tables: RecordArray,
     controllers: RecordArray,

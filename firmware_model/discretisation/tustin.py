@@ -15,6 +15,7 @@ from __future__ import annotations
 import cmath
 import math
 from collections.abc import Callable, Mapping
+from functools import lru_cache
 from typing import Final
 
 import numpy as np
@@ -55,8 +56,11 @@ def tustin_held(g: ZeroPoleGain, tick_s: float) -> Sections:
     return from_delta_zpk(*_held_bilinear(g, tick_s), tick_s)
 
 
+@lru_cache(maxsize=64)
 def zoh(g: ZeroPoleGain, tick_s: float) -> Sections:
     """The exact discretisation of ``g`` for an input held over each tick.
+
+    Kept: tables that differ in frames, limits or noise alone have the same filters.
 
     Poles are e^{pT}. Zeros are those of the sampled state space, and so is the gain, read off in
     the middle of the filter's band.

@@ -10,7 +10,7 @@ from firmware_model.discretisation.sections import ComplexArray
 from firmware_model.target.structs import FloatArray
 
 REFINEMENTS = 16
-"""Steps: each triples the digits once there are some; more help only zeros that nearly meet."""
+"""At most; each triples the digits once there are some, more help only zeros that nearly meet."""
 
 
 def refined(
@@ -38,7 +38,10 @@ def refined(
         with np.errstate(all="ignore"):
             of_others = (1.0 / (zeros[:, None] - poles)).sum(axis=1) - (1.0 / distance).sum(axis=1)
             step = 1.0 / (slope / (c @ x)[:, 0, 0] + of_others)
+        before = zeros.copy()
         zeros -= np.where(np.isfinite(step), step, 0.0)  # one that is exact, or double, stays
         zeros[: len(real)].imag = 0.0
         zeros[len(real) + len(upper) :] = zeros[len(real) : len(real) + len(upper)].conj()
+        if (zeros == before).all():
+            break
     return [complex(zero) for zero in zeros]

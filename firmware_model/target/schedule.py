@@ -96,9 +96,8 @@ def change_speed(schedule: Record, own: Record, table: Record, state: Record, sp
         return
     move(schedule, own, table, state, place)
     own.place = place
-    at = min(int(place), max(schedule.n - 2, 0))
-    share = place - real(at, place)
-    blend(schedule, table, at, share)
+    at = int(place)
+    blend(schedule, table, at, place - real(at, place))
 
 
 @firmware

@@ -6,6 +6,7 @@ import os
 import sys
 from pathlib import Path
 from types import ModuleType
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,15 +38,26 @@ def test_another_state_of_the_package_has_another_folder(
 def test_refusal_to_cache_is_no_refusal_to_compile(monkeypatch: pytest.MonkeyPatch) -> None:
     calls = []
 
-    def njit(cache=False, error_model=None, _nrt=True):  # type: ignore[no-untyped-def]
-        calls.append((cache, error_model, _nrt))
+    def njit(cache, **options):  # type: ignore[no-untyped-def]
+        calls.append((cache, options))
         if cache:
             raise RuntimeError("no locator available")
         return lambda function: function
 
     monkeypatch.setattr(compiled, "njit", njit)
     assert compiled.firmware(abs) is abs
-    assert calls == [(True, "numpy", False), (False, "numpy", False)]
+    options = {"error_model": "numpy", "nogil": False, "_nrt": False}
+    assert calls == [(True, options), (False, options)]
+
+
+def test_only_a_whole_run_lets_go_of_the_lock(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A tick of a node keeps it: to have it back it would wait for whoever took it."""
+    monkeypatch.setattr(compiled, "njit", lambda cache, **options: lambda function: options)
+    options: list[Any] = [
+        mark(abs) for mark in (compiled.firmware, compiled.compiled, compiled.firmware_run)
+    ]
+    assert [each["nogil"] for each in options] == [False, False, True]
+    assert not options[2]["_nrt"]
 
 
 def test_what_runs_on_the_target_cannot_allocate(monkeypatch: pytest.MonkeyPatch) -> None:

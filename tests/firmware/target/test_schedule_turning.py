@@ -6,6 +6,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
+from firmware_model.target.layout import table_type
+from firmware_model.target.schedule import CONSTANTS, MAX_SPEEDS, blend, place_of, turn_models
+from firmware_model.target.structs import record_type
 from tests.firmware.scheduled import SPEEDS, TARGET, Blended, scheduled
 
 OF = scheduled(cars=1)
@@ -69,3 +72,76 @@ def test_gains_of_one_tick_are_blended_too():
     for name in ("shortfall_1", "shortfall_2"):
         z = at.table[name].gain
         assert z.any() and not np.array_equal(z, of.table[name].gain)
+
+
+@pytest.mark.parametrize("n", range(5))
+def test_as_many_other_cars_turn_as_the_table_knows_each_by_its_own_two_matrices(n):
+    at, rng = Blended(OF), np.random.default_rng(n)
+    at.table.other_cars.n = n
+    places = [(car, channel) for car in range(1, 5) for channel in (1, 2)]
+    begin = {}
+    for car, channel in places:
+        turns = rng.standard_normal((len(SPEEDS) - 1, 8, 8))
+        at.schedule[f"car_{car}_turn_{channel}"][: len(turns)] = turns.reshape(-1, 64)
+        accumulators = at.state.other_cars[f"car_{car}"][f"channel_{channel}"].accumulators
+        accumulators[:4] = rng.standard_normal((4, 2))
+        begin[car, channel] = accumulators[:4].ravel().copy(), turns[1]
+    turn_models(at.schedule, at.own, at.table, at.state, 1, 0.25)
+    for (car, channel), (s, turn) in begin.items():
+        turned = s + 0.25 * turn @ s + 0.5 * 0.25**2 * turn @ turn @ s
+        ours = at.state.other_cars[f"car_{car}"][f"channel_{channel}"].accumulators[:4].ravel()
+        np.testing.assert_allclose(ours, turned if car <= n else s, rtol=1e-12)
+
+
+def test_everything_that_is_blended_lies_on_the_line_between_two_designs():
+    """Every place has a number of its own, so that no other can stand for it.
+
+    Behind the last design of a full schedule there is none, and none is read.
+    """
+    schedule = np.zeros(1, record_type(CONSTANTS, "float64"))[0]
+    for i, field in enumerate(CONSTANTS[2:]):
+        value = schedule[field.name]
+        value[:] = np.random.default_rng(i).standard_normal(value.shape)
+    table, sections = np.zeros(1, table_type("float64"))[0], 3
+    cars = {f"car_{i}_channel_{j}": ("other_cars", f"car_{i}", f"channel_{j}")
+            for i in range(1, 5) for j in (1, 2)}  # fmt: skip
+    filters = {
+        "tracking": ("tracking", "filter"),
+        "channel_1": ("estimator", "channel_1"),
+        "channel_2": ("estimator", "channel_2"),
+        "compensator": ("compensator", "filter"),
+        **cars,
+    }
+    ones = {
+        "tracking_inverse": ("tracking", "loop_inverse"),
+        "feedthrough_2": ("estimator", "feedthrough_2"),
+        "compensator_feedthrough": ("compensator", "feedthrough"),
+        "compensator_inverse": ("compensator", "loop_inverse"),
+    }
+    gains = {"make_up_1": ("shortfall_1", "gain"), "make_up_2": ("shortfall_2", "gain")}
+
+    def field(path):
+        found = table
+        for name in path:
+            found = found[name]
+        return found
+
+    for path in filters.values():
+        field(path)["n"] = sections
+    for at, share in ((4, 0.25), (4, 0.0), (MAX_SPEEDS - 1, 0.0)):
+        blend(schedule, table, at, share)
+        for name, path in (*filters.items(), *ones.items(), *gains.items()):
+            low, high = schedule[name][[at, (at + 1) % MAX_SPEEDS]]
+            ours = field((*path, "coefficients") if name in filters else path)
+            expected = np.reshape(low + share * (high - low), (-1, *np.shape(ours)[1:]))
+            used = sections if np.ndim(ours) else 1
+            np.testing.assert_allclose(np.reshape(ours, expected.shape)[:used], expected[:used])
+            assert not np.any(np.reshape(ours, expected.shape)[used:])
+
+
+def test_a_full_schedule_ends_with_its_last_design():
+    schedule = np.zeros(1, record_type(CONSTANTS, "float64"))[0]
+    schedule.n = MAX_SPEEDS
+    schedule.speed[:] = 10.0 + np.arange(MAX_SPEEDS)
+    assert place_of(schedule, 99.0) == MAX_SPEEDS - 1
+    assert [place_of(schedule, speed) for speed in schedule.speed] == list(range(MAX_SPEEDS))

@@ -8,6 +8,10 @@ import numba
 import numpy as np
 import pytest
 from numba.core import types as nb
+from numba.core.compiler import CompilerBase, DefaultPassBuilder, Flags, compile_extra
+from numba.core.compiler_machinery import AnalysisPass, PassManager, register_pass
+from numba.core.registry import cpu_target
+from numba.core.typed_passes import NopythonTypeInference
 
 from can_rig.export.law import law_program, speed_program
 from can_rig.export.translation.program import Typed
@@ -49,13 +53,42 @@ def agrees(kind: Type, found: Any, precision: Precision) -> bool:
     return found == nb.boolean if kind is BOOL else isinstance(found, nb.Integer)
 
 
-def compiled_types(typed: Typed, precision: Precision) -> tuple[dict[str, Any], Any]:
+class InferredOnly(CompilerBase):
+    """numba's pipeline up to the types: machine code would take five times as long."""
+
+    def define_pipelines(self) -> list[PassManager]:
+        passes = PassManager("types")
+        passes.passes.extend(DefaultPassBuilder.define_untyped_pipeline(self.state).passes)
+        passes.add_pass(NopythonTypeInference, "types")
+        passes.add_pass(Kept, "what was found")
+        passes.finalize()
+        return [passes]
+
+
+@register_pass(mutates_CFG=False, analysis_only=True)
+class Kept(AnalysisPass):
+    _name = "kept"
+
+    def __init__(self) -> None:
+        super().__init__()
+
+    def run_pass(self, state: Any) -> bool:
+        state.cr = state.typemap, state.return_type
+        return False
+
+
+def inferred_types(typed: Typed, precision: Precision) -> tuple[dict[str, Any], Any]:
     """numba's type for each variable, and for what is returned."""
     function = getattr(typed.function.module.namespace, typed.function.name)
-    fresh = numba.njit(error_model="numpy")(getattr(function, "py_func", function))
-    fresh.compile(tuple(as_numba(each, precision) for each in typed.arguments))
-    (overload,) = fresh.overloads.values()
-    return overload.type_annotation.typemap, overload.signature.return_type
+    target, flags = cpu_target, Flags()
+    flags.error_model = "numpy"
+    arguments = tuple(as_numba(each, precision) for each in typed.arguments)
+    python = getattr(function, "py_func", function)
+    found: tuple[dict[str, Any], Any] = compile_extra(
+        target.typing_context, target.target_context, python, arguments, None, flags, {},
+        pipeline_class=InferredOnly,
+    )  # fmt: skip
+    return found
 
 
 @pytest.mark.long
@@ -63,7 +96,7 @@ def compiled_types(typed: Typed, precision: Precision) -> tuple[dict[str, Any], 
 @pytest.mark.parametrize("name", FUNCTIONS)
 def test_types_are_those_of_numba(name: str, precision: Precision) -> None:
     typed = FUNCTIONS[name]
-    found, returned = compiled_types(typed, precision)
+    found, returned = inferred_types(typed, precision)
     for variable, kind in found.items():
         local = variable.removeprefix("arg.").split(".")[0]
         if local in typed.names and kind != nb.undefined:
