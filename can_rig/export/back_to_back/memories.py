@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 
 from firmware_model.target.layout import state_type, table_type
+from firmware_model.target.status import Verdict
 from firmware_model.target.structs import (
     MAX_LATENCY_TICKS,
     MAX_SECTIONS,
@@ -75,6 +76,12 @@ def random_table(
     ):  # fmt: skip
         filter.n = random.integers(0, MAX_SECTIONS + 1) if random.random() < 0.3 else 2
         filter.coefficients[:, 3:] *= random.choice([1.0, 0.01])
+    for filter in (  # of a plant that is not stable
+        table.estimator.measurement, table.tracking.stabiliser, *(
+            car.measurement for car in (cars.car_1, cars.car_2, cars.car_3, cars.car_4)
+        ),
+    ):  # fmt: skip
+        filter.n = random.choice([0, 0, 1, 2])
     estimator = table.estimator
     estimator.latency_ticks, estimator.dead_ticks_1, estimator.dead_ticks_2 = random.choice(
         TICKS, 3
@@ -115,6 +122,7 @@ def random_state(
     if random.random() < 0.3:
         state.bumpless_transfer.carried_speed = random.choice([np.inf, np.nan])
     state.mode, state.fault_state = random.integers(0, 4, 2)
+    state.hypotheses.verdict = random.integers(0, len(Verdict))
     state.probe.tick = random.integers(0, table.probe.ticks + 1)
     state.decision.pause = random.integers(0, 4)
     state.mismatch.covariance.variances[:] = abs(state.mismatch.covariance.variances)
