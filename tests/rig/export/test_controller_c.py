@@ -11,7 +11,6 @@ from click.testing import CliRunner
 from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
 from can_rig.export.running.controllers import PYTHON, Controller, controller_of
-from can_rig.nodes.lockstep.without_bus import run_without_bus
 from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.watchdog import StopRequest
 from can_rig.scenario.catalogue import shipped
@@ -25,13 +24,6 @@ def log_of(name: str, settings: list[str], controller: Controller, folder: Path)
     return (folder / "bus.log").read_bytes()
 
 
-def log_without_bus(name: str, settings: list[str], folder: Path) -> bytes:
-    """That of Python on a bus, as ``test_without_bus`` shows, in a fraction of the time."""
-    folder.mkdir()
-    run_without_bus(load(name, settings), folder / "bus.log", StopRequest(), lambda tick: None)
-    return (folder / "bus.log").read_bytes()
-
-
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 @pytest.mark.parametrize("name", sorted(shipped()))
 def test_the_log_is_the_same(name: str, precision: str, tmp_path: Path) -> None:
@@ -40,10 +32,7 @@ def test_the_log_is_the_same(name: str, precision: str, tmp_path: Path) -> None:
     if load(name, []).loss.kind != "none":
         settings.append(f"fault.at_s={800 * tick_s}")
     law = controller_of("c", load(name, settings))
-    if name == "default":
-        python = log_of(name, settings, PYTHON, tmp_path / "python")
-    else:
-        python = log_without_bus(name, settings, tmp_path / "python")
+    python = log_of(name, settings, PYTHON, tmp_path / "python")
     c = log_of(name, settings, law, tmp_path / "c")
     pairs = zip(python.splitlines(), c.splitlines(), strict=True)
     assert next((pair for pair in pairs if pair[0] != pair[1]), None) is None
