@@ -65,7 +65,7 @@ class Simulation:
         lsb: grid of what the controller measures, in the measurement's unit; 0: none.
         maximum: where that saturates.
         keeps_states: whether ``plant_states`` has those of a ``SampledPlant``.
-        at_rest: (1,), what ``controller.init`` makes of the table, for whoever has it.
+        at_rest: (1,), of ``controller.init``, for whoever has it.
     """
 
     def __init__(
@@ -92,7 +92,7 @@ class Simulation:
     ) -> None:
         self.ticks = ticks = len(reference)
         self.done = 0
-        """The ticks that the controller has done; the plant is as far, unless it has failed."""
+        """Ticks that the controller has done; the plant is as far, unless it has failed."""
         self.inputs: Vectors = (
             np.asarray(reference, dtype=np.float64),
             np.zeros(ticks) if bias is None else bias,
@@ -104,14 +104,14 @@ class Simulation:
         self._signals = np.full((ROWS, ticks), np.nan)
         self._states = np.zeros((2, ticks), dtype=np.int64)
         state = controller.init(table) if at_rest is None else at_rest
+        tables = np.asarray(table).reshape(1)
         self._loop = (
-            np.asarray(table).reshape(1),
+            tables if schedule is None else np.array([table], table.dtype),  # which it changes
             state.view(np.uint8).copy().view(state.dtype),  # not field by field, which is slow
             self.inputs,
             (float(resolution), float(lsb), float(maximum)),
             (np.zeros(2), np.zeros(2, dtype=np.int64), hold_ticks, np.zeros(3), limits, faults),
-            self._signals,
-            self._states,
+            *(self._signals, self._states),
         )
         self._speed = None if schedule is None or speed is None else speed.tolist()
         if schedule is not None:

@@ -10,6 +10,7 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
 from firmware_model.target.filters.biquad import advance, at_rest
+from firmware_model.target.status import FaultState, Verdict
 
 TICK_S = 0.001
 PLANT = sample(steer_by_wire(), TICK_S)
@@ -73,3 +74,33 @@ def test_the_commands_are_those_of_the_last_answer_and_of_a_reset():
     assert firmware.commands == (answer.command_1, answer.command_2) != (0.0, 0.0)
     firmware.reset(0.0)
     assert firmware.commands == (0.0, 0.0)
+
+
+@pytest.mark.parametrize("known", [FaultState.CONFIRMED, FaultState.CLEAR])
+@pytest.mark.parametrize("latency", [1, 3])
+def test_a_lost_channel_owes_what_it_was_told_in_time(latency, known):
+    """Commands on their way, of which the first turns out to be too late."""
+    firmware, constants = Firmware(table(latency)), table(latency).estimator
+    state, sent = firmware._states[0], [30.0, -40.0, 55.0][:latency]
+    state.fault_state = known
+    owing = [state.sequential_test, state.loss_model]
+    for k, command in enumerate(sent):
+        state.estimator.delay_1[k] = command
+        for each in owing:
+            each.delay[k] = advance(constants.channel_1, each.channel_1, command)
+    firmware.act(7.0, 0.0)
+    for each, told in zip(owing, (True, known == FaultState.CONFIRMED), strict=True):
+        expected = at_rest()
+        acted = [7.0, *sent[1:]] if told else sent
+        shown = [advance(constants.channel_1, expected, command) for command in acted]
+        assert each.delay[:latency] == pytest.approx(shown, abs=1e-12)
+        np.testing.assert_allclose(
+            each.channel_1.accumulators, expected.accumulators, rtol=0, atol=1e-12
+        )
+
+
+def test_nothing_is_known_of_a_fault_at_rest():
+    firmware = Firmware(table(1))
+    assert firmware.hypotheses.verdict == Verdict.NOTHING
+    firmware.step(1.0, 0.0)
+    assert firmware.hypotheses.signatures.sensor_biased.candidate.age == 1.0

@@ -215,6 +215,19 @@ def test_slow_poles_are_not_taken_for_poles_at_0() -> None:
     assert sorted(pole.real for pole in plant.g1.poles) == sorted(slow)
 
 
+def test_a_swing_hardly_faster_than_rounding_is_not_taken_for_poles_at_0() -> None:
+    """Its coefficients are lost in rounding, so that its channels are not the state space."""
+    turned, slow = linalg.qr(np.arange(9.0).reshape(3, 3) + np.eye(3))[0], 5e-8
+    a = turned @ np.array([[-1, 0, 0], [0, 0, 1], [0, -(slow**2), 0]]) @ turned.T
+    with pytest.raises(ParameterError, match=r"slow: \[G1 G2\] = .* but C\(sI - A\)"):
+        Plant.from_state_space("slow", a, turned @ np.ones((3, 2)), [[1, 2, 3]])
+
+
+def test_a_mass_that_nothing_holds_integrates() -> None:
+    assert not steer_by_wire().integrates
+    assert Plant.from_state_space("mass", [[0, 1], [0, 0]], [[0, 0], [1, 2]], [[1, 0]]).integrates
+
+
 @pytest.mark.parametrize(("b", "named"), [([[0, 1]], "G1"), ([[1, 0]], "G2")])
 def test_a_zero_channel_is_named(b: list[list[float]], named: str) -> None:
     with pytest.raises(ZeroChannelError, match=rf"mute: {named}\(s\) is identically zero"):
