@@ -18,7 +18,7 @@ from can_rig.logs.formats import content_format
 from can_rig.logs.frames import NS_PER_S
 from can_rig.logs.log import Window
 from can_rig.logs.reading import read_log
-from can_rig.plant.columns import APPLIED, ON_THE_BUS, TRUE_OUTPUT
+from can_rig.plant.columns import APPLIED, EVIDENCE, ON_THE_BUS, TRUE_OUTPUT, VERDICT
 from can_rig.results.run_folder import SIGNALS, SUMMARY
 from can_rig.results.signals import Signals, cell, signals_of, with_plant_signals
 from can_rig.results.source import log_path
@@ -183,6 +183,8 @@ def _from_csv(path: Path, label: str, scenario: Scenario | None) -> SignalTable:
     except ValueError as error:  # no header, a cell that is no number, rows of different lengths
         raise LogError(f"{path}: not a table of numbers under one header: {error}") from None
     columns = dict(zip(header, values, strict=True))
+    for name in (VERDICT, *EVIDENCE):  # follows from the rest, and no log has it
+        columns.pop(name, None)
     if TIME not in columns:
         raise LogError(f"{path}: has no column {TIME}; its columns are {', '.join(header[:8])}")
     time_ns = _whole_ns(columns.pop(TIME))
