@@ -69,12 +69,12 @@ class Difference:
 
 
 def compare(a: SignalTable, b: SignalTable, tolerances: Mapping[str, float]) -> Difference:
-    """Compare the rows of the same time.
+    """Compare the recorded signals in the rows of the same time.
 
     Raises:
         LogError: a tolerance for a signal that they do not share, or no row of the same time.
     """
-    names = [name for name in a.columns if name in b.columns]
+    names = [name for name in a.recorded if name in b.recorded]
     for name in tolerances:
         if name not in names:
             near = difflib.get_close_matches(name, names, 1, 0.5)
@@ -93,8 +93,8 @@ def compare(a: SignalTable, b: SignalTable, tolerances: Mapping[str, float]) -> 
         len(time_ns),
         len(a.time_ns) - len(time_ns),
         len(b.time_ns) - len(time_ns),
-        [name for name in a.columns if name not in b.columns],
-        [name for name in b.columns if name not in a.columns],
+        [name for name in a.recorded if name not in b.recorded],
+        [name for name in b.recorded if name not in a.recorded],
         None if not (a.scenario and b.scenario) else differing_settings(a.scenario, b.scenario),
     )
 

@@ -61,6 +61,12 @@ class SignalTable:
         """(n,) the time axis in s."""
         return np.multiply(self.time_ns, 1e-9, dtype=np.float64)
 
+    @property
+    def recorded(self) -> dict[str, FloatArray]:
+        """The columns without the verdict and its evidence, which follow from them."""
+        follow = {VERDICT, *EVIDENCE}
+        return {name: column for name, column in self.columns.items() if name not in follow}
+
     def within(self, window: Window) -> SignalTable:
         """The rows of a part of the recording, which began with the first row.
 
@@ -183,8 +189,6 @@ def _from_csv(path: Path, label: str, scenario: Scenario | None) -> SignalTable:
     except ValueError as error:  # no header, a cell that is no number, rows of different lengths
         raise LogError(f"{path}: not a table of numbers under one header: {error}") from None
     columns = dict(zip(header, values, strict=True))
-    for name in (VERDICT, *EVIDENCE):  # follows from the rest, and no log has it
-        columns.pop(name, None)
     if TIME not in columns:
         raise LogError(f"{path}: has no column {TIME}; its columns are {', '.join(header[:8])}")
     time_ns = _whole_ns(columns.pop(TIME))

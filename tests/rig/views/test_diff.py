@@ -155,7 +155,7 @@ def test_the_picture_shows_the_place(runs: Path) -> None:
     assert high - low < 0.1 < whole.get_xlim()[1] - whole.get_xlim()[0]
     assert "m/s²" in whole.get_ylabel()
     same = difference_page(a, a, compare(a, a, {}))
-    assert len(same.axes) == 2 * len(a.columns)
+    assert len(same.axes) == 2 * len(a.recorded)
 
 
 def test_what_if_nothing_changes_is_the_log_itself(runs: Path) -> None:
