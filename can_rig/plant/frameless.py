@@ -5,6 +5,7 @@ Bit for bit the signals of the run on a lockstep bus; thousands of times faster 
 
 from __future__ import annotations
 
+import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -12,6 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from can_rig.errors import RigError
+from can_rig.frames.codec import MessageCodec
 from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
 from can_rig.plant.actuators import actuator_limits
@@ -27,7 +29,7 @@ from can_rig.scenario.reference import reference
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.fault import PLACES
-from firmware_model.analysis.hardware import BY, HEALTHY, NO_FAULTS, REPLACED
+from firmware_model.analysis.hardware import BY, HEALTHY, NO_FAULTS, REPLACED, frame_of
 from firmware_model.analysis.sampled_plant import SampledPlant
 from firmware_model.analysis.simulation import AnyPlant, Simulation
 from firmware_model.analysis.trace import Trace
@@ -217,11 +219,17 @@ def simulation(
         hold_ticks=round(scenario.actuator.hold_s / scenario.tick_s),
         limits=actuator_limits(scenario.plant, scenario.tick_s),
         resolution=scenario.plant.sensor.resolution_mps2,
-        lsb=network.feedback.lsb,
-        maximum=network.feedback.maximum,
+        frames=np.array(
+            [_frame(codec) for codec in (network.command_1, network.command_2, network.feedback)]
+        ),
         keeps_states=keeps_states,
         at_rest=at_rest,
     )
+
+
+def _frame(codec: MessageCodec) -> FloatArray:
+    bits = 8 * struct.calcsize(codec.float_format) if codec.float_format else 0
+    return frame_of(codec.lsb, codec.minimum, codec.maximum, bits)
 
 
 class UntilItFails:

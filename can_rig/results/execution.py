@@ -232,12 +232,11 @@ def execute(
 def _needs_no_bus(scenario: Scenario, network: Network, controller: Controller) -> bool:
     """Whether a run without a bus has the same log.
 
-    Single precision has not: an actuator gets what the frame carries, in double precision. Nor
-    has a fault that puts other frames on the bus than those of their tick.
+    Where a fault puts other frames on the bus than those of their tick it has not.
     """
     ours = controller is PYTHON and network.is_the_rigs
     plain = not any(fault.adds_frames for fault in scenario.faults)
-    return ours and plain and scenario.design.precision == "float64"
+    return ours and plain
 
 
 def _require_shared(bus: str) -> None:

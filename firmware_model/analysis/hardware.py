@@ -1,7 +1,8 @@
-"""An actuator and a sensor in one tick, healthy or with a fault.
+"""An actuator, a sensor and their frames in one tick, healthy or with a fault.
 
-A fault is a row of numbers: by how many ticks a command or a reading is late, a factor and an
-addend of it, whether it stays as it was in the tick before, by how much it can change in a tick;
+A frame carries whole steps of its signal, or a floating-point number of so many bits, within its
+range. A fault is a row of numbers: by how many ticks a command or a reading is late, a factor and
+an addend of it, whether it stays as it was in the tick before, by how much it can change in a tick;
 and whether something else has come in its place, and what.
 """
 
@@ -18,12 +19,34 @@ from firmware_model.target.structs import FloatArray
 LATE, GAIN, ADDED, HELD, SLEW, REPLACED, BY, DISTORTION = range(8)
 """The places in the row of a fault, and how many they are."""
 
+DOUBLE: Final = 64
 SENSOR: Final = 2
 """The row of the sensor, behind those of both actuators."""
+
+STEP, LEAST, MOST, BITS, SMALLEST, GRID = range(6)
+"""The places in the row of a frame, and how many they are."""
 
 NO_LIMITS: Final[FloatArray] = np.full((2, 2), np.inf)
 HEALTHY: Final[FloatArray] = np.array([0.0, 1.0, 0.0, 0.0, np.inf, 0.0, np.nan])
 NO_FAULTS: Final[FloatArray] = np.empty((0, 3, DISTORTION))
+EXACT_FRAMES: Final[FloatArray] = np.tile([0.0, -np.inf, np.inf, 0.0, 0.0], (3, 1))
+"""Frames of both commands and of the sensor that carry any number."""
+
+
+def frame_of(step: float, least: float, most: float, bits: int = 0) -> FloatArray:
+    """The row of a frame, (``GRID``,): for `carried`.
+
+    Args:
+        step: of the signal, in its unit; 0: it is a float.
+        least: smallest value that it carries, in its unit.
+        most: largest.
+        bits: of a float: 16, 32 or 64.
+    """
+    if not bits:
+        return np.array([step, least, most, 0.0, 0.0])
+    kind = np.finfo(f"f{bits // 8}")
+    digits = 0.0 if bits == DOUBLE else kind.nmant + 1.0  # every number here is a double
+    return np.array([0.0, least, most, digits, kind.minexp + 1.0])
 
 
 @firmware
@@ -33,6 +56,21 @@ def sensor_reading(read: float, bias: float, noise: float, resolution: float) ->
     if resolution > 0.0:
         reading = np.rint(reading / resolution) * resolution
     return reading
+
+
+@firmware
+def carried(value: float, frame: FloatArray) -> float:
+    """``value`` as a receiver of its ``frame`` gets it, (``GRID``,): saturated, in whole steps."""
+    if math.isnan(value):
+        return value
+    inside: float = min(max(value, frame[LEAST]), frame[MOST])
+    step: float = frame[STEP]
+    if frame[BITS] > 0.0:
+        _, exponent = math.frexp(inside)
+        step = math.ldexp(1.0, int(max(float(exponent), frame[SMALLEST]) - frame[BITS]))
+    if step > 0.0:
+        inside = np.rint(inside / step) * step
+    return inside
 
 
 @firmware

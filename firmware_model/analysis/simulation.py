@@ -9,7 +9,6 @@ same ``tick`` alternates with the plant's own ``follow``.
 
 from __future__ import annotations
 
-import math
 from typing import Any, Protocol
 
 import numpy as np
@@ -62,8 +61,7 @@ class Simulation:
         schedule: for a plant whose speed changes, from ``schedules.schedule``. Default none.
         speed: (ticks,), which the controller hears of it.
         resolution: of the sensor; 0: none.
-        lsb: grid of what the controller measures, in the measurement's unit; 0: none.
-        maximum: where that saturates.
+        frames: (3, ``GRID``), of both commands and of what is measured; see ``hardware``.
         keeps_states: whether ``plant_states`` has those of a ``SampledPlant``.
         at_rest: (1,), of ``controller.init``, for whoever has it.
     """
@@ -85,8 +83,7 @@ class Simulation:
         schedule: Record | None = None,
         speed: FloatArray | None = None,
         resolution: float = 0.0,
-        lsb: float = 0.0,
-        maximum: float = np.inf,
+        frames: FloatArray = hardware.EXACT_FRAMES,
         keeps_states: bool = False,
         at_rest: RecordArray | None = None,
     ) -> None:
@@ -109,7 +106,7 @@ class Simulation:
             tables if schedule is None else np.array([table], table.dtype),  # which it changes
             state.view(np.uint8).copy().view(state.dtype),  # not field by field, which is slow
             self.inputs,
-            (float(resolution), float(lsb), float(maximum)),
+            (float(resolution), frames),
             (np.zeros(2), np.zeros(2, dtype=np.int64), hold_ticks, np.zeros(3), limits, faults),
             *(self._signals, self._states),
         )
@@ -214,7 +211,7 @@ def tick(
             interpreted code to compiled code.
         controllers: (1,), its state; changed in place.
         inputs: reference, bias, noise, effectiveness, arrives, as those of ``Simulation``.
-        grid: the sensor's resolution; step and end of the frame of what is measured.
+        grid: the sensor's resolution, and the frames (3, ``GRID``).
         actuators: the last commands (2,), ticks without one (2,), ticks that they hold; what
             reached them last and what the sensor said (3,); their limits (2, 2), faults.
         signals: (ROWS, ticks), filled in for this tick, and read for what is still on its way.
@@ -225,7 +222,7 @@ def tick(
     """
     table, state = tables[0], controllers[0]
     reference, bias, noise, _, arrives = inputs
-    resolution, lsb, maximum = grid
+    resolution, frames = grid
     held, silent, hold_ticks, reached, limits, faults = actuators
     measured = hardware.sensor_reading(read, bias[k], noise[k], resolution)
     if len(faults) > 0:
@@ -234,15 +231,14 @@ def tick(
         at = k - int(fault[hardware.LATE])
         measured = hardware.distorted(signals[_READING, at] if at >= 0 else 0.0, last, fault)
         reached[hardware.SENSOR] = measured
-    if lsb > 0.0 and not math.isnan(measured):
-        measured = min(max(np.rint(measured / lsb) * lsb, -maximum), maximum)
+    measured = hardware.carried(measured, frames[hardware.SENSOR])
     if len(faults) > 0 and faults[k, hardware.SENSOR, hardware.REPLACED] != 0.0:
         measured = faults[k, hardware.SENSOR, hardware.BY]
     controller.step(table, state, reference[k], measured)
     signals[_OUTPUT, k] = y
     signals[_MEASURED, k] = measured
-    signals[_COMMAND_1, k] = state.command_1
-    signals[_COMMAND_2, k] = state.command_2
+    signals[_COMMAND_1, k] = hardware.carried(float(state.command_1), frames[0])
+    signals[_COMMAND_2, k] = hardware.carried(float(state.command_2), frames[1])
     signals[_ESTIMATE, k] = state.fault_estimate
     signals[_EVIDENCE, k] = state.sequential_test.evidence
     states[0, k] = state.fault_state

@@ -4,10 +4,13 @@ import math
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from firmware_model.analysis.hardware import (
     ADDED,
     BY,
+    EXACT_FRAMES,
     GAIN,
     HEALTHY,
     HELD,
@@ -15,7 +18,9 @@ from firmware_model.analysis.hardware import (
     REPLACED,
     SENSOR,
     SLEW,
+    carried,
     distorted,
+    frame_of,
 )
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import Simulation
@@ -46,10 +51,31 @@ def test_what_is_said_or_done_instead(changes, previous, expected):
     assert distorted(2.0, previous, fault) == expected
 
 
+@given(st.floats(), st.sampled_from([16, 32, 64]))
+def test_a_frame_of_a_float_carries_what_ieee_754_says(value, bits):
+    kind = np.dtype(f"f{bits // 8}").type
+    most = float(np.finfo(kind).max)
+    with np.errstate(over="ignore", under="ignore"):
+        expected = float(kind(min(max(value, -most), most)))
+    np.testing.assert_equal(carried(value, frame_of(0.0, -most, most, bits)), expected)
+
+
+@given(st.integers(-32_768, 32_767), st.floats(-0.499, 0.499), st.sampled_from([1e-3, 0.3, 7.0]))
+def test_a_frame_carries_whole_steps(steps, off, lsb):
+    frame = frame_of(lsb, -32_768 * lsb, 32_767 * lsb)
+    assert carried((steps + off) * lsb, frame) == steps * lsb
+    assert carried(steps * lsb, frame) == steps * lsb
+    assert carried(1e9, frame) == 32_767 * lsb
+    assert carried(-math.inf, frame) == -32_768 * lsb
+    assert math.isnan(carried(math.nan, frame))
+
+
 def loop(faults: np.ndarray | None = None, lsb: float = 0.0) -> Simulation:
     more = {} if faults is None else {"faults": faults}
     plant = sample(steer_by_wire(), TICK_S)
-    made = Simulation(TABLE, plant, np.full(TICKS, 0.5), lsb=lsb, **more)
+    frames = EXACT_FRAMES.copy()
+    frames[SENSOR] = frame_of(lsb, -math.inf, math.inf)
+    made = Simulation(TABLE, plant, np.full(TICKS, 0.5), frames=frames, **more)
     made.run()
     return made
 

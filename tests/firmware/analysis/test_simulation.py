@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from firmware_model.analysis.hardware import EXACT_FRAMES, SENSOR, frame_of
 from firmware_model.analysis.sampled_plant import SampledPlant, follow_plant, sample
 from firmware_model.analysis.simulation import Simulation, simulate
 from firmware_model.analysis.trace import Trace
@@ -48,7 +49,9 @@ def test_a_plant_class_with_the_same_equations_gives_the_same_bits() -> None:
 
 def test_what_is_measured_lies_on_the_grid_and_within_its_ends() -> None:
     noise = np.random.default_rng(1).normal(0.0, 0.01, TICKS)
-    trace = simulate(TABLE, sample(CAR, TICK_S), REFERENCE, noise=noise, lsb=0.005, maximum=0.01)
+    frames = EXACT_FRAMES.copy()
+    frames[SENSOR] = frame_of(0.005, -0.01, 0.01)
+    trace = simulate(TABLE, sample(CAR, TICK_S), REFERENCE, noise=noise, frames=frames)
     sensed = trace.measurement + noise
     inside = np.abs(sensed) < 0.01
     assert 0 < inside.sum() < TICKS  # some saturate

@@ -43,6 +43,8 @@ CASES = [
     ("default", [*SHORT, "fault.kind=sensor-biased", "fault.for_s=0.1", "seed=7"]),
     ("thesis-step", [*SHORT, "reference.amplitude_mps2=21", "fault.kind=none"]),
     ("default", [*SHORT, NONLINEAR]),
+    ("default", [*SHORT, "design.precision=float32"]),
+    ("chassis-can", ["duration_s=3", "fault.at_s=1.5", "design.precision=float32"]),
     ("default", [*SHORT, "plant.torque_actuator.dead_time_s=0.0015", "latency_ticks=2",
                  "plant.torque_actuator.limit_nm=50", "plant.sensor.dead_time_s=0.0012"]),
     ("thesis-step", ["tick_s=0.0004", "duration_s=2e-3", "fault.kind=none"]),

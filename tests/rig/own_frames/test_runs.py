@@ -77,13 +77,23 @@ def test_16_bit_big_endian_without_protection(tmp_path: Path) -> None:
     assert log.read_bytes() == again.read_bytes()
 
 
-def test_it_is_the_run_without_frames(tmp_path: Path) -> None:
-    words = [*DRIVE, *options(MOTOROLA, SIGNALS)]
+@pytest.mark.parametrize("bits", [0, 16, 32, 64])
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+def test_it_is_the_run_without_frames(bits: int, precision: str, tmp_path: Path) -> None:
+    dbc, names = MOTOROLA, SIGNALS
+    if bits:
+        dbc, names = tmp_path / "floats.dbc", FD_SIGNALS
+        kind = "2" if bits == 64 else "1"
+        place = f"64|{bits}@1- (1,0) [0|0]"
+        dbc.write_text(database(place, 16, 0x98FF0000, types=kind, fd=True))
+    words = ["duration_s=0.3", "fault.at_s=0.2", f"design.precision={precision}"]
+    words += options(dbc, names)
     _, signals = run(tmp_path, words)
     scenario = load("default", words)
     trace = frameless(scenario, network_of(scenario))
-    np.testing.assert_allclose(trace.command_1, signals.torque_nm, atol=1e-9)
-    np.testing.assert_allclose(trace.command_2, signals.force_difference_n, atol=1e-9)
+    np.testing.assert_array_equal(trace.measured, signals.dstar_mps2)
+    np.testing.assert_array_equal(trace.command_1, signals.torque_nm)
+    np.testing.assert_array_equal(trace.command_2, signals.force_difference_n)
 
 
 def test_can_fd_with_floats_29_bits_and_protection(tmp_path: Path) -> None:
