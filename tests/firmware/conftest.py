@@ -1,4 +1,4 @@
-"""Interpreted, the first and the last case of a test are enough.
+"""Interpreted, the first and the last case of a test that runs the law are enough.
 
 That run is for coverage, which asks for every line. Whether a line is right is asked by all cases,
 compiled.
@@ -9,6 +9,8 @@ from collections import defaultdict
 import numba
 import pytest
 
+QUICK = ("design", "discretisation")  # rooms of tests whose cases cost nothing
+
 
 @pytest.hookimpl(trylast=True)  # after -m has chosen
 def pytest_collection_modifyitems(config, items):
@@ -17,7 +19,8 @@ def pytest_collection_modifyitems(config, items):
         return
     cases = defaultdict(list)
     for item in items:
-        if hasattr(item, "callspec") and not item.get_closest_marker("every_case"):
+        all_of_it = item.path.parent.name in QUICK or item.get_closest_marker("every_case")
+        if hasattr(item, "callspec") and not all_of_it:
             cases[item.path, item.originalname].append(item)
     left_out = {item for some in cases.values() for item in some[1:-1]}
     config.hook.pytest_deselected(items=list(left_out))

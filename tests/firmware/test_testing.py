@@ -131,6 +131,7 @@ REFUSED: dict[str, tuple[Any, str]] = {
 }
 
 
+@pytest.mark.every_case
 @pytest.mark.parametrize("kind", REFUSED)
 def test_what_cannot_be_compared_is_refused_in_one_line(kind: str) -> None:
     asked, message = REFUSED[kind]

@@ -65,6 +65,7 @@ def turns_after_the_loss(designed: ContinuousDesign, tick_s: float, n: int) -> i
     return -round((curve[-1] - curve[0]) / (2.0 * math.pi))
 
 
+@pytest.mark.long
 def test_published_tuning_survives_as_much_latency_as_its_characteristic_equation_says() -> None:
     """The longer the tick, the fewer of them; a healthy car takes any, F1 has the bus in it."""
     survived = []
@@ -78,6 +79,7 @@ def test_published_tuning_survives_as_much_latency_as_its_characteristic_equatio
     assert 1 < survived[0] < survived[1]
 
 
+@pytest.mark.long
 def test_largest_latency_is_where_the_scan_ends() -> None:
     assert largest_latency_survived(SLOW, Target(1e-3), CAR, most=3) == 3
     assert largest_latency_survived(PUBLISHED, Target(1e-2), CAR) is None

@@ -54,6 +54,7 @@ def test_it_fades_as_a_critically_damped_motion_of_that_value_and_speed(
     np.testing.assert_allclose(left, expected, rtol=1e-9, atol=1e-12)
 
 
+@pytest.mark.long
 @given(missed=st.floats(1e-6, 1.0), ticks=st.integers(4, 40))
 def test_of_a_square_of_time_hardly_more_is_missed(missed: float, ticks: int) -> None:
     """Speed 2/n, pace 4/n: max of (1 + 6x) exp(-4x) at x = 1/12, 3/2 exp(-1/3) = 1.075."""

@@ -120,6 +120,7 @@ def test_published_tuning_survives_a_latency_that_it_knows(latency: int) -> None
     assert np.abs(trace.error[-500:]).max() < 1e-6
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(("design_of", "tick_s"), [(DESIGN, 5e-4), (OPEN_LOOP, 5e-3)])
 def test_smooth_input_converges_with_order_two(design_of, tick_s: float) -> None:  # type: ignore[no-untyped-def]
     """Firmware fed smooth r(t), y(t) against the continuous law fed the same, by lsim.
@@ -167,6 +168,7 @@ def test_smooth_input_converges_with_order_two(design_of, tick_s: float) -> None
         assert math.log2(far / near) == pytest.approx(2.0, abs=0.2), name
 
 
+@pytest.mark.long
 def test_free_parameter_q_filters_the_estimate() -> None:
     """Theorem 2.3.1 with 1 + Q = 1/(0.05s+1): d̂ is that filter of (2.9)'s d̂."""
     lag = ZeroPoleGain.lag(0.05, 1)

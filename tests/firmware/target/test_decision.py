@@ -111,6 +111,7 @@ def test_suspicions_are_as_seldom_as_asked_for_and_end_with_their_candidate() ->
     assert (trace.fault_state == SUSPECTED).sum() < 0.02 * ticks
 
 
+@pytest.mark.long
 def test_a_spike_is_suspected_compensated_and_forgotten() -> None:
     """Eleven samples that look like a loss: F̂ begins, and is led back without a step."""
     spike = np.zeros(1600)
@@ -156,6 +157,7 @@ def test_without_excitation_it_cannot_tell() -> None:
     assert (trace.fault_state == CANNOT_TELL).all()
 
 
+@pytest.mark.long
 def test_a_biased_sensor_looks_the_same() -> None:
     """d̂ = -b: the decision says that something is lost, not what."""
     bias = np.where(np.arange(1200) < LOST, 0.0, -0.1)

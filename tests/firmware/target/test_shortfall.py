@@ -63,6 +63,7 @@ def test_it_is_what_leaves_the_least_energy(short: FloatArray, rule: str, channe
     assert gave(sections, short) == pytest.approx(best, rel=1e-6, abs=1e-9)
 
 
+@pytest.mark.long
 @given(shorts, st.floats(0.1, 500.0))
 def test_it_is_no_more_than_a_tick_can_take_back(short: FloatArray, slew: float) -> None:
     sections = RULES["zoh"](CAR.g1, TICK_S)
