@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import Any, TypeVar, cast
 
 from numba import njit
-from numba.core import config
+from numba.core import config, event
 
 Function = TypeVar("Function", bound=Callable[..., object])
 
@@ -60,6 +60,31 @@ def firmware_run(function: Function) -> Function:
     A tick keeps it: a node that let go of it there would wait for a thread that has taken it.
     """
     return _compiled(function, allocates=False, nogil=True)
+
+
+@cache  # asked for twice, it is told once
+def tell_when_compiling(tell: Callable[[], object]) -> None:
+    """Call ``tell`` when this process compiles the control law, which takes most of a minute.
+
+    It is kept, so this happens once for each version, precision and kind of processor.
+    """
+    event.register("numba:compile", _LawIsCompiled(tell))  # type: ignore[no-untyped-call]
+
+
+class _LawIsCompiled(event.Listener):
+    def __init__(self, tell: Callable[[], object]) -> None:
+        self._tell = tell
+        self._process = os.getpid()  # and not in those that it forks
+
+    def on_start(self, event: event.Event) -> None:
+        """Something is being compiled that is not kept yet."""
+        function = event.data["dispatcher"].py_func
+        name = f"{function.__module__}.{function.__name__}"
+        if name == "firmware_model.target.controller.step" and os.getpid() == self._process:
+            self._tell()
+
+    def on_end(self, event: event.Event) -> None:
+        """It has been compiled."""
 
 
 def _compiled(function: Function, *, allocates: bool, nogil: bool = False) -> Function:

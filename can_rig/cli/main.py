@@ -9,6 +9,7 @@ from typing import Any, Final
 import click
 from click.shell_completion import CompletionItem
 
+from can_rig.cli.compilation import announce_compilation
 from can_rig.cli.garbage import collect_again
 from can_rig.cli.interrupts import raise_again
 from can_rig.errors import INTERRUPTED, RigError
@@ -50,6 +51,7 @@ class Commands(click.Group):
         module = import_module(f"can_rig.cli.{COMMANDS[cmd_name][0]}")
         collect_again()
         raise_again()
+        announce_compilation()
         command: click.Command = module.command
         return command
 

@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import os
 import sys
+from collections import defaultdict
 from pathlib import Path
-from types import ModuleType
+from types import ModuleType, SimpleNamespace
 from typing import Any
 
 import numpy as np
 import pytest
-from numba.core import config
+from numba.core import config, event
 from numba.core.errors import NumbaError
 
 from firmware_model import compiled
+from firmware_model.target import controller
 
 
 def test_another_state_of_the_package_has_another_folder(
@@ -69,3 +71,22 @@ def test_what_runs_on_the_target_cannot_allocate(monkeypatch: pytest.MonkeyPatch
 
     with pytest.raises(NumbaError, match="zeros"):
         reserve(3)
+
+
+def test_who_waits_for_the_law_to_be_compiled_is_told(monkeypatch: pytest.MonkeyPatch) -> None:
+    def compile_one(function: Any) -> None:
+        dispatcher = SimpleNamespace(py_func=function)
+        with event.trigger_event("numba:compile", data={"dispatcher": dispatcher}):
+            pass
+
+    told: list[int] = []
+    monkeypatch.setattr(event, "_registered", defaultdict(list))
+    compiled.tell_when_compiling(lambda: told.append(1))
+    compile_one(compiled.firmware)
+    assert told == []
+    law = getattr(controller.step, "py_func", controller.step)  # as it is where it is interpreted
+    compile_one(law)
+    assert told == [1]
+    monkeypatch.setattr(os, "getpid", lambda: -1)  # a process that this one has forked
+    compile_one(law)
+    assert told == [1]

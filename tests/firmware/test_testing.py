@@ -71,6 +71,7 @@ def test_theory_without_digits_says_nothing() -> None:
     testing.assert_follows(discretise(([1.0], [1.0]), TICK_S), lost, [1e-40])
 
 
+@pytest.mark.every_case
 @pytest.mark.parametrize("rule", RULES)
 @pytest.mark.parametrize("coefficient", range(5))
 def test_a_coefficient_that_is_off_is_seen(rule: Any, coefficient: int) -> None:

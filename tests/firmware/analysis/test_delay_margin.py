@@ -79,7 +79,6 @@ def test_published_tuning_survives_as_much_latency_as_its_characteristic_equatio
     assert 1 < survived[0] < survived[1]
 
 
-@pytest.mark.long
 def test_largest_latency_is_where_the_scan_ends() -> None:
     assert largest_latency_survived(SLOW, Target(1e-3), CAR, most=3) == 3
     assert largest_latency_survived(PUBLISHED, Target(1e-2), CAR) is None

@@ -32,6 +32,7 @@ TICK_S, TICKS = 1e-3, 40
 TABLE = build(design(steer_by_wire(), DesignSpecification()), Target(TICK_S))
 
 
+@pytest.mark.every_case
 @pytest.mark.parametrize(
     ("changes", "previous", "expected"),
     [
