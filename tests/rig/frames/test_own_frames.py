@@ -4,7 +4,7 @@ import math
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
@@ -29,18 +29,18 @@ def test_without_protection_length_and_tick_decide_and_everything_is_counted() -
     codec = network_of(load("default", options(MOTOROLA, SIGNALS))).command_1
     assert not codec.protected
     transmitter, receiver = Transmitter(codec), Receiver(codec)
-    good, late, again = (transmitter.frame(1.5, tick) for tick in (7, 8, 7))
+    good, late, again, late_too = (transmitter.frame(1.5, tick) for tick in (7, 8, 7, 9))
     short = transmitter.frame(1.5, 7)
     short.data = short.data[:-1]
-    accepted = [receiver.accept(message, 7) for message in (good, late, again, short)]
-    assert [record and record.value for record in accepted] == [1.5, None, 1.5, None]
+    accepted = [receiver.accept(message, 7) for message in (good, late, again, late_too, short)]
+    assert [record and record.value for record in accepted] == [1.5, None, 1.5, None, None]
     receiver.end_tick()  # there was a frame
     receiver.end_tick()
     assert receiver.checker.no_new_data() == CheckStatus.NO_NEW_DATA
     assert {status.name: n for status, n in receiver.checker.counts.items() if n} == {
-        "OK": 2, "WRONG_TICK": 1, "WRONG_LENGTH": 1, "NO_NEW_DATA": 2,
+        "OK": 2, "WRONG_TICK": 2, "WRONG_LENGTH": 1, "NO_NEW_DATA": 2,
     }  # fmt: skip
-    assert receiver.rejected == {"wrong_tick": 1, "wrong_length": 1, "no_new_data": 2}
+    assert receiver.rejected == {"wrong_tick": 2, "wrong_length": 1, "no_new_data": 2}
 
 
 @pytest.mark.parametrize(("now", "said"), [(70_000, 70_000 - 65_536), (3, 3), (0, 0), (None, 0)])
@@ -62,6 +62,7 @@ def test_a_classic_frame_of_the_same_number_is_another(floats: Network) -> None:
 
 
 @given(value=st.floats())
+@example(value=math.nan)
 def test_a_float_is_sent_as_ieee_754_has_it_and_saturates(floats: Network, value: float) -> None:
     inside = min(max(value, -LARGEST), LARGEST) if not math.isnan(value) else value
     expected = float(np.float32(inside))
