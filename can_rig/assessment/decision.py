@@ -45,7 +45,7 @@ class DecisionFigures:
         """A line on the loss, and one on the plants that are not the model."""
         budget, (output, lost, _) = scenario.budget, names_of(scenario.plant)
         delay = self.expected_delay_s
-        found = "is not found" if delay is None else f"is confirmed after {delay * 1e3:.3g} ms"
+        found = "is not found" if delay is None else f"is confirmed after {_for_people(delay)}"
         yield (
             f"decision: the loss of {lost.said} in this drive {found} on average "
             f"(noise and rounding {with_unit(f'{self.noise_mps2:.2g}', output.unit)} rms, at most "
@@ -60,6 +60,10 @@ class DecisionFigures:
                 f"{others}: none (budget.box = 0): one that is not the model may be taken for a "
                 "loss, and for its end, again and again"
             )
+
+
+def _for_people(time_s: float) -> str:
+    return f"{time_s:.3g} s" if time_s >= 1.0 else f"{time_s * 1e3:.3g} ms"
 
 
 def decision_figures(scenario: Scenario, network: Network) -> DecisionFigures:

@@ -241,6 +241,13 @@ def stable_tuning(scenario: Scenario) -> str | None:
 
 def _reason(scenario: Scenario, state: str, radius: float) -> str:
     """What is wrong with the loop in ``state``, and what latency and what tuning would do."""
+    unstable_as = f"unstable ({state}): the spectral radius is {radius:.4f} and must be below 1"
+    left_alone = scenario.design.compensation == "off" and state != "healthy"
+    if left_alone and unstable(continuous_plant(scenario.plant).g1):
+        return (
+            f"{unstable_as}; this plant is not stable by itself, and with design.compensation = "
+            "'off' nothing holds it then; it must be 'always' or 'on-confirmation'"
+        )
     longest = largest_latency_survived(
         continuous_design(scenario),
         target(scenario, None),
@@ -250,8 +257,7 @@ def _reason(scenario: Scenario, state: str, radius: float) -> str:
     survived = "no latency_ticks" if longest is None else f"latency_ticks up to {longest}"
     tuning = stable_tuning(scenario) or f"no tau_q_s up to {TUNINGS_S[-1]:g}"
     return (
-        f"unstable ({state}): the spectral radius is {radius:.4f} and must be below 1; "
-        f"this tuning is stable with {survived}; {tuning} works"
+        f"{unstable_as}; this tuning is stable with {survived}; {tuning} works"
     )
 
 

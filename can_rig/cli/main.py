@@ -3,8 +3,10 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib import import_module
-from typing import Any, Final
+from typing import Any, Final, NoReturn
 
 import click
 from click.shell_completion import CompletionItem
@@ -69,14 +71,37 @@ class Commands(click.Group):
     def invoke(self, ctx: click.Context) -> Any:
         """Run a command; bad input never reaches the user as a traceback."""
         try:
-            return super().invoke(ctx)
+            with _usage_on_one_line():
+                return super().invoke(ctx)
         except RigError as error:
-            from can_rig.cli.output import complain  # noqa: PLC0415 (rich is not needed for --help)
-
-            complain(str(error))
-            sys.exit(error.exit_status)
+            _refuse(str(error), error.exit_status)
         except KeyboardInterrupt:  # where no command has taken the signal for a wish to stop
             sys.exit(INTERRUPTED)
+
+    def make_context(self, *arguments: Any, **keywords: Any) -> click.Context:
+        """The context, with wrong options of ``can-rig`` itself on one line too."""
+        with _usage_on_one_line():
+            return super().make_context(*arguments, **keywords)
+
+
+@contextmanager
+def _usage_on_one_line() -> Iterator[None]:
+    """What click says on four lines; ``can-rig`` alone shows its help."""
+    try:
+        yield
+    except click.exceptions.NoArgsIsHelpError:
+        raise
+    except click.UsageError as error:
+        command = error.ctx.command_path if error.ctx else "can-rig"
+        message = " ".join(error.format_message().split())
+        _refuse(f"{message} (see {command} --help)", error.exit_code)
+
+
+def _refuse(text: str, exit_status: int) -> NoReturn:
+    from can_rig.cli.output import complain  # noqa: PLC0415 (rich is not needed for --help)
+
+    complain(text)
+    sys.exit(exit_status)
 
 
 @click.group(cls=Commands, context_settings={"help_option_names": ["-h", "--help"]})

@@ -18,6 +18,7 @@ WORDS: Final = {
     "greater than or equal to": "at least",
     "less than or equal to": "at most",
     "a valid array": "a list",
+    "an object": "a table",
     "a valid tuple": "a list",
 }
 """What pydantic says, and what a line of the rig says."""

@@ -72,9 +72,7 @@ class Plant:
                 raise ParameterError(
                     f"{self.name}: dead time {dead_time_s:g} s: must be finite and 0 or above"
                 )
-        for label, channel in (("G1", self.g1), ("G2", self.g2)):
-            if channel.gain == 0:
-                raise ZeroChannelError(f"{self.name}: {label}(s) is identically zero")
+        _refuse_zero(self.name, self.g1, self.g2)
         _refuse_unshared(self.name, self.g1, self.g2)
         _refuse_disagreement(self)
 
@@ -115,6 +113,7 @@ class Plant:
 
         Raises what ``Plant`` raises, and ``ParameterError`` for a channel that feeds through.
         """
+        _refuse_zero(name, g1, g2)
         largest = max(map(abs, (*g1.poles, *g2.poles)), default=0.0)
         rounding = (g1.order + g2.order) * _EPS * largest
         g1 = ZeroPoleGain(g1.zeros, tuple(_on_axis(p, rounding) for p in g1.poles), g1.gain)
@@ -215,6 +214,12 @@ def _validated(name: str, a: ArrayLike, b: ArrayLike, c: ArrayLike) -> tuple[Mat
 
 def _on_axis(pole: complex, rounding: float) -> complex:
     return complex(0.0 if abs(pole.real) <= rounding else pole.real, pole.imag)
+
+
+def _refuse_zero(name: str, g1: ZeroPoleGain, g2: ZeroPoleGain) -> None:
+    for label, channel in (("G1", g1), ("G2", g2)):
+        if channel.gain == 0:
+            raise ZeroChannelError(f"{name}: {label}(s) is identically zero")
 
 
 def _refuse_unshared(name: str, g1: ZeroPoleGain, g2: ZeroPoleGain) -> None:

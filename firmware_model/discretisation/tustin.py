@@ -81,7 +81,7 @@ RULES: Final[Mapping[Rule, Callable[[ZeroPoleGain, float], Sections]]] = {
 
 def _held_bilinear(g: ZeroPoleGain, tick_s: float) -> DeltaRoots:
     """``tustin_held`` as zeros, poles and gain in δ."""
-    _refuse_feedthrough(g, "tustin_held")
+    _refuse_feedthrough(g, "tustin-held")
     zeros, poles, gain = bilinear(g, tick_s, None)
     zeros.remove(-2.0)
     return zeros, poles, 2.0 * gain

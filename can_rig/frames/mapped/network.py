@@ -183,4 +183,4 @@ def _bits(message: Message, signal: Signal) -> int:
 
 def _hint(name: str, known: list[str] | dict[str, Signal]) -> str:
     near = difflib.get_close_matches(name, known, n=1)
-    return f"did you mean {near[0]}?" if near else f"it has {', '.join(list(known)[:8])}"
+    return f"did you mean {near[0]}?" if near else f"it has {', '.join(list(known)[:8]) or 'none'}"

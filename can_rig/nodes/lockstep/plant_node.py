@@ -160,6 +160,6 @@ def require_ticks(scenario: Scenario, network: Network) -> None:
     if not network.has_ticks:
         raise ScenarioError(
             f"scenario {scenario.name}: network.tick: must name the signal that counts the "
-            "ticks in every message, or the run be in real time (--realtime): in lockstep a "
-            "frame must say which tick it is of"
+            "ticks in every message, or the run be in real time (can-rig run --realtime): in "
+            "lockstep a frame must say which tick it is of"
         )

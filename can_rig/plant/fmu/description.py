@@ -80,6 +80,7 @@ def describe(settings: PlantSettings) -> Description:
     _refuse_other_machines(settings, files, BINARIES[version], kind.modelIdentifier)
     names = _Names(settings, model)
     first, second, output = (names.number(key) for key in SIGNALS)
+    names.refuse_one_for_both()
     columns = [key for key in settings.variables if key not in SIGNALS]
     return Description(
         path=path,
@@ -174,6 +175,15 @@ class _Names:
                 f"{here}: must be {wanted} of the FMU, not {_a(variable.type + shape)}"
             )
         return Variable(variable.valueReference, self._access(variable.type))
+
+    def refuse_one_for_both(self) -> None:
+        """Two inputs that are one: the second command would take the place of the first."""
+        first, second = (self._settings.variables[key] for key in SIGNALS[:2])
+        if first == second:
+            raise ScenarioError(
+                f"plant.variables.input_2 = {second!r}: must be another variable than input_1; "
+                f"it has {self._some('input')}"
+            )
 
     def parameters(self) -> dict[str, bool | int | float | str]:
         """``plant.parameters``, each of which can be set and has a value that fits."""

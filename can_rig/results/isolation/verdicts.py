@@ -22,6 +22,7 @@ from firmware_model.firmware import Firmware
 from firmware_model.target.structs import FloatArray
 
 DECIMALS: Final = 3  # of the evidence, a natural logarithm
+CERTAIN: Final = 1e12  # the most that is said of it; without noise, and at rest, it has no bound
 
 
 def with_verdict(scenario: Scenario, network: Network, signals: Signals) -> Signals:
@@ -44,7 +45,8 @@ def with_verdict(scenario: Scenario, network: Network, signals: Signals) -> Sign
         firmware.step(reference, measured)
         verdicts[row] = hypotheses["verdict"]
         evidence[row] = hypotheses["evidence"][1:]
-    columns = dict(zip(EVIDENCE, np.round(evidence, DECIMALS).T + 0.0, strict=True))
+    said = np.clip(np.nan_to_num(evidence, nan=0.0), -CERTAIN, CERTAIN)
+    columns = dict(zip(EVIDENCE, np.round(said, DECIMALS).T + 0.0, strict=True))
     return replace(signals, whose_fault={VERDICT: verdicts, **columns})
 
 

@@ -28,8 +28,9 @@ def over_time(file: str, where: str, column: str) -> tuple[FloatArray, FloatArra
             rows = np.genfromtxt(lines, delimiter=",", ndmin=2)
     except OSError as error:
         raise ScenarioError(f"{where}: cannot be read: {error.strerror}") from None
-    except ValueError as error:
-        raise ScenarioError(f"{where}: {' '.join(str(error).split())}") from None
+    except ValueError as error:  # numpy's last line says which row has how many columns
+        row = str(error).splitlines()[-1].strip()
+        raise ScenarioError(f"{where}: must have rows of time_s,{column}: {row}") from None
     if len(rows) > 1 and np.isnan(rows[0]).all():
         rows = rows[1:]  # the header
     if rows.size == 0 or rows.shape[1] != 2 or not np.isfinite(rows).all():
