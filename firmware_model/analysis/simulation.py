@@ -24,9 +24,8 @@ from firmware_model.target.structs import FloatArray, Record, RecordArray, recor
 
 Vectors = tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]
 
-# Rows of the signals of a tick.
 _OUTPUT, _MEASURED, _COMMAND_1, _COMMAND_2, _ESTIMATE, _EVIDENCE = range(6)
-_ACTING_1, _REACHED_1, _READING, ROWS = 6, 8, 10, 11  # two channels of the first two
+_ACTING_1, _REACHED_1, _READING, ROWS = 6, 8, 10, 11  # rows of a tick; two of the first two
 
 
 class AnyPlant(Protocol):
@@ -99,7 +98,7 @@ class Simulation:
         )
         self._plant = plant
         self._signals = np.full((ROWS, ticks), np.nan)
-        self._states = np.zeros((2, ticks), dtype=np.int64)
+        self._states = np.zeros((3, ticks), dtype=np.int64)
         state = controller.init(table) if at_rest is None else at_rest
         tables = np.asarray(table).reshape(1)
         self._loop = (
@@ -173,6 +172,7 @@ class Simulation:
             fault_estimate=signals[_ESTIMATE],
             fault_state=states[0],
             mode=states[1],
+            verdict=states[2],
             evidence=signals[_EVIDENCE],
         )
 
@@ -215,7 +215,7 @@ def tick(
         actuators: the last commands (2,), ticks without one (2,), ticks that they hold; what
             reached them last and what the sensor said (3,); their limits (2, 2), faults.
         signals: (ROWS, ticks), filled in for this tick, and read for what is still on its way.
-        states: (2, ticks), likewise fault state and mode.
+        states: (3, ticks), likewise fault state, mode and verdict.
         k: the tick.
         y: the output of the plant.
         read: what its sensor reads of it.
@@ -241,8 +241,8 @@ def tick(
     signals[_COMMAND_2, k] = hardware.carried(float(state.command_2), frames[1])
     signals[_ESTIMATE, k] = state.fault_estimate
     signals[_EVIDENCE, k] = state.sequential_test.evidence
-    states[0, k] = state.fault_state
-    states[1, k] = state.mode
+    states[0, k], states[1, k] = state.fault_state, state.mode
+    states[2, k] = state.hypotheses.verdict
     for channel in range(2):
         if arrives[k, channel]:
             held[channel] = signals[_COMMAND_1 + channel, k]

@@ -27,6 +27,8 @@ class Trace:
     fault_estimate: FloatArray
     fault_state: NDArray[np.int64]
     mode: NDArray[np.int64]
+    verdict: NDArray[np.int64]
+    """Whose fault it is: a ``Verdict``."""
     evidence: FloatArray
     """The log-likelihood ratio of a loss, or of the return of a lost channel."""
 

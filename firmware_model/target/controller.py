@@ -14,6 +14,11 @@ once in the model, once on the way of u2. After a confirmed loss the lost channe
 known at once, so F̂ may work on s w = s G1 u1 instead, s the share that is lost, and the delay
 around the loop is halved.
 
+**Whose fault it is.** A bias of the sensor that has been found is taken out of the decision's d̂,
+and out of nothing else. A sensor that is frozen says nothing: the commands go back to those of
+before, and the inputs are missing. With channel 2 lost F̂ gets nothing, until it proves to be
+needed.
+
 **Inputs that are missing.** The commands are held, and act on the plant for as long. So whatever
 models the plant goes on with them: F1, w, which a channel that is lost owes from these commands
 too, and F̂ where it works on w. What acts on the inputs (C, the reference shaper, the decision)
@@ -35,9 +40,15 @@ from firmware_model.target.fault_decision.decision import (
     acting_commands,
     compensated_output,
     decide,
+    works_on_losses,
 )
+from firmware_model.target.fault_decision.hypotheses.frozen import go_back, note_commands
+from firmware_model.target.fault_decision.hypotheses.sensor_error import advance_sensor_error
 from firmware_model.target.fault_decision.hypotheses.signatures import advance_signatures
-from firmware_model.target.fault_decision.hypotheses.verdict import clear_hypotheses
+from firmware_model.target.fault_decision.hypotheses.verdict import (
+    SENSOR_FROZEN,
+    clear_hypotheses,
+)
 from firmware_model.target.fault_decision.loss_model import (
     advance_loss_model,
     known_share,
@@ -113,7 +124,17 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
     r, y = real(reference, state.reference), real(measurement, state.measurement)
     if not (math.isfinite(r) and math.isfinite(y)):
         hold(table, state)
-        return
+    elif state.hypotheses.verdict == SENSOR_FROZEN and y == state.measurement:
+        go_back(table, state)
+        hold(table, state)
+    else:
+        compute(table, state, r, y)
+
+
+@firmware
+def compute(table: Record, state: Record, r: float, y: float) -> None:
+    """A tick with a reference ``r`` and a measurement ``y`` to be used."""
+    note_commands(state, y)
     state.reference, state.measurement = r, y
     held_1, held_2 = state.command_1, state.command_2
     estimator, compensator = table.estimator, table.compensator
@@ -143,7 +164,8 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
     # Without feedthrough of u2 this is already the residual; with it, all but u2 of this tick.
     decide(table, state, known + estimator.feedthrough_2 * held_2, model_1, model_2)
 
-    if compensator.on_confirmation:  # u2 = r2 + F̂ s w, with the w of this tick's command
+    known_loss = works_on_losses(table, state)
+    if known_loss:  # u2 = r2 + F̂ s w, with the w of this tick's command
         drive = transfer(state.bumpless_transfer, compensated_output(table, state))
         force = from_reference + rest_2 + compensator.feedthrough * drive
     else:  # the thesis: u2 = r2 + rest + f(q_rest + q(known + g u2)), solved for u2
@@ -158,7 +180,7 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
 
     residual = known + estimator.feedthrough_2 * state.command_2
     estimate = advance(estimator.one_plus_q, state.estimator.one_plus_q, residual)
-    drive = drive if compensator.on_confirmation else estimate
+    drive = drive if known_loss else estimate
     advance(compensator.filter, state.compensator.filter, drive)
     if not (math.isfinite(wish_1) and math.isfinite(wish_2)):
         state.command_1, state.command_2 = held_1, held_2
@@ -184,7 +206,7 @@ def hold(table: Record, state: Record) -> None:
     asked_1 = track_on(table.tracking, state.tracking, state.command_1)
     short_1 = asked_1 - state.command_1
     short_2 = real(0.0, state.command_2)
-    if table.compensator.on_confirmation:
+    if works_on_losses(table, state):
         drive = transfer(state.bumpless_transfer, compensated_output(table, state))
         force = advance(table.compensator.filter, state.compensator.filter, drive)
         short_2 = force - state.command_2
@@ -202,6 +224,7 @@ def advance_models(table: Record, state: Record, short_1: float, short_2: float)
     advance_candidate(table, state)
     advance_other_cars(table, state)
     advance_signatures(table, state)
+    advance_sensor_error(table, state)
     advance_model(table.estimator, state.estimator, state.command_1, state.command_2)
 
 
@@ -244,7 +267,7 @@ def reset(table: Record, state: Record, reference: float) -> None:
     state.shortfall_1.accumulators[:] = 0.0
     state.shortfall_2.accumulators[:] = 0.0
     state.probe.tick = 0
-    state.decision.pause = 0
+    state.decision.pause = state.decision.distrusts_estimate = 0
     release(state.bumpless_transfer)
     state.mode = MODE_INIT
 

@@ -21,7 +21,7 @@ class Mode(IntEnum):
 
 
 class FaultState(IntEnum):
-    """What ``decision`` makes of d̂. It isolates nothing: a biased D* sensor looks the same."""
+    """What ``decision`` makes of d̂."""
 
     CLEAR = 0
     """Nothing speaks for a loss, and the loss of all of channel 1 would show."""

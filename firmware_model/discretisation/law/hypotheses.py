@@ -8,7 +8,9 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.target.structs import Record
 
 AHEAD = 2.0  # times the evidence of any other place, where a fault is found
+SENSOR_AHEAD = 3.0  # the same of a fault of the sensor, of which a compensation is the price
 LEAST_SHARE, MOST_SHARE = 0.5, 1.5  # of a lost force; of a channel that another car may have
+MOTION = 3.0  # deviations of the noise by which a car has moved
 LEAST_CHANCE = 1e-6  # of a number that is repeated: no sensor is finer
 
 
@@ -16,6 +18,8 @@ def fill_hypotheses(table: Record, target: Target) -> None:
     """Fill in the constants; those of the decision and of its test are there already."""
     constants, signatures = table.hypotheses, table.hypotheses.signatures
     constants.ahead = AHEAD
+    constants.sensor_ahead = SENSOR_AHEAD
+    constants.jump = table.decision.suspect
     constants.both_lost = table.decision.recover
     signatures.candidate.restart = table.sequential_test.restart
     signatures.candidate.lifetime = table.decision.horizon
@@ -29,7 +33,15 @@ def fill_hypotheses(table: Record, target: Target) -> None:
         (constants.frozen.size_of_one, 1.0, 1.0),
     ):
         limits.least, limits.most = least, most
-    constants.frozen.repetition = repetition(target)
+    fill_frozen(constants.frozen, target)
+
+
+def fill_frozen(frozen: Record, target: Target) -> None:
+    """Where numbers repeat anyway, as of a perfect sensor on a car at rest, they tell nothing."""
+    frozen.repetition = repetition(target)
+    frozen.least_motion = math.inf
+    if frozen.repetition > 0.0:
+        frozen.least_motion = MOTION * math.hypot(target.noise_rms, target.resolution)
 
 
 def repetition(target: Target) -> float:

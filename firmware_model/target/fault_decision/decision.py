@@ -13,7 +13,8 @@ costs more than to be late. A suspicion ends with its candidate.
 A table with a ``share_drift`` has no test: there the share that is lost is a state of the Kalman
 filter, which follows it at all times, and more than a half of it lost is CONFIRMED.
 
-None of this isolates the torque channel: a bias b of the D* sensor gives d̂ = -b. A table with a
+A fault of the sensor or of channel 2 makes a d̂ too. Where ``hypotheses`` finds one, what looked
+like a loss of channel 1 is none; what of it they do not know is taken for a loss. A table with a
 ``probe`` tests the motor before it confirms, and compensates only then: a d̂ that does not answer
 to a small torque stays SUSPECTED. Where channel 1 contributes so little that its loss would not
 show within ``horizon``, a small d̂ says nothing, and the state is CANNOT_TELL instead of CLEAR.
@@ -23,8 +24,13 @@ from __future__ import annotations
 
 from firmware_model.compiled import firmware
 from firmware_model.target.fault_decision.bumpless_transfer import begin_transfer
+from firmware_model.target.fault_decision.hypotheses.sensor_error import sensor_error_shown
 from firmware_model.target.fault_decision.hypotheses.signatures import begin_all
-from firmware_model.target.fault_decision.hypotheses.verdict import weigh_hypotheses
+from firmware_model.target.fault_decision.hypotheses.verdict import (
+    FORCE_LOST,
+    found_elsewhere,
+    weigh_hypotheses,
+)
 from firmware_model.target.fault_decision.loss_model import (
     earlier_shown,
     follow_share,
@@ -69,6 +75,7 @@ CONSTANTS = (
 STATE = (
     Field("pause", "tick", "until the next probe", "int32"),
     Field("suspected_share", "1", "part of channel 1 that a suspicion takes for lost"),
+    Field("distrusts_estimate", "1", "1: F̂ works on what is known to be lost, not on d̂", "int32"),
 )
 
 
@@ -87,6 +94,8 @@ def decide(table: Record, state: Record, residual: float, model_1: float, model_
     acting_1, acting_2 = acting_commands(table, state)
     show_other_cars(table, state, acting_1, acting_2)
     before, w = state.fault_state, loss_shown(table, state)
+    known = sensor_error_shown(table, state)
+    residual = residual + known
     predict_mismatch(table, state, model_1 + model_2, w, earlier_shown(table, state))
     new = innovation(table.mismatch, state.mismatch, residual - state.loss_model.share * w)
     follow_share(table.loss_model, state)
@@ -100,6 +109,10 @@ def decide(table: Record, state: Record, residual: float, model_1: float, model_
     share = table.sequential_test.share
     update_test(table, state, new, -known_share(state) if before == CONFIRMED else share)
     weigh_hypotheses(table, state, new, model_1 + model_2 - state.loss_model.share * w)
+    if found_elsewhere(state.hypotheses):
+        state.mismatch.previous_residual += sensor_error_shown(table, state) - known
+        acquit(table, state)
+        return
     proven = test.evidence > constants.confirm
     if before == CONFIRMED:
         if test.evidence > constants.recover:
@@ -114,10 +127,7 @@ def decide(table: Record, state: Record, residual: float, model_1: float, model_
     elif test.evidence > constants.suspect or (before == SUSPECTED and test.evidence > 0.0):
         state.fault_state = SUSPECTED
         if before != SUSPECTED and not probing:
-            state.decision.suspected_share = possible_share(
-                max(lost_share(table.sequential_test, test), share)
-            )
-            transfer_to_losses(table, state, state.decision.suspected_share)
+            begin_suspicion(table, state)
     else:
         shows = constants.horizon * model_1 * model_1
         state.fault_state = CLEAR
@@ -125,6 +135,42 @@ def decide(table: Record, state: Record, residual: float, model_1: float, model_
             state.fault_state = CANNOT_TELL
         if before == SUSPECTED and not probing:
             transfer_to_losses(table, state, real(0.0, new))
+
+
+@firmware
+def begin_suspicion(table: Record, state: Record) -> None:
+    """Compensate what the candidate may have cost so far; nothing with a channel 2 that is lost."""
+    constants, test = table.sequential_test, state.sequential_test
+    share = possible_share(max(lost_share(constants, test), constants.share))
+    if state.hypotheses.verdict == FORCE_LOST:
+        share = real(0.0, share)
+    state.decision.suspected_share = share
+    transfer_to_losses(table, state, share)
+
+
+@firmware
+def acquit(table: Record, state: Record) -> None:
+    """It was sensor or force difference: what has looked like a loss of channel 1 is none.
+
+    Where channel 2 is lost nothing is to be compensated, until it proves to be needed: F̂ goes over
+    from d̂, or from what was suspected, to nothing.
+    """
+    force_lost = state.hypotheses.verdict == FORCE_LOST
+    if force_lost and not works_on_losses(table, state):
+        state.decision.distrusts_estimate = 1
+        state.bumpless_transfer.carried = state.fault_estimate
+        state.bumpless_transfer.carried_speed = 0.0
+    if force_lost or (state.fault_state == SUSPECTED and table.probe.ticks == 0):
+        transfer_to_losses(table, state, real(0.0, state.command_1))
+    state.fault_state = CLEAR
+    start_candidate(table, state)
+
+
+@firmware
+def works_on_losses(table: Record, state: Record) -> bool:
+    """Whether F̂ works on s w: by its table, or since channel 2 has been taken for lost."""
+    known: bool = table.compensator.on_confirmation > 0 or state.decision.distrusts_estimate > 0
+    return known
 
 
 @firmware

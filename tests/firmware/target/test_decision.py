@@ -13,7 +13,7 @@ from firmware_model.design.plants import chapter_2, steer_by_wire
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
-from firmware_model.target.status import FaultState
+from firmware_model.target.status import FaultState, Verdict
 from firmware_model.target.structs import FloatArray
 from tests.firmware.target.cases import CAR, TICK_S, car_at, other_cars
 
@@ -158,13 +158,15 @@ def test_without_excitation_it_cannot_tell() -> None:
 
 
 @pytest.mark.long
-def test_a_biased_sensor_looks_the_same() -> None:
-    """d̂ = -b: the decision says that something is lost, not what."""
+def test_a_biased_sensor_is_no_loss() -> None:
+    """d̂ = -b, as of a loss, but at once."""
     bias = np.where(np.arange(1200) < LOST, 0.0, -0.1)
     target = confirming(noise_rms=1e-2, on_confirmation=False)
     trace = simulate(build(TAME, target), PLANT, np.ones(1200), bias=bias)
     assert trace.fault_estimate[LOST] == pytest.approx(0.1, abs=1e-9)
-    assert CONFIRMED in trace.fault_state[LOST : LOST + 50]
+    assert trace.verdict[LOST - 1] == Verdict.NOTHING
+    assert (trace.verdict[LOST:] == Verdict.SENSOR_BIASED).all()
+    assert CONFIRMED not in trace.fault_state
 
 
 @pytest.mark.parametrize("value", [1.0, -1.0])

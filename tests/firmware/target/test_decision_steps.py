@@ -64,6 +64,7 @@ def moving(state: Record, share: float = 0.0) -> None:
 
 
 def tick(table: Record, state: Record, residual: float = 0.0, model_1: float = 1e3) -> int:
+    state.measurement = 1.0 - state.measurement  # the sensor is not frozen
     decide(table, state, residual, model_1, 0.0)
     return int(state.fault_state)
 

@@ -23,7 +23,9 @@ from tests.firmware.target.cases import CAR, TICK_S, changed, covariance_of, oth
 
 DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 TARGET = Target(TICK_S, 1, "zoh", noise_rms=0.01, mismatch=other_cars(2))
-NUMBERS = {"hypotheses": {"ahead": 2.0, "both_lost": 100.0}}
+NUMBERS = {
+    "hypotheses": {"ahead": 2.0, "sensor_ahead": 3.0, "jump": 5.0, "both_lost": 100.0},
+}
 TABLES = changed(build(DESIGN, TARGET), decision={"confirm": 20.0, "suspect": 7.0}, **NUMBERS)
 LOST, OFFSET, FORCE, BIASED, DRIFTING, FROZEN, CAR_IS_ANOTHER = range(1, 8)
 
@@ -39,6 +41,7 @@ def judged(state: Record, **evidence: float) -> Verdict:
     places = {"lost": LOST, "offset": OFFSET, "force": FORCE, "biased": BIASED,
               "drifting": DRIFTING, "frozen": FROZEN, "car": CAR_IS_ANOTHER}  # fmt: skip
     state.hypotheses.evidence[:] = 0.0
+    state.hypotheses.signatures.jump = 5.0  # enough for a bias
     for name, value in evidence.items():
         state.hypotheses.evidence[places[name]] = value
     judge(TABLES[0], state)
@@ -59,8 +62,8 @@ def judged(state: Record, **evidence: float) -> Verdict:
         ({"force": 30.0, "lost": 16.0}, "CANNOT_BE_TOLD"),
         ({"biased": 30.0, "drifting": 30.0}, "SENSOR_BIASED"),
         ({"biased": 30.0, "drifting": 31.0}, "SENSOR_DRIFTING"),
-        ({"frozen": 50.0, "biased": 40.0, "force": 24.0}, "SENSOR_FROZEN"),
-        ({"frozen": 50.0, "biased": 40.0, "force": 26.0}, "CANNOT_BE_TOLD"),
+        ({"frozen": 50.0, "biased": 40.0, "force": 16.0}, "SENSOR_FROZEN"),
+        ({"frozen": 50.0, "biased": 40.0, "force": 17.0}, "CANNOT_BE_TOLD"),
         ({"car": 20.1, "lost": 20.0}, "ANOTHER_CAR"),
         ({"car": 500.0, "lost": 20.1}, "TORQUE_LOST"),
     ],
@@ -106,7 +109,7 @@ def test_another_car_stands_until_its_evidence_is_no_suspicion() -> None:
     [
         (("sensor_biased", 0.1), ("sensor_biased", -0.1), True),
         (("sensor_biased", 0.1), ("sensor_biased", 0.05), False),
-        (("sensor_drifting", 0.1), ("sensor_biased", -0.3), True),
+        (("sensor_drifting", 0.1), ("sensor_biased", -0.1), True),
         (("torque_offset", 20.0), ("torque_offset", -20.0), True),
         (("torque_offset", 20.0), ("sensor_biased", -0.3), False),
     ],
@@ -118,13 +121,34 @@ def test_the_opposite_at_the_same_place_is_the_end_of_a_fault(
     state = state_of()
     for name, size in (first, then):
         candidate = state.hypotheses.signatures[name].candidate
-        candidate["size_now"] = size
+        candidate["size_now"], state.hypotheses.signatures.ramp = size, -1.0
         verdict = judged(state, **{short[name]: 30.0})
         assert not candidate["size_now"]  # its onset is yet to come
     assert verdict == (Verdict.NOTHING if gone else Verdict[then[0].upper()])
     if gone:  # and the next one is another
         state.hypotheses.signatures[then[0]].candidate["size_now"] = then[1]
         assert judged(state, **{short[then[0]]: 30.0}) == Verdict[then[0].upper()]
+
+
+def silent(state: Record, missing: float = 0.51) -> Record:
+    """So much of what channel 2 was told is missing in y."""
+    state.hypotheses.signatures.commanded, state.hypotheses.signatures.missing = 1.0, missing
+    return state
+
+
+def test_both_are_lost_only_where_y_follows_less_than_half_of_channel_2() -> None:
+    for missing, verdict in ((0.5, Verdict.TORQUE_LOST), (0.51, Verdict.BOTH_LOST)):
+        state = silent(state_of(Verdict.TORQUE_LOST, lost=True), missing)
+        assert judged(state, lost=900.0, force=101.0) == verdict
+
+
+@pytest.mark.parametrize(("jump", "verdict"), [(5.0, "SENSOR_BIASED"), (4.9, "CANNOT_BE_TOLD")])
+def test_a_bias_begins_with_a_jump(jump: float, verdict: str) -> None:
+    state = state_of()
+    state.hypotheses.signatures.jump = jump
+    state.hypotheses.evidence[BIASED] = 90.0
+    judge(TABLES[0], state)
+    assert Verdict(state.hypotheses.verdict).name == verdict
 
 
 @pytest.mark.parametrize(
@@ -139,17 +163,19 @@ def test_the_opposite_at_the_same_place_is_the_end_of_a_fault(
         ("TORQUE_LOST", {"lost": 900.0, "force": 190.1, "drifting": 90.0}, "BOTH_LOST"),
         ("TORQUE_LOST", {"lost": 900.0, "force": 140.0, "offset": 41.0}, "TORQUE_LOST"),
         ("BOTH_LOST", {"lost": 0.0}, "BOTH_LOST"),
-        ("FORCE_LOST", {"lost": 0.0}, "BOTH_LOST"),
+        ("FORCE_LOST", {"lost": 0.0}, "CANNOT_BE_TOLD"),
+        ("FORCE_LOST", {"lost": 20.1}, "TORQUE_LOST"),
     ],
 )
 def test_of_a_confirmed_loss_it_is_asked_whether_the_other_channel_is_lost_too(
     before: str, evidence: dict[str, float], verdict: str
 ) -> None:
-    assert judged(state_of(Verdict[before], lost=True), **evidence).name == verdict
+    state = silent(state_of(Verdict[before], lost=True))
+    assert judged(state, **evidence).name == verdict
 
 
 def test_the_end_of_a_confirmed_loss_competes_with_the_loss_of_the_other_channel() -> None:
-    state = state_of(lost=True)
+    state = silent(state_of(lost=True))
     state.sequential_test.evidence = 41.0
     assert judged(state, lost=30.0, force=140.0) == Verdict.TORQUE_LOST
     state.sequential_test.evidence = 39.0
@@ -201,6 +227,8 @@ def test_after_a_clearing_nothing_is_known() -> None:
     state = state_of(Verdict.SENSOR_BIASED)
     state.hypotheses.evidence[:] = 3.0
     state.hypotheses.found_size = state.hypotheses.frozen.repetitions = 2.0
+    state.hypotheses.sensor_error.offset = 0.1
+    state.hypotheses.sensor_error.answer.accumulators[:] = state.hypotheses.found = 3.0
     state.hypotheses.signatures.ramp = -4.0
     state.hypotheses.signatures.force_lost.candidate.evidence = math.inf
     clear_hypotheses(state)

@@ -14,7 +14,7 @@ from can_rig.plant.columns import EVIDENCE, VERDICT
 from can_rig.results.isolation.verdicts import with_verdict
 from can_rig.results.isolation.words import in_words, verdict_rows, whose_fault
 from can_rig.results.signals import Signals
-from can_rig.results.without_log import signals_without_log
+from can_rig.results.without_log import metrics_of, signals_without_log
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.status import FaultState, Verdict
@@ -39,7 +39,7 @@ def verdicts(signals: Signals, begin_s: float = 0.0, end_s: float = 99.0) -> set
     [
         (["kind=sensor-biased", "bias_mps2=0.1"], 0.002, Verdict.SENSOR_BIASED),
         (["kind=sensor-biased", "bias_mps2=-0.1"], 0.002, Verdict.SENSOR_BIASED),
-        (["kind=sensor-stuck"], 0.003, Verdict.SENSOR_FROZEN),
+        (["kind=sensor-stuck"], 0.02, Verdict.SENSOR_FROZEN),
         (["kind=actuator-dead"], 0.12, Verdict.TORQUE_LOST),
         (["kind=actuator-dead", "left=0.5"], 0.2, Verdict.TORQUE_LOST),
     ],
@@ -65,6 +65,41 @@ def test_the_loss_of_both_channels_is_named_and_that_of_one_is_not_taken_for_it(
     evidence = found["BOTH_LOST"]["evidence"]
     assert evidence["force_lost"] > max(evidence["torque_offset"], evidence["sensor_drifting"])
     assert len(evidence) == len(EVIDENCE)
+
+
+@pytest.mark.parametrize(
+    "fault",
+    [
+        ["kind=sensor-biased", "bias_mps2=0.1"],
+        ["kind=sensor-biased", "bias_mps2=-0.1"],
+        ["kind=sensor-stuck"],
+        ["kind=sensor-dead"],
+    ],
+)
+def test_a_sensor_that_is_found_at_fault_is_not_compensated(fault: list[str]) -> None:
+    """It costs what it costs without any compensation."""
+    deviations = []
+    for compensation in ("on-confirmation", "off"):
+        changes = [*LANE_CHANGE, "fault.at_s=3.5", *(f"fault.{key}" for key in fault)]
+        scenario = load("default", [*changes, f"design.compensation={compensation}"])
+        values = metrics_of(scenario)
+        deviations.append(values["deviation_peak_after_fault_mps2"])
+        assert compensation == "off" or values["false_alarms"] == 0
+    with_it, without = deviations
+    assert with_it is not None and without is not None
+    assert with_it == pytest.approx(without, rel=1e-3)
+    assert with_it < 1.0
+
+
+def test_a_motor_that_dies_beside_a_biased_sensor_is_found_as_soon_as_alone() -> None:
+    dead = ["fault.0.kind=actuator-dead", "fault.0.at_s=4"]
+    biased = ["fault.1.kind=sensor-biased", "fault.1.bias_mps2=0.1", "fault.1.at_s=3"]
+    delays = [
+        metrics_of(load("default", [*LANE_CHANGE, *faults]))["detection_delay_s"]
+        for faults in (dead, [*dead, *biased])
+    ]
+    assert delays[0] is not None
+    assert delays[1] == pytest.approx(delays[0], abs=0.01)
 
 
 @pytest.mark.parametrize("name", ["default", "noisy", "chassis-can"])

@@ -1,13 +1,15 @@
 """A sensor that is frozen says the same number again and again, whatever the car does.
 
-Two things speak for it. Noise never repeats for long: each repetition has a small chance, and its
--ln is evidence. And where the car, by the model, is not where it was at the last change, its motion
-since is missing in y: a signature of known size in d̂.
+Where the car, by the model, is no longer where it was at the last change of y, two things speak for
+it. Noise never repeats for long: each repetition has a small chance, and its -ln is evidence. And
+the motion since is missing in y: a signature of known size in d̂. A car that stands still may have a
+sensor without a fault, and less noise than it is said to have.
 """
 
 from __future__ import annotations
 
 from firmware_model.compiled import firmware
+from firmware_model.target.actuator import quantise, saturate_rate
 from firmware_model.target.fault_decision.hypotheses import candidate
 from firmware_model.target.fault_decision.hypotheses.candidate import start, take_in
 from firmware_model.target.precision import real
@@ -15,6 +17,7 @@ from firmware_model.target.structs import Field, Record
 
 CONSTANTS = (
     Field("size_of_one", "1", "limits of the size: it is 1", candidate.LIMITS),
+    Field("least_motion", "y", "by the model, from which on a repetition says something"),
     Field("repetition", "1", "-ln of the chance that noise repeats a number"),
 )
 STATE = (
@@ -22,6 +25,8 @@ STATE = (
     Field("measurement", "y", "the number that is repeated"),
     Field("expected", "y", "y by the model when it came first"),
     Field("repetitions", "1", "of it since"),
+    Field("command_1", "u1", "command 1 of the tick before it came"),
+    Field("command_2", "u2", "command 2 likewise"),
     Field("evidence", "1", "log-likelihood ratio"),
 )
 
@@ -35,11 +40,33 @@ def weigh_frozen(table: Record, state: Record, innovation: float, expected: floa
         own.measurement, own.expected = state.measurement, expected
         return
     own.repetitions += real(1.0, expected)
-    moved = real(0.0, expected)
-    if table.estimator.measurement.n == 0:  # otherwise y is not what the model says, M y is
-        moved = expected - own.expected
-    take_in(table, state, own.candidate, constants.size_of_one, moved, innovation)
-    own.evidence = own.candidate.evidence + own.repetitions * constants.repetition
+    moved = expected - own.expected
+    missing = moved
+    if table.estimator.measurement.n > 0:  # y is not what the model says, M y is
+        missing = real(0.0, expected)
+    take_in(table, state, own.candidate, constants.size_of_one, missing, innovation)
+    own.evidence = real(0.0, expected)
+    if abs(moved) > constants.least_motion:
+        own.evidence = own.candidate.evidence + own.repetitions * constants.repetition
+
+
+@firmware
+def note_commands(state: Record, measurement: float) -> None:
+    """Before the tick of a ``measurement``: it may be the first that is frozen."""
+    own = state.hypotheses.frozen
+    if measurement != own.measurement:
+        own.command_1 = state.command_1
+        own.command_2 = state.command_2
+
+
+@firmware
+def go_back(table: Record, state: Record) -> None:
+    """Go back to the commands that no frozen number has had a part in."""
+    own = state.hypotheses.frozen
+    possible = saturate_rate(table.actuator_1, own.command_1, state.command_1)
+    state.command_1 = quantise(table.actuator_1, state.actuator_1, possible)
+    possible = saturate_rate(table.actuator_2, own.command_2, state.command_2)
+    state.command_2 = quantise(table.actuator_2, state.actuator_2, possible)
 
 
 @firmware

@@ -36,6 +36,9 @@ STATE = (
     Field("sensor_biased", "y", "a bias of the sensor", ONE),
     Field("sensor_drifting", "y/tick", "a drift of the sensor", ONE),
     Field("ramp", "tick", "the drift of 1/tick as of this tick"),
+    Field("commanded", "y²", "Σ (what channel 2 was told to move y)²"),
+    Field("missing", "y²", "Σ of the same times what of it is missing in y"),
+    Field("jump", "1", "evidence of the bias in its first tick alone"),
 )
 
 
@@ -52,8 +55,11 @@ def weigh_signatures(table: Record, state: Record, innovation: float) -> None:
         begin(offset)
     shown = output(g2, force.answer, state.other_cars.command_2)
     take_in(table, state, force.candidate, constants.force_lost, shown, innovation)
+    own.commanded += shown * shown
+    own.missing += shown * state.mismatch.previous_residual
     if has_failed(constants.candidate, force.candidate):
         begin(force)
+        own.commanded = own.missing = 0.0
     half = real(0.5, innovation)
     fresh = half * innovation * innovation / state.mismatch.variance
     bias, drift = own.sensor_biased, own.sensor_drifting
@@ -63,6 +69,7 @@ def weigh_signatures(table: Record, state: Record, innovation: float) -> None:
         begin(bias)
         shown = output(m, bias.answer, -one)
         take_in(table, state, bias.candidate, constants.sensor_biased, shown, innovation)
+        own.jump = bias.candidate.evidence
     shown = output(m, drift.answer, own.ramp)
     take_in(table, state, drift.candidate, constants.sensor_drifting, shown, innovation)
     if fresh > drift.candidate.evidence or has_failed(constants.candidate, drift.candidate):
@@ -86,7 +93,17 @@ def begin_all(state: Record) -> None:
     begin(state.force_lost)
     begin(state.sensor_biased)
     begin(state.sensor_drifting)
-    state.ramp = 0.0
+    state.ramp = state.jump = state.commanded = state.missing = 0.0
+
+
+@firmware
+def answers_no_more(state: Record) -> bool:
+    """Whether y follows less than half of what channel 2 was told since the onset of its loss.
+
+    Taken from d̂ itself: another car cannot explain so much, nor can a sensor that errs by a little.
+    """
+    gone: bool = state.missing > real(0.5, state.missing) * state.commanded
+    return gone
 
 
 @firmware

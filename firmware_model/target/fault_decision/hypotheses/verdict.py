@@ -5,7 +5,8 @@ without one, each with its own onset. A fault is found with as much evidence as 
 ``ahead`` times what a fault elsewhere explains: torque, force difference or sensor must be far
 ahead of both others, for a loss whose onset is a few ticks off keeps hardly more than half of its
 own. With less d̂ cannot tell, and the verdict says so. Its name is the likeliest fault at that
-place. It stands until another is found, or the same with the opposite sign: then it is gone.
+place. It stands until another is found, or the same with the opposite sign: then it is gone. What
+is known of the sensor's error is added up, and it is gone where little is left.
 
 A torque that is lost has a test of its own, ``sequential_test``; once that has confirmed it, its
 evidence is how many deviations its share is from none, by what has been learnt since. Likewise
@@ -21,10 +22,23 @@ from typing import Any
 
 from firmware_model.compiled import firmware
 from firmware_model.target.fault_decision.covariance import LOSS_STATES, variance_of
-from firmware_model.target.fault_decision.hypotheses import candidate, frozen, signatures
+from firmware_model.target.fault_decision.hypotheses import (
+    candidate,
+    frozen,
+    sensor_error,
+    signatures,
+)
 from firmware_model.target.fault_decision.hypotheses.candidate import likeliest
 from firmware_model.target.fault_decision.hypotheses.frozen import thaw, weigh_frozen
-from firmware_model.target.fault_decision.hypotheses.signatures import begin_all, weigh_signatures
+from firmware_model.target.fault_decision.hypotheses.sensor_error import (
+    clear_sensor_error,
+    learn_sensor_error,
+)
+from firmware_model.target.fault_decision.hypotheses.signatures import (
+    answers_no_more,
+    begin_all,
+    weigh_signatures,
+)
 from firmware_model.target.fault_decision.loss_model import known_share
 from firmware_model.target.precision import real
 from firmware_model.target.status import FaultState, Verdict
@@ -43,6 +57,8 @@ CONSTANTS = (
     Field("frozen", "1", "of a sensor that repeats itself", frozen.CONSTANTS),
     Field("torque_lost", "1", "limits of the share that is lost, or works again", candidate.LIMITS),
     Field("ahead", "1", "times the evidence of a fault at another place that a verdict needs"),
+    Field("sensor_ahead", "1", "the same of a fault of the sensor"),
+    Field("jump", "1", "evidence of a bias in its first tick, at least"),
     Field("both_lost", "1", "evidence by which the loss of channel 2 is ahead after that of 1"),
 )
 STATE = (
@@ -50,7 +66,9 @@ STATE = (
     Field("frozen", "1", "of a sensor that repeats itself", frozen.STATE),
     Field("evidence", "1", "of each hypothesis, by the number of its verdict", shape=(HYPOTHESES,)),
     Field("verdict", "1", "a Verdict", "int32"),
-    Field("found_size", "1", "of the fault that the verdict is about, when it was found"),
+    Field("found", "1", "the fault that was found in this tick; 0: none", "int32"),
+    Field("found_size", "1", "of that of an actuator, when it was found"),
+    Field("sensor_error", "y", "what the sensor is known to add", sensor_error.STATE),
 )
 
 
@@ -106,6 +124,7 @@ def judge(table: Record, state: Record) -> None:
     """The verdict of this tick."""
     own, evidence, confirm = state.hypotheses, state.hypotheses.evidence, table.decision.confirm
     lost, was = state.fault_state == CONFIRMED, own.verdict
+    own.found = NOTHING
     own.verdict = standing(table, state)
     if own.verdict == NOTHING:
         own.found_size = 0.0
@@ -117,10 +136,11 @@ def judge(table: Record, state: Record) -> None:
     most = max(actuators, sensor)
     second = max(min(torque, force), min(actuators, sensor))
     if lost:
-        if force - max(torque, sensor) > table.hypotheses.both_lost:
+        ahead = force - max(torque, sensor) > table.hypotheses.both_lost
+        if ahead and answers_no_more(own.signatures):
             own.verdict = BOTH_LOST
-    elif most > confirm and most > table.hypotheses.ahead * second:
-        find(own, likeliest_fault(evidence, most))
+    elif most > confirm and is_clear(table, state, most, second):
+        find(table, state, likeliest_fault(evidence, most))
     elif own.verdict == NOTHING and most > confirm:
         own.verdict = CANNOT_BE_TOLD
     elif own.verdict == NOTHING:
@@ -129,14 +149,28 @@ def judge(table: Record, state: Record) -> None:
 
 
 @firmware
+def is_clear(table: Record, state: Record, most: float, second: float) -> bool:
+    """Whether the fault with the ``most`` evidence is told from those at other places.
+
+    A bias begins with a jump, which is what no torque can do.
+    """
+    own, constants = state.hypotheses, table.hypotheses
+    if own.evidence[SENSOR_BIASED] == most and own.signatures.jump < constants.jump:
+        return False
+    ahead: float = constants.ahead
+    if strongest(own.evidence, SENSOR_BIASED, ANOTHER_CAR) == most:
+        ahead = constants.sensor_ahead
+    clear: bool = most > ahead * second
+    return clear
+
+
+@firmware
 def standing(table: Record, state: Record) -> int:
     """What the verdict of the last tick still says, where nothing new is found."""
     own = state.hypotheses
     verdict: int = own.verdict
     if state.fault_state == CONFIRMED:
-        if verdict == FORCE_LOST:
-            verdict = BOTH_LOST
-        elif verdict != BOTH_LOST:
+        if verdict != BOTH_LOST:
             verdict = CANNOT_BE_TOLD
             if own.evidence[TORQUE_LOST] > table.decision.confirm:
                 verdict = TORQUE_LOST
@@ -169,16 +203,24 @@ def likeliest_fault(evidence: Any, most: float) -> int:
 
 
 @firmware
-def find(own: Record, fault: int) -> None:
+def find(table: Record, state: Record, fault: int) -> None:
     """Take in a ``fault`` that has been found: it is there, or what was there is gone.
 
     What has been weighed for it is known from now on, so every onset is yet to come.
     """
-    found = size_of(own.signatures, fault)
+    own, weighed = state.hypotheses, state.hypotheses.signatures
+    size = size_of(weighed, fault)
+    if fault == SENSOR_BIASED:
+        gone = learn_sensor_error(table, state, weighed.sensor_biased, real(-1.0, size))
+    elif fault == SENSOR_DRIFTING:
+        gone = learn_sensor_error(table, state, weighed.sensor_drifting, weighed.ramp)
+    else:
+        opposite = own.found_size * size < real(0.0, size)
+        gone = opposite and place_of(fault) == place_of(own.verdict)
     if fault != TORQUE_LOST:
-        begin_all(own.signatures)
-    gone = own.found_size * found < real(0.0, found) and place_of(fault) == place_of(own.verdict)
-    own.found_size = found
+        begin_all(weighed)
+    own.found_size = size
+    own.found = fault
     own.verdict = NOTHING if gone else fault
 
 
@@ -191,17 +233,20 @@ def place_of(fault: int) -> int:
 
 
 @firmware
+def found_elsewhere(own: Record) -> bool:
+    """Whether a fault, or the end of one, was found in this tick that is not of the torque."""
+    elsewhere: bool = place_of(own.found) != TORQUE_LOST
+    return elsewhere
+
+
+@firmware
 def size_of(own: Record, fault: int) -> float:
-    """The size of a fault that has been found, in the unit of its signature; 0: it has none."""
+    """The size of a fault of an actuator that has been found; 0 where it has none."""
     size = real(0.0, own.ramp)
     if fault == TORQUE_OFFSET:
         size = own.torque_offset.candidate.size_now
     elif fault == FORCE_LOST:
         size = own.force_lost.candidate.size_now
-    elif fault == SENSOR_BIASED:
-        size = own.sensor_biased.candidate.size_now
-    elif fault == SENSOR_DRIFTING:
-        size = own.sensor_drifting.candidate.size_now
     return size
 
 
@@ -212,5 +257,7 @@ def clear_hypotheses(state: Record) -> None:
     begin_all(own.signatures)
     thaw(own.frozen)
     own.frozen.measurement = own.frozen.expected = own.found_size = 0.0
+    own.frozen.command_1 = own.frozen.command_2 = 0.0
     own.evidence[:] = 0.0
-    own.verdict = NOTHING
+    clear_sensor_error(own.sensor_error)
+    own.verdict = own.found = NOTHING
