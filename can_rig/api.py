@@ -25,7 +25,7 @@ from can_rig.assessment.tuning.box import cars_of
 from can_rig.assessment.tuning.search import Tunings
 from can_rig.assessment.tuning.search import tune as search
 from can_rig.decoding.decode import decode_log
-from can_rig.errors import ScenarioError, in_python, require
+from can_rig.errors import RigError, ScenarioError, in_python, require
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.changes import Changes, as_settings
 from can_rig.views.recorded_run import RecordedRun, record
@@ -87,7 +87,7 @@ def load(folder: str | Path) -> RecordedRun:
         LogError: it is not a finished run folder.
         ScenarioError: its ``run.json`` has no scenario that can be read.
     """
-    return RecordedRun.load(Path(folder))
+    return RecordedRun.load(_path("folder", folder))
 
 
 @in_python
@@ -173,9 +173,16 @@ def decode(
     """
     require("pandas", extra="logs")
     tables = {}
+    log, dbc = _path("log", log), _path("dbc", dbc)
     decoded = decode_log(log, dbc, messages, signals, from_s=from_s, to_s=to_s)
     for name, columns in decoded.items():
         tables[name] = table = columns.to_pandas()
         units = {signal: layout.unit for signal, layout in columns.layout.items()}
         table.attrs["units"] = {signal: unit or "" for signal, unit in units.items()}
     return tables
+
+
+def _path(argument: str, value: object) -> Path:
+    if not isinstance(value, str | Path):
+        raise RigError(f"{argument} = {value!r}: must be the path of one file or folder")
+    return Path(value)

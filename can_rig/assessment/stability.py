@@ -256,9 +256,7 @@ def _reason(scenario: Scenario, state: str, radius: float) -> str:
     )
     survived = "no latency_ticks" if longest is None else f"latency_ticks up to {longest}"
     tuning = stable_tuning(scenario) or f"no tau_q_s up to {TUNINGS_S[-1]:g}"
-    return (
-        f"{unstable_as}; this tuning is stable with {survived}; {tuning} works"
-    )
+    return f"{unstable_as}; this tuning is stable with {survived}; {tuning} works"
 
 
 def _figures(found: Limitations) -> dict[str, float]:

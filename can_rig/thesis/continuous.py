@@ -100,7 +100,9 @@ def closed_loop(scenario: Scenario, left: tuple[float, float]) -> StateSpace:
     """
     car, model = continuous_plant(scenario.plant), continuous_plant(scenario.model)
     if unstable(model.g1):
-        raise ScenarioError("plant: unstable: must be stable for the continuous loop")
+        raise ScenarioError(
+            "plant: unstable: must be stable for the continuous loop; can-rig run draws any plant"
+        )
     chosen = scenario.design
     closed = scenario.design.feedback
     blocks = [
@@ -149,7 +151,7 @@ def lag_over(plant: Plant, channel: int, tau_s: float, alpha: int) -> StateSpace
     if np.linalg.eigvals(filtered[0]).real.max() >= 0.0:
         raise ScenarioError(
             f"design: G{channel + 1} has a zero in the right half plane; the continuous loop is "
-            "solved for minimum-phase cars only"
+            "solved for minimum-phase plants only; can-rig run draws any plant"
         )
     result = control.ss(*filtered)
     for _ in range(alpha - degree):

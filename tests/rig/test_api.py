@@ -231,6 +231,11 @@ BAD: dict[str, tuple[Any, type[errors.RigError], str]] = {
         errors.ScenarioError,
         "box = '20 %': must be a share",
     ),
+    "two databases": (
+        lambda: can_rig.decode("a.log", ["a.dbc", "b.dbc"]),  # type: ignore[arg-type]
+        errors.RigError,
+        r"dbc = \['a.dbc', 'b.dbc'\]: must be the path of one file",
+    ),
     "half a range": (
         lambda: can_rig.tune("default", ranges={"plant.speed_mps": 8.0}),  # type: ignore[dict-item]
         errors.ScenarioError,

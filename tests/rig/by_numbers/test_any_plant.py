@@ -17,6 +17,7 @@ from can_rig.assessment.tuning.candidate import Values
 from can_rig.assessment.tuning.search import tune
 from can_rig.errors import ScenarioError
 from can_rig.plant.frameless import frameless
+from can_rig.results.without_log import signals_without_log
 from can_rig.scenario.build import continuous_plant, controller_table, network_of
 from can_rig.scenario.settings import Scenario
 from can_rig.thesis.continuous import solve
@@ -162,3 +163,21 @@ def test_the_tuning_that_is_named_for_an_unstable_car_holds_it() -> None:
     settings = re.findall(r"--set (\S+)", str(refused.value))
     assert len(settings) == 3
     refuse_unstable(load("thesis-step", [*car, *settings]))
+
+
+def test_a_channel_that_is_zero_is_called_so_beside_one_that_integrates() -> None:
+    with pytest.raises(ScenarioError, match=r"G1\(s\) is identically zero"):
+        continuous_plant(load("satellite", ["plant.g1.num=[0]"]).plant)
+
+
+def test_a_bias_of_the_sensor_fades_from_the_fault_estimate_of_an_integrating_plant() -> None:
+    """As the step response of (s/(s + λ))², λ = 0.1/τq: whatever C makes of it, d̂ knows of."""
+    keys = ("fault.kind=sensor-biased", "fault.bias_mps2=0.01", "fault.at_s=1", "duration_s=13")
+    scenario = load("satellite", ("reference.amplitude_mps2=0", "plant.sensor.noise_mps2=0", *keys))
+    run = signals_without_log(scenario)
+    since_s = run.time_s[run.time_s >= 1.0] - 1.0
+    fading = 0.1 / scenario.design.tau_q_s * since_s
+    expected = -0.01 * (1.0 - fading) * np.exp(-fading)
+    np.testing.assert_allclose(
+        run.fault_estimate_mps2[run.time_s >= 1.0], expected, atol=1e-4, rtol=0
+    )

@@ -77,3 +77,19 @@ def test_a_fault_after_the_end_is_mentioned_in_one_line() -> None:
     assert "never occurs" not in asked("run", "--in-process", "thesis-step", *in_time).stdout
     no_fault = (*late, "--set", "fault.kind=none")
     assert "never occurs" not in asked("run", "--in-process", "thesis-step", *no_fault).stdout
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (("--verbos",), "error: No such option '--verbos'. Did you mean '--verbose'?"),
+        (("chek",), "error: No such command 'chek'"),
+        (("bus", "--bitrate", "0"), "error: Invalid value for '--bitrate': 0 is not in the range"),
+        (("export", "default"), "error: Missing option '--out'. (see can-rig export --help)"),
+        (("inject", "torque", "gone"), "error: torque gone: must be one of dead, stuck, "),
+    ],
+)  # fmt: skip
+def test_a_wrong_option_is_one_line(words: tuple[str, ...], line: str) -> None:
+    done = asked(*words)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert done.stderr.startswith(line)

@@ -11,7 +11,7 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.drawing.names import CAR
 from can_rig.plant.columns import EVIDENCE, VERDICT
-from can_rig.results.isolation.verdicts import with_verdict
+from can_rig.results.isolation.verdicts import CERTAIN, with_verdict
 from can_rig.results.isolation.words import in_words, verdict_rows, whose_fault
 from can_rig.results.signals import Signals
 from can_rig.results.without_log import metrics_of, signals_without_log
@@ -136,3 +136,14 @@ def test_what_is_said_of_a_run() -> None:
     words = {in_words(verdict, CAR) for verdict in Verdict}
     assert len(words) == len(Verdict)
     assert not any("{" in each for each in words)
+
+
+def test_evidence_without_noise_is_finite() -> None:
+    """At rest and without noise every tick of a bias is beyond doubt; run.json has no infinity."""
+    rest = ["reference.amplitude_mps2=0", "plant.sensor.noise_mps2=0", "duration_s=2"]
+    fault = ["fault.kind=sensor-biased", "fault.at_s=0.5"]
+    scenario, signals = run("default", [*rest, *fault])
+    largest = max(float(np.abs(signals.whose_fault[name]).max()) for name in EVIDENCE)
+    assert 1e9 < largest <= CERTAIN
+    for found in whose_fault(scenario, signals).values():
+        assert np.isfinite(list(found["evidence"].values())).all()

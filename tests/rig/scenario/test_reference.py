@@ -105,7 +105,7 @@ BAD = {
     "header alone": (b"time_s,reference_mps2\n", "rows of two finite numbers"),
     "one column": (b"1\n2\n", "rows of two finite numbers"),
     "three columns": (b"1,2,3\n2,3,4\n", "rows of two finite numbers"),
-    "ragged": (b"1,2\n2,3,4\n", "columns"),
+    "ragged": (b"1,2\n2,3,4\n", r"rows of time_s,reference_mps2: Line #2 \(got 3 columns"),
     "a word": (b"1,2\n2,fast\n", "rows of two finite numbers"),
     "two headers": (b"a,b\nc,d\n1,2\n", "rows of two finite numbers"),
     "nan": (b"1,2\n2,nan\n", "rows of two finite numbers"),

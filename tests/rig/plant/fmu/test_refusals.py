@@ -34,6 +34,11 @@ VARIABLES = {  # variables, parameters, line
         {},
         "input_2 = 'y': must be an input of the FMU, not an output;",
     ),
+    "one for both": (
+        {"input_2": "u1"},
+        {},
+        "must be another variable than input_1; it has",
+    ),
     "parameter": ({"input_1": "gain"}, {}, r"not a parameter; it has u1, u2$"),
     "whole": (
         {"output": "bounces"},
