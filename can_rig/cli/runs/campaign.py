@@ -61,7 +61,7 @@ def command(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Run CAMPAIGN, a TOML file or a shipped one: cars, hours, latency, losses.
+    """Run CAMPAIGN, a TOML file or a shipped one: cars, faults, hours, latency, losses.
 
     Every run is a row of runs.parquet with the command that repeats it; report.html says how often
     the requirements hold, which runs are the worst, and which axis matters. Ctrl-C keeps what is

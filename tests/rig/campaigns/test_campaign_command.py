@@ -11,6 +11,7 @@ from pathlib import Path
 
 import pytest
 
+from can_rig.campaigns.settings import shipped
 from tests.helpers import asked
 
 FEW = ("--set", "duration_s=0.3", "--set", "fault.at_s=0.2", "--workers", "1")
@@ -114,3 +115,8 @@ def test_a_run_that_fails_makes_the_status_1(tmp_path: Path) -> None:
     done = asked("campaign", tmp_path / "own.toml", "--out", tmp_path / "out", "--workers", 1)
     assert done.returncode in {1, 2}
     assert "tick_s = 1e-09: must be" in done.stdout + done.stderr
+
+
+def test_the_help_names_every_shipped_campaign() -> None:
+    said = asked("campaign", "--help").stdout
+    assert f"a shipped one: {', '.join(sorted(shipped()))}." in " ".join(said.split())
