@@ -128,13 +128,6 @@ def test_run_refuses_an_unstable_loop_and_says_what_works(
     assert asked("check", "thesis-step", *options((*settings, *offered))).returncode == 0
 
 
-def test_what_no_tuning_holds_is_not_told_to_be_tuned() -> None:
-    """An integrating plant without a wheel and without compensation drifts, however it is tuned."""
-    with pytest.raises(ScenarioError, match=r"wheel dead.*nothing holds it then") as refused:
-        refuse_unstable(load("satellite", ["design.compensation=off"]))
-    assert "tau_q_s" not in str(refused.value)
-
-
 def test_the_latency_that_a_tuning_survives_is_said() -> None:
     """Between stable and unstable by its own words."""
     with pytest.raises(ScenarioError, match=r"stable with latency_ticks up to (\d+);") as refused:

@@ -181,3 +181,10 @@ def test_a_bias_of_the_sensor_fades_from_the_fault_estimate_of_an_integrating_pl
     np.testing.assert_allclose(
         run.fault_estimate_mps2[run.time_s >= 1.0], expected, atol=1e-4, rtol=0
     )
+
+
+def test_what_no_tuning_holds_is_not_told_to_be_tuned() -> None:
+    """An integrating plant without a wheel and without compensation drifts, however it is tuned."""
+    with pytest.raises(ScenarioError, match=r"wheel dead.*nothing holds it then") as refused:
+        refuse_unstable(load("satellite", ["design.compensation=off"]))
+    assert "tau_q_s" not in str(refused.value)
