@@ -109,7 +109,8 @@ def decide(table: Record, state: Record, residual: float, model_1: float, model_
     share = table.sequential_test.share
     update_test(table, state, new, -known_share(state) if before == CONFIRMED else share)
     weigh_hypotheses(table, state, new, model_1 + model_2 - state.loss_model.share * w)
-    if found_elsewhere(state.hypotheses):
+    probing = table.probe.ticks > 0
+    if found_elsewhere(state.hypotheses) and not probing:
         state.mismatch.previous_residual += sensor_error_shown(table, state) - known
         acquit(table, state)
         return
@@ -118,7 +119,6 @@ def decide(table: Record, state: Record, residual: float, model_1: float, model_
         if test.evidence > constants.recover:
             recover(table, state)
         return
-    probing = table.probe.ticks > 0
     if proven and not probing:
         confirm(table, state)
     elif proven and state.decision.pause == 0:
@@ -160,7 +160,7 @@ def acquit(table: Record, state: Record) -> None:
         state.decision.distrusts_estimate = 1
         state.bumpless_transfer.carried = state.fault_estimate
         state.bumpless_transfer.carried_speed = 0.0
-    if force_lost or (state.fault_state == SUSPECTED and table.probe.ticks == 0):
+    if force_lost or state.fault_state == SUSPECTED:
         transfer_to_losses(table, state, real(0.0, state.command_1))
     state.fault_state = CLEAR
     start_candidate(table, state)

@@ -125,10 +125,18 @@ def test_an_error_is_gone_where_less_than_half_is_left(sizes: list[float], gone:
     assert state.hypotheses.sensor_error.offset == pytest.approx(0.0 if gone else sum(sizes))
 
 
-@pytest.mark.parametrize("probe", [False, True])
-def test_a_suspicion_ends_and_is_given_back_without_a_bump(probe: bool) -> None:
+def test_where_a_probe_asks_the_motor_nothing_is_taken_out() -> None:
+    table = table_of()
+    table.probe.ticks = 100
+    state = controller.init(table)[0]
+    biased = state.hypotheses.signatures.sensor_biased
+    biased.candidate["size_now"] = 0.1
+    assert not learn_sensor_error(table, state, biased, -1.0)
+    assert state.hypotheses.sensor_error.offset == 0.0
+
+
+def test_a_suspicion_ends_and_is_given_back_without_a_bump() -> None:
     table = table_of(on_confirmation=True)
-    table.probe.ticks = 100 if probe else 0
     state = controller.init(table)[0]
     state.fault_state = FaultState.SUSPECTED
     state.command_1 = 12.0
@@ -136,8 +144,8 @@ def test_a_suspicion_ends_and_is_given_back_without_a_bump(probe: bool) -> None:
     state.bumpless_transfer.carried, state.bumpless_transfer.carried_speed = 0.2, 0.001
     acquit(table, state)
     assert (state.fault_state, state.sequential_test.evidence) == (FaultState.CLEAR, 0.0)
-    missed = 0.0 if probe else -0.2  # what F̂ still carries fades from where it was
-    assert state.bumpless_transfer.missed == pytest.approx(missed)
+    # What F̂ still carries fades from where it was.
+    assert state.bumpless_transfer.missed == pytest.approx(-0.2)
 
 
 def test_lags_of_these_tests_are_those_of_the_section() -> None:

@@ -46,8 +46,11 @@ def learn_sensor_error(table: Record, state: Record, found: Record, input_now: f
         input_now: of this signature, before M: -1 of a bias.
 
     Returns:
-        Whether the error of before is gone by that: less than half of it is left.
+        Whether the error of before is gone by that: less than half of it is left. Not where a probe
+        asks the motor: there the verdict changes nothing.
     """
+    if table.probe.ticks > 0:
+        return False
     own, size = state.hypotheses.sensor_error, found.candidate.size_now
     half, before = real(0.5, size), own.offset
     for i in range(table.mismatch.n):
