@@ -24,9 +24,10 @@ class Answer(NamedTuple):
     fault_estimate: float
     mode: int
     fault_state: int
+    verdict: int
 
 
-Step = Callable[[float, float], tuple[float, float, float, int, int]]
+Step = Callable[[float, float], tuple[float, float, float, int, int, int]]
 """From reference and measurement to what ``controller.step_first`` answers."""
 
 Memories = tuple[RecordArray, RecordArray, RecordArray, RecordArray]
@@ -99,9 +100,10 @@ class Firmware:
 
     def step(self, reference: float, measurement: float) -> Answer:
         """One tick; see ``controller.step``."""
-        command_1, command_2, estimate, mode, fault_state = self._step(reference, measurement)
+        command_1, command_2, estimate, *codes = self._step(reference, measurement)
+        mode, fault_state, verdict = map(int, codes)
         return Answer(
-            float(command_1), float(command_2), float(estimate), int(mode), int(fault_state)
+            float(command_1), float(command_2), float(estimate), mode, fault_state, verdict
         )
 
     def reset(self, reference: float) -> None:

@@ -75,6 +75,7 @@ def _network_source(network: Network, dbc: str, tick_us: int, changing: bool) ->
         }
         if codec.modes and isinstance(codec.layout, RigLayout):
             numbers["mode_shift"], numbers["fault_state_shift"] = map(str, codec.layout.shifts)
+            numbers["verdict_bits"] = str(codec.layout.verdict_bits)
         lines += ["", *comment(f"{codec.name}: {_signal(codec)}")]
         lines.append(f"const struct frame frame_{codec.role} = {{")
         lines += [f"    .{name} = {value}," for name, value in numbers.items()]

@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from can_rig.frames.layout import NOT_AVAILABLE, Layout, RigLayout
+from can_rig.frames.layout import Layout, RigLayout, not_available
 
 
 class Record(NamedTuple):
@@ -29,6 +29,8 @@ class Record(NamedTuple):
     """Mode of the controller, a key of `MessageCodec.modes`; 0 in a frame without it."""
     fault_state: int = 0
     """State of the fault decision, a key of `MessageCodec.fault_states`; 0 likewise."""
+    verdict: int = 0
+    """Whose fault it is, a key of `MessageCodec.verdicts`; 0 likewise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -61,12 +63,14 @@ class MessageCodec:
     """Value table of Mode; empty for a frame without it."""
     fault_states: Mapping[int, str]
     """Value table of FaultState; empty for a frame without it."""
+    verdicts: Mapping[int, str] = field(default_factory=dict)
+    """Value table of Verdict; likewise."""
     layout: Layout = field(default_factory=RigLayout)
     extended: bool = False
     """Whether the identifier has 29 bits."""
     fd: bool = False
     """Whether it is a CAN FD frame."""
-    not_available: float = NOT_AVAILABLE
+    not_available: float = not_available(32)
     float_format: str = ""
     """Of a float, as `struct` has it."""
 
@@ -102,13 +106,16 @@ class MessageCodec:
         """``value`` as a receiver gets it [unit]: saturated, on the raw grid; nan stays nan."""
         return self.from_raw(self.to_raw(value))
 
-    def encode(self, value: float, tick: int, mode: int = 0, fault_state: int = 0) -> bytearray:
+    def encode(
+        self, value: float, tick: int, mode: int = 0, fault_state: int = 0, verdict: int = 0
+    ) -> bytearray:
         """The bytes of a frame, with counter and checksum still zero.
 
-        ``value`` [unit] saturates, ``tick`` is taken modulo 65536; ``mode`` and ``fault_state``
-        saturate at 0 and 3 in the status frame, and are ignored for any other.
+        ``value`` [unit] saturates, ``tick`` is taken modulo 65536; ``mode``, ``fault_state`` and
+        ``verdict`` saturate at the ends of their bits in the status frame, and are ignored for any
+        other.
         """
-        return self.layout.pack(self.to_raw(value), tick, mode, fault_state)
+        return self.layout.pack(self.to_raw(value), tick, mode, fault_state, verdict)
 
     def decode(self, data: bytes | bytearray) -> Record:
         """The content of a frame; counter and checksum are ignored.
@@ -116,5 +123,5 @@ class MessageCodec:
         Raises:
             struct.error: ``data`` of a frame of the rig is not 8 bytes long.
         """
-        raw, tick, mode, fault_state = self.layout.unpack(data)
-        return Record(self.from_raw(raw), tick, mode, fault_state)
+        raw, tick, mode, fault_state, verdict = self.layout.unpack(data)
+        return Record(self.from_raw(raw), tick, mode, fault_state, verdict)

@@ -23,10 +23,11 @@ class Transmitter:
         tick: int,
         mode: int = 0,
         fault_state: int = 0,
+        verdict: int = 0,
     ) -> Message:
         """The next frame, ready to send; for the arguments see `MessageCodec.encode`."""
         codec = self.codec
-        data = codec.encode(value, tick, mode, fault_state)
+        data = codec.encode(value, tick, mode, fault_state, verdict)
         if self._protector is not None:
             self._protector.protect(data)
         return Message(

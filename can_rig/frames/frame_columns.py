@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from can_rig.frames.codec import MessageCodec
 from can_rig.frames.crc_columns import UInt8s, crcs
-from can_rig.frames.layout import NOT_AVAILABLE, RigLayout
+from can_rig.frames.layout import RigLayout
 from can_rig.frames.protection import COUNTERS, FRAME_BYTES
 from can_rig.frames.wire_tick import WIRE_TICKS
 from firmware_model.compiled import compiled
@@ -24,6 +24,7 @@ def payloads(
     first_tick: int,
     mode: Ints | None = None,
     fault_state: Ints | None = None,
+    verdict: Ints | None = None,
 ) -> UInt8s:
     """(n, 8), what a `Transmitter` that has sent a frame in every tick from 0 on sends next.
 
@@ -33,6 +34,7 @@ def payloads(
         first_tick: that of the first value.
         mode: (n,), of the status frame.
         fault_state: (n,), likewise.
+        verdict: (n,), likewise; not used where the frame has none.
     """
     layout, data_id = codec.layout, codec.data_id
     assert isinstance(layout, RigLayout) and data_id is not None
@@ -44,7 +46,10 @@ def payloads(
     data = np.zeros((len(values), FRAME_BYTES), dtype=np.uint8)
     data[:, 1] = bits
     data[:, 2:4] = (ticks % WIRE_TICKS).astype("<u2")[:, np.newaxis].view(np.uint8)
-    data[:, 4:8] = raw_values(codec, values).astype("<i4")[:, np.newaxis].view(np.uint8)
+    raw = raw_values(codec, values)
+    if layout.verdict_bits:
+        raw = raw << layout.verdict_bits | (0 if verdict is None else verdict)
+    data[:, 4:8] = raw.astype("<i4")[:, np.newaxis].view(np.uint8)
     data[:, 0] = crcs(data, data_id)
     return data
 
@@ -52,7 +57,7 @@ def payloads(
 def raw_values(codec: MessageCodec, values: FloatArray) -> Ints:
     """(n,) raw values; see `MessageCodec.to_raw`."""
     limits = float(codec.lsb), float(codec.minimum), float(codec.maximum)
-    ends = int(codec.raw_minimum), int(codec.raw_maximum), NOT_AVAILABLE
+    ends = int(codec.raw_minimum), int(codec.raw_maximum), int(codec.not_available)
     return _raw(np.ascontiguousarray(values), limits, ends)
 
 

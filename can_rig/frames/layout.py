@@ -5,7 +5,7 @@
 | 0     | `Checksum`, CRC-8 of AUTOSAR E2E profile 1                                           |
 | 1     | low nibble `AliveCounter`; high nibble `Mode` and `FaultState` in the status frame   |
 | 2, 3  | `Tick`, unsigned                                                                     |
-| 4..7  | the value, signed, scaled                                                            |
+| 4..7  | the value, signed, scaled; in the status frame 28 bits, above 4 bits of `Verdict`    |
 
 Intel byte order, classic frames with 11-bit identifiers. The check runs once, when the DBC is
 loaded, so that the loop can pack and unpack a whole frame with one `Struct`.
@@ -19,15 +19,13 @@ from cantools.database.can import Message, Signal
 from can_rig.errors import DbcError
 from can_rig.frames.protection import FRAME_BYTES
 from can_rig.frames.wire_tick import tick_on
+from firmware_model.target.status import Verdict
 
 FRAME: Final = Struct("<BBHi")
 """Checksum; counter and status bits; tick; raw value."""
 
-Unpacked = tuple[float, int, int, int]
-"""What a frame says: steps of the value's factor, tick, mode, fault state."""
-
-NOT_AVAILABLE: Final = -(2**31)
-"""Raw value of a signal without a value: the one integer without a positive counterpart."""
+Unpacked = tuple[float, int, int, int, int]
+"""What a frame says: steps of the value's factor, tick, mode, fault state, verdict."""
 
 ROLES: Final = ("reference", "feedback", "command_1", "command_2", "status")
 """The roles of the frames of every tick, in their order on the bus."""
@@ -38,7 +36,9 @@ SPEED: Final = "speed"
 _HEADER: Final = {"Checksum": (0, 8), "AliveCounter": (8, 4), "Tick": (16, 16)}  # start, length
 _STATUS: Final = ("Mode", "FaultState")
 _STATUS_STARTS: Final = (12, 14)  # two bits each, in either order
+_VERDICT: Final = (32, 4)
 _VALUE: Final = (32, 32)
+_VALUE_OVER_VERDICT: Final = (36, 28)
 _GRID_TOLERANCE: Final = 1e-3  # of an LSB; float64 resolves 5e-7 LSB at the end of 32 bits
 
 
@@ -53,7 +53,7 @@ class Layout(Protocol):
     def has_tick(self) -> bool:
         """Whether it says the tick that it belongs to."""
 
-    def pack(self, k: float, tick: int, mode: int, fault_state: int) -> bytearray:
+    def pack(self, k: float, tick: int, mode: int, fault_state: int, verdict: int) -> bytearray:
         """The bytes of a frame, its protection still zero; the tick is taken modulo 65536."""
 
     def unpack(self, data: bytes | bytearray) -> Unpacked:
@@ -68,29 +68,33 @@ class RigLayout:
 
     Args:
         shifts: of mode and fault state in byte 1; None for a frame without them.
+        says_verdict: whether the low four bits of the value are not its own.
     """
 
     length: Final = FRAME_BYTES
     has_tick: Final = True
 
-    def __init__(self, shifts: tuple[int, int] | None = None) -> None:
+    def __init__(self, shifts: tuple[int, int] | None = None, says_verdict: bool = False) -> None:
         self.shifts: Final = shifts or (0, 0)
+        self.verdict_bits: Final = _VERDICT[1] if says_verdict else 0
+        self._most = (1 << self.verdict_bits) - 1
         self._has_status: Final = shifts is not None
 
-    def pack(self, k: float, tick: int, mode: int, fault_state: int) -> bytearray:
+    def pack(self, k: float, tick: int, mode: int, fault_state: int, verdict: int) -> bytearray:
         """See ``Layout``."""
-        bits = 0
+        bits, value = 0, int(k) << self.verdict_bits | min(max(verdict, 0), self._most)
         if self._has_status:
             bits = min(max(mode, 0), 3) << self.shifts[0]
             bits |= min(max(fault_state, 0), 3) << self.shifts[1]
-        return bytearray(FRAME.pack(0, bits, tick & 0xFFFF, k))
+        return bytearray(FRAME.pack(0, bits, tick & 0xFFFF, value))
 
     def unpack(self, data: bytes | bytearray) -> Unpacked:
         """See ``Layout``."""
         _, bits, tick, raw = FRAME.unpack(data)
         if not self._has_status:
-            return raw, tick, 0, 0
-        return raw, tick, bits >> self.shifts[0] & 3, bits >> self.shifts[1] & 3
+            return raw, tick, 0, 0, 0
+        mode, fault_state = bits >> self.shifts[0] & 3, bits >> self.shifts[1] & 3
+        return raw >> self.verdict_bits, tick, mode, fault_state, raw & self._most
 
     def tick(self, data: bytes | bytearray) -> int | None:
         """See ``Layout``."""
@@ -99,7 +103,17 @@ class RigLayout:
 
 def value_signal(message: Message) -> Signal:
     """The scaled signal of a message that `require_layout` has accepted."""
-    return next(signal for signal in message.signals if signal.start == _VALUE[0])
+    return next(s for s in message.signals if (s.start, s.length) in (_VALUE, _VALUE_OVER_VERDICT))
+
+
+def says_verdict(message: Message) -> bool:
+    """Whether it is a status message with a verdict."""
+    return any(signal.name == "Verdict" for signal in message.signals)
+
+
+def not_available(length: int) -> int:
+    """Raw value of a signal of so many bits without a value: it has no positive counterpart."""
+    return -(1 << (length - 1))
 
 
 def require_layout(message: Message, role: str, where: str) -> None:
@@ -123,12 +137,16 @@ def require_layout(message: Message, role: str, where: str) -> None:
         _require_plain(signals.pop(name, None), name, place, where)
     if role == "status":
         _require_status(signals, where)
+    place = _VALUE
+    if role == "status" and says_verdict(message):
+        _require_verdict(signals.pop("Verdict"), where)
+        place = _VALUE_OVER_VERDICT
     if len(signals) != 1:
         raise DbcError(
             f"{where}: signals {sorted(signals)} in addition to the header; "
-            f"there must be exactly one, the value, at bit {_VALUE[0]}"
+            f"there must be exactly one, the value, at bit {place[0]}"
         )
-    _require_value(signals.popitem()[1], where)
+    _require_value(signals.popitem()[1], place, where)
 
 
 def _require_plain(signal: Signal | None, name: str, place: tuple[int, int], where: str) -> None:
@@ -159,10 +177,17 @@ def _require_status(signals: dict[str, Signal], where: str) -> None:
         raise DbcError(f"{where}: Mode and FaultState overlap; they must be at bits 12 and 14")
 
 
-def _require_value(signal: Signal, where: str) -> None:
+def _require_verdict(signal: Signal, where: str) -> None:
+    """Refuse a verdict that has another place, or does not name every verdict."""
+    _require_plain(signal, "Verdict", _VERDICT, where)
+    if set(signal.choices or ()) != {int(verdict) for verdict in Verdict}:
+        raise DbcError(f"{where}: signal Verdict must have a value table of 0 to {max(Verdict)}")
+
+
+def _require_value(signal: Signal, place: tuple[int, int], where: str) -> None:
     """Check the place of the scaled signal, its offset, and that its range is on the raw grid."""
     if (
-        (signal.start, signal.length) != _VALUE
+        (signal.start, signal.length) != place
         or not signal.is_signed
         or signal.is_float
         or signal.byte_order != "little_endian"
@@ -171,16 +196,16 @@ def _require_value(signal: Signal, where: str) -> None:
     ):
         raise DbcError(
             f"{where}: signal {signal.name} is {_describe(signal)}; it must be signed Intel, "
-            f"{_VALUE[1]} bits at bit {_VALUE[0]}, factor above 0, offset 0"
+            f"{place[1]} bits at bit {place[0]}, factor above 0, offset 0"
         )
-    low, high = signal.minimum, signal.maximum
+    low, high, most = signal.minimum, signal.maximum, -not_available(place[1]) - 1
     if low is None or high is None or not low < 0 < high:
         raise DbcError(f"{where}: signal {signal.name} has range {low}..{high}; it must include 0")
     for end in (low / signal.scale, high / signal.scale):
-        if abs(end - round(end)) > _GRID_TOLERANCE or abs(round(end)) >= -NOT_AVAILABLE:
+        if abs(end - round(end)) > _GRID_TOLERANCE or abs(round(end)) > most:
             raise DbcError(
                 f"{where}: signal {signal.name} has range {low}..{high}; its ends must be "
-                f"multiples of {signal.scale}, at most {-NOT_AVAILABLE - 1} of them from 0"
+                f"multiples of {signal.scale}, at most {most} of them from 0"
             )
 
 

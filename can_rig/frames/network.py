@@ -16,7 +16,15 @@ from cantools.database.can import Signal
 from can_rig.errors import DbcError
 from can_rig.frames.codec import MessageCodec
 from can_rig.frames.dbc import attribute, load_dbc
-from can_rig.frames.layout import ROLES, SPEED, RigLayout, require_layout, value_signal
+from can_rig.frames.layout import (
+    ROLES,
+    SPEED,
+    RigLayout,
+    not_available,
+    require_layout,
+    says_verdict,
+    value_signal,
+)
 from can_rig.frames.protection import FRAME_BYTES, Protector
 
 EXTENDED_FLAG = 1 << 31
@@ -136,9 +144,12 @@ def _codec(message: DbcMessage, role: str, path: str | Path) -> MessageCodec:
         maximum=raw_maximum * lsb,
         modes=words_of(mode),
         fault_states=words_of(fault_state),
+        verdicts=words_of(signals.get("Verdict")),
         layout=RigLayout(
-            (mode.start - 8, fault_state.start - 8) if mode and fault_state else None
+            (mode.start - 8, fault_state.start - 8) if mode and fault_state else None,
+            says_verdict(message),
         ),  # within byte 1
+        not_available=not_available(value.length),
     )
 
 

@@ -49,9 +49,11 @@ class ControllerEnd:
         for frame in chain(*frames):
             self._send(frame)
 
-    def send_status(self, tick: int, estimate: float, mode: int, fault_state: int) -> None:
+    def send_status(
+        self, tick: int, estimate: float, mode: int, fault_state: int, verdict: int
+    ) -> None:
         """The status, which closes ``tick``."""
-        self._send(self._status.frame(estimate, tick, mode, fault_state))
+        self._send(self._status.frame(estimate, tick, mode, fault_state, verdict))
 
     def is_speed(self, message: can.Message) -> bool:
         """Whether it is the frame of the speed, if there is such a frame."""

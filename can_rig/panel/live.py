@@ -13,18 +13,21 @@ import can
 import numpy as np
 
 from can_rig.assessment.bus_timing.frame_length import FrameError, worst_case_bits
+from can_rig.drawing.names import names_of
 from can_rig.errors import one_line
 from can_rig.frames.beside import control
 from can_rig.frames.endpoints import Receiver
 from can_rig.frames.network import Network
 from can_rig.panel.decimation import BUCKET_S, Decimator
+from can_rig.results.isolation.words import in_words
 from can_rig.results.signals import SignalRows
 from can_rig.scenario.settings import Scenario
+from firmware_model.target.status import Verdict
 from firmware_model.target.structs import FloatArray
 
 COLUMNS: Final = (
     "time", "reference", "output", "command_1", "command_2", "estimate", "mode", "fault_state",
-    "applied_1", "applied_2",
+    "verdict", "applied_1", "applied_2",
 )  # fmt: skip
 """Of a row, in the order in which the page gets them."""
 
@@ -37,8 +40,9 @@ ENDS: Final = {
 }
 """By which frames a node is heard."""
 
-OUTPUT, COMMAND_1, COMMAND_2, MODE, FAULT_STATE = (
-    COLUMNS.index(name) for name in ("output", "command_1", "command_2", "mode", "fault_state")
+OUTPUT, COMMAND_1, COMMAND_2, MODE, FAULT_STATE, VERDICT = (
+    COLUMNS.index(name)
+    for name in ("output", "command_1", "command_2", "mode", "fault_state", "verdict")
 )
 
 
@@ -49,6 +53,8 @@ class Lamps:
     time_s: float = 0.0
     mode: str = ""
     fault_state: str = ""
+    verdict: str = ""
+    """Whose fault it is, in words."""
     silent: list[str] = field(default_factory=list)
     """Nodes that have spoken, and do no more."""
     unanswered_ticks: int = 0
@@ -112,6 +118,8 @@ class LiveSignals:
     def __init__(self, scenario: Scenario, network: Network) -> None:
         self._scenario = scenario
         self._status = network.status
+        names, says = names_of(scenario.plant), bool(network.status.verdicts)
+        self._verdicts = {int(v): in_words(v, names) for v in Verdict if says}
         self._rows = SignalRows(network, scenario.tick_s, max(1, scenario.latency_ticks))
         bucket = max(1, round(BUCKET_S / scenario.tick_s))
         self._decimator = Decimator(bucket, len(COLUMNS))
@@ -214,6 +222,7 @@ class LiveSignals:
         for name, column, words in (
             ("mode", MODE, self._status.modes),
             ("fault_state", FAULT_STATE, self._status.fault_states),
+            ("verdict", VERDICT, self._verdicts),
         ):
             said = rows[np.isfinite(rows[:, column]), column]
             if len(said):

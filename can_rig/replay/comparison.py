@@ -54,7 +54,7 @@ class SignalComparison:
         return values
 
 
-VALUE, MODE, FAULT_STATE = 0, 2, 3
+VALUE, MODE, FAULT_STATE, VERDICT = 0, 2, 3, 4
 """Where a frame that is unpacked says what."""
 
 
@@ -170,4 +170,6 @@ def _signals(codec: MessageCodec) -> list[_Signal]:
     if codec.modes:
         found.append(signal("Mode", "", at=MODE, words=codec.modes))
         found.append(signal("FaultState", "", at=FAULT_STATE, words=codec.fault_states))
+    if codec.verdicts:
+        found.append(signal("Verdict", "", at=VERDICT, words=codec.verdicts))
     return found

@@ -25,7 +25,8 @@ from can_rig.plant.faults.delivery import Delivery
 from firmware_model.analysis.trace import Trace
 from firmware_model.target.structs import FloatArray
 
-ROLE_COLUMNS: Final = 5  # one of each frame; mode and fault state follow
+ROLE_COLUMNS: Final = 5  # one of each frame; the codes of the status frame follow
+CODES: Final = 3  # mode, fault state, verdict
 OWN: Final = 2  # the first frames of a tick: the plant node's, which say what tick it is
 STATUS: Final = 4
 MOST_GAPS: Final = 14  # lost frames after which every alive counter is tolerated
@@ -35,7 +36,7 @@ MOST_GAPS: Final = 14  # lost frames after which every alive counter is tolerate
 class Signals:
     """One value a tick, each of shape (ticks,); nan where no valid frame said anything.
 
-    ``mode`` and ``fault_state`` are the codes of the status frame's value tables.
+    ``mode``, ``fault_state`` and ``verdict`` are the codes of the status frame's value tables.
     """
 
     time_s: FloatArray
@@ -46,6 +47,8 @@ class Signals:
     fault_estimate_mps2: FloatArray
     mode: FloatArray
     fault_state: FloatArray
+    verdict: FloatArray | None = None
+    """None: the status frame has none."""
     plant: PlantSignals = field(default_factory=dict)
     """What the plant reported besides, by name; nothing where there is only a log."""
     whose_fault: PlantSignals = field(default_factory=dict)
@@ -134,6 +137,7 @@ def signals_of_trace(trace: Trace, delivery: Delivery, ticks: int, network: Netw
         fault_estimate_mps2=quantised(network.status, trace.fault_estimate[done]),
         mode=trace.mode[done].astype(np.float64),
         fault_state=trace.fault_state[done].astype(np.float64),
+        verdict=trace.verdict[done].astype(np.float64) if network.status.verdicts else None,
     )
 
 
@@ -155,9 +159,10 @@ def signals_of(
     for message in messages:
         table.take(message)
     values: NDArray[np.float64] = np.array(table.rows, dtype=np.float64)
-    columns = values.reshape(len(table.rows), ROLE_COLUMNS + 2).T
+    columns = values.reshape(len(table.rows), ROLE_COLUMNS + CODES).T
     ticks = table.first_tick + np.arange(len(table.rows), dtype=np.float64)
-    return Signals(ticks * tick_s, *columns)
+    verdict = columns[-1] if network.status.verdicts else None
+    return replace(Signals(ticks * tick_s, *columns[:-1]), verdict=verdict)
 
 
 def data_frames(log: Path) -> Iterator[Message]:
@@ -171,7 +176,7 @@ def data_frames(log: Path) -> Iterator[Message]:
 
 
 class SignalRows:
-    """Frames into rows, one a tick: a value of each frame in their order, mode and fault state.
+    """Frames into rows, one a tick: a value of each frame in their order, and codes.
 
     Arguments are those of ``read_signals``.
     """
@@ -224,7 +229,7 @@ class SignalRows:
             return
         self.rows[row][at] = record.value
         if at == STATUS and receiver.codec.modes:
-            self.rows[row][-2:] = [record.mode, record.fault_state]
+            self.rows[row][-CODES:] = [record.mode, record.fault_state, record.verdict]
 
     def _age(self, at: int, message: Message) -> int:
         """How many ticks ago a command's tick was, if it is in time; 0 otherwise."""
@@ -265,7 +270,7 @@ class SignalRows:
             self._tick = self.first_tick = tick_at(wire_tick, timestamp_s, self._tick_s)
             ahead = 1
         for _ in range(ahead):
-            self.rows.append([math.nan] * (ROLE_COLUMNS + 2))
+            self.rows.append([math.nan] * (ROLE_COLUMNS + CODES))
 
     def _end_ticks(self, at: int, ticks: int) -> None:
         """Tell a receiver that this tick is over, and so many more without its frame."""

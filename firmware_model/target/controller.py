@@ -282,7 +282,7 @@ def step_many(tables: RecordArray, states: RecordArray, references: Any, measure
 @firmware
 def step_first(
     tables: RecordArray, states: RecordArray, reference: float, measurement: float
-) -> tuple[float, float, float, int, int]:
+) -> tuple[float, float, float, int, int, int]:
     """``step`` for the first of the controllers, and what it answers.
 
     Arrays of one record are the fastest way from interpreted code to compiled code and back.
@@ -295,4 +295,5 @@ def step_first(
         state.fault_estimate,
         state.mode,
         state.fault_state,
+        state.hypotheses.verdict,
     )

@@ -72,10 +72,20 @@ class CompiledLaw:
         estimate, mode, fault_state = (
             states[name] for name in ("fault_estimate", "mode", "fault_state")
         )
+        verdict = states["hypotheses"]["verdict"]
 
-        def stepped(reference: float, measurement: float) -> tuple[float, float, float, int, int]:
+        def stepped(
+            reference: float, measurement: float
+        ) -> tuple[float, float, float, int, int, int]:
             step(*memory, reference, measurement)
-            return one.item(), other.item(), estimate.item(), mode.item(), fault_state.item()
+            return (
+                one.item(),
+                other.item(),
+                estimate.item(),
+                mode.item(),
+                fault_state.item(),
+                verdict.item(),
+            )
 
         return stepped
 

@@ -93,12 +93,13 @@ bool ecu_is_overdue(const struct ecu *ecu, uint32_t now_us)
 }
 
 static void answer(const struct frame *frame, struct e2e_protector *protector, double value,
-                   uint16_t tick, uint8_t status_bits)
+                   uint16_t tick, uint8_t status_bits, uint8_t verdict)
 {
     uint8_t data[8] = {0};
 
     data[1] = status_bits;
     frame_pack(frame, value, tick, data);
+    data[4] = (uint8_t)(data[4] | verdict);
     e2e_protect(protector, data);
     ecu_send(frame->id, data);
 }
@@ -120,9 +121,10 @@ void ecu_on_tick(struct ecu *ecu)
     const uint8_t bits = (uint8_t)((uint32_t)now.mode << frame_status.mode_shift |
                                    (uint32_t)now.fault_state << frame_status.fault_state_shift);
 
-    answer(&frame_command_1, &ecu->command_1, (double)now.command_1, ecu->tick, 0);
-    answer(&frame_command_2, &ecu->command_2, (double)now.command_2, ecu->tick, 0);
-    answer(&frame_status, &ecu->status, (double)now.fault_estimate, ecu->tick, bits);
+    answer(&frame_command_1, &ecu->command_1, (double)now.command_1, ecu->tick, 0, 0);
+    answer(&frame_command_2, &ecu->command_2, (double)now.command_2, ecu->tick, 0, 0);
+    answer(&frame_status, &ecu->status, (double)now.fault_estimate, ecu->tick, bits,
+           (uint8_t)now.verdict);
     end_tick(&ecu->reference);
     end_tick(&ecu->feedback);{speed_end}
     ecu->measured = (double)NAN;

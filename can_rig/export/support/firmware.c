@@ -25,5 +25,6 @@ struct firmware_answer firmware_step(struct layout_state *state, real reference,
         .fault_estimate = state->fault_estimate,
         .mode = state->mode,
         .fault_state = state->fault_state,
+        .verdict = state->hypotheses.verdict,
     };
 }

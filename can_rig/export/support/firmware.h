@@ -19,6 +19,7 @@ struct firmware_answer {
     real fault_estimate;  /* {estimate} */
     int32_t mode;         /* an enum status_mode */
     int32_t fault_state;  /* an enum status_fault_state */
+    int32_t verdict;      /* an enum status_verdict */
 };
 
 /* Put a state at rest, as after power-up: every memory zero, mode MODE_INIT. */

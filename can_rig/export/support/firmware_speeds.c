@@ -35,5 +35,6 @@ struct firmware_answer firmware_step(struct firmware_memory *memory, real refere
         .fault_estimate = state->fault_estimate,
         .mode = state->mode,
         .fault_state = state->fault_state,
+        .verdict = state->hypotheses.verdict,
     };
 }

@@ -1,7 +1,8 @@
 /* The frames of a tick: the conversion between a value and the 8 bytes of its frame.
  *
  * Bytes 0 and 1 are those of e2e.h, with mode and fault state in the high nibble of byte 1 of the
- * status; then 16 bits of the tick and 32 bits of the value, both with the low byte first.
+ * status; then 16 bits of the tick and 32 bits of the value, both with the low byte first. The
+ * low four bits of the status's value are the verdict.
  * A value out of range saturates; not-a-number is sent as the one raw value outside every range.
  */
 #ifndef FRAMES_H
@@ -10,8 +11,6 @@
 #include <stdint.h>
 
 #include "real.h"
-
-#define FRAMES_NOT_AVAILABLE INT32_MIN
 
 /* What the DBC says of a frame. */
 struct frame {
@@ -22,6 +21,7 @@ struct frame {
     int32_t raw_maximum;
     uint8_t mode_shift; /* where mode and fault state are in byte 1; 0: not in this frame */
     uint8_t fault_state_shift;
+    uint8_t verdict_bits; /* below the value; 0: not in this frame */
 };
 
 extern const struct frame frame_reference;

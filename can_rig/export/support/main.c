@@ -17,8 +17,9 @@ int main(void)
     while (scanf("%lf %lf", &reference, &measurement) == 2) {
         const struct firmware_answer answer =
             firmware_step(&state, (real)reference, (real)measurement);
-        printf("%.17g %.17g %.17g %d %d\n", (double)answer.command_1, (double)answer.command_2,
-               (double)answer.fault_estimate, (int)answer.mode, (int)answer.fault_state);
+        printf("%.17g %.17g %.17g %d %d %d\n", (double)answer.command_1, (double)answer.command_2,
+               (double)answer.fault_estimate, (int)answer.mode, (int)answer.fault_state,
+               (int)answer.verdict);
     }
     return 0;
 }

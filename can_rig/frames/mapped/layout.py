@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
@@ -17,12 +17,14 @@ from cantools.database.can import Message, Signal
 
 from can_rig.errors import DbcError
 from can_rig.frames.layout import Unpacked
+from firmware_model.target.status import Verdict
 
 FD_LENGTHS: Final[tuple[int, ...]] = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 """Data lengths that a CAN FD frame can have [bytes], by DLC."""
 FLOATS: Final = {16: "<e", 32: "<f", 64: "<d"}
 ON_GRID: Final = 1e-6  # of a step
-CODES: Final = 3  # the largest Mode and FaultState
+CODES: Final = {"mode": 3, "fault_state": 3, "verdict": max(Verdict)}
+"""The largest of each."""
 TICK_BITS: Final = 16
 
 
@@ -34,6 +36,15 @@ class Places:
     tick: Signal | None = None
     mode: Signal | None = None
     fault_state: Signal | None = None
+    verdict: Signal | None = None
+
+    @property
+    def codes(self) -> Iterator[tuple[str, Signal]]:
+        """The signals that say a code, by its name."""
+        for name in CODES:
+            signal: Signal | None = getattr(self, name)
+            if signal is not None:
+                yield name, signal
 
 
 @dataclass(frozen=True)
@@ -70,7 +81,7 @@ class AnyLayout:
         self._message, self._places = message, places
         self.has_tick: Final = places.tick is not None
         self.length: Final = _frame_length(message, where)
-        for signal in (places.value, places.tick, places.mode, places.fault_state):
+        for signal in (places.value, places.tick, *(each for _, each in places.codes)):
             if signal is not None and signal.multiplexer_ids:
                 raise DbcError(f"{where.of(signal)} is multiplexed: must be in every frame")
         self._from_zero = 0 if is_float(places.value) else _steps_to_zero(places.value, where)
@@ -79,13 +90,15 @@ class AnyLayout:
         if places.tick is not None:
             _require_counter(places.tick, where)
             self._tick_mask = (1 << places.tick.length) - 1
-        for code in (places.mode, places.fault_state):
-            if code is not None and not _holds(code, CODES):
+        for name, code in places.codes:
+            if not _holds(code, CODES[name]):
+                bits = CODES[name].bit_length()
                 raise DbcError(
-                    f"{where.of(code)}: must be an integer of at least 2 bits, factor 1, offset 0"
+                    f"{where.of(code)}: must be an integer of at least {bits} bits, factor 1, "
+                    "offset 0"
                 )
 
-    def pack(self, k: float, tick: int, mode: int, fault_state: int) -> bytearray:
+    def pack(self, k: float, tick: int, mode: int, fault_state: int, verdict: int) -> bytearray:
         """The bytes of a frame, with those of the signals that mean nothing to the rig."""
         places, raw = self._places, self._rest
         if is_float(places.value):
@@ -94,9 +107,9 @@ class AnyLayout:
             raw[places.value.name] = self._sign * int(k) - self._from_zero
         if places.tick is not None:
             raw[places.tick.name] = tick & 0xFFFF & self._tick_mask
-        for signal, code in ((places.mode, mode), (places.fault_state, fault_state)):
-            if signal is not None:
-                raw[signal.name] = min(max(code, 0), CODES)
+        said = {"mode": mode, "fault_state": fault_state, "verdict": verdict}
+        for name, signal in places.codes:
+            raw[signal.name] = min(max(said[name], 0), CODES[name])
         data = bytearray(self._message.encode(raw, scaling=False, strict=False))
         data.extend(bytes(self.length - len(data)))
         return data
@@ -111,6 +124,7 @@ class AnyLayout:
             0 if places.tick is None else int(raw[places.tick.name]) & 0xFFFF,
             0 if places.mode is None else raw[places.mode.name],
             0 if places.fault_state is None else raw[places.fault_state.name],
+            0 if places.verdict is None else raw[places.verdict.name],
         )
 
     def tick(self, data: bytes | bytearray) -> int | None:

@@ -19,12 +19,14 @@ from can_rig.frames.layout import ROLES
 from can_rig.frames.mapped.database import load_for
 from can_rig.frames.mapped.layout import AnyLayout, Places, Where, scale_of
 from can_rig.frames.network import Network, require_distinct_data_ids, words_of
+from firmware_model.target.status import Verdict
 
 STATUS = "fault_estimate"  # the key of the status message's value
-CODES = {"mode": "Mode", "fault_state": "FaultState"}
+CODES = ("mode", "fault_state", "verdict")
 WORDS = {
     "mode": {0: "INIT", 1: "RUN", 2: "HOLD", 3: "OFF"},
     "fault_state": {0: "CLEAR", 1: "SUSPECTED", 2: "CONFIRMED", 3: "CANNOT_TELL"},
+    "verdict": {int(verdict): verdict.name for verdict in Verdict},
 }
 
 
@@ -34,7 +36,7 @@ class Roles:
 
     Attributes:
         signals: ``Message.Signal`` of reference, feedback, command_1, command_2, fault_estimate
-            and, where there are such, mode and fault_state.
+            and, where there are such, mode, fault_state and verdict.
         tick: the signal of that name counts the ticks in each message; "": none does. Or its name
             by role.
         data_ids: E2E data identifier of each protected message, by role.
@@ -104,6 +106,7 @@ def map_network(path: str | Path, mapping: Roles) -> Network:
                 maximum=scale.raw_maximum * (scale.lsb or 1.0),
                 modes=words.get("mode", {}),
                 fault_states=words.get("fault_state", {}),
+                verdicts=words.get("verdict", {}),
                 layout=layout,
                 extended=message.is_extended_frame,
                 fd=message.is_fd,

@@ -137,7 +137,9 @@ class ControllerNode(AnsweringNode):
         if self._actuation is not None:
             self._actuation.send(tick, (answer.command_1, answer.command_2))
         self._end.send_commands(tick, answer.command_1, answer.command_2)
-        self._end.send_status(tick, answer.fault_estimate, answer.mode, answer.fault_state)
+        self._end.send_status(
+            tick, answer.fault_estimate, answer.mode, answer.fault_state, answer.verdict
+        )
         self._end.end_tick()
         self._tick = self._expected = tick + 1
 

@@ -134,6 +134,7 @@ class RunWithoutBus:
                 begin,
                 trace.mode[some],
                 trace.fault_state[some],
+                trace.verdict[some],
             )
         )
         if network.speed is not None and self._speed is not None:

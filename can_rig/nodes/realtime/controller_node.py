@@ -35,7 +35,7 @@ from can_rig.nodes.watchdog import Interrupted, Watchdog
 from can_rig.plant.actuators import Actuator
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, Law
-from firmware_model.target.status import FaultState, Mode
+from firmware_model.target.status import FaultState, Mode, Verdict
 
 MOST_OTHERS: Final = 30
 """Frames looked at behind a sample before it is answered: a flood never ends."""
@@ -239,7 +239,7 @@ class RealTimeControllerNode:
         tick, reference = sample.tick, sample.reference
         self._missed = 0
         if self._listens:
-            self._end.send_status(tick, 0.0, Mode.INIT, FaultState.CANNOT_TELL)
+            self._end.send_status(tick, 0.0, Mode.INIT, FaultState.CANNOT_TELL, Verdict.NOTHING)
             self._listen(sample.measurement)
             return
         self._look_back(tick, sample.offered_s)
@@ -251,7 +251,9 @@ class RealTimeControllerNode:
         commands = answer.command_1, answer.command_2
         self._end.send_commands(tick, *commands)
         self._sent[tick % self._latency_ticks] = Sent(commands, self._clock.stamp_s())
-        self._end.send_status(tick, answer.fault_estimate, answer.mode, answer.fault_state)
+        self._end.send_status(
+            tick, answer.fault_estimate, answer.mode, answer.fault_state, answer.verdict
+        )
 
     @property
     def _listens(self) -> bool:

@@ -107,6 +107,8 @@ function showLamps(run) {
   const state = (l.fault_state || "").replace("_", " ").toLowerCase();
   lamp("fault_state", state === "confirmed" ? "loss confirmed" : state === "suspected" ? "loss suspected" : state === "clear" ? "no fault" : state || "channel 1",
     { confirmed: "warn", suspected: "warn", clear: "good" }[state] || "off");
+  const none = !l.verdict || l.verdict.startsWith("no fault");
+  lamp("verdict", none ? l.verdict || "whose fault" : `verdict: ${l.verdict}`, !l.verdict ? "off" : none ? "good" : "warn");
   lamp("silent", l.silent.length && on ? `${l.silent.join(", ")} silent` : "both nodes heard", l.silent.length && on ? "warn" : on ? "good" : "off");
   lamp("unanswered", `${l.unanswered_ticks} ticks without commands`, l.unanswered_ticks ? "warn" : "");
   lamp("load", l.bus_load === null ? "bus load –" : `bus load ${(100 * l.bus_load).toFixed(0)} %`, l.bus_load > 0.9 ? "warn" : "");

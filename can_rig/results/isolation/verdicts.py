@@ -1,7 +1,8 @@
 """Whose fault it is, by the control law itself, from what was on the bus.
 
-The status frame has no room for the evidence of every hypothesis. But the law answers the same
-inputs with the same bits, so it goes through those of the run once more, and says what it thought.
+The status frame has the verdict, and no room for the evidence of every hypothesis. But the law
+answers the same inputs with the same bits, so it goes through those of the run once more, and says
+what it thought.
 """
 
 from __future__ import annotations
@@ -28,7 +29,8 @@ CERTAIN: Final = 1e12  # the most that is said of it; without noise, and at rest
 def with_verdict(scenario: Scenario, network: Network, signals: Signals) -> Signals:
     """``signals`` with the verdict of each tick and the evidence of each hypothesis.
 
-    In a tick without inputs the law waits, and so does the verdict.
+    The verdict is that of the status frame, where it says one. In a tick without inputs the law
+    waits, and so does the verdict.
 
     Raises:
         ScenarioError: a design that cannot be made.
@@ -47,6 +49,8 @@ def with_verdict(scenario: Scenario, network: Network, signals: Signals) -> Sign
         evidence[row] = hypotheses["evidence"][1:]
     said = np.clip(np.nan_to_num(evidence, nan=0.0), -CERTAIN, CERTAIN)
     columns = dict(zip(EVIDENCE, np.round(said, DECIMALS).T + 0.0, strict=True))
+    if signals.verdict is not None:
+        verdicts = np.where(np.isnan(signals.verdict), verdicts, signals.verdict)
     return replace(signals, whose_fault={VERDICT: verdicts, **columns})
 
 

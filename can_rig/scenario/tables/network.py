@@ -12,7 +12,7 @@ from can_rig.scenario.stage_settings import STRICT
 
 DataId = Annotated[int, Field(ge=1, le=0xFFFF)]
 """Of AUTOSAR E2E profile 1."""
-OPTIONAL: Final = ("mode", "fault_state")
+OPTIONAL: Final = ("mode", "fault_state", "verdict")
 
 
 class _Names:
@@ -35,7 +35,7 @@ class _Names:
 
 @dataclass(frozen=True, config=STRICT)
 class SignalNames(_Names):
-    """The signal of each role, as ``Message.Signal``; all but the last two are needed."""
+    """The signal of each role, as ``Message.Signal``; all but the last three are needed."""
 
     reference: str = ""
     feedback: str = ""
@@ -44,6 +44,7 @@ class SignalNames(_Names):
     fault_estimate: str = ""
     mode: str = ""
     fault_state: str = ""
+    verdict: str = ""
 
     def __post_init__(self) -> None:
         for key, name in self._given().items():

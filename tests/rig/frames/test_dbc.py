@@ -67,13 +67,15 @@ def test_layout(name):
         assert message.length == 8
         *header, value = [(signal.name, signal.start, signal.length) for signal in message.signals]
         status = [("Mode", 12, 2), ("FaultState", 14, 2)]
+        status_frame = attribute(message, "RigRole") == "status"
         assert header == [
             ("Checksum", 0, 8),
             ("AliveCounter", 8, 4),
-            *(status if attribute(message, "RigRole") == "status" else []),
+            *(status if status_frame else []),
             ("Tick", 16, 16),
+            *([("Verdict", 32, 4)] if status_frame else []),
         ]
-        assert value[1:] == (32, 32)
+        assert value[1:] == ((36, 28) if status_frame else (32, 32))
 
 
 @both
@@ -81,9 +83,10 @@ def test_ranges_are_symmetric_and_exactly_on_the_grid(name):
     for frame in load_matrix(name).frames:
         value = frame.signals[-1]
         assert isinstance(value.max, Decimal)
-        assert value.max == value.factor * (2**31 - 1)
+        end = 2 ** (value.size - 1)
+        assert value.max == value.factor * (end - 1)
         assert value.min == -value.max
-        assert value.values == {-(2**31): "NOT_AVAILABLE"}
+        assert value.values == {-end: "NOT_AVAILABLE"}
 
 
 @both
@@ -130,7 +133,8 @@ def test_no_identifier_is_used_twice_in_both_networks():
 
 def test_the_lsb_arithmetic_of_the_readme():
     network = load_network(DBC / FILES[0])
-    assert network.feedback.lsb == network.reference.lsb == network.status.lsb == 1e-8
+    assert network.feedback.lsb == network.reference.lsb == 1e-8
+    assert network.status.lsb == 2e-7
     assert network.command_1.lsb == network.command_2.lsb == 1e-3
     assert network.feedback.maximum > 2 * 9.81
     assert network.command_1.maximum > 4 * 5e5

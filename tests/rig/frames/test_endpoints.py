@@ -18,11 +18,11 @@ from tests.rig.frames.codecs import STEER_BY_WIRE, codecs, floats, ticks
 def test_transmitter_and_receiver(codec, sequence):
     transmitter, receiver = Transmitter(codec), Receiver(codec)
     for value, tick in sequence:
-        message = transmitter.frame(value, tick, 1, 2)
+        message = transmitter.frame(value, tick, 1, 2, 8)
         assert (message.arbitration_id, message.is_extended_id) == (codec.frame_id, False)
         assert message.dlc == 8
         assert message.timestamp == 0.0  # the node or the bus says when
-        words = (1, 2) if codec.modes else (0, 0)
+        words = (1, 2, 8) if codec.modes else (0, 0, 0)
         assert receiver.accept(message) == (codec.quantise(value), tick % 65536, *words)
     counts = receiver.checker.counts
     assert counts[CheckStatus.OK] + counts[CheckStatus.INITIAL] == len(sequence)

@@ -8,7 +8,7 @@ import pytest
 from can_rig.errors import DbcError, RigError
 from can_rig.frames.layout import ROLES
 from can_rig.frames.network import load_network
-from firmware_model.target.status import FaultState, Mode
+from firmware_model.target.status import FaultState, Mode, Verdict
 from tests.rig.frames.codecs import STEER_BY_WIRE
 
 
@@ -27,6 +27,38 @@ def test_the_value_tables_are_the_firmware_s():
     status = load_network(STEER_BY_WIRE).status
     assert status.modes == {int(mode): mode.name for mode in Mode}
     assert status.fault_states == {int(state): state.name for state in FaultState}
+    assert status.verdicts == {int(verdict): verdict.name for verdict in Verdict}
+
+
+def test_a_status_frame_without_a_verdict_has_all_bits_for_the_estimate(tmp_path):
+    verdict = ' SG_ Verdict : 32|4@1+ (1,0) [0|9] ""  PLANT\n'
+    text = STEER_BY_WIRE.read_text().replace(verdict, "").replace("36|28@1-", "32|32@1-")
+    lines = (line for line in text.splitlines() if " 288 Verdict" not in line)
+    path = tmp_path / "without.dbc"
+    path.write_text(
+        "\n".join(lines).replace("FaultEstimate -134217728", "FaultEstimate -2147483648")
+    )
+    status = load_network(path).status
+    assert status.verdicts == {}
+    data = status.encode(-1.5, 7, 1, 2, 8)
+    assert status.decode(data) == (-1.5, 7, 1, 2, 0)
+    message = cantools.database.load_file(path).get_message_by_name(status.name)
+    assert message.decode(data)["FaultEstimate"] == -1.5
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("Verdict : 32|4@1+", "Verdict : 32|3@1+", "signal Verdict is unsigned Intel, 3 bits"),
+        ('8 "BOTH_LOST" ', "", "signal Verdict must have a value table of 0 to 9"),
+        ("36|28@1- (2E", "36|27@1- (2E", "it must be signed Intel, 28 bits at bit 36"),
+    ],
+)
+def test_a_verdict_that_is_not_at_its_place_is_refused(tmp_path, old, new, said):
+    path = tmp_path / "other.dbc"
+    path.write_text(STEER_BY_WIRE.read_text().replace(old, new))
+    with pytest.raises(DbcError, match=said):
+        load_network(path)
 
 
 def test_layout_variant_with_swapped_status_words(tmp_path):

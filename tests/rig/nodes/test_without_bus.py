@@ -28,6 +28,7 @@ from can_rig.results.execution import NO_BUS, execute
 from can_rig.scenario.build import network_of
 from can_rig.scenario.catalogue import shipped
 from can_rig.scenario.settings import Scenario
+from firmware_model.target.status import Verdict
 
 DRIVES = Path(__file__).parents[2] / "drives"
 RECORDED: dict[str, dict[str, Any]] = tomllib.loads((DRIVES / "drives.toml").read_text("utf-8"))
@@ -139,15 +140,17 @@ def test_a_stop_leaves_whole_ticks(tmp_path: Path) -> None:
     values=st.lists(st.floats(), min_size=1, max_size=40),
     mode=st.integers(0, 3),
     state=st.integers(0, 3),
+    verdict=st.sampled_from(Verdict),
 )
 def test_payloads_are_those_of_a_transmitter(
-    codec: Any, first: int, values: list[float], mode: int, state: int
+    codec: Any, first: int, values: list[float], mode: int, state: int, verdict: int
 ) -> None:
     sender = Transmitter(codec)
     for tick in range(first % COUNTERS):
         sender.frame(0.0, tick)
-    frames = [bytes(sender.frame(v, first + k, mode, state).data) for k, v in enumerate(values)]
-    bits = (np.full(len(values), mode), np.full(len(values), state)) if codec.modes else ()
+    words = (mode, state, int(verdict))
+    frames = [bytes(sender.frame(v, first + k, *words).data) for k, v in enumerate(values)]
+    bits = [np.full(len(values), word) for word in words] if codec.modes else []
     assert [bytes(row) for row in payloads(codec, np.array(values), first, *bits)] == frames
     expected = [codec.quantise(value) for value in values]
     np.testing.assert_array_equal(quantised(codec, np.array(values)), expected)

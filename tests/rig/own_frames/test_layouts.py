@@ -93,7 +93,7 @@ def test_a_frame_takes_the_next_length_of_can_fd(tmp_path: Path) -> None:
     frame = Transmitter(codec).frame(1.0, 5, mode=1, fault_state=2)
     assert len(frame.data) == 12 and frame.is_extended_id and frame.is_fd
     record = Receiver(codec).accept(frame, 5)
-    assert record is not None and record == (1.0, 5, 1, 2)
+    assert record is not None and record == (1.0, 5, 1, 2, 0)
     frame.is_extended_id = False
     assert Receiver(codec).accept(frame, 5) is None
 
@@ -175,3 +175,25 @@ def test_the_other_signals_of_a_message_have_their_initial_values() -> None:
     codec = map_network(MOTOROLA, Roles(SIGNALS, "Count")).feedback
     said = theirs.decode_message(codec.frame_id, codec.encode(1.5, 4))
     assert said == {"DStarMeas": 1.5, "Valid": 0, "Count": 4}
+
+
+@pytest.mark.parametrize("bits", [0, 3, 4, 8])
+def test_a_status_frame_of_one_s_own_says_the_verdict_where_it_has_room(
+    tmp_path: Path, bits: int
+) -> None:
+    text = database("64|16@1- (0.01,0) [0|0]", 12, fd=True)
+    last = ' SG_ Fault : 14|2@1+ (1,0) [0|3] "" A\n'
+    if bits:
+        text = text.replace(last, f'{last} SG_ Whose : 40|{bits}@1+ (1,0) [0|0] "" A\n')
+    signals = {**FD_SIGNALS, **({"verdict": "M5.Whose"} if bits else {})}
+    path = tmp_path / "own.dbc"
+    path.write_text(text)
+    if bits == 3:
+        with pytest.raises(DbcError, match=r"signals.verdict\): must be an integer of at least 4"):
+            map_network(path, Roles(signals, "Count"))
+        return
+    codec = map_network(path, Roles(signals, "Count")).status
+    assert bool(codec.verdicts) == bool(bits)
+    record = codec.decode(codec.encode(1.0, 5, 1, 2, 8))
+    assert record == (1.0, 5, 1, 2, 8 if bits else 0)
+    assert codec.decode(codec.encode(1.0, 5, 1, 2, 99)).verdict == (9 if bits else 0)

@@ -52,6 +52,8 @@ def test_a_motor_that_is_killed_by_a_click_dies_again_in_the_saved_scenario(page
     expect(page.locator("#fault_state")).to_have_text("loss confirmed", timeout=PATIENCE_MS)
     expect(page.locator("#events")).to_contain_text("actuator-dead torque 0")
     expect(page.locator("#fault_state")).to_have_class(re.compile("warn"))
+    expect(page.locator("#verdict")).to_have_text(re.compile("lost"), timeout=PATIENCE_MS)
+    expect(page.locator("#verdict")).to_have_class(re.compile("warn"))
     ink = (
         page.locator("#charts canvas")
         .nth(3)

@@ -173,7 +173,7 @@ def test_a_batch_is_counts_and_columns():
     data = batch(rows)
     assert np.frombuffer(data, "<u4", 2).tolist() == [2, 3]
     assert np.frombuffer(data, "<f8", offset=8).reshape(3, 2).T.tolist() == rows.tolist()
-    assert len(COLUMNS) == 10
+    assert len(COLUMNS) == 11
 
 
 def test_a_second_start_shows_from_tick_0(tmp_path, monkeypatch):

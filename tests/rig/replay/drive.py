@@ -51,9 +51,9 @@ def raw(message: Message) -> int:
 
 def answers(
     frames: list[Message], scenario: Scenario, deaf: set[int] = frozenset()
-) -> list[tuple[int, int, int, int, int]]:
+) -> list[tuple[int, int, int, int, int, int]]:
     """What a bare ``Firmware`` sends for the frames of a whole log; ``deaf``: ticks it is given
-    nothing. Raw commands and d̂, mode, fault state."""
+    nothing. Raw commands and d̂, mode, fault state, verdict."""
     firmware = Firmware(controller_table(scenario, NETWORK))
     firmware.reset(0.0)
     sent = []
@@ -61,21 +61,22 @@ def answers(
         r, y = (
             raw(frames[ALL * tick + at]) * codec.lsb for at, codec in enumerate(NETWORK) if at < 2
         )
-        one, two, estimate, mode, fault = firmware.step(
+        one, two, estimate, *codes = firmware.step(
             *((math.nan, math.nan) if tick in deaf else (r, y))
         )
         values = zip((one, two, estimate), list(NETWORK)[2:], strict=True)
-        sent.append((*(codec.to_raw(value) for value, codec in values), mode, fault))
+        sent.append((*(codec.to_raw(value) for value, codec in values), *codes))
     return sent
 
 
-def logged(frames: list[Message]) -> list[tuple[int, int, int, int, int]]:
+def logged(frames: list[Message]) -> list[tuple[int, int, int, int, int, int]]:
     """The same, as a log has it."""
     rows = []
     for tick in range(len(frames) // ALL):
         one, two, status = frames[ALL * tick + 2 : ALL * tick + ALL]
-        bits = status.data[1]
-        rows.append((raw(one), raw(two), raw(status), bits >> 4 & 3, bits >> 6 & 3))
+        bits, value = status.data[1], raw(status)
+        codes = bits >> 4 & 3, bits >> 6 & 3, value & 15
+        rows.append((raw(one), raw(two), value >> 4, *codes))
     return rows
 
 
@@ -117,7 +118,7 @@ def off_by_one_bit(frames: list[Message], tick: int, role: int) -> list[Message]
     sender = Transmitter(codec)
     for _ in range(tick):  # so that its alive counter is right
         sender.frame(0.0, 0)
-    near = sender.frame(record.value + codec.lsb, tick, record.mode, record.fault_state)
+    near = sender.frame(record.value + codec.lsb, tick, *record[2:])
     assert near.data[2:4] == frames[at].data[2:4]
     near.timestamp = frames[at].timestamp
     return [*frames[:at], near, *frames[at + 1 :]]

@@ -32,7 +32,7 @@ from tests.rig.replay.drive import (
     write_log_of,
 )
 
-SIGNALS = ("SteerTorque", "ForceDifference", "FaultEstimate", "Mode", "FaultState")
+SIGNALS = ("SteerTorque", "ForceDifference", "FaultEstimate", "Mode", "FaultState", "Verdict")
 
 
 def test_a_run_folder_replays_bit_for_bit(tmp_path: Path) -> None:

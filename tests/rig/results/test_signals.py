@@ -35,9 +35,10 @@ VALUES = (
     "fault_estimate_mps2",
     "mode",
     "fault_state",
+    "verdict",
 )
 LOST = range(30, 40)
-HEADER = {"Checksum", "AliveCounter", "Tick", "Mode", "FaultState"}
+HEADER = {"Checksum", "AliveCounter", "Tick", "Mode", "FaultState", "Verdict"}
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +74,8 @@ def test_rows_are_cantools_own_decode(tmp_path: Path, lines: list[str]) -> None:
         (value,) = (v for k, v in decoded.items() if k not in HEADER)
         expected[tick, column] = value
         if column == 4:
-            expected[tick, 5:] = decoded["Mode"], decoded["FaultState"]
+            codes = ("Mode", "FaultState", "Verdict")
+            expected[tick, 5:] = [decoded[name] for name in codes]
     np.testing.assert_allclose(table(signals), expected, rtol=1e-15, atol=1e-15)
     assert np.isnan(signals.torque_nm).sum() == len(LOST)
     np.testing.assert_array_equal(signals.time_s, np.arange(60) * TICK_S)

@@ -4,16 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.drawing.names import CAR
+from can_rig.nodes.lockstep.without_bus import run_without_bus
+from can_rig.nodes.watchdog import StopRequest
 from can_rig.plant.columns import EVIDENCE, VERDICT
 from can_rig.results.isolation.verdicts import CERTAIN, with_verdict
 from can_rig.results.isolation.words import in_words, verdict_rows, whose_fault
-from can_rig.results.signals import Signals
+from can_rig.results.signals import Signals, read_signals
 from can_rig.results.without_log import metrics_of, signals_without_log
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
@@ -136,6 +139,21 @@ def test_what_is_said_of_a_run() -> None:
     words = {in_words(verdict, CAR) for verdict in Verdict}
     assert len(words) == len(Verdict)
     assert not any("{" in each for each in words)
+
+
+def test_the_status_frame_says_the_verdict(tmp_path: Path) -> None:
+    """As the law itself says it, and what the frame says counts."""
+    faults = ["fault.kind=sensor-biased", "fault.at_s=0.2", "duration_s=0.3"]
+    scenario = load("default", faults)
+    network, log = network_of(scenario), tmp_path / "bus.log"
+    run_without_bus(scenario, log, StopRequest(), lambda _: None)
+    heard = read_signals(log, network, scenario.tick_s)
+    assert heard.verdict is not None
+    again = with_verdict(scenario, network, replace(heard, verdict=None))
+    assert heard.verdict.tolist() == again.whose_fault[VERDICT].tolist()
+    assert heard.verdict[-1] == Verdict.SENSOR_BIASED
+    heard.verdict[:] = Verdict.FORCE_LOST
+    assert verdicts(with_verdict(scenario, network, heard)) == {Verdict.FORCE_LOST}
 
 
 def test_evidence_without_noise_is_finite() -> None:
