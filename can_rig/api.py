@@ -136,6 +136,8 @@ def tune(
     chosen = scenario(name, changes)
     if not isinstance(box, int | float):
         raise ScenarioError(f"box = {box!r}: must be a share, as in 0.2 for ±20 %")
+    if not isinstance(spare_ticks, int):
+        raise ScenarioError(f"spare_ticks = {spare_ticks!r}: must be a whole number of ticks")
     for key, pair in (ranges or {}).items():
         if not (isinstance(pair, tuple | list) and len(pair) == 2):
             raise ScenarioError(f"ranges: {key} = {pair!r}: must be a pair, lowest and highest")

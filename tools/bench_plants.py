@@ -88,4 +88,4 @@ def _difference(scenario: Scenario) -> str:
     run = simulate(controller_table(scenario, None), plant, drive, effectiveness=left)
     own = (run.measurement, run.command_1, run.command_2, run.fault_estimate)
     pairs = zip(own, step_response(scenario), strict=True)
-    return f"{max(np.abs(a - b).max() / np.abs(b).max() for a, b in pairs):.1e}"
+    return f"{max(np.abs(a - b).max() / (np.abs(b).max() or 1.0) for a, b in pairs):.1e}"

@@ -231,6 +231,11 @@ BAD: dict[str, tuple[Any, type[errors.RigError], str]] = {
         errors.ScenarioError,
         "box = '20 %': must be a share",
     ),
+    "ticks in words": (
+        lambda: can_rig.tune("default", spare_ticks="a"),  # type: ignore[arg-type]
+        errors.ScenarioError,
+        "spare_ticks = 'a': must be a whole number of ticks",
+    ),
     "two databases": (
         lambda: can_rig.decode("a.log", ["a.dbc", "b.dbc"]),  # type: ignore[arg-type]
         errors.RigError,

@@ -55,7 +55,7 @@ def test_without_noise_a_number_that_is_repeated_tells_nothing() -> None:
         assert math.isfinite(table.hypotheses.frozen.least_motion) == told
 
 
-@pytest.mark.parametrize("on_confirmation", [True, False])
+@pytest.mark.parametrize("on_confirmation", [pytest.param(True, marks=pytest.mark.long), False])
 def test_with_channel_2_lost_the_compensation_fades_without_a_bump(on_confirmation: bool) -> None:
     """F̂ gets what it had at first, and then less and less, whatever d̂ is."""
     table, state = started(on_confirmation)

@@ -21,6 +21,8 @@ from firmware_model.target.status import FaultState, Verdict
 from firmware_model.target.structs import Record, RecordArray
 from tests.firmware.target.cases import CAR, TICK_S, changed, covariance_of, other_cars
 
+pytestmark = pytest.mark.every_case  # a case each of few lines
+
 DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
 TARGET = Target(TICK_S, 1, "zoh", noise_rms=0.01, mismatch=other_cars(2))
 NUMBERS = {

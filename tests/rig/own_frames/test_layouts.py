@@ -66,7 +66,8 @@ def test_cantools_reads_what_is_sent(
             continue
         assert said["Value"] == pytest.approx(record.value, abs=1e-9 * factor, rel=1e-12)
         nearest = min(max(value, codec.minimum), codec.maximum)
-        assert abs(record.value - nearest) <= factor / 2 * (1 + 1e-9)
+        rounding = 2 * math.ulp(nearest)
+        assert abs(record.value - nearest) <= factor / 2 * (1 + 1e-9) + rounding
         assert record.value == codec.quantise(value)
 
 
