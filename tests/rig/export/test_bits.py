@@ -89,5 +89,5 @@ def test_inputs_that_are_missing_are_held() -> None:
     tables = random_table(np.random.default_rng(5), "float64")
     law = CompiledLaw("float64")
     states = law.init(tables[0])
-    *_, mode, _ = law.step_of(tables, states)(math.nan, 0.0)
+    *_, mode, _, _ = law.step_of(tables, states)(math.nan, 0.0)
     assert mode == 2

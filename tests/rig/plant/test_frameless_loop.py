@@ -64,7 +64,7 @@ def one_by_one(scenario: Scenario) -> Mapping[str, Any]:
         measured = network.feedback.quantise(plant.measure())
         wanted = network.reference.quantise(value)
         answer = firmware.step(wanted, measured)
-        rows.append((wanted, measured, *answer[:2], *answer[3:]))
+        rows.append((wanted, measured, *answer[:2], *answer[3:5]))
         sent = network.command_1.quantise(answer[0]), network.command_2.quantise(answer[1])
         plant.advance(
             tick, *(s if there else None for s, there in zip(sent, used[tick], strict=True))
