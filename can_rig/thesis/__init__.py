@@ -1,4 +1,4 @@
-"""The thesis's figures, and its continuous loop by another way."""
+"""Figures of the sampled firmware over the continuous loop, of the thesis and of any plant."""
 
 from can_rig.errors import require
 

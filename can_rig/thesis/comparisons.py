@@ -15,7 +15,7 @@ from can_rig.assessment.resolve import load
 from can_rig.drawing.names import names_of
 from can_rig.errors import ScenarioError
 from can_rig.plant.faults.plant_faults import PlantFaults
-from can_rig.scenario.build import continuous_plant, controller_table, network_of
+from can_rig.scenario.build import continuous_design, continuous_plant, controller_table, network_of
 from can_rig.scenario.plant_settings import BUILT_IN
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
@@ -23,6 +23,8 @@ from can_rig.scenario.tables.fault import CHANNELS
 from can_rig.thesis.continuous import Solution, solve
 from firmware_model.analysis.sampled_plant import SampledPlant, advance_plant, measure_plant, sample
 from firmware_model.analysis.simulation import simulate
+from firmware_model.design.factors.coprime import unstable
+from firmware_model.design.plants import Plant
 from firmware_model.target.structs import FloatArray
 
 START_S = 0.02  # of a closed loop, shown enlarged
@@ -105,6 +107,8 @@ class _Loop:
 def both(scenario: Scenario) -> _Loop:
     """The firmware with the limits and the LSBs of its target, and the continuous loop."""
     car = sample(continuous_plant(scenario.plant), scenario.tick_s)
+    n1, n2 = continuous_design(scenario).factors.numerators
+    factors = sample(Plant.from_transfer_functions("N1, N2", n1, n2), scenario.tick_s)
     trace = simulate(
         controller_table(scenario, network_of(scenario)),
         car,
@@ -124,18 +128,18 @@ def both(scenario: Scenario) -> _Loop:
         trace.command_1,
         trace.command_2,
         trace.fault_estimate,
-        _response(car, acting[0], nothing),
-        _response(car, nothing, acting[1]),
+        _response(factors, acting[0], nothing),
+        _response(factors, nothing, acting[1]),
     )
     return _Loop(scenario, sampled, solve(scenario))
 
 
-def _response(car: SampledPlant, u1: FloatArray, u2: FloatArray) -> FloatArray:
-    """The plant's response to commands held from tick to tick: L⁻¹[G1 u1] + L⁻¹[G2 u2]."""
-    x, after, y = car.rest, car.rest, np.empty(len(u1))
+def _response(plant: SampledPlant, u1: FloatArray, u2: FloatArray) -> FloatArray:
+    """The response to commands that are held from tick to tick."""
+    x, after, y = plant.rest, plant.rest, np.empty(len(u1))
     for k in range(len(y)):
-        y[k] = measure_plant(car.c, x)
-        advance_plant(car.phi, car.gamma, x, after, u1[k], u2[k])
+        y[k] = measure_plant(plant.c, x)
+        advance_plant(plant.phi, plant.gamma, x, after, u1[k], u2[k])
     return y
 
 
@@ -143,20 +147,33 @@ def compare_scenario(name: str, settings: Sequence[str] = ()) -> list[Comparison
     """The same curves of any scenario: d̂ healthy, d̂ lost from the start, the loss of its fault.
 
     Raises:
-        ScenarioError: a plant that is a class, or a reference or a fault without a continuous
-            counterpart; as ``load``.
+        ScenarioError: a plant that is a class, has a dead time or changes its speed, or a reference
+            or a fault without a continuous counterpart; as ``load``.
     """
     scenario = load(name, settings)
-    if scenario.plant.is_own:
-        raise ScenarioError(
-            f"scenario {scenario.name}: plant.kind = {scenario.plant.kind!r}: must be linear for "
-            f"figures, {', '.join(BUILT_IN)}"
-        )
+    _refuse_unlike(scenario)
     return [
         _healthy("healthy", scenario),
         _lost_from_the_start("lost", scenario),
         _compensated("loss", scenario),
     ]
+
+
+def _refuse_unlike(scenario: Scenario) -> None:
+    """Raise unless the plant is A, B, C from begin to end, as the continuous loop has it."""
+    plant, whose = scenario.plant, f"scenario {scenario.name}:"
+    if plant.is_own:
+        raise ScenarioError(
+            f"{whose} plant.kind = {plant.kind!r}: must be linear for figures, "
+            f"{', '.join(BUILT_IN)}"
+        )
+    if scenario.drive.is_given:
+        raise ScenarioError(f"{whose} drive: must not be given for figures, which have one speed")
+    if any(continuous_plant(plant).path_dead_times_s):
+        raise ScenarioError(
+            f"{whose} plant: dead times of actuators and sensor must be 0 for figures, whose "
+            "continuous loop has none"
+        )
 
 
 def _compared(figure: str, caption: str, loop: _Loop, *curves: Curve) -> Comparison:
@@ -177,16 +194,23 @@ def _fig_2_4(settings: Sequence[str]) -> Comparison:
 
 
 def _healthy(figure: str, scenario: Scenario) -> Comparison:
-    loop = both(scenario.healthy)
-    caption = "$\\hat d$ and $G_1 u_1$ while the plant is healthy"
-    return _compared(figure, caption, loop, *_estimate_and_channel(loop))
+    return _estimated(figure, "while the plant is healthy", both(scenario.healthy))
 
 
 def _lost_from_the_start(figure: str, scenario: Scenario) -> Comparison:
     fault = replace(scenario.loss, kind="actuator-dead", channel=CHANNELS[0], at_s=0.0)
     loop = both(replace(scenario, fault=(fault,)))
-    caption = "$\\hat d$ and $G_1 u_1$, channel 1 lost from the start"
-    return _compared(figure, caption, loop, *_estimate_and_channel(loop))
+    return _estimated(figure, "channel 1 lost from the start", loop)
+
+
+def _estimated(figure: str, when: str, loop: _Loop) -> Comparison:
+    """d̂ beside what channel 1 is to give: G1 u1, of a plant that is not stable N1 u1."""
+    factor = "N" if unstable(continuous_plant(loop.scenario.model).g1) else "G"
+    caption = f"$\\hat d$ and ${factor}_1 u_1$, {when}"
+    estimate = loop.curve("d̂", lambda s: s.fault_estimate)
+    return _compared(
+        figure, caption, loop, estimate, loop.curve(f"{factor}1 u1", lambda s: s.model_1)
+    )
 
 
 def _compensated(figure: str, scenario: Scenario) -> Comparison:
@@ -210,11 +234,6 @@ def _fig_3_5(settings: Sequence[str]) -> Comparison:
 
 def _fig_3_6(settings: Sequence[str]) -> Comparison:
     return _error("3.6", "thesis-sine", "$r = \\sin 5t$ m/s²", settings)
-
-
-def _estimate_and_channel(loop: _Loop) -> tuple[Curve, Curve]:
-    estimate = loop.curve("d̂", lambda s: s.fault_estimate)
-    return estimate, loop.curve("G1 u1", lambda s: s.model_1)
 
 
 def _error(figure: str, name: str, signal: str, settings: Sequence[str]) -> Comparison:

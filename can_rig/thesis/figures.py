@@ -8,6 +8,7 @@ the firmware thin and dark on top of it. The lower one shows the difference of t
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any
@@ -155,5 +156,5 @@ def _whose(comparison: Comparison) -> str:
 def _math(name: str) -> str:
     """A curve's name as mathematics."""
     symbol, comma, rest = name.partition(",")
-    shown = {"d̂": r"\hat d", "G1 u1": "G_1 u_1", "G2 u2": "G_2 u_2"}.get(symbol, symbol)
+    shown = re.sub(r"([GNu])(\d)", r"\1_\2", symbol).replace("d̂", r"\hat d")
     return f"${shown}${comma}{rest}"

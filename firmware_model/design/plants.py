@@ -122,7 +122,7 @@ class Plant:
         _refuse_unshared(name, g1, g2)
         poles = unstable(g1)
         first, second = in_parts(g1, "G1"), in_parts(g2, "G2")
-        (a1, b1, c1), (a2, b2, c2) = realised(first.stable), realised(second.stable)
+        (a1, b1, c1, _), (a2, b2, c2, _) = realised(first.stable), realised(second.stable)
         k, k1 = len(poles), len(poles) + len(a1)
         b = np.zeros((k1 + len(a2), 2))
         b[:k, 0], b[k:k1, 0] = first.residues, b1

@@ -12,7 +12,7 @@ from firmware_model.design.zpk import Roots, ZeroPoleGain
 from firmware_model.errors import ParameterError
 
 Matrix = NDArray[np.float64]
-Realisation = tuple[Matrix, Matrix, Matrix]
+Realisation = tuple[Matrix, Matrix, Matrix, float]
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def companion(poles: Roots) -> Matrix:
 
 
 def realised(g: ZeroPoleGain) -> Realisation:
-    """A (n, n), b (n,) and c (n,) with ``g`` = c (sI - A)⁻¹ b, n its poles; g has no feedthrough.
+    """A (n, n), b (n,), c (n,) and d with ``g`` = c (sI - A)⁻¹ b + d, n its poles; g is proper.
 
     One companion form of the whole would hold the coefficients of a polynomial of high order, which
     lose their digits; each section of a chain holds those of two roots:
@@ -75,7 +75,7 @@ def realised(g: ZeroPoleGain) -> Realisation:
         b = np.concatenate([b, feedthrough * own_b])
         c = np.concatenate([own_d * c, own_c])
         feedthrough *= own_d
-    return a, b, g.gain * c
+    return a, b, g.gain * c, g.gain * feedthrough
 
 
 def _sections(roots: Sequence[complex]) -> list[Matrix]:

@@ -20,7 +20,6 @@ from can_rig.plant.frameless import frameless
 from can_rig.results.without_log import signals_without_log
 from can_rig.scenario.build import continuous_plant, controller_table, network_of
 from can_rig.scenario.settings import Scenario
-from can_rig.thesis.continuous import solve
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, margins
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
@@ -149,11 +148,6 @@ def test_tune_tells_what_holds_the_plant_and_costs_least(name: str) -> None:
     assert len(peaks) == 2 and peaks[0] < 0.7 * peaks[1]
     assert sum(found.refusals.values()) == 1
     assert check_stability(replace(scenario, design=found.chosen.design)).stable
-
-
-def test_the_thesis_s_continuous_loop_is_of_stable_plants() -> None:
-    with pytest.raises(ScenarioError, match="unstable: must be stable for the continuous loop"):
-        solve(load("pendulum", LINEAR))
 
 
 def test_the_tuning_that_is_named_for_an_unstable_car_holds_it() -> None:

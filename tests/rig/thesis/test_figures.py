@@ -15,10 +15,10 @@ from scipy import integrate, signal
 from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
 from can_rig.errors import ScenarioError
-from can_rig.scenario.build import continuous_plant
+from can_rig.scenario.build import continuous_design, continuous_plant
 from can_rig.scenario.settings import Scenario
-from can_rig.thesis.comparisons import Comparison, both, compare
-from can_rig.thesis.continuous import OUTPUTS, closed_loop, lag_over, solve
+from can_rig.thesis.comparisons import Comparison, both, compare, compare_scenario
+from can_rig.thesis.continuous import OUTPUTS, closed_loop, solve
 from can_rig.thesis.figures import draw_figures, refuse_existing
 
 VARIANTS = ("published", "physics")
@@ -29,17 +29,30 @@ def loaded(name: str, *settings: str) -> Scenario:
     return load(name, settings)
 
 
-@pytest.mark.parametrize("variant", VARIANTS)
-@pytest.mark.parametrize("channel", [0, 1])
-@pytest.mark.parametrize("alpha", [2, 4])
-def test_a_lag_over_a_channel_is_one(variant: str, channel: int, alpha: int) -> None:
-    plant = continuous_plant(loaded("thesis-step", f"plant.variant={variant}").plant)
-    a, b, c, d = lag_over(plant, channel, 0.003, alpha)
+PLANTS = ("thesis-step", "chapter-2", "nonminimum-phase", "oversteering", "pendulum", "satellite")
+
+
+@pytest.mark.parametrize("left", [(1.0, 1.0), (0.0, 1.0), (0.5, 1.0), (1.0, 0.0)])
+@pytest.mark.parametrize("name", PLANTS)
+def test_the_loop_is_that_of_its_equations(name: str, left: tuple[float, float]) -> None:
+    """Of u1 = C (r - y), u2 = F̂ d̂, d̂ = F1 u + F2 y and y = G u, at each frequency by itself."""
+    scenario = loaded(name, "design.compensation=always")
+    plant, chosen = continuous_plant(scenario.plant), continuous_design(scenario)
+    a, b, c, d = closed_loop(scenario, left)
+    assert chosen.compensator is not None
     for omega in (0.1, 3.0, 17.0, 400.0, 1e4):
         s = 1j * omega
-        value = (c @ np.linalg.solve(s * np.eye(len(a)) - a, b) + d).item()
-        g = (plant.g1, plant.g2)[channel](s)
-        assert value * g * (1 + 0.003 * s) ** alpha == pytest.approx(1.0, rel=1e-9)
+        g = (plant.c @ np.linalg.solve(s * np.eye(len(plant.a)) - plant.a, plant.b * left))[0]
+        f = chosen.compensator(s)
+        track = chosen.tracking.controller(s) if chosen.tracking else 0.0
+        # of y, u1, u2 and d̂
+        fault = [-chosen.estimator.f2(s), *(-f1(s) for f1 in chosen.estimator.f1), 1]
+        equations = [[1, -g[0], -g[1], 0], [track, 1, 0, 0], [0, 0, 1, -f], fault]
+        drive = [0, track, 0, 0] if chosen.tracking else [0, 1, 1, 0]
+        expected = np.linalg.solve(np.array(equations), drive)
+        found = (c @ np.linalg.solve(s * np.eye(len(a)) - a, b) + d)[1:5, 0]
+        scale = np.abs(expected).max() * np.array([1, 1, max(1, abs(f)), 1])
+        assert np.abs((found - expected) / scale).max() < 1e-7
 
 
 @pytest.mark.parametrize("variant", VARIANTS)
@@ -47,7 +60,7 @@ def test_healthy_error_is_one_less_q_hat(variant: str) -> None:
     """(3.33): y = q̂ r, so a step leaves e = (1 + t/τ) exp(-t/τ)."""
     scenario = loaded("thesis-step", f"plant.variant={variant}", "duration_s=0.5")
     solution, t = solve(scenario), np.arange(500) * 1e-3
-    np.testing.assert_allclose(solution.error, (1 + t / 1e-3) * np.exp(-t / 1e-3), atol=1e-9)
+    np.testing.assert_allclose(solution.error, (1 + t / 1e-3) * np.exp(-t / 1e-3), atol=1e-8)
     assert np.abs(solution.fault_estimate).max() < 1e-9
 
 
@@ -129,13 +142,42 @@ def test_the_distances_go_with_the_tick() -> None:
             assert near.distance(b) < 1e-3 * near.size
 
 
+@pytest.mark.parametrize("name", ["pendulum", "oversteering"])
+def test_the_distances_of_an_unstable_plant_go_with_the_tick(name: str) -> None:
+    settings = (
+        "design.compensation=always", "latency_ticks=0", "duration_s=4", "fault.at_s=2",
+        "plant.sensor.noise_mps2=0", "limits.torque_nm=1e9", "limits.force_difference_n=1e9",
+    )  # fmt: skip
+    coarse, fine = (both(loaded(name, *settings, f"tick_s={t}")) for t in (0.002, 0.001))
+    for of in ("error", "fault_estimate", "model_1", "model_2"):
+        far, near = (loop.curve(of, lambda s, of=of: getattr(s, of)) for loop in (coarse, fine))
+        ratio = np.abs(far.difference).max() / np.abs(near.difference).max()
+        assert ratio == pytest.approx(2.0, rel=0.1), of
+
+
 def test_what_has_no_continuous_counterpart_is_refused() -> None:
     with pytest.raises(ScenarioError, match=r"fault.kind = 'frames-missing'"):
         solve(loaded("thesis-step", "fault.kind=frames-missing"))
     with pytest.raises(ScenarioError, match=r"reference.kind = 'csv'"):
         solve(loaded("thesis-step", "reference.kind=csv", "reference.file=x.csv"))
-    with pytest.raises(ScenarioError, match="the order must be at least 2"):
-        lag_over(continuous_plant(loaded("thesis-step").plant), 0, 0.001, 1)
+    with pytest.raises(ScenarioError, match="alpha_q must be at least 2"):
+        solve(loaded("thesis-step", "design.alpha_q=1"))
+
+
+@pytest.mark.parametrize(
+    ("name", "setting", "message"),
+    [
+        ("nonlinear-car", "duration_s=1", "must be linear for figures"),
+        ("drive-cycle", "reference.kind=step", "drive: must not be given"),
+        ("ideal", "plant.torque_actuator.dead_time_s=0.004", "dead times"),
+        ("ideal", "plant.sensor.dead_time_s=0.004", "dead times"),
+    ],
+)
+def test_figures_of_what_the_continuous_loop_lacks_are_refused(
+    name: str, setting: str, message: str
+) -> None:
+    with pytest.raises(ScenarioError, match=f"scenario {name}: .*{message}"):
+        compare_scenario(name, [setting])
 
 
 @pytest.mark.parametrize(
