@@ -30,15 +30,13 @@ def _cache_folder(caller: str) -> str:
     here = Path(__file__).parent
     other = getattr(sys.modules.get(caller), "__file__", None)
     folders = {here, Path(other).parent if other else here}
-    states = (
-        (str(file), file.stat())
-        for folder in sorted(folders)
-        for file in sorted(folder.rglob("*.py"))
-    )
-    text = repr([(name, state.st_mtime_ns, state.st_size) for name, state in states])
+    digest = hashlib.sha256(str(here).encode())
+    # By what they contain: another kernel, as in a virtual machine, rounds the times of files.
+    for folder in sorted(folders):
+        for file in sorted(folder.rglob("*.py")):
+            digest.update(f"{file}\0".encode() + file.read_bytes() + b"\0")
     home = os.environ.get("XDG_CACHE_HOME") or str(Path("~/.cache").expanduser())
-    digest = hashlib.sha256(f"{here}{text}".encode()).hexdigest()[:16]
-    return str(Path(home) / "fault-tolerant-steering" / digest)
+    return str(Path(home) / "fault-tolerant-steering" / digest.hexdigest()[:16])
 
 
 _folder = cache(_cache_folder)
