@@ -150,6 +150,7 @@ def test_a_dead_time_longer_than_the_rings_is_refused() -> None:
         build(design(late, SLOW), Target(TICK_S))
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD])
 @pytest.mark.parametrize("plant", [CAR, KNOWN], ids=["unknown", "known"])
 def test_the_loop_s_matrix_is_the_simulation(plant: Plant, left: tuple[float, float]) -> None:

@@ -45,6 +45,7 @@ def test_a_plant_class_with_the_same_equations_gives_the_same_bits() -> None:
     for name in ("time_s", "measurement", "command_1", "command_2", "fault_estimate"):
         np.testing.assert_array_equal(getattr(own, name), getattr(linear, name))
     assert np.abs(linear.command_1).max() > 0.0
+    np.testing.assert_array_equal(linear.error, REFERENCE - linear.measurement)  # (3.41)
 
 
 def test_what_is_measured_lies_on_the_grid_and_within_its_ends() -> None:

@@ -124,6 +124,18 @@ def test_without_compensation_the_loss_runs_away() -> None:
 
 
 @pytest.mark.parametrize("plant", [PENDULUM, SATELLITE], ids=lambda plant: plant.name)
+def test_reset_is_the_steady_state_of_its_first_ticks(plant: Plant) -> None:
+    firmware = Firmware(build(design(plant, SPECIFICATION), TARGET))
+    firmware.reset(0.7)
+    assert firmware.commands[0] == pytest.approx(0.7 / plant.g1.dc_gain, rel=1e-9)
+    for _ in range(3):
+        answer = firmware.step(0.7, 0.7)
+        assert answer.command_1 == pytest.approx(firmware.commands[0], abs=1e-9)
+        assert abs(answer.fault_estimate) < 1e-12
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("plant", [PENDULUM, SATELLITE], ids=lambda plant: plant.name)
 def test_reset_is_bumpless_and_a_gap_of_ticks_bears_the_motion(plant: Plant) -> None:
     """A plant that integrates is held at any place by no command at all."""
     firmware = Firmware(build(design(plant, SPECIFICATION), TARGET))

@@ -46,6 +46,7 @@ numbers = st.lists(st.floats(-3.0, 3.0), min_size=N, max_size=N).map(np.array)
 parts = st.lists(st.floats(0.0, 1.0), min_size=N, max_size=N).map(np.array)
 
 
+@pytest.mark.long
 @given(measurements=st.lists(numbers, max_size=8))
 def test_a_variance_is_on_the_diagonal(measurements: list[Matrix]) -> None:
     state = begun()

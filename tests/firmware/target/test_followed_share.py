@@ -76,6 +76,7 @@ def test_a_loss_is_followed_carried_and_given_back(left: float) -> None:
     assert np.abs(trace.error[-500:].mean()) < 0.02
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("latency", [0, 2])
 def test_after_a_reset_a_steady_loop_shows_no_loss(latency: int) -> None:
     """w starts at what the command gives, not at rest."""

@@ -182,6 +182,7 @@ def test_a_probe_without_an_answer_finds_nothing_lost() -> None:
     assert end_probe(state.probe) == 0.0
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("left", [0.0, 1.0])
 def test_a_quick_probe_confirms_a_loss_and_no_bias(left: float) -> None:
     table = build(TUNED, target(probe_rad_per_s=60.0))

@@ -55,7 +55,19 @@ def test_without_noise_a_number_that_is_repeated_tells_nothing() -> None:
         assert math.isfinite(table.hypotheses.frozen.least_motion) == told
 
 
-@pytest.mark.parametrize("on_confirmation", [pytest.param(True, marks=pytest.mark.long), False])
+def test_what_is_known_to_be_lost_takes_over_where_d_hat_was() -> None:
+    table, state = started(on_confirmation=False)
+    state.fault_estimate = 0.2
+    state.hypotheses.verdict = state.hypotheses.found = Verdict.FORCE_LOST
+    acquit(table, state)
+    assert state.decision.distrusts_estimate
+    assert (state.bumpless_transfer.carried, state.bumpless_transfer.carried_speed) == (0.2, 0.0)
+    acquit(table, state)  # found once more
+    assert state.bumpless_transfer.carried == pytest.approx(0.2)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("on_confirmation", [True, False])
 def test_with_channel_2_lost_the_compensation_fades_without_a_bump(on_confirmation: bool) -> None:
     """F̂ gets what it had at first, and then less and less, whatever d̂ is."""
     table, state = started(on_confirmation)

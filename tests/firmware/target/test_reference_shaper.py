@@ -64,6 +64,7 @@ def test_from_the_braking_speed_equal_decrements_end_at_the_target(distance: flo
     assert speeds[-1] >= -1e-9 * speeds[0]
 
 
+@pytest.mark.long
 @given(st.floats(1e-6, 1e4), st.booleans(), st.floats(-100.0, 100.0))
 def test_a_step_is_followed_in_minimum_time_and_not_beyond(
     distance: float, down: bool, at: float
@@ -98,6 +99,7 @@ def test_comes_to_rest_wherever_it_is_sent(before: list[float], last: float) -> 
     assert (shaped[-1000:] == last).all()
 
 
+@pytest.mark.long
 @settings(max_examples=20)
 @given(st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=20))
 def test_single_precision_runs_the_same_course(values: list[float]) -> None:

@@ -26,6 +26,7 @@ def _drive(firmware: Firmware, reference: np.ndarray, y: np.ndarray) -> np.ndarr
     return np.array([firmware.step(r, m)[:3] for r, m in zip(reference, y, strict=True)])
 
 
+@pytest.mark.long
 @given(y=st.lists(st.floats(-1.0, 1.0), min_size=5, max_size=40))
 def test_algebraic_loop_is_solved_under_saturation(y: list[float]) -> None:
     """u2 = sat(F̂'s answer to the d̂ that this very u2 gives), tick by tick, but for a make-up."""

@@ -180,6 +180,7 @@ def test_without_noise_a_loss_is_found_at_its_first_sample_and_so_is_its_share(
     assert trace.command_2[back - 1] == pytest.approx((1.0 - left) * whole, rel=0.05)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("left", [0.0, 0.3, 0.6])
 def test_the_share_is_the_part_of_the_torque_that_is_lost(left: float) -> None:
     """Least squares over all ticks since the start, for a candidate that knows the moment."""
