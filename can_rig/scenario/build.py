@@ -205,6 +205,7 @@ def target(scenario: Scenario, network: Network | None) -> Target:
         probe_rad_per_s=chosen.probe_rad_per_s,
         on_confirmation=chosen.compensation == "on-confirmation" or follows,
         share_drift=chosen.share_drift if follows else 0.0,
+        safe_stop_s=chosen.safe_stop_s,
         precision=chosen.precision,
     )
 

@@ -53,6 +53,7 @@ class DesignSettings:
     compensation: Literal["always", "on-confirmation", "off"] = "always"
     probe_nm: NonNegativeFloat = 0.0
     probe_rad_per_s: Annotated[float, Field(ge=0.01)] = 10.0
+    safe_stop_s: NonNegativeFloat = 0.0
     precision: Precision = "float64"
     speeds_mps: tuple[Speed, ...] | None = None
 

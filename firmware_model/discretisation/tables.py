@@ -111,6 +111,7 @@ def build(design: ContinuousDesign, target: Target) -> Record:
     _fill_decision(table, target)
     _fill_mismatch(table, design, target)
     fill_hypotheses(table, target)
+    table.safe_stop.duration = math.ceil(target.safe_stop_s / target.tick_s)
     if target.probe > 0.0:
         _fill_probe(table.probe, target)
     tables.flags.writeable = False

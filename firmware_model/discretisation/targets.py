@@ -39,6 +39,8 @@ class Target:
         probe_pause_s: from a probe that found nothing to the next.
         on_confirmation: compensate from the confirmed loss on, with what the lost channel's own
             commands would have done, instead of always and with d̂ (the thesis).
+        safe_stop_s: from the verdict that both actuators are lost to commands of zero; 0: the
+            commands go on.
         probe: amplitude of the sine, in the unit of command 1, that has to be missing in the
             measurement before a loss is confirmed; 0 for none.
         probe_rad_per_s: its frequency.
@@ -65,6 +67,7 @@ class Target:
     share_drift: float = 0.0
     probe_pause_s: float = 0.5
     on_confirmation: bool = False
+    safe_stop_s: float = 0.0
     probe: float = 0.0
     probe_rad_per_s: float = 10.0
     prewarp_rad_per_s: float | None = None
@@ -92,7 +95,15 @@ class Target:
                 raise ParameterError(
                     f"{name} = {getattr(self, name):g}: must be finite and above 0"
                 )
-        for name in ("lsb_1", "lsb_2", "noise_rms", "resolution", "share_drift", "probe_pause_s"):
+        for name in (
+            "lsb_1",
+            "lsb_2",
+            "noise_rms",
+            "resolution",
+            "share_drift",
+            "probe_pause_s",
+            "safe_stop_s",
+        ):
             if not 0.0 <= getattr(self, name) < math.inf:
                 raise ParameterError(
                     f"{name} = {getattr(self, name):g}: must be finite and 0 or above"

@@ -17,7 +17,7 @@ around the loop is halved.
 **Whose fault it is.** A bias of the sensor that has been found is taken out of the decision's d̂,
 and out of nothing else. A sensor that is frozen says nothing: the commands go back to those of
 before, and the inputs are missing. With channel 2 lost F̂ gets nothing, until it proves to be
-needed.
+needed. With both lost the commands go to zero, where the table asks for it.
 
 **Inputs that are missing.** The commands are held, and act on the plant for as long. So whatever
 models the plant goes on with them: F1, w, which a channel that is lost owes from these commands
@@ -62,6 +62,7 @@ from firmware_model.target.fault_decision.other_cars import (
     show_other_cars,
 )
 from firmware_model.target.fault_decision.probe import probe_torque
+from firmware_model.target.fault_decision.safe_stop import stops, take_commands_back
 from firmware_model.target.fault_decision.sequential_test import (
     advance_candidate,
     start_candidate,
@@ -86,11 +87,12 @@ from firmware_model.target.filters.tracking import (
 from firmware_model.target.layout import precision_of, state_type
 from firmware_model.target.overflow import clear_memories
 from firmware_model.target.precision import real
-from firmware_model.target.reference_shaper import shape_reference, start
+from firmware_model.target.reference_shaper import start, tracked_reference
 from firmware_model.target.status import Mode
 from firmware_model.target.structs import Record, RecordArray
 
 MODE_INIT, MODE_RUN, MODE_HOLD = int(Mode.INIT), int(Mode.RUN), int(Mode.HOLD)
+MODE_SAFE_STOP = int(Mode.SAFE_STOP)
 
 
 def init(table: Record, n: int = 1) -> RecordArray:
@@ -122,7 +124,11 @@ def step(table: Record, state: Record, reference: float, measurement: float) -> 
         measurement: y (D*), likewise.
     """
     r, y = real(reference, state.reference), real(measurement, state.measurement)
-    if not (math.isfinite(r) and math.isfinite(y)):
+    if stops(table, state):
+        take_commands_back(table, state)
+        hold(table, state)
+        state.mode = MODE_SAFE_STOP
+    elif not (math.isfinite(r) and math.isfinite(y)):
         hold(table, state)
     elif state.hypotheses.verdict == SENSOR_FROZEN and y == state.measurement:
         go_back(table, state)
@@ -229,15 +235,6 @@ def advance_models(table: Record, state: Record, short_1: float, short_2: float)
 
 
 @firmware
-def tracked_reference(table: Record, state: Record) -> float:
-    """What C tracks: the reference, shaped where the table says so."""
-    r: float = state.reference
-    if table.reference_shaper.enabled:
-        r = shape_reference(table.reference_shaper, state.reference_shaper, r)
-    return r
-
-
-@firmware
 def reset(table: Record, state: Record, reference: float) -> None:
     """Put the controller into the steady state of a healthy loop at a constant ``reference``.
 
@@ -264,6 +261,7 @@ def reset(table: Record, state: Record, reference: float) -> None:
     settle_loss_model(table, state)
     start_candidate(table, state)
     clear_hypotheses(state)
+    state.safe_stop.elapsed = 0.0
     state.shortfall_1.accumulators[:] = 0.0
     state.shortfall_2.accumulators[:] = 0.0
     state.probe.tick = 0

@@ -16,6 +16,7 @@ from firmware_model.target.fault_decision import (
     mismatch,
     other_cars,
     probe,
+    safe_stop,
     sequential_test,
 )
 from firmware_model.target.fault_decision.hypotheses import verdict
@@ -39,6 +40,7 @@ TABLE = (
     Field("bumpless_transfer", "1", "of F̂ to s w", bumpless_transfer.CONSTANTS),
     Field("probe", "1", "of the torque", probe.CONSTANTS),
     Field("hypotheses", "1", "whose fault it may be", verdict.CONSTANTS),
+    Field("safe_stop", "1", "where both actuators are lost", safe_stop.CONSTANTS),
 )  # fmt: skip
 STATE = (
     *status.STATE,
@@ -58,6 +60,7 @@ STATE = (
     Field("bumpless_transfer", "1", "of F̂ to s w", bumpless_transfer.STATE),
     Field("probe", "1", "of the torque", probe.STATE),
     Field("hypotheses", "1", "whose fault it may be", verdict.STATE),
+    Field("safe_stop", "1", "where both actuators are lost", safe_stop.STATE),
 )
 
 

@@ -33,6 +33,15 @@ STATE = (
 
 
 @firmware
+def tracked_reference(table: Record, state: Record) -> float:
+    """What C tracks: the reference, shaped where the table says so."""
+    r: float = state.reference
+    if table.reference_shaper.enabled:
+        r = shape_reference(table.reference_shaper, state.reference_shaper, r)
+    return r
+
+
+@firmware
 def shape_reference(constants: Record, state: Record, reference: float) -> float:
     """r_s of this tick, which is ``reference`` if that is within reach."""
     largest = constants.acceleration

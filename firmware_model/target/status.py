@@ -16,8 +16,8 @@ class Mode(IntEnum):
     """The last tick was computed from its inputs."""
     HOLD = 2
     """The last tick's input was not a finite number: the last good commands are held."""
-    OFF = 3
-    """Reserved for a controller that is switched off."""
+    SAFE_STOP = 3
+    """Both actuators are lost: the commands are taken back to zero, until ``reset``."""
 
 
 class FaultState(IntEnum):

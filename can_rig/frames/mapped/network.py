@@ -24,7 +24,7 @@ from firmware_model.target.status import Verdict
 STATUS = "fault_estimate"  # the key of the status message's value
 CODES = ("mode", "fault_state", "verdict")
 WORDS = {
-    "mode": {0: "INIT", 1: "RUN", 2: "HOLD", 3: "OFF"},
+    "mode": {0: "INIT", 1: "RUN", 2: "HOLD", 3: "SAFE_STOP"},
     "fault_state": {0: "CLEAR", 1: "SUSPECTED", 2: "CONFIRMED", 3: "CANNOT_TELL"},
     "verdict": {int(verdict): verdict.name for verdict in Verdict},
 }

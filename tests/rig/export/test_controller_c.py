@@ -39,6 +39,18 @@ def test_the_log_is_the_same(name: str, precision: str, tmp_path: Path) -> None:
     assert len(python) > 100_000
 
 
+def test_the_log_of_a_safe_stop_is_the_same(tmp_path: Path) -> None:
+    settings = [
+        "reference.kind=lane-change", "reference.frequency_rad_per_s=1.34", "duration_s=5",
+        "fault.0.kind=actuator-dead", "fault.0.at_s=3.5", "fault.1.kind=actuator-dead",
+        "fault.1.channel=force-difference", "fault.1.at_s=4.4", "design.safe_stop_s=0.2",
+    ]  # fmt: skip
+    law = controller_of("c", load("default", settings))
+    python = log_of("default", settings, PYTHON, tmp_path / "python")
+    assert log_of("default", settings, law, tmp_path / "c") == python
+    assert log_of("default", settings[:-1], PYTHON, tmp_path / "without") != python
+
+
 def test_the_precision_is_the_scenario_s(tmp_path: Path) -> None:
     single, double = (
         log_of("default", [f'design.precision="{precision}"', "duration_s=1"], PYTHON,

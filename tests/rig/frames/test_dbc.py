@@ -119,7 +119,7 @@ def test_value_tables():
         for name in ("Mode", "FaultState")
     }
     assert words == {
-        "Mode": ["INIT", "RUN", "HOLD", "OFF"],
+        "Mode": ["INIT", "RUN", "HOLD", "SAFE_STOP"],
         "FaultState": ["CLEAR", "SUSPECTED", "CONFIRMED", "CANNOT_TELL"],
     }
 

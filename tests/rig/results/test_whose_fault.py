@@ -20,9 +20,11 @@ from can_rig.results.signals import Signals, read_signals
 from can_rig.results.without_log import metrics_of, signals_without_log
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.status import FaultState, Verdict
+from firmware_model.target.status import FaultState, Mode, Verdict
 
 LANE_CHANGE = ["reference.kind=lane-change", "reference.frequency_rad_per_s=1.34", "duration_s=5"]
+BOTH_LOST = ["fault.0.kind=actuator-dead", "fault.0.at_s=3.5", "fault.1.kind=actuator-dead",
+             "fault.1.channel=force-difference", "fault.1.at_s=4.4"]  # fmt: skip
 SENSOR = (Verdict.SENSOR_BIASED, Verdict.SENSOR_DRIFTING, Verdict.SENSOR_FROZEN)
 
 
@@ -59,15 +61,24 @@ def test_a_fault_in_a_lane_change_is_named(
 
 
 def test_the_loss_of_both_channels_is_named_and_that_of_one_is_not_taken_for_it() -> None:
-    faults = ["fault.0.kind=actuator-dead", "fault.0.at_s=3.5", "fault.1.kind=actuator-dead",
-              "fault.1.channel=force-difference", "fault.1.at_s=4.4"]  # fmt: skip
-    scenario, signals = run("default", [*LANE_CHANGE, *faults])
+    scenario, signals = run("default", [*LANE_CHANGE, *BOTH_LOST])
     assert Verdict.BOTH_LOST not in verdicts(signals, 0.0, 4.4)
     found = whose_fault(scenario, signals)
     assert 4.4 < found["BOTH_LOST"]["since_s"] < 4.7
     evidence = found["BOTH_LOST"]["evidence"]
     assert evidence["force_lost"] > max(evidence["torque_offset"], evidence["sensor_drifting"])
     assert len(evidence) == len(EVIDENCE)
+
+
+def test_with_both_lost_a_safe_stop_takes_the_commands_back() -> None:
+    scenario, signals = run("default", [*LANE_CHANGE, *BOTH_LOST, "design.safe_stop_s=0.2"])
+    since_s = whose_fault(scenario, signals)["BOTH_LOST"]["since_s"]
+    stopped = signals.mode == Mode.SAFE_STOP
+    np.testing.assert_array_equal(stopped, signals.time_s > since_s + 1e-9)
+    for command in (signals.torque_nm, signals.force_difference_n):
+        begin = command[~stopped][-1]
+        assert np.abs(np.diff([begin, *command[stopped]])).max() < 1.5 / 200 * abs(begin) + 1.0
+        assert not command[signals.time_s > since_s + 0.202].any()
 
 
 @pytest.mark.parametrize(

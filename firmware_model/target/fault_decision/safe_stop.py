@@ -1,0 +1,43 @@
+"""Both actuators are lost: the commands are taken back to zero, without a bump.
+
+Nothing that is commanded moves the plant any more, and what is still commanded would act at once if
+an actuator came back. So each command goes to zero in a straight line, as far as its rate allows,
+and stays there until ``reset``, whatever is measured. The models follow, as through a HOLD.
+
+A table with a duration of 0 says so in its verdict, and goes on.
+"""
+
+from __future__ import annotations
+
+from firmware_model.compiled import firmware
+from firmware_model.target.actuator import quantise, saturate_rate
+from firmware_model.target.precision import real
+from firmware_model.target.status import Verdict
+from firmware_model.target.structs import Field, Record
+
+BOTH_LOST = int(Verdict.BOTH_LOST)
+
+CONSTANTS = (Field("duration", "tick", "of the way to zero; 0: the commands go on"),)
+STATE = (Field("elapsed", "tick", "of it"),)
+
+
+@firmware
+def stops(table: Record, state: Record) -> bool:
+    """Whether both actuators have been found lost, and the commands have to go."""
+    lost: bool = state.hypotheses.verdict == BOTH_LOST and table.safe_stop.duration > 0.0
+    return lost
+
+
+@firmware
+def take_commands_back(table: Record, state: Record) -> None:
+    """A tick nearer to zero."""
+    own, one = state.safe_stop, real(1.0, state.command_1)
+    left = table.safe_stop.duration - own.elapsed
+    share = real(0.0, one)
+    if left > one:
+        share = (left - one) / left
+        own.elapsed += one
+    possible = saturate_rate(table.actuator_1, share * state.command_1, state.command_1)
+    state.command_1 = quantise(table.actuator_1, state.actuator_1, possible)
+    possible = saturate_rate(table.actuator_2, share * state.command_2, state.command_2)
+    state.command_2 = quantise(table.actuator_2, state.actuator_2, possible)
