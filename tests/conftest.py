@@ -1,5 +1,6 @@
 """What holds for every test: a folder of its own, and no process of it is left behind."""
 
+import gc
 import os
 import signal
 from pathlib import Path
@@ -48,6 +49,12 @@ def pytest_collection_modifyitems(items):
     for item in items:
         if item.get_closest_marker("vcan"):
             item.add_marker(pytest.mark.skip(reason=reason))
+
+
+def pytest_collection_finish():
+    """Modules and tests stay: to search them for garbage takes longer than many a test."""
+    gc.collect()
+    gc.freeze()
 
 
 @pytest.fixture(autouse=True)

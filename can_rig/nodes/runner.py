@@ -271,7 +271,6 @@ def _run(
 @contextmanager
 def without_garbage_pauses() -> Iterator[None]:
     """Keep the collector away from what was set up before the loop."""
-    gc.collect()
     gc.freeze()
     try:
         yield

@@ -52,7 +52,6 @@ def _assert_channels_are_the_state_space(plant: Plant, rel: float) -> None:
 @settings(max_examples=60)
 @given(cars, st.sampled_from(["physics", "published"]))
 @example(replace(TABLE_3_2, lateral_weight=0.0), "physics")
-@example(replace(TABLE_3_2, lateral_weight=1.0, speed_mps=50.0), "physics")
 @example(replace(TABLE_3_2, lateral_weight=1e-6, speed_mps=2.0), "physics")
 def test_channels_of_any_car(car: VehicleParameters, variant: str) -> None:
     plant = steer_by_wire(car, variant)

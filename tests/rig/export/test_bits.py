@@ -50,7 +50,8 @@ def test_every_bit_of_the_state_is_the_same(
     compiler: str, level: str, precision: Precision
 ) -> None:
     law = compiled(compiler, level, precision)
-    assert differing(law, precision, seed=int(level[-1])) == 0
+    memories = MEMORIES if level == "-O2" else MEMORIES // 3  # -O2: what the export's Makefile has
+    assert differing(law, precision, int(level[-1]), memories) == 0
 
 
 @pytest.mark.parametrize("precision", PRECISIONS)

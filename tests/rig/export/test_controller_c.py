@@ -28,9 +28,9 @@ def log_of(name: str, settings: list[str], controller: Controller, folder: Path)
 @pytest.mark.parametrize("name", sorted(shipped()))
 def test_the_log_is_the_same(name: str, precision: str, tmp_path: Path) -> None:
     tick_s = load(name, []).tick_s
-    settings = [f'design.precision="{precision}"', f"duration_s={2000 * tick_s}"]
+    settings = [f'design.precision="{precision}"', f"duration_s={800 * tick_s}"]
     if load(name, []).loss.kind != "none":
-        settings.append(f"fault.at_s={800 * tick_s}")
+        settings.append(f"fault.at_s={320 * tick_s}")
     law = controller_of("c", load(name, settings))
     python = log_of(name, settings, PYTHON, tmp_path / "python")
     c = log_of(name, settings, law, tmp_path / "c")

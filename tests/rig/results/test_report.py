@@ -102,7 +102,7 @@ def noisy(
     return scenario, log.read_text().splitlines(keepends=True)
 
 
-@pytest.mark.parametrize("frames", [0, 1, 2, 4, 5, 7, 499, 503, 507])
+@pytest.mark.parametrize("frames", [0, 1, 5, 499, 503])
 def test_every_run_that_ends_early_is_reported(
     tmp_path: Path, noisy: tuple[Scenario, list[str]], frames: int
 ) -> None:
