@@ -150,9 +150,10 @@ class Requirement:
                 if one is None or other is None:
                     return None
                 try:
-                    return ARITHMETIC[type(op)](one, other)
+                    result = ARITHMETIC[type(op)](one, other)
                 except (ZeroDivisionError, OverflowError):
                     return None
+                return result if math.isfinite(result) else None
         raise AssertionError(ast.dump(node))
 
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import itertools
 
 import pytest
-from hypothesis import given
+from hypothesis import example, given
 from hypothesis import strategies as st
 
 from can_rig.campaigns.requirements import Requirement, Verdict, margin
@@ -61,6 +61,7 @@ def expressions() -> st.SearchStrategy[str]:
 
 
 @given(expressions(), st.floats(-9, 9), st.floats(-9, 9), st.booleans())
+@example("(a <= (2.5 / a) <= a and yes)", 2.2e-311, 0.0, False)  # 2.5 / a is more than a float has
 def test_it_says_what_python_says(text: str, a: float, b: float, yes: bool) -> None:
     values = {"a": a, "b": b, "yes": yes}
     verdict = Requirement("some", text, NAMES).of(values)
