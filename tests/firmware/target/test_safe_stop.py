@@ -81,5 +81,5 @@ def test_it_ends_with_a_reset_and_begins_anew() -> None:
 
 @pytest.mark.parametrize("duration_s", [-1.0, math.inf, math.nan])
 def test_a_duration_must_be_a_time(duration_s: float) -> None:
-    with pytest.raises(ParameterError, match="safe_stop_s = .*: must be finite and 0 or above"):
+    with pytest.raises(ParameterError, match=r"safe_stop_s = .*: must be finite and 0 or above"):
         Target(TICK_S, safe_stop_s=duration_s)
