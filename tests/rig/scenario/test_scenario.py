@@ -53,7 +53,7 @@ OTHER = {
     "design.feedback": False,
     "design.estimator": "zoh", "design.share_drift": 0.5,
     "design.precision": "float32", "design.compensation": "off",
-    "design.probe_nm": 1.0, "design.probe_rad_per_s": 30.0,
+    "design.probe_nm": 1.0, "design.probe_rad_per_s": 30.0, "design.safe_stop_s": 1.0,
     "budget.box": 0.1, "budget.actuator_box": 0.3, "budget.false_alarms_per_hour": 1.0,
     "budget.suspicions_per_hour": 60.0,
     "reference.kind": "sine", "reference.amplitude_mps2": 2.0,
