@@ -22,7 +22,7 @@ from typing import Final, NamedTuple
 
 import can
 
-from can_rig.errors import BusError
+from can_rig.errors import BusError, SilentNodeError
 from can_rig.frames.codec import Record
 from can_rig.frames.network import Network
 from can_rig.frames.wire_tick import tick_from, ticks_ahead
@@ -124,6 +124,9 @@ class RealTimeControllerNode:
     def run(self, watchdog: Watchdog, on_tick: Callable[[int], None]) -> int:
         """Answer ticks to the end of the run or to a stop request; the tick that it has reached.
 
+        Frames without a tick do not say how many of them were missed, nor so which is the last:
+        there the run is over once the plant node is silent.
+
         Raises:
             SilentNodeError: the plant node is silent.
             BusError: another controller node is at work.
@@ -132,6 +135,10 @@ class RealTimeControllerNode:
             try:
                 self.serve(watchdog)
             except Interrupted:
+                break
+            except SilentNodeError:
+                if self._end.feedback.codec.layout.has_tick or self._tick == 0:
+                    raise
                 break
             if self._tick > 0:
                 on_tick(self._tick)

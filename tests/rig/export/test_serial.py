@@ -19,7 +19,7 @@ from can_rig.export.application import application
 from can_rig.export.choices import SERIAL
 from can_rig.export.folder import exported, write
 from can_rig.export.running import serial_link
-from can_rig.export.running.bench_ecu import BenchEcu
+from can_rig.export.running.bench_ecu import ORDER_BYTES, BenchEcu
 from can_rig.export.running.controllers import PYTHON, controller_of
 from can_rig.export.running.ecu import identity
 from can_rig.export.running.serial_link import SerialLink, serial_ecu
@@ -64,7 +64,7 @@ def test_a_board_sends_the_same_bytes(program: Path, tmp_path: Path) -> None:
 def test_what_was_cut_short_is_forgotten(
     program: Path, cut_short: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(serial_link, "QUIET_S", 0.02)
+    monkeypatch.setattr(serial_link, "QUIET_S", 0.5)  # the board is a program on a busy machine
     with board(program) as port:
         link = SerialLink(port)
         link.write(cut_short)
@@ -87,7 +87,8 @@ def test_a_board_that_is_silent_is_one_line(monkeypatch: pytest.MonkeyPatch) -> 
 
 
 def test_an_answer_that_is_none_is_one_line() -> None:
-    with board("sh", "-c", "sleep 0.3; printf '%s' xxxxxxxxxxxxx; sleep 60") as port:
+    asked_for = f"head -c {ORDER_BYTES + 1} > /dev/null"  # what clears the line, and an order
+    with board("sh", "-c", f"{asked_for}; printf '%s' xxxxxxxxxxxxx; sleep 60") as port:
         ecu = BenchEcu(SerialLink(port))
         with pytest.raises(ExportError, match="sent 120 frames"):
             ecu.take(0x100, bytes(8))
