@@ -86,6 +86,7 @@ def test_the_scan_of_latencies_ends_at_its_most_or_before_its_first() -> None:
 
 @pytest.mark.long
 def test_largest_latency_is_where_the_scan_ends() -> None:
+    assert largest_latency_survived(SLOW, Target(1e-3), CAR, most=3) == 3
     most = largest_latency_survived(PUBLISHED, Target(1e-3, 5, "zoh"), CAR)
     assert most is not None
     counts = [turns_after_the_loss(PUBLISHED, 1e-3, n) for n in range(most + 2)]

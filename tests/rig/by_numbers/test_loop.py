@@ -55,6 +55,7 @@ def test_the_margins_are_those_of_python_control(tmp_path: Path, name: str) -> N
     scenario = load(written(tmp_path, name))
     plant = continuous_plant(scenario.plant)
     found = margins(controller_table(scenario, None), plant, scenario.tick_s)
+    assert found.spectral_radius < 1.0
     _, loop = loop_transfer(scenario)
     assert found.peak_sensitivity == pytest.approx(np.abs(1.0 / (1.0 + loop)).max(), 1e-3)
     crossings = np.flatnonzero((np.diff(np.sign(loop.imag)) != 0) & (loop.real[:-1] < 0.0))
