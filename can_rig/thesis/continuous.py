@@ -26,7 +26,9 @@ from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_design, continuous_plant
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.fault import CHANNELS
+from firmware_model.design.continuous_design import ContinuousDesign
 from firmware_model.design.factors.realisation import realised
+from firmware_model.design.plants import Plant
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.target.structs import FloatArray
 
@@ -71,8 +73,9 @@ def solve(scenario: Scenario) -> Solution:
     signals = np.empty((len(OUTPUTS), scenario.ticks))
     x = np.empty(0)
     phases = _phases(scenario)
+    plant, design = continuous_plant(scenario.plant), continuous_design(scenario)
     for (start_s, left), (end_s, _) in pairwise([*phases, (math.inf, (1.0, 1.0))]):
-        a, b, c, d = closed_loop(scenario, left)
+        a, b, c, d = closed_loop(plant, design, left)
         n = len(a)
         joined = np.block([[a, b @ out], [np.zeros((len(oscillator), n)), oscillator]])
         answers = np.hstack([c, d @ out])
@@ -93,22 +96,17 @@ def solve(scenario: Scenario) -> Solution:
     return Solution(time_s, *signals)
 
 
-def closed_loop(scenario: Scenario, left: tuple[float, float]) -> StateSpace:
-    """The loop from r to ``OUTPUTS`` as A, B, C, D, with ``left`` of each actuator's effect.
-
-    Raises:
-        ScenarioError: an assumption of the design that does not hold.
-    """
-    car, chosen = continuous_plant(scenario.plant), continuous_design(scenario)
-    (n1, n2), nothing = chosen.factors.numerators, ZeroPoleGain.constant(0.0)
-    tracking = chosen.tracking
+def closed_loop(plant: Plant, design: ContinuousDesign, left: tuple[float, float]) -> StateSpace:
+    """The loop from r to ``OUTPUTS`` as A, B, C, D, with ``left`` of each actuator's effect."""
+    (n1, n2), nothing = design.factors.numerators, ZeroPoleGain.constant(0.0)
+    tracking = design.tracking
     blocks = [
-        control.ss(car.a, car.b * left, car.c, 0.0, inputs=["u1", "u2"], outputs=["y"]),
+        control.ss(plant.a, plant.b * left, plant.c, 0.0, inputs=["u1", "u2"], outputs=["y"]),
         _block(n1, "u1", "n1u1"),
         _block(n2, "u2", "n2u2"),
-        _block(chosen.factors.denominator, "y", "my"),
+        _block(design.factors.denominator, "y", "my"),
         control.summing_junction(["n1u1", "n2u2", "-my"], "d"),  # Theorem 2.3.2
-        _block(chosen.compensator or nothing, "d", "f"),  # (3.29)
+        _block(design.compensator or nothing, "d", "f"),  # (3.29)
     ]
     if tracking is None:
         blocks.append(control.summing_junction(["r"], "u1"))

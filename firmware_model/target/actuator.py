@@ -48,3 +48,12 @@ def quantise(actuator: Record, state: Record, command: float) -> float:
     left = wanted - rounded
     state.rounded_off = left if math.isfinite(left) else real(0.0, left)
     return rounded
+
+
+@firmware
+def command_possible(table: Record, state: Record, wanted_1: float, wanted_2: float) -> None:
+    """Command what both actuators can do of what is wanted of them."""
+    possible = saturate_rate(table.actuator_1, wanted_1, state.command_1)
+    state.command_1 = quantise(table.actuator_1, state.actuator_1, possible)
+    possible = saturate_rate(table.actuator_2, wanted_2, state.command_2)
+    state.command_2 = quantise(table.actuator_2, state.actuator_2, possible)

@@ -10,7 +10,7 @@ A table with a duration of 0 says so in its verdict, and goes on.
 from __future__ import annotations
 
 from firmware_model.compiled import firmware
-from firmware_model.target.actuator import quantise, saturate_rate
+from firmware_model.target.actuator import command_possible
 from firmware_model.target.precision import real
 from firmware_model.target.status import Verdict
 from firmware_model.target.structs import Field, Record
@@ -37,7 +37,4 @@ def take_commands_back(table: Record, state: Record) -> None:
     if left > one:
         share = (left - one) / left
         own.elapsed += one
-    possible = saturate_rate(table.actuator_1, share * state.command_1, state.command_1)
-    state.command_1 = quantise(table.actuator_1, state.actuator_1, possible)
-    possible = saturate_rate(table.actuator_2, share * state.command_2, state.command_2)
-    state.command_2 = quantise(table.actuator_2, state.actuator_2, possible)
+    command_possible(table, state, share * state.command_1, share * state.command_2)

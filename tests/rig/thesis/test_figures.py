@@ -38,7 +38,7 @@ def test_the_loop_is_that_of_its_equations(name: str, left: tuple[float, float])
     """Of u1 = C (r - y), u2 = F̂ d̂, d̂ = F1 u + F2 y and y = G u, at each frequency by itself."""
     scenario = loaded(name, "design.compensation=always")
     plant, chosen = continuous_plant(scenario.plant), continuous_design(scenario)
-    a, b, c, d = closed_loop(scenario, left)
+    a, b, c, d = closed_loop(plant, chosen, left)
     assert chosen.compensator is not None
     for omega in (0.1, 3.0, 17.0, 400.0, 1e4):
         s = 1j * omega
@@ -104,9 +104,10 @@ def test_the_fault_takes_the_input_and_leaves_the_state(channel: str) -> None:
     solution = solve(scenario)
     dead = (0.0, 1.0) if channel == "torque" else (1.0, 0.0)
     ends = (0.0, 0.0205, 0.0305, 0.05)
-    state = np.zeros(len(closed_loop(scenario, dead)[0]))
+    plant, chosen = continuous_plant(scenario.plant), continuous_design(scenario)
+    state = np.zeros(len(closed_loop(plant, chosen, dead)[0]))
     for (start, end), left in zip(pairwise(ends), ((1.0, 1.0), dead, (1.0, 1.0)), strict=True):
-        a, b, c, d = closed_loop(scenario, left)
+        a, b, c, d = closed_loop(plant, chosen, left)
         run = integrate.solve_ivp(
             lambda t, x, a=a, b=b: a @ x + b[:, 0] * np.sin(5.0 * t),
             (start, end),

@@ -9,7 +9,7 @@ sensor without a fault, and less noise than it is said to have.
 from __future__ import annotations
 
 from firmware_model.compiled import firmware
-from firmware_model.target.actuator import quantise, saturate_rate
+from firmware_model.target.actuator import command_possible
 from firmware_model.target.fault_decision.hypotheses import candidate
 from firmware_model.target.fault_decision.hypotheses.candidate import start, take_in
 from firmware_model.target.precision import real
@@ -63,10 +63,7 @@ def note_commands(state: Record, measurement: float) -> None:
 def go_back(table: Record, state: Record) -> None:
     """Go back to the commands that no frozen number has had a part in."""
     own = state.hypotheses.frozen
-    possible = saturate_rate(table.actuator_1, own.command_1, state.command_1)
-    state.command_1 = quantise(table.actuator_1, state.actuator_1, possible)
-    possible = saturate_rate(table.actuator_2, own.command_2, state.command_2)
-    state.command_2 = quantise(table.actuator_2, state.actuator_2, possible)
+    command_possible(table, state, own.command_1, own.command_2)
 
 
 @firmware
