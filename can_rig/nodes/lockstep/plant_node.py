@@ -26,7 +26,10 @@ CONTROL: Final = "RIG_CONTROL"
 QUIET_S: Final = 0.02
 """When nothing has come for so long after the end, nothing is on its way."""
 
-UNREAD_S: Final = 2.0
+QUIET_AMONG_OTHERS_S: Final = 0.25
+"""The same where others have sent too, whose queues a busy machine may be slow to empty."""
+
+UNREAD_S: Final = 10.0
 """The longest wait for it, on a bus whose time stamps do not say what was sent before the end."""
 
 
@@ -60,6 +63,7 @@ class PlantNode:
         require_ticks(scenario, network)
         self.ticks: Final = scenario.ticks
         self._recorder = recorder
+        self._others_send = False
         self._end = PlantEnd(scenario, network, send, recorder, reports, interaction.injectable)
         self._control = RunControl(interaction, scenario, self._end, send, clock)
 
@@ -114,6 +118,7 @@ class PlantNode:
                 self._recorder.record(message, sent=False)
             judged = self._end.judge(message, tick)
             if judged is None:
+                self._others_send = True
                 self._control.take(message)
                 watchdog.go_on_waiting(tick)
                 continue
@@ -129,6 +134,7 @@ class PlantNode:
 
     def _overhear(self, message: can.Message) -> None:
         """Note a frame that comes between two ticks."""
+        self._others_send = True
         if self._recorder is not None:
             self._recorder.record(message, sent=False)
         self._control.take(message)
@@ -137,10 +143,11 @@ class PlantNode:
         """Put in the log what others had sent by the end and was not read yet."""
         if self._recorder is None:
             return
+        quiet_s = QUIET_AMONG_OTHERS_S if self._others_send else QUIET_S
         end_s, deadline_ns = clock.stamp_s(), clock.now_ns() + round(UNREAD_S * NS_PER_S)
         with suppress(can.CanError):
             while clock.now_ns() < deadline_ns:
-                message = bus.recv(QUIET_S)
+                message = bus.recv(quiet_s)
                 if message is None or message.timestamp > end_s:
                     return
                 self._recorder.record(message, sent=False)

@@ -50,7 +50,8 @@ class Late:
 
 
 QUIET_S = 0.02  # with nothing on the bus for so long, nothing is on its way any more
-UNREAD_S = 2.0  # and no longer, whatever the time stamps say
+QUIET_AMONG_OTHERS_S = 0.25  # where others send, one of them may wait for its processor
+UNREAD_S = 10.0  # and no longer, whatever the time stamps say
 
 
 def rest_of(path: Path, stamps_s: list[float], error: bool = False) -> tuple[int, float]:
@@ -65,6 +66,21 @@ def rest_of(path: Path, stamps_s: list[float], error: bool = False) -> tuple[int
     return len(lines), clock.now_s - 5.0
 
 
+def after_a_tick_among_others(recorder: Recorder) -> PlantNode:
+    """Of which a command is missing, and in which a frame of another came."""
+    bus = deque([can.Message(arbitration_id=0x700, is_extended_id=False)])
+    bus += [Transmitter(codec).frame(0.0, 0) for codec in (NETWORK.command_1, NETWORK.status)]
+
+    class Bus:
+        def recv(self, timeout: float) -> can.Message:
+            return bus.popleft()
+
+    node = PlantNode(SCENARIO, NETWORK, lambda message: None, recorder)
+    node.offer(0)
+    node.collect(0, Watchdog(Bus(), "controller", Timeouts(1.0, 1.0), StopRequest()))
+    return node
+
+
 def test_what_others_sent_by_the_end_is_in_the_log_and_nothing_later(tmp_path: Path) -> None:
     found, took_s = rest_of(tmp_path / "a.log", [4.0, 4.9, 5.0, 5.001, 4.5])
     assert found == 3
@@ -76,8 +92,17 @@ def test_a_quiet_or_a_failing_bus_ends_the_wait(tmp_path: Path) -> None:
     assert rest_of(tmp_path / "b.log", [4.0], error=True) == (1, pytest.approx(0.25 * QUIET_S))
 
 
+def test_among_others_the_wait_is_longer(tmp_path: Path) -> None:
+    """Before the end one of them sent, so a frame of the run may still wait to be sent."""
+    clock = TurnedClock(5_000_000_000)
+    with Recorder(tmp_path / "a.log", SCENARIO.tick_ns) as recorder:
+        node = after_a_tick_among_others(recorder)
+        node.record_the_rest(Late(clock, []), clock)
+    assert clock.now_s - 5.0 == pytest.approx(QUIET_AMONG_OTHERS_S)
+
+
 def test_a_bus_whose_stamps_say_nothing_is_not_read_for_ever(tmp_path: Path) -> None:
-    found, took_s = rest_of(tmp_path / "a.log", [0.0] * 1000)
+    found, took_s = rest_of(tmp_path / "a.log", [0.0] * 3000)
     assert took_s == pytest.approx(UNREAD_S)
     assert found == UNREAD_S / (QUIET_S / 4)
 
@@ -90,18 +115,9 @@ def test_without_a_log_nothing_is_read() -> None:
 
 def test_every_frame_of_a_tick_is_in_the_log_with_who_sent_it(tmp_path: Path) -> None:
     """Those of others too, and of no use."""
-    path, bus = tmp_path / "a.log", deque[can.Message]()
-    bus.append(can.Message(arbitration_id=0x700, is_extended_id=False))
-    bus += [Transmitter(codec).frame(0.0, 0) for codec in (NETWORK.command_1, NETWORK.status)]
-
-    class Bus:
-        def recv(self, timeout: float) -> can.Message:
-            return bus.popleft()
-
+    path = tmp_path / "a.log"
     with Recorder(path, SCENARIO.tick_ns) as recorder:
-        node = PlantNode(SCENARIO, NETWORK, lambda message: None, recorder)
-        node.offer(0)
-        node.collect(0, Watchdog(Bus(), "controller", Timeouts(1.0, 1.0), StopRequest()))
+        after_a_tick_among_others(recorder)
     words = [line.split() for line in path.read_text().splitlines()]
     sent = [(frame.partition("#")[0], by) for _, _, frame, by in words]
     assert sent == [("100", "T"), ("101", "T"), ("700", "R"), ("110", "R"), ("120", "R")]
