@@ -52,7 +52,7 @@ class DecisionFigures:
             f"{budget.false_alarms_per_hour:g} false alarms an hour); a steady |{lost.short}| "
             f"below {with_unit(f'{self.least_torque_nm:.2g}', lost.unit)} cannot be told"
         )
-        others = "other cars" if scenario.plant.is_car else "other plants"
+        others = f"other {scenario.plant.noun}s"
         if budget.box > 0.0:
             yield f"{others}: within ±{budget.box:.0%} of the model are not taken for a loss"
         else:

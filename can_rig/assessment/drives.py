@@ -179,7 +179,7 @@ def own_findings(drives: Drives) -> list[Finding]:
     scenario = drives.scenario
     if not scenario.design.feedback:
         return []
-    label = "this car" if scenario.plant.is_car else "this plant"
+    label = f"this {scenario.plant.noun}"
     found = (drives.findings(label, scenario.plant, loss) for loss in LOSSES)
     return list({str(finding): finding for each in found for finding in each}.values())
 

@@ -230,6 +230,11 @@ class PlantSettings(VehicleParameters):
         """Whether the parameters, and a lateral acceleration, mean anything."""
         return self.linear is BUILT_IN[CAR]
 
+    @property
+    def noun(self) -> str:
+        """What sentences call it."""
+        return "car" if self.is_car else "plant"
+
     @cached_property
     def noise_free(self) -> PlantSettings:
         """The same with a sensor that has no noise."""

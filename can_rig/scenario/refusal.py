@@ -62,7 +62,8 @@ def _one_of(value: Any, expected: str) -> str:
 
 
 def _keys(settings: Any, location: Sequence[str]) -> list[str]:
-    """Key names of the table at ``location``."""
+    """Key names of the table at ``location``; a scenario's own name is no key of its file."""
+    at_top = not location
     for part in location:
         if part.isdecimal():  # of a list
             continue
@@ -75,4 +76,5 @@ def _keys(settings: Any, location: Sequence[str]) -> list[str]:
             settings = get_type_hints(settings)[part]
         else:
             settings = field.default_factory if has_factory else field.default[0]
-    return [field.name for field in dataclasses.fields(settings) if field.name != "name"]
+    names = [field.name for field in dataclasses.fields(settings)]
+    return [name for name in names if not (at_top and name == "name")]

@@ -29,7 +29,7 @@ def picture(found: Tunings) -> Figure:
         ".",
         color=style.PALE_BLUE,
         ms=4,
-        label="stable with the nominal car",
+        label=f"stable with the nominal {scenario.plant.noun}",
     )
     axis.plot(
         [found.noise_n(t) for t in found.front],
@@ -38,7 +38,9 @@ def picture(found: Tunings) -> Figure:
         color=style.BLUE,
         ms=4,
         lw=1.2,
-        label=f"best of those stable with all {found.cars} cars",
+        label=f"best of those stable with all {found.cars} {scenario.plant.noun}s"
+        if found.cars > 1
+        else "best of those",
     )
     design = chosen.design
     axis.plot(

@@ -36,7 +36,7 @@ class Refusal(StrEnum):
         """In the words of ``plant``."""
         _, first, second = names_of(plant)
         return str(self).format(
-            car="car" if plant.is_car else "plant",
+            car=plant.noun,
             first=first.short,
             first_said=first.said,
             second=second.short,
@@ -87,7 +87,7 @@ def advice(scenario: Scenario, cars: Iterable[Car], refusals: Counter[Refusal]) 
     )
     torque_nm, force_n = (max(need) for need in needs)
     limits, (_, first, second) = scenario.limits, names_of(scenario.plant)
-    car = "car" if scenario.plant.is_car else "plant"
+    car = scenario.plant.noun
 
     def need(size: float, unit: str) -> str:
         return f"the most demanding {car} needs {with_unit(f'{size:.4g}', unit)} to hold the step"

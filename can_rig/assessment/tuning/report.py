@@ -131,5 +131,5 @@ def _values(tuning: Tuning) -> dict[str, Any]:
 
 
 def _cars(found: Tunings) -> str:
-    nominal = f"the nominal {'car' if found.scenario.plant.is_car else 'plant'}"
+    nominal = f"the nominal {found.scenario.plant.noun}"
     return nominal if found.cars == 1 else f"{nominal} and {found.cars - 1} around it"

@@ -28,7 +28,7 @@ from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray
 
 HEIGHT_IN, HEIGHT_WITH_TIMING_IN, TIMING_IN = 10.6, 11.4, 1.8
-LEFT_IN, RIGHT_IN, BOTTOM_IN, TITLE_LINE_IN, LABEL_IN = 0.95, 0.2, 0.5, 0.19, 0.6
+LEFT_IN, RIGHT_IN, BOTTOM_IN, TITLE_LINE_IN, LABEL_IN = 1.2, 0.2, 0.5, 0.19, 0.6
 """Margins, fixed so that a page is drawn once and not first to see how much room it needs."""
 
 

@@ -166,6 +166,8 @@ BAD = {
     "plant.g1.poles=[[-1, 2, 3]]": "plant.g1.poles[0] = [-1, 2, 3]: must be a number, or [real",
     "plant.g1.poles=[true]": "plant.g1.poles[0] = True: must be a number",
     "plant.g1.pole=[-1]": "plant.g1.pole: unknown key; did you mean poles?",
+    "plant.input_1={nme='rudder'}": "plant.input_1.nme: unknown key; did you mean name?",
+    "plant.input_1={x='rudder'}": "plant.input_1.x: unknown key; known: name, unit",
     "plant.input_1.name=''": "plant.input_1.name = '': must be a word or more",
     "model.input_1.name='rudder'": "model.input_1: must be plant.input_1; a signal has one name",
     'plant.output.unit="\\u0007"': "plant.output.unit = ",

@@ -52,6 +52,17 @@ def test_title_and_units_say_what_was_run(tmp_path: Path) -> None:
     assert labels[2:4] == ["steering torque\nin N m", "rear force difference\nin N"]
 
 
+@pytest.mark.parametrize("amplitude", [-1e-4, -1e-3, -20.0])
+def test_no_label_leaves_the_page(tmp_path: Path, amplitude: float) -> None:
+    """The margins are fixed, and the numbers beside an axis are as long as they are."""
+    units = [f"plant.{signal}.unit=%" for signal in ("input_1", "input_2", "output")]
+    page = drawn(tmp_path, "chapter-2", f"reference.amplitude_mps2={amplitude}", *units)
+    page.draw_without_rendering()
+    for axis in page.axes:
+        assert axis.yaxis.label.get_window_extent().x0 > 0.0
+        assert axis.yaxis.get_tightbbox().x0 > 0.0
+
+
 def test_the_loss_is_shaded_where_it_was(tmp_path: Path) -> None:
     page = drawn(tmp_path, "thesis-step", "fault.for_s=0.05")
     for axis in page.axes:
