@@ -12,8 +12,8 @@ from typing import Protocol
 
 import numpy as np
 
+from can_rig.logs.columns import APPLIED, TRUE_OUTPUT
 from can_rig.plant.actuators import FollowedCommand
-from can_rig.plant.columns import APPLIED, TRUE_OUTPUT
 from can_rig.plant.protocol import GuardedPlant, load_plant
 from can_rig.plant.sensor import FilteredSamples
 from can_rig.scenario.build import but_for_noise, continuous_car, continuous_plant

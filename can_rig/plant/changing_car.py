@@ -5,8 +5,8 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import replace
 
+from can_rig.logs.columns import SPEED
 from can_rig.plant.behind import LinearBehind, PlantBehind, plant_behind, sampled_plant
-from can_rig.plant.columns import SPEED
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.driving.speed import speed_profile, speeds_at_ticks
 from can_rig.scenario.plant_settings import PlantSettings

@@ -28,7 +28,7 @@ from pathlib import Path
 from typing import Protocol, TypeVar, runtime_checkable
 
 from can_rig.errors import RigError, ScenarioError, require
-from can_rig.plant.columns import TAKEN
+from can_rig.logs.columns import TAKEN
 from can_rig.scenario.plant_settings import PlantSettings
 
 METHODS = {

@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
+from can_rig.logs.columns import APPLIED
 from can_rig.plant.actuators import Actuator
-from can_rig.plant.columns import APPLIED
 from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.results.signals import Signals
 from can_rig.scenario.settings import Scenario

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from can_rig.assessment.control_authority import control_authority
 from can_rig.drawing.names import names_of
-from can_rig.plant.columns import TRUE_OUTPUT
+from can_rig.logs.columns import TRUE_OUTPUT
 from can_rig.results.counterfactual import Counterfactual, car_output, fault_free, noise_free
 from can_rig.results.loss_metrics import decision_metrics, unavoidable_deviation
 from can_rig.results.signals import Signals

@@ -185,7 +185,7 @@ def finish(
         with atomic(folder / SUMMARY) as part:  # first: what it says, the log alone does not
             part.write_text(text + "\n", encoding="utf-8")
         with atomic(folder / SIGNALS) as part:
-            signals.write_csv(part)
+            signals.write_csv(part, scenario.plant)
         if report:
             # matplotlib, when the nodes are done
             from can_rig.results.report.page import draw_report  # noqa: PLC0415

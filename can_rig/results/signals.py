@@ -12,16 +12,18 @@ import numpy as np
 from can import Message
 from numpy.typing import NDArray
 
+from can_rig.drawing.column_names import column_names
 from can_rig.frames.endpoints import Receiver
 from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
 from can_rig.frames.wire_tick import WIRE_TICKS, tick_at, ticks_ahead
+from can_rig.logs.columns import ON_THE_BUS
 from can_rig.logs.frames import ERROR, REMOTE
 from can_rig.logs.plant_signals import PlantSignals, read_plant_signals
 from can_rig.logs.reading import read_log
 from can_rig.nodes.summary import RunColumns
-from can_rig.plant.columns import ON_THE_BUS
 from can_rig.plant.faults.delivery import Delivery
+from can_rig.scenario.plant_settings import PlantSettings
 from firmware_model.analysis.trace import Trace
 from firmware_model.target.structs import FloatArray
 
@@ -62,14 +64,21 @@ class Signals:
     def __len__(self) -> int:
         return len(self.time_s)
 
-    def write_csv(self, path: Path) -> None:
-        """The contract's columns, the plant's, the verdict's; an empty cell: nothing was said."""
+    def write_csv(self, path: Path, plant: PlantSettings) -> None:
+        """The contract's columns, the plant's, the verdict's; an empty cell: nothing was said.
+
+        Args:
+            path: the file.
+            plant: whose signals they are.
+        """
         columns = [getattr(self, name).tolist() for name in ON_THE_BUS]
         further = self.plant | self.whose_fault
         columns += [column.tolist() for column in further.values()]
+        names = column_names(plant, self.plant)
+        header = [names.get(name, name) for name in (*ON_THE_BUS, *further)]
         whole = ",".join(["%.10g"] * len(columns)) + "\n"
         with path.open("w", encoding="ascii", newline="\n") as file:
-            file.write(",".join((*ON_THE_BUS, *further)) + "\n")
+            file.write(",".join(header) + "\n")
             for row in zip(*columns, strict=True):
                 line = whole % row
                 file.write(line if "nan" not in line else ",".join(map(cell, row)) + "\n")

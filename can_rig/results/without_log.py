@@ -6,8 +6,8 @@ from dataclasses import replace
 
 import numpy as np
 
+from can_rig.logs.columns import TRUE_OUTPUT
 from can_rig.plant.changing_car import plant_of
-from can_rig.plant.columns import TRUE_OUTPUT
 from can_rig.plant.frameless import common
 from can_rig.results.counterfactual import loop_of
 from can_rig.results.metrics import Metrics, metrics

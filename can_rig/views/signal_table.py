@@ -12,13 +12,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig.assessment.resolve import load_run
+from can_rig.drawing.column_names import column_names
 from can_rig.drawing.names import CAR, Names, names_of
 from can_rig.errors import LogError, ScenarioError
+from can_rig.logs.columns import APPLIED, EVIDENCE, ON_THE_BUS, TRUE_OUTPUT, VERDICT
 from can_rig.logs.formats import content_format
 from can_rig.logs.frames import NS_PER_S
 from can_rig.logs.log import Window
 from can_rig.logs.reading import read_log
-from can_rig.plant.columns import APPLIED, EVIDENCE, ON_THE_BUS, TRUE_OUTPUT, VERDICT
 from can_rig.results.run_folder import SIGNALS, SUMMARY
 from can_rig.results.signals import Signals, cell, signals_of, with_plant_signals
 from can_rig.results.source import log_path
@@ -86,7 +87,11 @@ class SignalTable:
         other = column.replace("_", " "), unit(column)
         if self.scenario is None:
             return COLUMNS_OF_CAR.get(column, other)
-        return _columns(names_of(self.scenario.plant)).get(column, other)
+        printed = _columns(names_of(self.scenario.plant))
+        names = column_names(self.scenario.plant)
+        return ({names[each]: words for each, words in printed.items()} | printed).get(
+            column, other
+        )
 
 
 def unit(column: str) -> str:
@@ -95,7 +100,7 @@ def unit(column: str) -> str:
 
 
 def _columns(names: Names) -> dict[str, tuple[str, str]]:
-    """Name and unit of each column that is on the bus; the columns keep the names of the car's."""
+    """Name and unit in print of each column that has a signal of the plant."""
     output, command_1, command_2 = names
     applied = {
         column: (f"{command.name} as applied", command.unit)
@@ -152,19 +157,16 @@ def read_table(path: Path, scenario: Scenario) -> SignalTable:
     signals = with_plant_signals(signals, log.path, scenario.tick_s)
     if not len(signals):
         raise LogError(f"{path}: has no usable frame of the rig")
-    return table_of(signals, str(path))
+    return replace(table_of(signals, str(path), scenario), scenario=None)
 
 
-def table_of(signals: Signals, label: str, scenario: Scenario | None = None) -> SignalTable:
-    """The columns of a log that has been read, rounded as ``signals.csv`` would have them."""
+def table_of(signals: Signals, label: str, scenario: Scenario) -> SignalTable:
+    """The columns of a log that has been read, called and rounded as in ``signals.csv``."""
+    names = column_names(scenario.plant, signals.plant)
+    columns = {name: getattr(signals, name) for name in ON_THE_BUS if name != TIME} | signals.plant
     columns = {
-        name: np.array([float(cell(x) or "nan") for x in getattr(signals, name).tolist()])
-        for name in ON_THE_BUS
-        if name != TIME
-    }
-    columns |= {
-        name: np.array([float(cell(x) or "nan") for x in column.tolist()])
-        for name, column in signals.plant.items()
+        names.get(name, name): np.array([float(cell(x) or "nan") for x in column.tolist()])
+        for name, column in columns.items()
     }
     return SignalTable(label, _whole_ns(signals.time_s), columns, scenario)
 

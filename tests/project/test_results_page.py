@@ -8,9 +8,9 @@ from typing import Any
 
 import pytest
 
+from can_rig.logs.columns import EVIDENCE, SPEED, VERDICT
+from can_rig.logs.columns import ON_THE_BUS as COLUMNS
 from can_rig.plant.behind import plant_behind
-from can_rig.plant.columns import EVIDENCE, SPEED, VERDICT
-from can_rig.plant.columns import ON_THE_BUS as COLUMNS
 from can_rig.scenario.plant_settings import PlantSettings
 from tests.project.pages import table, text_of
 from tools.scenario_keys import unit

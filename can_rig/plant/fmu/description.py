@@ -14,7 +14,7 @@ from fmpy.model_description import ValidationError, read_model_description
 from fmpy.simulation import settable_in_initialization_mode, settable_in_instantiated
 
 from can_rig.errors import ScenarioError, one_line
-from can_rig.plant.columns import TAKEN
+from can_rig.logs.columns import TAKEN
 from can_rig.scenario.plant_settings import FMU, SIGNALS, PlantSettings, flat_parameters
 
 CO_SIMULATION: Final = "co-simulation"

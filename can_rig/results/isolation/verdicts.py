@@ -14,7 +14,7 @@ import numpy as np
 
 from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
-from can_rig.plant.columns import EVIDENCE, VERDICT
+from can_rig.logs.columns import EVIDENCE, VERDICT
 from can_rig.results.signals import Signals
 from can_rig.scenario.driving.schedule import controls
 from can_rig.scenario.driving.speed import speeds_at_ticks

@@ -7,7 +7,7 @@ from typing import Any, Final
 import numpy as np
 
 from can_rig.drawing.names import Names, names_of
-from can_rig.plant.columns import EVIDENCE, VERDICT
+from can_rig.logs.columns import EVIDENCE, VERDICT
 from can_rig.results.signals import Signals
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.status import Verdict

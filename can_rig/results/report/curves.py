@@ -12,7 +12,7 @@ import numpy as np
 from can_rig.drawing import style
 from can_rig.drawing.names import names_of, printed
 from can_rig.frames.network import Network
-from can_rig.plant.columns import SPEED, TRUE_OUTPUT
+from can_rig.logs.columns import SPEED, TRUE_OUTPUT
 from can_rig.results.applied import applied_commands
 from can_rig.results.report.page import compared_with, counterpart
 from can_rig.results.signals import Signals

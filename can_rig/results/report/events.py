@@ -10,7 +10,7 @@ import numpy as np
 from can_rig.drawing.fault_words import fault_label
 from can_rig.drawing.names import names_of
 from can_rig.frames.network import Network
-from can_rig.plant.columns import VERDICT
+from can_rig.logs.columns import VERDICT
 from can_rig.results.isolation.words import in_words
 from can_rig.results.signals import Signals
 from can_rig.scenario.settings import Scenario

@@ -14,7 +14,7 @@ from can_rig.drawing import scales, style
 from can_rig.drawing.fault_words import fault_label
 from can_rig.drawing.names import Names, names_of
 from can_rig.frames.network import Network
-from can_rig.plant.columns import SPEED
+from can_rig.logs.columns import SPEED
 from can_rig.results.applied import applied_commands
 from can_rig.results.counterfactual import fault_free, uncompensated
 from can_rig.results.metrics import output_of_car, windows

@@ -14,7 +14,7 @@ from typing import Any, NamedTuple
 
 import can
 
-from can_rig.plant.columns import EVIDENCE, VERDICT
+from can_rig.logs.columns import EVIDENCE, VERDICT
 from tests.helpers import start
 
 FILES = ["bus.log", "bus.plant.csv", "report.html", "report.png", "run.json", "signals.csv"]

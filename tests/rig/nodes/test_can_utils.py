@@ -216,7 +216,7 @@ def test_random_payloads_on_the_rigs_own_identifiers_are_rejected_and_counted(
     assert sum(summary["rejected_frames"]["DSTAR_FEEDBACK"].values()) > 0
     quiet = load("thesis-step", [LONGER])
     expected = read_signals(tmp_path / "0.log", network_of(quiet), quiet.tick_s)
-    expected.write_csv(tmp_path / SIGNALS)
+    expected.write_csv(tmp_path / SIGNALS, quiet.plant)
     mine, alone = ((each / SIGNALS).read_text().splitlines() for each in (folder, tmp_path))
     assert len(mine) == len(alone)
     assert all(a.startswith(b) for a, b in zip(mine, alone, strict=True))

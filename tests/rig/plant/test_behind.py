@@ -4,9 +4,9 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
+from can_rig.logs.columns import TRUE_OUTPUT
 from can_rig.plant.actuators import FollowedCommand
 from can_rig.plant.behind import plant_behind
-from can_rig.plant.columns import TRUE_OUTPUT
 from can_rig.plant.sensor import FilteredSamples, SensorNoise, noise
 from can_rig.plant.simulated import SimulatedPlant
 from firmware_model.design.actuator_dynamics import Stage

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
+from can_rig.logs.columns import TRUE_OUTPUT
 from can_rig.plant.behind import plant_behind
-from can_rig.plant.columns import TRUE_OUTPUT
 
 LINEAR = "plant.kind=tests.rig.plant.linear:LinearPlant"
 COUNTING = "plant.kind=tests.rig.plant.test_class_behind:Counting"

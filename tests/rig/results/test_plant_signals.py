@@ -70,7 +70,7 @@ def test_with_a_lag_the_report_has_what_the_log_cannot_tell(tmp_path):
 
 def test_signals_csv_has_the_columns_after_those_of_the_frames(tmp_path):
     log, scenario, signals = signals_of(tmp_path)
-    signals.write_csv(tmp_path / "signals.csv")
+    signals.write_csv(tmp_path / "signals.csv", scenario.plant)
     head, first, *_ = csv.reader((tmp_path / "signals.csv").open())
     assert head[8:] == REPORTED
     assert len(first) == len(head)

@@ -15,9 +15,9 @@ from can_rig.assessment.resolve import load
 from can_rig.errors import LogError
 from can_rig.frames.endpoints import Transmitter
 from can_rig.frames.network import Network
+from can_rig.logs.columns import ON_THE_BUS as COLUMNS
 from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.watchdog import StopRequest
-from can_rig.plant.columns import ON_THE_BUS as COLUMNS
 from can_rig.results.signals import Signals, data_frames, read_signals
 from can_rig.scenario.build import network_of
 
@@ -218,7 +218,7 @@ def test_a_log_that_is_not_there(tmp_path: Path) -> None:
 
 def test_csv_has_the_contract_s_columns_and_empty_cells(tmp_path: Path, lines: list[str]) -> None:
     signals = read(tmp_path, lines)
-    signals.write_csv(tmp_path / "signals.csv")
+    signals.write_csv(tmp_path / "signals.csv", SCENARIO.plant)
     back = np.genfromtxt(tmp_path / "signals.csv", delimiter=",", names=True)
     assert back.dtype.names == (*COLUMNS, *signals.plant)
     for name in COLUMNS:

@@ -1,0 +1,74 @@
+"""What the columns of ``signals.csv`` are called: by the signals of the plant, and their units.
+
+Within the rig every plant has the columns of the car (``logs.columns``). In the file a column that
+says ``torque_nm`` has to be a torque in N m, so there the signals of any other plant have the names
+and the units that its scenario gives them.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Container, Sequence
+from typing import Final
+
+from can_rig.drawing.names import CAR, names_of
+from can_rig.logs.columns import APPLIED, TAKEN, TRUE_OUTPUT
+from can_rig.scenario.plant_settings import PlantSettings
+
+OF_CAR: Final = {
+    CAR.output: ("dstar", "_mps2"),
+    CAR.command_1: ("torque", "_nm"),
+    CAR.command_2: ("force_difference", "_n"),
+}
+"""Stem and ending of the columns of the car's signals."""
+
+ROLES: Final = ("output", "input_1", "input_2")
+"""Stems where the names are no good: without a letter of ASCII, or two columns of one name."""
+
+UNIT_WORDS: Final = {"%": "percent", "°": "deg", "²": "2", "³": "3", "µ": "u", "Ω": "ohm"}
+
+
+def column_names(plant: PlantSettings, further: Container[str] = ()) -> dict[str, str]:
+    """The name in the file of each column that has a signal of ``plant``, by that of the car.
+
+    Args:
+        plant: whose signals they are.
+        further: names that are taken, as a plant of one's own reports what it likes.
+    """
+    signals = names_of(plant)
+    endings = [OF_CAR[each][1] if each in OF_CAR else _ending(each.unit) for each in signals]
+    stems = [OF_CAR[each][0] if each in OF_CAR else _word(each.name) for each in signals]
+    names = _columns(stems, endings)
+    others = set(TAKEN) - set(names)
+    if not all(stems) or len({*names.values()} - others) < len(names):
+        names = _columns(ROLES, endings)
+    return {column: column if name in further else name for column, name in names.items()}
+
+
+def _columns(stems: Sequence[str], endings: Sequence[str]) -> dict[str, str]:
+    output, *commands = (stem + ending for stem, ending in zip(stems, endings, strict=True))
+    command_1, command_2 = commands
+    return {
+        "reference_mps2": f"reference{endings[0]}",
+        "dstar_mps2": output,
+        "error_mps2": f"error{endings[0]}",
+        "torque_nm": command_1,
+        "force_difference_n": command_2,
+        "fault_estimate_mps2": f"fault_estimate{endings[0]}",
+        TRUE_OUTPUT: f"true_{output}",
+        APPLIED[0]: f"applied_{command_1}",
+        APPLIED[1]: f"applied_{command_2}",
+    }
+
+
+def _ending(unit: str) -> str:
+    """``mol/s`` as ``_mol_per_s``, ``N m`` as ``_nm``; nothing without a unit."""
+    for sign, word in UNIT_WORDS.items():
+        unit = unit.replace(sign, word)
+    parts = [_word(part).replace("_", "") for part in unit.split("/")]
+    return "_" + "_per_".join(parts) if all(parts) else ""
+
+
+def _word(text: str) -> str:
+    """``text`` in small letters, digits and _."""
+    return re.sub("[^0-9a-z]+", "_", text.lower()).strip("_")
