@@ -31,6 +31,9 @@ COLUMNS: Final = (
 )  # fmt: skip
 """Of a row, in the order in which the page gets them."""
 
+HOLD: Final = 6
+"""Updates, some 0.2 s, that a frame waits for earlier ones of the other node."""
+
 SILENT_S: Final = 0.5
 """After which a node that has spoken is called silent."""
 
@@ -83,6 +86,7 @@ class Frames(can.Listener):
     def __init__(self) -> None:
         self._waiting: deque[can.Message] = deque()
         self._held: list[can.Message] = []
+        self._newest_s: deque[float] = deque([-math.inf] * HOLD, HOLD)
         self.errors: Counter[str] = Counter()
 
     def on_message_received(self, msg: can.Message) -> None:
@@ -90,14 +94,15 @@ class Frames(can.Listener):
         self._waiting.append(msg)
 
     def in_order(self) -> list[can.Message]:
-        """The frames until the newest of the last call, in the order of their time stamps.
+        """The frames until the newest of ``HOLD`` calls ago, in the order of their time stamps.
 
         A listener that lags gets those of one node late, behind newer ones of the other.
         """
-        until_s = self._held[-1].timestamp if self._held else -math.inf
+        until_s = self._newest_s[0]
         for _ in range(len(self._waiting)):
             self._held.append(self._waiting.popleft())
         self._held.sort(key=lambda message: message.timestamp)
+        self._newest_s.append(self._held[-1].timestamp if self._held else self._newest_s[-1])
         split = bisect_right(self._held, until_s, key=lambda message: message.timestamp)
         ready, self._held = self._held[:split], self._held[split:]
         return ready
