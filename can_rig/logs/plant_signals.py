@@ -30,7 +30,7 @@ def read_plant_signals(log: Path, first_tick: int, ticks: int) -> PlantSignals:
     if not path.is_file():
         return {}
     try:
-        text = path.read_text("ascii")
+        text = path.read_text("utf-8")
         whole = text[: text.rfind("\n") + 1]
         head, _, rows = whole.partition("\n")
         names = head.split(",")[1:]

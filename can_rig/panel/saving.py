@@ -66,7 +66,7 @@ def _keys(fault: FaultSettings) -> dict[str, Any]:
 
 
 def _write_reference(path: Path, signals: Signals) -> None:
-    with path.open("x", encoding="ascii", newline="\n") as file:
+    with path.open("x", encoding="utf-8", newline="\n") as file:
         file.write("time_s,reference_mps2\n")
         for time_s, value in zip(signals.time_s, signals.reference_mps2, strict=True):
             file.write(f"{float(time_s)!r},{float(value)!r}\n")

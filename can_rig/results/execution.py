@@ -260,7 +260,7 @@ def _with_reference(
         return scenario, scenario
     file = folder.making / REFERENCE
     try:
-        file.write_text(csv, encoding="ascii")
+        file.write_text(csv, encoding="utf-8")
     except OSError as error:
         raise RunFolderError(f"{file}: cannot be written: {error.strerror}") from None
     made_here, final = (

@@ -77,7 +77,7 @@ class Signals:
         names = column_names(plant, self.plant)
         header = [names.get(name, name) for name in (*ON_THE_BUS, *further)]
         whole = ",".join(["%.10g"] * len(columns)) + "\n"
-        with path.open("w", encoding="ascii", newline="\n") as file:
+        with path.open("w", encoding="utf-8", newline="\n") as file:
             file.write(",".join(header) + "\n")
             for row in zip(*columns, strict=True):
                 line = whole % row

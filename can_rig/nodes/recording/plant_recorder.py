@@ -2,13 +2,14 @@
 
 from __future__ import annotations
 
-import csv
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from types import TracebackType
 from typing import Final, Self
+
+import orjson
 
 from can_rig.errors import RunFolderError
 from can_rig.logs.plant_signals import plant_signals_path
@@ -32,29 +33,31 @@ class PlantRecorder:
         self._path = plant_signals_path(log)
         self._names: tuple[str, ...] = ()
         try:
-            self._file = self._path.open("w", BUFFER, encoding="ascii", newline="\n")
+            self._file = self._path.open("wb", BUFFER)
         except OSError as error:
             raise RunFolderError(f"{self._path}: cannot be opened: {error.strerror}") from None
-        self._rows = csv.writer(self._file, lineterminator="\n")
 
     def record(self, tick: int, signals: Mapping[str, float]) -> None:
         """Note the signals of ``tick``, the same ones in each."""
-        try:
-            if not self._names:
-                self._names = tuple(signals)
-                self._rows.writerow(("tick", *self._names))
-            self._rows.writerow((tick, *(signals.get(name, math.nan) for name in self._names)))
-        except OSError as error:
-            raise RunFolderError(f"{self._path}: cannot be written: {error.strerror}") from None
+        names = self._names or tuple(signals)
+        self._write(names, [(tick, *(signals.get(name, math.nan) for name in names))])
 
     def record_columns(self, first_tick: int, columns: Mapping[str, FloatArray]) -> None:
         """Note the signals of the ticks from ``first_tick`` on, (ticks,) each."""
-        rows = zip(*(column.tolist() for column in columns.values()), strict=True)
+        values = [column.tolist() for column in columns.values()]
+        ticks = range(first_tick, first_tick + len(values[0]))
+        self._write(tuple(columns), list(zip(ticks, *values, strict=True)))
+
+    def _write(self, names: tuple[str, ...], rows: Sequence[tuple[float, ...]]) -> None:
+        """Rows of a tick and its signals, in as few digits as tell each value from all others."""
+        text = orjson.dumps(rows)[2:-2].replace(b"],[", b"\n")
+        if b"null" in text:  # JSON has no inf and no nan
+            text = "\n".join(",".join(map(repr, row)) for row in rows).encode()
         try:
             if not self._names:
-                self._names = tuple(columns)
-                self._rows.writerow(("tick", *self._names))
-            self._rows.writerows((tick, *row) for tick, row in enumerate(rows, first_tick))
+                self._names = names
+                self._file.write(",".join(("tick", *names)).encode() + b"\n")
+            self._file.write(text + b"\n")
         except OSError as error:
             raise RunFolderError(f"{self._path}: cannot be written: {error.strerror}") from None
 

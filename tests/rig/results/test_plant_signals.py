@@ -4,9 +4,14 @@ import csv
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.testing import assert_array_equal
 from scipy.signal import cont2discrete, dlsim
 
 from can_rig.errors import LogError, RigError
+from can_rig.logs.plant_signals import read_plant_signals
+from can_rig.nodes.recording.plant_recorder import PlantRecorder
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.results.applied import applied_commands
 from can_rig.results.signals import read_signals
@@ -100,10 +105,10 @@ def test_a_line_that_was_not_finished_is_not_read(tmp_path):
     )
 
 
-@pytest.mark.parametrize("text", ["tick,a\n0,x\n", "tick,a\n0,1,2\n", "tick,ä\n0,1\n"])
+@pytest.mark.parametrize("text", [b"tick,a\n0,x\n", b"tick,a\n0,1,2\n", b"tick,\xff\n0,1\n"])
 def test_another_file_of_that_name_is_refused_in_one_line(tmp_path, text):
     log, scenario, _ = signals_of(tmp_path)
-    log.with_suffix(".plant.csv").write_text(text)
+    log.with_suffix(".plant.csv").write_bytes(text)
     with pytest.raises(LogError, match=r"\.plant\.csv: not readable as signals of a plant") as bad:
         read_signals(log, network_of(scenario), scenario.tick_s)
     assert "\n" not in str(bad.value)
@@ -151,3 +156,18 @@ def test_signals_that_are_none_are_refused_in_one_line(tmp_path, monkeypatch, si
     plant = SimulatedPlant(own(tmp_path, monkeypatch, signals))
     with pytest.raises(RigError, match=line):
         plant.advance(0, 0.0, 0.0)
+
+
+@given(st.lists(st.tuples(st.floats(), st.floats()), min_size=1))
+def test_every_value_and_name_comes_back_from_the_file_as_it_was(tmp_path_factory, rows):
+    names = ("größe_m", "flow_mol_per_s")
+    columns = dict(zip(names, np.array(rows, ndmin=2).T, strict=True))
+    log = tmp_path_factory.mktemp("reported") / "bus.log"
+    with PlantRecorder(log) as recorder:
+        recorder.record_columns(0, columns)
+        for tick, row in enumerate(rows, len(rows)):
+            recorder.record(tick, dict(zip(names, row, strict=True)))
+    read = read_plant_signals(log, 0, 2 * len(rows))
+    assert list(read) == list(names)
+    for name in names:
+        assert_array_equal(read[name], np.tile(columns[name], 2))
