@@ -4,41 +4,47 @@ from __future__ import annotations
 
 import sys
 import tempfile
-import tomllib
 from pathlib import Path
 
 sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import click
 
-from can_rig.assessment.resolve import load
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import write_log
 from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.watchdog import StopRequest
-
-FOLDER = Path(__file__).parents[1] / "tests" / "drives"
+from tests.rig.replay.recorded import (
+    DRIVES,
+    are_close,
+    designed,
+    has_constants,
+    keep,
+    log_of,
+    recorded,
+    scenario_of,
+)
 
 
 @click.command()
 @click.argument("names", nargs=-1)
 def record(names: tuple[str, ...]) -> None:
-    """Record the drives NAMES again, or all; one whose frames are the same is left as it is."""
-    drives = tomllib.loads((FOLDER / "drives.toml").read_text(encoding="utf-8"))
-    unknown = set(names) - set(drives)
+    """Record the drives NAMES again, or all; one with the same frames and constants is left."""
+    unknown = set(names) - set(DRIVES)
     if unknown:
         raise click.UsageError(f"{', '.join(sorted(unknown))}: not in drives.toml")
-    for name in names or drives:
-        drive = drives[name]
-        scenario = load(drive["scenario"], drive["set"])
-        path = FOLDER / f"{name}.log.gz"
+    for name in names or DRIVES:
+        scenario, path = scenario_of(name), log_of(name)
+        constants = designed(scenario)
         with tempfile.TemporaryDirectory() as folder:
             log = Path(folder) / "bus.log"
             bus = f"local:{folder}/bus"
             run_in_process(scenario, bus, log, StopRequest(), lambda tick: None)
             same = path.exists() and frames(path) == frames(log)
+            same = same and has_constants(name) and are_close(constants, recorded(name))
             if not same:
                 write_log(read_log(log), path)
+                keep(name, constants)
         said = "as it was" if same else f"recorded, {path.stat().st_size / 1000:.0f} kB"
         click.echo(f"{name:16} {scenario.ticks:6} ticks  {said}")
 
