@@ -35,8 +35,9 @@ from can_rig.export.running.ecu import bench
 from can_rig.scenario.build import network_of
 
 SETTINGS: Final = Path(__file__).with_suffix(".toml")
-COMPILER: Final = "tcc" if shutil.which("tcc") else "gcc"  # ten times as fast, and as exact
-FAST: Final = (COMPILER, "-std=c99") if COMPILER == "tcc" else (COMPILER, *HOST_FLAGS, "-O0")
+GCC: Final = ("gcc", *HOST_FLAGS, "-O0")
+TCC: Final = ("tcc", "-std=c99")  # ten times as fast, and as exact
+FAST: Final = TCC if shutil.which("tcc") else GCC
 MEMORIES: Final = (20, 200, 2000)  # most mutants are noticed by the few
 TICKS: Final = 16
 SEEDS: Final = range(60)
@@ -69,7 +70,17 @@ def built(folder: Path, files: dict[str, str], compile_: Sequence[str]) -> None:
     folder.mkdir()
     for name, text in {**files, "bench_main.c": support("bench_main.c")}.items():
         (folder / name).write_text(text, encoding="utf-8")
-    run([*compile_, "-c", *(path.name for path in folder.glob("*.c"))], folder)
+    for path in folder.glob("*.c"):
+        run([*able(path, compile_), "-c", path.name], folder)
+
+
+def able(source: Path, compile_: Sequence[str]) -> Sequence[str]:
+    """``compile_``, or gcc for a source that tcc refuses: to it -INFINITY is no constant."""
+    if compile_ != TCC:
+        return compile_
+    tried = [*TCC, "-c", source.name, "-o", "/dev/null"]
+    refused = subprocess.run(tried, cwd=source.parent, capture_output=True, check=False).returncode
+    return GCC if refused else TCC
 
 
 def answers(
@@ -105,7 +116,7 @@ def said_by(
     stem = f"{Path(name).stem}-{number}"
     (folder / f"{stem}.c").write_text(mutant.source, encoding="utf-8")
     compiled = subprocess.run(
-        [*by, "-c", f"{stem}.c"], cwd=folder, capture_output=True, check=False
+        [*able(folder / name, by), "-c", f"{stem}.c"], cwd=folder, capture_output=True, check=False
     )
     (folder / f"{stem}.c").unlink()
     if compiled.returncode:
