@@ -78,9 +78,10 @@ def able(source: Path, compile_: Sequence[str]) -> Sequence[str]:
     """``compile_``, or gcc for a source that tcc refuses: to it -INFINITY is no constant."""
     if compile_ != TCC:
         return compile_
-    tried = [*TCC, "-c", source.name, "-o", "/dev/null"]
-    refused = subprocess.run(tried, cwd=source.parent, capture_output=True, check=False).returncode
-    return GCC if refused else TCC
+    with tempfile.TemporaryDirectory() as place:  # not /dev/null: tcc puts a file in its place
+        tried = [*TCC, "-c", source.name, "-o", f"{place}/tried.o"]
+        done = subprocess.run(tried, cwd=source.parent, capture_output=True, check=False)
+    return GCC if done.returncode else TCC
 
 
 def answers(
