@@ -85,6 +85,18 @@ def test_a_signature_is_what_the_fault_changes_in_the_innovations(noise_pole: fl
     assert own.information == pytest.approx(information, rel=1e-8)
 
 
+@given(new=st.floats(0.1, 10.0), variance=st.floats(0.01, 1.0))
+def test_a_bias_jumps_in_the_tick_after_a_verdict_as_in_any_other(
+    new: float, variance: float
+) -> None:
+    """Its onset is that tick already, so it begins again or not as the last bit falls."""
+    table, state = NO_CARS[0], controller.init(NO_CARS[0])[0]
+    begin_all(state.hypotheses.signatures)
+    state.mismatch.variance = variance
+    weigh_signatures(table, state, new)
+    assert state.hypotheses.signatures.jump == pytest.approx(0.5 * new**2 / variance, rel=1e-12)
+
+
 @given(st.integers(0, 10**6), st.sampled_from([(-math.inf, math.inf), (0.5, 1.5), (-0.1, 0.1)]))
 def test_evidence_is_the_likelihood_ratio_of_the_likeliest_size(
     seed: int, limits: tuple[float, float]

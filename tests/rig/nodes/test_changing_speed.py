@@ -16,7 +16,7 @@ from can_rig.logs.reading import read_log
 from can_rig.nodes.lockstep.controller_node import ControllerNode
 from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.watchdog import StopRequest
-from can_rig.panel.live import LiveSignals
+from can_rig.panel.live import HOLD, LiveSignals
 from can_rig.plant.frameless import frameless
 from can_rig.replay.gaps import Gap
 from can_rig.replay.replay import OpenLoop
@@ -84,8 +84,8 @@ def test_report_and_panel_show_it(log: Path) -> None:
     for frames in read_log(log):
         for message in frames.messages():
             live.frames.on_message_received(message)
-    live.update()  # it holds the newest frames until it looks again
-    live.update()
+    for _ in range(HOLD + 1):
+        live.update()
     assert live.lamps.speed_mps == pytest.approx(13.0)
 
 

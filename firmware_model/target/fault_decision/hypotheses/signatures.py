@@ -69,6 +69,7 @@ def weigh_signatures(table: Record, state: Record, innovation: float) -> None:
         begin(bias)
         shown = output(m, bias.answer, -one)
         take_in(table, state, bias.candidate, constants.sensor_biased, shown, innovation)
+    if bias.candidate.age == one:  # begun now, or by a verdict in the tick before
         own.jump = bias.candidate.evidence
     shown = output(m, drift.answer, own.ramp)
     take_in(table, state, drift.candidate, constants.sensor_drifting, shown, innovation)
