@@ -103,7 +103,7 @@ def test_values_are_packed_as_by_the_rig(codec: MessageCodec, value: float, tick
 
 @pytest.mark.parametrize("codec", list(NETWORK), ids=lambda codec: codec.role)
 def test_the_ends_of_a_range_are_packed_as_by_the_rig(codec: MessageCodec) -> None:
-    for end in (codec.minimum, codec.maximum, 0.0):
+    for end in (codec.minimum, codec.maximum, 0.0, math.nan):
         for value in (end, math.nextafter(end, math.inf), math.nextafter(end, -math.inf)):
             data = ctypes.create_string_buffer(8)
             C.frame_pack(definition(codec), value, 0, data)
