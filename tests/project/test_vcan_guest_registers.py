@@ -222,7 +222,8 @@ def test_the_numbers_of_processes_that_take_turns_are_right(
     script = 'echo "${LD_PRELOAD-none}"; exec "$@"'
     python = [sys.executable, Path(__file__).with_name("registers.py")]
     environment["OPENBLAS_NUM_THREADS"] = "1"
-    here = subprocess.run(python, env=environment, capture_output=True, text=True, check=True)
+    same = {**os.environ, **environment}
+    here = subprocess.run(python, env=same, capture_output=True, text=True, check=True)
     process = guest("--timeout", 300, "bash", "-c", script, "x", *python, env=environment)
     out, err = process.communicate(timeout=320)
     assert (process.returncode, err) == (0, "")

@@ -239,7 +239,7 @@ def test_loop_gain_is_its_definition(latency: int) -> None:
     direct = [
         -loop.c @ np.linalg.solve(point * np.eye(len(loop.a)) - loop.a, loop.b[:, 0]) for point in z
     ]
-    np.testing.assert_allclose(loop.loop_gain(z), direct, rtol=1e-6)
+    np.testing.assert_allclose(loop.loop_gain(z), direct, rtol=1e-5)  # z I - A is near singular
 
 
 @pytest.mark.parametrize("fraction", [0.25, 0.75])

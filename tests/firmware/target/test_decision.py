@@ -174,7 +174,8 @@ def test_a_bias_that_no_command_explains_is_no_loss(value: float) -> None:
     """D* jumps while nothing was commanded: no channel that was lost makes that d̂."""
     firmware = Firmware(build(FAST, confirming(0)))
     answer = firmware.step(0.0, value)
-    assert answer.fault_state == CANNOT_TELL
+    assert answer.fault_state == CLEAR
+    assert answer.verdict == Verdict.SENSOR_BIASED
     assert answer.fault_estimate == -value
     assert answer.command_2 == 0.0
 
