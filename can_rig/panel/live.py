@@ -81,9 +81,16 @@ class Lamps:
 
 
 class Frames(can.Listener):
-    """What python-can's thread hands over, and what the bus says beside frames."""
+    """What python-can's thread hands over, and what the bus says beside frames.
 
-    def __init__(self) -> None:
+    Args:
+        at_once: identifier of frames that are not put in order with the others.
+    """
+
+    def __init__(self, at_once: int) -> None:
+        self._at_once = at_once
+        self.news: deque[can.Message] = deque()
+        """These frames, the newest last."""
         self._waiting: deque[can.Message] = deque()
         self._held: list[can.Message] = []
         self._newest_s: deque[float] = deque([-math.inf] * HOLD, HOLD)
@@ -91,7 +98,7 @@ class Frames(can.Listener):
 
     def on_message_received(self, msg: can.Message) -> None:
         """Keep a frame until the next update."""
-        self._waiting.append(msg)
+        (self.news if msg.arbitration_id == self._at_once else self._waiting).append(msg)
 
     def in_order(self) -> list[can.Message]:
         """The frames until the newest of ``HOLD`` calls ago, in the order of their time stamps.
@@ -132,22 +139,26 @@ class LiveSignals:
             getattr(network, role).frame_id: node for node, roles in ENDS.items() for role in roles
         }
         self._speed = None if network.speed is None else Receiver(network.speed)
-        self._control, self._state, self._applied_id, _ = control.identifiers()
+        identifiers = control.identifiers()
+        self._applied_id, self._taken_id = identifiers.applied, identifiers.taken
         self._applied: dict[int, tuple[float, float]] = {}
         self._heard_s: dict[str, float] = {}
         self._bits: dict[tuple[bool, bool, int], int] = {}
         self._looked_s = time.monotonic()
-        self.frames = Frames()
+        self.frames = Frames(identifiers.state)
         self.lamps = Lamps()
         self.state: control.State | None = None
         """Of the plant node, where it says one."""
-        self.commands: list[control.Command] = []
-        """Sent since the last call of ``taken_commands``."""
+        self._taken: list[tuple[float, control.Command]] = []
 
     def update(self) -> FloatArray:
         """The rows (n, columns) for the screen that are complete since the last call."""
         now_s = time.monotonic()
         bits = 0
+        while self.frames.news:
+            message = self.frames.news.popleft()
+            bits += self._length(message)
+            self._hear_state(message)
         for message in self.frames.in_order():
             bits += self._length(message)
             self._take(message, now_s)
@@ -161,9 +172,9 @@ class LiveSignals:
         self._note(rows, bits, now_s)
         return self._decimator.take(rows)
 
-    def taken_commands(self) -> list[control.Command]:
-        """What was sent to the plant node since the last call, by whomever."""
-        taken, self.commands = self.commands, []
+    def taken_commands(self) -> list[tuple[float, control.Command]]:
+        """What the plant node was told since the last call, and from what time of the run on."""
+        taken, self._taken = self._taken, []
         return taken
 
     def _take(self, message: can.Message, now_s: float) -> None:
@@ -179,12 +190,10 @@ class LiveSignals:
             applied = control.read_applied(message)
             if applied is not None:
                 self._applied[self._rows.tick] = applied
-        elif message.arbitration_id == self._state:
-            self._hear_state(message)
-        elif message.arbitration_id == self._control:
-            command = control.read_command(message)
-            if command is not None:
-                self.commands.append(command)
+        elif message.arbitration_id == self._taken_id:
+            numbered = control.read_taken(message)
+            if numbered is not None:  # it comes before the frames of the tick in which it acts
+                self._taken.append(((self._rows.tick + 1) * self._scenario.tick_s, numbered[1]))
 
     def _hear_state(self, message: can.Message) -> None:
         self.state = control.read_state(message) or self.state

@@ -54,7 +54,7 @@ class Screen:
         self._updates = 0
         self._end: asyncio.Task[None] | None = None
         self.events: list[dict[str, Any]] = []
-        """What was sent to the plant node, with the time of the run."""
+        """What the plant node was told, with the time of the run from which it acts."""
 
     def welcome(self, viewer: Viewer) -> None:
         """Show a browser what there is until now."""
@@ -111,8 +111,8 @@ class Screen:
         """Offer every browser the rows that are new, and now and then the lamps."""
         live = self.session.live
         rows = live.update()
-        for command in live.taken_commands():
-            event = {"time_s": live.lamps.time_s, **command._asdict()}
+        for time_s, command in live.taken_commands():
+            event = {"time_s": time_s, **command._asdict()}
             self.events.append(event)
             self.viewers.offer(json.dumps({"event": event}))
         if len(rows):

@@ -127,7 +127,6 @@ class Session:
         self.live.state = state._replace(
             next_sequence=(state.next_sequence + 1) % control.SEQUENCES
         )
-        self.live.commands.append(command)  # a bus does not hand a node its own frames
 
 
 def new_bus() -> str:

@@ -104,13 +104,10 @@ def taken_message(command: Command, sequence: int) -> Message:
     return _command_message("RIG_TAKEN", command, sequence)
 
 
-def read_command(message: Message, sequence: int | None = None) -> Command | None:
-    """What a ``RIG_CONTROL`` says; None if it is damaged, or is not number ``sequence``.
-
-    Without a ``sequence`` its number does not matter.
-    """
+def read_command(message: Message, sequence: int) -> Command | None:
+    """What a ``RIG_CONTROL`` says; None if it is damaged, or is not number ``sequence``."""
     numbered = _read_command("RIG_CONTROL", message)
-    return None if numbered is None or sequence not in (None, numbered[0]) else numbered[1]
+    return None if numbered is None or sequence != numbered[0] else numbered[1]
 
 
 def read_taken(message: Message) -> tuple[int, Command] | None:
