@@ -9,10 +9,9 @@ from typing import NamedTuple, Protocol
 import numpy as np
 
 from firmware_model.target import controller, schedule
-from firmware_model.target.filters.biquad import advance, at_rest
+from firmware_model.target.fault_decision.lost_commands import act_first
+from firmware_model.target.filters import biquad
 from firmware_model.target.layout import precision_of
-from firmware_model.target.precision import real
-from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray, Record, RecordArray, record_type
 
 
@@ -91,6 +90,7 @@ class Firmware:
         self._tables[0] = table
         self._states = law.init(self._tables[0])
         self._step = law.step_of(self._tables, self._states)
+        self._motions = np.zeros(1, record_type(biquad.STATE, precision_of(table)))
         self._change_speed: ChangeSpeed | None = None
         if speeds is not None:
             blending = np.zeros(1, record_type(schedule.STATE, precision_of(table)))
@@ -130,48 +130,7 @@ class Firmware:
         F1 and the decision go on with them, and what was lost is made up for. Only for a latency
         of at least one tick: without it no command can be late.
         """
-        estimator = self._states[0].estimator
-        lost_1 = float(estimator.delay_1[estimator.delay_index]) - command_1
-        lost_2 = float(estimator.delay_2[estimator.delay_index]) - command_2
-        estimator.delay_1[estimator.delay_index] = command_1
-        estimator.delay_2[estimator.delay_index] = command_2
-        motion, missing = self._lose(1, lost_1)
-        self._owe_less(motion, missing)
-        _, missing = self._lose(2, lost_2)
-        shown = int(self._tables[0].estimator.shown_ticks_2)
-        _change(self._states[0].tracking.delay, shown, int(estimator.shown_index_2), missing)
-
-    def _owe_less(self, motion: FloatArray, missing: FloatArray) -> None:
-        """A channel that is lost, known or not, does not owe what it was not told.
-
-        Args:
-            motion: of G1, (MAX_SECTIONS, 2), and
-            missing: its outputs of the last ticks, that the command would have caused.
-        """
-        table, state = self._tables[0], self._states[0]
-        owing = [state.sequential_test]
-        if state.fault_state == FaultState.CONFIRMED or table.decision.tracks_share:
-            owing.append(state.loss_model)
-        for each in owing:
-            each.channel_1.accumulators -= motion
-            shown = int(table.estimator.shown_ticks_1)
-            _change(each.delay, shown, int(state.estimator.shown_index_1), -missing)
-
-    def _lose(self, channel: int, lost: float) -> tuple[FloatArray, FloatArray]:
-        """Take ``lost`` for a shortfall of the tick whose command would act now.
-
-        Returns the motion that is missing now, and what has been missing of the output since then.
-        """
-        table, state = self._tables[0], self._states[0]
-        cascade, shortfall = table.estimator[f"channel_{channel}"], state[f"shortfall_{channel}"]
-        more = at_rest(precision_of(table))
-        ticks = int(table.estimator.latency_ticks)
-        missing = [
-            float(advance(cascade, more, real(lost * (k == 0), state.command_1)))
-            for k in range(ticks)
-        ]
-        shortfall.accumulators += more.accumulators
-        return more.accumulators, np.array(missing)
+        act_first(self._tables, self._states, self._motions, command_1, command_2)
 
     @property
     def hypotheses(self) -> Record:
@@ -183,9 +142,3 @@ class Firmware:
         """The last commands, computed, held or settled."""
         state = self._states[0]
         return float(state.command_1), float(state.command_2)
-
-
-def _change(delay: FloatArray, size: int, index: int, outputs: FloatArray) -> None:
-    """Add ``outputs`` to the newest entries of a ring whose oldest is at ``index``."""
-    for i, each in enumerate(outputs, start=index - len(outputs)):
-        delay[i % size] += each

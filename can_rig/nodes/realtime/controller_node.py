@@ -72,7 +72,8 @@ def warm_up(scenario: Scenario, network: Network) -> None:
     Raises:
         ScenarioError: a design that cannot be made.
     """
-    table, _ = started(scenario, network)
+    table, firmware = started(scenario, network)
+    firmware.act(0.0, 0.0)
     BumplessRestart(scenario, table, network.feedback.lsb)
 
 
