@@ -14,8 +14,8 @@ import pytest
 CHECKOUT = Path(__file__).parents[2]
 PACKAGES = ("can_rig", "firmware_model")
 ROOTS = {
-    "can_rig": {"__init__", "__main__", "api", "errors", "files"},
-    "firmware_model": {"__init__", "compiled", "errors", "firmware", "testing"},
+    "can_rig": {"__init__", "__main__", "errors", "files"},
+    "firmware_model": {"__init__", "compiled", "errors", "firmware"},
 }
 HEAVY = {"matplotlib", "asammdf", "fmpy", "pyarrow", "pandas", "control", "mcap", "aiohttp"}
 """Libraries so slow to import that a command that does without them must not wait for them."""

@@ -18,8 +18,8 @@ import pandas as pd
 import pytest
 
 import can_rig
-from can_rig import api, errors
-from can_rig.api import RecordedRun
+from can_rig import errors
+from can_rig.api import RecordedRun, calls
 from can_rig.decoding.decode import decode_log
 from can_rig.results.run_folder import LOG, REPORT, SIGNALS, SUMMARY
 from can_rig.views import recorded_run
@@ -147,7 +147,7 @@ def test_check_answers_as_the_command() -> None:
 def test_tune_asks_the_search_of_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search itself takes a minute, and has tests of its own."""
     asked_for: list[Any] = []
-    monkeypatch.setattr(api, "search", lambda *what: asked_for.append(what) or "found")
+    monkeypatch.setattr(calls, "search", lambda *what: asked_for.append(what) or "found")
     speeds = {"plant.speed_mps": (9.0, 11.0)}
     found = can_rig.tune("default", {"tick_s": 0.002}, box=0.0, ranges=speeds, noise_limit_n=5.0)
     assert found == "found"

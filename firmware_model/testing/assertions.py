@@ -1,10 +1,4 @@
-"""Assertions for tests of discretised filters: against theory, never against golden numbers.
-
-Each takes a ``Filter`` of ``discretise`` and raises ``AssertionError`` with one line: where the
-filter is how far from theory, and what was allowed. What is allowed comes from the coefficients,
-where the caller does not say: how far rounding can move the answer (``single_filter.rounding``).
-What is no filter, frequency or sample raises ``ParameterError``.
-"""
+"""The assertions: response, DC gain, step, stability, precision, bit identity."""
 
 from __future__ import annotations
 
