@@ -9,6 +9,8 @@ Nothing else imports this room.
 """
 
 from firmware_model.testing.assertions import (
+    OF_ZOH,
+    ROUNDINGS,
     assert_bit_identical,
     assert_dc_gain,
     assert_float32_follows,
@@ -18,6 +20,8 @@ from firmware_model.testing.assertions import (
 )
 
 __all__ = [
+    "OF_ZOH",
+    "ROUNDINGS",
     "assert_bit_identical",
     "assert_dc_gain",
     "assert_float32_follows",
