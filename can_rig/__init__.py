@@ -18,3 +18,8 @@ def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module("can_rig.api"), name)
+
+
+def __dir__() -> list[str]:
+    """The public names too, for completion in a notebook."""
+    return sorted({*globals(), *__all__})

@@ -20,3 +20,8 @@ def __getattr__(name: str) -> Any:
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module("firmware_model.discretisation.single_filter.filters"), name)
+
+
+def __dir__() -> list[str]:
+    """The public names too, for completion in a notebook."""
+    return sorted({*globals(), *__all__})

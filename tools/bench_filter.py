@@ -87,7 +87,7 @@ def _errors(filters: int) -> Table:
         exact = tustin_exactly_of_coefficients(num, den, omega, tick_s)
         answer = discretise((num, den), tick_s).frequency_response(omega)
         of_coefficients.append(_worst(answer, exact))
-        g, tick_s = random_filter(rng, held=True)
+        g, tick_s = random_filter(rng)
         omega = SHARES * math.pi / tick_s
         exact = zoh_exactly(g, omega, tick_s)
         error = np.abs(discretise(g, tick_s, "zoh").frequency_response(omega) - exact)

@@ -130,6 +130,11 @@ class ZeroPoleGain:
         return len(self.poles) - len(self.zeros)
 
     @property
+    def feedthrough(self) -> float:
+        """The limit for s → ∞ of a proper function: the gain where zeros are as many as poles."""
+        return self.gain if self.relative_degree == 0 else 0.0
+
+    @property
     def is_proper(self) -> bool:
         """No more zeros than poles."""
         return self.relative_degree >= 0

@@ -19,7 +19,7 @@ StateSpace = tuple[FloatArray, FloatArray, FloatArray]
 def sampled(g: ZeroPoleGain, tick_s: float) -> StateSpace:
     """``(a, b, c)`` with δx = a x + b u, y = c x + d u; shapes (n, n), (n, 1), (1, n).
 
-    d is the feedthrough of ``g``: its gain where it has as many zeros as poles, otherwise 0.
+    d is the feedthrough of ``g``, which sampling does not change.
     a = e^{AT} - 1 and b = ∫e^{At}dt B, both by way of that integral, without losing small numbers.
     """
     per_tick = ZeroPoleGain(
@@ -45,9 +45,14 @@ def response(system: StateSpace, delta: ComplexArray) -> ComplexArray:
     )
 
 
-def zeros_of(system: StateSpace, poles: ComplexArray) -> list[complex]:
-    """Finite zeros of c(δI - a)⁻¹b: n - 1 of them, since a sampled first sample answers."""
+def zeros_of(system: StateSpace, feedthrough: float, poles: ComplexArray) -> list[complex]:
+    """Finite zeros of c(δI - a)⁻¹b + d: n, the poles of its inverse, and n - 1 where d = 0.
+
+    There are no fewer: the first sample after an input's answers.
+    """
     a, b, c = system
+    if feedthrough:
+        return [complex(zero) for zero in linalg.eigvals(a - b @ c / feedthrough)]
     n = len(a)
     pencil = np.block([[a, b], [c, np.zeros((1, 1))]])
     mass = np.zeros((n + 1, n + 1))

@@ -50,7 +50,7 @@ def tustin_held(g: ZeroPoleGain, tick_s: float) -> Sections:
     """Crank-Nicolson integration of ``g`` with one input value an interval.
 
     Raises:
-        ImproperError: ``g`` has feedthrough; a held input has nothing to say of that path.
+        ImproperError: ``g`` has feedthrough, or more zeros than poles.
         ParameterError: as ``tustin``.
     """
     return from_delta_zpk(*_held_bilinear(g, tick_s), tick_s)
@@ -62,11 +62,11 @@ def zoh(g: ZeroPoleGain, tick_s: float) -> Sections:
 
     Kept: tables that differ in frames, limits or noise alone have the same filters.
 
-    Poles are e^{pT}. Zeros are those of the sampled state space, and so is the gain, read off in
-    the middle of the filter's band.
+    Poles are e^{pT}. Zeros are those of the sampled state space, and so is the gain: the
+    feedthrough, or without one read off in the middle of the filter's band.
 
     Raises:
-        ImproperError: ``g`` has feedthrough.
+        ImproperError: ``g`` has more zeros than poles.
         ParameterError: a tick out of range.
     """
     return from_delta_zpk(*_held_exactly(g, tick_s), tick_s)
@@ -81,7 +81,14 @@ RULES: Final[Mapping[Rule, Callable[[ZeroPoleGain, float], Sections]]] = {
 
 def _held_bilinear(g: ZeroPoleGain, tick_s: float) -> DeltaRoots:
     """``tustin_held`` as zeros, poles and gain in δ."""
-    _refuse_feedthrough(g, "tustin-held")
+    _check_tick(tick_s)
+    if g.gain == 0.0:
+        return [], [], 0.0
+    if g.relative_degree < 1:
+        raise ImproperError(
+            f"tustin-held needs more poles than zeros (got {len(g.poles)} and {len(g.zeros)}): "
+            "it filters the input by 2/(z + 1), a feedthrough path too; use zoh or tustin"
+        )
     zeros, poles, gain = bilinear(g, tick_s, None)
     zeros.remove(-2.0)
     return zeros, poles, 2.0 * gain
@@ -90,13 +97,15 @@ def _held_bilinear(g: ZeroPoleGain, tick_s: float) -> DeltaRoots:
 def _held_exactly(g: ZeroPoleGain, tick_s: float) -> DeltaRoots:
     """``zoh`` as zeros, poles and gain in δ."""
     _check_tick(tick_s)
-    _refuse_feedthrough(g, "zoh")
-    if g.gain == 0.0:
-        return [], [], 0.0
+    _require_proper(g)
     g = g.cancelled()  # a state space of what is left has a state for each pole
+    if not g.poles:
+        return [], [], g.gain
     poles = np.array([_expm1(p * tick_s) for p in g.poles])
     system = sampled(g, tick_s)
-    zeros = zeros_of(system, poles)
+    zeros = zeros_of(system, g.feedthrough, poles)
+    if g.feedthrough:
+        return zeros, [complex(pole) for pole in poles], g.feedthrough
     middle = np.abs(poles[poles != 0.0])
     probe = float(np.exp(np.log(middle).mean())) if middle.size else 1.0
     if (poles.real > 0.0).any():
@@ -109,11 +118,7 @@ def _held_exactly(g: ZeroPoleGain, tick_s: float) -> DeltaRoots:
 def bilinear(g: ZeroPoleGain, tick_s: float, prewarp_rad_per_s: float | None) -> DeltaRoots:
     """Zeros, poles and gain in δ: s = κ(z-1)/(z+1) gives δ = 2r/(κ - r) for a root r."""
     _check_tick(tick_s)
-    if g.relative_degree < 0:
-        raise ImproperError(
-            f"a transfer function with {len(g.zeros)} zeros and {len(g.poles)} poles is improper: "
-            "must have at least as many poles as zeros"
-        )
+    _require_proper(g)
     kappa = image_of_infinity(tick_s, prewarp_rad_per_s)
     for pole in g.poles:
         if pole == kappa:
@@ -145,11 +150,11 @@ def _check_tick(tick_s: float) -> None:
         raise ParameterError(f"tick_s = {tick_s:g}: must be finite and above 0 s")
 
 
-def _refuse_feedthrough(g: ZeroPoleGain, rule: str) -> None:
-    if g.relative_degree < 1 and g.gain != 0.0:
+def _require_proper(g: ZeroPoleGain) -> None:
+    if not g.is_proper:
         raise ImproperError(
-            f"{rule} needs more poles than zeros (got {len(g.poles)} and {len(g.zeros)}): "
-            "a held input passes a feedthrough path unfiltered; use tustin"
+            f"a transfer function with {len(g.zeros)} zeros and {len(g.poles)} poles is improper: "
+            "must have at least as many poles as zeros"
         )
 
 

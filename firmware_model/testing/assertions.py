@@ -78,9 +78,8 @@ def _theory(filter: Filter, system: object, omega: FloatArray) -> tuple[ComplexA
     if filter.rule == "zoh":
         g = zero_pole_gain(given)
         delta = 2j * np.sin(half) * np.exp(1j * half)
-        return response(sampled(g, filter.tick_s), delta), rounding.of_system(
-            given, 1j * omega.astype(np.complex128)
-        )
+        theory = response(sampled(g, filter.tick_s), delta) + g.feedthrough
+        return theory, rounding.of_system(given, 1j * omega.astype(np.complex128))
     s = 1j * image_of_infinity(filter.tick_s, filter.prewarp_rad_per_s) * np.tan(half)
     theory, conditioning = given(s), rounding.of_system(given, s)
     if filter.rule == "tustin-held":
@@ -153,10 +152,9 @@ def assert_step(filter: Filter, system: object, *, ticks: int = 1000, within: fl
 def _step_of(g: ZeroPoleGain, tick_s: float, ticks: int, late: bool) -> FloatArray:
     """The continuous step response at every tick, or half a tick after each."""
     a, b, c = sampled(g, tick_s / 2.0 if late else tick_s)
-    feedthrough = g.gain if g.relative_degree == 0 else 0.0
     x, answers = np.zeros_like(b), []
     for _ in range(2 * ticks if late else ticks):
-        answers.append((c @ x).item() + feedthrough)
+        answers.append((c @ x).item() + g.feedthrough)
         x = x + (a @ x + b)
     return np.array(answers[1::2] if late else answers)
 

@@ -61,8 +61,12 @@ def test_they_hold_of_feedthrough_and_prewarp_and_a_constant() -> None:
     testing.assert_dc_gain(discretise(LEAD, TICK_S), 0.0101, within=0.02)
 
 
-def test_the_step_of_a_held_input_is_exact() -> None:
-    testing.assert_step(discretise(BUTTERWORTH, TICK_S, "zoh"), BUTTERWORTH, within=1e-12)
+@pytest.mark.parametrize("system", [BUTTERWORTH, LEAD])
+def test_the_step_of_a_held_input_is_exact(system: Any) -> None:
+    held = discretise(system, TICK_S, "zoh")
+    testing.assert_step(held, system, within=1e-12)
+    testing.assert_follows(held, system)
+    testing.assert_dc_gain(held, system)
 
 
 def test_theory_without_digits_says_nothing() -> None:

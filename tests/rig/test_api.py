@@ -9,6 +9,7 @@ import sys
 from itertools import product
 from pathlib import Path
 from tempfile import mkdtemp
+from types import ModuleType
 from typing import Any
 
 import nbclient
@@ -18,6 +19,7 @@ import pandas as pd
 import pytest
 
 import can_rig
+import firmware_model
 from can_rig import errors
 from can_rig.api import RecordedRun, calls
 from can_rig.decoding.decode import decode_log
@@ -282,6 +284,11 @@ def test_the_package_alone_is_light_and_its_names_do_not_depend_on_the_order(fir
     assert done.stdout == "True default can_rig.scenario.build\n"
     with pytest.raises(AttributeError, match="no attribute 'runs'"):
         can_rig.runs
+
+
+@pytest.mark.parametrize("package", [can_rig, firmware_model])
+def test_public_names_are_offered_for_completion(package: ModuleType) -> None:
+    assert {*package.__all__, "__doc__"} <= {*dir(package)}
 
 
 def test_the_notebook_runs() -> None:

@@ -189,7 +189,7 @@ def discretise(
 
     Raises:
         ParameterError: not such a filter, tick, rule or precision; an order above 16.
-        ImproperError: more zeros than poles, or feedthrough with a rule for held inputs.
+        ImproperError: more zeros than poles, or feedthrough with ``tustin-held``.
     """
     if not _is_number(tick_s):
         raise ParameterError(f"tick_s = {tick_s!r}: must be one number of seconds (one rate)")

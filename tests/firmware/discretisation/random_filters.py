@@ -71,9 +71,10 @@ def tustin_exactly_of_coefficients(
 
 
 def zoh_exactly(g: ZeroPoleGain, rad_per_s: np.ndarray, tick_s: float) -> np.ndarray:
-    """Σ rᵢ/pᵢ (e^{pᵢT} - 1)/(z - e^{pᵢT}), by residues."""
+    """d + Σ rᵢ/pᵢ (e^{pᵢT} - 1)/(z - e^{pᵢT}), by residues; d for as many zeros as poles."""
     with mpmath.workdps(70):
         poles = [mpmath.mpc(p) for p in g.poles]
+        through = mpmath.mpf(g.gain if len(g.zeros) == len(poles) else 0)
         parts = []
         for i, pole in enumerate(poles):
             others = ZeroPoleGain(g.zeros, (), g.gain)
@@ -84,7 +85,7 @@ def zoh_exactly(g: ZeroPoleGain, rad_per_s: np.ndarray, tick_s: float) -> np.nda
             parts.append((residue / pole * (power - 1), power))
         return np.array(
             [
-                complex(mpmath.fsum(top / (mpmath.expj(angle) - power) for top, power in parts))
+                complex(through + sum(top / (mpmath.expj(angle) - power) for top, power in parts))
                 for angle in angles(rad_per_s, tick_s)
             ]
         )

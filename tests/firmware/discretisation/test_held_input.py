@@ -48,15 +48,19 @@ def test_the_response_is_that_of_a_zero_order_hold(name: str, tick_s: float) -> 
 
 @pytest.mark.parametrize("tick_s", [0.001, 0.05])
 @pytest.mark.parametrize("name", FILTERS)
-def test_there_is_one_zero_less_than_poles_and_each_is_one(name: str, tick_s: float) -> None:
+@pytest.mark.parametrize("through", [0.0, 0.3])
+def test_zeros_are_as_many_as_poles_or_one_less_and_each_is_one(
+    name: str, tick_s: float, through: float
+) -> None:
+    """As many with feedthrough, one less without: a sample later the answer begins."""
     g = FILTERS[name]
     system = sampled(g, tick_s)
     poles = np.array([np.expm1(p * tick_s) for p in g.poles], np.complex128)
-    zeros = zeros_of(system, poles)
-    assert len(zeros) == len(g.poles) - 1
+    zeros = zeros_of(system, through, poles)
+    assert len(zeros) == len(g.poles) - (not through)
     for zero in zeros:
-        size = np.abs(response(system, zero + np.array([1e-6, 1e-6j]) * (1.0 + abs(zero)))).min()
-        assert abs(response(system, np.array([zero]))[0]) < 1e-3 * size
+        near = response(system, zero + np.array([1e-6, 1e-6j]) * (1.0 + abs(zero))) + through
+        assert abs(response(system, np.array([zero]))[0] + through) < 1e-3 * np.abs(near).min()
 
 
 @pytest.mark.parametrize("name", ["slow and fast", "three sections", "feedthrough in between"])
@@ -87,7 +91,7 @@ def test_zeros_that_sampling_adds_are_those_of_euler_and_frobenius(
     Of twelve, of which the response has two digits left, eigenvalues take one zero for infinite.
     """
     g, tick_s = ZeroPoleGain((), (-pole,) * order, pole**order), 1e-3
-    zeros = zeros_of(sampled(g, tick_s), np.full(order, np.expm1(-pole * tick_s)) + 0j)
+    zeros = zeros_of(sampled(g, tick_s), 0.0, np.full(order, np.expm1(-pole * tick_s)) + 0j)
     expected = np.sort(np.roots(eulerian(order)).real)
     np.testing.assert_allclose(np.sort(np.real(zeros)) + 1.0, expected, rtol=rtol)
     assert not np.imag(zeros).any()

@@ -55,7 +55,7 @@ def test_tustin_is_within_its_bound_of_theory(seed: int, filters: int) -> None:
 def test_zoh_is_within_its_bound_of_theory(seed: int, filters: int) -> None:
     rng = np.random.default_rng(seed)
     for _ in range(filters):
-        g, tick_s = random_filter(rng, held=True)
+        g, tick_s = random_filter(rng)
         omega = SHARES * math.pi / tick_s
         theory = zoh_exactly(g, omega, tick_s)
         error = np.abs(discretise(g, tick_s, "zoh").frequency_response(omega) - theory)

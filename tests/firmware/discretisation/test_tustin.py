@@ -112,9 +112,9 @@ def test_poles_of_tustin_lie_inside_the_circle(g: ZeroPoleGain, tick_s: float) -
 
 
 def _exact_zoh(g: ZeroPoleGain, tick_s: float, z: complex) -> complex:
-    """Σ rᵢ/pᵢ (e^{pᵢT} - 1)/(z - e^{pᵢT}), by residues, in 50 digits."""
+    """d + Σ rᵢ/pᵢ (e^{pᵢT} - 1)/(z - e^{pᵢT}), by residues, in 50 digits."""
     with mpmath.workdps(50):
-        total = mpmath.mpc(0)
+        total = mpmath.mpc(g.gain if len(g.zeros) == len(g.poles) else 0)
         poles = [mpmath.mpc(p) for p in g.poles]
         for i, p in enumerate(poles):
             residue = mpmath.mpf(g.gain)
@@ -124,23 +124,24 @@ def _exact_zoh(g: ZeroPoleGain, tick_s: float, z: complex) -> complex:
                 if j != i:
                     residue /= p - other
             power = mpmath.exp(p * mpmath.mpf(tick_s))
-            total += residue / p * (power - 1) / (mpmath.mpc(z) - power)
+            held = (power - 1) / p if p else mpmath.mpf(tick_s)
+            total += residue * held / (mpmath.mpc(z) - power)
         return complex(total)
 
 
 @pytest.mark.parametrize("tick_s", TICKS_S)
-@pytest.mark.parametrize("name", STRICTLY_PROPER)
+@pytest.mark.parametrize("name", FILTERS)
 def test_zoh_equals_the_residues_in_fifty_digits(name: str, tick_s: float) -> None:
-    g = STRICTLY_PROPER[name]
+    g = FILTERS[name]
     _, z = _on_circle(tick_s, 12)
     exact = np.array([_exact_zoh(g, tick_s, point) for point in z])
     # relative to the largest gain nearby: close to a zero only the absolute error means anything
     assert np.all(np.abs(zoh(g, tick_s)(z) - exact) < 1e-10 * np.abs(exact) + 1e-17 * abs(g.gain))
 
 
-@pytest.mark.parametrize("name", STRICTLY_PROPER)
+@pytest.mark.parametrize("name", FILTERS)
 def test_zoh_of_a_held_step_is_the_continuous_step_response(name: str) -> None:
-    g, tick_s = STRICTLY_PROPER[name], 2e-3
+    g, tick_s = FILTERS[name], 2e-3
     time_s = np.arange(500) * tick_s
     system = signal.ZerosPolesGain(g.zeros, g.poles, g.gain)
     _, continuous = signal.step(system, T=time_s)
@@ -162,9 +163,9 @@ def test_tustin_equals_scipy_and_python_control(name: str) -> None:
     np.testing.assert_allclose(ours, of_control, rtol=1e-6)
 
 
-@pytest.mark.parametrize("name", STRICTLY_PROPER)
+@pytest.mark.parametrize("name", FILTERS)
 def test_zoh_equals_scipy_and_python_control(name: str) -> None:
-    g, tick_s = STRICTLY_PROPER[name], 0.02
+    g, tick_s = FILTERS[name], 0.02
     _, z = _on_circle(tick_s, 20)
     num, den = g.numerator(), g.denominator()
     num_z, den_z, _ = signal.cont2discrete((num, den), tick_s, method="zoh")
@@ -212,8 +213,9 @@ def test_zoh_of_integrators_and_growth_equals_the_textbook() -> None:
         np.testing.assert_allclose(zoh(g, tick_s)(z), expected, rtol=1e-12)
 
 
-def test_zoh_of_nothing_is_nothing() -> None:
-    assert zoh(ZeroPoleGain.constant(0.0), 1e-3)(np.array([0.3 + 1j])) == 0.0
+@pytest.mark.parametrize("rule", [tustin, tustin_held, zoh])
+def test_nothing_becomes_nothing(rule: Rule) -> None:
+    assert rule(ZeroPoleGain.constant(0.0), 1e-3)(np.array([0.3 + 1j])) == 0.0
 
 
 @pytest.mark.parametrize("order", [1, 2, 3])
@@ -253,14 +255,15 @@ def test_a_prewarp_beyond_nyquist_is_refused(omega: float) -> None:
 def test_an_improper_filter_is_refused() -> None:
     with pytest.raises(ImproperError, match="improper"):
         tustin(FILTERS["G1 of the car"].inverse(), 1e-3)
+    with pytest.raises(ImproperError, match="improper"):
+        zoh(FILTERS["G1 of the car"].inverse(), 1e-3)
     with pytest.raises(ImproperError, match="future"):
         from_delta_zpk([-0.1, -0.2], [-0.3], 1.0, 1e-3)
 
 
-@pytest.mark.parametrize("rule", [tustin_held, zoh])
-def test_a_held_rule_refuses_feedthrough(rule: Rule) -> None:
-    with pytest.raises(ImproperError, match="use tustin"):
-        rule(FILTERS["compensator of the car"], 1e-3)
+def test_tustin_held_refuses_feedthrough() -> None:
+    with pytest.raises(ImproperError, match="use zoh or tustin"):
+        tustin_held(FILTERS["compensator of the car"], 1e-3)
 
 
 def test_a_pole_on_the_image_of_infinity_is_refused() -> None:
