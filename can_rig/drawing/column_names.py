@@ -12,7 +12,7 @@ from collections.abc import Container, Sequence
 from typing import Final
 
 from can_rig.drawing.names import CAR, names_of
-from can_rig.logs.columns import APPLIED, TAKEN, TRUE_OUTPUT
+from can_rig.logs.columns import APPLIED, EVIDENCE, EVIDENCE_OF, TAKEN, TRUE_OUTPUT
 from can_rig.scenario.plant_settings import PlantSettings
 
 OF_CAR: Final = {
@@ -58,7 +58,15 @@ def _columns(stems: Sequence[str], endings: Sequence[str]) -> dict[str, str]:
         TRUE_OUTPUT: f"true_{output}",
         APPLIED[0]: f"applied_{command_1}",
         APPLIED[1]: f"applied_{command_2}",
+        **{column: _evidence(column, stems) for column in EVIDENCE},
     }
+
+
+def _evidence(column: str, stems: Sequence[str]) -> str:
+    """The evidence that an actuator has failed, by its name; of the car as it is."""
+    of, _, failed = column.removeprefix(EVIDENCE_OF).partition("_")
+    stem = {"torque": stems[1], "force": stems[2]}.get(of, of)
+    return f"{EVIDENCE_OF}{'force' if stem == OF_CAR[CAR.command_2][0] else stem}_{failed}"
 
 
 def _ending(unit: str) -> str:

@@ -24,7 +24,8 @@ APPLIED: Final = ("applied_torque_nm", "applied_force_difference_n")
 SPEED: Final = "speed_mps"
 """Of the car, where it has a drive."""
 VERDICT: Final = "verdict"
-EVIDENCE: Final = tuple(f"evidence_{fault.name.lower()}" for fault in list(Verdict)[1:HYPOTHESES])
+EVIDENCE_OF: Final = "evidence_"
+EVIDENCE: Final = tuple(EVIDENCE_OF + fault.name.lower() for fault in list(Verdict)[1:HYPOTHESES])
 """Of each hypothesis on whose fault it is, by the number of its verdict, from 1 on."""
 
 TAKEN: Final = (*ON_THE_BUS, TRUE_OUTPUT, *APPLIED, SPEED, VERDICT, *EVIDENCE)

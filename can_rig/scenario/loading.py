@@ -81,7 +81,10 @@ def read(name: str, settings: Iterable[str] = ()) -> Draft:
     Raises:
         ScenarioError: no such scenario, not TOML, an unknown key, a bad value.
     """
-    return changed(written(name), settings)
+    file, settings = written(name), list(settings)
+    made = changed(file, settings)
+    _require_kinds(name, with_changes(file, settings).get("fault"))
+    return made
 
 
 @dataclass(frozen=True)
@@ -211,6 +214,20 @@ def draft(name: str, values: Mapping[str, Any]) -> Draft:
                 said = said.replace(f"{FAULT}.0", FAULT, 1)
             raise ScenarioError(f"scenario {name}: {said}") from None
     return Draft(scenario, words)
+
+
+def _require_kinds(name: str, faults: Any) -> None:
+    """A fault whose kind is left out would be none, although something is said of it.
+
+    In a campaign an axis may say the kind, so that it is not asked for there.
+    """
+    for number, fault in enumerate(faults if isinstance(faults, list) else [faults]):
+        if isinstance(fault, Mapping) and fault and "kind" not in fault:
+            where = f"{FAULT}.{number}" if isinstance(faults, list) else FAULT
+            raise ScenarioError(
+                f"scenario {name}: {where}.kind: must be set where {where}.{next(iter(fault))} is: "
+                "'actuator-dead', 'frames-missing', 'sensor-biased', ..., or 'none'"
+            )
 
 
 def _valid(key: str, value: Any) -> Any:

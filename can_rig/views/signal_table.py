@@ -15,7 +15,7 @@ from can_rig.assessment.resolve import load_run
 from can_rig.drawing.column_names import column_names
 from can_rig.drawing.names import CAR, Names, names_of
 from can_rig.errors import LogError, ScenarioError
-from can_rig.logs.columns import APPLIED, EVIDENCE, ON_THE_BUS, TRUE_OUTPUT, VERDICT
+from can_rig.logs.columns import APPLIED, EVIDENCE_OF, ON_THE_BUS, TRUE_OUTPUT, VERDICT
 from can_rig.logs.formats import content_format
 from can_rig.logs.frames import NS_PER_S
 from can_rig.logs.log import Window
@@ -65,8 +65,11 @@ class SignalTable:
     @property
     def recorded(self) -> dict[str, FloatArray]:
         """The columns without the verdict and its evidence, which follow from them."""
-        follow = {VERDICT, *EVIDENCE}
-        return {name: column for name, column in self.columns.items() if name not in follow}
+        return {
+            name: column
+            for name, column in self.columns.items()
+            if name != VERDICT and not name.startswith(EVIDENCE_OF)
+        }
 
     def within(self, window: Window) -> SignalTable:
         """The rows of a part of the recording, which began with the first row.

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 import can_rig
 from can_rig.assessment.resolve import load
 from can_rig.drawing.column_names import column_names
-from can_rig.logs.columns import APPLIED, ON_THE_BUS, TAKEN, TRUE_OUTPUT
+from can_rig.logs.columns import APPLIED, EVIDENCE, ON_THE_BUS, TAKEN, TRUE_OUTPUT
 from can_rig.scenario.tables.numbers import SignalSettings
 from can_rig.views.signal_table import read_table
 
@@ -34,6 +34,13 @@ SAID = {
     "true_dstar_mps2": "true_purity_percent",
     "applied_torque_nm": "applied_reflux_mol_per_s",
     "applied_force_difference_n": "applied_boil_up_nm",
+    "evidence_torque_lost": "evidence_reflux_lost",
+    "evidence_torque_offset": "evidence_reflux_offset",
+    "evidence_force_lost": "evidence_boil_up_lost",
+    "evidence_sensor_biased": "evidence_sensor_biased",
+    "evidence_sensor_drifting": "evidence_sensor_drifting",
+    "evidence_sensor_frozen": "evidence_sensor_frozen",
+    "evidence_another_car": "evidence_another_car",
 }
 
 
@@ -67,7 +74,7 @@ def test_no_two_columns_have_one_name(words: tuple[str, str, str], unit: str) ->
     output, input_1, input_2 = (SignalSettings(word, unit) for word in words)
     plant = replace(CHAPTER_2, output=output, input_1=input_1, input_2=input_2)
     names = column_names(plant)
-    assert set(names) <= {*ON_THE_BUS, TRUE_OUTPUT, *APPLIED}
+    assert set(names) <= {*ON_THE_BUS, TRUE_OUTPUT, *APPLIED, *EVIDENCE}
     others = [column for column in TAKEN if column not in names]
     assert len({*names.values(), *others}) == len(names) + len(others)
     assert all(re.fullmatch("[0-9a-z_]+", name) for name in names.values())

@@ -142,7 +142,7 @@ def test_the_list_of_changes_below_names_every_key():
 
 @pytest.mark.parametrize("key", OTHER)
 def test_set_changes_that_key_and_no_other(key, tmp_path):
-    (tmp_path / "x.toml").write_text("")
+    (tmp_path / "x.toml").write_text('fault.kind = "none"')
     value = OTHER[key]
     after = flat(load(str(tmp_path / "x.toml"), [f"{key}={json.dumps(value)}"]).as_dict())
     expected = DEFAULTS | {key: value}
@@ -245,6 +245,9 @@ BAD = [
     ("seed", "KEY=VALUE"), ("=5", "KEY=VALUE"), ("plant.=5", "KEY=VALUE"), ("", "KEY=VALUE"),
     ("tick_s.x=5", "tick_s"), ("plant.mass_kg.x=5", "mass_kg"), ("name=other", "name: unknown key"),
     ("seed=2024-01-01", "seed"), ("fault.for_s=none", "fault.for_s"),
+    ("fault={at_s=5.0}", "fault.kind: must be set where fault.at_s is"),
+    ("fault=[{kind='none'}, {left=0.5}]", "fault.1.kind: must be set where fault.1.left is"),
+    ("fault={knid='actuator-dead'}", "fault.knid: unknown key; did you mean kind?"),
 ]  # fmt: skip
 
 
