@@ -51,8 +51,8 @@ def map_network(path: str | Path, mapping: Roles) -> Network:
     """The frames of the database at ``path`` that ``mapping`` names.
 
     Raises:
-        DbcError: no such database, message or signal, two roles in one message, a signal that
-            cannot say what it should.
+        DbcError: no such database, message or signal, two roles in one message or of one signal, a
+            signal that cannot say what it should.
     """
     used = {name.partition(".")[0] for name in mapping.signals.values()}
     database = load_for(path, used)
@@ -78,11 +78,10 @@ def map_network(path: str | Path, mapping: Roles) -> Network:
                 f"0x{message.frame_id:X} ({message.name}): each must have a message of its own"
             )
         tick = _tick(message, role, mapping.tick, path)
-        keys = {found[each][1].name: f"network.signals.{each}" for each in (key, *codes)}
-        if tick is not None:
-            tick_key = "tick" if isinstance(mapping.tick, str) else f"ticks.{role}"
-            keys.setdefault(tick.name, f"network.{tick_key}")
-        where = Where(f"{path}: message {message.name}", keys)
+        tick_key = "tick" if isinstance(mapping.tick, str) else f"ticks.{role}"
+        played = {f"network.signals.{each}": found[each][1] for each in (key, *codes)}
+        played |= {} if tick is None else {f"network.{tick_key}": tick}
+        where = Where(f"{path}: message {message.name}", _keys_by_signal(message, played))
         layout = AnyLayout(message, Places(value, tick, **codes), where)
         data_id = mapping.data_ids.get(role)
         if data_id is not None:
@@ -136,6 +135,19 @@ def _signal(database: Database, path: str | Path, key: str, name: str) -> tuple[
     if signal not in signals:
         raise DbcError(f"{where}: message {of} has no signal {signal}; {_hint(signal, signals)}")
     return messages[of], signals[signal]
+
+
+def _keys_by_signal(message: Message, played: Mapping[str, Signal]) -> dict[str, str]:
+    """The key of each signal of ``message`` that has a role, by its name."""
+    keys: dict[str, str] = {}
+    for key, signal in played.items():
+        other = keys.setdefault(signal.name, key)
+        if other != key:
+            raise DbcError(
+                f"{other} and {key} are both {message.name}.{signal.name}: each must have a signal "
+                "of its own"
+            )
+    return keys
 
 
 def _tick(

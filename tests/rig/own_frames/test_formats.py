@@ -59,7 +59,7 @@ TICK_KEYS = {
     "network.tick=Count": "network.ticks: must not be set beside network.tick",
     "network.ticks.status=Count_of_EPS_Statis": "network.ticks.status = 'Count_of_EPS_Statis': ",
     "network.ticks.mode=Count": "network.ticks.mode: unknown key",
-    "network.ticks.status=Estimate_of_EPS_Status": "(network.signals.fault_estimate): must be an",
+    "network.ticks.status=Estimate_of_EPS_Status": "and network.ticks.status are both",
 }
 
 

@@ -140,7 +140,16 @@ BAD = {
     "overlap": ("8|16@1- (1,0) [0|0]", {"tick": "Count"}, "cannot be used: The signals Count and"),
     "tick": ("32|16@1- (1,0) [0|0]", {"tick": "Cnt"}, "network.tick = 'Cnt'"),
     "tick is the value": (
-        "32|16@1- (1,0) [0|0]", {"tick": "Value"}, "must be an unsigned integer of at least 16",
+        "32|16@1- (1,0) [0|0]", {"tick": "Value"},
+        "network.signals.reference and network.tick are both M1.Value",
+    ),
+    "tick of 15 bits": (
+        '32|16@1- (1,0) [0|0] "" A\n SG_ Short : 48|15@1+ (1,0) [0|0]', {"tick": "Short"},
+        "Short (network.tick): must be an unsigned integer of at least 16",
+    ),
+    "tick with a sign": (
+        '32|16@1- (1,0) [0|0] "" A\n SG_ Signed : 48|16@1- (1,0) [0|0]', {"tick": "Signed"},
+        "Signed (network.tick): must be an unsigned integer of at least 16",
     ),
     "room": (
         "4|4@1- (1,0) [0|0]", {"data_ids": {"command_1": 7}},
