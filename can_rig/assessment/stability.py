@@ -75,6 +75,9 @@ class StabilityCheck:
     limitations: dict[str, Limitations]
     findings: list[Finding]
 
+    def __repr__(self) -> str:
+        return f"<check of {self.scenario.name}: {self.verdict}>"
+
     @property
     def linear_stable(self) -> bool:
         """Stable before the fault and after it, as far as the loop is linear."""
@@ -131,8 +134,7 @@ class StabilityCheck:
         names = ", ".join(name for name, _ in unstable)
         if self.linear_stable:
             return f"stable healthy and with {_channel(self.scenario)} dead, but not: {names}"
-        name, figures = unstable[0]
-        return _reason(self.scenario, name, figures.spectral_radius)
+        return _reason(self.scenario, unstable[0][0], unstable[0][1].spectral_radius)
 
     def as_dict(self) -> dict[str, Any]:
         """For JSON, where null stands for infinity and NaN."""
@@ -146,9 +148,7 @@ class StabilityCheck:
             "partly_lost": {f"{left:g}": asdict(m) for left, m in self.partly_lost.items()},
             "false_alarm": None if self.false_alarm is None else asdict(self.false_alarm),
             "decision": asdict(self.decision),
-            "control_authority": None
-            if self.control_authority is None
-            else self.control_authority.as_dict(),
+            "control_authority": self.control_authority and self.control_authority.as_dict(),
             "limitations": {key: _figures(found) for key, found in self.limitations.items()},
         }
         return {key: finite_or_null(value) for key, value in values.items()}

@@ -146,6 +146,11 @@ def test_check_answers_as_the_command() -> None:
     )
 
 
+def test_a_check_that_a_cell_ends_with_is_its_verdict() -> None:
+    unstable = can_rig.check("thesis-step", {"tick_s": 0.01, "design.estimator": "zoh"})
+    assert repr(unstable) == f"<check of thesis-step: {unstable.verdict}>"
+
+
 def test_tune_asks_the_search_of_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search itself takes a minute, and has tests of its own."""
     asked_for: list[Any] = []

@@ -75,6 +75,12 @@ class Tuning:
         """The peak over the deviation that no controller can avoid."""
         return self.peak_mps2 / self.unavoidable_mps2
 
+    @property
+    def changes(self) -> dict[str, float]:
+        """The scenario keys that choose it, as ``can_rig.run`` takes them."""
+        keys = ("tau_s", "alpha", "tau_q_s", "alpha_q")
+        return {f"design.{key}": getattr(self.design, key) for key in keys}
+
 
 def grid(scenario: Scenario) -> list[Values]:
     """τ, α, τ_q, α_q of every candidate; round numbers between multiples of the tick."""

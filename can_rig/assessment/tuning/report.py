@@ -33,8 +33,7 @@ def headings(found: Tunings) -> list[str]:
 
 def options(found: Tunings, tuning: Tuning) -> str:
     """The ``--set`` options that choose ``tuning`` in its scenario."""
-    keys = ("tau_s", "alpha", "tau_q_s", "alpha_q")
-    return " ".join(f"--set design.{key}={getattr(tuning.design, key):g}" for key in keys)
+    return " ".join(f"--set {key}={value:g}" for key, value in tuning.changes.items())
 
 
 def why(found: Tunings) -> str:

@@ -59,6 +59,12 @@ class Tunings:
     front: list[Tuning]
     refusals: Counter[Refusal] = field(default_factory=Counter)
 
+    def __repr__(self) -> str:
+        """How many were tried and are left, and the one to use."""
+        said = ", ".join(f"{key} = {value:g}" for key, value in self.chosen.changes.items())
+        left = f"{len(self.front)} tunings of {self.tried} tried"
+        return f"<{left} for {self.scenario.name}; chosen: {said}>"
+
     @property
     def chosen(self) -> Tuning:
         """The least noise, among the peaks about as small as the least."""

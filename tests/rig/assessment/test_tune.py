@@ -6,6 +6,7 @@ import dataclasses
 import json
 import math
 from functools import partial
+from operator import attrgetter
 
 import numpy as np
 import pytest
@@ -73,6 +74,15 @@ def test_every_offer_has_the_delay_margin_at_every_vertex(found: Tunings) -> Non
         law = linear_controller(table, confirmed=1.0)
         false_alarms = [sampled_loop(law, car.plant, scenario.tick_s) for car in some]
         assert max(loop.spectral_radius() for loop in false_alarms) < 1.0
+
+
+def test_a_cell_that_ends_with_it_shows_what_to_run(found: Tunings) -> None:
+    chosen, said = found.chosen.design, repr(found)
+    assert f"{len(found.front)} tunings of {found.tried} tried for" in said
+    assert f"chosen: design.tau_s = {chosen.tau_s:g}, design.alpha = {chosen.alpha}, " in said
+    design = load("thesis-step", [f"{k}={v}" for k, v in found.chosen.changes.items()]).design
+    keys = attrgetter("tau_s", "alpha", "tau_q_s", "alpha_q")
+    assert keys(design) == keys(chosen)
 
 
 def test_cars_from_inside_the_box_are_stable_too(found: Tunings) -> None:
