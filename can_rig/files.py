@@ -47,6 +47,8 @@ def refuse_picture(path: Path, force: bool) -> None:
 def atomic(path: Path) -> Iterator[Path]:
     """Where to write what becomes ``path`` once the context is left without an error.
 
+    A file replaces one that is there; a folder that holds something is never replaced.
+
     Raises:
         LogError: the operating system does not let it be written.
     """
@@ -54,8 +56,7 @@ def atomic(path: Path) -> Iterator[Path]:
     try:
         path.parent.mkdir(exist_ok=True)
         yield part
-        _remove(path)
-        part.rename(path)
+        part.replace(path)
     except OSError as error:
         reason = error.strerror or one_line(error)
         raise LogError(f"{path}: cannot be written: {reason}") from None

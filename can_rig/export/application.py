@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Final
 
+from can_rig.drawing.names import Signal, names_of
 from can_rig.errors import ExportError
 from can_rig.export.constants import constants_header, constants_source
 from can_rig.export.law import filled, law_files, speed_files, support
@@ -12,9 +13,12 @@ from can_rig.export.writing.c_text import comment
 from can_rig.frames.codec import MessageCodec
 from can_rig.frames.layout import RigLayout
 from can_rig.frames.network import Network
-from can_rig.scenario.build import network_of
+from can_rig.scenario.build import dbc_of, network_of
 from can_rig.scenario.driving.schedule import controls
 from can_rig.scenario.settings import Scenario
+
+POWERS: Final = str.maketrans({"²": "^2", "³": "^3"})
+"""Of units, as compilers read them that know ASCII alone."""
 
 BY_HAND: Final = ("e2e.h", "e2e.c", "frames.h", "frames.c", "ecu.h", "ecu.c")
 
@@ -30,10 +34,11 @@ def application(scenario: Scenario) -> dict[str, str]:
     network = network_of(scenario)
     if not network.is_the_rigs:
         raise ExportError(
-            f"network.dbc = {scenario.network.dbc!r}: must be left out; "
-            "the controller in C has the rig's own frames"
+            f"network.dbc = {scenario.network.dbc!r}: must be left out, for the ECU in C has the "
+            "rig's own frames; run --controller c runs the law in C on yours"
         )
-    of = controls(scenario, network)
+    of, names = controls(scenario, network), names_of(scenario.plant)
+    limits = scenario.limits
     changing = of.schedule is not None
     precision = scenario.design.precision
     title = f"The constants of the controller of scenario {scenario.name}."
@@ -49,22 +54,22 @@ def application(scenario: Scenario) -> dict[str, str]:
             scenario=scenario.name,
             tick=f"{scenario.tick_s * 1e3:g} ms",
             latency=_latency(scenario),
-            command_1=_signal(network.command_1),
-            command_2=_signal(network.command_2),
-            estimate=_signal(network.status),
-            reference=_signal(network.reference),
-            measurement=_signal(network.feedback),
+            command_1=_signal(network.command_1, names.command_1, limits.torque_nm),
+            command_2=_signal(network.command_2, names.command_2, limits.force_difference_n),
+            estimate=_signal(network.status, names.output._replace(name="")),
+            reference=_signal(network.reference, names.output._replace(name="")),
+            measurement=_signal(network.feedback, names.output),
         ),
         "firmware.c": support("firmware_speeds.c" if changing else "firmware.c"),
         **{name: filled(support(name), zero=zero, **words(changing)) for name in BY_HAND},
-        "network.c": _network_source(network, scenario.dbc, round(scenario.tick_s * 1e6), changing),
+        "network.c": _network_source(network, scenario, changing),
     }
 
 
-def _network_source(network: Network, dbc: str, tick_us: int, changing: bool) -> str:
+def _network_source(network: Network, scenario: Scenario, changing: bool) -> str:
     """``network.c``: what the DBC says of each frame, and the time between them."""
-    lines = [*comment(f"The frames of {dbc}."), '#include "ecu.h"', ""]
-    lines.append(f"const uint32_t ecu_tick_us = {tick_us};")
+    lines = [*comment(f"The frames of {dbc_of(scenario).name}."), '#include "ecu.h"', ""]
+    lines.append(f"const uint32_t ecu_tick_us = {round(scenario.tick_s * 1e6)};")
     for codec in network.by_role if changing else network:
         numbers = {
             "id": f"0x{codec.frame_id:X}",
@@ -83,11 +88,19 @@ def _network_source(network: Network, dbc: str, tick_us: int, changing: bool) ->
     return "\n".join(lines) + "\n"
 
 
-def _signal(codec: MessageCodec) -> str:
-    """Unit, meaning and range of the one signal of a frame."""
-    unit = f"[{codec.unit}] " if codec.unit else ""
-    ends = f"{codec.minimum:.10g}..{codec.maximum:.10g}"
-    return f"{unit}{codec.signal_name}, {ends}, steps of {codec.lsb:g}"
+def _signal(codec: MessageCodec, signal: Signal | None = None, limit: float | None = None) -> str:
+    """Unit, meaning and range of the one signal of a frame, as the plant has it.
+
+    A ``limit`` is what a command is never beyond, though its frame could say more.
+    """
+    unit, name = codec.unit, codec.signal_name
+    if signal is not None:
+        unit = signal.unit.translate(POWERS)
+        name = f"{signal.name} ({name})" if signal.name else name
+    most = codec.maximum if limit is None else min(limit, codec.maximum)
+    least = codec.minimum if limit is None else max(-limit, codec.minimum)
+    said = f"[{unit}] {name}" if unit else name
+    return f"{said}, {least:.10g}..{most:.10g}, steps of {codec.lsb:g}".replace("*/", "* /")
 
 
 def _latency(scenario: Scenario) -> str:

@@ -6,6 +6,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
+from can_rig.errors import LogError
 from can_rig.export.application import application
 from can_rig.export.law import filled, support
 from can_rig.export.running.ecu import bench
@@ -13,6 +14,9 @@ from can_rig.export.speed_words import words
 from can_rig.files import atomic, refuse_existing
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import Precision
+
+HEADER: Final = "firmware.h"
+"""Of every export: what an application includes."""
 
 BUILD_FILES: Final = ("Makefile", "CMakeLists.txt", "main.c", "bench_main.c")
 
@@ -52,13 +56,31 @@ def in_precision(scenario: Scenario, precision: Precision) -> Scenario:
 
 
 def write(files: dict[str, str], folder: Path, force: bool) -> None:
-    """Write all of them, or none.
+    """Write all of them, or none; with ``force`` over those of an earlier export.
+
+    What else is in that folder, a driver or what make has built, stays.
 
     Raises:
-        LogError: the folder exists and must not be replaced, or cannot be written.
+        LogError: the folder exists and is not to be written to, or cannot be written.
     """
     refuse_existing(folder, force, "--out")
+    if folder.exists():
+        _require_export(folder)
+        for name, text in files.items():
+            with atomic(folder / name) as part:
+                part.write_text(text, encoding="utf-8")
+        return
     with atomic(folder) as part:
         part.mkdir()
         for name, text in files.items():
             (part / name).write_text(text, encoding="utf-8")
+
+
+def _require_export(folder: Path) -> None:
+    """Refuse a folder that holds something, but no controller of an earlier export."""
+    try:
+        names = {path.name for path in folder.iterdir()}
+    except OSError as error:
+        raise LogError(f"{folder}: cannot be read: {error.strerror}") from None
+    if names and HEADER not in names:
+        raise LogError(f"{folder}: no exported controller, so --force does not write into it")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 import sys
 from functools import cache
 from importlib.resources import files
@@ -40,9 +41,7 @@ def real_header(precision: Precision) -> str:
 
 def filled(text: str, **values: str) -> str:
     """``text`` with ``{name}`` replaced; other braces, of which C is full, stay."""
-    for name, value in values.items():
-        text = text.replace(f"{{{name}}}", value)
-    return text
+    return re.sub(r"\{(\w+)\}", lambda found: values.get(found[1], found[0]), text)
 
 
 def target_sources() -> Sources:

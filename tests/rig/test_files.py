@@ -19,7 +19,7 @@ def test_a_read_only_file_system_is_one_line(
     def refused(path: Path, *_: Any, **__: Any) -> None:
         raise OSError(errno.EROFS, os.strerror(errno.EROFS), str(path))
 
-    for name in ("mkdir", "open", "unlink", "rename"):
+    for name in ("mkdir", "open", "unlink", "replace"):
         monkeypatch.setattr(Path, name, refused)
     out = tmp_path / "a.csv"
     with (
@@ -41,3 +41,22 @@ def test_an_error_while_writing_leaves_what_was_there(tmp_path: Path) -> None:
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
     assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
     assert out.read_text() == "before"
+
+
+def test_a_folder_is_never_replaced_by_a_file(tmp_path: Path) -> None:
+    out = tmp_path / "a.csv"
+    out.mkdir()
+    (out / "mine").write_text("kept")
+    with pytest.raises(LogError, match="cannot be written: Is a directory"), atomic(out) as part:
+        part.write_text("new")
+    assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
+    assert (out / "mine").read_text() == "kept"
+
+
+def test_nor_by_a_folder(tmp_path: Path) -> None:
+    out = tmp_path / "folder"
+    out.mkdir()
+    (out / "mine").write_text("kept")
+    with pytest.raises(LogError, match="Directory not empty"), atomic(out) as part:
+        part.mkdir()
+    assert (out / "mine").read_text() == "kept"

@@ -24,9 +24,13 @@ def host_compiler() -> list[str]:
     """The command that compiles: what CC says, or cc.
 
     Raises:
-        ExportError: there is none.
+        ExportError: there is none, or CC is no command.
     """
-    command = shlex.split(os.environ.get("CC", "")) or ["cc"]
+    said = os.environ.get("CC", "")
+    try:
+        command = shlex.split(said) or ["cc"]
+    except ValueError as error:
+        raise ExportError(f"CC = {said!r}: must be a command: {error}") from None
     if shutil.which(command[0]) is None:
         raise ExportError(
             f"{command[0]}: there is no such C compiler; "
@@ -73,6 +77,8 @@ def built(
         made = Path(place) / result.name
         units = [name for name in sources if name.endswith(".c")]
         run([*compiler, *flags, "-o", made.name, *units, "-lm"], Path(place))
+        if not made.is_file():
+            raise ExportError(f"{compiler[0]}: must be a C compiler: it has compiled nothing")
         try:
             folder.mkdir(parents=True, exist_ok=True)
             part = folder / f".{os.getpid()}-{result.name}"

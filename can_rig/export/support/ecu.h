@@ -13,6 +13,10 @@
 #include "firmware.h"
 #include "frames.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* The receiving end of one frame. */
 struct ecu_receiver {
     struct e2e_checker checker;
@@ -58,5 +62,9 @@ extern const uint32_t ecu_tick_us;
 
 /* Put a frame on the bus: to be provided by the application. */
 void ecu_send(uint16_t id, const uint8_t data[8]);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

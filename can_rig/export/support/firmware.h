@@ -12,6 +12,10 @@
 #include "layout.h"
 #include "status.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* What a tick answers. */
 struct firmware_answer {
     real command_1;       /* {command_1} */
@@ -42,5 +46,9 @@ void firmware_reset(struct layout_state *state, real reference);
  * them, and the mode is MODE_HOLD.
  */
 struct firmware_answer firmware_step(struct layout_state *state, real reference, real measurement);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

@@ -14,6 +14,10 @@
 #include "schedule.h"
 #include "status.h"
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* Everything that changes: the table too, which is blended between designs. */
 struct firmware_memory {
     struct layout_state state;
@@ -58,5 +62,9 @@ void firmware_change_speed(struct firmware_memory *memory, real speed);
  */
 struct firmware_answer firmware_step(struct firmware_memory *memory, real reference,
                                      real measurement);
+
+#ifdef __cplusplus
+}
+#endif
 
 #endif

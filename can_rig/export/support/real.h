@@ -11,8 +11,9 @@
 #include <stdbool.h>
 #include <stdint.h>
 
-#if defined(__FAST_MATH__)
-#error "the control law needs IEEE 754 arithmetic: compile without -ffast-math"
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__ != 0) || \
+    defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__) || defined(__NO_SIGNED_ZEROS__)
+#error "the control law needs IEEE 754 arithmetic: compile without -ffast-math and its parts"
 #endif
 #if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0
 #error "the control law must be rounded after every operation: FLT_EVAL_METHOD must be 0"

@@ -33,6 +33,10 @@ HEADER: Final = Template("""\
 
 #define ${guard}_SECTIONS $sections
 
+#ifdef __cplusplus
+extern "C" {
+#endif
+
 /* State: second-order sections, transposed direct form II in delta = z - 1. */
 struct $name {
     $real accumulators[${guard}_SECTIONS][2]; /* s1, s2, a row a section */
@@ -47,6 +51,10 @@ $real ${name}_step(struct $name *state, $real u);
  */
 $real ${name}_reset(struct $name *state, $real u);
 
+#ifdef __cplusplus
+}
+#endif
+
 #endif
 """)
 
@@ -56,8 +64,9 @@ SOURCE: Final = Template("""\
 #include <float.h>
 #include <stdint.h>
 
-#if defined(__FAST_MATH__)
-#error "the filter needs IEEE 754 arithmetic: compile without -ffast-math"
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__ != 0) || \\
+    defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__) || defined(__NO_SIGNED_ZEROS__)
+#error "the filter needs IEEE 754 arithmetic: compile without -ffast-math and its parts"
 #endif
 #if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0
 #error "the filter must be rounded after every operation: FLT_EVAL_METHOD must be 0"

@@ -14,9 +14,10 @@ from click.testing import CliRunner
 
 from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
+from can_rig.errors import LogError
 from can_rig.export.back_to_back.memories import random_table
 from can_rig.export.constants import constants_source
-from can_rig.export.folder import exported, in_precision
+from can_rig.export.folder import HEADER, exported, in_precision, write
 from can_rig.export.law import law_files
 from can_rig.export.running.compiler import WARNINGS
 from can_rig.export.writing.c_text import WIDTH
@@ -159,10 +160,77 @@ def test_an_existing_folder_stays(tmp_path: Path) -> None:
 
 def test_the_header_says_units_ranges_and_timing() -> None:
     header = exported(load("default", []))["firmware.h"]
-    assert "{" not in re.sub(r"struct firmware_answer \{", "", header)
-    for said in ("[N.m] SteerTorque, -", "[m/s^2] ", "once every 1 ms", "steps of 0.001"):
+    assert "{" not in re.sub(r'(struct firmware_answer|extern "C") \{', "", header)
+    for said in (
+        "[N m] steering torque (SteerTorque), -400..400, steps of 0.001",
+        "[m/s^2] FaultEstimate, -26.8435454..26.8435454",
+        "once every 1 ms",
+    ):
         assert said in header
+    assert header.isascii()
+
+
+def test_the_header_has_the_names_and_units_of_the_plant() -> None:
+    header = exported(load("pendulum", ["plant.input_2.name='thrust */ {tick}'"]))["firmware.h"]
+    for said in (
+        "[N m] torque (Input1), -20..20, ",
+        "[N] thrust * / {tick} (Input2), -40..40, ",
+        "[rad] angle (Output), -21.47483647..21.47483647, ",
+        "[rad] Reference, ",
+    ):
+        assert said in header
+
+
+def test_a_program_in_cpp_links_it(folder: Path, tmp_path: Path) -> None:
+    compiler = shutil.which("c++") or shutil.which("clang++")
+    if compiler is None:
+        pytest.skip("no C++ compiler is installed")
+    (tmp_path / "app.cc").write_text(
+        '#include "ecu.h"\n'
+        'extern "C" void ecu_send(uint16_t, const uint8_t *) {}\n'
+        "static struct ecu node;\n"
+        "int main() { ecu_init(&node); return ecu_is_overdue(&node, 0); }\n"
+    )
+    others = {"main.c", "bench_main.c", "bench.c", "harness.c"}
+    units = [path for path in sorted(folder.glob("*.c")) if path.name not in others]
+    run("cc", "-std=c99", "-c", *units, cwd=tmp_path)
+    objects = sorted(tmp_path.glob("*.o"))
+    app = tmp_path / "app"
+    run(compiler, "-Wall", "-Werror", f"-I{folder}", f"{app}.cc", *objects, "-lm", "-o", app)
+    run(tmp_path / "app")
 
 
 def _precision(folder: Path) -> Precision:
     return "float32" if folder.name == "float32" else "float64"
+
+
+def test_force_writes_over_an_export_and_keeps_what_else_is_there(tmp_path: Path) -> None:
+    write({HEADER: "old", "law.c": "old"}, tmp_path / "ecu", force=False)
+    (tmp_path / "ecu" / "can_driver.c").write_text("mine")
+    write({HEADER: "new", "law.c": "new"}, tmp_path / "ecu", force=True)
+    found = {path.name: path.read_text() for path in (tmp_path / "ecu").iterdir()}
+    assert found == {HEADER: "new", "law.c": "new", "can_driver.c": "mine"}
+
+
+@pytest.mark.parametrize("out", [".", "work", "work/..", "/"])
+def test_force_writes_into_no_other_folder(
+    out: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "work").mkdir()
+    for kept in ("thesis.txt", "work/notes.txt"):
+        (tmp_path / kept).write_text("mine")
+    with pytest.raises(LogError, match="no exported controller, so --force does not write into it"):
+        write({HEADER: "new"}, Path(out), force=True)
+    assert {path.name for path in tmp_path.rglob("*")} == {"thesis.txt", "work", "notes.txt"}
+
+
+def test_force_writes_into_an_empty_folder(tmp_path: Path) -> None:
+    write({HEADER: "new"}, tmp_path, force=True)
+    assert (tmp_path / HEADER).read_text() == "new"
+
+
+def test_what_is_no_folder_is_one_line(tmp_path: Path) -> None:
+    (tmp_path / "file").write_text("mine")
+    with pytest.raises(LogError, match="cannot be read: Not a directory"):
+        write({HEADER: "new"}, tmp_path / "file", force=True)
