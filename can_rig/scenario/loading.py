@@ -217,10 +217,7 @@ def draft(name: str, values: Mapping[str, Any]) -> Draft:
 
 
 def _require_kinds(name: str, faults: Any) -> None:
-    """A fault whose kind is left out would be none, although something is said of it.
-
-    In a campaign an axis may say the kind, so that it is not asked for there.
-    """
+    """A fault without a kind would be none; in a campaign an axis may say it."""
     for number, fault in enumerate(faults if isinstance(faults, list) else [faults]):
         if isinstance(fault, Mapping) and fault and "kind" not in fault:
             where = f"{FAULT}.{number}" if isinstance(faults, list) else FAULT
