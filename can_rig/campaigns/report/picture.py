@@ -21,14 +21,13 @@ from can_rig.campaigns.statistics import (
     numbers,
 )
 from can_rig.drawing import style
+from can_rig.drawing.names import CAR, Names, names_of
 
 MOST_METRICS: Final = 4
 MOST_AXES: Final = 6
 MOST_DOTS: Final = 4000
 PANEL_IN, RATE_IN = 1.9, 0.26
 """Heights of a row of panels, and of a requirement."""
-UNITS: Final = {"_mps2": "m/s²", "_mps": "m/s", "_nm": "N m", "_s": "s", "_n": "N"}
-"""By the end of a metric's name."""
 LINE: Final = 24
 """Characters of a label, so that it is no longer than its panel."""
 
@@ -61,11 +60,11 @@ def draw(plan: Plan, required: Sequence[Requirement], columns: Columns, summary:
         _rates(next(parts).subplots(), summary)
     if not metrics:
         return figure
-    failed = numbers(drawn["margin"]) < 0.0
+    names, failed = names_of(plan.base.plant), numbers(drawn["margin"]) < 0.0
     part = next(parts)
     panels = np.atleast_1d(part.subplots(1, len(metrics)))
     for axis, name in zip(panels, metrics, strict=True):
-        _histogram(axis, name, numbers(drawn[name]), failed)
+        _histogram(axis, label_of(name, names), numbers(drawn[name]), failed)
     part.legend(
         *panels[0].get_legend_handles_labels(),
         loc="outside upper right", ncols=2, frameon=False, fontsize=8,
@@ -73,7 +72,7 @@ def draw(plan: Plan, required: Sequence[Requirement], columns: Columns, summary:
     for key in axes:
         panels = np.atleast_1d(next(parts).subplots(1, len(metrics)))
         for axis, name in zip(panels, metrics, strict=True):
-            _dots(axis, key, drawn[key], name, numbers(drawn[name]), failed)
+            _dots(axis, key, drawn[key], label_of(name, names), numbers(drawn[name]), failed)
             if plan.settings.axes[key].scale == "log":
                 axis.set_xscale("log")
             share = summary.sensitivities.get(name, {}).get(key)
@@ -118,7 +117,7 @@ def _rates(axis: Axes, summary: Summary) -> None:
     axis.set_xlabel("runs that pass in %, with the 95 % interval", fontsize=8)
 
 
-def _histogram(axis: Axes, name: str, values: Any, failed: Any) -> None:
+def _histogram(axis: Axes, label: str, values: Any, failed: Any) -> None:
     known = np.isfinite(values)
     bins = np.histogram_bin_edges(values[known], bins=min(40, max(5, int(np.sqrt(known.sum())))))
     axis.hist(
@@ -128,14 +127,16 @@ def _histogram(axis: Axes, name: str, values: Any, failed: Any) -> None:
         color=[style.BLUE, style.ORANGE],
         label=["all requirements hold", "one does not"],
     )
-    axis.set_xlabel(label_of(name), fontsize=7)
+    axis.set_xlabel(label, fontsize=7)
     axis.tick_params(labelsize=7)
     style.ruled(axis)
     axis.set_ylim(bottom=0.0)
     axis.set_ylabel("runs", fontsize=7)
 
 
-def _dots(axis: Axes, key: str, places: Sequence[Any], name: str, values: Any, failed: Any) -> None:
+def _dots(
+    axis: Axes, key: str, places: Sequence[Any], label: str, values: Any, failed: Any
+) -> None:
     """A dot a run; values of an axis that are no numbers stand side by side."""
     texts = [str(value) for value in places]
     if all(isinstance(value, int | float) and not isinstance(value, bool) for value in places):
@@ -149,16 +150,25 @@ def _dots(axis: Axes, key: str, places: Sequence[Any], name: str, values: Any, f
         x, y = at[some][mask[some]], values[some][mask[some]]
         axis.plot(x, y, ".", color=colour, ms=2.5, alpha=0.5)
     axis.set_xlabel(key, fontsize=7)
-    axis.set_ylabel(label_of(name), fontsize=6)
+    axis.set_ylabel(label, fontsize=6)
     axis.tick_params(labelsize=7)
     axis.grid(alpha=0.3, lw=0.5)
 
 
-def label_of(metric: str) -> str:
-    """A metric in words, with its unit."""
-    words = metric.replace("_per_hour", "_an_hour")
-    for suffix, unit in UNITS.items():
-        if words.endswith(suffix):
-            words = f"{words.removesuffix(suffix)} in {unit}"
+def label_of(metric: str, names: Names) -> str:
+    """A metric in words, with the names and units of the plant's own signals."""
+    output, command_1, command_2 = names
+    integral = "m/s" if output.unit == CAR.output.unit else f"{output.unit} s".strip()
+    units = {
+        "_mps2": output.unit, "_mps": integral, "_nm": command_1.unit, "_s": "s",
+        "_n": command_2.unit,
+    }  # fmt: skip
+    stem, unit = metric.replace("_per_hour", "_an_hour"), ""
+    for suffix, of in units.items():
+        if stem.endswith(suffix):
+            stem, unit = stem.removesuffix(suffix), of
             break
-    return fill(words.replace("_", " "), LINE)
+    words = stem.replace("_", " ")
+    for signal, own in (("torque", command_1), ("force difference", command_2), ("dstar", output)):
+        words = words.replace(signal, own.name if own not in CAR else signal)
+    return fill(f"{words} in {unit}" if unit else words, LINE)
