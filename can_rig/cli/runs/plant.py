@@ -9,9 +9,15 @@ from pathlib import Path
 import click
 
 from can_rig.assessment.resolve import load
-from can_rig.cli.options import interaction_of, interaction_options, scenario_options
+from can_rig.cli.options import (
+    force_option,
+    interaction_of,
+    interaction_options,
+    scenario_options,
+)
 from can_rig.cli.runs.node import end_of_node, node_options, node_progress
 from can_rig.errors import LogError
+from can_rig.files import refuse_existing
 from can_rig.nodes.progress import Throttled
 from can_rig.nodes.runner import run_plant
 from can_rig.nodes.watchdog import StopRequest, Timeouts
@@ -27,6 +33,7 @@ OTHER_FORMATS = {".asc", ".blf", ".trc", ".mf4", ".gz"}
     "--log", type=click.Path(path_type=Path, dir_okay=False), help="Record candump lines here."
 )
 @interaction_options
+@force_option
 def command(
     scenario: str,
     settings: tuple[str, ...],
@@ -38,6 +45,7 @@ def command(
     real_time: bool,
     pace: float | None,
     injectable: bool,
+    force: bool,
 ) -> None:
     """Run the plant node: the simulated car, in lockstep with a controller node or in real time.
 
@@ -48,6 +56,8 @@ def command(
             f"{log}: must be FILE.log, a node records candump lines as it goes; "
             "can-rig run --log writes other formats"
         )
+    if log is not None and log.is_file():  # a pipe or a terminal has nothing to lose
+        refuse_existing(log, force, "--log")
     interaction = interaction_of(pace, injectable, real_time)
     alone_s = math.inf if real_time else Timeouts.silence_s
     timeouts = Timeouts(first_s, alone_s if silence_s is None else silence_s)

@@ -263,6 +263,18 @@ def test_a_node_records_candump_lines_only(tmp_path: Path) -> None:
     assert not (tmp_path / "a.blf").exists()
 
 
+def test_a_node_replaces_no_log_unasked(tmp_path: Path) -> None:
+    log = tmp_path / "drive.log"
+    log.write_text("a drive\n")
+    command = ("plant", "thesis-step", "--log", log, "--bus", f"local:{tmp_path / 'b'}")
+    done = rig(*command, "--wait", "0.01")
+    assert done.returncode == 2
+    assert f"{log}: exists; choose another --log, or --force to replace it" in done.stderr
+    assert log.read_text() == "a drive\n"
+    assert rig(*command, "--wait", "0.01", "--force").returncode == 3
+    assert "a drive" not in log.read_text()
+
+
 def test_an_empty_log_gives_an_empty_table(tmp_path: Path) -> None:
     (tmp_path / "a.asc").write_text("date Mon Jan 1 00:00:00 2024\nbase hex timestamps absolute\n")
     outputs = [option for name in ("a.csv", "a.mf4", "b") for option in ("--out", tmp_path / name)]
