@@ -82,9 +82,10 @@ realtime_option = click.option(
 
 def controller_name(context: click.Context, parameter: click.Parameter, value: str) -> str:
     """One of ``CONTROLLERS``, or a serial port."""
-    if value.startswith(SERIAL) and value != SERIAL:
+    if value in CONTROLLERS or (value.startswith(SERIAL) and value != SERIAL):
         return value
-    return str(click.Choice(CONTROLLERS).convert(value, parameter, context))
+    known = ", ".join([*CONTROLLERS, f"{SERIAL}PORT"])
+    raise click.BadParameter(f"{value!r} is not one of {known}.", context, parameter)
 
 
 controller_option = click.option(

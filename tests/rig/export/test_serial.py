@@ -107,4 +107,5 @@ def test_a_port_that_is_none_is_one_line(tmp_path: Path) -> None:
 def test_a_controller_that_is_none_is_refused(name: str, tmp_path: Path) -> None:
     done = CliRunner().invoke(main, ["run", "--controller", name, "--out", str(tmp_path / "run")])
     assert done.exit_code == 2
-    assert f"{name!r} is not one of 'python', 'c', 'ecu'" in done.stderr
+    said = f"{name!r} is not one of python, c, ecu, arm:m4f, arm:m7, arm:serial:PORT."
+    assert said in done.stderr
