@@ -22,6 +22,7 @@ from can_rig.export.translation.types import (
 )
 
 ARITHMETIC: Final = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Mod)
+INT32: Final = range(-(2**31), 2**31)
 ORDER: Final = (ast.Lt, ast.LtE, ast.Gt, ast.GtE)
 Call = Callable[[ast.Call], Type]
 
@@ -109,17 +110,25 @@ class Expressions:
         if isinstance(node.value, bool):
             return BOOL
         if isinstance(node.value, int):
-            return INT
+            return self._integer(node, node.value)
         if isinstance(node.value, float):
             return LITERAL
         raise self._module.refuse(node, f"{node.value!r}: must be a number")
+
+    def _integer(self, node: ast.expr, value: int) -> Type:
+        """An integer of the source, which must be one of the target too."""
+        if value not in INT32:
+            raise self._module.refuse(
+                node, f"{ast.unparse(node)}: must be an integer from -2**31 to 2**31 - 1"
+            )
+        return INT
 
     def _name(self, node: ast.Name) -> Type:
         if node.id in self._names:
             return self._names[node.id]
         value = self._module.lookup(node.id)
         if isinstance(value, int) and not isinstance(value, bool):
-            return INT
+            return self._integer(node, value)
         if isinstance(value, float):
             return LITERAL
         raise self._module.refuse(
@@ -155,8 +164,13 @@ class Expressions:
                 node, f"{ast.unparse(node)}: must have an index for each of {array.shape}"
             )
         if not any(isinstance(index, ast.Slice) for index in indices):
-            for index in indices:
+            for index, size in zip(indices, array.shape, strict=True):
                 self.require(index, INT)
+                at = self.constant(index)
+                if at is not None and not 0 <= at < size:
+                    raise self._module.refuse(
+                        index, f"{ast.unparse(node)}: index {at} must be from 0 to {size - 1}"
+                    )
             return array.element
         if len(indices) > 1 and isinstance(node.ctx, ast.Load):
             raise self._module.refuse(
@@ -186,7 +200,11 @@ class Expressions:
         if not isinstance(node.op, ast.USub):
             raise self._module.refuse(node, f"{ast.unparse(node)}: must be -x or not x")
         if isinstance(node.operand, ast.Constant):
-            return self.of(node.operand)
+            value = self.constant(node)
+            if not isinstance(value, int):
+                return self.of(node.operand)
+            self.types[node.operand] = INT
+            return self._integer(node, value)
         return self.require(node.operand, REAL, INT)
 
     def _binop(self, node: ast.BinOp) -> Type:
@@ -199,6 +217,8 @@ class Expressions:
                 node,
                 f"{ast.unparse(node)}: {in_words(left)} and {in_words(right)}: must be real(n, x)",
             )
+        if isinstance(node.op, ast.Mod) and self.constant(node.right) == 0:
+            raise self._module.refuse(node, f"{ast.unparse(node)}: must not divide by 0")
         return left
 
     def _boolop(self, node: ast.BoolOp) -> Type:

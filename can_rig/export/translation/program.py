@@ -6,6 +6,7 @@ import ast
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+from can_rig.export.translation.assignment import check_assigned
 from can_rig.export.translation.calls import called, type_of_arithmetic
 from can_rig.export.translation.expressions import Expressions
 from can_rig.export.translation.source import Function, Module, Sources
@@ -106,6 +107,7 @@ class Program:
         self._open.append(function)
         statements.type_all()
         self._open.pop()
+        check_assigned(function)
         typed = Typed(function, names, statements.result, expressions.types, calls)
         self.functions[function.c_name] = typed
         return typed

@@ -38,6 +38,7 @@ class Statements:
         self._names = names
         self._expressions = expressions
         self._loops: list[str] = []  # names of the loops around a statement
+        self._counters: set[str] = set()  # names of all loops so far
         self.result: Type = None
         self._returned = False
 
@@ -47,8 +48,9 @@ class Statements:
         Raises:
             ExportError: something is outside the subset.
         """
-        self._block(self._function.body)
-        last = self._function.body[-1]
+        body = self._function.body
+        self._block(body)
+        last = body[-1] if body else self._function.tree
         if self.result is not None and not _always_returns(last):
             raise self._module.refuse(last, f"{self._function.name} must end with a return")
 
@@ -80,11 +82,11 @@ class Statements:
             case ast.Pass() | ast.Break() | ast.Continue():
                 pass
             case _:
+                first = ast.unparse(node).splitlines()[0].rstrip(":")
                 raise self._module.refuse(
-                    node,
-                    f"{ast.unparse(node).splitlines()[0]}: must be an assignment, a call, if, "
-                    "for ... in range(...) or return",
-                )
+                    node, f"{first}: must be an assignment, a call, if, for ... in range(...) "
+                    "or return"
+                )  # fmt: skip
 
     def _assign(self, node: ast.Assign) -> None:
         """One value to one name or more, or several values to as many."""
@@ -139,7 +141,7 @@ class Statements:
             raise self._module.refuse(
                 target, f"{target.id} gets a literal without a precision: must be real(..., x)"
             )
-        if target.id in self._loops:
+        if target.id in self._counters:
             raise self._module.refuse(target, f"{target.id} counts a loop: must not be assigned")
         known = self._names.setdefault(target.id, kind)
         if known != kind:
@@ -163,10 +165,21 @@ class Statements:
                     self._expressions.require(end, INT)
             case _:
                 raise self._module.refuse(node, f"{ast.unparse(node).splitlines()[0]} {what}")
-        self._bind(target, INT)
+        self._count(target)
         self._loops.append(target.id)
         self._block(node.body)
         self._loops.pop()
+
+    def _count(self, target: ast.Name) -> None:
+        """A name that counts a loop does nothing else, for in C it ends with the loop."""
+        taken = target.id in self._names and target.id not in self._counters
+        if taken or (target.id in self._loops and target.id != "_"):
+            raise self._module.refuse(
+                target, f"{target.id} has another use: must be a name that only counts this loop"
+            )
+        if target.id != "_":
+            self._names[target.id] = self._expressions.types[target] = INT
+            self._counters.add(target.id)
 
     def _return(self, node: ast.Return) -> None:
         kind: Type = None

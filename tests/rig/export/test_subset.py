@@ -25,6 +25,7 @@ from firmware_model.target.precision import real
 from firmware_model.target.structs import Field, Record
 
 OTHER = 0.1
+MANY, HUGE = 7, 2**32
 STATE = (
     Field("a", "1", "a number"),
     Field("n", "1", "an integer", "int32"),
@@ -87,7 +88,7 @@ REFUSED = {
     "if x > 0.1:\n        pass": "0.1 has no precision",
     "if x:\n        pass": "x is a real number: must be a truth value or an integer",
     "if 0.0 < x < 1.0:\n        pass": "must be two comparisons",
-    "while x > 0.0:\n        pass": "while x > 0.0:: must be an assignment, a call, if, for",
+    "while x > 0.0:\n        pass": "while x > 0.0: must be an assignment, a call, if, for",
     "for y in state.list:\n        pass": "must be for i in range(stop) or range(start, stop)",
     "for i in range(4):\n        i = 2": "i counts a loop: must not be assigned",
     "for i in range(state.n):\n        state.n = 2": "range(state.n): must be a name, a number",
@@ -123,6 +124,25 @@ REFUSED = {
     "y = x is x": "must be <, <=, >, >=, == or !=",
     "y = ~state.n": "must be -x or not x",
     "del x": "must be an assignment, a call, if",
+    "y = state.list[-1]": "state.list[-1]: index -1 must be from 0 to 3",
+    "y = state.list[4]": "state.list[4]: index 4 must be from 0 to 3",
+    "state.list[MANY] = x": "state.list[MANY]: index 7 must be from 0 to 3",
+    "y = state.grid[3, 2]": "state.grid[3, 2]: index 2 must be from 0 to 1",
+    "for i in range(4):\n        pass\n    state.n = i": "i ends with its loop",
+    "for i in range(4):\n        pass\n    i = 2": "i counts a loop: must not be assigned",
+    "i = 2\n    for i in range(4):\n        pass": "i has another use: must be a name that only",
+    "for i in range(4):\n        for i in range(2):\n            pass": "i has another use",
+    "if x > 0.0:\n        y = x\n    state.a = y": "y: must be assigned on every way",
+    "if x > 0.0:\n        y = x\n    else:\n        z = x\n    y += x": "y: must be assigned",
+    "for i in range(4):\n        y = x\n    state.a = y": "y: must be assigned on every way",
+    "for i in range(4):\n        if x > 0.0:\n            break\n        y = x\n    y = y + x":
+        "y: must be assigned on every way",
+    "state.n = MANY\n    MANY = 2": "MANY: must be assigned on every way that leads here",
+    "return\n    state.a = x": "is never reached: must not be there",
+    "state.n = 2147483648": "2147483648: must be an integer from -2**31 to 2**31 - 1",
+    "state.n = -2147483649": "-2147483649: must be an integer from -2**31 to 2**31 - 1",
+    "state.n = HUGE": "HUGE: must be an integer from -2**31 to 2**31 - 1",
+    "state.n = state.n % 0": "state.n % 0: must not divide by 0",
 }  # fmt: skip
 
 
@@ -166,6 +186,11 @@ def test_signatures_that_c_has_not_are_refused(
         "y = count(state) + x", "y, _ = pair(x)", "state.a = state.list[0] = x",
         "y = -x if not x > 0.0 else abs(x)", "state.n = (state.n + 1) % 4",
         "for i in range(4):\n        state.list[i] = real(i, x)",
+        "if x > 0.0:\n        y = x\n    else:\n        y = -x\n    state.a = y",
+        "if x > 0.0:\n        y = x\n    else:\n        return\n    state.a = y",
+        "for i in range(4):\n        if i > 1:\n            break\n        y = x\n        x = y",
+        "for i in range(4):\n        pass\n    for i in range(2):\n        state.list[i] = x",
+        "state.n = -2147483648", "y = state.list[3]",
     ],
 )  # fmt: skip
 def test_what_is_inside_is_not(translate: Translate, line: str) -> None:
