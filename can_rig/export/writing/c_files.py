@@ -109,8 +109,9 @@ class CFiles:
     def _struct(self, struct: CStruct, module: Module) -> list[str]:
         what = {"CONSTANTS": "Constants", "STATE": "State", "TABLE": "The constant table"}
         python = struct.tag.removeprefix(f"{struct.module}_").upper()
-        title = module.docstring.splitlines()[0].rstrip(".:")
-        lines = comment(f"{what.get(python, python.capitalize().replace('_', ' '))}: {title}")
+        title = [what.get(python, python.capitalize().replace("_", " "))]
+        title += [line.rstrip(".:") for line in module.docstring.splitlines()[:1]]
+        lines = comment(": ".join(title))
         lines.append(f"struct {struct.tag} {{")
         for field in struct.fields:
             lines += with_comment(f"    {self._member(field)};", _meaning(field), "    ")

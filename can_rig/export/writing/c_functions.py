@@ -69,6 +69,7 @@ class CFunction:
         self._lines: list[str] = []
         self._indent = ""
         self._answers = 0
+        self._taken = {name(each) for each in typed.names}
         tree = typed.function.tree
         self._comments: list[tuple[int, Comment]] = [
             (line, each)
@@ -199,8 +200,10 @@ class CFunction:
             self._line("}")
 
     def _free(self, wanted: str) -> str:
-        """A name for an index that the function does not use."""
-        return f"{wanted}_" if wanted in self._typed.names else wanted
+        """A name that the function does not use."""
+        while wanted in self._taken:
+            wanted += "_"
+        return wanted
 
     def _unpack(
         self, node: ast.stmt, targets: list[ast.expr], value: ast.expr, remark: str | None
@@ -210,9 +213,8 @@ class CFunction:
         assert isinstance(answers, Answers)
         self._answers += 1
         called = self._typed.calls[value].function.name if isinstance(value, ast.Call) else ""
-        whole = called + (f"_{self._answers}" if self._answers > 1 else "")
-        if whole in self._typed.names:
-            whole += "_"
+        whole = self._free(name(called) + (f"_{self._answers}" if self._answers > 1 else ""))
+        self._taken.add(whole)
         text = self._expressions.text(value)
         self._line(f"const struct {answers.tag} {whole} = {text};", remark)
         for target, (member, _) in zip(targets, answers.items, strict=True):

@@ -18,14 +18,22 @@ LAST_RESORT: Final = 99  # as deep as nothing is
 WORDS: Final = """
     auto break case char const continue default do double else enum extern float for goto if inline
     int long register restrict return short signed sizeof static struct switch typedef union
-    unsigned void volatile while bool true false real
+    unsigned void volatile while
+    alignas alignof asm bool constexpr false nullptr static_assert thread_local true typeof
+    NULL EOF errno assert NAN INFINITY memset memcpy
+    sqrt sqrtf ceil ceilf rint rintf fabs fabsf signbit
+    real real_is_finite real_min real_max real_copysign int_min int_max int_modulo REAL_H
 """
-KEYWORDS: Final = frozenset(WORDS.split())
+TAKEN: Final = re.compile(
+    r"(FLT|DBL|LDBL|DECIMAL|FP|MATH|M)_\w+|HUGE_VAL[FL]?|U?INT\w*_(MAX|MIN|C)|u?int\w*_t"
+    r"|(PTRDIFF|SIG_ATOMIC|SIZE|WCHAR|WINT)_(MAX|MIN)|_[A-Z_]\w*|" + "|".join(WORDS.split())
+)
+"""Keywords, macros and types of C and of its headers, and functions that exported lines call."""
 
 
 def name(python: str) -> str:
     """``python`` as a name in C, where some words are taken."""
-    return f"{python}_" if python in KEYWORDS else python
+    return f"{python}_" if TAKEN.fullmatch(python.rstrip("_")) else python
 
 
 def number(value: float, precision: Precision) -> str:
@@ -47,8 +55,10 @@ def plain(text: str) -> str:
 
 
 def comment(text: str, indent: str = "") -> list[str]:
-    """A block comment, as the text has its lines."""
+    """A block comment, as the text has its lines; none without a text."""
     lines = [line.rstrip() for line in plain(text).splitlines()]
+    if not lines:
+        return []
     if len(lines) == 1 and len(indent) + len(lines[0]) + 6 <= WIDTH:
         return [f"{indent}/* {lines[0]} */"]
     if len(lines) == 1:

@@ -5,11 +5,16 @@ from __future__ import annotations
 import ast
 import re
 from collections.abc import Iterator
+from typing import Final
 
-from can_rig.export.translation.program import Program
+from can_rig.export.translation.program import Program, Typed
 from can_rig.export.translation.source import Module, Sources
+from can_rig.export.translation.types import Answers
 from can_rig.export.writing.c_text import comment, number, plain, with_comment
+from can_rig.export.writing.c_text import name as c_name
 from firmware_model.target.structs import Precision
+
+_ELSEWHERE: Final = "is a number or a function of the exported C too: must be another name"
 
 
 class Names:
@@ -18,6 +23,9 @@ class Names:
     Args:
         program: the program.
         precision: of its real numbers.
+
+    Raises:
+        ExportError: another name would be hidden by one of these, or by that of a function.
     """
 
     def __init__(self, program: Program, precision: Precision) -> None:
@@ -35,6 +43,7 @@ class Names:
                             home = origin(self._sources, user, node.id)
                             self._homes[home.name] = home
                             self._used.setdefault((home.name, node.id), set()).add(user.name)
+        self._check(program)
 
     def headers(self, user: Module) -> set[str]:
         """The other modules whose names ``user`` uses, and those of enumerations."""
@@ -54,6 +63,24 @@ class Names:
         names = [name for name in self._of(home) if self._used[home.name, name] == {home.name}]
         return self._definitions(home, names)
 
+    def _check(self, program: Program) -> None:
+        """Refuse a local name or a member of a struct that means something else in C."""
+        modules = self._sources.modules.values()
+        macros = {f"{module.name.upper()}_H" for module in modules}
+        macros |= {c_name(name) for _, name in self._used}
+        taken = macros | set(program.functions)
+        for module in modules:
+            taken |= {enumerator(n, each.name) for n, enum in module.enums.items() for each in enum}
+            for struct in module.structs.values():
+                for field in struct.fields:
+                    if c_name(field.name) in macros:
+                        at = ast.Pass(lineno=struct.line)
+                        raise module.refuse(at, f"{field.name}: {_ELSEWHERE}")
+        for typed in program.functions.values():
+            for name, node in _locals(typed).items():
+                if c_name(name) in taken:
+                    raise typed.function.module.refuse(node, f"{name}: {_ELSEWHERE}")
+
     def _of(self, home: Module) -> list[str]:
         return [name for name in home.assignments if (home.name, name) in self._used]
 
@@ -64,9 +91,9 @@ class Names:
             text = str(value) if isinstance(value, int) else number(value, self._precision)
             for _, enumerator in self._enumerator(home, name):
                 text = enumerator
-            if text == name:
+            if text == c_name(name):
                 continue
-            line = f"#define {name} {text if value >= 0 else f'({text})'}"
+            line = f"#define {c_name(name)} {text if value >= 0 else f'({text})'}"
             said = home.comments.get(home.assignments[name].lineno)
             lines += with_comment(line, said.text, "") if said and not said.alone else [line]
         return lines
@@ -81,6 +108,19 @@ class Names:
                 declared = home.lookup(enum)
                 module = self._sources.module(declared.__module__)
                 yield module, enumerator(enum, member)
+
+
+def _locals(typed: Typed) -> dict[str, ast.AST]:
+    """What C declares in a function: its names, and one for several answers of a call."""
+    calls = typed.calls.items()
+    found: dict[str, ast.AST] = {
+        each.function.name: call for call, each in calls if isinstance(each.result, Answers)
+    }
+    for node in ast.walk(typed.function.tree):
+        name = getattr(node, "id", getattr(node, "arg", None))
+        if name in typed.names:
+            found.setdefault(name, node)
+    return found
 
 
 def origin(sources: Sources, user: Module, name: str) -> Module:
