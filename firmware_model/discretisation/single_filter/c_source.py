@@ -18,8 +18,26 @@ from firmware_model.target.structs import FloatArray, Precision
 KEYWORDS: Final = """
     auto break case char const continue default do double else enum extern float for goto if inline
     int long register restrict return short signed sizeof static struct switch typedef union
-    unsigned void volatile while
+    unsigned void volatile while alignas alignof asm bool constexpr false nullptr static_assert
+    thread_local true typeof
 """
+CPP_KEYWORDS: Final = """
+    and and_eq bitand bitor catch char8_t char16_t char32_t class co_await co_return co_yield compl
+    concept const_cast consteval constinit decltype delete dynamic_cast explicit export friend
+    mutable namespace new noexcept not not_eq operator or or_eq private protected public
+    reinterpret_cast requires static_cast template this throw try typeid typename using virtual
+    wchar_t xor xor_eq
+"""
+LIBRARY: Final = r"""
+    NULL EOF errno assert offsetof signbit NAN INFINITY HUGE_VAL I complex imaginary noreturn stdin
+    stdout stderr (FLT|DBL|LDBL)_\w+ U?INT\w*_(MAX|MIN|C) u?int\w*_t
+    (size|ptrdiff|float|double|l?l?div|clock|time)_t va_list tm FILE
+"""
+TAKEN: Final = {
+    KEYWORDS: "a keyword of C",
+    CPP_KEYWORDS: "a keyword of C++, which may include the header",
+    LIBRARY: "a name of the C library",
+}
 
 HEADER: Final = Template("""\
 /* $what
@@ -128,12 +146,15 @@ def c_source(
         what: the filter in words.
 
     Raises:
-        ParameterError: ``name`` is no name in C.
+        ParameterError: ``name`` is no name in C, or one that C or C++ has already.
     """
-    if not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", name) or name in KEYWORDS.split():
+    if not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", name):
         raise ParameterError(
             f"name = {name!r}: must be a name in C, a letter and then letters, digits or _"
         )
+    for taken, owner in TAKEN.items():
+        if re.fullmatch("|".join(taken.split()), name):
+            raise ParameterError(f"name = {name!r}: is {owner}, must be another name")
     words = {
         "name": name,
         "guard": name.upper(),

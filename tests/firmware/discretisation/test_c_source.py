@@ -43,7 +43,22 @@ def test_files_have_the_name_and_say_what_they_are() -> None:
     assert "double lead_step(struct lead *state, double u);" in files["lead.h"]
 
 
-@pytest.mark.parametrize("name", ["", "2nd", "low-pass", "float", "a b", "é", "a\n"])
+@pytest.mark.parametrize("name", ["", "2nd", "low-pass", "a b", "é", "a\n"])
 def test_a_name_that_is_none_in_c_is_refused(name: str) -> None:
     with pytest.raises(ParameterError, match="must be a name in C"):
         LEAD.to_c(name)
+
+
+TAKEN = {
+    "a keyword of C,": "int float while bool asm",
+    "a keyword of C++": "class new this template or xor",
+    "a name of the C library": "NULL EOF errno assert NAN INFINITY DBL_MAX INT32_MAX int32_t div_t",
+}
+
+
+@pytest.mark.parametrize("whose", TAKEN)
+def test_a_name_that_is_taken_is_refused(whose: str) -> None:
+    for name in TAKEN[whose].split():
+        with pytest.raises(ParameterError, match=re.escape(f"name = '{name}': is {whose}")):
+            LEAD.to_c(name)
+    assert LEAD.to_c(f"{name}_")
