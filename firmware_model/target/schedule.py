@@ -134,7 +134,7 @@ def move(schedule: Record, own: Record, table: Record, state: Record, place: flo
         if place < own.place:
             i = last - k
         low = real(i, place)
-        high = real(i + 1, place)
+        high = low + real(1.0, place)
         end = min(max(place, low), high)
         begin = min(max(own.place, low), high)
         if end != begin:
