@@ -38,18 +38,18 @@ def application(scenario: Scenario) -> dict[str, str]:
             "rig's own frames; run --controller c runs the law in C on yours"
         )
     of, names = controls(scenario, network), names_of(scenario.plant)
-    limits = scenario.limits
-    changing = of.schedule is not None
+    limits, blends = scenario.limits, of.schedule is not None
     precision = scenario.design.precision
     title = f"The constants of the controller of scenario {scenario.name}."
+    of_speed = words(network.speed is not None, blends)
     zero = "0.0f" if precision == "float32" else "0.0"
     return {
         **law_files(precision),
-        **(speed_files(precision) if changing else {}),
+        **(speed_files(precision) if blends else {}),
         "constants.h": constants_header(title, of.schedule),
         "constants.c": constants_source(of.table, title, of.schedule),
         "firmware.h": filled(
-            support("firmware_speeds.h" if changing else "firmware.h"),
+            support("firmware_speeds.h" if blends else "firmware.h"),
             speed=_signal(network.speed) if network.speed else "",
             scenario=scenario.name,
             tick=f"{scenario.tick_s * 1e3:g} ms",
@@ -60,17 +60,17 @@ def application(scenario: Scenario) -> dict[str, str]:
             reference=_signal(network.reference, names.output._replace(name="")),
             measurement=_signal(network.feedback, names.output),
         ),
-        "firmware.c": support("firmware_speeds.c" if changing else "firmware.c"),
-        **{name: filled(support(name), zero=zero, **words(changing)) for name in BY_HAND},
-        "network.c": _network_source(network, scenario, changing),
+        "firmware.c": support("firmware_speeds.c" if blends else "firmware.c"),
+        **{name: filled(support(name), zero=zero, **of_speed) for name in BY_HAND},
+        "network.c": _network_source(network, scenario),
     }
 
 
-def _network_source(network: Network, scenario: Scenario, changing: bool) -> str:
+def _network_source(network: Network, scenario: Scenario) -> str:
     """``network.c``: what the DBC says of each frame, and the time between them."""
     lines = [*comment(f"The frames of {dbc_of(scenario).name}."), '#include "ecu.h"', ""]
     lines.append(f"const uint32_t ecu_tick_us = {round(scenario.tick_s * 1e6)};")
-    for codec in network.by_role if changing else network:
+    for codec in network.by_role:
         numbers = {
             "id": f"0x{codec.frame_id:X}",
             "data_id": f"0x{codec.data_id:X}",

@@ -10,7 +10,7 @@ from can_rig.errors import LogError
 from can_rig.export.application import application
 from can_rig.export.law import filled, support
 from can_rig.export.running.ecu import bench
-from can_rig.export.speed_words import words
+from can_rig.export.speed_words import words_of
 from can_rig.files import atomic, refuse_existing
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import Precision
@@ -44,7 +44,7 @@ def exported(scenario: Scenario, precision: Precision | None = None) -> dict[str
             zero=zero,
             objects=objects,
             sources=sources,
-            **words("schedule.c" in files),
+            **words_of(files),
         )
         for name in BUILD_FILES
     }

@@ -1,11 +1,13 @@
-"""What stands in the C of a node for a car whose speed changes, and nowhere else."""
+"""What stands in the C of a node for a car whose speed is said, and nowhere else."""
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from typing import Final
 
-ONE_SPEED: Final = {
-    "memory": "layout_state",
+DEAF: Final = {
+    "receivers": "2",
+    "heard": "reference and feedback",
     "speed_members": "",
     "speed_function": "",
     "speed_init": "",
@@ -14,25 +16,18 @@ ONE_SPEED: Final = {
     "speed_frame": "",
     "speed_end": "",
     "speed_declared": "",
+    "speed_counted": "",
 }
-"""Words of the support files, by their place, of a node for one speed."""
+"""Words of the support files, by their place, of a node that hears no speed."""
 
-CHANGING_SPEED: Final = {
-    "memory": "firmware_memory",
+HEARING: Final = {
+    "receivers": "3",
+    "heard": "reference, feedback and speed",
     "speed_members": """
     struct ecu_receiver speed;
     bool speed_offered;     /* whether a speed came before the first contact: */
     uint8_t first_speed[8]; /* its bytes */
     uint8_t first_speed_length;""",
-    "speed_function": """
-/* Without a frame that may be used, the law goes on with the last speed. */
-static void take_speed(struct ecu *ecu, uint8_t length, const uint8_t *data)
-{
-    if (receive(&ecu->speed, ecu->tick, length, data)) {
-        firmware_change_speed(&ecu->state, (real)frame_value(&frame_speed, data));
-    }
-}
-""",
     "speed_init": """
     receiver_init(&ecu->speed, &frame_speed);""",
     "speed_first": """
@@ -53,10 +48,70 @@ static void take_speed(struct ecu *ecu, uint8_t length, const uint8_t *data)
     end_tick(&ecu->speed);""",
     "speed_declared": """
 extern const struct frame frame_speed;""",
+    "speed_counted": ", &ecu->speed",
 }
-"""The same of a node that hears the speed."""
+"""The same of a node that hears the speed; what it makes of it is ``speed_function``."""
+
+ONE_DESIGN: Final = {
+    "memory": "layout_state",
+    "speed_function": """
+/* Judged and counted like any other; the law is for one speed. */
+static void take_speed(struct ecu *ecu, uint8_t length, const uint8_t *data)
+{
+    (void)receive(&ecu->speed, ecu->tick, length, data);
+}
+""",
+    "inputs": "2",
+    "input_words": "reference and measurement",
+    "input_note": "",
+    "input_members": "",
+    "input_places": "",
+    "input_format": "",
+    "input_speed": "",
+    "counted_speed": "",
+    "trial_includes": "",
+    "trial_members": "",
+    "trial_orders": "",
+    "trial_load": "",
+    "trial_cases": "",
+    "trial_answer": "",
+}
+"""Words of a law that has one design."""
+
+BLENDED: Final = {
+    "memory": "firmware_memory",
+    "speed_function": """
+/* Without a frame that may be used, the law goes on with the last speed. */
+static void take_speed(struct ecu *ecu, uint8_t length, const uint8_t *data)
+{
+    if (receive(&ecu->speed, ecu->tick, length, data)) {
+        firmware_change_speed(&ecu->state, (real)frame_value(&frame_speed, data));
+    }
+}
+""",
+    "inputs": "3",
+    "input_words": "reference, measurement and speed of the car",
+    "input_note": """
+ * A speed that is nan is as it was.""",
+    "input_members": """
+    double speed;""",
+    "input_places": ", &speed",
+    "input_format": " %lf",
+    "input_speed": """
+        firmware_change_speed(&state, (real)speed);""",
+    "counted_speed": """
+        firmware_change_speed(&state, (real)inputs[i][2]);""",
+}
+"""The same of one whose designs are blended by the speed."""
 
 
-def words(changing: bool) -> dict[str, str]:
-    """For a controller with a schedule, or one without."""
-    return CHANGING_SPEED if changing else ONE_SPEED
+def words(hears: bool, blends: bool) -> dict[str, str]:
+    """For a node that hears the speed or not, and a law that blends designs by it or not."""
+    chosen = HEARING if hears else DEAF
+    of_law = BLENDED if blends else ONE_DESIGN
+    return {**of_law, **chosen}
+
+
+def words_of(files: Mapping[str, str]) -> dict[str, str]:
+    """The same, as the files of an application, or of a law alone, have it."""
+    return words("frame_speed" in files.get("frames.h", ""), "schedule.c" in files)

@@ -12,22 +12,25 @@ from can_rig.frames.endpoints import Transmitter
 from can_rig.frames.network import Network
 
 TICKS = 60
+VALUES = (-2.0, 2.0)
+SPEEDS = (-5.0, 50.0)  # m/s: of designs, and slower and faster ones
 LAST_TICKS = 65530  # the 16 bits of the tick end soon
 
 
 def random_frames(network: Network, seed: int) -> list[list[can.Message]]:
     """By tick, what the plant node might have sent, the same for the same ``seed``."""
     choose, ticks = random.Random(seed), []
-    reference, feedback = Transmitter(network.reference), Transmitter(network.feedback)
+    transmitters = [Transmitter(codec) for codec in network.on_the_bus[: network.offered]]
     first = choose.choice([0, LAST_TICKS])
     for tick in range(first, first + TICKS):
         frames: list[can.Message] = []
-        for transmitter in (reference, feedback):
+        for transmitter in transmitters:
             if choose.random() < 0.03:  # so many are lost one after the other
                 for _ in range(choose.randrange(1, 9)):
                     transmitter.frame(0.0, tick)
             size = choose.choice([1.0, 1.0, 1.0, 1.0, 1e3, math.inf, math.nan])
-            message = transmitter.frame(size * choose.uniform(-2, 2), tick)
+            ends = SPEEDS if transmitter.codec is network.speed else VALUES
+            message = transmitter.frame(size * choose.uniform(*ends), tick)
             what = choose.random()
             if what < 0.04:
                 continue

@@ -47,10 +47,16 @@ class Link(Protocol):
 
 
 class BenchEcu:
-    """The program at the other end of ``link``; see ``Ecu``."""
+    """The program at the other end of ``link``; see ``Ecu``.
 
-    def __init__(self, link: Link) -> None:
+    Args:
+        link: leads to it.
+        receivers: how many frames it receives: 2, or 3 with the speed.
+    """
+
+    def __init__(self, link: Link, receivers: int = 2) -> None:
         self._link = link
+        self._receivers = receivers
 
     def restart(self) -> bytes:
         """Start it again, as after power-up; which controller it is, 8 bytes."""
@@ -65,7 +71,7 @@ class BenchEcu:
 
     def counts(self) -> list[int]:
         """See ``Ecu``."""
-        answer = self._ask(COUNT, 4 * 2 * COUNTS)
+        answer = self._ask(COUNT, 4 * self._receivers * COUNTS)
         return [int.from_bytes(answer[i : i + 4], "little") for i in range(0, len(answer), 4)]
 
     def close(self) -> None:

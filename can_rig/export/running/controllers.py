@@ -53,10 +53,11 @@ def controller_of(name: str, scenario: Scenario) -> Controller:
     if name == "ecu":
         library = host_library(scenario)
         return Application(lambda: HostEcu(library))
+    receivers = 3 if scenario.drive.is_given else 2
     if name.startswith(SERIAL):
         expected = identity(application(scenario))
         port = name.removeprefix(SERIAL)
-        return Application(lambda: serial_ecu(port, expected, scenario.name))
+        return Application(lambda: serial_ecu(port, expected, scenario.name, receivers))
     board = name.removeprefix("arm:")
     image = firmware_image(scenario, board)
-    return Application(lambda: BenchEcu(EmulatedBoard(image, board)))
+    return Application(lambda: BenchEcu(EmulatedBoard(image, board), receivers))

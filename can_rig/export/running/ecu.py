@@ -7,6 +7,7 @@ from collections.abc import Mapping
 from typing import Final, Protocol
 
 from can_rig.export.law import filled, support
+from can_rig.export.speed_words import words_of
 from can_rig.frames.protection import FRAME_BYTES, USABLE, CheckStatus
 
 SENT_BYTES: Final = 2 + FRAME_BYTES
@@ -29,15 +30,20 @@ class Ecu(Protocol):
         """
 
     def counts(self) -> list[int]:
-        """Frames of the reference, then of the feedback, by ``CheckStatus``."""
+        """Frames by ``CheckStatus``: of the reference, of the feedback, of the speed if it hears it."""
 
     def close(self) -> None:
         """End it."""
 
 
-def harness() -> dict[str, str]:
-    """What a test bench needs beside the application: text by file name."""
-    return {name: support(name) for name in ("harness.h", "harness.c")}
+def harness(application: Mapping[str, str]) -> dict[str, str]:
+    """What a test bench needs beside the application: text by file name.
+
+    Args:
+        application: of `can_rig.export.application`.
+    """
+    names = ("harness.h", "harness.c")
+    return {name: filled(support(name), **words_of(application)) for name in names}
 
 
 def bench(application: Mapping[str, str]) -> dict[str, str]:
@@ -47,8 +53,11 @@ def bench(application: Mapping[str, str]) -> dict[str, str]:
         application: of `can_rig.export.application`.
     """
     numbers = ", ".join(f"0x{byte:02X}" for byte in identity(application))
-    texts = {name: filled(support(name), identity=numbers) for name in ("bench.h", "bench.c")}
-    return harness() | texts
+    texts = {
+        name: filled(support(name), identity=numbers, **words_of(application))
+        for name in ("bench.h", "bench.c")
+    }
+    return harness(application) | texts
 
 
 def identity(application: Mapping[str, str]) -> bytes:

@@ -17,7 +17,7 @@ from can_rig.export.application import application
 from can_rig.export.law import filled, support
 from can_rig.export.running.compiler import built
 from can_rig.export.running.ecu import bench
-from can_rig.export.speed_words import words
+from can_rig.export.speed_words import words_of
 from can_rig.scenario.settings import Scenario
 
 COMPILER: Final = "arm-none-eabi-gcc"
@@ -77,7 +77,7 @@ def image_of(files: Mapping[str, str], program: str, board: str) -> Path:
     require_tools()
     around = {name: support(name) for name in (program, "host.h", "host.c", "startup.c", "mps2.ld")}
     zero = "0.0f" if "typedef float real;" in files["real.h"] else "0.0"
-    around[program] = filled(around[program], zero=zero, **words("schedule.c" in files))
+    around[program] = filled(around[program], zero=zero, **words_of(files))
     return built([COMPILER], (*FLAGS, *BOARDS[board].flags, *LINKED), {**files, **around}, ".elf")
 
 

@@ -18,7 +18,8 @@ def host_library(scenario: Scenario) -> Path:
     Raises:
         ExportError: there is no compiler, or it refuses.
     """
-    return shared_library(application(scenario) | harness())
+    files = application(scenario)
+    return shared_library(files | harness(files))
 
 
 class HostEcu:
@@ -39,6 +40,7 @@ class HostEcu:
         loaded.harness_size.restype = ctypes.c_size_t
         self._frame, self._counts = loaded.harness_frame, loaded.harness_counts
         self._frame.restype = ctypes.c_uint8
+        self._receivers = int(loaded.harness_receivers())
         self._memory = ctypes.create_string_buffer(loaded.harness_size())
         self._sent = ctypes.create_string_buffer(MOST_SENT * SENT_BYTES)
         loaded.ecu_init(self._memory)
@@ -50,7 +52,7 @@ class HostEcu:
 
     def counts(self) -> list[int]:
         """See ``Ecu``."""
-        found = (ctypes.c_uint32 * (2 * COUNTS))()
+        found = (ctypes.c_uint32 * (self._receivers * COUNTS))()
         self._counts(self._memory, found)
         return list(found)
 

@@ -68,19 +68,20 @@ class SerialLink:
         self._port.close()
 
 
-def serial_ecu(port: str, identity: bytes, scenario: str) -> BenchEcu:
+def serial_ecu(port: str, identity: bytes, scenario: str, receivers: int = 2) -> BenchEcu:
     """The controller node on the board at ``port``, started again.
 
     Args:
         port: device of the serial port.
         identity: of the controller that must run there.
         scenario: its name.
+        receivers: see ``BenchEcu``.
 
     Raises:
         ExportError: there is no such port, nothing answers, or another controller does.
         MissingExtraError: pyserial is not installed.
     """
-    ecu = BenchEcu(SerialLink(port))
+    ecu = BenchEcu(SerialLink(port), receivers)
     if ecu.restart() != identity:
         ecu.close()
         raise ExportError(

@@ -7,7 +7,6 @@
 #define ORDER_COUNTS 'C'
 #define ORDER_RESTART 'R'
 #define ORDER_TIME 'T'
-#define COUNTS (2 * E2E_STATUSES)
 
 static struct ecu ecu;
 
@@ -41,8 +40,8 @@ static bool answer_frame(const uint8_t order[ORDER_BYTES])
 
 static bool answer_counts(void)
 {
-    uint32_t counts[COUNTS];
-    uint8_t answer[4 * COUNTS];
+    uint32_t counts[HARNESS_COUNTS];
+    uint8_t answer[4 * HARNESS_COUNTS];
 
     harness_counts(&ecu, counts);
     for (uint32_t i = 0; i < sizeof answer; i++) {

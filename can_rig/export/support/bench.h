@@ -7,8 +7,8 @@
  *                                                   that was sent: identifier (2), data (8)
  *     'T', microseconds (4), 7 bytes of anything    as for 'F'; frames that follow come at this time,
  *                                                   and a feedback that is overdue is missed
- *     'C', 11 bytes of anything                     80 bytes: how many frames of the reference, then
- *                                                   of the feedback, had each e2e_status (4 each)
+ *     'C', 11 bytes of anything                     how many frames of {heard}
+ *                                                   had each e2e_status (10 numbers of 4 bytes each)
  *     'R', 11 bytes of anything                     8 bytes that say which controller this is; it has
  *                                                   started again, as after power-up
  *

@@ -43,9 +43,19 @@ uint8_t harness_time(struct ecu *ecu, uint32_t now_us, uint8_t *sent)
     return frames;
 }
 
-void harness_counts(const struct ecu *ecu, uint32_t counts[2 * E2E_STATUSES])
+uint8_t harness_receivers(void)
 {
-    (void)memcpy(counts, ecu->reference.checker.counts, sizeof ecu->reference.checker.counts);
-    (void)memcpy(&counts[E2E_STATUSES], ecu->feedback.checker.counts,
-                 sizeof ecu->feedback.checker.counts);
+    return HARNESS_RECEIVERS;
+}
+
+void harness_counts(const struct ecu *ecu, uint32_t counts[HARNESS_COUNTS])
+{
+    const struct ecu_receiver *const receivers[HARNESS_RECEIVERS] = {
+        &ecu->reference, &ecu->feedback{speed_counted}};
+
+    for (uint32_t i = 0; i < HARNESS_RECEIVERS; i++) {
+        const struct e2e_checker *const checker = &receivers[i]->checker;
+
+        (void)memcpy(&counts[E2E_STATUSES * i], checker->counts, sizeof checker->counts);
+    }
 }

@@ -8,6 +8,8 @@
 
 #define HARNESS_FRAME_BYTES 10 /* two of the identifier, low byte first, and eight of data */
 #define HARNESS_MOST_FRAMES 3
+#define HARNESS_RECEIVERS {receivers} /* the frames that a node receives */
+#define HARNESS_COUNTS (HARNESS_RECEIVERS * E2E_STATUSES)
 
 /* Bytes that a node needs. */
 size_t harness_size(void);
@@ -26,7 +28,10 @@ uint8_t harness_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_
  */
 uint8_t harness_time(struct ecu *ecu, uint32_t now_us, uint8_t *sent);
 
-/* How many frames of the reference, then of the feedback, had each e2e_status. */
-void harness_counts(const struct ecu *ecu, uint32_t counts[2 * E2E_STATUSES]);
+/* HARNESS_RECEIVERS, for who has only the library. */
+uint8_t harness_receivers(void);
+
+/* How many frames of {heard}, one after the other, had each e2e_status. */
+void harness_counts(const struct ecu *ecu, uint32_t counts[HARNESS_COUNTS]);
 
 #endif

@@ -24,7 +24,8 @@ class EcuNode(AnsweringNode):
         self.ticks = scenario.ticks
         self._send = send
         self._ecu = ecu
-        self._inputs = (network.reference, network.feedback)
+        speed = () if network.speed is None else (network.speed,)
+        self._inputs = (network.reference, network.feedback, *speed)
         self._wanted = {codec.frame_id for codec in network.on_the_bus[: network.offered]}
         commands = (network.command_1, network.command_2)
         self._channels = {codec.frame_id: channel for channel, codec in enumerate(commands)}
@@ -62,6 +63,6 @@ class EcuNode(AnsweringNode):
     def rejected(self) -> dict[str, dict[str, int]]:
         """Per message, how many frames were not used and why."""
         counts = self._ecu.counts()
-        parts = counts[:COUNTS], counts[COUNTS:]
+        parts = (counts[i : i + COUNTS] for i in range(0, len(counts), COUNTS))
         pairs = zip(self._inputs, parts, strict=True)
         return {codec.name: rejected(part) for codec, part in pairs}

@@ -71,9 +71,18 @@ def test_an_emulated_board_sends_the_same_bytes(
     assert python == log_of("noisy", chosen, node, tmp_path / board)
 
 
-def test_any_frames_are_answered_and_judged_alike() -> None:
+@pytest.mark.parametrize(
+    ("name", "chosen", "heard"),
+    [
+        ("default", [], 2),
+        ("drive-cycle", [], 3),
+        ("drive-cycle", ["design.speeds_mps=[20.0]"], 3),  # one design at all speeds
+    ],
+    ids=["one speed", "blended", "one design"],
+)
+def test_any_frames_are_answered_and_judged_alike(name: str, chosen: list[str], heard: int) -> None:
     """Wrong ticks, wrong lengths, repeated, damaged and missing frames, and a late start."""
-    scenario = load("default", ["duration_s=1"])
+    scenario = load(name, ["duration_s=1", *chosen])
     network = network_of(scenario)
     library = host_library(scenario)
     for seed in range(20):
@@ -90,7 +99,10 @@ def test_any_frames_are_answered_and_judged_alike() -> None:
             assert one == other
         assert sent[0] == sent[1]
         assert len(sent[0]) > 0
-        assert nodes[0].rejected() == nodes[1].rejected()
+        rejected = nodes[1].rejected()
+        assert rejected == nodes[0].rejected()
+        assert len(rejected) == heard
+        assert all(rejected.values())
 
 
 @pytest.mark.parametrize(("tool", "controller"), [(COMPILER, "arm:m4f"), (EMULATOR, "arm:m7")])

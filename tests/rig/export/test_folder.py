@@ -22,6 +22,7 @@ from can_rig.export.law import law_files
 from can_rig.export.running.compiler import WARNINGS
 from can_rig.export.writing.c_text import WIDTH
 from can_rig.scenario.build import controller_table, network_of
+from can_rig.scenario.driving.schedule import controls
 from firmware_model.firmware import Firmware
 from firmware_model.target.structs import Precision
 from tests.rig.export.test_bits import PRECISIONS
@@ -78,6 +79,31 @@ def test_the_example_answers_as_the_firmware_does(folder: Path, tmp_path: Path) 
     for line, (reference, measurement) in zip(answers, inputs, strict=True):
         expected = firmware.step(reference, measurement)
         assert tuple(map(float, line.split())) == tuple(map(float, expected))
+
+
+def test_the_example_of_a_drive_reads_the_speed(tmp_path: Path) -> None:
+    """Through all designs and past them; a speed that is missing is the last one."""
+    scenario = load("drive-cycle", ['design.precision="float32"'])
+    for name, text in exported(scenario).items():
+        (tmp_path / name).write_text(text, encoding="utf-8")
+    run("make", "-s", "-C", tmp_path, f"CFLAGS={' '.join(FLAGS)} -O1")
+    speeds = [5.0 + 30.0 * math.sin(k / 50) ** 2 for k in range(200)]
+    speeds[150] = math.nan
+    inputs = [(math.sin(k / 30), math.sin(k / 30 - 0.4), speed) for k, speed in enumerate(speeds)]
+    text = "".join(f"{r!r} {y!r} {speed!r}\n" for r, y, speed in inputs)
+    answers = run(tmp_path / "example", input=text).splitlines()
+    of = controls(scenario, network_of(scenario))
+    firmware = Firmware(of.table, speeds=of.schedule)
+    firmware.reset(0.0)
+    assert len(answers) == len(inputs)
+    for line, (reference, measurement, speed) in zip(answers, inputs, strict=True):
+        firmware.change_speed(speed)
+        expected = firmware.step(reference, measurement)
+        assert tuple(map(float, line.split())) == tuple(map(float, expected))
+    program = [tmp_path / "example"]
+    done = subprocess.run(program, input="0 0\n", capture_output=True, text=True, check=False)
+    assert done.returncode == 2
+    assert "3 numbers: reference, measurement and speed" in done.stderr
 
 
 def test_cmake_builds_it_too(folder: Path, tmp_path: Path) -> None:

@@ -30,7 +30,8 @@ ANSWER = [(number, bytes([number & 0xFF, *range(7)])) for number in (*COMMANDS, 
 class Program:
     """Answers every feedback."""
 
-    def __init__(self) -> None:
+    def __init__(self, heard: int = 2) -> None:
+        self.heard = heard
         self.taken: list[tuple[int, bytes]] = []
         self.closed = 0
 
@@ -39,7 +40,7 @@ class Program:
         return list(ANSWER) if frame_id == FEEDBACK else []
 
     def counts(self) -> list[int]:
-        return list(range(10, 10 + 2 * len(CheckStatus)))
+        return list(range(10, 10 + self.heard * len(CheckStatus)))
 
     def close(self) -> None:
         self.closed += 1
@@ -123,6 +124,15 @@ def test_rejected_frames_are_of_the_reference_then_of_the_feedback() -> None:
         assert "wrong_crc" in counts[name]
         assert "ok" not in counts[name]
     assert counts.keys() == {NETWORK.reference.name, NETWORK.feedback.name}
+
+
+def test_those_of_the_speed_come_last_where_it_is_heard() -> None:
+    scenario = load("drive-cycle", ["duration_s=1", "fault.kind=none"])
+    network = network_of(scenario)
+    counts = EcuNode(scenario, network, list[can.Message]().append, Program(heard=3)).rejected()
+    assert list(counts) == [network.reference.name, network.feedback.name, "VEHICLE_SPEED"]
+    firsts = [min(each.values()) for each in counts.values()]
+    assert [first - firsts[0] for first in firsts] == [0, len(CheckStatus), 2 * len(CheckStatus)]
 
 
 def test_closing_the_node_ends_the_program() -> None:
