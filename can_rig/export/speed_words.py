@@ -72,7 +72,6 @@ static void take_speed(struct ecu *ecu, uint8_t length, const uint8_t *data)
     "trial_includes": "",
     "trial_members": "",
     "trial_orders": "",
-    "trial_load": "",
     "trial_cases": "",
     "trial_answer": "",
 }
@@ -101,6 +100,30 @@ static void take_speed(struct ecu *ecu, uint8_t length, const uint8_t *data)
         firmware_change_speed(&state, (real)speed);""",
     "counted_speed": """
         firmware_change_speed(&state, (real)inputs[i][2]);""",
+    "trial_includes": '#include "schedule.h"\n',
+    "trial_members": """\
+static struct schedule_constants schedule;
+static struct schedule_state blending;
+""",
+    "trial_orders": """\
+ *     'B', schedule, blending       there is no answer
+ *     'V', speed                    change of the speed; the state
+ *
+ * Behind each state go the table and the blending.
+""",
+    "trial_cases": """\
+    case 'B':
+        return load(&schedule, sizeof schedule) && load(&blending, sizeof blending);
+    case 'V':
+        if (!load(inputs, sizeof inputs[0])) {
+            return false;
+        }
+        schedule_change_speed(&schedule, &blending, &table, &state, inputs[0]);
+        break;
+""",
+    "trial_answer": """ &&
+           bench_write((const uint8_t *)&table, sizeof table) &&
+           bench_write((const uint8_t *)&blending, sizeof blending)""",
 }
 """The same of one whose designs are blended by the speed."""
 

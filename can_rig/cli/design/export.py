@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from pathlib import Path
 from typing import get_args
 
@@ -11,7 +12,7 @@ from can_rig.assessment.resolve import load
 from can_rig.cli.options import force_option, scenario_options
 from can_rig.cli.output import explain, say, show, table
 from can_rig.export.folder import exported, write
-from can_rig.export.running.emulated_ecu import require_tools
+from can_rig.export.running.emulated_ecu import COMPILER, EMULATOR
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import Precision
 
@@ -61,30 +62,47 @@ def command(
 
 def _report(scenario: Scenario, files: dict[str, str]) -> None:
     """Costs of the law on each board, coverage by the trials, and findings on the files."""
-    from can_rig.export.evidence.costs import VARIANTS, cost, inputs_of_run  # noqa: PLC0415
-
-    require_tools()
-    inputs = inputs_of_run(scenario)
-    figures = table("", "code", "constants", "state", "stack", "median", "worst", "in tick")
-    for board, precision in VARIANTS:
-        each = cost(scenario, board, precision, inputs)
-        figures.add_row(
-            f"{each.board}, {each.precision}",
-            *map(str, (each.code_bytes, each.constant_bytes, each.state_bytes, each.stack_bytes)),
-            f"{each.median:.0f}",
-            f"{each.worst:.0f}",
-            str(each.worst_tick),
-        )
-    show(figures)
-    explain("Bytes, and instructions a step, in the run of this scenario on QEMU.")
+    _costs(scenario)
     _trials(scenario)
     _findings(files)
 
 
+def _costs(scenario: Scenario) -> None:
+    """On each board, as far as its compiler and the emulator are installed."""
+    from can_rig.export.evidence.costs import VARIANTS, cost, inputs_of_run  # noqa: PLC0415
+    from can_rig.export.evidence.findings import NOT_INSTALLED  # noqa: PLC0415
+
+    if shutil.which(COMPILER) is None:
+        for board, precision in VARIANTS:
+            say(f"{board}, {precision}: {NOT_INSTALLED} ({COMPILER})")
+        return
+    counted = shutil.which(EMULATOR) is not None
+    inputs = inputs_of_run(scenario) if counted else None
+    headings = ("median", "worst", "in tick") if counted else ()
+    figures = table("", "code", "constants", "state", "stack", *headings)
+    for board, precision in VARIANTS:
+        each = cost(scenario, board, precision, inputs)
+        numbers = (each.code_bytes, each.constant_bytes, each.state_bytes, each.stack_bytes)
+        ticks = (each.median, each.worst, each.worst_tick) if counted else ()
+        figures.add_row(
+            f"{each.board}, {each.precision}", *(f"{number:.0f}" for number in (*numbers, *ticks))
+        )
+    show(figures)
+    if counted:
+        explain("Bytes, and instructions a tick, in the run of this scenario on QEMU.")
+    else:
+        say("Bytes.", f"instructions a tick: {NOT_INSTALLED} ({EMULATOR})")
+
+
 def _trials(scenario: Scenario) -> None:
     """Random memory and frames through the C: what differs from Python, and what was not run."""
-    from can_rig.export.evidence.coverage import coverage  # noqa: PLC0415
+    from can_rig.export.evidence.coverage import TOOLS, coverage  # noqa: PLC0415
+    from can_rig.export.evidence.findings import NOT_INSTALLED  # noqa: PLC0415
 
+    missing = [tool for tool in TOOLS if shutil.which(tool) is None]
+    if missing:
+        say(f"random memory and frames: {NOT_INSTALLED} ({', '.join(missing)})")
+        return
     found = coverage(scenario)
     say(f"random memory, C against Python: {found.different} of {found.compared} states differ")
     say(

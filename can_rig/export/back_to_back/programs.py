@@ -9,17 +9,23 @@ from pathlib import Path
 from typing import Final
 
 from can_rig.errors import ExportError
-from can_rig.export.law import support
+from can_rig.export.law import filled, support
 from can_rig.export.running.compiler import built
 from can_rig.export.running.emulated_ecu import emulation, image_of
+from can_rig.export.speed_words import words_of
 
 HOST_FLAGS: Final = ("-std=c99", "-ffp-contract=off")
 LONGEST_S: Final = 600.0
 
 
 def trial_files(law: Mapping[str, str]) -> dict[str, str]:
-    """The files of the law, and those that run it on any memory; ``main`` is another's."""
-    return {**law, "bench.h": support("bench.h"), "trial.c": support("trial.c")}
+    """The files of the law, and those that run it on any memory; ``main`` is another's.
+
+    Args:
+        law: text by file name; with `schedule.c` the speed may change.
+    """
+    chosen = words_of(law)
+    return {**law, **{name: filled(support(name), **chosen) for name in ("bench.h", "trial.c")}}
 
 
 def host_program(law: Mapping[str, str], compiler: Sequence[str], flags: Sequence[str]) -> Path:

@@ -1,7 +1,9 @@
 """What the exported controller costs: memory and instructions on emulated boards.
 
-Instructions are counted on the inputs of the scenario itself, in Python's run of it. A stack is the
-deepest chain of calls, each with what the compiler says that it needs.
+Instructions are counted on the inputs of the scenario itself, in Python's run of it; where designs
+are blended by the speed, a tick takes in the speed of the scenario's drive before its step. Sizes
+are those of objects that the compiler has made. A stack is the deepest chain of calls, each with
+what the compiler says that it needs.
 """
 
 from __future__ import annotations
@@ -20,13 +22,21 @@ import numpy as np
 from can_rig.errors import ExportError
 from can_rig.export.application import application
 from can_rig.export.folder import in_precision
-from can_rig.export.law import law_program
+from can_rig.export.law import CHANGE_SPEED, law_program, speed_program
 from can_rig.export.running.compiler import run
-from can_rig.export.running.emulated_ecu import BOARDS, COMPILER, FLAGS, emulation, image_of
-from can_rig.plant.frameless import frameless
+from can_rig.export.running.emulated_ecu import (
+    BOARDS,
+    COMPILER,
+    FLAGS,
+    emulation,
+    image_of,
+)
+from can_rig.export.speed_words import words_of
+from can_rig.export.translation.program import Program
+from can_rig.plant.frameless import frameless, inputs_of
 from can_rig.scenario.build import network_of
+from can_rig.scenario.driving.schedule import controls
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.layout import state_type, table_type
 from firmware_model.target.structs import FloatArray, Precision
 
 VARIANTS: Final[tuple[tuple[str, Precision], ...]] = (
@@ -34,6 +44,8 @@ VARIANTS: Final[tuple[tuple[str, Precision], ...]] = (
 )  # fmt: skip
 NS_PER_INSTRUCTION, NS_PER_COUNT = 64, 40  # of ``board_count.c``
 MOST_TICKS: Final = 65536
+KEPT: Final = "kept.c"
+SIZE: Final = COMPILER.replace("gcc", "size")
 NO_LAW: Final = ("network.c", "constants.c", "e2e.c", "ecu.c", "frames.c")
 
 
@@ -46,56 +58,70 @@ class Cost:
     code_bytes: int
     constant_bytes: int
     state_bytes: int
+    """What an application must keep: the blended table too, where there is one."""
     stack_bytes: int
-    median: float
-    """Instructions a step."""
-    worst: float
-    worst_tick: int
-    """Of the run, in which the worst step is."""
+    counts: FloatArray | None
+    """Instructions of each tick, shape (ticks,); None: they were not counted."""
+
+    @property
+    def median(self) -> float:
+        """Instructions a tick."""
+        assert self.counts is not None
+        return float(np.median(self.counts))
+
+    @property
+    def worst(self) -> float:
+        """The most instructions of a tick."""
+        assert self.counts is not None
+        return float(self.counts.max())
+
+    @property
+    def worst_tick(self) -> int:
+        """In which these are."""
+        assert self.counts is not None
+        return int(np.argmax(self.counts))
 
 
 def inputs_of_run(scenario: Scenario) -> FloatArray:
     """Reference and measurement of each tick of the scenario's run, shape (ticks, 2).
 
+    Where designs are blended by the speed of the car, that is a third column; each as its frame
+    has it.
+
     Raises:
         ScenarioError: a scenario that cannot run.
     """
-    trace = frameless(scenario, network_of(scenario))
-    return np.column_stack([trace.reference, trace.measured])[:MOST_TICKS]
+    network = network_of(scenario)
+    of, inputs = controls(scenario, network), inputs_of(scenario, network)
+    trace = frameless(scenario, network, of, inputs)
+    columns = [trace.reference, trace.measured]
+    if of.schedule is not None:
+        assert inputs.speed is not None
+        columns.append(inputs.speed)
+    return np.column_stack(columns)[:MOST_TICKS]
 
 
-def cost(scenario: Scenario, board: str, precision: Precision, inputs: FloatArray) -> Cost:
+def cost(scenario: Scenario, board: str, precision: Precision, inputs: FloatArray | None) -> Cost:
     """The cost of a scenario's law.
 
     Args:
         scenario: whose controller it is.
         board: a key of ``BOARDS``.
         precision: of its real numbers.
-        inputs: reference and measurement of each tick, shape (ticks, 2).
+        inputs: of ``inputs_of_run``; None: sizes alone, which take no emulator.
 
     Raises:
         ExportError: a tool is missing, or refuses.
     """
     files = application(in_precision(scenario, precision))
     law = {name: text for name, text in files.items() if name not in NO_LAW}
-    counts = instructions({**law, "constants.c": files["constants.c"]}, board, inputs)
-    worst = int(np.argmax(counts))
-    code, stack = _code_and_stack(law, board)
-    return Cost(
-        board,
-        precision,
-        code,
-        table_type(precision).itemsize,
-        state_type(precision).itemsize,
-        stack,
-        float(np.median(counts)),
-        float(counts[worst]),
-        worst,
-    )
+    law["constants.c"] = files["constants.c"]
+    counts = None if inputs is None else instructions(law, board, inputs)
+    return Cost(board, precision, *sizes(law, board), counts)
 
 
 def instructions(files: Mapping[str, str], board: str, inputs: FloatArray) -> FloatArray:
-    """How many each step takes, shape (ticks,).
+    """How many each tick takes, shape (ticks,).
 
     Raises:
         ExportError: a tool is missing, or refuses.
@@ -113,27 +139,51 @@ def instructions(files: Mapping[str, str], board: str, inputs: FloatArray) -> Fl
     return np.asarray(counted * (NS_PER_COUNT / NS_PER_INSTRUCTION))
 
 
-def _code_and_stack(files: Mapping[str, str], board: str) -> tuple[int, int]:
-    """Bytes of code, and of stack at the deepest."""
+def sizes(files: Mapping[str, str], board: str) -> tuple[int, int, int, int]:
+    """Bytes of code, of constants, of what an application must keep, and of stack.
+
+    Args:
+        files: the law and its constants, text by file name.
+        board: a key of ``BOARDS``.
+
+    Raises:
+        ExportError: a tool is missing, or refuses.
+    """
+    kept = f'#include "firmware.h"\nstruct {words_of(files)["memory"]} kept;\n'
     flags = [*FLAGS, *BOARDS[board].flags, "-fstack-usage", "-c"]
     with tempfile.TemporaryDirectory(prefix="can-rig-") as place:
         folder = Path(place)
-        for name, text in files.items():
+        for name, text in {**files, KEPT: kept}.items():
             (folder / name).write_text(text, encoding="utf-8")
-        units = [name for name in files if name.endswith(".c")]
+        units = sorted(path.name for path in folder.glob("*.c"))
         run([COMPILER, *flags, *units], folder)
-        sizes = run([COMPILER.replace("gcc", "size"), *(f"{u[:-2]}.o" for u in units)], folder)
-        own: dict[str, int] = {}
-        for path in folder.glob("*.su"):
-            found = re.findall(r":(\w+)\t(\d+)\t", path.read_text(encoding="utf-8"))
-            own |= {function: int(size) for function, size in found}
-    code = sum(int(line.split()[0]) for line in sizes.splitlines()[1:])
-    law = law_program().functions
+        said = run([SIZE, *(f"{unit[:-2]}.o" for unit in units)], folder).splitlines()[1:]
+        stack = _stack(folder, blends="schedule.c" in files)
+    found = {unit: sum(map(int, line.split()[:3])) for unit, line in zip(units, said, strict=True)}
+    constants, state = found.pop("constants.c"), found.pop(KEPT)
+    return sum(found.values()), constants, state, stack
 
-    @cache
-    def deepest(function: str) -> int:
-        """Stack of a function and of what it calls; what was inlined has none of its own."""
-        below = {callee.function.c_name for callee in law[function].calls.values()}
-        return own.get(function, 0) + max(map(deepest, below), default=0)
 
-    return code, own.get("firmware_step", 0) + deepest("controller_step")
+def _stack(folder: Path, blends: bool) -> int:
+    """Bytes at the deepest in a tick: of the step, or of the change of the speed before it."""
+    own: dict[str, int] = {}
+    for path in folder.glob("*.su"):
+        said = path.read_text(encoding="utf-8")
+        for function, size in re.findall(r":(\w+)[\w.]*\t(\d+)\t", said):  # or a clone of it
+            own[function] = max(own.get(function, 0), int(size))
+
+    def from_(entry: str, program: Program, called: str) -> int:
+        @cache
+        def deepest(function: str) -> int:
+            """With what it calls; what was inlined has none of its own."""
+            calls = program.functions[function].calls.values()
+            below = {callee.function.c_name for callee in calls}
+            return own.get(function, 0) + max(map(deepest, below), default=0)
+
+        return own.get(entry, 0) + deepest(called)
+
+    step = from_("firmware_step", law_program(), "controller_step")
+    if not blends:
+        return step
+    change = from_(f"firmware_{CHANGE_SPEED}", speed_program(), f"schedule_{CHANGE_SPEED}")
+    return max(step, change)

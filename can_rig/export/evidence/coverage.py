@@ -14,12 +14,13 @@ from can_rig.export.application import application
 from can_rig.export.back_to_back.frames import as_orders
 from can_rig.export.back_to_back.programs import HOST_FLAGS, on_host, trial_files
 from can_rig.export.back_to_back.trials import different, encoded, in_python, random_trials
-from can_rig.export.law import law_files, support
+from can_rig.export.law import law_files, speed_files, support
 from can_rig.export.running.compiler import run
 from can_rig.export.running.ecu import bench
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 
+TOOLS: Final = ("gcc", "gcov")
 MEMORIES: Final = 100
 TICKS: Final = 12
 NODES: Final = range(20)
@@ -43,12 +44,15 @@ class Coverage:
 def coverage(scenario: Scenario) -> Coverage:
     """Of a scenario's controller: of the law by random memory, of the node by random frames.
 
+    Where designs are blended by the speed, both have random speeds too.
+
     Raises:
         ExportError: gcc refuses, or a program ends early.
     """
-    law = law_files(scenario.design.precision)
-    whole = application(scenario)
-    trials = random_trials(scenario.design.precision, 0, MEMORIES, TICKS)
+    precision, whole = scenario.design.precision, application(scenario)
+    blends = "schedule.c" in whole
+    law = law_files(precision) | (speed_files(precision) if blends else {})
+    trials = random_trials(precision, 0, MEMORIES, TICKS, blends)
     answers, parts = _measured(trial_files(law), encoded(trials), {*law})
     _, others = _measured(
         whole | bench(whole),
@@ -61,7 +65,7 @@ def coverage(scenario: Scenario) -> Coverage:
         branches += [branch["count"] for branch in each["branches"]]
     missed = tuple(place for place, count in lines.items() if not count)
     return Coverage(
-        MEMORIES * (TICKS + 1),
+        sum(trial.answers for trial in trials),
         different(in_python(trials), answers, trials),
         len(lines),
         len(lines) - len(missed),

@@ -30,7 +30,7 @@ class Ecu(Protocol):
         """
 
     def counts(self) -> list[int]:
-        """Frames by ``CheckStatus``: of the reference, of the feedback, of the speed if it hears it."""
+        """Frames by ``CheckStatus``: of reference, feedback, and speed where it hears one."""
 
     def close(self) -> None:
         """End it."""

@@ -1,4 +1,5 @@
-/* How many instructions each step takes: inputs from a file, counts to another.
+/* How many instructions each tick takes: {input_words} from a file,
+ * counts to another.
  *
  * The emulator gives every instruction 64 ns and SysTick counts 40 ns, so a count times 40/64 is
  * exact to an instruction.
@@ -14,7 +15,7 @@
 #define MOST_TICKS 65536
 
 static struct {memory} state;
-static double inputs[MOST_TICKS][2];
+static double inputs[MOST_TICKS][{inputs}];
 static uint32_t counts[MOST_TICKS];
 
 int main(void)
@@ -34,7 +35,7 @@ int main(void)
         const real measurement = (real)inputs[i][1];
 
         SYST_CVR = 0; /* starts again from the largest */
-        const uint32_t before = SYST_CVR;
+        const uint32_t before = SYST_CVR;{counted_speed}
         (void)firmware_step(&state, reference, measurement);
         counts[i] = (before - SYST_CVR) & LARGEST;
     }

@@ -5,7 +5,7 @@
  *     'I'                 start up, from a state that is all zero; the state
  *     'Z', reference      reset; the state
  *     'S', reference, measurement   step; the state
- *
+{trial_orders} *
  * All as they lie in memory here.
  */
 #include <string.h>
@@ -13,10 +13,10 @@
 #include "bench.h"
 #include "controller.h"
 #include "layout.h"
-
+{trial_includes}
 static struct layout_table table;
 static struct layout_state state;
-
+{trial_members}
 static bool load(void *memory, uint32_t size)
 {
     return bench_read(memory, size);
@@ -45,10 +45,10 @@ static bool obey(uint8_t order)
         }
         controller_step(&table, &state, inputs[0], inputs[1]);
         break;
-    default:
+{trial_cases}    default:
         return false;
     }
-    return bench_write((const uint8_t *)&state, sizeof state);
+    return bench_write((const uint8_t *)&state, sizeof state){trial_answer};
 }
 
 void bench_run(void)
