@@ -4,7 +4,7 @@
  * tick; its commands must be at the actuators {latency}. Before it firmware_change_speed, in
  * a tick that brings the speed of the car.
  * Memory: it is the caller's, and static; nothing is allocated, nothing recurses, no other
- * functions of the C library are used than sqrt, fabs, ceil, rint and memset.
+ * functions of the C library are used than sqrt, fabs, ceil, rint, memset and memcpy.
  * Not for two threads at once with the same memory.
  */
 #ifndef FIRMWARE_H

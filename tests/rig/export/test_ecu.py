@@ -75,7 +75,7 @@ def test_an_emulated_board_sends_the_same_bytes(
     ("name", "chosen", "heard"),
     [
         ("default", [], 2),
-        ("drive-cycle", [], 3),
+        ("drive-cycle", ["design.speeds_mps=[8.0, 8.9, 10.0]"], 3),
         ("drive-cycle", ["design.speeds_mps=[20.0]"], 3),  # one design at all speeds
     ],
     ids=["one speed", "blended", "one design"],
