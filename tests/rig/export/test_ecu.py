@@ -16,7 +16,7 @@ from can_rig.errors import ExportError
 from can_rig.export.back_to_back.frames import random_frames
 from can_rig.export.choices import CONTROLLERS
 from can_rig.export.running.bench_ecu import BenchEcu
-from can_rig.export.running.controllers import PYTHON, controller_of
+from can_rig.export.running.controllers import PYTHON, Application, controller_of
 from can_rig.export.running.emulated_ecu import (
     BOARDS,
     COMPILER,
@@ -103,6 +103,23 @@ def test_any_frames_are_answered_and_judged_alike(name: str, chosen: list[str], 
         assert rejected == nodes[0].rejected()
         assert len(rejected) == heard
         assert all(rejected.values())
+
+
+@EMULATED
+def test_an_emulated_board_counts_the_frames_of_the_speed() -> None:
+    chosen = ["duration_s=1", "design.speeds_mps=[8.0, 8.9]", 'design.precision="float32"']
+    scenario = load("drive-cycle", chosen)
+    network, counts = network_of(scenario), []
+    for name in ("ecu", "arm:m4f"):
+        application = controller_of(name, scenario)
+        assert isinstance(application, Application)
+        node = EcuNode(scenario, network, lambda message: None, application.start())
+        for message in (message for tick in random_frames(network, 3) for message in tick):
+            node.take(message)
+        counts.append(node.rejected())
+        node.close()
+    assert counts[0] == counts[1]
+    assert counts[1]["VEHICLE_SPEED"]
 
 
 @pytest.mark.parametrize(("tool", "controller"), [(COMPILER, "arm:m4f"), (EMULATOR, "arm:m7")])
