@@ -219,6 +219,10 @@ def test_what_cannot_be_is_refused_in_one_line(kind: str) -> None:
     assert "\n" not in str(caught.value)
 
 
+def test_public_names_are_offered_for_completion() -> None:
+    assert {*firmware_model.__all__, "__doc__"} <= {*dir(firmware_model)}
+
+
 def test_what_needs_its_future_is_refused() -> None:
     with pytest.raises(ImproperError, match="must have at least as many poles"):
         discretise(([1.0, 0.0], [1.0]), TICK_S)
