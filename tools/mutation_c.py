@@ -29,16 +29,19 @@ from can_rig.export.application import application
 from can_rig.export.back_to_back.frames import as_orders
 from can_rig.export.back_to_back.programs import HOST_FLAGS, trial_files
 from can_rig.export.back_to_back.trials import Trial, different, encoded, in_python, random_trials
-from can_rig.export.law import law_files, support
+from can_rig.export.law import law_files, speed_files, support
 from can_rig.export.running.compiler import run
 from can_rig.export.running.ecu import bench
 from can_rig.scenario.build import network_of
+from can_rig.scenario.settings import Scenario
 
 SETTINGS: Final = Path(__file__).with_suffix(".toml")
 GCC: Final = ("gcc", *HOST_FLAGS, "-O0")
 TCC: Final = ("tcc", "-std=c99")  # ten times as fast, and as exact
 FAST: Final = TCC if shutil.which("tcc") else GCC
-MEMORIES: Final = (20, 200, 2000)  # most mutants are noticed by the few
+SCENARIOS: Final = {"default": (20, 200, 2000), "drive-cycle": (20, 200)}
+"""And how many memories: most mutants are noticed by the few. A drive blends tables by speed."""
+
 TICKS: Final = 16
 SEEDS: Final = range(60)
 SLOW: Final = (
@@ -141,17 +144,17 @@ def is_noticed(bench: Bench, name: str, number: int, mutant: Mutant) -> bool:
     return any(said is None for said in checked)
 
 
-def law_bench(place: Path) -> Bench:
-    """Random memory for the law in double precision.
+def law_bench(place: Path, law: dict[str, str], memories: Sequence[int]) -> Bench:
+    """Random memory for the law in double precision, and random speeds where there are some.
 
     Raises:
         SystemExit: the C differs unchanged.
     """
-    folder, sanitized = place / "law", place / "law-sanitized"
+    folder, sanitized, blends = place / "law", place / "law-sanitized", "schedule.c" in law
     for each, by in ((folder, FAST), (sanitized, SLOW)):
-        built(each, trial_files(law_files("float64")), by)
+        built(each, trial_files(law), by)
     trials: list[list[Trial]] = [
-        random_trials("float64", seed, memories, TICKS) for seed, memories in enumerate(MEMORIES, 1)
+        random_trials("float64", seed, some, TICKS, blends) for seed, some in enumerate(memories, 1)
     ]
     expected = [in_python(each) for each in trials]
     orders = [place / f"law-{at}" for at in range(len(trials))]
@@ -169,16 +172,37 @@ def law_bench(place: Path) -> Bench:
     return found
 
 
-def node_bench(place: Path) -> Bench:
+def node_bench(place: Path, scenario: Scenario, whole: dict[str, str]) -> Bench:
     """Random frames for the node."""
-    folder, sanitized, scenario = place / "node", place / "node-sanitized", load("default", [])
-    whole = application(scenario)
+    folder, sanitized = place / "node", place / "node-sanitized"
     for each, by in ((folder, FAST), (sanitized, SLOW)):
         built(each, whole | bench(whole), by)
     orders = place / "frames"
     orders.write_bytes(as_orders(network_of(scenario), SEEDS, round(scenario.tick_s * 1e6)))
     expected = answers(folder, objects_of(folder), orders, "unchanged", FAST)
     return Bench(folder, sanitized, [orders], lambda _, said: said != expected)
+
+
+def judged(
+    name: str, chosen: Sequence[str], memories: Sequence[int], processes: int
+) -> Iterator[tuple[str, Mutant, bool]]:
+    """The mutants of some files of a scenario's controller, and whether each is noticed."""
+    if not chosen:
+        return
+    scenario = load(name, [])
+    whole = application(scenario)
+    law = law_files("float64") | (speed_files("float64") if "schedule.c" in whole else {})
+    with tempfile.TemporaryDirectory(prefix="mutation-c-") as where:
+        benches = law_bench(Path(where), law, memories), node_bench(Path(where), scenario, whole)
+        for file in chosen:
+            each = list(mutants(whole[file]))
+            judge = partial(is_noticed, benches[file not in law], file)
+            with ThreadPoolExecutor(processes) as pool:
+                for mutant, known in zip(
+                    each, pool.map(judge, range(len(each)), each), strict=True
+                ):
+                    yield file, mutant, known
+            print(f"{name}, {file}: {len(each)} mutants", file=sys.stderr, flush=True)
 
 
 def main() -> None:
@@ -191,27 +215,22 @@ def main() -> None:
     accepted = {
         (each["file"], each["before"], after) for each in entries for after in each["after"]
     }
-    law, whole = law_files("float64"), application(load("default", []))
-    chosen = sorted(n for n in whole if n.endswith(".c") and n in (asked.files or whole))
     noticed = survived = excused = 0
-    with tempfile.TemporaryDirectory(prefix="mutation-c-") as where:
-        benches = law_bench(Path(where)), node_bench(Path(where))
-        for name in chosen:
-            each = list(mutants(whole[name]))
-            judge = partial(is_noticed, benches[name not in law], name)
-            with ThreadPoolExecutor(asked.processes) as pool:
-                for mutant, known in zip(
-                    each, pool.map(judge, range(len(each)), each), strict=True
-                ):
-                    noticed += known
-                    if known:
-                        continue
-                    if (name, mutant.before, mutant.after) in accepted:
-                        excused += 1
-                        continue
-                    survived += 1
-                    print(f"{name}:{mutant.line}: {mutant.before}  →  {mutant.after}", flush=True)
-            print(f"{name}: {len(each)} mutants", file=sys.stderr, flush=True)
+    seen: set[str] = set()
+    for scenario, memories in SCENARIOS.items():
+        whole = application(load(scenario, []))
+        names = sorted(name for name in asked.files or whole if name.endswith(".c"))
+        chosen = [name for name in names if whole.get(name, "") not in seen | {""}]
+        seen |= {*whole.values()}
+        for name, mutant, known in judged(scenario, chosen, memories, asked.processes):
+            noticed += known
+            if known:
+                continue
+            if (name, mutant.before, mutant.after) in accepted:
+                excused += 1
+                continue
+            survived += 1
+            print(f"{name}:{mutant.line}: {mutant.before}  →  {mutant.after}", flush=True)
     print(f"{noticed} noticed, {excused} with a reason, {survived} not noticed")
     sys.exit(1 if survived else 0)
 

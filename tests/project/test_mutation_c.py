@@ -62,10 +62,10 @@ def test_each_change_is_there_once(sites: ModuleType) -> None:
 
 
 def test_every_excuse_is_of_a_mutant_and_has_a_reason(sites: ModuleType) -> None:
-    files = application(load("default", []))
     known = {
         (name, each.before, each.after)
-        for name, text in files.items()
+        for scenario in ("default", "drive-cycle")
+        for name, text in application(load(scenario, [])).items()
         if name.endswith(".c")
         for each in sites.mutants(text)
     }

@@ -27,6 +27,7 @@ from firmware_model.firmware import Firmware
 from firmware_model.target.structs import Precision
 from tests.rig.export.test_bits import PRECISIONS
 
+NOT_FIRMWARE = {"main.c", "bench_main.c", "bench.c", "harness.c"}
 FLAGS = ["-std=c99", "-Werror", *WARNINGS, "-Wstrict-prototypes", "-Wcast-qual", "-Wundef"]
 
 
@@ -219,8 +220,7 @@ def test_a_program_in_cpp_links_it(folder: Path, tmp_path: Path) -> None:
         "static struct ecu node;\n"
         "int main() { ecu_init(&node); return ecu_is_overdue(&node, 0); }\n"
     )
-    others = {"main.c", "bench_main.c", "bench.c", "harness.c"}
-    units = [path for path in sorted(folder.glob("*.c")) if path.name not in others]
+    units = [path for path in sorted(folder.glob("*.c")) if path.name not in NOT_FIRMWARE]
     run("cc", "-std=c99", "-c", *units, cwd=tmp_path)
     objects = sorted(tmp_path.glob("*.o"))
     app = tmp_path / "app"
