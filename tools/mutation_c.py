@@ -29,7 +29,7 @@ from can_rig.export.application import application
 from can_rig.export.back_to_back.frames import as_orders
 from can_rig.export.back_to_back.programs import HOST_FLAGS, trial_files
 from can_rig.export.back_to_back.trials import Trial, different, encoded, in_python, random_trials
-from can_rig.export.law import law_files, speed_files, support
+from can_rig.export.law import law_files, support
 from can_rig.export.running.compiler import run
 from can_rig.export.running.ecu import bench
 from can_rig.scenario.build import network_of
@@ -191,7 +191,7 @@ def judged(
         return
     scenario = load(name, [])
     whole = application(scenario)
-    law = law_files("float64") | (speed_files("float64") if "schedule.c" in whole else {})
+    law = law_files("float64", "schedule.c" in whole)
     with tempfile.TemporaryDirectory(prefix="mutation-c-") as where:
         benches = law_bench(Path(where), law, memories), node_bench(Path(where), scenario, whole)
         for file in chosen:

@@ -7,7 +7,7 @@ from typing import Final
 from can_rig.drawing.names import Signal, names_of
 from can_rig.errors import ExportError
 from can_rig.export.constants import constants_header, constants_source
-from can_rig.export.law import filled, law_files, speed_files, support
+from can_rig.export.law import filled, law_files, support
 from can_rig.export.speed_words import words
 from can_rig.export.writing.c_text import comment
 from can_rig.frames.codec import MessageCodec
@@ -44,8 +44,7 @@ def application(scenario: Scenario) -> dict[str, str]:
     of_speed = words(network.speed is not None, blends)
     zero = "0.0f" if precision == "float32" else "0.0"
     return {
-        **law_files(precision),
-        **(speed_files(precision) if blends else {}),
+        **law_files(precision, blends),
         "constants.h": constants_header(title, of.schedule),
         "constants.c": constants_source(of.table, title, of.schedule),
         "firmware.h": filled(

@@ -95,7 +95,7 @@ def speed_program() -> Program:
 
 @cache
 def speed_files(precision: Precision) -> dict[str, str]:
-    """Text by file name of what is compiled beside ``law_files`` where the speed changes.
+    """Text by file name of what blends designs by the speed of the car.
 
     Raises:
         ExportError: something is outside the subset.
@@ -109,8 +109,12 @@ def speed_files(precision: Precision) -> dict[str, str]:
 
 
 @cache
-def law_files(precision: Precision) -> dict[str, str]:
+def law_files(precision: Precision, blends: bool = False) -> dict[str, str]:
     """Text by file name.
+
+    Args:
+        precision: of real numbers.
+        blends: with what blends designs by the speed of the car.
 
     Raises:
         ExportError: something is outside the subset.
@@ -119,4 +123,5 @@ def law_files(precision: Precision) -> dict[str, str]:
     structs = [record(program.sources, each).struct for each in (layout.TABLE, layout.STATE)]
     entries = {f"controller_{name}" for name in ENTRIES}
     translated = CFiles(program, structs, entries, precision).files()
-    return {**translated, "real.h": real_header(precision)}
+    blending = speed_files(precision) if blends else {}
+    return {**translated, "real.h": real_header(precision), **blending}

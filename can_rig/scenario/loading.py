@@ -11,7 +11,7 @@ import difflib
 import json
 import tomllib
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
 from pathlib import Path
@@ -32,7 +32,7 @@ from can_rig.scenario.plant_settings import (
 )
 from can_rig.scenario.refusal import refusal
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.changes import FAULT, change
+from can_rig.scenario.tables.changes import FAULT, change, require_kinds
 from can_rig.scenario.tables.numbers import FACTORED, POLYNOMIAL
 
 FROM_BUS: Final = ("latency_ticks", "from-bus")
@@ -81,9 +81,10 @@ def read(name: str, settings: Iterable[str] = ()) -> Draft:
     Raises:
         ScenarioError: no such scenario, not TOML, an unknown key, a bad value.
     """
-    file, settings = written(name), list(settings)
-    made = changed(file, settings)
-    _require_kinds(name, with_changes(file, settings).get("fault"))
+    file = written(name)
+    file = replace(file, values=with_changes(file, settings))
+    made = changed(file)
+    require_kinds(name, file.values.get("fault"))
     return made
 
 
@@ -214,17 +215,6 @@ def draft(name: str, values: Mapping[str, Any]) -> Draft:
                 said = said.replace(f"{FAULT}.0", FAULT, 1)
             raise ScenarioError(f"scenario {name}: {said}") from None
     return Draft(scenario, words)
-
-
-def _require_kinds(name: str, faults: Any) -> None:
-    """A fault without a kind would be none; in a campaign an axis may say it."""
-    for number, fault in enumerate(faults if isinstance(faults, list) else [faults]):
-        if isinstance(fault, Mapping) and fault and "kind" not in fault:
-            where = f"{FAULT}.{number}" if isinstance(faults, list) else FAULT
-            raise ScenarioError(
-                f"scenario {name}: {where}.kind: must be set where {where}.{next(iter(fault))} is: "
-                "'actuator-dead', 'frames-missing', 'sensor-biased', ..., or 'none'"
-            )
 
 
 def _valid(key: str, value: Any) -> Any:

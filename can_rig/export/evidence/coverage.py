@@ -14,7 +14,7 @@ from can_rig.export.application import application
 from can_rig.export.back_to_back.frames import as_orders
 from can_rig.export.back_to_back.programs import HOST_FLAGS, on_host, trial_files
 from can_rig.export.back_to_back.trials import different, encoded, in_python, random_trials
-from can_rig.export.law import law_files, speed_files, support
+from can_rig.export.law import law_files, support
 from can_rig.export.running.compiler import run
 from can_rig.export.running.ecu import bench
 from can_rig.scenario.build import network_of
@@ -51,7 +51,7 @@ def coverage(scenario: Scenario) -> Coverage:
     """
     precision, whole = scenario.design.precision, application(scenario)
     blends = "schedule.c" in whole
-    law = law_files(precision) | (speed_files(precision) if blends else {})
+    law = law_files(precision, blends)
     trials = random_trials(precision, 0, MEMORIES, TICKS, blends)
     answers, parts = _measured(trial_files(law), encoded(trials), {*law})
     _, others = _measured(

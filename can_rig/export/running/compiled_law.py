@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 
 from can_rig.errors import ExportError
-from can_rig.export.law import CHANGE_SPEED, ENTRIES, law_files, speed_files
+from can_rig.export.law import CHANGE_SPEED, ENTRIES, law_files
 from can_rig.export.running.compiler import shared_library
 from firmware_model.firmware import ChangeSpeed, Memories, Step
 from firmware_model.target.layout import precision_of, state_type
@@ -25,8 +25,7 @@ class CompiledLaw:
 
     Args:
         precision: of its real numbers.
-        library: compiled from ``law_files(precision)``, and ``speed_files(precision)`` where speeds
-            change; None: compiled here.
+        library: compiled from ``law_files(precision, changes_speed)``; None: compiled here.
         changes_speed: whether ``change_speed_of`` is called.
 
     Raises:
@@ -37,7 +36,7 @@ class CompiledLaw:
         self, precision: Precision, library: Path | None = None, changes_speed: bool = False
     ) -> None:
         self._precision = precision
-        files = law_files(precision) | (speed_files(precision) if changes_speed else {})
+        files = law_files(precision, changes_speed)
         path = shared_library(files) if library is None else library
         try:
             loaded = ctypes.CDLL(str(path))

@@ -14,6 +14,7 @@ from can_rig.export.running.ecu import Ecu, identity
 from can_rig.export.running.emulated_ecu import EmulatedBoard, firmware_image
 from can_rig.export.running.host_ecu import HostEcu, host_library
 from can_rig.export.running.serial_link import serial_ecu
+from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, Law
 
@@ -53,7 +54,7 @@ def controller_of(name: str, scenario: Scenario) -> Controller:
     if name == "ecu":
         library = host_library(scenario)
         return Application(lambda: HostEcu(library))
-    receivers = 3 if scenario.drive.is_given else 2
+    receivers = network_of(scenario).offered
     if name.startswith(SERIAL):
         expected = identity(application(scenario))
         port = name.removeprefix(SERIAL)

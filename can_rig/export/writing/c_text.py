@@ -9,17 +9,15 @@ from typing import Final
 
 import numpy as np
 
+from firmware_model.discretisation.single_filter.c_source import KEYWORDS
 from firmware_model.target.structs import Precision
 
 WIDTH: Final = 100
 INDENT: Final = "    "
 LAST_RESORT: Final = 99  # as deep as nothing is
 
-WORDS: Final = """
-    auto break case char const continue default do double else enum extern float for goto if inline
-    int long register restrict return short signed sizeof static struct switch typedef union
-    unsigned void volatile while
-    alignas alignof asm bool constexpr false nullptr static_assert thread_local true typeof
+WORDS: Final = f"""
+    {KEYWORDS}
     NULL EOF errno assert NAN INFINITY memset memcpy
     sqrt sqrtf ceil ceilf rint rintf fabs fabsf signbit
     real real_is_finite real_min real_max real_copysign int_min int_max int_modulo REAL_H

@@ -111,3 +111,20 @@ def value_in(values: Mapping[str, Any], key: str) -> Any:
         else:
             value = value.get(part) if isinstance(value, Mapping) else None
     return value
+
+
+def require_kinds(name: str, faults: Any) -> None:
+    """Refuse a fault without a kind in the scenario ``name``: it would be none, unsaid.
+
+    Not of a campaign, where an axis may say it.
+
+    Raises:
+        ScenarioError: which fault, and what would be right.
+    """
+    for number, fault in enumerate(faults if isinstance(faults, list) else [faults]):
+        if isinstance(fault, Mapping) and fault and "kind" not in fault:
+            where = f"{FAULT}.{number}" if isinstance(faults, list) else FAULT
+            raise ScenarioError(
+                f"scenario {name}: {where}.kind: must be set where {where}.{next(iter(fault))} is: "
+                "'actuator-dead', 'frames-missing', 'sensor-biased', ..., or 'none'"
+            )

@@ -15,7 +15,7 @@ from can_rig.export.application import application
 from can_rig.export.back_to_back.frames import as_orders
 from can_rig.export.back_to_back.programs import HOST_FLAGS, host_program, on_board, on_host
 from can_rig.export.back_to_back.trials import Trial, different, encoded, in_python, random_trials
-from can_rig.export.law import law_files, speed_files, support
+from can_rig.export.law import law_files, support
 from can_rig.export.running.compiler import built
 from can_rig.export.running.ecu import bench
 from can_rig.export.running.emulated_ecu import COMPILER, EMULATOR
@@ -39,7 +39,7 @@ def expected(precision: Precision, blends: bool = False) -> bytes:
 
 
 def law_of(precision: Precision, blends: bool) -> dict[str, str]:
-    return law_files(precision) | (speed_files(precision) if blends else {})
+    return law_files(precision, blends)
 
 
 def differing(answers: bytes, precision: Precision, blends: bool) -> int:
@@ -124,7 +124,7 @@ def test_a_law_that_differs_is_found() -> None:
     ],
 )
 def test_a_change_of_speed_that_differs_is_found(right: str, wrong: str) -> None:
-    files = law_of("float64", blends=True)
+    files = dict(law_of("float64", blends=True))
     files["schedule.c"] = files["schedule.c"].replace(right, wrong)
     assert files != law_of("float64", blends=True)
     answers = on_host(host_program(files, ["cc"], ["-O0"]), encoded(trials("float64", blends=True)))
