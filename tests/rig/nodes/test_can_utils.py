@@ -172,6 +172,7 @@ def test_a_flood_of_random_frames_at_full_speed_changes_no_command(tmp_path):
     wanted = frames(record(tmp_path, short)[0])
     flood = ("cangen", "vcan0", "-g", 0, "-m", "-i")
     with beside(*flood, listens=False):
+        tool("candump", "-n", 1, "vcan0")  # it has begun: the run is short
         log, summary, scenario = record(tmp_path, short, bus=BUS)
     seen = frames(log)
     assert only("T", seen) == only("T", wanted)  # D* is the same to the last bit, so all is
