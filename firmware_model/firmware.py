@@ -10,6 +10,7 @@ import numpy as np
 
 from firmware_model.target import controller, schedule
 from firmware_model.target.fault_decision.lost_commands import act_first
+from firmware_model.target.fault_decision.mismatch import doubt_motion
 from firmware_model.target.filters import biquad
 from firmware_model.target.layout import precision_of
 from firmware_model.target.structs import FloatArray, Record, RecordArray, record_type
@@ -115,14 +116,17 @@ class Firmware:
         if self._change_speed is not None:
             self._change_speed(speed)
 
-    def move(self, sections: FloatArray) -> None:
+    def move(self, sections: FloatArray, doubt: float) -> None:
         """Add a motion of the plant to F1 that no command of this controller caused.
 
         Args:
             sections: shape (MAX_SECTIONS, 2), what to add to the state of F1's first model.
+            doubt: how far off y may be by it, a variance: not a fault.
         """
-        accumulators = self._states[0].estimator.channel_1.accumulators
+        state = self._states[0]
+        accumulators = state.estimator.channel_1.accumulators
         accumulators += sections.astype(accumulators.dtype)
+        doubt_motion(self._tables[0].mismatch, state.mismatch, doubt)
 
     def act(self, command_1: float, command_2: float) -> None:
         """Say which commands act from the next ``step`` on, where those sent were lost.

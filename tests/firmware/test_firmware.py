@@ -11,15 +11,16 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
 from firmware_model.target.filters.biquad import advance, at_rest
 from firmware_model.target.status import FaultState, Verdict
+from tests.firmware.target.cases import other_cars
 
 TICK_S = 0.001
 PLANT = sample(steer_by_wire(), TICK_S)
 
 
-def table(latency_ticks, precision="float64"):
+def table(latency_ticks, precision="float64", **known):
     specification = DesignSpecification(tau_s=0.01, tau_q_s=0.02)
     target = Target(
-        tick_s=TICK_S, latency_ticks=latency_ticks, estimator="zoh", precision=precision
+        tick_s=TICK_S, latency_ticks=latency_ticks, estimator="zoh", precision=precision, **known
     )
     return build(design(steer_by_wire(), specification), target)
 
@@ -64,9 +65,24 @@ def test_a_motion_that_is_known_is_no_fault(precision, rounding):
     y = float(PLANT.c @ state)
     assert abs(y) > 0.01
     told, untold = Firmware(constant), Firmware(constant)
-    told.move(pushed.accumulators)
+    told.move(pushed.accumulators, 0.0)
     assert abs(told.step(y, y).fault_estimate) < rounding
     assert abs(untold.step(y, y).fault_estimate) > 1e-3 * abs(y)
+
+
+def test_a_motion_that_is_known_roughly_is_no_fault_within_that():
+    """Off by 0.01, which a sensor biased in that very tick would be too."""
+    told, untold = (Firmware(table(1, mismatch=other_cars(2))) for _ in range(2))
+    told.move(at_rest().accumulators, 0.02**2)
+    for _ in range(20):
+        answers = [each.step(0.0, 0.01) for each in (told, untold)]
+    assert [answer.verdict for answer in answers] == [Verdict.NOTHING, Verdict.SENSOR_BIASED]
+
+
+def test_a_model_that_is_trusted_learns_nothing_of_a_motion_that_is_known_roughly():
+    firmware = Firmware(table(1))
+    firmware.move(at_rest().accumulators, 0.02**2)
+    assert not firmware._states[0].mismatch.covariance.variances.any()
 
 
 def test_the_commands_are_those_of_the_last_answer_and_of_a_reset():

@@ -8,7 +8,9 @@ channel. So it
 1. listens for ``LISTEN_S`` and sends no command. Nothing drives the car meanwhile, so D* is the
    free response of F1's own model of the car. Of all states that explain what was heard the one of
    least energy is taken (least squares, regularised in the norm of the observability Gramian by
-   the noise that is to be expected), and F1 starts from it: d̂ starts at zero.
+   the noise that is to be expected), and F1 starts from it: d̂ starts at zero. Behind noise so few
+   samples leave open where the motion goes, so the decision is told how far off it may be, and
+   takes none of that for a fault.
 2. starts C at rest, which is what acts, and lets it follow, from where D* goes by itself,
 
        r' = y_free + w (r - y_free),    w = s³(10 - 15 s + 6 s²),  s = t / RETURN_S
@@ -22,8 +24,9 @@ A motor that died before the outage still is dead afterwards: d̂ then shows it 
 the first small torques, and X_diff takes over as after any loss.
 
 Actuators that hold a command for longer than half of the listening may still act by its end. What
-they do is not known then, so the loop is put where D* would have settled. So it is where the plant
-is unstable: F1's models are stable, and no motion of theirs is the plant's.
+they do is not known then, so the loop is put where D* would have settled, and all of D* may be off.
+So it is where the plant is unstable: F1's models are stable, and no motion of theirs is the
+plant's.
 """
 
 from __future__ import annotations
@@ -60,7 +63,7 @@ class BumplessRestart:
         self._held_ticks = held if known else None
         self._return_ticks = max(round(RETURN_S / scenario.tick_s), 1)
         self._variance = scenario.model.sensor.noise_mps2**2 + lsb**2 / 12.0
-        self._motion = FreeMotion(table)
+        self._motion = FreeMotion(table, max(self._listen_ticks, self._return_ticks))
         self._heard: list[float] = []
         self._level = 0.0
         self._since = 0
@@ -90,11 +93,12 @@ class BumplessRestart:
         if self._held_ticks is None:
             finite = [y for y in self._heard if math.isfinite(y)]
             self._level = finite[-1] if finite else 0.0
+            doubt = self._level**2
         else:
             free = np.array(self._heard[self._held_ticks :])
-            self._motion.fit(free, self._variance)
+            doubt = self._motion.fit(free, self._variance)
         firmware.reset(self._level)
-        firmware.move(self._motion.sections)
+        firmware.move(self._motion.sections, doubt)
 
     def miss(self) -> None:
         """Let a tick pass without a command: the car moves on, r' comes no nearer to r."""
@@ -113,9 +117,13 @@ class FreeMotion:
 
     x⁺ = Φx, y = cx over those states of the sections that their input reaches: the second one of a
     first-order section is none.
+
+    Args:
+        table: the controller's.
+        ticks: as far as it is looked back and ahead.
     """
 
-    def __init__(self, table: Record) -> None:
+    def __init__(self, table: Record, ticks: int) -> None:
         cascade = table.estimator.channel_1
         self._index = [
             (i, j)
@@ -135,31 +143,34 @@ class FreeMotion:
         values, vectors = np.linalg.eigh(gramian)
         self._root = np.sqrt(np.maximum(values, 0.0))[:, None] * vectors.T  # W = rootᵀ root
         self._x = np.zeros(order)
+        self._free = np.zeros((ticks, order))  # cΦᵏ
+        row = self._c
+        for k in range(ticks):
+            self._free[k] = row
+            row = row @ self._phi
 
-    def fit(self, heard: FloatArray, variance: float) -> None:
+    def fit(self, heard: FloatArray, variance: float) -> float:
         """Go to the state after ``heard``, shape (ticks,): D* of successive ticks, nan for none.
 
         Of the states x that it may have started from, the one that minimises
         Σ(y - cΦᵏx)² + λ xᵀWx, with xᵀWx the energy of all that follows and λ from the ``variance``
-        of a sample and the energy that was heard.
+        of a sample and the energy that was heard: the mean of a Gaussian x with that energy.
+
+        Returns:
+            how far off that may leave D* at most within ``ticks``: a variance.
         """
-        rows = [self._c]
-        while len(rows) < len(heard):
-            rows.append(rows[-1] @ self._phi)
         there = np.isfinite(heard)
         energy = float(heard[there] @ heard[there])
         if energy == 0.0:
-            return
+            return 0.0
         weight = math.sqrt(variance * len(self._x) / energy)
-        x, *_ = np.linalg.lstsq(
-            np.vstack([np.array(rows)[there], weight * self._root]),
-            np.concatenate([heard[there], np.zeros(len(self._x))]),
-        )
-        for _ in heard:
-            x = self._phi @ x
-        self._x = x
-        for at, value in zip(self._index, x, strict=True):
+        seen = self._free[: len(heard)][there]
+        spread = np.linalg.pinv(np.vstack([seen, weight * self._root]))
+        spread = np.linalg.matrix_power(self._phi, len(heard)) @ spread
+        self._x = spread[:, : len(seen)] @ heard[there]
+        for at, value in zip(self._index, self._x, strict=True):
             self.sections[at] = value
+        return variance * float(np.max(np.sum((self._free @ spread) ** 2, axis=1)))
 
     @property
     def output(self) -> float:

@@ -70,7 +70,7 @@ STATE = (
     Field("memory", "1", "φ, what that tick left of each θ", shape=SIZES),
     Field("extent", "y²", "fading largest Σ x²"),
     Field("change", "y²", "M, fading largest Σ (time constant · dx/dt)²"),
-    Field("rule", "y²", "part of it that F1's rule leaves, fading"),
+    Field("rule", "y²", "part of it that F1's rule leaves, or how it began, fading"),
     Field("remainder", "y²", "variance of the remainder"),
     Field("previous_model_output", "y", "G1 u1 + G2 u2 of the last tick"),
     Field("previous_residual", "y", "d̂ of the last tick, less the known loss"),
@@ -188,6 +188,13 @@ def settle_mismatch(table: Record, state: Record, model_output: float) -> None:
     state.mismatch.change = state.mismatch.rule = state.mismatch.remainder = (
         0.0  # it came there long ago
     )
+
+
+def doubt_motion(constants: Record, state: Record, variance: float) -> None:
+    """y may be off by this ``variance`` from the start, and by less and less as it fades."""
+    state.rule = variance
+    if constants.n > LOSS_STATES:
+        state.covariance.variances[constants.n - 1] = variance
 
 
 @firmware

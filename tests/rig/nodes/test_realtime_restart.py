@@ -7,7 +7,7 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.errors import BusError
 from can_rig.results.signals import read_signals
-from firmware_model.target.status import FaultState, Mode
+from firmware_model.target.status import FaultState, Mode, Verdict
 from tests.rig.nodes.world import (
     PACE,
     TICK_NS,
@@ -25,10 +25,11 @@ SHORT_OUTAGE_MPS2 = 1.05 * float(np.abs(dstar_under(np.array(MISSING))).max())
 
 
 class Restart:
-    """Kills the controller before one tick and starts it again before another."""
+    """Kills the controller before one tick and starts it before another, perhaps ``again``."""
 
-    def __init__(self, scenario, killed, back, log, **world):
+    def __init__(self, scenario, killed, back, log, again=None, **world):
         self.world = World(scenario, answers=self.answers, **world)
+        self.again = again
         self.killed, self.back = killed, back
         self.alive = True
         done, self.plant = self.world.run(log, self.on_tick)
@@ -36,6 +37,7 @@ class Restart:
         self.signals = read_signals(log, self.world.network, scenario.tick_s)
         # The actuator without a command is at zero: what it does when it hears one again counts.
         self.torque = np.nan_to_num(self.signals.torque_nm)
+        back = again or back
         self.first = back + int(np.argmax(np.isfinite(self.signals.torque_nm[back:])))
 
     def answers(self, _tick):
@@ -45,7 +47,8 @@ class Restart:
         if tick == self.killed:
             self.alive = False
             self.world.runs.clear()
-        if tick == self.back:
+        if tick in (self.back, self.again):
+            self.world.runs.clear()
             self.world.start_controller()
             self.alive = True
 
@@ -82,6 +85,26 @@ def test_a_restart_after_the_motor_died_gives_the_load_to_the_other_channel(tmp_
     assert np.abs(np.diff(force[first - 1 :])).max() < 100.0  # N a tick, of 2989 in the end
     assert force[-2] == pytest.approx(2989, abs=30)
     assert np.abs(signals.error_mps2)[first + 450 :].max() < 0.005
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_behind_a_noisy_sensor_a_motor_that_works_is_not_taken_for_lost(seed, tmp_path):
+    """In mid-bend: where the car goes by itself is known only roughly."""
+    scenario = load("default", [f"seed={seed}", "fault.kind=none", "duration_s=2.4"])
+    run = Restart(scenario, 900, 1150, tmp_path / "bus.log")
+    assert not (run.signals.fault_state[run.first :] == FaultState.CONFIRMED).any()
+    said = [Verdict.NOTHING, Verdict.ANOTHER_CAR, Verdict.CANNOT_BE_TOLD]
+    assert np.isin(run.signals.verdict[run.first :], said).all()
+    assert np.abs(run.signals.error_mps2[run.first + 900 :]).max() < 0.03
+
+
+@pytest.mark.parametrize("seed", range(3))
+def test_behind_a_noisy_sensor_a_dead_motor_is_compensated_again(seed, tmp_path):
+    """Also by a controller that was killed once more while it took over."""
+    scenario = load("default", [f"seed={seed}", "fault.at_s=0.8", "duration_s=2.9"])
+    run = Restart(scenario, 1500, 1520, tmp_path / "bus.log", again=1650)
+    assert np.abs(run.signals.error_mps2[run.first + 1000 :]).max() < 0.1
+    assert np.nanmax(np.abs(run.torque[run.first :])) < 150.0
 
 
 def test_actuators_that_still_hold_are_met_at_what_they_hold(tmp_path):

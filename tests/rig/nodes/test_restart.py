@@ -42,7 +42,7 @@ def table_of(scenario):
 def test_what_follows_is_predicted_from_fifty_milliseconds(x0):
     """From D* on the grid of its frame; the threshold of the default decision is 1e-5."""
     dstar = free_dstar(scaled_to_one(x0), 550)
-    motion = FreeMotion(table_of(load("ideal")))
+    motion = FreeMotion(table_of(load("ideal")), 400)
     motion.fit(np.rint(dstar[:50] / LSB) * LSB, LSB**2 / 12)
     predicted = np.array([motion.advance() for _ in range(500)])
     assert np.abs(predicted - dstar[50:]).max() < 5e-6
@@ -52,14 +52,14 @@ def test_ticks_that_were_not_heard_are_left_out():
     dstar = free_dstar(scaled_to_one([1.0, -0.5, 0.2, 0.1]), 150)
     heard = dstar[:50].copy()
     heard[10:20] = heard[45:] = np.nan
-    motion = FreeMotion(table_of(load("ideal")))
+    motion = FreeMotion(table_of(load("ideal")), 400)
     motion.fit(heard, LSB**2 / 12)
     assert [motion.advance() for _ in range(100)] == pytest.approx(dstar[50:], abs=5e-6)
 
 
 @pytest.mark.parametrize("heard", [[], [np.nan] * 20, [0.0] * 20], ids=["none", "nan", "rest"])
 def test_of_nothing_heard_comes_a_car_at_rest(heard):
-    motion = FreeMotion(table_of(load("ideal")))
+    motion = FreeMotion(table_of(load("ideal")), 400)
     motion.fit(np.array(heard), LSB**2 / 12)
     assert not motion.sections.any()
     assert motion.advance() == 0.0
@@ -67,11 +67,26 @@ def test_of_nothing_heard_comes_a_car_at_rest(heard):
 
 def test_noise_alone_is_not_taken_for_a_motion():
     """What is made of white noise around rest stays below three times the noise."""
-    rms, motion = 0.005, FreeMotion(table_of(load("noisy")))
+    rms, motion = 0.005, FreeMotion(table_of(load("noisy")), 400)
     for seed in range(20):
         noise = rms * np.random.default_rng(seed).standard_normal(40)
         motion.fit(noise, rms**2)
         assert max(abs(motion.advance()) for _ in range(500)) < 3 * rms
+
+
+@pytest.mark.parametrize("channel", [0, 1])
+@pytest.mark.parametrize("since", [10, 100])
+def test_how_far_off_the_motion_may_be_is_what_noise_makes_of_it(channel, since):
+    """Of a bend of 1 m/s² that nothing holds since some ticks, over 200 runs of the noise."""
+    rms, steady = 0.005, np.linalg.solve(A, -B[:, channel])
+    dstar = free_dstar(steady / (C @ steady).item(), since + 440)[since:]
+    draw, off = np.random.default_rng(0), []
+    motion = FreeMotion(table_of(load("noisy")), 400)
+    for _ in range(200):
+        doubt = motion.fit(dstar[:40] + rms * draw.standard_normal(40), rms**2)
+        off.append([motion.advance() for _ in range(400)] - dstar[40:])
+    worst = np.sqrt(np.mean(np.square(off), axis=0)).max()
+    assert 0.5 < worst / np.sqrt(doubt) < 2.0
 
 
 @settings(max_examples=10)
