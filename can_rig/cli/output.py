@@ -21,12 +21,12 @@ def table(*headings: str, left: int = 1, title: str | None = None) -> Table:
 
 def show(what: Table) -> None:
     """A table, as wide as the terminal."""
-    Console().print(what)
+    Console(emoji=False).print(what)
 
 
 def wide() -> Console:
     """Standard output for tables that keep their columns wherever it goes."""
-    console = Console(soft_wrap=True, highlight=False)
+    console = Console(soft_wrap=True, highlight=False, emoji=False)
     console.width = max(console.width, WIDTH)
     return console
 
@@ -39,7 +39,7 @@ def say(*lines: str) -> None:
 def explain(*lines: str) -> None:
     """Sentences on standard output, broken where the terminal ends."""
     for line in lines:
-        Console().print(line, markup=False, highlight=False)
+        Console().print(line, markup=False, highlight=False, emoji=False)
 
 
 def tell(*lines: str) -> None:
@@ -64,4 +64,4 @@ def json_line(**values: object) -> None:
 
 def _print(console: Console, lines: list[str] | tuple[str, ...], style: str | None = None) -> None:
     for line in lines:
-        console.print(line, style=style, soft_wrap=True, markup=False, highlight=False)
+        console.print(line, style=style, soft_wrap=True, markup=False, highlight=False, emoji=False)
