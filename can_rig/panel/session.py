@@ -17,6 +17,7 @@ from can_rig.buses.bus import open_bus
 from can_rig.errors import RigError
 from can_rig.frames.beside import control
 from can_rig.panel.live import LiveSignals
+from can_rig.plant.faults.injection import require_possible
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 
@@ -101,7 +102,7 @@ class Session:
         """End the run, which completes its folder."""
         if not self.running or self._process is None:
             return
-        self._process.send_signal(signal.SIGINT)
+        self._process.send_signal(signal.SIGTERM)  # SIGINT is ignored under a shell's &
         try:
             await asyncio.wait_for(self._process.wait(), ENDS_WITHIN_S)
         except TimeoutError:
@@ -117,6 +118,7 @@ class Session:
         state = self.live.state
         if not self.sends:
             raise RigError("this panel only listens; --allow-control lets it send")
+        require_possible(command)
         if state is None or not state.injectable:
             raise RigError("the plant node obeys no commands: it must be started with --injectable")
         message = control.command_message(command, state.next_sequence)

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+import re
+from typing import Final
+
 import click
 
 from can_rig.buses.bus import open_bus
@@ -18,6 +21,8 @@ DO: dict[str, control.Action] = {
     "step": "STEP",
 }
 
+NEGATIVE: Final = re.compile(r"-\.?\d")
+
 
 def _kinds(place: str) -> dict[str, str]:
     """What can be wrong with ``place``: the word on the command line → the kind."""
@@ -26,8 +31,25 @@ def _kinds(place: str) -> dict[str, str]:
     return {kind.removeprefix(prefix): kind for kind in its}
 
 
-@click.command("inject")
-@click.argument("what", type=click.Choice([*control.places(), *DO]))
+class _WithNegatives(click.Command):
+    """A command whose arguments may be negative numbers, which look like options."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Take negative numbers for arguments where no option asks for its value."""
+        options = {name for each in self.params for name in each.opts if name.startswith("-")}
+        numbers = [
+            at
+            for at, word in enumerate(args)
+            if NEGATIVE.match(word) and not (at and args[at - 1] in options)
+        ]
+        if numbers and "--" not in args:
+            rest = [word for at, word in enumerate(args) if at not in numbers]
+            args = [*rest, "--", *(args[at] for at in numbers)]
+        return super().parse_args(ctx, args)
+
+
+@click.command("inject", cls=_WithNegatives)
+@click.argument("what", type=click.Choice([*control.places(), *DO]), metavar="WHAT")
 @click.argument("how", required=False)
 @bus_option("local", "local")
 @click.option(
@@ -35,7 +57,7 @@ def _kinds(place: str) -> dict[str, str]:
     "for_s",
     type=click.FloatRange(control.SHORTEST_S, control.LONGEST_S),
     metavar="S",
-    help=f"Seconds that a fault lasts, {control.SHORTEST_S:g} to {control.LONGEST_S:g}.  "
+    help=f"Seconds that a fault lasts, {control.SHORTEST_S:g} to {control.LONGEST_S:g}, to 0.1.  "
     "[default: until it is cleared]",
 )
 @click.option("--value", type=float, help="The fault's one number, in the unit of what fails.")
@@ -51,7 +73,11 @@ def command(what: str, how: str | None, bus: str, for_s: float | None, value: fl
     asked = _command(what, how, for_s, value)
     with open_bus(bus) as opened:
         operate(opened, bus, asked)
-    say(f"{what} {how or ''}".rstrip() + ": done")
+    say(f"{_said(what, how)}: done")
+
+
+def _said(what: str, how: str | None) -> str:
+    return what if how is None else f"{what} {how}"
 
 
 def _command(
@@ -60,19 +86,23 @@ def _command(
     if what in control.places():
         kinds = _kinds(what)
         if how not in kinds:
-            raise click.UsageError(f"{what} {how or ''}: must be one of {', '.join(kinds)}")
+            raise click.UsageError(f"{_said(what, how)}: must be one of {', '.join(kinds)}")
         return control.Command("INJECT", kinds[how], what, value, for_s)
     if for_s is not None or value is not None:
         raise click.UsageError(f"{what}: --for and --value are those of a fault")
     if what == "clear":
         place = how or control.ALL
         if place not in (control.ALL, *control.places()):
-            raise click.UsageError(f"clear {how}: must be one of {', '.join(control.places())}")
+            raise click.UsageError(
+                f"clear {how}: must be one of {', '.join(control.places())}, or nothing for all"
+            )
         return control.Command("CLEAR", place=place)
     if what == "pause":
+        if how is not None:
+            raise click.UsageError(f"pause {how}: nothing must follow; pace goes on")
         return control.Command("PAUSE")
     try:
         number = float(how if how is not None else "1" if what == "step" else "")
     except ValueError:
-        raise click.UsageError(f"{what} {how or ''}: must be followed by a number") from None
+        raise click.UsageError(f"{_said(what, how)}: must be followed by a number") from None
     return control.Command(DO[what], value=number)

@@ -54,6 +54,12 @@ class State(NamedTuple):
     pace: float
 
 
+def value_limits() -> tuple[float, float]:
+    """The step of a command's number, and the largest."""
+    value = _message("RIG_CONTROL").get_signal_by_name("Value")
+    return float(value.scale), float(value.maximum or 0)
+
+
 @cache
 def _message(name: str) -> DbcMessage:
     path = shipped_dbc(DBC)

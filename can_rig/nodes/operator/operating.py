@@ -9,6 +9,7 @@ import can
 
 from can_rig.errors import BusError, RigError, one_line
 from can_rig.frames.beside import control
+from can_rig.plant.faults.injection import require_possible
 
 WITHIN_S: Final = 1.0
 """A plant node says 20 times a second how it stands to commands."""
@@ -20,12 +21,17 @@ def operate(bus: can.BusABC, name: str, command: control.Command) -> None:
     Raises:
         RigError: no plant node there obeys commands, or not this one.
     """
-    state = _state(bus)
+    require_possible(command)
+    state, is_silent = _state(bus)
     if state is None:
         raise RigError(
-            f"bus {name}: no plant node says that it obeys commands; "
+            f"bus {name}: silent; no nodes run there, or they have another bus (--bus)"
+            if is_silent
+            else f"bus {name}: no plant node says that it obeys commands; "
             "it must be started with --injectable"
         )
+    if command.action == "STEP" and not state.paused:
+        raise RigError(f"bus {name}: nothing is paused; inject pause comes before step")
     message = control.command_message(command, state.next_sequence)
     try:
         bus.send(message)
@@ -33,7 +39,7 @@ def operate(bus: can.BusABC, name: str, command: control.Command) -> None:
         raise BusError(f"bus {name}: {one_line(error)}") from error
     end_s = time.monotonic() + WITHIN_S
     while time.monotonic() < end_s:
-        after = _state(bus)
+        after, _ = _state(bus)
         if after is None:
             break
         if after.next_sequence != state.next_sequence:
@@ -45,14 +51,15 @@ def operate(bus: can.BusABC, name: str, command: control.Command) -> None:
     raise RigError(f"bus {name}: the plant node did not answer within {WITHIN_S:g} s")
 
 
-def _state(bus: can.BusABC) -> control.State | None:
-    """The next that a plant node says of itself; None if it says nothing."""
-    frame_id = control.identifiers().state
+def _state(bus: can.BusABC) -> tuple[control.State | None, bool]:
+    """The next that a plant node says of itself (None: nothing), and whether nobody says a word."""
+    frame_id, is_silent = control.identifiers().state, True
     end_s = time.monotonic() + WITHIN_S
     while (left_s := end_s - time.monotonic()) > 0.0:
         message = bus.recv(left_s)
+        is_silent = is_silent and message is None
         if message is not None and message.arbitration_id == frame_id:
             said = control.read_state(message)
             if said is not None:
-                return said
-    return None
+                return said, False
+    return None, is_silent

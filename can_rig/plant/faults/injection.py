@@ -7,7 +7,9 @@ from typing import Final
 
 from pydantic import ValidationError
 
-from can_rig.frames.beside.control import ALL, Command
+from can_rig.errors import RigError
+from can_rig.frames.beside.control import ALL, LONGEST_S, SHORTEST_S, Command, value_limits
+from can_rig.scenario.refusal import refusal
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.fault import (
     CHANNELS,
@@ -23,22 +25,66 @@ FAULT_ACTIONS: Final = ("INJECT", "CLEAR")
 
 def injected(command: Command, tick: int, tick_ns: int) -> FaultSettings | None:
     """The fault that ``command`` asks for, from ``tick`` on; None if there is none such."""
+    try:
+        return _fault(command, tick * tick_ns / 1e9)
+    except (RigError, ValidationError):
+        return None
+
+
+def require_possible(command: Command) -> None:
+    """Refuse what no plant node would do, or what the frame would carry as something else.
+
+    Raises:
+        RigError: what, and what would be right.
+    """
+    value, (step, most) = command.value, value_limits()
+    if value is not None and not abs(value) <= most:
+        raise RigError(f"value {value:g}: must be {-most:g} to {most:g}")
+    if value and abs(value) < step:
+        raise RigError(f"value {value:g}: must be 0 or at least {step:g}, the step of the frame")
+    for_s = command.duration_s
+    if for_s is not None and not SHORTEST_S <= for_s <= LONGEST_S:
+        raise RigError(f"for {for_s:g} s: must be {SHORTEST_S:g} to {LONGEST_S:g} s, or left out")
+    if command.action == "STEP" and (value is None or value < 1 or value != round(value)):
+        raise RigError(f"step {value:g}: must be a whole number of ticks, 1 at least")
+    if command.action == "PACE" and (value is None or value < 0):
+        raise RigError(f"pace {value:g}: must be above 0, or 0 for as fast as it can")
+    if command.action == "INJECT":
+        _require_fault(command)
+
+
+def _require_fault(command: Command) -> None:
+    kind, key = str(command.kind), NUMBER.get(str(command.kind))
+    if command.value is not None and key is None:
+        raise RigError(f"{kind}: has no value; it must be left out")
+    if key == "late_ticks" and command.value is not None and command.value != round(command.value):
+        raise RigError(f"{kind}: value {command.value:g}: must be a whole number of ticks")
+    try:
+        _fault(command, 0.0)
+    except ValidationError as error:
+        said = refusal(error, FaultSettings)
+        raise RigError(f"{kind}: its value is {key}; {said}") from None
+
+
+def _fault(command: Command, at_s: float) -> FaultSettings:
+    """The fault that ``command`` asks for.
+
+    Raises:
+        RigError: this does not fail in that way.
+        ValidationError: of its number.
+    """
     kind = command.kind or ""
-    values: dict[str, object] = {"kind": kind, "at_s": tick * tick_ns / 1e9}
+    values: dict[str, object] = {"kind": kind, "at_s": at_s}
     if command.place in CHANNELS or (command.place == SENSOR and kind.startswith("frames-")):
         values["channel"] = command.place
     elif not kind.startswith("sensor-"):
-        return None
+        raise RigError(f"{kind}: of {command.place}: must be of {' or '.join(CHANNELS)}")
     key = NUMBER.get(kind)
     if command.value is not None and key is not None:
         values[key] = round(command.value) if key == "late_ticks" else command.value
     if command.duration_s is not None:
         values["for_s"] = command.duration_s
-    try:
-        fault = FaultSettings(**values)  # type: ignore[arg-type]
-    except ValidationError:
-        return None
-    return fault
+    return FaultSettings(**values)  # type: ignore[arg-type]
 
 
 class Injection:

@@ -87,6 +87,11 @@ def test_a_fault_after_the_end_is_mentioned_in_one_line() -> None:
         (("bus", "--bitrate", "0"), "error: Invalid value for '--bitrate': 0 is not in the range"),
         (("export", "default"), "error: Missing option '--out'. (see "),
         (("inject", "torque", "gone"), "error: torque gone: must be one of dead, stuck, "),
+        (("inject", "sensor"), "error: sensor: must be one of biased, dead, "),
+        (("inject", "pause", "3"), "error: pause 3: nothing must follow"),
+        (("inject", "reference", "nan"), "error: value nan: must be -8388.61 to 8388.61"),
+        (("inject", "pace", "-1"), "error: pace -1: must be above 0, or 0 for as fast"),
+        (("inject", "reference", "-0.3", "--bus", "local:x"), "error: bus local:x: silent; no "),
     ],
 )  # fmt: skip
 def test_a_wrong_option_is_one_line(words: tuple[str, ...], line: str) -> None:
