@@ -14,6 +14,7 @@ from typing import Final
 
 TOKEN_BYTES: Final = 24
 NAMES: Final = ("127.0.0.1", "localhost")
+HTTP_PORT: Final = 80
 
 
 def _token() -> str:
@@ -45,8 +46,13 @@ class Access:
 
     def is_own_host(self, host: str | None) -> bool:
         """Whether a request's Host is this server under one of its own names."""
-        return host in {f"{name}:{self.port}" for name in NAMES}
+        return host in self._names()
 
     def is_own_origin(self, origin: str | None) -> bool:
         """Whether a request comes from a page of this server; a socket always says its Origin."""
-        return origin in {f"http://{name}:{self.port}" for name in NAMES}
+        return origin in {f"http://{name}" for name in self._names()}
+
+    def _names(self) -> set[str]:
+        """Of this server, as a browser says them: without the port that http has anyway."""
+        port = "" if self.port == HTTP_PORT else f":{self.port}"
+        return {f"{name}{port}" for name in NAMES}

@@ -52,7 +52,10 @@ async def _inject(screen: Screen, order: Order) -> None:
 
 
 async def _clear(screen: Screen, order: Order) -> None:
-    screen.session.command(control.Command("CLEAR", place=str(order.get("place", control.ALL))))
+    place = order.get("place", control.ALL)
+    if place not in (control.ALL, *control.places()):
+        raise ValueError
+    screen.session.command(control.Command("CLEAR", place=place))
 
 
 async def _reference(screen: Screen, order: Order) -> None:

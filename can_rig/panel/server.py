@@ -104,7 +104,7 @@ class Server:
             await obey(self._screen, json.loads(text))
         except RigError as error:
             viewer.offer(json.dumps({"refused": str(error)}))
-        except (ValueError, KeyError, TypeError, AttributeError):
+        except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
             viewer.offer(json.dumps({"refused": "not an order of this panel"}))
 
     async def _updating(self, _app: web.Application) -> AsyncIterator[None]:

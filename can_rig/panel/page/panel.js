@@ -121,7 +121,8 @@ function showLamps(run) {
   if (run.said.length && !run.running) $("message").textContent = run.said[run.said.length - 1];
   $("start").disabled = run.running; $("stop").disabled = !run.running; $("scenario").disabled = run.running;
   for (const id of ["faults", "reference"]) $(id).disabled = !mayTouch || !l.injectable;
-  for (const id of ["pause", "step", "slower", "faster"]) $(id).disabled = !l.injectable;
+  for (const id of ["pause", "slower", "faster"]) $(id).disabled = !l.injectable;
+  $("step").disabled = !l.injectable || !l.paused;
 }
 
 function addEvent(event) {

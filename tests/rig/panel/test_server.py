@@ -62,6 +62,8 @@ def test_names_and_origins_are_exact():
         assert not access.is_own_host(host)
     for origin in ("https://127.0.0.1:8000", "null", "http://evil.example:8000", "", None):
         assert not access.is_own_origin(origin)
+    assert Access(80).is_own_host("127.0.0.1")
+    assert Access(80).is_own_origin("http://localhost")
     assert access.may_touch(access.control) is True
     assert access.may_touch(access.view) is False
     assert access.may_touch(access.view + "x") is None
@@ -117,6 +119,10 @@ async def refusal(client, own, token: str, order: str) -> str:
         (TOUCH, '{"order": "save", "name": "../x"}', "no run has ended yet"),
         (TOUCH, '{"order": "inject", "kind": "x", "place": "torque"}', "not an order"),
         (TOUCH, '{"order": "pace", "value": "fast"}', "not an order"),
+        (TOUCH, '{"order": "pace", "value": 1' + 400 * "0" + "}", "not an order"),
+        (TOUCH, '{"order": "clear", "place": "x"}', "not an order"),
+        (TOUCH, '{"order": "step", "ticks": 1.5}', "must be a whole number of ticks"),
+        (TOUCH, 2000 * "[", "not an order"),
         (TOUCH, '{"order": "_socket"}', "not an order"),
         (TOUCH, "[]", "not an order"),
         (TOUCH, "{", "not an order"),
