@@ -84,7 +84,7 @@ def read(name: str, settings: Iterable[str] = ()) -> Draft:
     file = written(name)
     file = replace(file, values=with_changes(file, settings))
     made = changed(file)
-    require_kinds(name, file.values.get("fault"))
+    require_kinds(file.name, file.values)
     return made
 
 
@@ -200,9 +200,12 @@ def draft(name: str, values: Mapping[str, Any]) -> Draft:
     plant, model = merged.get("plant", {}), merged.get("model", {})
     if isinstance(plant, Mapping) and isinstance(model, Mapping):
         merged["model"] = _believed(plant, model)
-    several = isinstance(merged.get("fault"), list)
-    if isinstance(merged.get("fault"), Mapping):
-        merged["fault"] = [merged["fault"]]
+    faults = merged.get("fault", [])
+    several = isinstance(faults, list)
+    if not isinstance(faults, list | Mapping):
+        raise ScenarioError(f"scenario {name}: fault = {faults!r}: must be a table, or several")
+    if isinstance(faults, Mapping):
+        merged["fault"] = [faults]
     words = frozenset(pair for pair in (FROM_BUS,) if _take(merged, *pair))
     try:
         scenario = Scenario(name=name, **{key: _valid(key, each) for key, each in merged.items()})

@@ -43,6 +43,8 @@ def refusal(error: ValidationError, settings: type[Any]) -> str:
         return f"{key}.{message}" if key else message
     if kind == "dataclass_type":
         message = "must be a table"
+    if kind == "missing":  # of a pair
+        return f"{'.'.join(location[:-1])} = {finding['input']!r}: must have one more value"
     if kind == "literal_error":
         message = _one_of(finding["input"], finding["ctx"]["expected"])
     for theirs, ours in WORDS.items():

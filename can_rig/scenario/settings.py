@@ -94,6 +94,11 @@ class ReferenceSettings:
     def __post_init__(self) -> None:
         if self.kind == "driver" and not self.lane_changes_s:
             raise ValueError('lane_changes_s: must have a time for a reference of kind "driver"')
+        if self.kind == "driver" and self.amplitude_mps2 <= 0.0:
+            raise ValueError(
+                f"amplitude_mps2 = {self.amplitude_mps2:g}: must be greater than 0 for a reference "
+                'of kind "driver"'
+            )
         if self.kind == "csv" and not self.file:
             raise ValueError('file: must name the CSV file of a reference of kind "csv"')
 

@@ -2,13 +2,20 @@
 
 from __future__ import annotations
 
-import warnings
+import math
+import re
 from pathlib import Path
+from typing import Final
 
 import numpy as np
 
 from can_rig.errors import ScenarioError
 from firmware_model.target.structs import FloatArray
+
+TIME: Final = "time_s"
+NAME: Final = re.compile(r"[A-Za-z]+(_[A-Za-z0-9]+)+")
+"""Of a header: a name with its unit, as the rig has them; other words are anybody's."""
+OTHER_UNITS: Final = re.compile(r"km/?h|kph|mph|\bms\b", re.IGNORECASE)
 
 
 def over_time(file: str, where: str, column: str) -> tuple[FloatArray, FloatArray]:
@@ -24,17 +31,53 @@ def over_time(file: str, where: str, column: str) -> tuple[FloatArray, FloatArra
     """
     try:
         lines = Path(file).read_text(encoding="utf-8-sig").splitlines()
-        with warnings.catch_warnings(action="ignore"):  # no rows: refused below
-            rows = np.genfromtxt(lines, delimiter=",", ndmin=2)
     except OSError as error:
         raise ScenarioError(f"{where}: cannot be read: {error.strerror}") from None
-    except ValueError as error:  # numpy's last line says which row has how many columns
-        row = str(error).splitlines()[-1].strip()
-        raise ScenarioError(f"{where}: must have rows of time_s,{column}: {row}") from None
-    if len(rows) > 1 and np.isnan(rows[0]).all():
-        rows = rows[1:]  # the header
-    if rows.size == 0 or rows.shape[1] != 2 or not np.isfinite(rows).all():
-        raise ScenarioError(f"{where}: must have rows of two finite numbers, time_s,{column}")
-    if not (np.diff(rows[:, 0]) > 0).all():
-        raise ScenarioError(f"{where}: times must increase from row to row")
-    return rows[:, 0].astype(np.float64), rows[:, 1].astype(np.float64)
+    except UnicodeDecodeError:
+        raise ScenarioError(f"{where}: must be text in UTF-8") from None
+    rows = [
+        (number, [cell.strip() for cell in content.split(",")])
+        for number, line in enumerate(lines, 1)
+        if (content := line.partition("#")[0].strip())
+    ]
+    if rows and all(_number(cell) is None for cell in rows[0][1]):
+        number, header = rows.pop(0)
+        if any(
+            _says_another(said, name) for said, name in zip(header, (TIME, column), strict=False)
+        ):
+            raise ScenarioError(
+                f"{where}: line {number}: {','.join(header)!r}: must be {TIME},{column}"
+            )
+    if not rows:
+        raise ScenarioError(f"{where}: has no rows; must have some of {TIME},{column}")
+    found: list[tuple[float, float]] = []
+    for number, cells in rows:
+        numbers = [value for cell in cells if (value := _number(cell)) is not None]
+        if len(numbers) != 2 or len(cells) != 2 or not all(map(math.isfinite, numbers)):
+            raise ScenarioError(
+                f"{where}: line {number}: {','.join(cells)!r}: must be two finite numbers, "
+                f"{TIME},{column}"
+            )
+        time_s, value = numbers
+        if found and not time_s > found[-1][0]:
+            raise ScenarioError(
+                f"{where}: line {number}: {time_s:.9g} s after {found[-1][0]:.9g} s: "
+                "times must increase from row to row"
+            )
+        found.append((time_s, value))
+    times, values = np.array(found, dtype=np.float64).T
+    return times, values
+
+
+def _says_another(said: str, name: str) -> bool:
+    """Whether a column's header says that it is not ``name``, or not in its unit."""
+    names_one = NAME.fullmatch(said) is not None and said.lower() != name
+    return names_one or OTHER_UNITS.search(said) is not None
+
+
+def _number(text: str) -> float | None:
+    """What ``text`` says, finite or not; None if it is no number."""
+    try:
+        return float(text)
+    except ValueError:
+        return None

@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from can_rig.errors import ScenarioError
+from can_rig.scenario.tables.fault import NUMBER
 
 FAULT: Final = "fault"
 
@@ -113,18 +114,36 @@ def value_in(values: Mapping[str, Any], key: str) -> Any:
     return value
 
 
-def require_kinds(name: str, faults: Any) -> None:
-    """Refuse a fault without a kind in the scenario ``name``: it would be none, unsaid.
+def require_kinds(name: str, values: Mapping[str, Any]) -> None:
+    """Refuse keys in the scenario ``name`` that would do nothing, unsaid.
 
-    Not of a campaign, where an axis may say it.
+    They are those of a fault without a kind, those of another kind in place of a fault's own, and a
+    reference's file without its kind. Not of a campaign, where an axis may say what is missing.
 
     Raises:
-        ScenarioError: which fault, and what would be right.
+        ScenarioError: which key, and what would be right.
     """
+    faults = values.get(FAULT)
     for number, fault in enumerate(faults if isinstance(faults, list) else [faults]):
-        if isinstance(fault, Mapping) and fault and "kind" not in fault:
-            where = f"{FAULT}.{number}" if isinstance(faults, list) else FAULT
+        if not isinstance(fault, Mapping) or not fault:
+            continue
+        where = f"{FAULT}.{number}" if isinstance(faults, list) else FAULT
+        if "kind" not in fault:
             raise ScenarioError(
                 f"scenario {name}: {where}.kind: must be set where {where}.{next(iter(fault))} is: "
                 "'actuator-dead', 'frames-missing', 'sensor-biased', ..., or 'none'"
             )
+        own = NUMBER.get(fault["kind"]) if isinstance(fault["kind"], str) else None
+        others = [key for key in fault if key in NUMBER.values() and key != own]
+        if own is not None and own not in fault and others:
+            raise ScenarioError(
+                f"scenario {name}: {where}.{others[0]} = {fault[others[0]]!r}: says nothing of "
+                f"{fault['kind']!r}; must be {where}.{own}"
+            )
+    reference = values.get("reference")
+    if isinstance(reference, Mapping) and "kind" not in reference:
+        for key, kind in (("file", "csv"), ("lane_changes_s", "driver")):
+            if reference.get(key):
+                raise ScenarioError(
+                    f"scenario {name}: reference.kind: must be {kind!r} where reference.{key} is"
+                )

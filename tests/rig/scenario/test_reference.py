@@ -101,24 +101,28 @@ def test_rows_on_the_ticks_are_the_values(values):
 
 
 BAD = {
-    "empty": (b"", "rows of two finite numbers"),
-    "header alone": (b"time_s,reference_mps2\n", "rows of two finite numbers"),
-    "one column": (b"1\n2\n", "rows of two finite numbers"),
-    "three columns": (b"1,2,3\n2,3,4\n", "rows of two finite numbers"),
-    "ragged": (b"1,2\n2,3,4\n", r"rows of time_s,reference_mps2: Line #2 \(got 3 columns"),
-    "a word": (b"1,2\n2,fast\n", "rows of two finite numbers"),
-    "two headers": (b"a,b\nc,d\n1,2\n", "rows of two finite numbers"),
-    "nan": (b"1,2\n2,nan\n", "rows of two finite numbers"),
-    "infinite": (b"1,2\n2,inf\n", "rows of two finite numbers"),
-    "a gap": (b"1,2\n2,\n", "rows of two finite numbers"),
-    "semicolons": (b"1;2\n2;3\n", "rows of two finite numbers"),
-    "time stands still": (b"1,2\n1,3\n", "times must increase"),
+    "empty": (b"", "has no rows; must have some of time_s,reference_mps2"),
+    "header alone": (b"time_s,reference_mps2\n", "has no rows"),
+    "one column": (b"1\n2\n", "line 1: '1': must be two finite numbers, time_s,reference_mps2"),
+    "three columns": (b"1,2,3\n2,3,4\n", "line 1: '1,2,3': must be two finite numbers"),
+    "ragged": (b"1,2\n2,3,4\n", "line 2: '2,3,4': must be two finite numbers"),
+    "a word": (b"1,2\n2,fast\n", "line 2: '2,fast': must be two finite numbers"),
+    "two headers": (b"a,b\nc,d\n1,2\n", "line 2: 'c,d': must be two finite numbers"),
+    "nan": (b"1,2\n2,nan\n", "line 2: '2,nan': must be two finite numbers"),
+    "infinite": (b"1,2\n2,inf\n", "line 2: '2,inf': must be two finite numbers"),
+    "a gap": (b"t,r\n\n1,2\n2,\n", "line 4: '2,': must be two finite numbers"),
+    "semicolons": (b"1;2\n2;3\n", "line 2: '2;3': must be two finite numbers"),
+    "milliseconds": (b"time_ms,r\n0,2\n", "line 1: 'time_ms,r': must be time_s,reference_mps2"),
+    "another signal": (b"time_s,speed_mps\n0,2\n", "must be time_s,reference_mps2"),
+    "kilometres an hour": (b"t,v [km/h]\n0,2\n", "must be time_s,reference_mps2"),
+    "the other way round": (b"reference_mps2,time_s\n1,0\n", "must be time_s,reference_mps2"),
+    "time stands still": (b"1,2\n1,3\n", "line 2: 1 s after 1 s: times must increase"),
     "beyond any frame": (
         b"1,2\n2,-1e300\n",
         r"\|reference_mps2\| = 1e\+300: must be at most 1e\+06",
     ),
     "time runs back": (b"2,2\n1,3\n", "times must increase"),
-    "not text": (b"\xff\xfe1,2", "codec can't decode"),
+    "not text": (b"\xff\xfe1,2", "must be text in UTF-8"),
 }
 
 

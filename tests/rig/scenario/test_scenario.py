@@ -142,7 +142,7 @@ def test_the_list_of_changes_below_names_every_key():
 
 @pytest.mark.parametrize("key", OTHER)
 def test_set_changes_that_key_and_no_other(key, tmp_path):
-    (tmp_path / "x.toml").write_text('fault.kind = "none"')
+    (tmp_path / "x.toml").write_text('fault.kind = "none"\nreference.kind = "step"')
     value = OTHER[key]
     after = flat(load(str(tmp_path / "x.toml"), [f"{key}={json.dumps(value)}"]).as_dict())
     expected = DEFAULTS | {key: value}
@@ -246,6 +246,12 @@ BAD = [
     ("tick_s.x=5", "tick_s"), ("plant.mass_kg.x=5", "mass_kg"), ("name=other", "name: unknown key"),
     ("seed=2024-01-01", "seed"), ("fault.for_s=none", "fault.for_s"),
     ("fault={at_s=5.0}", "fault.kind: must be set where fault.at_s is"),
+    ("fault={kind='sensor-biased', value=0.5}", "fault.value = 0.5: says nothing of 'sensor-bi"),
+    ("fault=[{kind='actuator-dead', value=0.5}]", "must be fault.0.left"),
+    ("reference={lane_changes_s=[1.0]}", "reference.kind: must be 'driver' where reference.lane_"),
+    ("reference={kind='driver', lane_changes_s=[1.0], amplitude_mps2=-1}", "must be greater than"),
+    ("fault=3", "fault = 3: must be a table, or several"),
+    ("drive.ramps=[[0, 5], [1]]", "drive.ramps.1 = [1]: must have one more value"),
     ("fault=[{kind='none'}, {left=0.5}]", "fault.1.kind: must be set where fault.1.left is"),
     ("fault={knid='actuator-dead'}", "fault.knid: unknown key; did you mean kind?"),
 ]  # fmt: skip
