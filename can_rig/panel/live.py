@@ -19,6 +19,7 @@ from can_rig.frames.beside import control
 from can_rig.frames.endpoints import Receiver
 from can_rig.frames.network import Network
 from can_rig.panel.decimation import BUCKET_S, Decimator
+from can_rig.plant.faults.injection import injected
 from can_rig.results.isolation.words import in_words
 from can_rig.results.signals import SignalRows
 from can_rig.scenario.settings import Scenario
@@ -192,8 +193,10 @@ class LiveSignals:
                 self._applied[self._rows.tick] = applied
         elif message.arbitration_id == self._taken_id:
             numbered = control.read_taken(message)
-            if numbered is not None:  # it comes before the frames of the tick in which it acts
-                self._taken.append(((self._rows.tick + 1) * self._scenario.tick_s, numbered[1]))
+            if numbered is None or (numbered[1].kind and injected(numbered[1], 0, 1) is None):
+                return  # damaged, or a fault that there is not
+            # it comes before the frames of the tick in which it acts
+            self._taken.append(((self._rows.tick + 1) * self._scenario.tick_s, numbered[1]))
 
     def _hear_state(self, message: can.Message) -> None:
         self.state = control.read_state(message) or self.state

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import asyncio
 import math
 from collections.abc import Awaitable, Callable
 from typing import Any, Final
@@ -75,7 +76,7 @@ async def _step(screen: Screen, order: Order) -> None:
 
 
 async def _save(screen: Screen, order: Order) -> None:
-    path = save(screen.session, str(order["name"]))
+    path = await asyncio.to_thread(save, screen.session, str(order["name"]))  # it reads a log
     screen.viewers.offer(f'{{"saved": "{path.name}"}}')
 
 

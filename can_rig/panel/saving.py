@@ -37,6 +37,9 @@ def save(session: Session, name: str) -> Path:
             f"{name!r}: must be letters, digits, - and _, and begin with one of the first"
         )
     path, folder = Path(f"{name}.toml"), Path(session.folder)
+    for each in (path, path.with_suffix(".csv")):
+        if each.exists():
+            raise RigError(f"{each}: exists already; choose another name")
     source = source_of(folder, None, ())
     network = network_of(source.scenario)
     what = done(source.scenario, touches(source.frames(), network))

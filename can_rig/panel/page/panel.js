@@ -109,7 +109,7 @@ function showLamps(run) {
     { confirmed: "warn", suspected: "warn", clear: "good" }[state] || "off");
   const none = !l.verdict || l.verdict.startsWith("no fault");
   lamp("verdict", none ? l.verdict || "whose fault" : `verdict: ${l.verdict}`, !l.verdict ? "off" : none ? "good" : "warn");
-  lamp("silent", l.silent.length && on ? `${l.silent.join(", ")} silent` : "both nodes heard", l.silent.length && on ? "warn" : on ? "good" : "off");
+  lamp("silent", l.silent.length && on ? `${l.silent.join(", ")} silent` : on ? "both nodes heard" : "no nodes", l.silent.length && on ? "warn" : on ? "good" : "off");
   lamp("unanswered", `${l.unanswered_ticks} ticks without commands`, l.unanswered_ticks ? "warn" : "");
   lamp("load", l.bus_load === null ? "bus load –" : `bus load ${(100 * l.bus_load).toFixed(0)} %`, l.bus_load > 0.9 ? "warn" : "");
   $("speed").hidden = l.speed_mps === null;
@@ -195,7 +195,10 @@ function connect() {
   socket.binaryType = "arraybuffer";
   socket.onopen = () => lamp("connection", "connected", "good");
   socket.onmessage = ({ data }) => (typeof data === "string" ? take(JSON.parse(data)) : hello && append(data));
-  socket.onclose = () => { lamp("connection", "panel gone", "warn"); setTimeout(connect, 1000); };
+  socket.onclose = () => {
+    document.querySelectorAll(".lamp").forEach((el) => { el.className = "lamp off"; }); // what they say is over
+    lamp("connection", "panel gone", "warn"); setTimeout(connect, 1000);
+  };
 }
 
 wire();

@@ -56,7 +56,8 @@ def test_a_command_is_shown_with_the_time_from_which_it_acts(tmp_path):
     taken = control.taken_message(dead, 3)
     first = next(frame for frame in sent if frame.timestamp >= 50 * scenario.tick_s)
     taken.timestamp = first.timestamp
-    sent.insert(sent.index(first), taken)
+    undone = control.taken_message(dead._replace(value=2.0), 4)  # no share that is left
+    sent[sent.index(first) : sent.index(first)] = [taken, undone]
     live = LiveSignals(scenario, network)
     for frame in sent:
         live.frames.on_message_received(frame)

@@ -3,6 +3,8 @@
 import asyncio
 import json
 from contextlib import asynccontextmanager
+from pathlib import Path
+from types import SimpleNamespace
 
 import can
 import numpy as np
@@ -12,8 +14,10 @@ from aiohttp.test_utils import TestClient, TestServer
 
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
+from can_rig.errors import RigError
 from can_rig.panel.access import Access
 from can_rig.panel.live import COLUMNS
+from can_rig.panel.saving import save
 from can_rig.panel.screen import Screen, batch
 from can_rig.panel.server import Server
 from can_rig.panel.session import Session
@@ -208,3 +212,11 @@ def test_a_second_start_shows_from_tick_0(tmp_path, monkeypatch):
         session.close()
 
     asyncio.run(test())
+
+
+@pytest.mark.parametrize("there", ["mine.toml", "mine.csv"])
+def test_a_file_that_is_there_is_not_replaced_and_nothing_is_left_beside_it(tmp_path, there):
+    Path(there).write_text("mine")
+    with pytest.raises(RigError, match=f"{there}: exists already"):
+        save(SimpleNamespace(running=False, folder=str(tmp_path / "run")), "mine")
+    assert [path.name for path in Path().iterdir()] == [there]
