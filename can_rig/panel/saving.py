@@ -10,11 +10,11 @@ from typing import Any, Final
 import tomli_w
 
 from can_rig.errors import RigError
+from can_rig.nodes.operator.control_frames import done, touches
 from can_rig.panel.session import Session
-from can_rig.replay.control_frames import done, touches
 from can_rig.results.run_folder import LOG
-from can_rig.results.signals import Signals, read_signals
-from can_rig.results.source import source_of
+from can_rig.results.signals import read_signals
+from can_rig.results.source import reference_csv, source_of
 from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import with_changes, written
 from can_rig.scenario.tables.fault import FaultSettings
@@ -48,9 +48,9 @@ def save(session: Session, name: str) -> Path:
     try:
         if what.moved:
             reference = path.with_suffix(".csv")
-            _write_reference(
-                reference, read_signals(folder / LOG, network, session.scenario.tick_s)
-            )
+            moved = read_signals(folder / LOG, network, session.scenario.tick_s)
+            with reference.open("x", encoding="utf-8", newline="\n") as file:
+                file.write(reference_csv(moved))
             values["reference"] = {"kind": "csv", "file": reference.name}
         with path.open("x", encoding="utf-8") as file:
             file.write(f"# What was done in {folder}.\n\n{tomli_w.dumps(values)}")
@@ -66,10 +66,3 @@ def _keys(fault: FaultSettings) -> dict[str, Any]:
     usual = asdict(FaultSettings())
     its = {key: value for key, value in asdict(fault).items() if value != usual[key]}
     return {"kind": fault.kind, "at_s": fault.at_s, **its}
-
-
-def _write_reference(path: Path, signals: Signals) -> None:
-    with path.open("x", encoding="utf-8", newline="\n") as file:
-        file.write("time_s,reference_mps2\n")
-        for time_s, value in zip(signals.time_s, signals.reference_mps2, strict=True):
-            file.write(f"{float(time_s)!r},{float(value)!r}\n")

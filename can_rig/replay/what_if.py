@@ -12,15 +12,15 @@ import numpy as np
 from can_rig.errors import LogError, ScenarioError
 from can_rig.logs.frames import Frames
 from can_rig.logs.log import ALL, Window
+from can_rig.nodes.operator.control_frames import Touches
 from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.operator.operated_bus import Touch
 from can_rig.nodes.progress import Progress, no_progress
 from can_rig.nodes.watchdog import StopRequest
-from can_rig.replay.control_frames import Touches
 from can_rig.results.execution import Execution, execute, refuse
 from can_rig.results.run_folder import LOG
 from can_rig.results.signals import Signals, read_signals, signals_of, with_plant_signals
-from can_rig.results.source import Reading, Source, source_of
+from can_rig.results.source import Reading, Source, reference_csv, source_of
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import ReferenceSettings, Scenario
 from can_rig.views.diff_picture import draw_difference
@@ -120,7 +120,7 @@ def what_if(
     log = asked.recorded.log.path
     if out is not None and out.resolve() in (log.resolve(), log.parent.resolve()):
         raise LogError(f"{out}: is the log itself; choose another --out")
-    reference = _reference_csv(asked.logged)
+    reference = reference_csv(asked.logged)
     refuse(replace(asked.scenario, reference=ReferenceSettings()), allow_unstable)
     execution = execute(
         asked.scenario,
@@ -154,12 +154,3 @@ def _logged(source: Source, chunks: Iterable[Frames]) -> Signals:
     if not np.isfinite(signals.reference_mps2).any():
         raise LogError(f"{source.log.path}: has no reference of the rig; it must be a log of it")
     return with_plant_signals(signals, source.log.path, scenario.tick_s)
-
-
-def _reference_csv(logged: Signals) -> str:
-    """The logged reference as a scenario reads it; what is missing is held."""
-    known = np.isfinite(logged.reference_mps2)
-    first = int(np.argmax(known))
-    held = np.maximum.accumulate(np.where(known, np.arange(len(known)), first))
-    rows = zip(logged.time_s.tolist(), logged.reference_mps2[held].tolist(), strict=True)
-    return "time_s,reference_mps2\n" + "".join(f"{time_s!r},{value!r}\n" for time_s, value in rows)

@@ -29,6 +29,7 @@ from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Timeouts
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.results.metrics import Metrics
 from can_rig.results.run_folder import LOG, Outcome, RunFolder, finish
+from can_rig.results.source import happened
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving.schedule import controls
 from can_rig.scenario.reference import on_the_bus
@@ -56,6 +57,8 @@ class Execution:
     network: Network
     outcome: Outcome
     metrics: Metrics
+    happened: Scenario
+    """The scenario with what was done by hand while it ran; what the metrics are of."""
     failure: RigError | None = None
     """Why it ended early, where nobody stopped it."""
 
@@ -220,13 +223,16 @@ def execute(
             raise failure
         return None
     try:
+        if interaction.injectable:
+            own = folder.making / REFERENCE
+            made_here = happened(folder.making / LOG, made_here, network, own)
         values = finish(folder.making, made_here, network, outcome, final, report, columns)
         folder.publish()
     except RigError:
         if failure is not None:  # came first, and may be why: a disk that was full already
             raise failure from None
         raise
-    return Execution(folder.path, final, network, outcome, values, failure)
+    return Execution(folder.path, final, network, outcome, values, made_here, failure)
 
 
 def _needs_no_bus(scenario: Scenario, network: Network, controller: Controller) -> bool:

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from can_rig.assessment.resolve import load, load_run
-from can_rig.errors import LogError, ScenarioError
+from can_rig.errors import LogError, RunFolderError, ScenarioError
+from can_rig.frames.network import Network
 from can_rig.logs.frames import Frames
 from can_rig.logs.log import ALL, Log, Window
 from can_rig.logs.reading import read_log
+from can_rig.nodes.operator.control_frames import done, touches
 from can_rig.results.run_folder import LOG, SUMMARY
-from can_rig.scenario.settings import Scenario
+from can_rig.results.signals import Signals, read_signals
+from can_rig.scenario.settings import ReferenceSettings, Scenario
 
 Reading = Callable[[Log], Iterator[Frames]]
 
@@ -129,3 +132,35 @@ def _recorded(folder: Path) -> tuple[dict[str, Any], bool]:
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         pass
     raise ScenarioError(f"{file}: has no scenario that can be read; name it with --scenario NAME")
+
+
+def happened(log: Path, scenario: Scenario, network: Network, own_reference: Path) -> Scenario:
+    """The scenario with what was done to its run by hand, which its metrics are of.
+
+    A reference that was moved is kept in ``own_reference``, if it is not there already.
+
+    Raises:
+        LogError: the log cannot be read.
+        RunFolderError: the reference cannot be written.
+    """
+    what = done(scenario, touches(read_log(log), network))
+    if not what.moved or own_reference.exists():
+        return what.scenario
+    signals = read_signals(log, network, scenario.tick_s)
+    if not np.isfinite(signals.reference_mps2).any():
+        return what.scenario
+    try:
+        own_reference.write_text(reference_csv(signals), encoding="utf-8")
+    except OSError as error:
+        raise RunFolderError(f"{own_reference}: cannot be written: {error.strerror}") from None
+    own = ReferenceSettings(kind="csv", file=str(own_reference))
+    return replace(what.scenario, reference=own)
+
+
+def reference_csv(logged: Signals) -> str:
+    """The logged reference as a scenario reads it; what is missing is held."""
+    known = np.isfinite(logged.reference_mps2)
+    first = int(np.argmax(known))
+    held = np.maximum.accumulate(np.where(known, np.arange(len(known)), first))
+    rows = zip(logged.time_s.tolist(), logged.reference_mps2[held].tolist(), strict=True)
+    return "time_s,reference_mps2\n" + "".join(f"{time_s!r},{value!r}\n" for time_s, value in rows)

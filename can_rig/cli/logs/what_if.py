@@ -44,7 +44,7 @@ def what_if_command(
     else:
         print_difference(found.difference, LABELS, found.before)
         say("")
-        closing_table(run.scenario, run.metrics, run.outcome, run.folder)
+        closing_table(run.happened, run.metrics, run.outcome, run.folder)
     if run.failure is not None:
         raise run.failure
     return run.exit_status

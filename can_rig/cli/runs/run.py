@@ -109,7 +109,7 @@ def command(
     if as_json:
         json_line(folder=str(done.folder), metrics=done.metrics, **asdict(done.outcome))
     else:
-        closing_table(done.scenario, done.metrics, done.outcome, done.folder)
+        closing_table(done.happened, done.metrics, done.outcome, done.folder)
     for path in logs:
         write_log(read_log(done.folder / LOG), path)
     if done.failure is not None:

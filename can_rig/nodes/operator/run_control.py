@@ -66,7 +66,7 @@ class RunControl:
 
     def take(self, message: can.Message) -> None:
         """Note a frame that is none of the network's, and may be a command."""
-        if message.arbitration_id != control.identifiers().control:
+        if message.is_extended_id or message.arbitration_id != control.identifiers().control:
             return
         command = control.read_command(message, self._next)
         if command is None or not self._interaction.injectable:

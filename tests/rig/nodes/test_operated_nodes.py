@@ -17,11 +17,11 @@ from can_rig.buses.bus import open_bus
 from can_rig.frames.beside import control
 from can_rig.frames.beside.control import Command
 from can_rig.logs.reading import read_log
+from can_rig.nodes.operator.control_frames import done, touches
 from can_rig.nodes.operator.interaction import Interaction
 from can_rig.nodes.operator.operating import operate
 from can_rig.nodes.runner import run_controller, run_in_process, run_plant
 from can_rig.nodes.watchdog import StopRequest
-from can_rig.replay.control_frames import done, touches
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from tests.vcan import PATIENT, TIMEOUT_S

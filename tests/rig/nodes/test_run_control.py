@@ -13,6 +13,7 @@ from can_rig.frames.beside.control import Command, command_message, taken_messag
 from can_rig.frames.endpoints import Transmitter
 from can_rig.logs.reading import read_log
 from can_rig.nodes.clock import SYSTEM_CLOCK
+from can_rig.nodes.operator.control_frames import done, touches
 from can_rig.nodes.operator.following import FollowedFaults
 from can_rig.nodes.operator.interaction import Interaction
 from can_rig.nodes.operator.operated_bus import Touch
@@ -21,7 +22,6 @@ from can_rig.nodes.plant_end import PlantEnd
 from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Watchdog
 from can_rig.plant.faults.frame_faults import FrameFaults
-from can_rig.replay.control_frames import done, touches
 from can_rig.scenario.build import network_of
 
 SETTINGS = ("duration_s=0.3", "fault.kind=none")
