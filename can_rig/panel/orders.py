@@ -26,6 +26,8 @@ async def obey(screen: Screen, order: Order) -> None:
 
 
 async def _start(screen: Screen, _order: Order) -> None:
+    if not screen.scenarios:
+        raise RigError("the nodes of this bus are not the panel's; it starts none beside them")
     await screen.start()
 
 

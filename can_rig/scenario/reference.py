@@ -87,7 +87,8 @@ def lane_change(
 def _from_csv(scenario: Scenario, time_s: FloatArray) -> FloatArray:
     """Linear between the CSV's rows (time_s, reference_mps2), its ends held; a header may lead."""
     where = f"scenario {scenario.name}: reference.file = {scenario.reference.file!r}"
-    times, references = over_time(scenario.reference.file, where, "reference_mps2")
+    file, end_s = scenario.reference.file, scenario.duration_s
+    times, references = over_time(file, where, "reference_mps2", end_s)
     largest, most = float(np.abs(references).max()), MAX_REFERENCE_MPS2
     if largest > most:
         raise ScenarioError(f"{where}: |reference_mps2| = {largest:g}: must be at most {most:g}")

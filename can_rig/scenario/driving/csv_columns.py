@@ -18,13 +18,14 @@ NAME: Final = re.compile(r"[A-Za-z]+(_[A-Za-z0-9]+)+")
 OTHER_UNITS: Final = re.compile(r"km/?h|kph|mph|\bms\b", re.IGNORECASE)
 
 
-def over_time(file: str, where: str, column: str) -> tuple[FloatArray, FloatArray]:
+def over_time(file: str, where: str, column: str, end_s: float) -> tuple[FloatArray, FloatArray]:
     """Times, s, and values of a CSV with these two columns; a header may lead.
 
     Args:
         file: its path.
         where: what begins a refusal.
         column: the name of the second column, with its unit.
+        end_s: of the run; a recording with times of its own begins later, and would be a constant.
 
     Raises:
         ScenarioError: it cannot be read, has other columns, or its times do not increase.
@@ -65,6 +66,11 @@ def over_time(file: str, where: str, column: str) -> tuple[FloatArray, FloatArra
                 "times must increase from row to row"
             )
         found.append((time_s, value))
+    if found[0][0] >= end_s:
+        raise ScenarioError(
+            f"{where}: begins at {found[0][0]:.9g} s, and the run ends at {end_s:g} s: "
+            "times must be those of the run, from 0 on"
+        )
     times, values = np.array(found, dtype=np.float64).T
     return times, values
 

@@ -53,7 +53,7 @@ def speed_profile(scenario: Scenario) -> SpeedProfile:
         profile = SpeedProfile(*np.array(drive.ramps, dtype=np.float64).T)
     else:
         where += f".file = {drive.file!r}"
-        profile = SpeedProfile(*over_time(drive.file, where, "speed_mps"))
+        profile = SpeedProfile(*over_time(drive.file, where, "speed_mps", scenario.duration_s))
         for speed in profile.range_mps:
             if not SLOWEST_MPS <= speed <= FASTEST_MPS:
                 raise ScenarioError(

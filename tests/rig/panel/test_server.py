@@ -17,6 +17,7 @@ from can_rig.buses.bus import open_bus
 from can_rig.errors import RigError
 from can_rig.panel.access import Access
 from can_rig.panel.live import COLUMNS
+from can_rig.panel.orders import obey
 from can_rig.panel.saving import save
 from can_rig.panel.screen import Screen, batch
 from can_rig.panel.server import Server
@@ -144,6 +145,12 @@ def test_who_only_listens_sends_nothing(run):
         assert "may look only" in await refusal(client, own, TOUCH, '{"order": "clear"}')
 
     run(test, sends=False)
+
+
+def test_beside_nodes_of_others_no_run_is_started():
+    screen = Screen(SimpleNamespace(running=False), [], None)
+    with pytest.raises(RigError, match="it starts none beside them"):
+        asyncio.run(obey(screen, {"order": "start"}))
 
 
 def test_a_server_that_ends_says_so_to_who_looks(run):

@@ -116,6 +116,10 @@ BAD = {
     "another signal": (b"time_s,speed_mps\n0,2\n", "must be time_s,reference_mps2"),
     "kilometres an hour": (b"t,v [km/h]\n0,2\n", "must be time_s,reference_mps2"),
     "the other way round": (b"reference_mps2,time_s\n1,0\n", "must be time_s,reference_mps2"),
+    "times of a clock": (
+        b"1763880000,1\n1763880001,2\n",
+        "begins at 1763880000 s, and the run ends",
+    ),
     "time stands still": (b"1,2\n1,3\n", "line 2: 1 s after 1 s: times must increase"),
     "beyond any frame": (
         b"1,2\n2,-1e300\n",
