@@ -62,13 +62,13 @@ def over_time(file: str, where: str, column: str, end_s: float) -> tuple[FloatAr
         time_s, value = numbers
         if found and not time_s > found[-1][0]:
             raise ScenarioError(
-                f"{where}: line {number}: {time_s:.9g} s after {found[-1][0]:.9g} s: "
+                f"{where}: line {number}: {time_s:.12g} s after {found[-1][0]:.12g} s: "
                 "times must increase from row to row"
             )
         found.append((time_s, value))
     if found[0][0] >= end_s:
         raise ScenarioError(
-            f"{where}: begins at {found[0][0]:.9g} s, and the run ends at {end_s:g} s: "
+            f"{where}: begins at {found[0][0]:.12g} s, and the run ends at {end_s:g} s: "
             "times must be those of the run, from 0 on"
         )
     times, values = np.array(found, dtype=np.float64).T
