@@ -13,9 +13,12 @@ from pathlib import Path
 from typing import Any, Final
 
 from can_rig.errors import ScenarioError
-from can_rig.scenario.tables.fault import NUMBER
+from can_rig.scenario.tables.fault import NUMBER, FaultSettings
 
 FAULT: Final = "fault"
+
+UNSET: Final = {key for key in NUMBER.values() if getattr(FaultSettings, key) is None}
+"""Keys of faults that nothing sets but whoever means them."""
 
 Changes = Mapping[str, Any]
 """Key → value; keys with dots, or tables within tables."""
@@ -134,7 +137,7 @@ def require_kinds(name: str, values: Mapping[str, Any]) -> None:
                 "'actuator-dead', 'frames-missing', 'sensor-biased', ..., or 'none'"
             )
         own = NUMBER.get(fault["kind"]) if isinstance(fault["kind"], str) else None
-        others = [key for key in fault if key in NUMBER.values() and key != own]
+        others = [key for key in fault if key in UNSET and key != own]
         if own is not None and own not in fault and others:
             raise ScenarioError(
                 f"scenario {name}: {where}.{others[0]} = {fault[others[0]]!r}: says nothing of "
