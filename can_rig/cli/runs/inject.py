@@ -57,8 +57,8 @@ class _WithNegatives(click.Command):
     "for_s",
     type=click.FloatRange(control.SHORTEST_S, control.LONGEST_S),
     metavar="S",
-    help=f"Seconds that a fault lasts, {control.SHORTEST_S:g} to {control.LONGEST_S:g}, to 0.1.  "
-    "[default: until it is cleared]",
+    help=f"Seconds that a fault lasts, {control.SHORTEST_S:g} to {control.LONGEST_S:g} in steps of "
+    "0.1.  [default: until it is cleared]",
 )
 @click.option("--value", type=float, help="The fault's one number, in the unit of what fails.")
 def command(what: str, how: str | None, bus: str, for_s: float | None, value: float | None) -> None:
@@ -66,9 +66,9 @@ def command(what: str, how: str | None, bus: str, for_s: float | None, value: fl
 
     WHAT is torque, force-difference or sensor, with HOW it fails: dead (--value: what is left),
     stuck, offset, drift, oscillating, rate-limited, late; a sensor is biased rather than offset.
-    Its frames fail too: frames-missing, -corrupted, -repeated, -late, -forged. Or it is clear [all
-    or one of them], reference MPS2 (added to it), pace TIMES-REAL-TIME, pause (pace goes on), step
-    TICKS.
+    The frames of each can fail too: missing, corrupted, repeated, late or forged, as in
+    frames-late. Or WHAT is clear [all or one of them], reference MPS2 (added to the scenario's),
+    pace TIMES-REAL-TIME (which ends a pause), pause, or step TICKS (of a paused run).
     """
     asked = _command(what, how, for_s, value)
     with open_bus(bus) as opened:

@@ -28,8 +28,8 @@ def command(
 ) -> None:
     """Watch SCENARIO while it runs, and touch it, in a browser on this machine.
 
-    Two addresses are printed, each with a token of this start: one for who may touch the run, one
-    for who may look only.
+    Two addresses are printed, each with a token of this start: one for whoever may touch the run,
+    one for whoever may only look.
     """
     for package in ("aiohttp", "tomli_w"):
         require(package, "panel")
