@@ -32,7 +32,7 @@ from can_rig.scenario.plant_settings import (
 )
 from can_rig.scenario.refusal import refusal
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.changes import FAULT, change, require_kinds
+from can_rig.scenario.tables.changes import FAULT, change, require_kinds, require_own_numbers
 from can_rig.scenario.tables.numbers import FACTORED, POLYNOMIAL
 
 FROM_BUS: Final = ("latency_ticks", "from-bus")
@@ -82,6 +82,7 @@ def read(name: str, settings: Iterable[str] = ()) -> Draft:
         ScenarioError: no such scenario, not TOML, an unknown key, a bad value.
     """
     file = written(name)
+    require_own_numbers(file.name, file.values.get(FAULT))
     file = replace(file, values=with_changes(file, settings))
     made = changed(file)
     require_kinds(file.name, file.values)

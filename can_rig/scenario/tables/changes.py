@@ -120,8 +120,8 @@ def value_in(values: Mapping[str, Any], key: str) -> Any:
 def require_kinds(name: str, values: Mapping[str, Any]) -> None:
     """Refuse keys in the scenario ``name`` that would do nothing, unsaid.
 
-    They are those of a fault without a kind, those of another kind in place of a fault's own, and a
-    reference's file without its kind. Not of a campaign, where an axis may say what is missing.
+    They are those of a fault without a kind, and a reference's file without its kind. Not of a
+    campaign, where an axis may say what is missing.
 
     Raises:
         ScenarioError: which key, and what would be right.
@@ -136,13 +136,6 @@ def require_kinds(name: str, values: Mapping[str, Any]) -> None:
                 f"scenario {name}: {where}.kind: must be set where {where}.{next(iter(fault))} is: "
                 "'actuator-dead', 'frames-missing', 'sensor-biased', ..., or 'none'"
             )
-        own = NUMBER.get(fault["kind"]) if isinstance(fault["kind"], str) else None
-        others = [key for key in fault if key in UNSET and key != own]
-        if own is not None and own not in fault and others:
-            raise ScenarioError(
-                f"scenario {name}: {where}.{others[0]} = {fault[others[0]]!r}: says nothing of "
-                f"{fault['kind']!r}; must be {where}.{own}"
-            )
     reference = values.get("reference")
     if isinstance(reference, Mapping) and "kind" not in reference:
         for key, kind in (("file", "csv"), ("lane_changes_s", "driver")):
@@ -150,3 +143,22 @@ def require_kinds(name: str, values: Mapping[str, Any]) -> None:
                 raise ScenarioError(
                     f"scenario {name}: reference.kind: must be {kind!r} where reference.{key} is"
                 )
+
+
+def require_own_numbers(name: str, faults: Any) -> None:
+    """Refuse the number of another kind in place of a fault's own, as the file ``name`` has it.
+
+    Raises:
+        ScenarioError: which key, and what would be right.
+    """
+    for number, fault in enumerate(faults if isinstance(faults, list) else [faults]):
+        kind = fault.get("kind") if isinstance(fault, Mapping) else None
+        own = NUMBER.get(kind) if isinstance(kind, str) else None
+        if own is None or own in fault:
+            continue
+        for key in UNSET & fault.keys():
+            where = f"{FAULT}.{number}" if isinstance(faults, list) else FAULT
+            raise ScenarioError(
+                f"scenario {name}: {where}.{key} = {fault[key]!r}: says nothing of "
+                f"{kind!r}; must be {where}.{own}"
+            )
