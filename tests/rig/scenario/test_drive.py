@@ -25,6 +25,12 @@ REFUSED = {
     (RAMP, "design.speeds_mps=[12, 10]"): "design.speeds_mps: 10 after 12: must increase",
     (RAMP, "plant.kind=can_rig.plant.nonlinear_car:NonlinearCar"): "must be steer-by-wire",
     ("reference.kind=driver",): "lane_changes_s: must have a time",
+    ("reference={lane_changes_s=[1.0]}",): "reference.kind: must be 'driver' where reference.lane_",
+    (
+        "reference={kind='driver', lane_changes_s=[1.0], amplitude_mps2=-1}",
+    ): "reference.amplitude_mps2 = -1: must be greater than 0",
+    ("drive.ramps=[[0, 5], [1]]",): "drive.ramps.1 = [1]: must have one more value",
+    ("fault=3",): "fault = 3: must be a table, or several",
 }
 
 

@@ -246,10 +246,6 @@ BAD = [
     ("tick_s.x=5", "tick_s"), ("plant.mass_kg.x=5", "mass_kg"), ("name=other", "name: unknown key"),
     ("seed=2024-01-01", "seed"), ("fault.for_s=none", "fault.for_s"),
     ("fault={at_s=5.0}", "fault.kind: must be set where fault.at_s is"),
-    ("reference={lane_changes_s=[1.0]}", "reference.kind: must be 'driver' where reference.lane_"),
-    ("reference={kind='driver', lane_changes_s=[1.0], amplitude_mps2=-1}", "must be greater than"),
-    ("fault=3", "fault = 3: must be a table, or several"),
-    ("drive.ramps=[[0, 5], [1]]", "drive.ramps.1 = [1]: must have one more value"),
     ("fault=[{kind='none'}, {left=0.5}]", "fault.1.kind: must be set where fault.1.left is"),
     ("fault={knid='actuator-dead'}", "fault.knid: unknown key; did you mean kind?"),
 ]  # fmt: skip
