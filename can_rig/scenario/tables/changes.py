@@ -156,7 +156,7 @@ def require_own_numbers(name: str, faults: Any) -> None:
         own = NUMBER.get(kind) if isinstance(kind, str) else None
         if own is None or own in fault:
             continue
-        for key in UNSET & fault.keys():
+        for key in sorted(UNSET & fault.keys()):
             where = f"{FAULT}.{number}" if isinstance(faults, list) else FAULT
             raise ScenarioError(
                 f"scenario {name}: {where}.{key} = {fault[key]!r}: says nothing of "
