@@ -29,7 +29,7 @@ from firmware_model.errors import DesignError
 from firmware_model.target.fault_decision.covariance import MAX_DIRECTIONS
 from firmware_model.target.structs import FloatArray, Record
 
-MOST_PLANTS, MOST_TABLES = 16, 16  # that are remembered
+MOST_PLANTS, MOST_TABLES = 64, 16  # that are remembered; a box has 40 cars
 _TABLES: Final[dict[str, Record]] = {}
 """The last ones that were computed, by everything that they follow from."""
 

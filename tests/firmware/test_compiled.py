@@ -32,13 +32,18 @@ def test_another_state_of_the_package_has_another_folder(
     caller = ModuleType("caller")
     caller.__file__ = str(tmp_path / "caller" / "__init__.py")
     monkeypatch.setitem(sys.modules, "caller", caller)
-    found = [compiled._cache_folder("caller")]
-    assert compiled._cache_folder("caller") == found[0]
+
+    def folder_in_another_process() -> str:
+        compiled._state.cache_clear()
+        return compiled._cache_folder("caller")
+
+    found = [folder_in_another_process()]
+    assert folder_in_another_process() == found[0]
     for package in ("here", "caller"):
         (tmp_path / package / "a.py").write_text("2")
-        found.append(compiled._cache_folder("caller"))
+        found.append(folder_in_another_process())
         os.utime(tmp_path / package / "a.py", ns=(0, 0))
-        assert compiled._cache_folder("caller") == found[-1]
+        assert folder_in_another_process() == found[-1]
     assert len(set(found)) == 3
 
 
