@@ -15,6 +15,8 @@ from can_rig.plant.frameless import frameless
 from can_rig.scenario.box import CAR as UNCERTAIN
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
+from firmware_model.design import plants
+from firmware_model.design.vehicle import Variant, VehicleParameters
 from firmware_model.target.status import FaultState
 
 SWINGING = ("limits.torque_rate_nm_per_s=5000", "plant.sensor.noise_mps2=0.005")
@@ -124,3 +126,17 @@ def test_every_car_of_the_box_is_driven_and_said_to_be() -> None:
     found = box_findings(Drives(with_other_car(), network))
     assert found
     assert all(finding.car.startswith("mass_kg") for finding in found)
+
+
+def test_every_car_of_the_box_is_made_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario, made, make = load("default", ("plant.mass_kg=1590",)), [], plants.steer_by_wire
+
+    def counted(parameters: VehicleParameters, variant: Variant) -> plants.Plant:
+        made.append(parameters)
+        return make(parameters, variant)
+
+    monkeypatch.setattr(plants, "steer_by_wire", counted)
+    box_findings(Drives(scenario, network_of(scenario)))
+    cars = [car for _, car in box_cars(scenario)]
+    assert len(cars) == 40
+    assert [made.count(car) for car in cars] == [1] * len(cars)
