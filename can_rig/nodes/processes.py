@@ -6,7 +6,6 @@ process has. Nothing here runs a thread when it forks, so no lock is copied in t
 
 from __future__ import annotations
 
-import gc
 import math
 import multiprocessing
 import os
@@ -14,8 +13,8 @@ import signal
 import sys
 import time
 import warnings
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager, nullcontext, suppress
+from collections.abc import Callable
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass, field
 from functools import partial
 from multiprocessing.connection import Connection, wait
@@ -28,7 +27,7 @@ from can_rig.export.running.controllers import PYTHON, Controller
 from can_rig.nodes.lockstep.one_core import one_core
 from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.progress import OnTick, Progress, Throttled, no_progress
-from can_rig.nodes.runner import NodeName, run_controller, run_plant
+from can_rig.nodes.runner import NodeName, run_controller, run_plant, without_garbage_pauses
 from can_rig.nodes.summary import NodeSummary
 from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Timeouts
 from can_rig.scenario.settings import Scenario
@@ -169,7 +168,8 @@ def run_processes(
     """
     processes: list[NodeProcess] = []
     try:
-        with nullcontext() if real_time else one_core(), _frozen_garbage():
+        # Nor is any garbage looked for in a forked process among what it shares with this one.
+        with nullcontext() if real_time else one_core(), without_garbage_pauses():
             controller_node = partial(_controller, scenario, bus, real_time, timeouts, controller)
             first = NodeProcess.fork("controller", controller_node, processes)
             processes.append(first)  # first: a plant that waits repeats its offer on the bus
@@ -272,13 +272,3 @@ def _conclude(processes: list[NodeProcess]) -> NodeSummary:
             scheduling = before["scheduling"] | one.realtime["scheduling"]
             total.realtime = {**before, **one.realtime, "scheduling": scheduling}
     return total
-
-
-@contextmanager
-def _frozen_garbage() -> Iterator[None]:
-    """Keep the collector of a forked process away from what it shares with this one."""
-    gc.freeze()
-    try:
-        yield
-    finally:
-        gc.unfreeze()

@@ -270,9 +270,15 @@ def _run(
 
 @contextmanager
 def without_garbage_pauses() -> Iterator[None]:
-    """Keep the collector away from what was set up before the loop."""
+    """Keep the collector away from what was set up before the loop.
+
+    It stays so where a command has frozen what it imported, which takes as long to search as to
+    import: all that is frozen can only be given back together.
+    """
+    before = gc.get_freeze_count()
     gc.freeze()
     try:
         yield
     finally:
-        gc.unfreeze()
+        if before == 0:
+            gc.unfreeze()

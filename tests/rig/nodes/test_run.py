@@ -1,10 +1,12 @@
 """A whole run of two processes: the same bytes as one, and the folder that it leaves."""
 
+import gc
 import subprocess
 import sys
 
 import pytest
 
+from can_rig.nodes.runner import without_garbage_pauses
 from tests.helpers import DBC, record, rig, start
 from tests.rig.nodes.running import FILES, folder_is_complete, one_line, whole_ticks
 
@@ -99,3 +101,14 @@ def test_two_runs_at_once_do_not_meet(tmp_path):
         assert process.returncode == 0
     logs = {(tmp_path / name / "bus.log").read_bytes() for name in ("a", "b")}
     assert logs == {record(tmp_path, "duration_s=0.2")[0].read_bytes()}
+
+
+@pytest.mark.parametrize("was_frozen", [False, True])
+def test_what_a_command_keeps_the_collector_away_from_stays_so_after_a_run(was_frozen):
+    (gc.freeze if was_frozen else gc.unfreeze)()
+    try:
+        with without_garbage_pauses():
+            assert gc.get_freeze_count() > 0
+        assert (gc.get_freeze_count() > 0) == was_frozen
+    finally:
+        gc.freeze()  # as the tests had it
