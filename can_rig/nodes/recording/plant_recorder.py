@@ -50,9 +50,10 @@ class PlantRecorder:
 
     def _write(self, names: tuple[str, ...], rows: Sequence[tuple[float, ...]]) -> None:
         """Rows of a tick and its signals, in as few digits as tell each value from all others."""
-        text = orjson.dumps(rows)[2:-2].replace(b"],[", b"\n")
+        # A plant that runs interpreted has numbers of NumPy's, which are floats to all but orjson.
+        text = orjson.dumps(rows, default=float)[2:-2].replace(b"],[", b"\n")
         if b"null" in text:  # JSON has no inf and no nan
-            text = "\n".join(",".join(map(repr, row)) for row in rows).encode()
+            text = "\n".join(",".join(map(str, row)) for row in rows).encode()
         try:
             if not self._names:
                 self._names = names
