@@ -36,6 +36,7 @@ CASES = [
     ["fault.kind=actuator-dead", "fault.left=0.5", *LAG, "plant.torque_actuator.lag_s=0"],
     ["plant.kind=tests.rig.plant.linear:LinearPlant", "fault.kind=actuator-dead", *LAG],
     ["tick_s=0.0007"],
+    ["drive.ramps=[[0.0, 27.0], [0.035, 27.2]]", "design.speeds_mps=[27, 28]"],
 ]
 
 
