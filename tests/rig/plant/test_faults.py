@@ -8,10 +8,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
-from can_rig.plant.faults.plant_faults import FaultsByTick, PlantFaults
+from can_rig.plant.faults.plant_faults import HEALTHY_NOW, FaultsByTick, PlantFaults
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import continuous_plant
+from can_rig.scenario.tables.fault import MAX_LATE_TICKS
 from can_rig.thesis.continuous import solve
+from firmware_model.analysis.hardware import HEALTHY
 
 CHANNELS = ["torque", "force-difference"]
 SHORT = ["duration_s=1", "fault.at_s=0.005", "fault.for_s=0.003"]  # ticks 5, 6, 7
@@ -200,3 +202,49 @@ def test_what_a_sensor_makes_of_the_car(settings, expected):
 def test_a_fault_of_the_sensor_loses_no_channel(kind):
     scenario = load("thesis-step", [f"fault.kind={kind}", "fault.channel=sensor"])
     assert not any(fault.loses_a_channel for fault in scenario.faults)
+
+
+def by_tick(*settings, **changing):
+    return FaultsByTick(load("thesis-step", [*SHORT, *settings]), **changing)
+
+
+def test_ticks_may_be_asked_for_in_any_order():
+    faults = by_tick("fault.kind=actuator-dead")
+    for tick in (4, 5, 9, 6, 2000, 7, 8):
+        assert faults.at(tick).left == ((0.0, 1.0) if tick in WINDOW else (1.0, 1.0))
+        assert faults.at(tick).rows is None
+
+
+def test_nothing_is_worked_out_where_nothing_can_fail():
+    assert by_tick("fault.kind=none").at(6) is HEALTHY_NOW
+
+
+def test_faults_that_change_do_so_from_the_next_tick_on():
+    """Rows are there from the start: what is late later on needs the commands from before."""
+    faults = by_tick("fault.kind=none", changing=True)
+    now = faults.at(5)
+    assert (now.left, now.bias) == ((1.0, 1.0), 0.0)
+    np.testing.assert_array_equal(now.rows, np.tile(HEALTHY, (3, 1)))
+    assert faults.latest_ticks == MAX_LATE_TICKS
+    for kind in ("actuator-dead", "actuator-stuck"):
+        scenario = load("thesis-step", [*SHORT, f"fault.kind={kind}"])
+        faults.change(scenario)
+        assert faults.at(6).left == tuple(PlantFaults(scenario).left(range(6, 7))[0])
+    assert not np.array_equal(faults.at(6).rows, now.rows, equal_nan=True)
+
+
+def test_what_an_actuator_adds_is_no_bias_of_d():
+    scenario = load("thesis-step", [*SHORT, "fault.kind=actuator-offset", "fault.offset=3"])
+    assert not PlantFaults(scenario).bias(TICKS).any()
+
+
+@pytest.mark.parametrize(
+    "settings",
+    [
+        ["kind=actuator-offset", "offset=0"],
+        ["kind=actuator-drift", "drift_per_s=0"],
+        ["kind=actuator-oscillating", "amplitude=0"],
+    ],
+)
+def test_to_add_zero_changes_nothing(settings):
+    assert applied(*(f"fault.{each}" for each in settings), commands=RAMP) == RAMP
