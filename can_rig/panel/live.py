@@ -6,6 +6,7 @@ import math
 import time
 from bisect import bisect_right
 from collections import Counter, deque
+from collections.abc import Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
@@ -18,8 +19,10 @@ from can_rig.errors import one_line
 from can_rig.frames.beside import control
 from can_rig.frames.endpoints import Receiver
 from can_rig.frames.network import Network
+from can_rig.logs.columns import EVIDENCE
 from can_rig.panel.decimation import BUCKET_S, Decimator
 from can_rig.plant.faults.injection import injected
+from can_rig.results.isolation.verdicts import Reasoning
 from can_rig.results.isolation.words import in_words
 from can_rig.results.signals import SignalRows
 from can_rig.scenario.settings import Scenario
@@ -28,9 +31,14 @@ from firmware_model.target.structs import FloatArray
 
 COLUMNS: Final = (
     "time", "reference", "output", "command_1", "command_2", "estimate", "mode", "fault_state",
-    "verdict", "applied_1", "applied_2",
+    "verdict", "applied_1", "applied_2", *EVIDENCE,
 )  # fmt: skip
 """Of a row, in the order in which the page gets them."""
+
+FLOAT_FRAME: Final = 1e-3
+"""What a frame with a float of 16 bits may round off, of the value."""
+
+UNKNOWN: Final = (math.nan,) * len(EVIDENCE)
 
 HOLD: Final = 6
 """Updates, some 0.2 s, that a frame waits for earlier ones of the other node."""
@@ -126,10 +134,18 @@ class LiveSignals:
     Args:
         scenario: what runs there.
         network: its frames.
+
+    Raises:
+        ScenarioError: a design that cannot be made.
     """
 
     def __init__(self, scenario: Scenario, network: Network) -> None:
         self._scenario = scenario
+        self._reasoning: Reasoning | None = Reasoning(scenario, network)
+        self.confirm: Final = self._reasoning.confirm
+        """The evidence that confirms a loss."""
+        self._lsbs = network.command_1.lsb, network.command_2.lsb
+        self._next_tick = 0
         self._status = network.status
         names, says = names_of(scenario.plant), bool(network.status.verdicts)
         self._verdicts = {int(v): in_words(v, names) for v in Verdict if says}
@@ -165,10 +181,7 @@ class LiveSignals:
             self._take(message, now_s)
         first = self._rows.first_tick
         rows = np.array(
-            [
-                (tick * self._scenario.tick_s, *row, *self._applied_in(tick))
-                for tick, row in enumerate(self._rows.take_complete(), first)
-            ]
+            [self._row(tick, *row) for tick, row in enumerate(self._rows.take_complete(), first)]
         ).reshape(-1, len(COLUMNS))
         self._note(rows, bits, now_s)
         return self._decimator.take(rows)
@@ -206,6 +219,30 @@ class LiveSignals:
 
     def _applied_in(self, tick: int) -> tuple[float, float]:
         return self._applied.pop(tick, (np.nan, np.nan))
+
+    def _row(self, tick: int, *heard: float) -> tuple[float, ...]:
+        evidence = self._evidence(tick, *heard[:4])
+        return (tick * self._scenario.tick_s, *heard, *self._applied_in(tick), *evidence)
+
+    def _evidence(
+        self, tick: int, reference: float, measured: float, *sent: float
+    ) -> Sequence[float]:
+        """Of each hypothesis, by a control law of our own that is given what has been heard.
+
+        As long as that is what the controller gets: from the first tick of a run on, and with the
+        same commands.
+        """
+        if self._reasoning is None or tick != self._next_tick:
+            self._reasoning = None
+            return UNKNOWN
+        self._next_tick += 1
+        _, evidence = self._reasoning.take(tick, reference, measured)
+        for own, its, lsb in zip(self._reasoning.commands, sent, self._lsbs, strict=True):
+            if abs(own - its) > max(0.5 * lsb, FLOAT_FRAME * abs(own)):
+                self._reasoning = None
+                break
+        said: list[float] = evidence.tolist()
+        return said
 
     def _length(self, message: can.Message) -> int:
         """Bits of a frame at worst, until the next can start."""

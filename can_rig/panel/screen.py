@@ -13,9 +13,11 @@ import numpy as np
 
 from can_rig.drawing.names import names_of
 from can_rig.frames.beside import control
+from can_rig.logs.columns import EVIDENCE
 from can_rig.panel.live import COLUMNS
 from can_rig.panel.session import Session
 from can_rig.panel.viewers import Viewer, Viewers
+from can_rig.results.isolation.words import in_words
 from firmware_model.target.structs import FloatArray
 
 LAMPS_EVERY: Final = 6
@@ -94,6 +96,11 @@ class Screen:
                     "kinds": control.kinds(),
                     "places": control.places(),
                     "signals": [{"name": each.name, "unit": each.unit} for each in names],
+                    "hypotheses": [
+                        [column, in_words(verdict, names)]
+                        for verdict, column in enumerate(EVIDENCE, 1)
+                    ],
+                    "confirm": session.live.confirm,
                     "events": self.events,
                 },
                 **({} if may_touch is None else {"may_touch": may_touch}),

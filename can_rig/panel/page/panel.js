@@ -2,7 +2,8 @@
 "use strict";
 
 const WINDOW_S = 20, KEPT_S = 180;
-const COLOURS = { ink: "#6b675f", blue: "#2a78b8", orange: "#cf5a22", green: "#3a9560", pale: "#e3b49c" };
+const COLOURS = { ink: "#6b675f", blue: "#2a78b8", orange: "#cf5a22", green: "#3a9560", pale: "#e3b49c", violet: "#7a5bb0", gold: "#b58a1b", pink: "#c2508c", grey: "#9a958c" };
+const HYPOTHESES = ["orange", "gold", "violet", "blue", "green", "pink", "grey"];
 const $ = (id) => document.getElementById(id);
 
 let hello = null, mayTouch = false, lamps = {}, rows = [], charts = [], stale = false;
@@ -15,13 +16,21 @@ const PANELS = [
   { of: 1, title: (s) => s.name, curves: [["command_1", "pale", null, "commanded"], ["applied_1", "orange", null, "applied"]] },
   { of: 2, title: (s) => s.name, curves: [["command_2", "pale", null, "commanded"], ["applied_2", "orange", null, "applied"]] },
   { of: 0, title: () => "fault estimate", curves: [["estimate", "green"]] },
+  { title: () => "evidence of each fault (log-likelihood ratio)", curves: null, height: 170,
+    y: { distr: 4, asinh: 10 }, splits: [-1e3, -100, -10, 0, 10, 100, 1e3, 1e4, 1e6, 1e8, 1e10, 1e12] },
 ];
+
+function evidenceCurves() {
+  const each = hello.hypotheses.map(([name, words], i) => [name, HYPOTHESES[i], null, words]);
+  return [...each, ["confirm", "ink", [5, 4], "confirms a loss"]];
+}
 
 function column(name) {
   if (name === "error") {
     const r = column("reference"), y = column("output");
     return r.map((v, i) => (v === null || y[i] === null ? null : v - y[i]));
   }
+  if (name === "confirm") return rows[0].map(() => hello.confirm);
   return rows[hello.columns.indexOf(name)];
 }
 
@@ -45,18 +54,24 @@ function stateShade(u) { // where the decision suspects or has confirmed a loss
   ctx.restore();
 }
 
-function size() { return { width: $("charts").clientWidth, height: Math.max(110, (window.innerHeight - 90) / PANELS.length - 46) }; }
+function shownSplits(splits) { // of a scale that is none of uPlot's own
+  if (!splits) return {};
+  return { splits: (u, axis, least, most) => splits.filter((v) => v >= least && v <= most), values: (u, ticks) => ticks.map((v) => (Math.abs(v) < 1e4 ? v : v.toExponential(0))), filter: (u, ticks) => ticks };
+}
+
+function size(panel) { return { width: $("charts").clientWidth, height: panel.height || Math.max(90, (window.innerHeight - 330) / (PANELS.length - 1) - 40) }; }
 
 function makeCharts() {
   for (const { plot } of charts) plot.destroy();
   const ink = getComputedStyle(document.body).color, grid = { stroke: "#88888833", width: 1 };
   charts = PANELS.map((panel) => {
-    const signal = hello.signals[panel.of], unit = signal.unit ? ` in ${signal.unit}` : "";
+    const signal = hello.signals[panel.of], unit = signal && signal.unit ? ` in ${signal.unit}` : "";
     const last = panel === PANELS[PANELS.length - 1];
+    if (last) panel.curves = evidenceCurves();
     const plot = new uPlot({
-      ...size(), title: panel.title(signal) + unit, cursor: { sync: { key: "time" }, drag: { x: true, y: false } },
-      legend: { show: panel.curves.length > 1 }, scales: { x: { time: false } }, hooks: { drawClear: [stateShade] },
-      axes: [{ stroke: ink, grid, label: last ? "time in s" : undefined, labelSize: 18, size: last ? 30 : 8, values: last ? undefined : (u, ticks) => ticks.map(() => "") }, { stroke: ink, grid, size: 64, space: 22 }],
+      ...size(panel), title: panel.title(signal) + unit, cursor: { sync: { key: "time" }, drag: { x: true, y: false } },
+      legend: { show: panel.curves.length > 1, live: !panel.y }, scales: { x: { time: false }, y: panel.y || {} }, hooks: { drawClear: [stateShade] },
+      axes: [{ stroke: ink, grid, label: last ? "time in s" : undefined, labelSize: 18, size: last ? 30 : 8, values: last ? undefined : (u, ticks) => ticks.map(() => "") }, { stroke: ink, grid, size: 64, space: 22, ...shownSplits(panel.splits) }],
       series: [{ label: "t" }, ...panel.curves.map(([name, colour, dash, label]) => ({
         label: label || (name === "output" ? signal.name : name), stroke: COLOURS[colour],
         width: name.startsWith("command") ? 2.5 : 1.4, dash: dash || undefined, spanGaps: false, points: { show: false } }))],
@@ -166,7 +181,7 @@ function wire() {
   $("inject").onclick = () => inject($("kind").value, $("place").value, number("value"));
   $("clear").onclick = () => order("clear", { place: "all" });
   $("save").onclick = () => order("save", { name: $("save-name").value || "my-scenario" });
-  window.onresize = () => charts.forEach(({ plot }) => plot.setSize(size()));
+  window.onresize = () => charts.forEach(({ panel, plot }) => plot.setSize(size(panel)));
   $("charts").ondblclick = () => { zoomed = false; stale = true; };
   $("charts").addEventListener("mouseup", () => setTimeout(() => { // a drag zooms until a double click
     zoomed = charts.some(({ plot }) => plot.select.width > 0) || zoomed; }), 0);

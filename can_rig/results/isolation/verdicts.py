@@ -26,6 +26,41 @@ DECIMALS: Final = 3  # of the evidence, a natural logarithm
 CERTAIN: Final = 1e12  # the most that is said of it; without noise, and at rest, it has no bound
 
 
+class Reasoning:
+    """The control law on what a run's controller got, tick by tick.
+
+    Args:
+        scenario: the run.
+        network: its frames.
+
+    Raises:
+        ScenarioError: a design that cannot be made.
+    """
+
+    def __init__(self, scenario: Scenario, network: Network) -> None:
+        of = controls(scenario, network)
+        self._firmware = Firmware(of.table, speeds=of.schedule)
+        self._hypotheses = self._firmware.hypotheses
+        self._speeds = _speeds(scenario, network)
+        self.confirm: Final = float(of.table.decision.confirm)
+        """The evidence that confirms a loss."""
+
+    def take(self, tick: int, reference: float, measured: float) -> tuple[int, FloatArray]:
+        """The verdict of this tick, and the evidence of each hypothesis, as ``EVIDENCE`` has them.
+
+        In a tick without inputs the law waits, and so do they.
+        """
+        if self._speeds is not None:
+            self._firmware.change_speed(self._speeds[min(tick, len(self._speeds) - 1)])
+        self._firmware.step(reference, measured)
+        return int(self._hypotheses["verdict"]), self._hypotheses["evidence"][1:]
+
+    @property
+    def commands(self) -> tuple[float, float]:
+        """Those of this tick."""
+        return self._firmware.commands
+
+
 def with_verdict(scenario: Scenario, network: Network, signals: Signals) -> Signals:
     """``signals`` with the verdict of each tick and the evidence of each hypothesis.
 
@@ -35,18 +70,12 @@ def with_verdict(scenario: Scenario, network: Network, signals: Signals) -> Sign
     Raises:
         ScenarioError: a design that cannot be made.
     """
-    of = controls(scenario, network)
-    firmware = Firmware(of.table, speeds=of.schedule)
-    speeds = _speeds(scenario, network, signals)
+    reasoning = Reasoning(scenario, network)
     verdicts, evidence = np.zeros(len(signals)), np.zeros((len(signals), len(EVIDENCE)))
-    hypotheses = firmware.hypotheses
-    inputs = zip(signals.reference_mps2.tolist(), signals.dstar_mps2.tolist(), strict=True)
-    for row, (reference, measured) in enumerate(inputs):
-        if speeds is not None:
-            firmware.change_speed(speeds[row])
-        firmware.step(reference, measured)
-        verdicts[row] = hypotheses["verdict"]
-        evidence[row] = hypotheses["evidence"][1:]
+    ticks = np.rint(signals.time_s / scenario.tick_s).astype(np.int64).tolist()
+    inputs = zip(ticks, signals.reference_mps2.tolist(), signals.dstar_mps2.tolist(), strict=True)
+    for row, (tick, reference, measured) in enumerate(inputs):
+        verdicts[row], evidence[row] = reasoning.take(tick, reference, measured)
     said = np.clip(np.nan_to_num(evidence, nan=0.0), -CERTAIN, CERTAIN)
     columns = dict(zip(EVIDENCE, np.round(said, DECIMALS).T + 0.0, strict=True))
     if signals.verdict is not None:
@@ -54,11 +83,9 @@ def with_verdict(scenario: Scenario, network: Network, signals: Signals) -> Sign
     return replace(signals, whose_fault={VERDICT: verdicts, **columns})
 
 
-def _speeds(scenario: Scenario, network: Network, signals: Signals) -> list[float] | None:
-    """What the controller hears of the speed in each row, where it changes."""
+def _speeds(scenario: Scenario, network: Network) -> list[float] | None:
+    """What the controller hears of the speed in each tick, where it changes."""
     if network.speed is None:
         return None
-    heard: FloatArray = quantised(network.speed, speeds_at_ticks(scenario))
-    ticks = np.rint(signals.time_s / scenario.tick_s).astype(np.int64)
-    speeds: list[float] = heard[np.minimum(ticks, len(heard) - 1)].tolist()
-    return speeds
+    heard: list[float] = quantised(network.speed, speeds_at_ticks(scenario)).tolist()
+    return heard

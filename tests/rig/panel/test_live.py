@@ -3,11 +3,18 @@
 from __future__ import annotations
 
 import can
+import numpy as np
 import pytest
 
 from can_rig.frames.beside import control
-from can_rig.panel.live import ENDS, HOLD, Frames, LiveSignals
+from can_rig.logs.columns import EVIDENCE
+from can_rig.panel.decimation import Decimator
+from can_rig.panel.live import COLUMNS, ENDS, HOLD, Frames, LiveSignals
+from can_rig.results.isolation.verdicts import with_verdict
+from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
+from can_rig.scenario.settings import Scenario
+from firmware_model.target.structs import FloatArray
 from tests.helpers import load, record
 
 
@@ -78,3 +85,45 @@ def test_the_number_of_the_next_command_does_not_wait():
     live.update()
     assert live.state == state
     assert live.lamps.injectable
+
+
+def _shown(scenario: Scenario, sent: list[can.Message]) -> dict[str, FloatArray]:
+    """What the page gets of these frames, by column, a row a tick."""
+    live = LiveSignals(scenario, network_of(scenario))
+    live._decimator = Decimator(1, len(COLUMNS))
+    for frame in sent:
+        live.frames.on_message_received(frame)
+    rows = np.concatenate([live.update() for _ in range(HOLD + 1)])
+    return dict(zip(COLUMNS, rows.T, strict=True))
+
+
+def test_the_evidence_is_that_of_the_run(tmp_path):
+    """As ``signals.csv`` has it afterwards, to its last digit."""
+    log, _, scenario = record(tmp_path, "duration_s=0.5", "fault.at_s=0.3", name="default")
+    network = network_of(scenario)
+    wanted = with_verdict(scenario, network, read_signals(log, network, scenario.tick_s))
+    shown = _shown(scenario, list(can.LogReader(log)))
+    assert shown["evidence_torque_lost"].max() > 30.0
+    for name in EVIDENCE:
+        rows = len(shown[name])
+        assert rows >= 498
+        np.testing.assert_allclose(shown[name], wanted.whose_fault[name][:rows], atol=6e-4)
+
+
+@pytest.mark.parametrize("heard", ["from the middle on", "with other commands"])
+def test_evidence_of_what_was_not_heard_is_unknown(heard, tmp_path):
+    log, _, scenario = record(tmp_path, "duration_s=0.1", name="default")
+    other, _, _ = record(tmp_path, "duration_s=0.1", "seed=5", name="default")
+    sent = list(can.LogReader(log))
+    torque = network_of(scenario).command_1.frame_id
+    if heard == "with other commands":
+        others = [each for each in can.LogReader(other) if each.arbitration_id == torque]
+        sent = [
+            others[i // 5] if frame.arbitration_id == torque else frame
+            for i, frame in enumerate(sent)
+        ]
+    else:
+        sent = sent[len(sent) // 2 :]
+    shown = _shown(scenario, sent)["evidence_torque_lost"]
+    assert np.isnan(shown[10:]).all()
+    assert len(shown) > 40

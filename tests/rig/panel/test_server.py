@@ -16,7 +16,6 @@ from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
 from can_rig.errors import RigError
 from can_rig.panel.access import Access
-from can_rig.panel.live import COLUMNS
 from can_rig.panel.orders import obey
 from can_rig.panel.saving import save
 from can_rig.panel.screen import Screen, batch
@@ -190,7 +189,6 @@ def test_a_batch_is_counts_and_columns():
     data = batch(rows)
     assert np.frombuffer(data, "<u4", 2).tolist() == [2, 3]
     assert np.frombuffer(data, "<f8", offset=8).reshape(3, 2).T.tolist() == rows.tolist()
-    assert len(COLUMNS) == 11
 
 
 def test_a_second_start_shows_from_tick_0(tmp_path, monkeypatch):
