@@ -130,6 +130,7 @@ def test_where_nothing_is_known_the_size_is_none() -> None:
     assert likeliest(-3.0, 1.0, limits) == limits.least == 0.5
 
 
+@pytest.mark.every_case
 @pytest.mark.parametrize(
     ("age", "evidence", "foretold", "failed"),
     [
