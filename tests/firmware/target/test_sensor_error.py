@@ -104,6 +104,7 @@ def test_what_follows_is_what_would_have_been_without_the_error(name: str, lags:
     assert np.abs(np.array(rows[:FOUND]) - without[:FOUND]).max() > 0.1
 
 
+@pytest.mark.every_case
 @pytest.mark.parametrize(
     ("sizes", "gone"),
     [
@@ -112,6 +113,8 @@ def test_what_follows_is_what_would_have_been_without_the_error(name: str, lags:
         ([0.1, -0.06], True),
         ([0.1, 0.1, -0.1], False),
         ([0.1, -0.21], False),  # as large on the other side
+        ([-0.1, 0.04], False),
+        ([-0.1, 0.06], True),
     ],
 )
 def test_an_error_is_gone_where_less_than_half_is_left(sizes: list[float], gone: bool) -> None:
@@ -125,9 +128,10 @@ def test_an_error_is_gone_where_less_than_half_is_left(sizes: list[float], gone:
     assert state.hypotheses.sensor_error.offset == pytest.approx(0.0 if gone else sum(sizes))
 
 
-def test_where_a_probe_asks_the_motor_nothing_is_taken_out() -> None:
+@pytest.mark.parametrize("ticks", [1, 100])
+def test_where_a_probe_asks_the_motor_nothing_is_taken_out(ticks: int) -> None:
     table = table_of()
-    table.probe.ticks = 100
+    table.probe.ticks = ticks
     state = controller.init(table)[0]
     biased = state.hypotheses.signatures.sensor_biased
     biased.candidate["size_now"] = 0.1

@@ -92,6 +92,33 @@ def test_what_has_been_found_stands_where_nothing_else_is_found(before: str, sta
     assert after.name == (before if stands else "NOTHING")
 
 
+def test_what_has_been_found_stands_where_it_cannot_be_told_what_there_is_now() -> None:
+    after = judged(state_of(Verdict.TORQUE_OFFSET), offset=26.0, biased=13.0)
+    assert after == Verdict.TORQUE_OFFSET
+
+
+def test_a_number_that_is_repeated_keeps_no_other_verdict() -> None:
+    state = state_of(Verdict.CANNOT_BE_TOLD)
+    state.hypotheses.frozen.repetitions = 1.0
+    assert judged(state) == Verdict.NOTHING
+
+
+def test_a_fault_is_found_in_one_tick_and_stands_in_the_next() -> None:
+    state = state_of()
+    for evidence, found in (({"offset": 30.0}, OFFSET), ({}, Verdict.NOTHING)):
+        assert judged(state, **evidence) == Verdict.TORQUE_OFFSET
+        assert state.hypotheses.found == found
+
+
+def test_what_comes_after_the_end_of_a_fault_is_another_whatever_its_sign() -> None:
+    """Of an offset that has ended no size is kept, which the next could be the end of."""
+    state, verdicts = state_of(), []
+    for size in (20.0, -20.0, 20.0):
+        state.hypotheses.signatures.torque_offset.candidate.size_now = size
+        verdicts.append(judged(state, offset=30.0))
+    assert verdicts == [Verdict.TORQUE_OFFSET, Verdict.NOTHING, Verdict.TORQUE_OFFSET]
+
+
 def test_a_sensor_is_frozen_as_long_as_it_repeats_itself() -> None:
     state = state_of(Verdict.SENSOR_FROZEN)
     state.hypotheses.frozen.repetitions = 1.0
@@ -151,6 +178,13 @@ def test_a_bias_begins_with_a_jump(jump: float, verdict: str) -> None:
     state.hypotheses.evidence[BIASED] = 90.0
     judge(TABLES[0], state)
     assert Verdict(state.hypotheses.verdict).name == verdict
+
+
+def test_of_another_fault_no_jump_is_asked() -> None:
+    state = state_of()
+    state.hypotheses.evidence[OFFSET] = 90.0
+    judge(TABLES[0], state)
+    assert state.hypotheses.verdict == Verdict.TORQUE_OFFSET
 
 
 @pytest.mark.parametrize(
@@ -217,8 +251,12 @@ def test_before_that_it_is_that_of_the_share_which_explains_most(
     assert torque_evidence(TABLES[0], state) == pytest.approx(evidence)
 
 
-def test_another_car_is_told_by_the_direction_in_which_it_differs_most_clearly() -> None:
+@pytest.mark.parametrize("clearly", [1.0, 0.01])
+def test_another_car_is_told_by_the_direction_in_which_it_differs_most_clearly(
+    clearly: float,
+) -> None:
     state = with_learnt_car(TABLES, lost=False)
+    state.mismatch.theta[:] *= clearly
     cars = slice(2, 2 + int(TABLES[0].other_cars.n))
     variances = np.diag(covariance_of(state.mismatch))[cars]
     expected = max(0.5 * np.asarray(state.mismatch.theta)[cars] ** 2 / variances)
