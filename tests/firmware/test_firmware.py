@@ -9,6 +9,7 @@ from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
+from firmware_model.target.fault_decision.covariance import LOSS_STATES
 from firmware_model.target.filters.biquad import advance, at_rest
 from firmware_model.target.status import FaultState, Verdict
 from tests.firmware.target.cases import other_cars
@@ -73,7 +74,10 @@ def test_a_motion_that_is_known_is_no_fault(precision, rounding):
 def test_a_motion_that_is_known_roughly_is_no_fault_within_that():
     """Off by 0.01, which a sensor biased in that very tick would be too."""
     told, untold = (Firmware(table(1, mismatch=other_cars(2))) for _ in range(2))
+    before = told._states[0].mismatch.covariance.variances.copy()
     told.move(at_rest().accumulators, 0.02**2)
+    before[LOSS_STATES + 2] = 0.02**2  # of the remainder, behind two directions
+    assert (told._states[0].mismatch.covariance.variances == before).all()
     for _ in range(20):
         answers = [each.step(0.0, 0.01) for each in (told, untold)]
     assert [answer.verdict for answer in answers] == [Verdict.NOTHING, Verdict.SENSOR_BIASED]

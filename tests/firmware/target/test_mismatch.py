@@ -17,6 +17,7 @@ from firmware_model.discretisation.tustin import zoh
 from firmware_model.target import controller
 from firmware_model.target.fault_decision.covariance import MAX_STATES
 from firmware_model.target.fault_decision.mismatch import (
+    difference,
     innovation,
     learn_loss,
     predict_mismatch,
@@ -220,3 +221,11 @@ def test_the_remainder_is_of_second_order(part: float) -> None:
         predict(table, state, command, 0.0, 0.0)
     assert known.change > 0.0
     assert known.remainder == pytest.approx(0.01 * 0.36 * part**4 * known.change, rel=1e-9)
+
+
+def test_a_car_beyond_the_box_is_as_different_as_the_box_at_most() -> None:
+    table = tables_of(2)[0]
+    state = controller.init(table)[0]
+    assert difference(table, state.mismatch) == 1.0  # nothing is known of it
+    state.mismatch.theta[2:4] = 10.0
+    assert difference(table, state.mismatch) == 1.0
