@@ -17,6 +17,11 @@ ROOTS = {
     "can_rig": {"__init__", "__main__", "errors", "files"},
     "firmware_model": {"__init__", "compiled", "errors", "firmware"},
 }
+TOP_LEVEL = {
+    *(".ci", ".gitignore", "can_rig", "dbc", "docs", "firmware_model", "tests", "tools"),
+    *("CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "README.md", "pyproject.toml"),
+    "requirements.lock",
+}
 HEAVY = {"matplotlib", "asammdf", "fmpy", "pyarrow", "pandas", "control", "mcap", "aiohttp"}
 """Libraries so slow to import that a command that does without them must not wait for them."""
 
@@ -36,6 +41,16 @@ def sources(*folders: str) -> list[Path]:
 @pytest.mark.parametrize("package", PACKAGES)
 def test_beside_the_rooms_lies_only_what_all_of_them_need(package: str) -> None:
     assert {path.stem for path in (CHECKOUT / package).glob("*.py")} == ROOTS[package]
+
+
+def test_nothing_else_was_committed_at_the_top_level() -> None:
+    if not (CHECKOUT / ".git").exists() or not shutil.which("git"):
+        pytest.skip("no checkout of git, or no git, to tell what was committed")
+    command = ["git", "-c", "safe.directory=*", "ls-files"]  # whoever owns the checkout
+    listed = subprocess.run(
+        command, cwd=CHECKOUT, capture_output=True, text=True, check=True
+    ).stdout
+    assert {Path(line).parts[0] for line in listed.splitlines()} == TOP_LEVEL
 
 
 def test_a_room_has_at_most_ten_modules() -> None:
