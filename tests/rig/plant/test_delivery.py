@@ -13,7 +13,7 @@ from can_rig.plant.faults.delivery import Delivery, delivery
 from can_rig.plant.faults.frame_faults import FrameFaults
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import CHANNELS
+from can_rig.scenario.tables.fault import CHANNELS, PLACES
 
 TICKS = 80
 NETWORK = network_of(load("thesis-step"))
@@ -99,3 +99,38 @@ def test_the_first_ticks_alone(ticks: int) -> None:
     lost = len(range(5, min(8, ticks)))
     assert ticks_without(found.sent[:, 0]) == list(range(5, 5 + lost))
     assert found.rejected[NAMES[0]] == ({"no_new_data": lost} if lost else {})
+
+
+def faults_of(*settings: str) -> Delivery:
+    return answered(
+        load("thesis-step", [f"duration_s={TICKS / 1000}", "fault.at_s=0.005", *settings])
+    )
+
+
+@pytest.mark.parametrize("place", range(3))
+def test_what_is_forged_is_used_in_place_of_what_was_sent(place: int) -> None:
+    found = faults_of(
+        "fault.kind=frames-forged", f"fault.channel={PLACES[place]}", "fault.for_s=0.003",
+        "fault.value=-1.5",
+    )  # fmt: skip
+    assert found.replaced == {(tick, place): pytest.approx(-1.5) for tick in range(5, 8)}
+    assert found.used.all()
+
+
+def test_where_the_measurement_is_missing_nothing_is_used_and_no_command_says_anything_else() -> (
+    None
+):
+    found = faults_of("fault.kind=frames-missing", "fault.channel=sensor", "fault.for_s=0.003")
+    assert sorted(found.replaced) == [(tick, 2) for tick in range(5, 8)]
+    assert np.isnan(list(found.replaced.values())).all()
+    assert faults_of("fault.kind=frames-missing", "fault.for_s=0.003").replaced == {}
+
+
+@pytest.mark.parametrize("order", [(5, 50), (50, 5)])
+def test_two_faults_far_from_each_other_both_count(order: tuple[int, int]) -> None:
+    settings = [
+        f"fault.{at}.{key}={value}"
+        for at, first in enumerate(order)
+        for key, value in (("kind", "frames-missing"), ("at_s", first / 1000), ("for_s", 0.003))
+    ]
+    assert ticks_without(faults_of(*settings).used[:, 0]) == [*range(5, 8), *range(50, 53)]

@@ -96,15 +96,19 @@ def test_two_faults_that_corrupt_the_same_frame_change_one_byte():
         assert sum(a != b for a, b in zip(before, after, strict=True)) == 1
 
 
-def sent(*settings, place=0, count=14):
+def sent(*settings, place=0, count=14, changes=()):
     """By tick: for each frame on the wire the tick that it says, its value, and whether it counts.
 
-    Whether it counts is what a receiver that hears all of them says.
+    Whether it counts is what a receiver that hears all of them says. ``changes``: by tick, other
+    settings from then on.
     """
-    wire = faults("duration_s=1", f"fault.channel={PLACES[place]}", *settings)
+    first = ["duration_s=1", f"fault.channel={PLACES[place]}"]
+    wire = faults(*first, *settings)
     transmitter, receiver = Transmitter(CODECS[place]), Receiver(CODECS[place])
     ticks = []
     for tick in range(count):
+        if tick in dict(changes):
+            wire.change(load("thesis-step", [*first, *dict(changes)[tick]]))
         frames = wire.on_the_wire(transmitter.frame(tick / 10, tick), place, tick)
         judged = [(CODECS[place].decode(f.data), receiver.accept(f, tick)) for f in frames]
         ticks.append([(s.tick, round(s.value, 5), used is not None) for s, used in judged])
@@ -145,6 +149,81 @@ def test_an_intruder_beside_a_silent_sender_is_heard_too():
     both = ["fault.1.kind=frames-forged", "fault.1.value=2", "fault.1.at_s=0.005"]
     ticks = sent(*SHORT, "fault.kind=frames-missing", *both)
     assert ticks[5:8] == [[(tick, 2.0, True)] for tick in WINDOW]
+
+
+def listed(*each):
+    """Settings of a list of faults: kind, first tick, how many ticks, and keys of that kind."""
+    return [
+        f"fault.{at}.{key}={value}"
+        for at, (kind, first, count, *others) in enumerate(each)
+        for key, value in (
+            *(("kind", kind), ("channel", "torque")),
+            *(("at_s", first / 1000), ("for_s", count / 1000), *others),
+        )
+    ]
+
+
+def test_of_two_frames_of_a_tick_the_last_is_repeated():
+    forged = ("frames-forged", 5, 2, ("value", -1))
+    ticks = sent(*listed(forged, ("frames-repeated", 7, 2)))
+    assert ticks[6] == [(6, -1, True), (6, 0.6, False)]
+    assert ticks[7:10] == [[(6, 0.6, False)], [(6, 0.6, False)], good(9)]
+    # The same where that fault is not there from the beginning of the run.
+    injected = [(7, listed(forged, ("frames-repeated", 7, 2)))]
+    assert sent(*listed(forged), changes=injected) == ticks
+    alone = sent("fault.kind=none", changes=[(7, listed(("frames-repeated", 7, 2)))])
+    assert alone[6:9] == [good(6), [(6, 0.6, False)], [(6, 0.6, False)]]
+
+
+def test_faults_that_are_no_faults_of_frames_leave_those_behind_them():
+    dead = ("actuator-dead", 0, 9)
+    assert sent(*listed(dead, ("frames-missing", 5, 2)))[4:8] == [good(4), [], [], good(7)]
+
+
+def test_what_corrupts_twice_does_so_at_both_times_and_leaves_the_others():
+    twice = [("frames-corrupted", 2, 1), ("frames-corrupted", 6, 1)]
+    ticks = sent(*listed(*twice, ("frames-missing", 9, 1)))
+    assert [at for at, frames in enumerate(ticks) if frames != good(at)] == [2, 6, 9]
+    assert (len(ticks[2]), len(ticks[6]), ticks[9]) == (1, 1, [])
+
+
+def test_it_is_known_from_when_to_when_frames_are_concerned():
+    late = ("frames-late", 20, 5, ("late_ticks", 3))
+    wire = faults("duration_s=1", *listed(("frames-missing", 5, 2, ("late_ticks", 3)), late))
+    assert wire.ticks == ([range(5, 7), range(20, 28)], [], [])
+
+
+@pytest.mark.parametrize("first", [3, 20])
+def test_an_intruder_that_comes_during_a_run_knows_the_counter(first):
+    forged = listed(("frames-forged", first, 2, ("value", -1)))
+    ticks = sent("fault.kind=none", count=first + 4, changes=[(first, forged)])
+    assert ticks[first - 1 : first + 1] == [
+        good(first - 1),
+        [(first, -1, True), (first, first / 10, False)],
+    ]
+
+
+def test_a_fault_that_goes_on_after_a_change_keeps_what_it_holds_back():
+    """Of two that are the same each its own: a frame is late twice."""
+    late, longer = (("frames-late", 3, count, ("late_ticks", 2)) for count in (4, 6))
+    twice = sent(*listed(late, late))
+    assert twice[3:7] == [[]] * 4
+    assert [[tick for tick, *_ in frames] for frames in twice[7:9]] == [[3, 5, 7], [4, 6, 8]]
+    changed = sent(*listed(late, late), changes=[(6, listed(longer, longer))])
+    assert changed == sent(*listed(longer, longer)) != twice
+    assert sent(*listed(late, late), changes=[(3, listed(late))]) == sent(*listed(late))
+
+
+def test_frames_that_may_change_during_a_run_are_concerned():
+    scenario = load("thesis-step", ["fault.kind=none"])
+    for place in range(3):
+        assert FrameFaults(scenario, NETWORK, changing=True).concerns(place)
+        assert not FrameFaults(scenario, NETWORK).concerns(place)
+
+
+def test_where_the_frame_itself_goes_on_nothing_comes_in_its_place():
+    own, other = (Transmitter(NETWORK.feedback).frame(1.0, 0) for _ in range(2))
+    assert faults("fault.kind=none").on_the_wire(own, 2, 0, otherwise=other) == [own]
 
 
 @pytest.mark.parametrize("kind", ["missing", "corrupted", "repeated", "late", "forged"])
