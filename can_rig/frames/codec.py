@@ -15,7 +15,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import NamedTuple
 
-from can_rig.frames.layout import Layout, RigLayout, not_available
+from can_rig.frames.layout import Layout, RigLayout
 
 
 class Record(NamedTuple):
@@ -59,6 +59,8 @@ class MessageCodec:
     """Smallest value that can be sent [unit]."""
     maximum: float
     """Largest value that can be sent [unit]."""
+    not_available: float
+    """Raw value that says that there is none."""
     modes: Mapping[int, str]
     """Value table of Mode; empty for a frame without it."""
     fault_states: Mapping[int, str]
@@ -70,7 +72,6 @@ class MessageCodec:
     """Whether the identifier has 29 bits."""
     fd: bool = False
     """Whether it is a CAN FD frame."""
-    not_available: float = not_available(32)
     float_format: str = ""
     """Of a float, as `struct` has it."""
 
