@@ -14,6 +14,7 @@ from can_rig.plant.faults.frame_faults import FrameFaults
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.fault import CHANNELS, PLACES
+from tests.rig.plant.fault_settings import fault_list
 
 TICKS = 80
 NETWORK = network_of(load("thesis-step"))
@@ -128,9 +129,6 @@ def test_where_the_measurement_is_missing_nothing_is_used_and_no_command_says_an
 
 @pytest.mark.parametrize("order", [(5, 50), (50, 5)])
 def test_two_faults_far_from_each_other_both_count(order: tuple[int, int]) -> None:
-    settings = [
-        f"fault.{at}.{key}={value}"
-        for at, first in enumerate(order)
-        for key, value in (("kind", "frames-missing"), ("at_s", first / 1000), ("for_s", 0.003))
-    ]
+    missing = {"kind": "frames-missing", "for_s": 0.003}
+    settings = fault_list(*(missing | {"at_s": first / 1000} for first in order))
     assert ticks_without(faults_of(*settings).used[:, 0]) == [*range(5, 8), *range(50, 53)]

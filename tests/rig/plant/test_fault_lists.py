@@ -12,6 +12,7 @@ from can_rig.results.signals import read_signals
 from can_rig.results.without_log import signals_without_log
 from can_rig.scenario.build import network_of
 from can_rig.scenario.tables.fault import PLACES, FaultKind
+from tests.rig.plant.fault_settings import fault_list
 
 KINDS = [kind for kind in FaultKind.__args__ if kind != "none"]
 PLANT = "can_rig.plant.nonlinear_car:NonlinearCar"
@@ -25,6 +26,7 @@ def drawn(seed: int) -> list[str]:
     settings += [f"actuator.hold_s={draw.integers(20) / 1000}"]
     settings += ["plant.torque_actuator.rate_nm_per_s=20000"] if seed % 3 == 0 else []
     settings += [f"plant.kind={PLANT}"] if seed % 4 == 0 else []
+    faults: list[dict[str, object]] = []
     for at in range(int(draw.integers(1, 5))):
         kind = str(draw.choice(KINDS)) if at else KINDS[seed % len(KINDS)]
         places = PLACES if kind.startswith("frames-") else PLACES[:2]
@@ -44,8 +46,8 @@ def drawn(seed: int) -> list[str]:
         }
         if draw.random() < 0.5 or kind == "frames-forged":
             values["value"] = float(draw.normal())
-        settings += [f"fault.{at}.{key}={value}" for key, value in values.items()]
-    return settings
+        faults.append(values)
+    return settings + fault_list(*faults)
 
 
 @pytest.mark.parametrize("seed", range(24))

@@ -9,6 +9,7 @@ from can_rig.assessment.resolve import load
 from can_rig.frames.endpoints import Receiver, Transmitter
 from can_rig.plant.faults.frame_faults import FrameFaults
 from can_rig.scenario.build import network_of
+from tests.rig.plant.fault_settings import fault_list
 
 CHANNELS = ["torque", "force-difference"]
 PLACES = [*CHANNELS, "sensor"]
@@ -102,13 +103,13 @@ def sent(*settings, place=0, count=14, changes=()):
     Whether it counts is what a receiver that hears all of them says. ``changes``: by tick, other
     settings from then on.
     """
-    first = ["duration_s=1", f"fault.channel={PLACES[place]}"]
+    first, changed = ["duration_s=1", f"fault.channel={PLACES[place]}"], dict(changes)
     wire = faults(*first, *settings)
     transmitter, receiver = Transmitter(CODECS[place]), Receiver(CODECS[place])
     ticks = []
     for tick in range(count):
-        if tick in dict(changes):
-            wire.change(load("thesis-step", [*first, *dict(changes)[tick]]))
+        if tick in changed:
+            wire.change(load("thesis-step", [*first, *changed[tick]]))
         frames = wire.on_the_wire(transmitter.frame(tick / 10, tick), place, tick)
         judged = [(CODECS[place].decode(f.data), receiver.accept(f, tick)) for f in frames]
         ticks.append([(s.tick, round(s.value, 5), used is not None) for s, used in judged])
@@ -152,15 +153,14 @@ def test_an_intruder_beside_a_silent_sender_is_heard_too():
 
 
 def listed(*each):
-    """Settings of a list of faults: kind, first tick, how many ticks, and keys of that kind."""
-    return [
-        f"fault.{at}.{key}={value}"
-        for at, (kind, first, count, *others) in enumerate(each)
-        for key, value in (
-            *(("kind", kind), ("channel", "torque")),
-            *(("at_s", first / 1000), ("for_s", count / 1000), *others),
+    """Settings of faults of the torque: kind, first tick, how many ticks, keys of that kind."""
+    return fault_list(
+        *(
+            {"kind": kind, "channel": "torque", "at_s": first / 1000, "for_s": count / 1000}
+            | dict(others)
+            for kind, first, count, *others in each
         )
-    ]
+    )
 
 
 def test_of_two_frames_of_a_tick_the_last_is_repeated():
