@@ -8,8 +8,9 @@ multiply-add, and a division by zero that gives infinity or NaN, as in C and in 
 from __future__ import annotations
 
 import hashlib
+import inspect
 import os
-import sys
+import re
 from collections.abc import Callable
 from functools import cache
 from pathlib import Path
@@ -21,27 +22,63 @@ from numba.core import config, event
 Function = TypeVar("Function", bound=Callable[..., object])
 
 
-def _cache_folder(caller: str) -> str:
-    """Where compiled code is kept: a folder of its own for each state of the files it is made of.
+_IMPORT = re.compile(
+    rb"^ *(?:from +([\w.]+) +import +(\([^)]*\)|[^\n]*)|import +([\w.]+))", re.MULTILINE
+)
 
-    Numba looks only at the file of the function that it has cached, and would go on with an old
-    copy of what that function calls in another file: of this package, or of the room ``caller``.
+
+def _cache_folder(file: Path) -> str:
+    """The folder for compiled code of ``file``: another for each state of the lines in that code.
+
+    Numba compares the file of a cached function only, and not the files that the function calls.
+    Here the folder follows from the contents of ``file`` and of all project files that ``file``
+    imports, directly or not. Modification times do not count: the kernel of a virtual machine
+    rounds them.
     """
-    here = Path(__file__).parent
-    other = getattr(sys.modules.get(caller), "__file__", None)
-    room = Path(other).parent if other else here
-    digest = hashlib.sha256(_state(here) + (b"" if room.is_relative_to(here) else _state(room)))
+    digest = hashlib.sha256()
+    for each in sorted(_closure(file)):
+        digest.update(f"{each}\0".encode() + _contents(each))
     home = os.environ.get("XDG_CACHE_HOME") or str(Path("~/.cache").expanduser())
     return str(Path(home) / "fault-tolerant-steering" / digest.hexdigest()[:16])
 
 
-@cache  # every room asks for that of this package
-def _state(folder: Path) -> bytes:
-    """By what its files contain: another kernel, as in a virtual machine, rounds their times."""
-    digest = hashlib.sha256(str(folder).encode())
-    for file in sorted(folder.rglob("*.py")):
-        digest.update(f"{file}\0".encode() + file.read_bytes() + b"\0")
-    return digest.digest()
+def _closure(file: Path) -> set[Path]:
+    """``file`` and the project files that it imports, directly or not."""
+    root = file.parent
+    while (root / "__init__.py").exists():
+        root = root.parent
+    roots = {"firmware_model": Path(__file__).parents[1]}
+    roots |= {file.relative_to(root).parts[0]: root}
+    found: set[Path] = set()
+    to_read = {file}
+    while to_read:
+        each = to_read.pop()
+        found.add(each)
+        to_read |= _imports(each, tuple(roots.items())) - found
+    return found
+
+
+@cache
+def _contents(file: Path) -> bytes:
+    return hashlib.sha256(file.read_bytes()).digest()
+
+
+@cache  # many files import the same ones
+def _imports(file: Path, roots: tuple[tuple[str, Path], ...]) -> frozenset[Path]:
+    """The project files that ``file`` imports itself; ``roots`` has the folder of each package."""
+    folders = dict(roots)
+    names = set()
+    for module, imported, plain in _IMPORT.findall(file.read_bytes()):
+        name = (module or plain).decode()
+        names.add(name)
+        names |= {f"{name}.{each}" for each in re.findall(r"\w+", imported.decode())}
+    found = set()
+    for name in names:
+        top = name.split(".")[0]
+        if top in folders:
+            path = folders[top].joinpath(*name.split("."))
+            found |= {path.with_suffix(".py"), path / "__init__.py"}
+    return frozenset(path for path in found if path.is_file())
 
 
 _folder = cache(_cache_folder)
@@ -92,8 +129,8 @@ class _LawIsCompiled(event.Listener):
 
 def _compiled(function: Function, *, allocates: bool, nogil: bool = False) -> Function:
     settings: Any = config
-    package = ".".join(function.__module__.split(".")[:2])  # a room, or the package
-    before, settings.CACHE_DIR = settings.CACHE_DIR, _folder(package)
+    folder = _folder(Path(inspect.getfile(function)))
+    before, settings.CACHE_DIR = settings.CACHE_DIR, folder
     # _nrt: numba's own option, which its hints do not name
     options: dict[str, Any] = {"error_model": "numpy", "nogil": nogil, "_nrt": allocates}
     try:

@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import os
-import sys
 from collections import defaultdict
 from pathlib import Path
-from types import ModuleType, SimpleNamespace
+from types import SimpleNamespace
 from typing import Any
 
 import numpy as np
@@ -18,33 +17,53 @@ from firmware_model import compiled
 from firmware_model.target import controller
 
 
-def test_another_state_of_the_package_has_another_folder(
+def test_another_state_of_what_a_file_imports_has_another_folder(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Numba looks at the file of the cached function alone, not at what that calls.
 
-    Times do not matter: hostfs of a user-mode kernel, for one, has no parts of a second.
+    Modification times do not matter: hostfs of a user-mode kernel, for one, has no parts of a
+    second. Nor do files that are not imported, such as a comment in the design for the law.
     """
-    for package in ("here", "caller"):
-        (tmp_path / package).mkdir()
-        (tmp_path / package / "a.py").write_text("1")
-    monkeypatch.setattr(compiled, "__file__", str(tmp_path / "here" / "compiled.py"))
-    caller = ModuleType("caller")
-    caller.__file__ = str(tmp_path / "caller" / "__init__.py")
-    monkeypatch.setitem(sys.modules, "caller", caller)
+    files = {
+        "caller/__init__.py": "",
+        "caller/room/__init__.py": "",
+        "caller/room/a.py": "from caller.room import (\n    b,\n    c,\n)\n",
+        "caller/room/b.py": "import firmware_model.law\nimport elsewhere\n",
+        "caller/room/c.py": "def c():\n    from caller import late\n",
+        "caller/late.py": "from caller.room.a import anything  # a circle",
+        "caller/foreign.py": "",
+        "firmware_model/__init__.py": "",
+        "firmware_model/law.py": "",
+        "elsewhere.py": "",
+    }
+    for name, text in files.items():
+        (tmp_path / name).parent.mkdir(exist_ok=True, parents=True)
+        (tmp_path / name).write_text(text)
+    compiler = tmp_path / "firmware_model" / "compiled.py"
+    monkeypatch.setattr(compiled, "__file__", str(compiler))
 
     def folder_in_another_process() -> str:
-        compiled._state.cache_clear()
-        return compiled._cache_folder("caller")
+        compiled._contents.cache_clear()
+        compiled._imports.cache_clear()
+        return compiled._cache_folder(tmp_path / "caller" / "room" / "a.py")
 
-    found = [folder_in_another_process()]
-    assert folder_in_another_process() == found[0]
-    for package in ("here", "caller"):
-        (tmp_path / package / "a.py").write_text("2")
-        found.append(folder_in_another_process())
-        os.utime(tmp_path / package / "a.py", ns=(0, 0))
-        assert folder_in_another_process() == found[-1]
-    assert len(set(found)) == 3
+    first = folder_in_another_process()
+    assert folder_in_another_process() == first
+    imported = ["room/a.py", "room/b.py", "room/c.py", "late.py"]
+    for name in [f"caller/{each}" for each in imported] + ["firmware_model/law.py"]:
+        (tmp_path / name).write_text(files[name] + "# another state\n")
+        assert folder_in_another_process() != first
+        (tmp_path / name).write_text(files[name])
+        os.utime(tmp_path / name, ns=(0, 0))
+        assert folder_in_another_process() == first
+    for name in ("caller/foreign.py", "elsewhere.py"):
+        (tmp_path / name).write_text("# another state\n")
+        assert folder_in_another_process() == first
+
+
+def nothing() -> None:
+    pass
 
 
 def test_refusal_to_cache_is_no_refusal_to_compile(monkeypatch: pytest.MonkeyPatch) -> None:
@@ -57,7 +76,7 @@ def test_refusal_to_cache_is_no_refusal_to_compile(monkeypatch: pytest.MonkeyPat
         return lambda function: function
 
     monkeypatch.setattr(compiled, "njit", njit)
-    assert compiled.firmware(abs) is abs
+    assert compiled.firmware(nothing) is nothing
     options = {"error_model": "numpy", "nogil": False, "_nrt": False}
     assert calls == [(True, options), (False, options)]
 
@@ -66,7 +85,7 @@ def test_only_a_whole_run_lets_go_of_the_lock(monkeypatch: pytest.MonkeyPatch) -
     """A tick of a node keeps it: to have it back it would wait for whoever took it."""
     monkeypatch.setattr(compiled, "njit", lambda cache, **options: lambda function: options)
     options: list[Any] = [
-        mark(abs) for mark in (compiled.firmware, compiled.compiled, compiled.firmware_run)
+        mark(nothing) for mark in (compiled.firmware, compiled.compiled, compiled.firmware_run)
     ]
     assert [each["nogil"] for each in options] == [False, False, True]
     assert not options[2]["_nrt"]
