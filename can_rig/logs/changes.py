@@ -12,7 +12,7 @@ import numpy as np
 from can.util import channel2int
 
 from can_rig.errors import LogError
-from can_rig.logs.frames import ERROR, FD, NS_PER_S, REMOTE, SENT, Frames
+from can_rig.logs.frames import CLASSIC_BYTES, ERROR, FD, NS_PER_S, REMOTE, SENT, Frames
 from can_rig.logs.log import Log
 
 _US: Final = 1_000
@@ -43,6 +43,8 @@ class Keeps:
     """Whether it says if an error frame was sent or received."""
     error_content: bool = True
     """Whether error frames have identifiers and payloads."""
+    order: bool = True
+    """Whether frames of several kinds stay in the order of the log where the time does not tell."""
 
     def starts(self, start_ns: int) -> int:
         """The start of a recording that it can say, instead of ``start_ns`` [ns]."""
@@ -63,7 +65,7 @@ KEEPS: Final[Mapping[str, Keeps]] = {
     ),
     ".blf": Keeps("a Vector binary log", 1, _MS, _SINCE_1990_NS, False, error_direction=False),
     ".trc": Keeps("a PEAK trace", _US, _US, before_start=False, lacks=ERROR),
-    ".mf4": Keeps("an MDF log", 1, 1, since_ns=0),
+    ".mf4": Keeps("an MDF log", 1, 1, since_ns=0, order=False),
     ".csv": Keeps("SavvyCAN's CSV", _US, None, lacks=ERROR | REMOTE | FD),
 }
 """By suffix of the format."""
@@ -85,6 +87,9 @@ class Changes:
     """Number of frames so far."""
     _lost: Counter[str] = field(default_factory=Counter, init=False)
     _first_ns: int = field(default=0, init=False)
+    _last: tuple[int, int] = field(default=(-(1 << 63), 0), init=False)
+    """Time stamp [ns] and kind of the last frame."""
+    _kinds: set[int] = field(default_factory=set, init=False)
 
     @property
     def keeps(self) -> Keeps:
@@ -135,10 +140,18 @@ class Changes:
         if self.frames:
             found += self._moved()
         if lost["rounded"]:
-            found.append(f"{name} has whole microseconds: {lost['rounded']} times are rounded")
+            stamps = _several(lost["rounded"], "time stamp")
+            found.append(f"{name} has whole microseconds: {stamps} rounded")
+        if lost["places"] and len(self._kinds) > 1:
+            frames = _several(lost["places"], "frame")
+            found.append(
+                f"{name} holds data, long, remote and error frames apart: {frames}, no later than "
+                "the frame before, may change places with frames of other kinds"
+            )
         for what in ("identifiers", "payloads", "directions"):
             if lost[what]:
-                found.append(f"{name} does not keep the {what} of {lost[what]} error frames")
+                frames = _several(lost[what], "error frame")
+                found.append(f"{name} does not keep the {what} of {frames}")
         return found
 
     def _moved(self) -> list[str]:
@@ -170,6 +183,15 @@ class Changes:
         self.frames += len(frames)
         lost["rounded"] += int((frames.time_ns % keeps.time_ns != 0).sum())
         error = frames.has(ERROR)
+        if not keeps.order:
+            long = frames.length > CLASSIC_BYTES
+            kind = np.where(error, 1, np.where(frames.has(REMOTE), 2, 3 * long))
+            kinds = np.concatenate([[self._last[1]], kind])
+            times_ns = np.concatenate([[self._last[0]], frames.time_ns])
+            same = (times_ns[1:] == times_ns[:-1]) & (kinds[1:] != kinds[:-1])
+            lost["places"] += int((same | (times_ns[1:] < times_ns[:-1])).sum())
+            self._last = int(times_ns[-1]), int(kinds[-1])
+            self._kinds.update(kind.tolist())
         if not keeps.error_direction:
             lost["directions"] += int((error & frames.has(SENT)).sum())
         if not keeps.error_content:
@@ -207,12 +229,16 @@ class Changes:
                 left &= ~part.has(flag)
         found = [flag for flag in _KINDS if counts[flag]]
         lacks = _either(name for flag, name in _KINDS.items() if self.keeps.lacks & flag)
-        has = " and ".join(f"{counts[flag]} {_KINDS[flag]} frames" for flag in found)
+        has = " and ".join(_several(counts[flag], _KINDS[flag] + " frame") for flag in found)
         fit = _either(s for s, keeps in KEEPS.items() if not keeps.lacks & sum(found))
         raise LogError(
             f"{self.file}: {self.keeps.name} holds no {lacks} frames, and {self.log.path} has "
             f"{has}; the format must be {fit}"
         )
+
+
+def _several(count: int, what: str) -> str:
+    return f"{count} {what}" if count == 1 else f"{count} {what}s"
 
 
 def _either(words: Iterable[str]) -> str:

@@ -36,7 +36,7 @@ def test_the_length_code_of_a_peak_trace_is_no_number_of_bytes(tmp_path: Path) -
     assert found[0] == (base + 1_000_000, 0x123, 0, "0", 2, b"\1\2")
     assert [(flags, bus, length) for _, _, flags, bus, length, _ in found[1:]] == [
         (FD, "0", 12),
-        (FD | BITRATE_SWITCH | SENT | EXTENDED, "2", 64),
+        (FD | BITRATE_SWITCH | SENT | EXTENDED, "1", 64),
         (FD | BITRATE_SWITCH | ERROR_STATE, "0", 0),
         (FD | ERROR_STATE, "0", 1),
         (REMOTE, "0", 4),
@@ -51,8 +51,8 @@ def test_the_length_code_of_a_peak_trace_is_no_number_of_bytes(tmp_path: Path) -
     [
         ("1.0", "     1)     17535  00000100  2  0A 0B", "0"),
         ("1.1", "     1)     17535.0  Rx     00000100  2  0A 0B", "0"),
-        ("1.2", "     1)     17535.000 3  Rx    00000100  2  0A 0B", "3"),
-        ("1.3", "     1)     17535.000 3  Rx    00000100 -  2    0A 0B", "3"),
+        ("1.2", "     1)     17535.000 3  Rx    00000100  2  0A 0B", "2"),
+        ("1.3", "     1)     17535.000 3  Rx    00000100 -  2    0A 0B", "2"),
     ],
 )
 def test_every_version_of_a_peak_trace(tmp_path: Path, version: str, line: str, bus: str) -> None:
