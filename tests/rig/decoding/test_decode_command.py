@@ -72,16 +72,19 @@ def test_a_run_as_a_table(drive: Path, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     expected = decoded(drive)
     stamps = [round(message.timestamp * 1e9) for message in can.LogReader(drive)]
-    for dot, table in (
-        (".", pd.read_csv(tmp_path / "a.csv")),
-        ("/", pd.read_parquet(tmp_path / "a.parquet")),
+    table = pd.read_csv(tmp_path / "a.csv")
+    assert table["message"].tolist() == list(NAMES) * 300
+    assert (table["time_s"] * 1e9).round().tolist() == stamps
+    for at, (name, signal) in enumerate(
+        zip(NAMES, ("DStarReference", "DStar", "SteerTorque"), strict=False)
     ):
-        assert table["message"].tolist() == list(NAMES) * 300
-        for name, signal in zip(NAMES, ("DStarReference", "DStar", "SteerTorque"), strict=False):
-            column = table.loc[table["message"] == name, f"{name}{dot}{signal}"]
-            assert (column.to_numpy() == expected[name]).all()
-            assert table.loc[table["message"] != name, f"{name}{dot}{signal}"].isna().all()
-        assert (table["time_s"] * 1e9).round().tolist() == stamps
+        column = table.loc[table["message"] == name, f"{name}.{signal}"]
+        assert (column.to_numpy() == expected[name]).all()
+        assert table.loc[table["message"] != name, f"{name}.{signal}"].isna().all()
+        own = pd.read_parquet(tmp_path / "a.parquet" / f"{name}.parquet")
+        assert (own[signal].to_numpy() == expected[name]).all()
+        assert (own["time_s"] * 1e9).round().tolist() == stamps[at :: len(NAMES)]
+    assert len(list((tmp_path / "a.parquet").iterdir())) == len(NAMES)
 
 
 def test_anybodys_log_through_anybodys_dbc(foreign: tuple[Path, Path], tmp_path: Path) -> None:
