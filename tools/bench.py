@@ -123,7 +123,6 @@ def main() -> None:
     options = parser.parse_args()
     if options.what == "decode":
         from bench_decode import bench_decode  # noqa: PLC0415 (asammdf is slow to import)
-
         from bench_wide import bench_wide  # noqa: PLC0415 (as above)
 
         bench_decode(options.frames, options.rounds)

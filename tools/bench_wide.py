@@ -125,8 +125,8 @@ def bench_wide(dbc: Path | None, frames: int, rounds: int) -> None:
         table.add_row(label, f"{cpu_s:.2f}", f"{ratio:.1f}", f"{peak_mb:.0f}")
     console = Console()
     console.print(
-        f"\n{path.name}: {frames:,} frames, {len(database.messages)} messages, {signals:,} signals, "
-        f"{rounds} rounds",
+        f"\n{path.name}: {frames:,} frames, {len(database.messages)} messages, "
+        f"{signals:,} signals, {rounds} rounds",
         highlight=False,
     )
     console.print(table)

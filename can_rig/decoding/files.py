@@ -1,4 +1,4 @@
-"""A whole log, decoded into files chunk by chunk: no more of it in memory than that."""
+"""A whole log, decoded into files chunk by chunk."""
 
 from __future__ import annotations
 

@@ -1,4 +1,7 @@
-"""What another format does not keep of a log: refused, or counted and said in a line each."""
+"""Frames made ready for a file of another format, and what that file does not keep of the log.
+
+Frames of a kind that the format does not have are refused. Every other loss is counted.
+"""
 
 from __future__ import annotations
 

@@ -75,16 +75,14 @@ def test_a_run_as_a_table(drive: Path, tmp_path: Path) -> None:
     table = pd.read_csv(tmp_path / "a.csv")
     assert table["message"].tolist() == list(NAMES) * 300
     assert (table["time_s"] * 1e9).round().tolist() == stamps
-    for at, (name, signal) in enumerate(
-        zip(NAMES, ("DStarReference", "DStar", "SteerTorque"), strict=False)
-    ):
+    signals = ("DStarReference", "DStar", "SteerTorque")
+    for at, (name, signal) in enumerate(zip(NAMES, signals, strict=False)):
         column = table.loc[table["message"] == name, f"{name}.{signal}"]
         assert (column.to_numpy() == expected[name]).all()
         assert table.loc[table["message"] != name, f"{name}.{signal}"].isna().all()
-        own = pd.read_parquet(tmp_path / "a.parquet" / f"{name}.parquet")
-        assert (own[signal].to_numpy() == expected[name]).all()
+        own = pd.read_parquet(tmp_path / f"a.parquet/{name}.parquet")
+        assert own[signal].tolist() == list(expected[name])
         assert (own["time_s"] * 1e9).round().tolist() == stamps[at :: len(NAMES)]
-    assert len(list((tmp_path / "a.parquet").iterdir())) == len(NAMES)
 
 
 def test_anybodys_log_through_anybodys_dbc(foreign: tuple[Path, Path], tmp_path: Path) -> None:

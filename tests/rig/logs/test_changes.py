@@ -183,7 +183,7 @@ def test_it_says_what_is_different(
 @settings(max_examples=8, deadline=None)
 @given(frames=st.lists(one_frame(), min_size=1, max_size=6), start_ns=st.sampled_from(STARTS_NS))
 def test_every_pair_of_formats(first: str, second: str, frames: list[tuple], start_ns: int) -> None:
-    """A log of one format in the other one, and what the other one lost is not lost again."""
+    """From the first format to the second and back, twice: the second loss is none."""
     lacks = LACKS.get(first, set()) | LACKS.get(second, set())
     frames = [frame for frame in frames if not any(frame[2] & flag for flag in lacks)]
     if not frames:
