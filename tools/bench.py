@@ -113,6 +113,9 @@ def main() -> None:
     parser.add_argument(
         "--frames", type=int, default=1_000_000, help="decode: length of the log [1000000]"
     )
+    parser.add_argument(
+        "--dbc", nargs="*", type=Path, default=[], help="decode: wide databases, too"
+    )
     parser.add_argument("--runs", type=int, default=1000, help="campaign: of each [1000]")
     parser.add_argument("--workers", type=int, default=2, help="campaign: processes [2]")
     parser.add_argument("--filters", type=int, default=1000, help="filter: random ones [1000]")
@@ -120,8 +123,11 @@ def main() -> None:
     options = parser.parse_args()
     if options.what == "decode":
         from bench_decode import bench_decode  # noqa: PLC0415 (asammdf is slow to import)
+        from bench_wide import bench_wide  # noqa: PLC0415 (as above)
 
         bench_decode(options.frames, options.rounds)
+        for database in options.dbc or [None]:
+            bench_wide(database, options.frames // 10, options.rounds)
     elif options.what == "campaign":
         from bench_campaign import bench_campaign  # noqa: PLC0415 (control is slow to import)
 

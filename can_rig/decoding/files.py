@@ -1,4 +1,4 @@
-"""A whole log, decoded into files chunk by chunk: no more of it in memory than that."""
+"""A whole log, decoded into files chunk by chunk."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ import numpy as np
 
 from can_rig.decoding.decode import Databases, Decoder
 from can_rig.decoding.message_columns import MessageColumns
-from can_rig.decoding.outputs.output import TABLES, Output, output
+from can_rig.decoding.outputs.output import CSV, Output, output
 from can_rig.errors import LogError
 from can_rig.logs.frames import Frames, concatenate
 from can_rig.logs.log import Log
 
-_CELLS: Final = 1 << 22  # of a chunk of a wide table: bounds its memory
+_CELLS: Final = 1 << 22  # of a chunk, if all its frames are of the widest message: bounds memory
 _LEAST_ROWS: Final = 1 << 10
 
 Reading = Callable[[Log, str], Iterator[Frames]]
@@ -65,11 +65,11 @@ def decode_to_files(
         DbcError: the database has no such message or signal.
     """
     decoder = selection.decoder(databases)
+    widest = max((len(message.signals) for message in decoder.messages.values()), default=0)
+    log.chunk_frames = min(log.chunk_frames, max(_CELLS // (widest + 1), _LEAST_ROWS))
     layout = {}
-    if any(path.suffix in TABLES for path in outputs):
+    if any(path.suffix == CSV for path in outputs):
         layout = _survey(log, selection.decoder(databases), reading)
-        columns = sum(len(message.signals) for message in layout.values()) + 2
-        log.chunk_frames = min(log.chunk_frames, max(_CELLS // columns, _LEAST_ROWS))
     with ExitStack() as stack:
         writers: list[Output] | None = None
 

@@ -2,25 +2,19 @@
 
     write_log(read_log("runs/demo/bus.log"), Path("demo.blf"))
 
-| suffix            | what it keeps                                                              |
-|-------------------|----------------------------------------------------------------------------|
-| `.log`, `.log.gz` | everything; time to 1 µs                                                   |
-| `.blf`            | time to 1 ns; only the payload of error frames; buses by number            |
-| `.mf4`            | everything, time to 1 ns; buses by number                                  |
-| `.asc`            | time to 1 µs, its start to 1 ms; no content of error frames; buses by number |
-| `.trc`            | time to 1 µs; error frames are refused; buses by number                    |
-| `.csv`            | SavvyCAN: classic data frames; time to 1 µs; buses by number               |
-
-The number of a bus is the one at the end of its name, as in python-can: 0 for vcan0.
+What each format keeps, and which frames it refuses, is in `can_rig.logs.changes`. The number of a
+bus is the one at the end of its name, as in python-can, unless another bus has that number already.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterable
+from itertools import chain
 from pathlib import Path
 
 from can_rig.errors import LogError, require
 from can_rig.files import atomic, refuse_existing
+from can_rig.logs.changes import Changes
 from can_rig.logs.formats import format_of
 from can_rig.logs.frames import Frames
 from can_rig.logs.log import Log
@@ -52,8 +46,8 @@ def refuse_log(path: Path, force: bool, option: str = "--log") -> None:
     refuse_existing(path, force, option)
 
 
-def write_log(log: Log, path: Path, reading: Reading = iter) -> int:
-    """Write the frames of ``log`` to ``path``, in the format of its suffix; how many they are.
+def write_log(log: Log, path: Path, reading: Reading = iter) -> Changes:
+    """Write the frames of ``log`` to ``path``, in the format of its suffix; what that changed.
 
     ``path`` exists, complete, when this returns, and not before.
 
@@ -66,26 +60,23 @@ def write_log(log: Log, path: Path, reading: Reading = iter) -> int:
         LogError: the format is unknown or cannot hold a frame; a file cannot be read or written.
     """
     refuse_log(path, force=True)
-    counted = 0
-
-    def chunks() -> Iterator[Frames]:
-        nonlocal counted
-        for frames in reading(log):
-            counted += len(frames)
-            yield frames
-
+    suffix = format_of(path)
+    source = iter(reading(log))
+    first = next(source, None)  # the start of the log is known from here on
+    changes = Changes(log, suffix, path, first)
+    chunks = changes.prepare(source if first is None else chain([first], source))
     with atomic(path) as part:
-        match format_of(path):
+        match suffix:
             case ".log":
-                write_candump(chunks(), part)
+                write_candump(chunks, part)
             case ".asc":
-                write_asc(chunks(), part)
+                write_asc(chunks, part, changes.start_ns)
             case ".blf":
-                write_blf(chunks(), part)
+                write_blf(chunks, part, changes.start_ns)
             case ".trc":
-                write_trc(log, chunks(), part, final=path)
+                write_trc(chunks, part, changes.start_ns, final=path)
             case ".csv":
-                write_gvret(log, chunks(), part, final=path)
+                write_gvret(chunks, part)
             case _:
-                write_mf4(log, chunks(), part)
-    return counted
+                write_mf4(chunks, part, changes.start_ns)
+    return changes

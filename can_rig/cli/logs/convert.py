@@ -39,15 +39,23 @@ def command(
 ) -> None:
     """Write LOG, a log of any format or a run folder, as OUT in the format of its suffix.
 
-    What a format cannot hold is refused with a line that says so.
+    What OUT does not keep of LOG, or has otherwise, is said in a line each. Frames of a kind that
+    the format does not have are refused.
     """
     source = read_log(log_path(log), window=window_of(from_s, to_s))
     refuse_log(out, force, "OUT")
-    frames = write_log(
+    changes = write_log(
         source, out, lambda log: only_channel(reading(log, "converting"), channel, log.path)
     )
     if as_json:
-        json_line(log=str(source.path), out=str(out), frames=frames, notice=source.notice)
+        json_line(
+            log=str(source.path),
+            out=str(out),
+            frames=changes.frames,
+            buses=changes.buses,
+            changes=changes.lines(),
+            notice=source.notice,
+        )
     else:
-        say(f"{frames} frames in {out}")
-        note(source.notice)
+        say(f"{changes.frames} frames in {out}")
+        note(*changes.lines(), source.notice)

@@ -38,9 +38,9 @@ _SHOWN: Final = 5  # unknown identifiers in the table
     multiple=True,
     type=click.Path(path_type=Path),
     metavar="FILE",
-    help="FILE.csv or FILE.parquet: one table, a row a frame; FILE.mf4: a group a message; "
-    "FILE.mcap: a channel a message; a name without suffix: a folder of CSV files, one a message.  "
-    "Repeatable.",
+    help="FILE.csv: one table, a row a frame; FOLDER.parquet: a folder of Parquet files, one a "
+    "message; a name without suffix: a folder of CSV files, one a message; FILE.mf4: a group a "
+    "message; FILE.mcap: a channel a message.  Repeatable.",
 )
 @click.option(
     "--message", "messages", multiple=True, metavar="NAME", help="Only this message; repeatable."

@@ -11,9 +11,12 @@ from can_rig.decoding.message_columns import MessageColumns
 from can_rig.errors import LogError, require
 from can_rig.files import atomic, refuse_existing
 
-TABLES: Final = (".csv", ".parquet")
-"""Formats with one table of all messages."""
+CSV: Final = ".csv"
+"""The format with one table of all messages."""
 
+_PARQUET: Final = ".parquet"
+_OF_FILES: Final = {"": CSV, _PARQUET: _PARQUET}
+"""Suffix of a folder with one file a message, and of those files."""
 _MF4: Final = ".mf4"
 _MCAP: Final = ".mcap"
 _NEEDS: Final = {_MF4: ("asammdf", "logs"), _MCAP: ("mcap", "mcap")}
@@ -36,21 +39,22 @@ def refuse_output(path: Path, force: bool) -> None:
     Raises:
         LogError: the reason.
     """
-    if path.suffix not in {"", _MF4, _MCAP, *TABLES}:
+    if path.suffix not in {CSV, _MF4, _MCAP, *_OF_FILES}:
         raise LogError(
             f"{path}: cannot be written as {path.suffix}; it must be .csv, .parquet, .mf4 or "
             ".mcap, or a folder, without a suffix"
         )
+    inner = _OF_FILES.get(path.suffix)
     package, extra = _NEEDS.get(path.suffix, ("pyarrow", "logs"))
     require(package, extra)
     refuse_existing(path, force, "--out")
     if not path.exists():
         return
-    if path.is_dir() and any(inside.suffix != ".csv" for inside in path.iterdir()):
+    if path.is_dir() and any(inside.suffix != inner for inside in path.iterdir()):
         raise LogError(
             f"{path}: holds other files than decoded messages, so that --force does not replace it"
         )
-    if path.is_dir() != (path.suffix == ""):
+    if path.is_dir() != (inner is not None):
         found, other = ("folder", "file") if path.is_dir() else ("file", "folder")
         raise LogError(f"{path}: is a {found}, which --force does not replace by a {other}")
 
@@ -62,8 +66,8 @@ def output(
     """An output at ``path``, which exists, complete, once the context is left without an error.
 
     Args:
-        path: ``.csv``, ``.parquet``, ``.mf4``, ``.mcap``, or a folder.
-        layout: the messages of a table of all messages, without rows.
+        path: ``.csv``, ``.mf4``, ``.mcap``, or a folder: ``.parquet``, or without a suffix.
+        layout: for `CSV`, the messages that can occur, without rows.
         start_ns: start of the recording, on the clock of the columns [ns].
         names: whether to write words of value tables instead of numbers.
 
@@ -85,8 +89,10 @@ def _writer(path: Path, layout: Mapping[str, MessageColumns], start_ns: int, nam
         from can_rig.decoding.outputs.mcap import DecodedMcap  # noqa: PLC0415 (an extra)
 
         return DecodedMcap(path, names)
-    from can_rig.decoding.outputs.tables import FolderOfTables, WideTable  # noqa: PLC0415 (slow to import)
+    if path.suffix == CSV:
+        from can_rig.decoding.outputs.wide_csv import WideCsv  # noqa: PLC0415 (slow to import)
 
-    if path.suffix in TABLES:
-        return WideTable(path, layout, start_ns, names)
-    return FolderOfTables(path, start_ns, names)
+        return WideCsv(path, layout, start_ns, names)
+    from can_rig.decoding.outputs.tables import FolderOfTables  # noqa: PLC0415 (slow to import)
+
+    return FolderOfTables(path, _OF_FILES[path.suffix], start_ns, names)

@@ -1,9 +1,7 @@
-"""Decoded messages as tables in files: CSV and Parquet, written chunk by chunk with pyarrow.
+"""Decoded messages as tables in files: CSV and Parquet, written piece by piece with pyarrow.
 
-One table holds every message: a row for each frame, in the order of the log, with the name of its
-message, and a column for each signal, empty where it is not in the frame: ``Message.Signal`` in
-CSV, ``Message/Signal`` in Parquet, of which PlotJuggler makes a tree. In a folder each message has
-a file of its own, with its signals as columns.
+In a folder each message has a table of its own, with a column for each signal. One table of all
+messages exists as CSV alone (`wide_csv`): in Parquet an empty cell takes time and memory too.
 
 Time is exact, in ``time_s``. Only a date in Parquet is ``time``, a time stamp in UTC to the
 nanosecond: PlotJuggler takes it for seconds, pandas for a date. In CSV it has nine decimal places.
@@ -24,73 +22,27 @@ from numpy.typing import NDArray
 from can_rig.decoding.message_columns import MessageColumns
 from can_rig.logs.frames import NS_PER_S
 
+TIME_S: Final = "time_s"
 _TYPES: Final = {"i": pa.int64(), "u": pa.uint64(), "f": pa.float64(), "O": pa.string()}
 _DATE: Final = pa.decimal128(28, 9)  # [s]
 _STAMP: Final = pa.timestamp("ns", tz="UTC")
 _EXACT_NS: Final = 1 << 53  # up to here (104 days) float64 seconds tell every nanosecond
+_CELLS: Final = 1 << 23  # held in memory, so that row groups are long even of 1,000 messages
 
 
-class WideTable:
-    """One table of all messages.
+class FolderOfTables:
+    """A file for each message that occurs.
 
     Args:
-        path: ``.csv``, or ``.parquet``.
-        layout: for every message that can occur, its columns without rows.
+        folder: is made.
+        suffix: ``.csv`` or ``.parquet``, of the files.
         start_ns: time of about the first frame [ns].
         names: whether to write words of value tables instead of codes.
     """
 
-    def __init__(
-        self, path: Path, layout: Mapping[str, MessageColumns], start_ns: int, names: bool
-    ) -> None:
-        self._names = names
-        self._is_csv = path.suffix == ".csv"
-        self._fields = {
-            self._field(message, signal): kind
-            for message, columns in layout.items()
-            for signal, kind in _fields(columns, names).items()
-        }
-        self._table = _Table(path, {"message": pa.string(), **self._fields}, start_ns)
-
-    def write(self, chunk: Mapping[str, MessageColumns]) -> None:
-        """Add the messages of a chunk, with their frames in the order of the log."""
-        if not chunk:
-            return
-        order = np.argsort(np.concatenate([columns.row for columns in chunk.values()]))
-        place = np.empty(len(order), dtype=np.int64)
-        place[order] = np.arange(len(order))
-        time_ns = np.concatenate([columns.time_ns for columns in chunk.values()])[order]
-        sizes = [len(columns) for columns in chunk.values()]
-        which = pa.array(np.repeat(np.arange(len(chunk)), sizes)[order], pa.int32())
-        message = pa.DictionaryArray.from_arrays(which, pa.array(list(chunk), pa.string()))
-        cells = {"message": message.cast(pa.string())}
-        for (name, columns), rows in zip(
-            chunk.items(), np.split(place, np.cumsum(sizes)[:-1]), strict=True
-        ):
-            for signal in columns.signals:
-                values, missing = _values(columns, signal, self._names)
-                spread = np.zeros(len(order), dtype=values.dtype)
-                nothing = np.ones(len(order), dtype=bool)
-                spread[rows], nothing[rows] = values, missing
-                field = self._field(name, signal)
-                cells[field] = pa.array(spread, self._fields[field], mask=nothing)
-        for field, kind in self._fields.items():
-            cells.setdefault(field, pa.nulls(len(order), kind))
-        self._table.write(time_ns, cells)
-
-    def close(self) -> None:
-        """Finish the file."""
-        self._table.close()
-
-    def _field(self, message: str, signal: str) -> str:
-        return f"{message}.{signal}" if self._is_csv else f"{message}.{signal}".replace(".", "/")
-
-
-class FolderOfTables:
-    """A CSV file for each message that occurs; arguments as those of `WideTable`."""
-
-    def __init__(self, folder: Path, start_ns: int, names: bool) -> None:
+    def __init__(self, folder: Path, suffix: str, start_ns: int, names: bool) -> None:
         self._folder = folder
+        self._suffix = suffix
         self._start_ns = start_ns
         self._names = names
         self._tables: dict[str, _Table] = {}
@@ -99,14 +51,18 @@ class FolderOfTables:
     def write(self, chunk: Mapping[str, MessageColumns]) -> None:
         """Add the messages of a chunk."""
         for name, columns in chunk.items():
-            fields = _fields(columns, self._names)
             if name not in self._tables:
-                self._tables[name] = _Table(self._folder / f"{name}.csv", fields, self._start_ns)
-            cells = {}
-            for signal, kind in fields.items():
-                values, missing = _values(columns, signal, self._names)
-                cells[signal] = pa.array(values, kind, mask=missing)
-            self._tables[name].write(columns.time_ns, cells)
+                fields = signal_types(columns, self._names)
+                path = self._folder / file_name(name, self._suffix)
+                self._tables[name] = _Table(path, name, fields, self._start_ns)
+            cells = [signal_cells(columns, signal, self._names) for signal in columns.signals]
+            self._tables[name].add(columns.time_ns, cells)
+        held = sum(table.cells for table in self._tables.values())
+        for table in sorted(self._tables.values(), key=lambda table: -table.cells):
+            if held <= _CELLS:
+                break
+            held -= table.cells
+            table.flush()
 
     def close(self) -> None:
         """Finish the files."""
@@ -114,32 +70,53 @@ class FolderOfTables:
             table.close()
 
 
-class _Table:
-    """One file, with the time and ``fields`` (name → type) as columns."""
+def file_name(message: str, suffix: str) -> str:
+    """The name of the file of a message: the one place where a database names files."""
+    return f"{message}{suffix}"
 
-    def __init__(self, path: Path, fields: Mapping[str, Any], start_ns: int) -> None:
+
+class _Table:
+    """The file of one message, with the time and ``fields`` (signal → type) as columns."""
+
+    def __init__(self, path: Path, message: str, fields: Mapping[str, Any], start_ns: int) -> None:
         is_csv = path.suffix == ".csv"
-        self._time: Callable[[NDArray[np.int64]], Any] = _seconds
-        time = ("time_s", pa.float64())
-        if start_ns >= _EXACT_NS:
-            self._time, time = (
-                (_decimals, ("time_s", _DATE)) if is_csv else (_stamps, ("time", _STAMP))
-            )
-        self._schema = pa.schema([time, *fields.items()])
+        self._times, time = time_column(is_csv, start_ns)
+        # A signal with the name of the time column has its message's before it.
+        names = [f"{message}.{signal}" if signal == time[0] else signal for signal in fields]
+        self._schema = pa.schema([time, *zip(names, fields.values(), strict=True)])
         self._writer: Any = (
             pyarrow.csv.CSVWriter(path, self._schema)
             if is_csv
             else pyarrow.parquet.ParquetWriter(path, self._schema, compression="zstd")
         )
+        self._held: list[Any] = []
+        self.cells = 0
+        """Number of cells that are held in memory."""
 
-    def write(self, time_ns: NDArray[np.int64], cells: Mapping[str, Any]) -> None:
-        """Add rows."""
-        columns = [self._time(time_ns), *(cells[name] for name in self._schema.names[1:])]
-        self._writer.write_table(pa.table(columns, schema=self._schema))
+    def add(self, time_ns: NDArray[np.int64], cells: list[Any]) -> None:
+        """Add rows, which are held in memory until `flush`."""
+        self._held.append(pa.table([self._times(time_ns), *cells], schema=self._schema))
+        self.cells += len(time_ns) * len(self._schema)
+
+    def flush(self) -> None:
+        """Write the rows that are held: in Parquet, a row group."""
+        if self._held:
+            self._writer.write_table(pa.concat_tables(self._held))
+        self._held, self.cells = [], 0
 
     def close(self) -> None:
-        """Write what is still held in memory."""
+        """Write the rest, and finish the file."""
+        self.flush()
         self._writer.close()
+
+
+def time_column(
+    is_csv: bool, start_ns: int
+) -> tuple[Callable[[NDArray[np.int64]], Any], tuple[str, Any]]:
+    """What makes the cells of (n,) times [ns], and name and type of their column."""
+    if start_ns < _EXACT_NS:
+        return _seconds, (TIME_S, pa.float64())
+    return (_decimals, (TIME_S, _DATE)) if is_csv else (_stamps, ("time", _STAMP))
 
 
 def _stamps(time_ns: NDArray[np.int64]) -> Any:
@@ -156,7 +133,7 @@ def _decimals(time_ns: NDArray[np.int64]) -> Any:
     return pa.Array.from_buffers(_DATE, len(time_ns), [None, pa.py_buffer(wide.tobytes())])
 
 
-def _fields(columns: MessageColumns, names: bool) -> dict[str, Any]:
+def signal_types(columns: MessageColumns, names: bool) -> dict[str, Any]:
     """The type of each signal's column."""
     return {
         signal: pa.string()
@@ -166,17 +143,16 @@ def _fields(columns: MessageColumns, names: bool) -> dict[str, Any]:
     }
 
 
-def _values(
-    columns: MessageColumns, signal: str, names: bool
-) -> tuple[NDArray[Any], NDArray[np.bool_]]:
-    """(n,) values to write, and where there is none."""
-    values = np.ma.getdata(columns.signals[signal])
-    missing = np.ma.getmaskarray(columns.signals[signal])
+def signal_cells(columns: MessageColumns, signal: str, names: bool) -> Any:
+    """(n,) cells of a signal, null where a frame does not have it."""
+    column = columns.signals[signal]
+    values = np.ma.getdata(column)
+    mask = np.ma.getmaskarray(column) if isinstance(column, np.ma.MaskedArray) else None
     if names and columns.layout[signal].is_enumeration:
         words = columns.words(signal)
-        bare = np.array([word is None for word in words])  # numbers without a word
+        bare = np.array([word is None for word in words], dtype=bool)  # numbers without a word
         words[bare] = values[bare].astype(str)
-        return words, missing
+        return pa.array(words, pa.string(), mask=mask)
     if values.dtype == object:
         values = np.array([str(value) for value in values.tolist()], dtype=object)
-    return values, missing
+    return pa.array(values, _TYPES[values.dtype.kind], mask=mask)

@@ -8,31 +8,16 @@ from typing import Final
 
 from can.util import channel2int
 
-from can_rig.errors import LogError
-from can_rig.logs.frames import CLASSIC_BYTES, ERROR, EXTENDED, FD, REMOTE, SENT, Frames
-from can_rig.logs.log import Log
+from can_rig.logs.frames import CLASSIC_BYTES, EXTENDED, SENT, Frames
 
 _HEADER: Final = "Time Stamp,ID,Extended,Dir,Bus,LEN,D1,D2,D3,D4,D5,D6,D7,D8\n"
 
 
-def write_gvret(log: Log, chunks: Iterable[Frames], path: Path, final: Path) -> None:
-    """Write a log that will be called ``final``.
-
-    Raises:
-        LogError: a frame is none that SavvyCAN's format has, or is from before 1970.
-    """
+def write_gvret(chunks: Iterable[Frames], path: Path) -> None:
+    """Write a log."""
     with path.open("w", encoding="ascii", newline="") as file:
         file.write(_HEADER)
         for frames in chunks:
-            others = int(frames.has(ERROR | REMOTE | FD).sum())
-            if others:
-                raise LogError(
-                    f"{final}: SavvyCAN's CSV holds classic data frames alone, and {others} frames "
-                    f"of {log.path} are CAN FD, remote or error frames; the format must be .log, "
-                    ".asc, .blf or .mf4"
-                )
-            if len(frames) and int(frames.time_ns.min()) < 0:
-                raise LogError(f"{final}: a frame of {log.path} is from before the year 1970")
             file.write("".join(_lines(frames)))
 
 

@@ -28,25 +28,21 @@ from can_rig.logs.frames import (
     SENT,
     Frames,
 )
-from can_rig.logs.log import Log
 
 _DLC: Final = np.array([*range(9), *np.repeat(range(9, 16), [4, 4, 4, 4, 8, 16, 16])], np.uint8)
 """DLC by payload length: 9 for 9 to 12 bytes, …, 15 for 49 to 64."""
 
 
-def write_mf4(log: Log, chunks: Iterable[Frames], path: Path) -> None:
+def write_mf4(chunks: Iterable[Frames], path: Path, start_ns: int) -> None:
     """Write a log; a channel group for each kind of frame and width of payload that occurs."""
     from asammdf import MDF, Signal, Source  # noqa: PLC0415 (slow to import)
 
     source = Source("CAN", "", "", Source.SOURCE_BUS, Source.BUS_TYPE_CAN)
     with MDF(version="4.10") as file:
-        start_ns: int | None = None
+        file.header.start_time = datetime.fromtimestamp(start_ns // NS_PER_S, UTC)
+        file.header.abs_time = start_ns
         groups: dict[tuple[str, int], int] = {}
         for frames in chunks:
-            if start_ns is None:
-                start_ns = log.start_ns
-                file.header.start_time = datetime.fromtimestamp(start_ns // NS_PER_S, UTC)
-                file.header.abs_time = start_ns
             for (kind, width), part in _kinds(frames).items():
                 time_s = (part.time_ns - start_ns) / NS_PER_S
                 records = _records(kind, width, part)

@@ -1,46 +1,54 @@
-"""Logs of Vector, through python-can's writers."""
+"""Logs of Vector, through python-can's writers.
+
+Time stamps are passed to both in seconds since the start of the recording, not of a date: so they
+stay exact in float64.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from itertools import chain
+from collections.abc import Iterable, Iterator
+from datetime import datetime
 from pathlib import Path
 from typing import Final
 
+from can import Message
 from can.io import ASCWriter, BLFWriter
 
 from can_rig.logs.frames import NS_PER_S, Frames
 
 _HALF_NS: Final = 5e-10
-_BLF_SINCE_NS: Final = 631_152_000 * NS_PER_S  # 1990: python-can writes no earlier date
 
 
-def write_asc(chunks: Iterable[Frames], path: Path) -> None:
-    """Write a Vector ASCII log."""
-    with ASCWriter(path) as writer:
-        for frames in chunks:
-            for message in frames.messages():
-                writer.on_message_received(message)
+class _AscWriter(ASCWriter):
+    def _format_header_datetime(self, dt: datetime) -> str:
+        """A date with three digits of milliseconds: python-can writes 7 ms as ``.7``."""
+        return dt.strftime(f"%a %b %d %H:%M:%S.{dt.microsecond // 1000:03d} %Y")
 
 
-def write_blf(source: Iterable[Frames], path: Path) -> None:
-    """Write a Vector binary log."""
+def write_asc(chunks: Iterable[Frames], path: Path, start_ns: int) -> None:
+    """Write a Vector ASCII log that starts at ``start_ns``, whole milliseconds."""
+    with _AscWriter(path) as writer:
+        writer.log_event("Start of measurement", start_ns / NS_PER_S)
+        writer.started = 0.0
+        for message in _since(chunks, start_ns):
+            writer.on_message_received(message)
+
+
+def write_blf(chunks: Iterable[Frames], path: Path, start_ns: int) -> None:
+    """Write a Vector binary log that starts at ``start_ns``, whole milliseconds."""
     with BLFWriter(path) as writer:
-        chunks = iter(source)
-        first = next(chunks, None)
-        if first is None:
-            return
-        # The header has the start to the millisecond. Relative to it time stamps stay exact, with
-        # half a nanosecond added, because the writer cuts off the rest.
-        start_ns = int(first.time_ns[0]) // 1_000_000 * 1_000_000
-        if start_ns < _BLF_SINCE_NS:
-            start_ns = 0  # the time of a simulation, not a date
-        writer.start_timestamp = 0.0
-        last_s = 0.0
-        for frames in chain([first], chunks):
-            for message, time_ns in zip(frames.messages(), frames.time_ns.tolist(), strict=True):
-                last_s = (time_ns - start_ns) / NS_PER_S
-                message.timestamp = last_s + _HALF_NS
-                writer.on_message_received(message)
+        writer.start_timestamp = last_s = 0.0
+        for message in _since(chunks, start_ns):
+            last_s = message.timestamp
+            message.timestamp += _HALF_NS  # the writer cuts off what is below 1 ns
+            writer.on_message_received(message)
         writer.start_timestamp = start_ns / NS_PER_S
         writer.stop_timestamp = writer.start_timestamp + last_s
+
+
+def _since(chunks: Iterable[Frames], start_ns: int) -> Iterator[Message]:
+    """The frames one by one, with time stamps since ``start_ns``."""
+    for frames in chunks:
+        for message, time_ns in zip(frames.messages(), frames.time_ns.tolist(), strict=True):
+            message.timestamp = (time_ns - start_ns) / NS_PER_S
+            yield message

@@ -10,10 +10,8 @@ from typing import Final
 
 from can.util import channel2int
 
-from can_rig.errors import LogError
 from can_rig.logs.frames import (
     BITRATE_SWITCH,
-    ERROR,
     ERROR_STATE,
     EXTENDED,
     FD,
@@ -22,7 +20,6 @@ from can_rig.logs.frames import (
     SENT,
     Frames,
 )
-from can_rig.logs.log import Log
 
 _NS_PER_DAY: Final = 86_400 * NS_PER_S
 _DAYS_TO_1970: Final = 25569
@@ -35,34 +32,14 @@ _TYPES: Final = {
 }
 
 
-def write_trc(log: Log, chunks: Iterable[Frames], path: Path, final: Path) -> None:
-    """Write a PEAK trace that says in its header that it is called ``final``.
-
-    Raises:
-        LogError: a frame is an error frame, or before the start of the recording.
-    """
+def write_trc(chunks: Iterable[Frames], path: Path, start_ns: int, final: Path) -> None:
+    """Write a PEAK trace that says in its header that it is called ``final``."""
     with path.open("w", encoding="utf-8", newline="\r\n") as file:
+        file.write(_header(start_ns, final))
         number = 0
-        start_ns: int | None = None
         for frames in chunks:
-            if start_ns is None:
-                start_ns = log.start_ns
-                file.write(_header(start_ns, final))
-            errors = int(frames.has(ERROR).sum())
-            if errors:
-                raise LogError(
-                    f"{final}: a PEAK trace holds no error frames, and {errors} frames of "
-                    f"{log.path} are such; the format must be .log, .asc, .blf or .mf4"
-                )
-            if len(frames) and int(frames.time_ns.min()) < start_ns:
-                raise LogError(
-                    f"{final}: a PEAK trace holds no frames from before its start, and the clock "
-                    f"of {log.path} goes back to there"
-                )
             file.write("".join(_lines(frames, start_ns, number)))
             number += len(frames)
-        if start_ns is None:
-            file.write(_header(0, final))
 
 
 def _header(start_ns: int, final: Path) -> str:

@@ -72,16 +72,16 @@ def test_a_run_as_a_table(drive: Path, tmp_path: Path) -> None:
     assert done.returncode == 0, done.stderr
     expected = decoded(drive)
     stamps = [round(message.timestamp * 1e9) for message in can.LogReader(drive)]
-    for dot, table in (
-        (".", pd.read_csv(tmp_path / "a.csv")),
-        ("/", pd.read_parquet(tmp_path / "a.parquet")),
-    ):
-        assert table["message"].tolist() == list(NAMES) * 300
-        for name, signal in zip(NAMES, ("DStarReference", "DStar", "SteerTorque"), strict=False):
-            column = table.loc[table["message"] == name, f"{name}{dot}{signal}"]
-            assert (column.to_numpy() == expected[name]).all()
-            assert table.loc[table["message"] != name, f"{name}{dot}{signal}"].isna().all()
-        assert (table["time_s"] * 1e9).round().tolist() == stamps
+    table = pd.read_csv(tmp_path / "a.csv")
+    assert table["message"].tolist() == list(NAMES) * 300
+    assert (table["time_s"] * 1e9).round().tolist() == stamps
+    for at, (name, signal) in enumerate(zip(NAMES, ("DStarReference", "DStar"), strict=False)):
+        column = table.loc[table["message"] == name, f"{name}.{signal}"]
+        assert (column.to_numpy() == expected[name]).all()
+        assert table.loc[table["message"] != name, f"{name}.{signal}"].isna().all()
+        own = pd.read_parquet(tmp_path / f"a.parquet/{name}.parquet")
+        assert own[signal].tolist() == list(expected[name])
+        assert (own["time_s"] * 1e9).round().tolist() == stamps[at :: len(NAMES)]
 
 
 def test_anybodys_log_through_anybodys_dbc(foreign: tuple[Path, Path], tmp_path: Path) -> None:
@@ -135,8 +135,8 @@ def test_a_folder_has_a_file_for_each_message(foreign: tuple[Path, Path], tmp_pa
 
 def test_mdf_opens_in_asammdf(foreign: tuple[Path, Path], tmp_path: Path) -> None:
     dbc, log = foreign
-    assert rig("decode", log, "--dbc", dbc, "--out", tmp_path / "a.mf4").returncode == 0
     columns = decode_log(log, dbc)
+    assert rig("decode", log, "--dbc", dbc, "--out", tmp_path / "a.mf4").returncode == 0
     with asammdf.MDF(tmp_path / "a.mf4") as file:
         assert [group.channel_group.acq_name for group in file.groups] == ["MIXED", "PLAIN"]
         assert file.header.abs_time == 1_700_000_000 * 10**9

@@ -91,7 +91,7 @@ def test_words_of_a_bus_of_its_own(log: Path, tmp_path: Path) -> None:
 
 
 def test_parquet_and_mcap_name_their_series_alike(log: Path, tmp_path: Path) -> None:
-    """PlotJuggler calls what is in an MCAP file topic/field, and a column as it is."""
+    """PlotJuggler calls what is in an MCAP file topic/field; a Parquet file is a topic."""
     outputs = ("--out", tmp_path / "a.mcap", "--out", tmp_path / "a.parquet")
     asked("decode", log, "--dbc", log.with_suffix(".dbc"), *outputs)
     with (tmp_path / "a.mcap").open("rb") as file:
@@ -100,18 +100,21 @@ def test_parquet_and_mcap_name_their_series_alike(log: Path, tmp_path: Path) -> 
             for _, channel, m in make_reader(file).iter_messages()
             for field in json.loads(m.data)
         }
-    assert series == set(pq.read_schema(tmp_path / "a.parquet").names) - {"time", "message"}
+    files = (tmp_path / "a.parquet").iterdir()
+    columns = {f"{file.stem}/{name}" for file in files for name in pq.read_schema(file).names}
+    assert series == columns - {"SPEEDS/time", "STATE/time"}
     assert "SPEEDS/Left" in series
 
 
 def test_parquet_has_dates_that_pandas_knows(log: Path, tmp_path: Path) -> None:
     asked("decode", log, "--dbc", log.with_suffix(".dbc"), "--out", tmp_path / "a.parquet")
-    table = pd.read_parquet(tmp_path / "a.parquet")
-    wanted = list(by_cantools(log))
+    path = tmp_path / "a.parquet" / "SPEEDS.parquet"
+    table = pd.read_parquet(path)
+    wanted = [time_ns for time_ns, name, _ in by_cantools(log) if name == "SPEEDS"]
     assert str(table["time"].dtype) == "datetime64[ns, UTC]"
-    assert table["time"].astype("int64").tolist() == [time_ns for time_ns, _, _ in wanted]
-    assert table["SPEEDS/Ratio"].dropna().tolist() == [1.0] * 39
-    part = pd.read_parquet(tmp_path / "a.parquet", columns=["time", "SPEEDS/Left"])
+    assert table["time"].astype("int64").tolist() == wanted
+    assert table["Ratio"].dropna().tolist() == [1.0] * 39
+    part = pd.read_parquet(path, columns=["time", "Left"])
     assert len(part.dropna()) == 20
 
 

@@ -133,12 +133,11 @@ def test_can_fd_j1939_and_classic_buses_in_one_log(tmp_path: Path, suffix: str) 
     if suffix != ".log":
         assert asked("convert", log, tmp_path / f"all{suffix}").returncode == 0
         log = tmp_path / f"all{suffix}"
-    first = 1 if suffix == ".trc" else 0  # PEAK counts buses from 1
     prefix = "can" if suffix.startswith(".log") else ""
-    each = [f"{prefix}{at + first}={path}" for at, path in enumerate(files)]
+    each = [f"{prefix}{at}={path}" for at, path in enumerate(files)]
     done = asked("decode", log, *(word for one in each for word in ("--dbc", one)), "--json")
     said = json.loads(done.stdout)
-    names = [f"{prefix}{at + first}.{name}" for at, name in enumerate(["LONG", "EEC1", "SHORT"])]
+    names = [f"{prefix}{at}.{name}" for at, name in enumerate(["LONG", "EEC1", "SHORT"])]
     assert {name: said["messages"][name]["decoded"] for name in names} == dict.fromkeys(names, 10)
     assert said["transport"] == {"messages": 10, "incomplete": 0, "unknown": {}}
     assert sum(said["unknown"].values()) == 10

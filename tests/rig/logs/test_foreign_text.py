@@ -33,14 +33,14 @@ def test_the_length_code_of_a_peak_trace_is_no_number_of_bytes(tmp_path: Path) -
     found = rows(whole(written(tmp_path, PEAK_2_1, "a.trc")))
     start = 43008 - 25569
     base = start * 86400 * 10**9 + 43200 * 10**9
-    assert found[0] == (base + 1_000_000, 0x123, 0, "1", 2, b"\1\2")
+    assert found[0] == (base + 1_000_000, 0x123, 0, "0", 2, b"\1\2")
     assert [(flags, bus, length) for _, _, flags, bus, length, _ in found[1:]] == [
-        (FD, "1", 12),
-        (FD | BITRATE_SWITCH | SENT | EXTENDED, "2", 64),
-        (FD | BITRATE_SWITCH | ERROR_STATE, "1", 0),
-        (FD | ERROR_STATE, "1", 1),
-        (REMOTE, "1", 4),
-        (0, "1", 8),
+        (FD, "0", 12),
+        (FD | BITRATE_SWITCH | SENT | EXTENDED, "1", 64),
+        (FD | BITRATE_SWITCH | ERROR_STATE, "0", 0),
+        (FD | ERROR_STATE, "0", 1),
+        (REMOTE, "0", 4),
+        (0, "0", 8),
     ]
     assert found[1][5] == bytes(range(1, 13))
     assert found[2][5] == b"\x5a" * 64
@@ -49,10 +49,10 @@ def test_the_length_code_of_a_peak_trace_is_no_number_of_bytes(tmp_path: Path) -
 @pytest.mark.parametrize(
     ("version", "line", "bus"),
     [
-        ("1.0", "     1)     17535  00000100  2  0A 0B", "1"),
-        ("1.1", "     1)     17535.0  Rx     00000100  2  0A 0B", "1"),
-        ("1.2", "     1)     17535.000 3  Rx    00000100  2  0A 0B", "3"),
-        ("1.3", "     1)     17535.000 3  Rx    00000100 -  2    0A 0B", "3"),
+        ("1.0", "     1)     17535  00000100  2  0A 0B", "0"),
+        ("1.1", "     1)     17535.0  Rx     00000100  2  0A 0B", "0"),
+        ("1.2", "     1)     17535.000 3  Rx    00000100  2  0A 0B", "2"),
+        ("1.3", "     1)     17535.000 3  Rx    00000100 -  2    0A 0B", "2"),
     ],
 )
 def test_every_version_of_a_peak_trace(tmp_path: Path, version: str, line: str, bus: str) -> None:

@@ -92,7 +92,7 @@ def test_a_peak_log_holds_no_error_frames(tmp_path: Path) -> None:
     by_python_can(tmp_path / "a.blf", kinds())
     with pytest.raises(
         LogError,
-        match=r"b.trc: a PEAK trace holds no error frames, and 1 frames of .*a.blf are such; ",
+        match=r"b.trc: a PEAK trace holds no error frames, and .*a.blf has 1 error frame; ",
     ):
         write_log(read_log(tmp_path / "a.blf"), tmp_path / "b.trc")
     assert sorted(path.name for path in tmp_path.iterdir()) == ["a.blf"]

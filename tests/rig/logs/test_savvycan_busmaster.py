@@ -109,7 +109,7 @@ def test_written_for_savvycan(tmp_path: Path) -> None:
         kind = kinds()[2] if name == "fd.log" else kinds()[1]
         other = by_python_can(tmp_path / name, [kind])
         with pytest.raises(
-            LogError, match=r"c\.csv: SavvyCAN's CSV holds classic data frames alone"
+            LogError, match=r"c\.csv: SavvyCAN's CSV holds no error, remote or CAN FD frames, and"
         ):
             write_log(read_log(other), tmp_path / "c.csv")
 

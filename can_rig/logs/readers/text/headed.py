@@ -20,6 +20,9 @@ _WHOLE: Final = re.compile(rb"(\s|\s[0-9A-Fa-f]{2})\Z")
 class HeadedReader(LineReader):
     """What Vector's and PEAK's logs have in common."""
 
+    first_bus = 0
+    """The number of the first bus in the columns."""
+
     def ended(self, line: bytes, frame: Frames) -> bool:
         """All the bytes that the length announces, the last one with both digits."""
         data = frame.length[-1] > 0 and not frame.flags[-1] & REMOTE
@@ -38,4 +41,5 @@ class HeadedReader(LineReader):
                     f"{self.log.path}: a time stamp of {last_ns / 1e9:.3g} s after the start; "
                     "it must be before the year 2262"
                 )
-            yield numbered(replace(frames, time_ns=frames.time_ns + self.log.start_ns))
+            on_clock = replace(frames, time_ns=frames.time_ns + self.log.start_ns)
+            yield numbered(on_clock, self.first_bus)

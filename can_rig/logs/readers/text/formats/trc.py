@@ -43,6 +43,7 @@ def read_trc(log: Log) -> Iterator[Frames]:
 
 
 class _Reader(HeadedReader):
+    first_bus = 1
     first_frame = re.compile(rb"[ \t]*\d+\)?[ \t]")
 
     def __init__(self, log: Log) -> None:
