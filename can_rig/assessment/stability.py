@@ -18,9 +18,10 @@ from typing import Any
 from can_rig.assessment.control_authority import ControlAuthority, control_authority
 from can_rig.assessment.decision import DecisionFigures, decision_figures
 from can_rig.assessment.drives import Drives, Finding, box_findings, own_findings
-from can_rig.assessment.limitations import describe, plant_limitations
+from can_rig.assessment.limitations import describe, figures, plant_limitations
 from can_rig.assessment.network_notes import frame_notes, signal_notes
 from can_rig.assessment.stability_table import finite_or_null
+from can_rig.assessment.thin_margins import thin_margins
 from can_rig.drawing.names import names_of, with_unit
 from can_rig.errors import ScenarioError
 from can_rig.plant.simulated import SimulatedPlant
@@ -84,9 +85,15 @@ class StabilityCheck:
         return self.healthy.stable and self.faulted.stable
 
     @property
+    def thin_margins(self) -> list[str]:
+        """What the linear loop has less of than ``budget`` asks for, before or after the fault."""
+        ends = zip(_both_ends(self.scenario), (self.healthy, self.faulted), strict=True)
+        return list(thin_margins(self.scenario.budget, ends))
+
+    @property
     def stable(self) -> bool:
-        """That, and every drive with limits, noise and other cars is calm."""
-        return self.linear_stable and not self.findings
+        """That with no thin margin, and every drive with limits, noise and other cars is calm."""
+        return self.linear_stable and not self.findings and not self.thin_margins
 
     @property
     def states(self) -> Iterator[tuple[str, Margins]]:
@@ -118,8 +125,8 @@ class StabilityCheck:
         network = network_of(self.scenario)
         yield from frame_notes(network)
         ends = [margins for margins in (self.healthy, self.faulted) if margins.stable]
-        largest_1 = max((each.noise_to_command_1 for each in ends), default=0.0)
-        largest_2 = max((each.noise_to_command_2 for each in ends), default=0.0)
+        noise = [(each.noise_to_command_1, each.noise_to_command_2) for each in ends]
+        largest_1, largest_2 = (max(each) for each in zip(*noise or [(0.0, 0.0)], strict=True))
         yield from signal_notes(self.scenario, network, (largest_1, largest_2))
 
     @property
@@ -130,7 +137,9 @@ class StabilityCheck:
             more = f" (and {len(self.findings) - 1} more)" if len(self.findings) > 1 else ""
             return f"not calm: {self.findings[0]}{more}"
         if not unstable:
-            return "stable: healthy, and with a channel dead or partly lost; every drive is calm"
+            thin = "; ".join(self.thin_margins)
+            calm = "stable: healthy, and with a channel dead or partly lost; every drive is calm"
+            return f"thin margin: {thin}" if thin else calm
         names = ", ".join(name for name, _ in unstable)
         if self.linear_stable:
             return f"stable healthy and with {_channel(self.scenario)} dead, but not: {names}"
@@ -142,6 +151,7 @@ class StabilityCheck:
             "scenario": self.scenario.name,
             "stable": self.stable,
             "findings": [asdict(finding) for finding in self.findings],
+            "thin_margins": self.thin_margins,
             "network": list(self.network_notes),
             "healthy": asdict(self.healthy),
             "faulted": asdict(self.faulted),
@@ -149,7 +159,7 @@ class StabilityCheck:
             "false_alarm": None if self.false_alarm is None else asdict(self.false_alarm),
             "decision": asdict(self.decision),
             "control_authority": self.control_authority and self.control_authority.as_dict(),
-            "limitations": {key: _figures(found) for key, found in self.limitations.items()},
+            "limitations": {key: figures(found) for key, found in self.limitations.items()},
         }
         return {key: finite_or_null(value) for key, value in values.items()}
 
@@ -207,9 +217,8 @@ def refuse_unstable(scenario: Scenario) -> None:
         radius = loop.spectral_radius()
         if not radius < 1.0:
             reason = _reason(scenario, name, radius)
-            raise ScenarioError(
-                f"scenario {scenario.name}: {reason}; --allow-unstable runs it as it is"
-            )
+            said = f"scenario {scenario.name}: {reason}"
+            raise ScenarioError(f"{said}; --allow-unstable runs it as it is")
     for finding in own_findings(Drives(scenario, network_of(scenario))):
         if not finding.false_alarm:
             raise ScenarioError(
@@ -254,15 +263,6 @@ def _reason(scenario: Scenario, state: str, radius: float) -> str:
     survived = "no latency_ticks" if longest is None else f"latency_ticks up to {longest}"
     tuning = stable_tuning(scenario) or f"no tau_q_s up to {TUNINGS_S[-1]:g}"
     return f"{unstable_as}; this tuning is stable with {survived}; {tuning} works"
-
-
-def _figures(found: Limitations) -> dict[str, float]:
-    """Without the roots, which JSON has no numbers for."""
-    return {
-        "sensitivity": found.sensitivity,
-        "complementary": found.complementary,
-        "halving_rad_per_s": found.halving_rad_per_s,
-    }
 
 
 def _isolation(scenario: Scenario) -> str:
