@@ -96,8 +96,8 @@ def _listed(roots: Roots) -> str:
     return f"{', '.join(words)} rad/s"
 
 
-def figures(found: Limitations) -> dict[str, float]:
-    """Without the roots, which JSON has no numbers for."""
+def without_roots(found: Limitations) -> dict[str, float]:
+    """The bounds for JSON, which has no numbers for the roots."""
     return {
         "sensitivity": found.sensitivity,
         "complementary": found.complementary,

@@ -18,7 +18,7 @@ from typing import Any
 from can_rig.assessment.control_authority import ControlAuthority, control_authority
 from can_rig.assessment.decision import DecisionFigures, decision_figures
 from can_rig.assessment.drives import Drives, Finding, box_findings, own_findings
-from can_rig.assessment.limitations import describe, figures, plant_limitations
+from can_rig.assessment.limitations import describe, plant_limitations, without_roots
 from can_rig.assessment.network_notes import frame_notes, signal_notes
 from can_rig.assessment.stability_table import finite_or_null
 from can_rig.assessment.thin_margins import thin_margins
@@ -54,7 +54,6 @@ DEAD: dict[str, Effectiveness] = {"torque": (0.0, 1.0), "force-difference": (1.0
 PARTLY_LOST = (0.75, 0.5, 0.25)  # what is left of the torque channel
 FASTER = 0.05  # tau_s over tau_q_s, tried for an unstable plant
 TUNINGS_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)  # tried for tau_s = tau_q_s
-SPARE_TICKS = (0, 1)  # extra delays with which a tuning must be stable to be recommended
 
 
 @dataclass(frozen=True)
@@ -137,9 +136,9 @@ class StabilityCheck:
             more = f" (and {len(self.findings) - 1} more)" if len(self.findings) > 1 else ""
             return f"not calm: {self.findings[0]}{more}"
         if not unstable:
-            thin = "; ".join(self.thin_margins)
-            calm = "stable: healthy, and with a channel dead or partly lost; every drive is calm"
-            return f"thin margin: {thin}" if thin else calm
+            if self.thin_margins:
+                return f"thin margin: {'; '.join(self.thin_margins)}"
+            return "stable: healthy, and with a channel dead or partly lost; every drive is calm"
         names = ", ".join(name for name, _ in unstable)
         if self.linear_stable:
             return f"stable healthy and with {_channel(self.scenario)} dead, but not: {names}"
@@ -159,7 +158,7 @@ class StabilityCheck:
             "false_alarm": None if self.false_alarm is None else asdict(self.false_alarm),
             "decision": asdict(self.decision),
             "control_authority": self.control_authority and self.control_authority.as_dict(),
-            "limitations": {key: figures(found) for key, found in self.limitations.items()},
+            "limitations": {key: without_roots(found) for key, found in self.limitations.items()},
         }
         return {key: finite_or_null(value) for key, value in values.items()}
 
@@ -208,8 +207,7 @@ def refuse_unstable(scenario: Scenario) -> None:
     """Raise unless the loop is stable before the fault and after it, and bears its limits.
 
     Raises:
-        ScenarioError: names the unstable state and what would be stable, or what D* does within
-            the limits; a design that cannot be made.
+        ScenarioError: names the unstable state and what would be stable; D* within the limits.
     """
     table, plant = controller_table(scenario, None), continuous_plant(scenario.plant)
     for name, left in _every_end(scenario).items():
@@ -228,20 +226,22 @@ def refuse_unstable(scenario: Scenario) -> None:
 
 
 def stable_tuning(scenario: Scenario) -> str | None:
-    """The fastest tau_s = tau_q_s that is stable before and after the fault with a tick to spare.
+    """The fastest tau_s = tau_q_s that is stable before and after the fault, and not thinly.
 
-    Of an unstable plant tau_s is ``FASTER`` of that: C has to hold it through F̂. As the options
-    that choose it; the scenario's own estimator is tried first. None if there is no such tuning.
+    Of an unstable plant tau_s is ``FASTER`` of that: C has to hold it through F̂. As options; the
+    scenario's own estimator is tried first. None if there is no such tuning.
     """
     share = FASTER if unstable(continuous_plant(scenario.model).g1) else 1.0
     plant, states = continuous_plant(scenario.plant), tuple(_both_ends(scenario).values())
-    own = scenario.design.estimator
+    own, most = scenario.design.estimator, scenario.budget.peak_sensitivity
+    spare = range(1, max(1, scenario.budget.spare_ticks) + 1)
     rules = [own, *(rule for rule in RULE_NAMES if rule != own)]
     for tau_s, rule in product(TUNINGS_S, rules):
         chosen = replace(scenario.design, tau_s=share * tau_s, tau_q_s=tau_s, estimator=rule)
         other = replace(scenario, design=chosen)
         design, place = continuous_design(other), target(other, None)
-        if all(is_stable_in(design, place, plant, states, spare) for spare in SPARE_TICKS):
+        steady = is_stable_in(design, place, plant, states, 0.0, most)
+        if steady and all(is_stable_in(design, place, plant, states, ticks) for ticks in spare):
             keys = [f"design.tau_s={share * tau_s:g}", f"design.tau_q_s={tau_s:g}"]
             keys += [f"design.estimator={rule}"] if rule != own else []
             return " ".join(f"--set {key}" for key in keys)

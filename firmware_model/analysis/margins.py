@@ -230,14 +230,22 @@ def is_stable_in(
     plant: Plant,
     states: Iterable[tuple[float, float]],
     extra_delay_ticks: float = 0.0,
+    most_sensitive: float = math.inf,
 ) -> bool:
-    """Whether ``design`` on ``target`` can be built and is stable in every one of ``states``."""
+    """Whether ``design`` on ``target`` can be built and is stable in every one of ``states``.
+
+    With a peak |S| of at most ``most_sensitive``.
+    """
     try:
         table = build(design, target)
     except DesignError:
         return False
-    loops = (
+    loops = [
         sampled_loop(law_in(table, state), plant, target.tick_s, state, extra_delay_ticks)
         for state in states
+    ]
+    if not all(loop.spectral_radius() < 1.0 for loop in loops):
+        return False
+    return math.isinf(most_sensitive) or all(
+        peak_sensitivity(loop)[0] <= most_sensitive for loop in loops
     )
-    return all(loop.spectral_radius() < 1.0 for loop in loops)
