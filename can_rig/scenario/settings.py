@@ -143,7 +143,7 @@ class Scenario:
     tick_s: Annotated[float, Field(ge=1e-5, le=1.0)] = 0.001  # 10 µs, which five frames share
     duration_s: Annotated[float, Field(gt=0.0, le=MAX_DURATION_S)] = 20.0
     latency_ticks: Annotated[int, Field(ge=0, le=MAX_LATENCY_TICKS)] = 0
-    seed: NonNegativeInt = 0
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  # as a table has it
     plant: PlantSettings = dataclasses.field(default_factory=PlantSettings)
     model: PlantSettings = dataclasses.field(default_factory=PlantSettings)
     design: DesignSettings = dataclasses.field(default_factory=DesignSettings)
