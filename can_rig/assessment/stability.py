@@ -20,8 +20,7 @@ from can_rig.assessment.decision import DecisionFigures, decision_figures
 from can_rig.assessment.drives import Drives, Finding, box_findings, own_findings
 from can_rig.assessment.limitations import describe, plant_limitations, without_roots
 from can_rig.assessment.network_notes import frame_notes, signal_notes
-from can_rig.assessment.stability_table import finite_or_null
-from can_rig.assessment.thin_margins import thin_margins
+from can_rig.assessment.stability_table import finite_or_null, thin_margins
 from can_rig.drawing.names import names_of, with_unit
 from can_rig.errors import ScenarioError
 from can_rig.plant.simulated import SimulatedPlant

@@ -52,31 +52,6 @@ def options(settings: Sequence[str]) -> list[str]:
     return [word for setting in settings for word in ("--set", setting)]
 
 
-def test_a_loop_that_is_stable_with_nothing_to_spare_is_not_called_stable() -> None:
-    """Of 1.5 ms ticks and two of latency, τ = 7 ms leaves 0.4 % of the distance to -1."""
-    thin = ["tick_s=0.0015", "latency_ticks=2", "design.tau_s=0.007", "design.tau_q_s=0.0015"]
-    done = asked("check", "thesis-step", *options(thin), "--json")
-    assert done.returncode == 1
-    values = json.loads(done.stdout)
-    assert max(values[end]["peak_sensitivity"] for end in ("healthy", "faulted")) > 100.0
-    assert max(values[end]["spectral_radius"] for end in ("healthy", "faulted")) < 1.0
-    assert not values["stable"]
-    (found,) = values["thin_margins"]
-    assert "must be at most 5 (budget.peak_sensitivity)" in found
-
-
-def test_how_thin_a_margin_may_be_is_a_key() -> None:
-    own = ("budget.peak_sensitivity=2", "budget.spare_ticks=6")
-    result = check_stability(load("ideal", own))
-    assert result.thin_margins == [
-        f"{name}: the spare ticks of delay are {spare} and must be at least 6 (budget.spare_ticks)"
-        for name, spare in (("healthy", 5), ("torque dead", 4))
-    ]
-    assert result.verdict == "thin margin: " + "; ".join(result.thin_margins)
-    assert not result.stable
-    assert check_stability(load("ideal", ["budget.spare_ticks=4"])).stable
-
-
 def test_json_has_the_figures_of_both_ends() -> None:
     done = asked("check", "thesis-step", "--json")
     assert done.returncode == 0
