@@ -1,4 +1,4 @@
-"""The margins of a loop as a table for people, those that are thin, and figures for JSON."""
+"""The margins of a loop as a table, those of them that are thin, and figures for JSON."""
 
 from __future__ import annotations
 

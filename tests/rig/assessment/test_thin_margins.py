@@ -1,4 +1,4 @@
-"""A loop that is stable and hardly: what is found of it, and the keys that say how thin it may be."""
+"""A loop that is stable and hardly: what is found of it, and how thin a margin may be."""
 
 from __future__ import annotations
 
