@@ -43,8 +43,8 @@ def table_rows(states: Iterable[tuple[str, Margins]]) -> Iterator[tuple[str, ...
 def thin_margins(budget: BudgetSettings, states: Iterable[tuple[str, Margins]]) -> Iterator[str]:
     """A part of a sentence for each margin of a stable state that is thinner than ``budget``.
 
-    A peak |S| of 5 leaves a fifth of the distance between L and -1: a gain that is off by 20 %, or a
-    phase by 11°, makes the loop unstable.
+    A peak |S| of 5 leaves L a fifth of the distance to -1: a gain that is off by 20 %, or a phase
+    by 11°, can make the loop unstable.
     """
     for name, figures in states:
         if not figures.stable:
