@@ -78,6 +78,12 @@ class BusLostError(RigError):
     exit_status = 3
 
 
+class WorkersLostError(RigError):
+    """Who computes a campaign has died or gone away; what is done is kept."""
+
+    exit_status = 3
+
+
 class DbcError(RigError):
     """A DBC that does not describe the frames of the rig; names file, frame and what is wanted."""
 

@@ -94,3 +94,12 @@ def _listed(roots: Roots) -> str:
         if root.imag >= 0.0
     ]
     return f"{', '.join(words)} rad/s"
+
+
+def without_roots(found: Limitations) -> dict[str, float]:
+    """The bounds for JSON, which has no numbers for the roots."""
+    return {
+        "sensitivity": found.sensitivity,
+        "complementary": found.complementary,
+        "halving_rad_per_s": found.halving_rad_per_s,
+    }

@@ -18,9 +18,9 @@ from typing import Any
 from can_rig.assessment.control_authority import ControlAuthority, control_authority
 from can_rig.assessment.decision import DecisionFigures, decision_figures
 from can_rig.assessment.drives import Drives, Finding, box_findings, own_findings
-from can_rig.assessment.limitations import describe, plant_limitations
+from can_rig.assessment.limitations import describe, plant_limitations, without_roots
 from can_rig.assessment.network_notes import frame_notes, signal_notes
-from can_rig.assessment.stability_table import finite_or_null
+from can_rig.assessment.stability_table import finite_or_null, thin_margins
 from can_rig.drawing.names import names_of, with_unit
 from can_rig.errors import ScenarioError
 from can_rig.plant.simulated import SimulatedPlant
@@ -53,7 +53,6 @@ DEAD: dict[str, Effectiveness] = {"torque": (0.0, 1.0), "force-difference": (1.0
 PARTLY_LOST = (0.75, 0.5, 0.25)  # what is left of the torque channel
 FASTER = 0.05  # tau_s over tau_q_s, tried for an unstable plant
 TUNINGS_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)  # tried for tau_s = tau_q_s
-SPARE_TICKS = (0, 1)  # extra delays with which a tuning must be stable to be recommended
 
 
 @dataclass(frozen=True)
@@ -84,9 +83,15 @@ class StabilityCheck:
         return self.healthy.stable and self.faulted.stable
 
     @property
+    def thin_margins(self) -> list[str]:
+        """What the linear loop has less of than ``budget`` asks for, before or after the fault."""
+        ends = zip(_both_ends(self.scenario), (self.healthy, self.faulted), strict=True)
+        return list(thin_margins(self.scenario.budget, ends))
+
+    @property
     def stable(self) -> bool:
-        """That, and every drive with limits, noise and other cars is calm."""
-        return self.linear_stable and not self.findings
+        """That with no thin margin, and every drive with limits, noise and other cars is calm."""
+        return self.linear_stable and not self.findings and not self.thin_margins
 
     @property
     def states(self) -> Iterator[tuple[str, Margins]]:
@@ -118,8 +123,8 @@ class StabilityCheck:
         network = network_of(self.scenario)
         yield from frame_notes(network)
         ends = [margins for margins in (self.healthy, self.faulted) if margins.stable]
-        largest_1 = max((each.noise_to_command_1 for each in ends), default=0.0)
-        largest_2 = max((each.noise_to_command_2 for each in ends), default=0.0)
+        noise = [(each.noise_to_command_1, each.noise_to_command_2) for each in ends]
+        largest_1, largest_2 = (max(each) for each in zip(*noise or [(0.0, 0.0)], strict=True))
         yield from signal_notes(self.scenario, network, (largest_1, largest_2))
 
     @property
@@ -130,6 +135,8 @@ class StabilityCheck:
             more = f" (and {len(self.findings) - 1} more)" if len(self.findings) > 1 else ""
             return f"not calm: {self.findings[0]}{more}"
         if not unstable:
+            if self.thin_margins:
+                return f"thin margin: {'; '.join(self.thin_margins)}"
             return "stable: healthy, and with a channel dead or partly lost; every drive is calm"
         names = ", ".join(name for name, _ in unstable)
         if self.linear_stable:
@@ -142,6 +149,7 @@ class StabilityCheck:
             "scenario": self.scenario.name,
             "stable": self.stable,
             "findings": [asdict(finding) for finding in self.findings],
+            "thin_margins": self.thin_margins,
             "network": list(self.network_notes),
             "healthy": asdict(self.healthy),
             "faulted": asdict(self.faulted),
@@ -149,7 +157,7 @@ class StabilityCheck:
             "false_alarm": None if self.false_alarm is None else asdict(self.false_alarm),
             "decision": asdict(self.decision),
             "control_authority": self.control_authority and self.control_authority.as_dict(),
-            "limitations": {key: _figures(found) for key, found in self.limitations.items()},
+            "limitations": {key: without_roots(found) for key, found in self.limitations.items()},
         }
         return {key: finite_or_null(value) for key, value in values.items()}
 
@@ -198,8 +206,7 @@ def refuse_unstable(scenario: Scenario) -> None:
     """Raise unless the loop is stable before the fault and after it, and bears its limits.
 
     Raises:
-        ScenarioError: names the unstable state and what would be stable, or what D* does within
-            the limits; a design that cannot be made.
+        ScenarioError: names the unstable state and what would be stable; D* within the limits.
     """
     table, plant = controller_table(scenario, None), continuous_plant(scenario.plant)
     for name, left in _every_end(scenario).items():
@@ -207,9 +214,8 @@ def refuse_unstable(scenario: Scenario) -> None:
         radius = loop.spectral_radius()
         if not radius < 1.0:
             reason = _reason(scenario, name, radius)
-            raise ScenarioError(
-                f"scenario {scenario.name}: {reason}; --allow-unstable runs it as it is"
-            )
+            said = f"scenario {scenario.name}: {reason}"
+            raise ScenarioError(f"{said}; --allow-unstable runs it as it is")
     for finding in own_findings(Drives(scenario, network_of(scenario))):
         if not finding.false_alarm:
             raise ScenarioError(
@@ -219,20 +225,22 @@ def refuse_unstable(scenario: Scenario) -> None:
 
 
 def stable_tuning(scenario: Scenario) -> str | None:
-    """The fastest tau_s = tau_q_s that is stable before and after the fault with a tick to spare.
+    """The fastest tau_s = tau_q_s that is stable before and after the fault, and not thinly.
 
-    Of an unstable plant tau_s is ``FASTER`` of that: C has to hold it through F̂. As the options
-    that choose it; the scenario's own estimator is tried first. None if there is no such tuning.
+    Of an unstable plant tau_s is ``FASTER`` of that: C has to hold it through F̂. As options; the
+    scenario's own estimator is tried first. None if there is no such tuning.
     """
     share = FASTER if unstable(continuous_plant(scenario.model).g1) else 1.0
     plant, states = continuous_plant(scenario.plant), tuple(_both_ends(scenario).values())
-    own = scenario.design.estimator
+    own, most = scenario.design.estimator, scenario.budget.peak_sensitivity
+    spare = range(1, max(1, scenario.budget.spare_ticks) + 1)
     rules = [own, *(rule for rule in RULE_NAMES if rule != own)]
     for tau_s, rule in product(TUNINGS_S, rules):
         chosen = replace(scenario.design, tau_s=share * tau_s, tau_q_s=tau_s, estimator=rule)
         other = replace(scenario, design=chosen)
         design, place = continuous_design(other), target(other, None)
-        if all(is_stable_in(design, place, plant, states, spare) for spare in SPARE_TICKS):
+        steady = is_stable_in(design, place, plant, states, 0.0, most)
+        if steady and all(is_stable_in(design, place, plant, states, ticks) for ticks in spare):
             keys = [f"design.tau_s={share * tau_s:g}", f"design.tau_q_s={tau_s:g}"]
             keys += [f"design.estimator={rule}"] if rule != own else []
             return " ".join(f"--set {key}" for key in keys)
@@ -254,15 +262,6 @@ def _reason(scenario: Scenario, state: str, radius: float) -> str:
     survived = "no latency_ticks" if longest is None else f"latency_ticks up to {longest}"
     tuning = stable_tuning(scenario) or f"no tau_q_s up to {TUNINGS_S[-1]:g}"
     return f"{unstable_as}; this tuning is stable with {survived}; {tuning} works"
-
-
-def _figures(found: Limitations) -> dict[str, float]:
-    """Without the roots, which JSON has no numbers for."""
-    return {
-        "sensitivity": found.sensitivity,
-        "complementary": found.complementary,
-        "halving_rad_per_s": found.halving_rad_per_s,
-    }
 
 
 def _isolation(scenario: Scenario) -> str:

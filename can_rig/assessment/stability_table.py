@@ -1,4 +1,4 @@
-"""The margins of a loop as a table for people, and its figures as JSON has them."""
+"""The margins of a loop as a table, those of them that are thin, and figures for JSON."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Iterator
 from typing import Any, Final
 
+from can_rig.scenario.settings import BudgetSettings
 from firmware_model.analysis.margins import Margins
 
 ALWAYS: Final[dict[str, Callable[[Margins], str]]] = {
@@ -37,6 +38,28 @@ def table_rows(states: Iterable[tuple[str, Margins]]) -> Iterator[tuple[str, ...
         yield label, *(form(margins) for _, margins in named)
     for label, form in IF_STABLE.items():
         yield label, *(form(margins) if margins.stable else "-" for _, margins in named)
+
+
+def thin_margins(budget: BudgetSettings, states: Iterable[tuple[str, Margins]]) -> Iterator[str]:
+    """A part of a sentence for each margin of a stable state that is thinner than ``budget``.
+
+    A peak |S| of 5 leaves L a fifth of the distance to -1: a gain that is off by 20 %, or a phase
+    by 11°, can make the loop unstable.
+    """
+    for name, figures in states:
+        if not figures.stable:
+            continue
+        peak, spare = figures.peak_sensitivity, figures.delay_margin_ticks
+        if peak > budget.peak_sensitivity:
+            yield (
+                f"{name}: the peak |S| is {peak:.4g} and must be at most "
+                f"{budget.peak_sensitivity:g} (budget.peak_sensitivity)"
+            )
+        if spare is not None and spare < budget.spare_ticks:
+            yield (
+                f"{name}: the spare ticks of delay are {spare} and must be at least "
+                f"{budget.spare_ticks} (budget.spare_ticks)"
+            )
 
 
 def finite_or_null(value: Any) -> Any:

@@ -9,6 +9,7 @@ from __future__ import annotations
 import difflib
 import errno
 import logging
+import re
 from collections.abc import Collection, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -24,8 +25,10 @@ from can_rig.errors import BusError, BusLostError, one_line
 _NETWORK: Final = Path("/sys/class/net")
 _IFF_UP: Final = 1
 _FD_MTU: Final = 72  # bytes of the kernel's frame of CAN FD
-_ALWAYS_FD = ("local", "virtual", "udp_multicast")  # or without an argument for it
+_ALWAYS_FD = ("virtual", "udp_multicast")  # or without an argument for it
 _NO_CAN: Final = {errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT}
+
+_MISSING: Final = re.compile(r"missing \d+ required positional arguments?: (.*)")
 
 # Interfaces that need another package, and the extra of python-can that installs it.
 _EXTRAS: Final = {
@@ -55,17 +58,20 @@ def open_bus(name: str, **kwargs: Any) -> can.BusABC:
     interface, channel, arguments = _parse(name)
     if interface not in VALID_INTERFACES:
         raise BusError(f"unknown bus interface {interface!r}; {_suggestion(interface)}")
-    if interface == "socketcan" and channel:
+    if interface == "socketcan":
+        if channel is None:
+            raise BusError(f"bus {name!r}: must name a channel, as in socketcan:vcan0")
         _check_is_up(str(channel))
         if {**arguments, **kwargs}.get("fd"):
             _check_carries_fd(str(channel))
-    try:
-        with _quiet():
+    with _quiet():  # also while a bus that was opened by half is thrown away with the error
+        try:
             return can.Bus(
                 channel=channel, interface=interface, ignore_config=True, **{**arguments, **kwargs}
             )
-    except Exception as error:  # a backend raises what its driver's library raises
-        raise BusError(_explain(name, interface, channel, error)) from error
+        except Exception as error:  # a backend raises what its driver's library raises
+            reason = _explain(name, interface, channel, error)
+    raise BusError(reason)
 
 
 @contextmanager
@@ -184,6 +190,11 @@ def _explain(name: str, interface: str, channel: object, error: Exception) -> st
         if error.errno == errno.ENODEV:
             return f"no such CAN interface {channel}: {_recipe(channel)}"
     reason = one_line(error)
+    if isinstance(error, TypeError) and (missing := _MISSING.search(reason)):
+        keys = re.findall(r"'(\w+)'", missing[1])
+        given = f":{channel}" if channel is not None else ":CHANNEL"
+        query = "&".join(f"{key}={key.upper()}" for key in keys if key != "channel")
+        return f"bus {name!r}: must say {' and '.join(keys)}, as in {interface}{given}?{query}"
     if isinstance(error, can.CanInterfaceNotImplementedError) and interface in _EXTRAS:
         reason += f": pip install 'python-can[{_EXTRAS[interface]}]'"
     return f"cannot open bus {name!r}: {reason}"

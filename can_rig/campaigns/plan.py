@@ -18,6 +18,7 @@ from can_rig.campaigns.settings import MOST_RUNS, AxisSettings, CampaignSettings
 from can_rig.errors import ScenarioError
 from can_rig.scenario.loading import LIMITS, Written, changed, with_changes, written
 from can_rig.scenario.settings import Scenario
+from can_rig.scenario.stage_settings import SHORTEST_LAG_S
 from can_rig.scenario.tables.changes import as_settings, toml_text, value_in
 from firmware_model.target.structs import FloatArray
 
@@ -202,7 +203,10 @@ class Plan:
             if self.settings.sampling == "grid":
                 return round(value)
             return min(math.floor(low + unit * (high + 1.0 - low)), math.floor(high))
-        return float(f"{value:.{DIGITS}g}")
+        value = float(f"{value:.{DIGITS}g}")
+        if key.endswith(".lag_s") and 0.0 < value < SHORTEST_LAG_S:  # no lag is that short
+            return 0.0 if value < 0.5 * SHORTEST_LAG_S else SHORTEST_LAG_S
+        return value
 
     def _ends(self, key: str, axis: AxisSettings) -> tuple[float, float]:
         if axis.range is not None:

@@ -13,6 +13,7 @@ from __future__ import annotations
 import ast
 import math
 import operator
+import sys
 from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
@@ -108,8 +109,8 @@ class Requirement:
             case ast.BinOp(left=left, op=op, right=right) if not truth and type(op) in ARITHMETIC:
                 self._check_all([left, right], truth=False)
             case ast.Constant(value=int() | float() as number) if not truth:
-                if not math.isfinite(number):
-                    raise ScenarioError(f"{self._where}: {number}: must be finite")
+                if abs(number) > sys.float_info.max:
+                    raise ScenarioError(f"{self._where}: a number above 1.8e308: must be finite")
             case _:
                 raise ScenarioError(
                     f"{self._where}: {ast.unparse(node)}: must be "

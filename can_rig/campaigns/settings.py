@@ -163,7 +163,7 @@ def read_campaign(name: str, settings: Iterable[str] = (), **keys: Any) -> Campa
         raise ScenarioError(f"campaign {name}: no such campaign and no such file; {hint}")
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise ScenarioError(f"campaign {name}: not readable as TOML: {error}") from None
     scenario = values.get("scenario")
     if isinstance(scenario, str) and scenario.endswith(".toml"):

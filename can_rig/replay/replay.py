@@ -26,7 +26,7 @@ from can_rig.nodes.lockstep.controller_node import ControllerNode
 from can_rig.replay.comparison import ANSWERS, Comparison
 from can_rig.replay.gaps import NEAR, Account, Gap, Row
 from can_rig.replay.in_real_time import Recorded
-from can_rig.replay.rig_frames import RigFrame, is_input, rig_frames
+from can_rig.replay.rig_frames import INPUTS, RigFrame, is_input, rig_frames
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, Law
 
@@ -76,6 +76,8 @@ class OpenLoop:
         """The first that was answered."""
         self.before_start = 0
         """Frames before the first reference and feedback that belong together."""
+        self.left_out = 0
+        """Intact feedback of ticks far from the one that was due, as those of another run."""
         self._contact: list[RigFrame] = []  # what the node has got before it answers
         self._past = 0  # ticks that the 16 bits on the wire do not tell
         self._open = 0  # the first tick that is not compared yet
@@ -180,6 +182,7 @@ class OpenLoop:
             self.account.take(frame, self._row(due + distance, frame), due + distance)
         else:
             self.account.take(frame, None, under_way)
+            self.left_out += frame.role == INPUTS - 1
 
     def _row(self, tick: int, frame: RigFrame) -> Row | None:
         """The row of a tick that is still open."""

@@ -122,7 +122,7 @@ def written(name: str) -> Written:
         raise ScenarioError(f"scenario {name}: no such scenario and no such file; {hint}")
     try:
         values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, UnicodeDecodeError, tomllib.TOMLDecodeError) as error:
+    except (OSError, ValueError) as error:
         raise ScenarioError(f"scenario {name}: not readable as TOML: {error}") from None
     for name_of_table, key, prefix in FILES:
         table = values.get(name_of_table)

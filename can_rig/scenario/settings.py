@@ -1,9 +1,8 @@
 """The settings of a scenario: every key, its unit, its default and its bounds.
 
 Those of the plant are in ``plant_settings`` and ``stage_settings``, those of a fault in
-``tables.fault``. Constructing one with a value
-out of bounds raises pydantic's ``ValidationError``, of which ``loading`` makes a line that names
-the key.
+``tables.fault``. A value out of bounds raises pydantic's ``ValidationError``, of which ``loading``
+makes a line that names the key.
 """
 
 from __future__ import annotations
@@ -64,22 +63,25 @@ class BudgetSettings:
 
     ``box`` is by how much mass, both cornering stiffnesses and speed of the car may be off, 0.2 for
     ±20 %; ``actuator_box`` the same for the lags of both actuators. At most
-    ``false_alarms_per_hour`` losses are confirmed by chance, and ``suspicions_per_hour``
-    compensated for a few ticks.
+    ``false_alarms_per_hour`` losses are confirmed by chance, and ``suspicions_per_hour`` are
+    compensated for a few ticks. With a peak |S| above ``peak_sensitivity``, or fewer than
+    ``spare_ticks`` of further delay, a stable loop has a thin margin.
     """
 
     box: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.2
     actuator_box: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
     false_alarms_per_hour: PositiveFloat = 0.001
     suspicions_per_hour: PositiveFloat = 3600.0
+    peak_sensitivity: Annotated[float, Field(gt=1.0)] = 5.0
+    spare_ticks: NonNegativeInt = 0
 
 
 @dataclass(frozen=True, config=STRICT)
 class ReferenceSettings:
     """What D* is to follow; ``reference`` has the shapes.
 
-    ``csv`` reads two columns, time in s and reference in m/s². ``driver`` changes to the other of
-    two lanes, ``lane_m`` apart, at each of ``lane_changes_s``.
+    ``csv`` has two columns: time in s, reference in m/s². ``driver`` changes to the other of two
+    lanes, ``lane_m`` apart, at each of ``lane_changes_s``.
     """
 
     kind: ReferenceKind = "step"
@@ -141,7 +143,7 @@ class Scenario:
     tick_s: Annotated[float, Field(ge=1e-5, le=1.0)] = 0.001  # 10 µs, which five frames share
     duration_s: Annotated[float, Field(gt=0.0, le=MAX_DURATION_S)] = 20.0
     latency_ticks: Annotated[int, Field(ge=0, le=MAX_LATENCY_TICKS)] = 0
-    seed: NonNegativeInt = 0
+    seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  # as a table has it
     plant: PlantSettings = dataclasses.field(default_factory=PlantSettings)
     model: PlantSettings = dataclasses.field(default_factory=PlantSettings)
     design: DesignSettings = dataclasses.field(default_factory=DesignSettings)
@@ -159,18 +161,16 @@ class Scenario:
         if abs(nanoseconds - round(nanoseconds)) >= 1e-3:
             raise ValueError(f"tick_s = {self.tick_s!r}: must be a whole number of nanoseconds")
         if self.duration_s < self.tick_s:
-            raise ValueError(
-                f"duration_s = {self.duration_s:g}: must be at least one tick ({self.tick_s:g} s)"
-            )
+            least = f"must be at least one tick ({self.tick_s:g} s)"
+            raise ValueError(f"duration_s = {self.duration_s:g}: {least}")
         if self.ticks > MAX_TICKS:
             raise ValueError(
                 f"duration_s = {self.duration_s:g}: must be at most {MAX_TICKS} ticks "
                 f"({self.tick_s:g} s each)"
             )
         if self.model.is_own:
-            raise ValueError(
-                f"model.kind = {self.model.kind!r}: must be linear, {' or '.join(BUILT_IN)}"
-            )
+            linear = f"must be linear, {' or '.join(BUILT_IN)}"
+            raise ValueError(f"model.kind = {self.model.kind!r}: {linear}")
         for key in SIGNALS:
             if getattr(self.model, key) != SignalSettings():
                 raise ValueError(f"model.{key}: must be plant.{key}; a signal has one name")

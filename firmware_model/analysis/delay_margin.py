@@ -19,16 +19,17 @@ from firmware_model.analysis.sampled_loop import SampledLoop
 
 EXACT_DELAY_TICKS = 32  # up to here eigenvalues decide, above the crossovers of L do
 PARTS_OF_A_TICK = 8
+EDGE_TICKS = 1e-9  # so far on the stable side of the edge
 
 
 def delay_margins(
-    loop: SampledLoop, delayed_is_stable: Callable[[float], bool]
+    loop: SampledLoop, radius: Callable[[float], float]
 ) -> tuple[int | None, float | None]:
     """Extra delay that a stable ``loop`` survives: in whole ticks, and to the edge, in ticks.
 
     Args:
         loop: the loop without extra delay.
-        delayed_is_stable: whether it is stable with so many ticks more.
+        radius: its spectral radius with so many ticks more.
     """
     bound = _least_critical_delay(loop)
     if math.isinf(bound):
@@ -37,46 +38,46 @@ def delay_margins(
         return math.ceil(bound) - 1, bound
     start = max(math.ceil(bound) - 2, 0)
     whole = start
-    while delayed_is_stable(whole + 1):
+    while radius(whole + 1) < 1.0:
         whole += 1
     step = 1.0 / PARTS_OF_A_TICK
     survived = float(start)
-    while delayed_is_stable(survived + step):
+    while radius(survived + step) < 1.0:
         survived += step
-    return whole, edge(delayed_is_stable, survived, survived + step)
-
-
-def edge(is_stable: Callable[[float], bool], stable: float, unstable: float) -> float:
-    """Where between the two stability ends, to 1e-6 of the distance; on the stable side."""
-    for _ in range(20):
-        middle = 0.5 * (stable + unstable)
-        if is_stable(middle):
-            stable = middle
-        else:
-            unstable = middle
-    return stable
+    beyond = survived + step
+    edge = zero(lambda delay: math.log(radius(delay)), survived, beyond, EDGE_TICKS / 4.0)
+    return whole, max(edge - EDGE_TICKS, 0.0)
 
 
 def _least_critical_delay(loop: SampledLoop) -> float:
     """The least d > 0 for which 1 + e^{-jωdT} L(e^{jωT}) vanishes somewhere, in ticks."""
-    angle = loop.angles()
+    angle = loop.angles
     size = np.abs(loop.loop_gain(np.exp(1j * angle)))
     if size[-1] >= 1.0:
         return 0.0  # every whole tick adds an encirclement at z = -1
 
     def log_size(theta: float) -> float:
-        return float(np.log(np.abs(loop.loop_gain(np.exp(1j * np.array([theta])))[0])))
+        return math.log(abs(gain_at(loop, theta)))
 
     critical = math.inf
     for i in np.flatnonzero((size[:-1] > 1.0) != (size[1:] > 1.0)):
-        theta = _zero(log_size, float(angle[i]), float(angle[i + 1]))
-        gain = loop.loop_gain(np.exp(1j * np.array([theta])))[0]
+        theta = zero(log_size, float(angle[i]), float(angle[i + 1]))
+        gain = gain_at(loop, theta)
         critical = min(critical, (cmath.phase(-gain) % (2.0 * math.pi)) / theta)
     return critical
 
 
-def _zero(function: Callable[[float], float], low: float, high: float) -> float:
-    """Where ``function`` changes sign between the two, to rounding, by the Illinois method.
+def gain_at(loop: SampledLoop, theta: float) -> complex:
+    """L(e^{jθ})."""
+    return complex(loop.loop_gain(np.exp(1j * np.array([theta])))[0])
+
+
+def zero(
+    function: Callable[[float], float], low: float, high: float, tolerance: float = 0.0
+) -> float:
+    """Where ``function`` changes sign between the two, by the Illinois method.
+
+    To ``tolerance``, or to rounding where that is more.
 
     scipy.optimize has many such methods, and takes as long to import as all of a check's margins.
     """
@@ -84,7 +85,7 @@ def _zero(function: Callable[[float], float], low: float, high: float) -> float:
     for _ in range(100):  # it takes some ten
         middle = high - at_high * (high - low) / (at_high - at_low)
         value = function(middle)
-        if value == 0.0 or abs(middle - high) <= 4.0 * math.ulp(middle):
+        if value == 0.0 or abs(middle - high) <= max(4.0 * math.ulp(middle), tolerance):
             break
         if (value > 0.0) == (at_high > 0.0):
             at_low *= 0.5  # the other end stays for the second time: let the chord move

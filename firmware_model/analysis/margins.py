@@ -7,14 +7,13 @@ from __future__ import annotations
 
 import cmath
 import math
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
-from itertools import pairwise
 
 import numpy as np
 from scipy import linalg
 
-from firmware_model.analysis.delay_margin import delay_margins, edge
+from firmware_model.analysis.delay_margin import delay_margins, gain_at, zero
 from firmware_model.analysis.sampled_loop import (
     OPEN_INTEGRATOR,
     LinearController,
@@ -33,7 +32,8 @@ from firmware_model.target.structs import MAX_LATENCY_TICKS, FloatArray, Record
 HEALTHY = (1.0, 1.0)
 TORQUE_DEAD = (0.0, 1.0)  # the thesis's fault
 
-GAINS = np.geomspace(1.0, 1e3, 61)  # 20 a decade
+MOST_GAIN = 1e3
+SEEN = 0.05  # of |L| at a hundredth of the slowest pole, an imaginary part that an integrator has
 NOISE_DOUBLINGS = 32  # 2^32 ticks, far beyond 1/OPEN_INTEGRATOR
 
 
@@ -107,18 +107,19 @@ def margins(
     if not figures.stable:
         return figures
 
-    def delayed_is_stable(delay_ticks: float) -> bool:
+    def delayed_radius(delay_ticks: float) -> float:
         late = sampled_loop(law, plant, tick_s, effectiveness, delay_ticks)
-        return late.spectral_radius() < 1.0
+        return late.spectral_radius()
 
-    whole, ticks = delay_margins(loop, delayed_is_stable)
+    whole, ticks = delay_margins(loop, delayed_radius)
+    reduction, increase = gain_margins(loop)
     peak, at_rad_per_s = peak_sensitivity(loop)
     return replace(
         figures,
         delay_margin_ticks=whole,
         delay_margin_s=None if ticks is None else ticks * tick_s,
-        gain_margin=gain_margin(loop, GAINS),
-        gain_reduction_margin=gain_margin(loop, 1.0 / GAINS),
+        gain_margin=increase,
+        gain_reduction_margin=reduction,
         peak_sensitivity=peak,
         peak_sensitivity_rad_per_s=at_rad_per_s,
         noise_to_command_1=noise_gain(loop, 0),
@@ -135,24 +136,41 @@ def law_in(table: Record, effectiveness: tuple[float, float]) -> LinearControlle
     return linear_controller(table, lost if lost > 0.0 or effectiveness == HEALTHY else 1.0)
 
 
-def gain_margin(loop: SampledLoop, gains: FloatArray) -> float:
-    """The factor on the measurement, going through ``gains`` from 1, at the edge of stability.
+def gain_margins(loop: SampledLoop) -> tuple[float, float]:
+    """The factors below and above 1 on the measurement that take a stable ``loop`` to the edge.
 
-    Infinite when ``gains`` rise to their end without one, 0 when they fall to it.
+    A pole can reach the unit circle only where L is real and negative, with the factor -1/L: of
+    these the next below and above 1. A factor beyond ``MOST_GAIN``, or below its inverse, is none:
+    infinite above and 0 below.
     """
+    angle = loop.angles
+    crossing = list(_real_at(loop, angle))
+    gain = loop.loop_gain(np.exp(1j * angle))
+    for i in np.flatnonzero((gain.imag[:-1] > 0.0) != (gain.imag[1:] > 0.0)):
+        if min(gain.real[i], gain.real[i + 1]) < 0.0:
+            ends = float(angle[i]), float(angle[i + 1])
+            theta = zero(lambda at: gain_at(loop, at).imag, *ends)
+            crossing.append(gain_at(loop, theta).real)
+    factors = [-1.0 / real for real in crossing if real < -1.0 / MOST_GAIN]
+    reduction = max((each for each in factors if each < 1.0), default=0.0)
+    increase = min((each for each in factors if each > 1.0), default=math.inf)
+    return (reduction if reduction > 1.0 / MOST_GAIN else 0.0), increase
 
-    def is_stable(gain: float) -> bool:
-        return loop.spectral_radius(gain) < 1.0
 
-    for stable, beyond in pairwise(gains):
-        if not is_stable(beyond):
-            return edge(is_stable, float(stable), float(beyond))
-    return math.inf if gains[-1] > 1.0 else 0.0
+def _real_at(loop: SampledLoop, angle: FloatArray) -> Iterator[float]:
+    """L at z = -1, and at z = 1 unless an integrator makes that infinite."""
+    yield gain_at(loop, math.pi).real
+    if np.abs(np.linalg.eigvals(loop.lumped.a) - 1.0).min() > OPEN_INTEGRATOR:
+        yield gain_at(loop, 0.0).real
+        return
+    lowest = gain_at(loop, float(angle[0]))  # the integrator may be one that L does not see
+    if abs(lowest.imag) < abs(lowest.real) * SEEN:
+        yield lowest.real
 
 
 def peak_sensitivity(loop: SampledLoop) -> tuple[float, float]:
     """Largest |S(e^{jωT})| of S = 1/(1 + L), and ω in rad/s where that is."""
-    angle = loop.angles()
+    angle = loop.angles
     for _ in range(4):  # each round looks 30 times as closely around the largest
         size = 1.0 / np.abs(1.0 + loop.loop_gain(np.exp(1j * angle)))
         best = int(np.argmax(size))
@@ -169,6 +187,7 @@ def noise_gain(loop: SampledLoop, answer: int) -> float:
     P_{k+1} = P_k + A^{2ᵏ} P_k A^{2ᵏ}ᵀ (Smith, "Matrix equation XA + BX = C", 1968). Infinite if an
     integrator that is left open is heard in that answer.
     """
+    loop = loop.lumped
     closed, h = loop.closed(), loop.h[answer] + loop.d[answer, 0] * loop.c
     heard = reaching(closed, h)
     power, scaling = linalg.matrix_balance(closed[np.ix_(heard, heard)], permute=False)
@@ -178,7 +197,10 @@ def noise_gain(loop: SampledLoop, answer: int) -> float:
     noise, h = loop.b[heard, 0] / scale, h[heard] * scale
     covariance = np.outer(noise, noise)
     for _ in range(NOISE_DOUBLINGS):
+        before = covariance
         covariance = covariance + power @ covariance @ power.T
+        if np.array_equal(covariance, before):  # what is left of the noise is below rounding
+            break
         power = power @ power
     return math.sqrt(float(h @ covariance @ h) + float(loop.d[answer, 0]) ** 2)
 
@@ -208,14 +230,22 @@ def is_stable_in(
     plant: Plant,
     states: Iterable[tuple[float, float]],
     extra_delay_ticks: float = 0.0,
+    most_sensitive: float = math.inf,
 ) -> bool:
-    """Whether ``design`` on ``target`` can be built and is stable in every one of ``states``."""
+    """Whether ``design`` on ``target`` can be built and is stable in every one of ``states``.
+
+    With a peak |S| of at most ``most_sensitive``.
+    """
     try:
         table = build(design, target)
     except DesignError:
         return False
-    loops = (
+    loops = [
         sampled_loop(law_in(table, state), plant, target.tick_s, state, extra_delay_ticks)
         for state in states
+    ]
+    if not all(loop.spectral_radius() < 1.0 for loop in loops):
+        return False
+    return math.isinf(most_sensitive) or all(
+        peak_sensitivity(loop)[0] <= most_sensitive for loop in loops
     )
-    return all(loop.spectral_radius() < 1.0 for loop in loops)

@@ -17,13 +17,14 @@ The loop is kept open at the measurement, y_m, and closed with y_m = gain · y w
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import linalg
 
+from firmware_model.analysis.lumping import lumped
 from firmware_model.analysis.sampled_plant import held, split_ticks
 from firmware_model.design.plants import Plant
 from firmware_model.discretisation.sections import ComplexArray
@@ -83,16 +84,22 @@ class SampledLoop:
         """The tick's matrix (n, n) with y_m = gain · y."""
         return self.a + gain * np.outer(self.b[:, 0], self.c)
 
+    @cached_property
+    def lumped(self) -> SampledLoop:
+        """The same loop with equal states as one; what waits anywhere counts once."""
+        a, b, rows = lumped(self.a, self.b, np.vstack([self.c, self.h]))
+        return replace(self, a=a, b=b, c=rows[0], h=rows[1:])
+
     def poles(self, gain: float = 1.0) -> ComplexArray:
-        """Eigenvalues of the closed loop that decide its stability.
+        """Eigenvalues of the lumped closed loop that decide its stability.
 
         A channel that is dead can leave an integrator of the controller open: C's after the loss
         of an uncompensated torque channel, d̂'s own (1 - q = 0 at s = 0) after that of the force
         difference. It drifts with what it is fed, but neither grows by itself nor reaches the
         plant, and is left out. "Does not reach" is a question about exact zeros of the matrix.
         """
-        a = self.closed(gain)
-        reaches = reaching(a, self.c)
+        a = self.lumped.closed(gain)
+        reaches = reaching(a, self.lumped.c)
         if reaches.all():
             return np.linalg.eigvals(a).astype(np.complex128)
         acting = np.linalg.eigvals(a[np.ix_(reaches, reaches)])
@@ -118,20 +125,27 @@ class SampledLoop:
     @cached_property
     def _triangular(self) -> tuple[ComplexArray, ComplexArray, ComplexArray]:
         """A's Schur form, b and c with it; balanced first: commands are 1e5 times D*."""
-        balanced, scaling = linalg.matrix_balance(self.a, permute=False)
+        loop = self.lumped
+        balanced, scaling = linalg.matrix_balance(loop.a, permute=False)
         scale = np.diag(scaling)
         triangle, unitary = linalg.schur(balanced, output="complex")
-        return triangle, unitary.conj().T @ (self.b[:, 0] / scale), (self.c * scale) @ unitary
+        return triangle, unitary.conj().T @ (loop.b[:, 0] / scale), (loop.c * scale) @ unitary
 
+    @cached_property
     def angles(self) -> FloatArray:
-        """ωT, ascending to π: a logarithmic grid, closer where a pole is near the unit circle."""
-        poles = np.concatenate([np.linalg.eigvals(self.a), self.poles()])
+        """ωT, ascending to π: a logarithmic grid, closer where a pole is near the unit circle.
+
+        At most an eighth of a turn apart for what waits longest in the loop, too.
+        """
+        waiting = self.lumped.a
+        poles = np.concatenate([np.linalg.eigvals(waiting), self.poles()])
         distance = np.abs(poles - 1.0)
         lowest = 1e-2 * distance[distance > OPEN_INTEGRATOR].min(initial=math.pi)
         resonant = poles[(poles.imag > 0.0) & (np.abs(poles) > 0.5)]
         around = np.linspace(-4.0, 4.0, 33)
         close = np.angle(resonant)[:, None] + (1.0 - np.abs(resonant))[:, None] * around
-        angles = np.concatenate([np.geomspace(lowest, math.pi, 1500), close.ravel()])
+        even = np.linspace(0.0, math.pi, 4 * len(waiting))
+        angles = np.concatenate([np.geomspace(lowest, math.pi, 1500), even, close.ravel()])
         return np.unique(angles[(angles >= lowest) & (angles <= math.pi)])
 
 

@@ -79,6 +79,8 @@ class LocalBus(BusABC):
         tx_backlog: int = 200_000,
         **kwargs: Any,
     ) -> None:
+        if not isinstance(tx_backlog, int):
+            raise CanInitializationError(f"tx_backlog = {tx_backlog!r}: must be a whole number")
         self.channel = str(channel)
         self.channel_info = f"local bus {self.channel}"
         self.receive_own_messages = receive_own_messages

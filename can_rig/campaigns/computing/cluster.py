@@ -7,10 +7,11 @@ again. A scheduler that goes away ends the command; what is done is kept.
 
 from __future__ import annotations
 
+import asyncio
 import pickle
 from collections.abc import Iterable, Iterator
 from concurrent.futures import CancelledError
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from functools import lru_cache
 from threading import Lock
 from typing import Any, Final
@@ -19,7 +20,7 @@ from can_rig.campaigns.computing.versions import versions
 from can_rig.campaigns.computing.workers import AHEAD, Compute, Done, Todo, deaths_after
 from can_rig.campaigns.plan import Plan
 from can_rig.campaigns.run import Row, Task, run_rows
-from can_rig.errors import RigError, one_line, require
+from can_rig.errors import RigError, WorkersLostError, one_line, require
 
 PATIENCE_S: Final = 30.0
 """For the scheduler to answer, and for its first worker."""
@@ -53,7 +54,8 @@ def on_cluster(plan: Plan, scheduler: str) -> Iterator[Compute]:
     except TimeoutError:
         raise RigError(f"--scheduler {scheduler}: has no workers") from None
     finally:
-        client.close(timeout=PATIENCE_S)
+        with suppress(OSError, CancelledError):  # of a scheduler that has gone
+            client.close(timeout=PATIENCE_S)
 
 
 class _Cluster:
@@ -63,7 +65,20 @@ class _Cluster:
         self._asked = 0
 
     def compute(self, tasks: Iterable[Task]) -> Done:
-        """See ``Compute``."""
+        """See ``Compute``.
+
+        Raises:
+            WorkersLostError: the scheduler goes away, whatever is being asked of it.
+        """
+        try:
+            yield from self._computed(tasks)
+        except (OSError, CancelledError, asyncio.CancelledError):
+            raise WorkersLostError(
+                f"--scheduler {self._scheduler}: went away; what is done is kept, and --resume "
+                "goes on"
+            ) from None
+
+    def _computed(self, tasks: Iterable[Task]) -> Done:
         from distributed import KilledWorker, as_completed  # noqa: PLC0415 (an extra)
 
         todo, deaths = Todo(tasks), 0
@@ -83,11 +98,6 @@ class _Cluster:
             except KilledWorker:
                 deaths = deaths_after(deaths, task)
                 todo.put_back([task])
-            except (OSError, CancelledError) as error:
-                raise RigError(
-                    f"--scheduler {self._scheduler}: went away ({one_line(error)}); what is done "
-                    "is kept, and --resume goes on"
-                ) from None
             else:
                 deaths = 0
                 yield task, rows
@@ -128,7 +138,7 @@ class _Cluster:
             RigError: all workers have gone.
         """
         if not self._client.nthreads():
-            raise RigError(
+            raise WorkersLostError(
                 f"--scheduler {self._scheduler}: all workers have gone, and none has come back "
                 f"within {ABSENCE_S:g} s; what is done is kept, and --resume goes on"
             )

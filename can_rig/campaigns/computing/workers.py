@@ -19,7 +19,7 @@ from typing import Any, Final
 
 from can_rig.campaigns.plan import Plan
 from can_rig.campaigns.run import Row, Task, run_rows
-from can_rig.errors import RigError
+from can_rig.errors import WorkersLostError
 
 Done = Iterator[tuple[Task, list[Row]]]
 Compute = Callable[[Iterable[Task]], Done]
@@ -49,7 +49,7 @@ def serially(plan: Plan) -> Iterator[Compute]:
 def in_processes(plan: Plan, workers: int) -> Iterator[Compute]:
     """So many processes; one that dies is replaced.
 
-    To compute raises RigError where workers die again and again.
+    To compute raises WorkersLostError where workers die again and again.
     """
     processes = _Processes(plan, workers)
     try:
@@ -80,7 +80,7 @@ class _Processes:
                     rows = future.result()
                     deaths = 0
                     yield running.pop(future), rows
-            except BrokenProcessPool:
+            except (BrokenProcessPool, EOFError, ConnectionError):  # a worker, or who forks them
                 self.end()
                 todo.put_back(running.values())
                 deaths = deaths_after(deaths, todo.first)
@@ -128,10 +128,10 @@ def deaths_after(before: int, first: Task) -> int:
     """One more death of a worker.
 
     Raises:
-        RigError: it is one too many.
+        WorkersLostError: it is one too many.
     """
     if before + 1 == DEATHS:
-        raise RigError(
+        raise WorkersLostError(
             f"runs {first.begin} to {first.end - 1}: the worker died {DEATHS} times; "
             "is there enough memory? what is done is kept, and --resume goes on"
         )

@@ -20,7 +20,7 @@ from can_rig.cli.progress import car_bar
 def command(scenario: str, settings: tuple[str, ...], as_json: bool) -> None:
     """Say whether SCENARIO's loop is stable, healthy and faulted, and by how much.
 
-    Exit status: 0 stable, 1 not.
+    Exit status: 0 stable; 1 not, or with a thin margin.
     """
     with car_bar() as on_car:
         result = check(load(scenario, settings), on_car)

@@ -33,6 +33,7 @@ def summary(source: Source, loop: OpenLoop, listed: list[Gap]) -> dict[str, Any]
         "ticks": comparison.ticks,
         "first_tick": loop.first_tick,
         "compared_ticks": comparison.compared,
+        "ticks_left_out": loop.left_out,
         "ticks_without_input": comparison.without_input,
         "ticks_without_answer": comparison.without_answer,
         "frames_before_start": loop.before_start,
@@ -135,7 +136,9 @@ def _verdict(loop: OpenLoop) -> Iterator[str]:
     comparison, gap = loop.comparison, loop.account.first_input_gap
     first, ticks = comparison.first_different_tick, comparison.ticks
     yield (
-        f"{comparison.compared} of {ticks} ticks compared as a whole"
+        f"{comparison.compared} of {ticks + loop.left_out} ticks compared as a whole"
+        + f"; {loop.left_out} do not go on from those before, as in another run"
+        * bool(loop.left_out)
         + (f"; {comparison.without_input} lack an input" * bool(comparison.without_input))
         + "".join(f"; {n} lack {name}" for name, n in comparison.without_answer.items() if n)
     )
@@ -152,7 +155,11 @@ def _verdict(loop: OpenLoop) -> Iterator[str]:
         )
     if first is None:
         same = "bit for bit" if not comparison.other_counter else "but for alive counters"
-        yield f"identical, {same}: all that could be compared"
+        yield f"identical, {same}: " + (
+            f"{ticks} of {ticks + loop.left_out} ticks; --from and --to choose another run"
+            if loop.left_out
+            else "all that could be compared"
+        )
         return
     if gap is not None and gap <= first:
         yield (

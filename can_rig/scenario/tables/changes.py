@@ -7,6 +7,7 @@ the only one, which is ``fault.0`` as well.
 from __future__ import annotations
 
 import json
+import sys
 import tomllib
 from collections.abc import Iterator, Mapping
 from pathlib import Path
@@ -34,6 +35,9 @@ def change(values: dict[str, Any], setting: str) -> None:
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         value = text.strip()
+    except ValueError:  # Python reads no more digits than that
+        most = sys.get_int_max_str_digits()
+        raise ScenarioError(f"--set {setting[:40]}...: must have at most {most} digits") from None
     table = values
     if parts[0] == FAULT and len(parts) > 1:
         table, parts = _fault(values, setting, parts[1:])

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 from scipy.optimize import brentq
 
-from firmware_model.analysis.delay_margin import _zero
+from firmware_model.analysis.delay_margin import zero
 
 
 @pytest.mark.parametrize(
@@ -22,9 +22,9 @@ from firmware_model.analysis.delay_margin import _zero
     ids=["cubic", "steep at one end", "almost a jump", "a jump"],
 )
 def test_it_finds_what_scipy_finds(function: Callable[[float], float]) -> None:
-    found = _zero(function, 0.0, 1.0)
+    found = zero(function, 0.0, 1.0)
     assert found == pytest.approx(brentq(function, 0.0, 1.0, xtol=1e-15), rel=1e-14)
 
 
 def test_it_ends_where_the_loop_gain_is_not_a_number() -> None:
-    assert math.isnan(_zero(lambda x: math.nan, 0.0, 1.0))
+    assert math.isnan(zero(lambda x: math.nan, 0.0, 1.0))

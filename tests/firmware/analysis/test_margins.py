@@ -7,11 +7,12 @@ import math
 
 import numpy as np
 import pytest
+from scipy.optimize import brentq
 
 from firmware_model.analysis.margins import (
     HEALTHY,
     TORQUE_DEAD,
-    gain_margin,
+    gain_margins,
     is_stable_in,
     law_in,
     margins,
@@ -40,20 +41,52 @@ def test_what_cannot_be_built_is_not_stable() -> None:
 @pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD])
 def test_gain_margins_are_on_the_edge_and_where_l_is_real(left: tuple[float, float]) -> None:
     loop = loop_of(SLOW, Target(1e-3, 2, "zoh"), left)
-    gain = gain_margin(loop, np.geomspace(1.0, 1e3, 61))
-    assert loop.spectral_radius(gain) < 1.0 < loop.spectral_radius(gain * 1.001)
+    reduction, gain = gain_margins(loop)
+    assert loop.spectral_radius(gain * 0.999) < 1.0 < loop.spectral_radius(gain * 1.001)
     poles = loop.poles(gain)
     edge = poles[np.argmax(np.abs(poles))]
     assert loop.loop_gain(np.array([edge]))[0] * gain == pytest.approx(-1.0, abs=1e-3)
-    assert gain_margin(loop, 1.0 / np.geomspace(1.0, 1e3, 61)) == 0.0
+    assert reduction == 0.0
 
 
 def test_a_loop_that_needs_its_gain_has_a_lower_margin_too() -> None:
     """x⁺ = 1.2 x - 0.5 g y is stable for 0.4 < g < 4.4."""
     loop = scalar_loop(1.2, -0.5)
-    grid = np.geomspace(1.0, 1e3, 61)
-    assert gain_margin(loop, grid) == pytest.approx(4.4, rel=1e-6)
-    assert gain_margin(loop, 1.0 / grid) == pytest.approx(0.4, rel=1e-6)
+    assert gain_margins(loop) == pytest.approx((0.4, 4.4), rel=1e-12)
+
+
+@pytest.mark.parametrize("late", [0.0, 2.0, 2.5])
+@pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD])
+def test_gain_margins_are_where_the_dense_eigenvalues_cross(
+    late: float, left: tuple[float, float]
+) -> None:
+    """By bisection of the largest eigenvalue of the whole matrix, of which nothing is lumped."""
+    loop = loop_of(SLOW, Target(1e-3, 4, "zoh"), left, late)
+    _, gain = gain_margins(loop)
+
+    def excess(factor: float) -> float:
+        return float(np.abs(np.linalg.eigvals(loop.closed(factor))).max()) - 1.0
+
+    grid = np.geomspace(1.0, 2.0 * gain, 400)
+    beyond = next(factor for factor in grid if excess(factor) > 0.0)
+    assert gain == pytest.approx(brentq(excess, beyond / 1.1, beyond, xtol=1e-13), rel=1e-9)
+
+
+@pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD, (0.5, 1.0)])
+def test_equal_states_as_one_leave_the_loop_as_it_is(left: tuple[float, float]) -> None:
+    """The same poles but for those at 0, and the same L; each waiting command is one state."""
+    loop = loop_of(SLOW, Target(1e-3, 12, "zoh"), left)
+    lumped = loop.lumped
+    assert len(loop.a) - len(lumped.a) == 2 * 12  # the estimator's rings, which the bus has too
+    dense = np.linalg.eigvals(loop.closed())
+    one = np.linalg.eigvals(lumped.closed())
+    for pole in one[np.abs(one) > 0.5]:  # rounding spreads those at 0, the longer a chain
+        assert np.abs(dense - pole).min() < 1e-6
+    assert np.sum(np.abs(dense) > 0.5) == np.sum(np.abs(one) > 0.5)
+    z = np.exp(1j * np.array([0.03, 0.1, 1.0, 3.0]))
+    eye = np.eye(len(loop.a))
+    direct = [-loop.c @ np.linalg.solve(each * eye - loop.a, loop.b[:, 0]) for each in z]
+    np.testing.assert_allclose(loop.loop_gain(z), direct, rtol=1e-9)
 
 
 @pytest.mark.long

@@ -219,7 +219,7 @@ def test_integrator_that_the_dead_channel_leaves_open_is_no_pole_of_the_loop() -
     bare = design(CAR, DesignSpecification(compensation=False))
     for designed, left in ((bare, DEAD), (SLOW, (1.0, 0.0))):
         loop = loop_of(build(designed, Target(1e-3, 1, "zoh")), CAR, 1e-3, left)
-        everything = np.linalg.eigvals(loop.closed())
+        everything = np.linalg.eigvals(loop.lumped.closed())
         assert (np.abs(everything - 1.0) < 1e-7).sum() == 1
         assert len(loop.poles()) == len(everything) - 1
         assert loop.spectral_radius() < 0.9999

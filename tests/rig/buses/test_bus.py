@@ -9,7 +9,7 @@ import can
 import pytest
 
 from can_rig.buses import bus as bus_module
-from can_rig.buses.bus import open_bus
+from can_rig.buses.bus import open_bus, open_for_node
 from can_rig.buses.local.bus import LocalBus
 from can_rig.errors import BusError, RigError
 
@@ -92,6 +92,26 @@ def test_unknown_interface() -> None:
     )
     assert "it must be one of canalystii, " in failure("qqqqq")
     assert "unknown bus interface ''" in failure("")
+
+
+def test_what_a_name_leaves_out_is_named() -> None:
+    assert failure("socketcan") == "bus 'socketcan': must name a channel, as in socketcan:vcan0"
+    assert failure("socketcand:nowhere") == (
+        "bus 'socketcand:nowhere': must say host and port, as in "
+        "socketcand:nowhere?host=HOST&port=PORT"
+    )
+    assert "tx_backlog = 'a': must be a whole number" in failure("local:x?tx_backlog=a")
+
+
+def test_the_default_bus_carries_can_fd_where_the_network_has_it() -> None:
+    frame = can.Message(arbitration_id=1, is_fd=True, data=bytes(16), is_extended_id=False)
+    nodes = [open_for_node("local:x", (), True, fd=True) for _ in range(2)]
+    with nodes[0], nodes[1]:
+        nodes[0].send(frame)
+        received = nodes[1].recv(5.0)
+    assert received is not None
+    assert received.is_fd
+    assert len(received.data) == 16
 
 
 @pytest.mark.parametrize("query", ["fd", "=1", "a-b=1", "fd=true&&x"])

@@ -178,3 +178,17 @@ def test_a_file_names_its_scenario_from_where_it_lies(tmp_path: Path) -> None:
             read_campaign(str(tmp_path / "bad.toml"), ["seed=1"])
     with pytest.raises(ScenarioError, match=r"did you mean losses\?"):
         read_campaign("losse")
+
+
+def test_a_lag_is_drawn_as_none_or_as_one_that_a_scenario_may_have() -> None:
+    """Of 0 to 2 µs: half of the range is lags that no scenario takes."""
+    axes = {"plant.torque_actuator.lag_s": {"range": [0.0, 2e-6]}}
+    values = {"scenario": "thesis-step", "axes": axes, "runs": 1}
+    made = plan(campaign_of("some", values))
+    drawn = [made.values_at([u])["plant.torque_actuator.lag_s"] for u in (0.1, 0.3, 0.75)]
+    assert drawn == [0.0, 1e-6, 1.5e-6]
+
+
+def test_a_number_of_more_digits_than_python_reads_is_one_line() -> None:
+    with pytest.raises(ScenarioError, match="must have at most 4300 digits"):
+        load("thesis-step", [f"seed={'1' * 5001}"])

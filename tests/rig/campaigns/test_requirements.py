@@ -99,3 +99,8 @@ def test_a_margin_is_in_parts_of_the_bound_and_the_least_counts() -> None:
     assert {text: each.margin for text, each in found.items()} == pytest.approx(wanted)
     assert margin(list(found.values())) == -3.0
     assert margin([Verdict(None, None)]) is None
+
+
+def test_a_number_that_no_float_holds_is_refused() -> None:
+    with pytest.raises(ScenarioError, match="must be finite"):
+        Requirement("small", f"detection_delay_s <= 1{'0' * 320}", {"detection_delay_s"})
