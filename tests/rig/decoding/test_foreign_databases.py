@@ -13,6 +13,7 @@ from can_rig.errors import DbcError
 from can_rig.frames.mapped.database import load_database
 from can_rig.logs.frames import from_messages
 from tests.helpers import DBC, asked, rig
+from tests.rig.decoding.databases import require_agreement
 
 TWICE = """\
 VERSION ""
@@ -108,10 +109,42 @@ def test_a_length_beyond_any_frame_takes_no_memory(
 ) -> None:
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(
-        DbcError, match=rf"a.dbc: line {line}: a place, length or range of (2147483648|65536); "
+        DbcError, match=rf"a.dbc: line {line}: a place or length of (2147483648|65536); "
     ):
         load_database(written(tmp_path, TWICE.replace(old, new)), strict)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 1 << 18
+
+
+UDS = """\
+VERSION ""
+BU_: A
+BO_ 2028 UDS: 8 A
+ SG_ S M : 15|8@0+ (1,0) [0|0] "" A
+ SG_ R m98M : 23|16@0+ (1,0) [0|0] "" A
+ SG_ Pressure m49163 : 39|8@0+ (0.2,0) [0|0] "psi" A
+ SG_ Serial m0 : 47|16@0+ (1,0) [0|0] "" A
+SG_MUL_VAL_ 2028 R S 98-98;
+SG_MUL_VAL_ 2028 Pressure R 49163-49163;
+SG_MUL_VAL_ 2028 Serial R 61840-61845, 65535-65535;
+"""
+
+
+def test_multiplexers_of_16_bits(tmp_path: Path) -> None:
+    """As UDS has them: a service, and below it an identifier of data."""
+    database = load_database(written(tmp_path, UDS))
+    identifiers = [49163, 61840, 61843, 61845, 61846, 65535, 0]
+    payloads = [b"\7\x62" + number.to_bytes(2, "big") + b"\1\2\3\4" for number in identifiers]
+    payloads += [b"\3\x7f\x22\x31\0\0\0\0", payloads[0][:5], payloads[1][:6], payloads[0][:3]]
+    require_agreement(database, [(database.messages[0], payload) for payload in payloads])
+
+
+@pytest.mark.parametrize(
+    "values", ["49163-4294967295", "0-99999999999", "0-65535, 0-65535,\n 0-65535, 0-65535, 0-99"]
+)
+def test_more_values_of_a_multiplexer_than_can_be_listed(tmp_path: Path, values: str) -> None:
+    line = 9 + values.count("\n")
+    with pytest.raises(DbcError, match=rf"a.dbc: line {line}: with .* more than 262144 values"):
+        load_database(written(tmp_path, UDS.replace("49163-49163", values)))
 
 
 def test_signals_without_a_place_or_a_name(tmp_path: Path) -> None:
