@@ -9,7 +9,8 @@ from pathlib import Path
 import cantools
 from cantools.database.can import Database, Message
 
-from can_rig.errors import DbcError, one_line
+from can_rig.errors import DbcError
+from can_rig.frames.dbc_advice import advice
 
 
 @cache
@@ -35,7 +36,8 @@ def load_dbc(path: str | Path, strict: bool = True) -> Database:
     except OSError as error:
         raise DbcError(f"{path}: cannot be read: {error.strerror}") from error
     except Exception as error:  # whatever a damaged file leads cantools to
-        raise DbcError(f"{path}: not a DBC that can be loaded: {one_line(error)}") from error
+        said = advice(Path(path).read_text("cp1252", "replace"), error)
+        raise DbcError(f"{path}: not a DBC that can be loaded: {said}") from error
     if not isinstance(loaded, Database):
         raise DbcError(f"{path}: holds no CAN messages; it must be a DBC")
     return loaded

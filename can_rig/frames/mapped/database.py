@@ -14,6 +14,7 @@ from cantools.database.errors import Error as DatabaseError
 
 from can_rig.errors import DbcError, one_line
 from can_rig.frames.dbc import load_dbc
+from can_rig.frames.dbc_advice import advice
 
 _HEAD_BYTES: Final = 4096
 _LOOKS_LIKE: Final = {  # what the beginning of a file has in it, in the order of certainty
@@ -112,6 +113,7 @@ def _tell_apart(message: Message, strict: bool) -> None:
 
 
 def _load(path: str | Path, kind: str, strict: bool) -> Database:
+    text = ""
     try:
         encoding = "cp1252" if kind in ("sym", "dbc") else "utf-8"
         if kind == "dbc":
@@ -122,7 +124,8 @@ def _load(path: str | Path, kind: str, strict: bool) -> Database:
     except OSError as error:
         raise DbcError(f"{path}: cannot be read: {error.strerror}") from error
     except Exception as error:  # its readers of XML raise whatever a damaged file leads to
-        raise DbcError(f"{path}: cannot be loaded: {one_line(error)}") from error
+        said = advice(text, error) if kind == "dbc" else one_line(error)
+        raise DbcError(f"{path}: cannot be loaded: {said}") from error
     if not isinstance(loaded, Database):
         raise DbcError(f"{path}: holds no CAN messages")
     return loaded
@@ -142,7 +145,11 @@ def _mended(text: str) -> str:
     for found in _MESSAGE_OR_SIGNAL.finditer(text):
         message = found[1] or message
         signals.add((message, found[2]))
-    return _VALUE_TABLE.sub(lambda v: v[0] if (v[1], v[2]) in signals else "", text)
+    return _VALUE_TABLE.sub(lambda v: v[0] if (v[1], v[2]) in signals else _lines_of(v[0]), text)
+
+
+def _lines_of(text: str) -> str:
+    return "\n" * text.count("\n")
 
 
 def _format_of(path: Path) -> str:

@@ -147,6 +147,33 @@ def test_more_values_of_a_multiplexer_than_can_be_listed(tmp_path: Path, values:
         load_database(written(tmp_path, UDS.replace("49163-49163", values)))
 
 
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("SG_ Z :", "SG_ 2Z :", "line 8, column 6: '2Z .*': a name must begin with a letter or an"),
+        ("258 OTHER", "258 3OTHER", "line 7, column 9: '3OTHER.*': a name must begin with"),
+        ("(2,0)", "(.5,0)", r"line 6, column 19: '\.5.*': a number must have a digit before its"),
+        ("BO_ 258", 'CM_ 257 "x";\nBO_ 258', "line 7, column 5: '257 .*': BO_ must stand before"),
+        ("BO_ 258", 'CM_ SG_ 257 "x";\nBO_ 258', "line 7, column 13: .* the name of the signal is"),
+        ("BO_ 258", 'CM_ "x"\n\nBO_ 258', "line 7: 'CM_ \"x\"' must end with a semicolon"),
+        (
+            "BO_ 258",
+            "BO_ 2147483647",
+            "line 7: .*more than 11 bits in message OTHER.*must be at most",
+        ),
+        ("BO_ 258", "}\nBO_ 258", "line 7, column 1: '}': a DBC cannot have this here"),
+        (" SG_ Z : 0", 'VAL_ 9 Q 1 "a"\n 2 "b" ;\n SG_ Z : .0', "line 10, column 10: '.0"),
+    ],
+)
+@pytest.mark.parametrize("strict", [True, False])
+def test_what_cannot_be_loaded_is_said_with_its_line(
+    tmp_path: Path, old: str, new: str, said: str, strict: bool
+) -> None:
+    """Found in opendbc; the last one has lines that are left out."""
+    with pytest.raises(DbcError, match=f"a.dbc: .*: {said}"):
+        load_database(written(tmp_path, TWICE.replace(old, new)), strict)
+
+
 def test_signals_without_a_place_or_a_name(tmp_path: Path) -> None:
     """Found by tools/fuzz: a signal behind no multiplexer, one without a name, and others."""
     text = TWICE.replace(" SG_ Z : 0|8", " SG_ Z m3 : 0|8")

@@ -20,6 +20,9 @@ _WHOLE: Final = re.compile(rb"(\s|\s[0-9A-Fa-f]{2})\Z")
 class HeadedReader(LineReader):
     """What Vector's and PEAK's logs have in common."""
 
+    has_own_clock = False
+    """Whether there is no date: then the log starts with its first frame."""
+
     def ended(self, line: bytes, frame: Frames) -> bool:
         """All the bytes that the length announces, the last one with both digits."""
         data = frame.length[-1] > 0 and not frame.flags[-1] & REMOTE
@@ -31,11 +34,16 @@ class HeadedReader(LineReader):
         Raises:
             LogError: a line is no frame; a time stamp is later than int64 nanoseconds reach.
         """
+        start_ns: int | None = None
         for frames in self.read():
             last_ns = int(frames.time_ns.max())
-            if last_ns > LAST_NS - self.log.start_ns:
+            if start_ns is None:
+                start_ns = self.log.start_ns
+                if self.has_own_clock:
+                    self.log.start_ns = int(frames.time_ns[0])
+            if last_ns > LAST_NS - start_ns:
                 raise LogError(
                     f"{self.log.path}: a time stamp of {last_ns / 1e9:.3g} s after the start; "
                     "it must be before the year 2262"
                 )
-            yield numbered(replace(frames, time_ns=frames.time_ns + self.log.start_ns))
+            yield numbered(replace(frames, time_ns=frames.time_ns + start_ns))
