@@ -32,8 +32,7 @@ from can_rig.logs.readers.text.formats.asc import read_asc
 from can_rig.logs.readers.text.formats.busmaster import read_busmaster
 from can_rig.logs.readers.text.formats.candump import read_candump
 from can_rig.logs.readers.text.formats.gvret import read_gvret
-from can_rig.logs.readers.text.formats.microchip import read_microchip
-from can_rig.logs.readers.text.formats.trc import read_trc
+from can_rig.logs.readers.text.formats.trc import read_microchip, read_trc
 
 _READERS: Final[Mapping[str, Callable[[Log], Iterator[Frames]]]] = {
     ".log": read_candump,

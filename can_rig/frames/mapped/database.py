@@ -13,8 +13,7 @@ from cantools.database.can import Database, Message
 from cantools.database.errors import Error as DatabaseError
 
 from can_rig.errors import DbcError, one_line
-from can_rig.frames.dbc import load_dbc
-from can_rig.frames.dbc_advice import advice
+from can_rig.frames.dbc import advice, load_dbc
 
 _HEAD_BYTES: Final = 4096
 _LOOKS_LIKE: Final = {  # what the beginning of a file has in it, in the order of certainty

@@ -1,4 +1,10 @@
-"""PEAK traces, plain or gzipped; and traces of CARBUS Analyzer, which have the same suffix."""
+"""PEAK traces, plain or gzipped; and, read alike, CARBUS Analyzer's traces and Microchip's logs.
+
+    166064;RX;0x0000027A;7;0x30;0x30;0x0D;0x8C;0x09;0x15;0x00;     Microchip; time in ms
+
+Microchip's CAN BUS Analyzer, and SavvyCAN like it, writes neither a bus nor a mark of remote
+frames; an identifier of more than 11 bits is extended. Source: SavvyCAN, `framefileio.cpp`.
+"""
 
 from __future__ import annotations
 
@@ -24,6 +30,8 @@ _COLUMNS: Final = {
 """Columns by version; from 2.0 on the trace names its own."""
 
 _CARBUS: Final = "@ TEXT @ "
+_BLANKS: Final = bytes.maketrans(b";", b" ")
+_WHOLE: Final = re.compile(rb";(0[xX][0-9A-Fa-f]{2})?\s*\Z")
 _NEEDED: Final = frozenset("OTID")
 _DAYS_TO_1970: Final = 25569
 """From 30 December 1899, on which PEAK's days begin."""
@@ -37,13 +45,22 @@ def read_trc(log: Log) -> Iterator[Frames]:
     Raises:
         LogError: it is not such a trace, or one of its lines is not a frame.
     """
-    reader = TraceReader(log)
+    reader = _Reader(log)
     yield from reader.started()
     if not reader.frames and not any(line.startswith((";", _CARBUS)) for line in reader.header):
         raise LogError(f"{log.path}: not a PEAK trace: it has neither a header nor a frame")
 
 
-class TraceReader(HeadedReader):
+def read_microchip(log: Log) -> Iterator[Frames]:
+    """Chunks of a Microchip log, whose time stamps are on a clock of its own.
+
+    Raises:
+        LogError: one of its lines is not a frame.
+    """
+    yield from _MicrochipReader(log).started()
+
+
+class _Reader(HeadedReader):
     """Lines whose columns are named by letters, as in `parse`."""
 
     first_frame = re.compile(rb"[ \t]*\d+(\)?[ \t]|,\d+\t)")
@@ -114,3 +131,21 @@ class TraceReader(HeadedReader):
             room.length,
             room.data,
         )
+
+
+class _MicrochipReader(_Reader):
+    first_frame = re.compile(rb"[ \t]*\d")
+    has_own_clock = True
+
+    def begin(self) -> None:
+        """The same columns in every file."""
+        self.use("OTilD")
+
+    def ended(self, line: bytes, frame: Frames) -> bool:
+        """A byte with both its digits, or what follows one."""
+        return bool(_WHOLE.search(line))
+
+    def _whole_lines(self, text: bytes) -> Iterator[Frames]:
+        """As a trace has them: parted by blanks, hexadecimal without a mark."""
+        plain = text.translate(_BLANKS).replace(b"0x", b"").replace(b"0X", b"")
+        yield from super()._whole_lines(plain)
