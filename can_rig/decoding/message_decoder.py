@@ -164,7 +164,7 @@ class MessageDecoder:
             tree: signals, and signals below values of a multiplexer.
             data: (n, bytes) payloads.
             bits: (n,) lengths of the payloads; None: there is room for every signal.
-            rows: (n,) which of them are looked at.
+            rows: (n,) the frames to look at.
             present: gets (n,) for each signal.
 
         Returns (n,) where every multiplexer has a value that is in the database.

@@ -17,7 +17,7 @@ _SYNTAX: Final = re.compile(r"Invalid syntax at line (\d+), column (\d+)")
 _MESSAGE: Final = re.compile(r"\b(?:in|of|to) message (\w+)|\bmessage (\w+)")
 _OPEN: Final = re.compile(r"\s*(?:CM_|BA_|BA_DEF_\w*|VAL_|VAL_TABLE_|SG_MUL_VAL_|SIG_\w+)\s[^;]*")
 _BEGINNING: Final = re.compile(r"\s*[A-Z]+\w*_\b")
-_ADVICE: Final = {  # what is before the place, |, and what is there: what must be changed
+_ADVICE: Final = {  # the text before the place, |, the text from there on: what to change
     r".*\b(?:SG_|BO_ \d+)\s+\|\d": "a name must begin with a letter or an underscore",
     r".*\|\.\d": "a number must have a digit before its point, as in 0.5",
     r"\s*CM_\s+SG_\s+\d+\s*\|\"": "the name of the signal is missing before its comment",

@@ -35,7 +35,7 @@ class Values:
     def rows(self, offsets: Any, length: UInt8s) -> tuple[UInt8s, NDArray[np.bool_]]:
         """(n, 8) or (n, 64) payloads that begin at ``offsets`` (n,), zero behind their lengths.
 
-        And (n,) which of them are there.
+        And (n,) whether the file has the payload.
         """
         rows = empty_rows(length)
         found = np.ones(len(rows), np.bool_)

@@ -211,7 +211,7 @@ class _Group:
     def _payload(
         self, part: UInt8s, first: int, length: UInt8s, held: Values
     ) -> tuple[UInt8s, NDArray[np.bool_]]:
-        """The payloads, and which of them are there."""
+        """The payloads, and whether the file has each."""
         channel: Channel | None = self._members.get("DataBytes")
         if channel is not None and channel.kind == VARIABLE:
             return held.rows(raw(channel, part, first), length)
