@@ -28,7 +28,7 @@ class MessageColumns:
     """(n,) number of the frame in the log, from 0."""
     signals: dict[str, Column]
     """(n,) physical values by signal name, in the order of the database; a numpy masked array for a
-    multiplexed signal, which is not in every frame."""
+    signal that is not in every frame: it is multiplexed, or some frames are too short for it."""
     codes: dict[str, Column]
     """(n,) raw values of the signals with a value table."""
     layout: Mapping[str, SignalColumn] = field(repr=False)

@@ -31,7 +31,7 @@ class Counts:
     decoded: int = 0
     """One row each."""
     too_short: int = 0
-    """Fewer bytes than in the database; with E2E, any other number."""
+    """No signal fits into so few bytes; with E2E, any other number than in the database."""
     remote: int = 0
     """Remote frames, which have no payload."""
     unknown_multiplexer: int = 0
@@ -40,6 +40,8 @@ class Counts:
     """E2E: damaged, another sender's, or the counter 15, which no sender uses."""
     repeated: int = 0
     """E2E: the same counter as the frame before; 15 lost frames look the same."""
+    shorter: int = 0
+    """Decoded, but with fewer bytes than in the database: without the signals that do not fit."""
     longer: int = 0
     """Decoded, but with more bytes than in the database."""
     gaps: int = 0
@@ -103,12 +105,19 @@ class MessageDecoder:
             frames, row = frames[usable], row[usable]
         data = _at_least(frames.data, max(self.message.length, CLASSIC_BYTES))
         present: dict[str, Rows] = {}
-        known = self._find(self._tree, data, np.ones(len(frames), bool), present)
+        short = frames.length < self.message.length
+        bits = 8 * frames.length.astype(np.int64) if short.any() else None
+        known = self._find(self._tree, data, bits, np.ones(len(frames), bool), present)
+        self.counts.unknown_multiplexer += int((~known).sum())
+        if bits is not None:
+            empty = short & known & ~np.any([*present.values(), ~short], axis=0)
+            self.counts.too_short += int(empty.sum())
+            known &= ~empty
         if not known.all():
-            frames, row, data = frames[known], row[known], data[known]
+            frames, row, data, short = frames[known], row[known], data[known], short[known]
             present = {name: mask[known] for name, mask in present.items()}
-            self.counts.unknown_multiplexer += int((~known).sum())
         self.counts.decoded += len(frames)
+        self.counts.shorter += int(short.sum())
         self.counts.longer += int((frames.length > self.message.length).sum())
         signals, codes = {}, {}
         for name in self._wanted:
@@ -120,15 +129,12 @@ class MessageDecoder:
         return MessageColumns(self._name, frames.time_ns, row, signals, codes, layout)
 
     def _usable(self, frames: Frames) -> Rows:
-        """(n,) whether a frame is long enough and, if protected, intact and not repeated."""
+        """(n,) whether a frame has a payload and, if protected, is intact and not repeated."""
         counts = self.counts
         remote = frames.has(REMOTE)
         counts.remote += int(remote.sum())
         if self._data_id is None:
-            short = ~remote & (frames.length < self.message.length)
-            counts.too_short += int(short.sum())
-            enough: Rows = ~(remote | short)
-            return enough
+            return ~remote
         short = ~remote & (frames.length != self.message.length)
         counts.too_short += int(short.sum())
         whole = ~remote & ~short
@@ -145,34 +151,48 @@ class MessageDecoder:
         return usable
 
     def _find(
-        self, tree: Sequence[Any], data: UInt8s, rows: Rows, present: dict[str, Rows]
+        self,
+        tree: Sequence[Any],
+        data: UInt8s,
+        bits: NDArray[np.int64] | None,
+        rows: Rows,
+        present: dict[str, Rows],
     ) -> Rows:
         """Note in ``present`` which of ``rows`` have each signal of ``tree``.
+
+        Args:
+            tree: signals, and signals below values of a multiplexer.
+            data: (n, bytes) payloads.
+            bits: (n,) lengths of the payloads; None: there is room for every signal.
+            rows: (n,) the frames to look at.
+            present: gets (n,) for each signal.
 
         Returns (n,) where every multiplexer has a value that is in the database.
         """
         known, nowhere = np.ones(len(rows), dtype=bool), np.zeros(len(rows), dtype=bool)
         for node in tree:
-            if isinstance(node, str):
-                present[node] = present.get(node, nowhere) | rows
+            name, branches = (node, None) if isinstance(node, str) else next(iter(node.items()))
+            column = self._layout.get(name)
+            if column is None:  # it does not lie within the message
                 continue
-            ((name, branches),) = node.items()
-            present[name] = present.get(name, nowhere) | rows
-            column = self._layout[name]
+            here = rows if bits is None else rows & (bits >= column.first_bit + column.length)
+            present[name] = present.get(name, nowhere) | here
+            if branches is None:
+                continue
             number = column.physical(column.raw(data))  # as cantools has it: scaled, then truncated
             number = np.trunc(number) if number.dtype.kind == "f" else number
-            found = ~rows
-            for value, branch in branches.items():
-                chosen = rows & (number == value)
-                found |= chosen
-                known &= self._find(branch, data, chosen, present)
-            known &= found
+            for value in np.unique(number[here]).tolist():
+                chosen = here & (number == value)
+                if value in branches:
+                    known &= self._find(branches[value], data, bits, chosen, present)
+                else:
+                    known &= ~chosen
         return known
 
     def _column(self, name: str, data: UInt8s, rows: Rows) -> tuple[Column, Column]:
         """Raw and physical values; masked arrays for a multiplexed signal."""
         column = self._layout[name]
-        if name in self._always:
+        if name in self._always and rows.all():
             raw = column.raw(data)
             return raw, column.physical(raw)
         raw = column.raw(data[rows])

@@ -14,18 +14,20 @@ COMPRESSED: Final = (".log", ".asc", ".trc", ".csv")
 """The formats that may also be gzipped, with ``.gz`` after their suffix."""
 
 BUSMASTER: Final = "BUSMASTER"
-"""A format that is only read, and that has the suffix of another one."""
+MICROCHIP: Final = "Microchip"
+"""Formats that are only read, and that have the suffix of another one."""
 
 _HEAD_BYTES: Final = 1 << 14
 _GZIP: Final = 16 + zlib.MAX_WBITS
 _BINARY: Final = {b"LOGG": ".blf", b"MDF     ": ".mf4", b"UnFinMF ": ".mf4"}
 _TEXT: Final = {
     ".log": re.compile(rb"\s*\(\d+(\.\d*)?\)[ \t]+\S+[ \t]+[0-9A-Fa-f]+#"),
-    ".trc": re.compile(rb"\s*;(\$FILEVERSION|#{8})|(\s*;[^\n]*\n)*\s*1\)[ \t]+\d"),
+    ".trc": re.compile(rb"@ TEXT @ |\s*;(\$FILEVERSION|#{8})|(\s*;[^\n]*\n)*\s*1\)[ \t]+\d"),
     ".asc": re.compile(
         rb"\s*(//[^\n]*\s*)*(date[ \t]+\w|base[ \t]+(hex|dec)|begin[ \t]+triggerblock)", re.I
     ),
     ".csv": re.compile(rb"\W*time stamp,\s*id,\s*extended", re.I),
+    MICROCHIP: re.compile(rb"\s*//-+\s*Microchip |\s*\d+;[RT]X;0x", re.I),
     BUSMASTER: re.compile(rb"\s*\*\*\*\s*[<\[A-Z]", re.I),
 }
 

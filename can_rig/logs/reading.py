@@ -11,7 +11,7 @@
 | `.trc`, `.trc.gz` | PEAK trace                 |
 | `.mf4`            | ASAM MDF 4, bus logging    |
 | `.csv`, `.csv.gz` | SavvyCAN (GVRET)           |
-| any text          | BUSMASTER, by its heading  |
+| any text          | BUSMASTER, by its heading; Microchip, CARBUS Analyzer |
 
 Time stamps are integers in nanoseconds, read digit by digit; only an `.mf4` may have them in float
 seconds since the start of the recording, which are rounded to the nearest nanosecond.
@@ -23,7 +23,7 @@ from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
 from typing import Final
 
-from can_rig.logs.formats import BUSMASTER, format_in
+from can_rig.logs.formats import BUSMASTER, MICROCHIP, format_in
 from can_rig.logs.frames import Frames
 from can_rig.logs.log import ALL, Log, Window
 from can_rig.logs.readers.binary.blf import read_blf
@@ -32,7 +32,7 @@ from can_rig.logs.readers.text.formats.asc import read_asc
 from can_rig.logs.readers.text.formats.busmaster import read_busmaster
 from can_rig.logs.readers.text.formats.candump import read_candump
 from can_rig.logs.readers.text.formats.gvret import read_gvret
-from can_rig.logs.readers.text.formats.trc import read_trc
+from can_rig.logs.readers.text.formats.trc import read_microchip, read_trc
 
 _READERS: Final[Mapping[str, Callable[[Log], Iterator[Frames]]]] = {
     ".log": read_candump,
@@ -42,6 +42,7 @@ _READERS: Final[Mapping[str, Callable[[Log], Iterator[Frames]]]] = {
     ".mf4": read_mf4,
     ".csv": read_gvret,
     BUSMASTER: read_busmaster,
+    MICROCHIP: read_microchip,
 }
 
 

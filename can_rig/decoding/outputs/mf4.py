@@ -19,8 +19,8 @@ from can_rig.logs.frames import NS_PER_S
 class DecodedMf4:
     """Collects chunks in a temporary file, and writes ``path`` at the end.
 
-    Time is in float64 seconds since ``start_ns``, as in every MDF file; the sample of a multiplexed
-    signal that is not in a frame is marked invalid. Integers of more than 64 bits are rounded to
+    Time is in float64 seconds since ``start_ns``, as in every MDF file; the sample of a signal that
+    is not in a frame is marked invalid. Integers of more than 64 bits are rounded to
     float64.
     """
 
@@ -62,7 +62,7 @@ def _signal(
     layout: SignalColumn,
     time_s: NDArray[np.float64],
     samples: NDArray[Any],
-    invalid: NDArray[np.bool_] | None,
+    invalid: NDArray[np.bool_],
 ) -> Any:
     table = ", ".join(f"{number} {word}" for number, word in sorted(layout.choices.items()))
     return Signal(
@@ -75,8 +75,8 @@ def _signal(
     )
 
 
-def _samples(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_] | None]:
+def _samples(values: NDArray[Any]) -> tuple[NDArray[Any], NDArray[np.bool_]]:
     samples = np.ma.getdata(values)
     if samples.dtype == object:
         samples = samples.astype(np.float64)
-    return samples, np.ma.getmaskarray(values) if isinstance(values, np.ma.MaskedArray) else None
+    return samples, np.ma.getmaskarray(values)

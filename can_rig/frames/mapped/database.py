@@ -13,7 +13,7 @@ from cantools.database.can import Database, Message
 from cantools.database.errors import Error as DatabaseError
 
 from can_rig.errors import DbcError, one_line
-from can_rig.frames.dbc import load_dbc
+from can_rig.frames.dbc import advice, load_dbc
 
 _HEAD_BYTES: Final = 4096
 _LOOKS_LIKE: Final = {  # what the beginning of a file has in it, in the order of certainty
@@ -39,9 +39,11 @@ _SIZES: Final = {  # places and lengths, and the most that cantools deals with i
         (rb"^\s*BO_\s+\d+\s+\w+\s*:\s*(\d+)", 1),
         (rb"^\s*SG_\s[^:\n]*:\s*(\d+)", 8),
         (rb"^\s*SG_\s[^:\n]*:\s*\d+\s*\|\s*(\d+)", 8),
-        (rb"(?<=[0-9])-([0-9]+)\s*[,;]", 1),  # values of a multiplexer, each of which is listed
     ),
 }
+_MULTIPLEXED: Final = re.compile(rb"\bSG_MUL_VAL_\s[^;]*")
+_RANGE: Final = re.compile(rb"(\d+)\s*-\s*(\d+)")
+_MOST_LISTED: Final = 1 << 18  # values of multiplexers, each of which cantools has in a list
 _MOST_IDENTIFIER: Final = (1 << 29) - 1
 _MOST_STANDARD: Final = (1 << 11) - 1
 _EXTENDED_BIT: Final = 1 << 31
@@ -110,6 +112,7 @@ def _tell_apart(message: Message, strict: bool) -> None:
 
 
 def _load(path: str | Path, kind: str, strict: bool) -> Database:
+    text = ""
     try:
         encoding = "cp1252" if kind in ("sym", "dbc") else "utf-8"
         if kind == "dbc":
@@ -120,7 +123,8 @@ def _load(path: str | Path, kind: str, strict: bool) -> Database:
     except OSError as error:
         raise DbcError(f"{path}: cannot be read: {error.strerror}") from error
     except Exception as error:  # its readers of XML raise whatever a damaged file leads to
-        raise DbcError(f"{path}: cannot be loaded: {one_line(error)}") from error
+        said = advice(text, error) if kind == "dbc" else one_line(error)
+        raise DbcError(f"{path}: cannot be loaded: {said}") from error
     if not isinstance(loaded, Database):
         raise DbcError(f"{path}: holds no CAN messages")
     return loaded
@@ -140,7 +144,11 @@ def _mended(text: str) -> str:
     for found in _MESSAGE_OR_SIGNAL.finditer(text):
         message = found[1] or message
         signals.add((message, found[2]))
-    return _VALUE_TABLE.sub(lambda v: v[0] if (v[1], v[2]) in signals else "", text)
+    return _VALUE_TABLE.sub(lambda v: v[0] if (v[1], v[2]) in signals else _lines_of(v[0]), text)
+
+
+def _lines_of(text: str) -> str:
+    return "\n" * text.count("\n")
 
 
 def _format_of(path: Path) -> str:
@@ -159,9 +167,27 @@ def _format_of(path: Path) -> str:
     for pattern, units in _SIZES[found]:
         for size in re.finditer(pattern, text, re.M):
             if len(size[1]) > 9 or int(size[1]) > units * _MOST_BYTES:
-                line = text.count(b"\n", 0, size.start(1)) + 1
                 raise DbcError(
-                    f"{path}: line {line}: a place, length or range of {size[1][:20].decode()}; it "
-                    f"must be at most {units * _MOST_BYTES}"
+                    f"{path}: line {_line(text, size.start(1))}: a place or length of "
+                    f"{size[1][:20].decode()}; it must be at most {units * _MOST_BYTES}"
                 )
+    if found == "dbc":
+        _require_few_values(path, text)
     return found
+
+
+def _require_few_values(path: Path, text: bytes) -> None:
+    listed = 0
+    for statement in _MULTIPLEXED.finditer(text):
+        for values in _RANGE.finditer(text, statement.start(), statement.end()):
+            first, last = (int(digits[:10]) for digits in values.groups())
+            listed += max(last - first + 1, 0)
+            if listed > _MOST_LISTED or max(map(len, values.groups())) > 10:
+                raise DbcError(
+                    f"{path}: line {_line(text, values.start())}: with {first}-{last} the "
+                    f"multiplexers have more than {_MOST_LISTED} values, which is the most"
+                )
+
+
+def _line(text: bytes, at: int) -> int:
+    return text.count(b"\n", 0, at) + 1

@@ -48,11 +48,13 @@ def require_agreement(database: Database, payloads: list[tuple[DbcMessage, bytes
     refused: dict[str, int] = {}
     for at, (message, payload) in enumerate(payloads):
         try:
-            values = message.decode(payload, decode_choices=False)
+            values = message.decode(payload, decode_choices=False, allow_truncated=True)
         except DecodeError:
-            refused[message.name] = refused.get(message.name, 0) + 1
-        else:
+            values = {}
+        if values or (not message.signals and len(payload) >= message.length):
             theirs.setdefault(message.name, []).append((at, values))
+        else:
+            refused[message.name] = refused.get(message.name, 0) + 1
     for message in database.messages:
         parts = [chunk[message.name] for chunk in chunks if message.name in chunk]
         expected = theirs.get(message.name, [])

@@ -62,7 +62,12 @@ def test_scaling_at_the_edges(length, motorola, signed, raw, scale, offset) -> N
 
 
 @settings(max_examples=30)
-@given(st.lists(st.tuples(st.integers(0, 4), st.binary(min_size=8, max_size=8)), max_size=30))
+@given(
+    st.lists(
+        st.tuples(st.integers(0, 4), st.binary(max_size=8) | st.binary(min_size=8, max_size=8)),
+        max_size=30,
+    )
+)
 def test_the_features_of_public_databases(draws: list[tuple[int, bytes]]) -> None:
     database = cantools.database.load_string(FEATURES, "dbc")
     require_agreement(database, [(database.messages[at], payload) for at, payload in draws])

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from pathlib import Path
+
+import asammdf
 import cantools
 import pytest
 from can import Message
@@ -9,6 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_rig.decoding.decode import Decoder
+from can_rig.decoding.outputs.mf4 import DecodedMf4
 from can_rig.errors import DbcError
 from can_rig.frames.mapped.database import load_database
 from can_rig.frames.protection import Checker, CheckStatus, Protector
@@ -103,6 +107,21 @@ def test_every_frame_is_accounted_for() -> None:
     assert (counts.frames, counts.wrong_crc, counts.remote) == (2, 1, 1)
     assert dict(decoder.unknown) == {"00000100": 1, "7FF": 1}
     assert (decoder.frames, decoder.error_frames) == (5, 1)
+
+
+def test_frames_that_become_too_short_in_an_mdf_file(tmp_path: Path) -> None:
+    """The first chunk does not show that a signal will be missing."""
+    database = cantools.database.load_string(FEATURES, "dbc")
+    decoder, file = Decoder(database), DecodedMf4(tmp_path / "a.mf4", 0)
+    for at, size in enumerate((8, 4, 0)):
+        sent = Message(at, 1024, is_extended_id=False, data=bytes(size))
+        file.write(decoder.decode(from_messages([sent])))
+    file.close()
+    counts = decoder.counts["BIG"]
+    assert (counts.decoded, counts.shorter, counts.too_short) == (2, 1, 1)
+    with asammdf.MDF(tmp_path / "a.mf4") as opened:
+        assert opened.get("Odometer").timestamps.tolist() == [0, 1]
+        assert opened.get("Temp").timestamps.tolist() == [0]
 
 
 def test_channels_are_told_apart() -> None:

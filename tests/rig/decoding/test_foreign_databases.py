@@ -13,6 +13,7 @@ from can_rig.errors import DbcError
 from can_rig.frames.mapped.database import load_database
 from can_rig.logs.frames import from_messages
 from tests.helpers import DBC, asked, rig
+from tests.rig.decoding.databases import require_agreement
 
 TWICE = """\
 VERSION ""
@@ -108,10 +109,69 @@ def test_a_length_beyond_any_frame_takes_no_memory(
 ) -> None:
     before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     with pytest.raises(
-        DbcError, match=rf"a.dbc: line {line}: a place, length or range of (2147483648|65536); "
+        DbcError, match=rf"a.dbc: line {line}: a place or length of (2147483648|65536); "
     ):
         load_database(written(tmp_path, TWICE.replace(old, new)), strict)
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 1 << 18
+
+
+UDS = """\
+VERSION ""
+BU_: A
+BO_ 2028 UDS: 8 A
+ SG_ S M : 15|8@0+ (1,0) [0|0] "" A
+ SG_ R m98M : 23|16@0+ (1,0) [0|0] "" A
+ SG_ Pressure m49163 : 39|8@0+ (0.2,0) [0|0] "psi" A
+ SG_ Serial m0 : 47|16@0+ (1,0) [0|0] "" A
+SG_MUL_VAL_ 2028 R S 98-98;
+SG_MUL_VAL_ 2028 Pressure R 49163-49163;
+SG_MUL_VAL_ 2028 Serial R 61840-61845, 65535-65535;
+"""
+
+
+def test_multiplexers_of_16_bits(tmp_path: Path) -> None:
+    """As UDS has them: a service, and below it an identifier of data."""
+    database = load_database(written(tmp_path, UDS))
+    identifiers = [49163, 61840, 61843, 61845, 61846, 65535, 0]
+    payloads = [b"\7\x62" + number.to_bytes(2, "big") + b"\1\2\3\4" for number in identifiers]
+    payloads += [b"\3\x7f\x22\x31\0\0\0\0", payloads[0][:5], payloads[1][:6], payloads[0][:3]]
+    require_agreement(database, [(database.messages[0], payload) for payload in payloads])
+
+
+@pytest.mark.parametrize(
+    "values", ["49163-4294967295", "0-99999999999", "0-65535, 0-65535,\n 0-65535, 0-65535, 0-99"]
+)
+def test_more_values_of_a_multiplexer_than_can_be_listed(tmp_path: Path, values: str) -> None:
+    line = 9 + values.count("\n")
+    with pytest.raises(DbcError, match=rf"a.dbc: line {line}: with .* more than 262144 values"):
+        load_database(written(tmp_path, UDS.replace("49163-49163", values)))
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "said"),
+    [
+        ("SG_ Z :", "SG_ 2Z :", "line 8, column 6: '2Z .*': a name must begin with a letter or an"),
+        ("258 OTHER", "258 3OTHER", "line 7, column 9: '3OTHER.*': a name must begin with"),
+        ("(2,0)", "(.5,0)", r"line 6, column 19: '\.5.*': a number must have a digit before its"),
+        ("BO_ 258", 'CM_ 257 "x";\nBO_ 258', "line 7, column 5: '257 .*': BO_ must stand before"),
+        ("BO_ 258", 'CM_ SG_ 257 "x";\nBO_ 258', "line 7, column 13: .* the name of the signal is"),
+        ("BO_ 258", 'CM_ "x"\n\nBO_ 258', "line 7: 'CM_ \"x\"' must end with a semicolon"),
+        (
+            "BO_ 258",
+            "BO_ 2147483647",
+            "line 7: .*more than 11 bits in message OTHER.*must be at most",
+        ),
+        ("BO_ 258", "}\nBO_ 258", "line 7, column 1: '}': a DBC cannot have this here"),
+        (" SG_ Z : 0", 'VAL_ 9 Q 1 "a"\n 2 "b" ;\n SG_ Z : .0', "line 10, column 10: '.0"),
+    ],
+)
+@pytest.mark.parametrize("strict", [True, False])
+def test_what_cannot_be_loaded_is_said_with_its_line(
+    tmp_path: Path, old: str, new: str, said: str, strict: bool
+) -> None:
+    """Found in opendbc; the last one has lines that are left out."""
+    with pytest.raises(DbcError, match=f"a.dbc: .*: {said}"):
+        load_database(written(tmp_path, TWICE.replace(old, new)), strict)
 
 
 def test_signals_without_a_place_or_a_name(tmp_path: Path) -> None:

@@ -185,7 +185,7 @@ def test_long_messages_are_decoded_beside_short_frames(tmp_path: Path) -> None:
     content = bytes([7, *bytes(18), 21])
     frames = [
         *bam(content, 0x21, at_s=1.0),
-        Message(2.0, 0x18FECA99, True, data=bytes(8), channel="can0"),  # too short
+        Message(2.0, 0x18FECA99, True, data=bytes(8), channel="can0"),  # without Last
         *bam(content[::-1], 0x22, at_s=3.0),
         *bam(bytes(9), 0x22, group=0xFE00, at_s=4.0),  # in no database
         Message(5.0, 0x18FF0001, True, data=bytes(8), channel="can0"),
@@ -195,12 +195,12 @@ def test_long_messages_are_decoded_beside_short_frames(tmp_path: Path) -> None:
     whole = from_messages(frames)
     found = [decoder.decode(part) for part in (whole[:6], whole[6:])]
     values = [part["DM1"].signals for part in found]
-    assert [v["Lamp"].tolist() for v in values] == [[7], [21]]
-    assert [v["Last"].tolist() for v in values] == [[42], [14]]
-    assert [v["SourceAddress"].tolist() for v in values] == [[0x21], [0x22]]
-    assert found[0]["DM1"].row.tolist() == [3]
+    assert [v["Lamp"].tolist() for v in values] == [[7, 0], [21]]
+    assert [v["Last"].tolist() for v in values] == [[42, None], [14]]
+    assert [v["SourceAddress"].tolist() for v in values] == [[0x21, 0x99], [0x22]]
+    assert found[0]["DM1"].row.tolist() == [3, 4]
     counts = decoder.counts["DM1"]
-    assert (counts.frames, counts.decoded, counts.too_short) == (3, 2, 1)
+    assert (counts.frames, counts.decoded, counts.shorter) == (3, 3, 1)
     assert dict(decoder.unknown) == {"18FF0001": 1}
     assert dict(decoder.transport.unknown) == {"1CFE0022": 1}
     only = Decoder([("can1", database)])

@@ -4,11 +4,16 @@ from __future__ import annotations
 
 import struct
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass, field
 
-LINEAR, WORDS = 1, 7
+LINEAR, RATIONAL, FORMULA, INTERPOLATED, NEAREST, RANGES, WORDS = range(1, 8)
+TEXT_TO_VALUE, TEXT_TO_TEXT = 9, 10
 FIXED, VARIABLE, MASTER, VIRTUAL = 0, 1, 2, 6
-UNSIGNED, FLOAT, BYTES = 0, 4, 10
+UNSIGNED, FLOAT, TEXT, BYTES = 0, 4, 7, 10
+
+DATA = "CAN_DataFrame"
+RECORD = struct.Struct("<QIBB8s")
 
 
 class Builder:
@@ -31,18 +36,19 @@ class Builder:
         """A name."""
         return self.put(b"TX", [], words.encode() + b"\0")
 
+    def conversion(self, kind: int, values: list[float], words: list[object] = ()) -> int:
+        """A conversion of any type; in place of a word there may be another conversion."""
+        links = [self.text(word) if isinstance(word, str) else word(self) for word in words]
+        data = struct.pack("<BBHHHdd", kind, 0, 0, len(words), len(values), 0, 0)
+        return self.put(b"CC", [0] * 4 + links, data + struct.pack(f"<{len(values)}d", *values))
+
     def linear(self, offset: float, factor: float) -> int:
         """A conversion offset + factor · raw."""
-        data = struct.pack("<BBHHHdd", LINEAR, 0, 0, 0, 2, 0, 0) + struct.pack(
-            "<2d", offset, factor
-        )
-        return self.put(b"CC", [0] * 4, data)
+        return self.conversion(LINEAR, [offset, factor])
 
     def words(self, values: list[float], words: list[str]) -> int:
         """A conversion from values to words; one word more for all others."""
-        links = [0] * 4 + [self.text(word) for word in words]
-        data = struct.pack("<BBHHHdd", WORDS, 0, 0, len(words), len(values), 0, 0)
-        return self.put(b"CC", links, data + struct.pack(f"<{len(values)}d", *values))
+        return self.conversion(WORDS, values, words)
 
     def channels(self, members: list[Member]) -> int:
         """A chain of channels; the place of the first."""
@@ -97,3 +103,40 @@ def group(builder: Builder, members: list[Member], record: int, records: int, **
 def data_group(builder: Builder, first: int, data: int, id_bytes: int = 0) -> int:
     """A data group; the place of it."""
     return builder.put(b"DG", [0, first, data, 0], struct.pack("<B7x", id_bytes))
+
+
+def described_first(
+    builder: Builder, first: int, parts: list[Callable[[Builder], int]], id_bytes: int = 0
+) -> int:
+    """A data group, a list of its data, and behind both the data; the place of the group."""
+    at = data_group(builder, first, 0, id_bytes)
+    blocks = builder.put(b"DL", [0] * (1 + len(parts)), bytes(8))
+    for place, link in (
+        (at + 40, blocks),
+        *((blocks + 32 + 8 * n, part(builder)) for n, part in enumerate(parts)),
+    ):
+        builder.body[place - 168 : place - 160] = struct.pack("<Q", link)
+    return at
+
+
+def frames(count: int) -> bytes:
+    """Records of 22 bytes: time in ns, identifier, DLC, length, payload."""
+    return b"".join(
+        RECORD.pack(at * 1_000_000 + 7, 0x100 + at, 8, 8, bytes([at % 256] * 8))
+        for at in range(count)
+    )
+
+
+def members(builder: Builder, *more: Member, payload: Member | None = None) -> list[Member]:
+    """The channels of such records: a time in ns, and the parts of a frame."""
+    parts = builder.channels(
+        [
+            Member(f"{DATA}.ID", 64, 29),
+            Member(f"{DATA}.DLC", 96, 4),
+            Member(f"{DATA}.DataLength", 104, 7),
+            payload or Member(f"{DATA}.DataBytes", 112, 64, data_type=BYTES),
+            *more,
+        ]
+    )
+    time = Member("Timestamp", 0, 64, MASTER, conversion=lambda b: b.linear(0, 1e-9))
+    return [time, Member(DATA, 64, 112, data_type=BYTES, parts=parts)]

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from can_rig.errors import LogError
-from can_rig.logs.frames import BITRATE_SWITCH, EXTENDED, FD, REMOTE, SENT
+from can_rig.logs.frames import BITRATE_SWITCH, EXTENDED, FD, REMOTE, SENT, concatenate
 from can_rig.logs.reading import read_log
 from tests.rig.logs.candump_samples import rows, whole, written
 
@@ -72,6 +72,15 @@ def test_an_object_may_go_on_in_the_next_container(tmp_path: Path, cut: int, met
     data = one(1, classic()) + one(1, classic(0x124))
     path = blf(tmp_path, container(data[:cut], method), container(data[cut:], method))
     assert [row[1] for row in rows(whole(path))] == [0x123, 0x124]
+
+
+@pytest.mark.parametrize("zeros", [1, 7, 8, 9, 16, 100, 5000])
+@pytest.mark.parametrize("method", [0, 2])
+def test_zeros_at_the_end_of_a_container(tmp_path: Path, zeros: int, method: int) -> None:
+    """And behind it, where a recorder has more room than it needs."""
+    parts = [container(one(1, classic(at)) + bytes(zeros), method) + bytes(zeros) for at in (1, 2)]
+    log = read_log(blf(tmp_path, *parts))
+    assert [row[1] for row in rows(concatenate(log))] == [1, 2]
 
 
 def test_objects_outside_any_container(tmp_path: Path) -> None:

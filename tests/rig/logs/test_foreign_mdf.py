@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import struct
+from collections.abc import Callable
 from pathlib import Path
 
 import asammdf
@@ -14,41 +15,21 @@ from can_rig.logs.reading import read_log
 from tests.rig.logs.candump_samples import rows, whole, written
 from tests.rig.logs.mdf_builder import (
     BYTES,
+    DATA,
     FLOAT,
-    MASTER,
+    RECORD,
     VARIABLE,
     VIRTUAL,
     Builder,
     Member,
     data_group,
+    described_first,
+    frames,
     group,
+    members,
 )
 
-DATA = "CAN_DataFrame"
-RECORD = struct.Struct("<QIBB8s")
 START_NS = 10**18
-
-
-def frames(count: int) -> bytes:
-    """Records of 22 bytes: time in ns, identifier, DLC, length, payload."""
-    return b"".join(
-        RECORD.pack(at * 1_000_000 + 7, 0x100 + at, 8, 8, bytes([at % 256] * 8))
-        for at in range(count)
-    )
-
-
-def members(builder: Builder, *more: Member, payload: Member | None = None) -> list[Member]:
-    parts = builder.channels(
-        [
-            Member(f"{DATA}.ID", 64, 29),
-            Member(f"{DATA}.DLC", 96, 4),
-            Member(f"{DATA}.DataLength", 104, 7),
-            payload or Member(f"{DATA}.DataBytes", 112, 64, data_type=BYTES),
-            *more,
-        ]
-    )
-    time = Member("Timestamp", 0, 64, MASTER, conversion=lambda b: b.linear(0, 1e-9))
-    return [time, Member(DATA, 64, 112, data_type=BYTES, parts=parts)]
 
 
 def virtual(builder: Builder) -> list[Member]:
@@ -107,30 +88,40 @@ def test_data_in_lists_and_compressed(tmp_path: Path, layout: str) -> None:
     assert rows(whole(path)) == expected(50)
 
 
-@pytest.mark.parametrize("id_bytes", [1, 2, 4, 8])
-def test_records_of_several_groups_among_one_another(tmp_path: Path, id_bytes: int) -> None:
-    """With payloads of varying length: each is a record of a group of its own."""
-    builder = Builder()
-    values = group(builder, [], 0, 40, number=9, flags=1)
-    payload = Member(f"{DATA}.DataBytes", 112, 64, VARIABLE, BYTES, data=values)
-    own = group(
-        builder, members(builder, payload=payload), RECORD.size, 40, number=5, following=values
-    )
-    other = group(
-        builder, [Member("Speed", 0, 64, data_type=FLOAT)], 8, 40, number=2, following=own
-    )
+def among(count: int, id_bytes: int) -> bytes:
+    """Records of three groups: 2 is another one, 5 the frames, 9 their payloads."""
     data, offset = b"", 0
-    for at in range(40):
+    for at in range(count):
         content = bytes([at] * (at % 9))
         record = RECORD.pack(at * 1_000_000, 0x100 + at, 8, len(content), struct.pack("<Q", offset))
         value = struct.pack("<I", len(content)) + content
         offset += len(value)
         for number, one in ((2, b"\xff" * 8), (5, record), (9, value)):
             data += number.to_bytes(id_bytes, "little") + one
+    return data
+
+
+def groups_among(builder: Builder, count: int) -> int:
+    """The descriptions of the three; the place of the first."""
+    values = group(builder, [], 0, count, number=9, flags=1)
+    payload = Member(f"{DATA}.DataBytes", 112, 64, VARIABLE, BYTES, data=values)
+    own = group(
+        builder, members(builder, payload=payload), RECORD.size, count, number=5, following=values
+    )
+    speed = Member("Speed", 0, 64, data_type=FLOAT)
+    return group(builder, [speed], 8, count, number=2, following=own)
+
+
+@pytest.mark.parametrize("id_bytes", [1, 2, 4, 8])
+def test_records_of_several_groups_among_one_another(tmp_path: Path, id_bytes: int) -> None:
+    """With payloads of varying length: each is a record of a group of its own."""
+    builder = Builder()
+    data = among(40, id_bytes)
+    first = groups_among(builder, 40)
     at = builder.put(
         b"DL", [0, builder.put(b"DT", [], data[:501]), builder.packed(data[501:])], bytes(8)
     )
-    path = written(tmp_path, builder.file(data_group(builder, other, at, id_bytes)), "a.mf4")
+    path = written(tmp_path, builder.file(data_group(builder, first, at, id_bytes)), "a.mf4")
     found = rows(whole(path))
     assert [row[1] for row in found] == [0x100 + at for at in range(40)]
     assert [row[4:] for row in found] == [(at % 9, bytes([at] * (at % 9))) for at in range(40)]
@@ -161,6 +152,60 @@ def test_a_file_that_its_logger_left_open(tmp_path: Path) -> None:
     log = read_log(written(tmp_path, left_open.file(data), "a.mf4"))
     assert rows(concatenate(log)) == expected(20)
     assert log.notice is not None
+
+
+@pytest.mark.parametrize("layout", ["plain", "packed", "transposed", "among", "apart"])
+def test_cut_off_anywhere(tmp_path: Path, layout: str) -> None:
+    """A logger describes its records first, so that a cut log has the frames up to the cut."""
+    start = b"UnFinMF 4.11" if layout == "among" else b"MDF     4.11"
+    builder, behind = Builder(start), 168 + 4096
+    if layout == "among":
+        data, first = among(12, 1), groups_among(builder, 12)
+    elif layout == "apart":
+        data = b"".join(RECORD.pack(n, n, 8, 8, struct.pack("<Q", 12 * n)) for n in range(12))
+        payload = Member(f"{DATA}.DataBytes", 112, 64, VARIABLE, BYTES, data=behind)
+        first = group(builder, members(builder, payload=payload), RECORD.size, 12)
+    else:
+        data, first = frames(12), group(builder, members(builder), RECORD.size, 12)
+    columns = RECORD.size if layout == "transposed" else 0
+    is_packed = layout in ("packed", "transposed")
+
+    def half(part: bytes) -> Callable[[Builder], int]:
+        return lambda b: b.packed(part, columns) if is_packed else b.put(b"DT", [], part)
+
+    halves = [half(data[: RECORD.size * 5]), half(data[RECORD.size * 5 :])]
+    data_groups = described_first(builder, first, halves, int(layout == "among"))
+    if layout == "apart":
+        builder.body += bytes(behind - 168 - len(builder.body))
+        values = b"".join(struct.pack("<I8s", 8, bytes([n] * 8)) for n in range(12))
+        builder.put(b"SD", [], values)
+    good = builder.file(data_groups)
+    every = rows(whole(written(tmp_path, good, "a.mf4")))
+    assert len(every) == 12
+    most = 0
+    for cut in (*range(len(good) - 1200, len(good) - 50, 17), *range(len(good) - 50, len(good))):
+        log = read_log(written(tmp_path, good[:cut], "a.mf4"))
+        try:
+            found = rows(concatenate(log))
+        except LogError as error:
+            assert "MDF 4 file that is cut off" in str(error)
+            assert most == 0
+            continue
+        assert found == every[: len(found)]
+        assert len(found) >= most
+        most = len(found)
+        assert "is cut off" in (log.notice or "")
+    assert most >= (5 if layout == "transposed" else 11)
+
+
+@pytest.mark.parametrize("rest", [bytes(3), bytes(5000)])
+def test_room_that_a_logger_did_not_use(tmp_path: Path, rest: bytes) -> None:
+    builder = Builder(b"UnFinMF 4.11    test    ", flags=4 + 1)
+    first = groups_among(builder, 0)
+    data = described_first(builder, first, [lambda b: b.put(b"DT", [], among(30, 1) + rest)], 1)
+    log = read_log(written(tmp_path, builder.file(data), "a.mf4"))
+    assert [row[1] for row in rows(concatenate(log))] == [0x100 + at for at in range(30)]
+    assert "is cut off" in (log.notice or "")
 
 
 def always(name: str) -> Member:

@@ -29,6 +29,7 @@ _BLOCK_BYTES: Final = 1 << 22
 _MOST_BYTES: Final = 1 << 28
 """Of an object, which bounds the memory; Vector's containers have 128 KiB."""
 _SHORTEST_FRAME: Final = 48
+_PADDING_BYTES: Final = 1 << 12
 
 
 def read_blf(log: Log) -> Iterator[Frames]:
@@ -93,6 +94,7 @@ class _Reader:
     def _object(self) -> bytes:
         """What the next container holds, or an object that is in none; empty at the end."""
         while True:
+            self._skip_zeros()
             self._at = self._file.tell()
             raw = self._file.read(BASE_BYTES)
             if len(raw) < BASE_BYTES:
@@ -106,6 +108,14 @@ class _Reader:
             content = self._content(body) if kind == _CONTAINER_TYPE else raw + body
             if content:
                 return content
+
+    def _skip_zeros(self) -> None:
+        """Pass over room that the recorder did not use."""
+        while piece := self._file.read(_PADDING_BYTES):
+            rest = piece.lstrip(b"\0")
+            if rest:
+                self._file.seek(-len(rest), 1)
+                return
 
     def _content(self, body: bytes) -> bytes:
         if len(body) < _CONTAINER.size:

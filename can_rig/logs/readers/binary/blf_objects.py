@@ -54,7 +54,7 @@ def parse(
     length: UInt8s,
     payload: UInt8s,
 ) -> tuple[int, int, int]:
-    """Fill the columns from the objects that begin at ``at`` or up to 8 bytes later.
+    """Fill the columns from the objects that begin at ``at``, behind zeros or up to 8 bytes later.
 
     ``channel`` gets numbers of buses, from 1. Returns the number of frames, where the next object
     begins, and why it stopped there.
@@ -62,6 +62,8 @@ def parse(
     frames = 0
     end = len(data)
     while frames < len(time_ns):
+        while at < end and data[at] == 0:  # at the end of a container may be as many as you like
+            at += 1
         begin = _next_object(data, at)
         if begin < 0:
             return frames, at, MORE if at + _PADDING > end else NO_OBJECT

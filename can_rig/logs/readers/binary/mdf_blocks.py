@@ -10,7 +10,8 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, field
-from typing import BinaryIO, Final
+from io import BufferedReader
+from typing import Final
 
 FINISHED: Final = b"MDF     4"
 UNFINISHED: Final = b"UnFinMF 4"
@@ -25,7 +26,8 @@ _MOST_BYTES: Final = 1 << 28
 """Of a block that is read whole."""
 _MOST_BLOCKS: Final = 1 << 20
 
-UNSIGNED, UNSIGNED_BIG, SIGNED, SIGNED_BIG, FLOAT, FLOAT_BIG = range(6)
+UNSIGNED, UNSIGNED_BIG, SIGNED, SIGNED_BIG, FLOAT, FLOAT_BIG, _LATIN_1, _UTF_8 = range(8)
+TEXTS: Final = (_LATIN_1, _UTF_8)
 BYTES: Final = 10
 FIXED, VARIABLE, MASTER, VIRTUAL_MASTER, _SYNCHRONISED, MAXIMUM, VIRTUAL = range(7)
 """Kinds of channels."""
@@ -33,6 +35,10 @@ FIXED, VARIABLE, MASTER, VIRTUAL_MASTER, _SYNCHRONISED, MAXIMUM, VIRTUAL = range
 
 class MdfError(ValueError):
     """What is wrong with the file, and where."""
+
+
+class MdfCutError(MdfError):
+    """Something that a link leads to is behind the end of the file."""
 
 
 @dataclass(frozen=True)
@@ -52,6 +58,10 @@ class Conversion:
     kind: int
     values: tuple[float, ...] = ()
     words: tuple[str, ...] = ()
+    at: int = 0
+    """Its block."""
+    is_nested: bool = False
+    """Whether some values are converted by another conversion."""
 
 
 @dataclass(frozen=True)
@@ -103,11 +113,11 @@ class MdfFile:
         size: its length [byte].
 
     Raises:
-        MdfError: it is damaged.
+        MdfError: it is damaged, or ends before its header does.
     """
 
-    def __init__(self, file: BinaryIO, size: int) -> None:
-        self._file, self.size = file, size
+    def __init__(self, file: BufferedReader, size: int) -> None:
+        self.file, self.size = file, size
         start = self._read(0, _HEAD_AT)
         self.is_finished = start.startswith(FINISHED)
         flags = int.from_bytes(start[60:62], "little")
@@ -116,7 +126,15 @@ class MdfFile:
         start_ns, time_flags = struct.unpack_from("<Q4xB", head.data)
         self.start_ns = int(start_ns)
         self.is_local_time = bool(time_flags & 1)
-        self.groups = [self._data_group(block) for block in self._chain(head.links[0], b"DG", 4, 1)]
+        self.is_cut = False
+        """Whether the file has turned out to end too early, so far."""
+        self.groups: list[DataGroup] = []
+        """Those that are described before the file ends."""
+        try:
+            for block in self._chain(head.links[0], b"DG", 4, 1):
+                self.groups.append(self._data_group(block))
+        except MdfCutError:
+            self.is_cut = True
 
     def block(self, at: int, kind: bytes, links: int = 0, least: int = 0) -> Block:
         """The block at ``at``, which must be of this kind and have as many links and bytes.
@@ -146,13 +164,13 @@ class MdfFile:
 
     def piece(self, at: int, size: int) -> bytes:
         """Up to ``size`` bytes from ``at`` on; fewer where the file ends."""
-        self._file.seek(min(at, self.size))
-        return self._file.read(size)
+        self.file.seek(min(at, self.size))
+        return self.file.read(size)
 
     def _read(self, at: int, size: int) -> bytes:
         found = self.piece(at, size) if 0 <= at <= self.size else b""
         if len(found) < size:
-            raise MdfError(f"byte {at}: the file ends before the {size} bytes that must be here")
+            raise MdfCutError(f"byte {at}: the file ends before the {size} bytes that must be here")
         return found
 
     def _chain(self, at: int, kind: bytes, links: int, least: int) -> Iterator[Block]:
@@ -230,8 +248,10 @@ class MdfFile:
         if len(block.data) < 24 + 8 * count or len(block.links) < 4 + references:
             raise MdfError(f"byte {at}: a conversion of {count} values in too short a block")
         values = struct.unpack_from(f"<{count}d", block.data, 24)
-        words = tuple(self._text(link) for link in block.links[4 : 4 + references])
-        return Conversion(kind, values, words)
+        links = block.links[4 : 4 + references]
+        words = tuple(self._text(link) for link in links)
+        is_nested = any(link and self.header(link)[0] == b"CC" for link in links)
+        return Conversion(kind, values, words, at, is_nested)
 
     def _text(self, at: int) -> str:
         if not at or self.header(at)[0] not in (b"TX", b"MD"):

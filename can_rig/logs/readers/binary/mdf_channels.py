@@ -2,28 +2,39 @@
 
 from __future__ import annotations
 
+import re
 from typing import Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from can_rig.errors import one_line, require
 from can_rig.logs.frames import UInt8s
 from can_rig.logs.readers.binary.mdf_blocks import (
     FLOAT,
     FLOAT_BIG,
     SIGNED,
     SIGNED_BIG,
+    TEXTS,
     UNSIGNED_BIG,
     VIRTUAL,
     VIRTUAL_MASTER,
     Channel,
     Conversion,
     MdfError,
+    MdfFile,
 )
 from can_rig.logs.readers.binary.mdf_values import empty_rows
 from firmware_model.compiled import compiled
 
-_ONE_TO_ONE, _LINEAR, _VALUE_TO_TEXT, _RANGE_TO_TEXT = 0, 1, 7, 8
+_ONE_TO_ONE, _LINEAR, _FORMULA, _NEAREST, _VALUE_TO_TEXT, _RANGE_TO_TEXT = 0, 1, 3, 5, 7, 8
+_ARITHMETIC: Final = re.compile(  # a formula goes through Python's `eval`, where powers may not end
+    r"(?!.*\*\s*\*)(?:[X\d.eE+\-*/(),\s]|"
+    r"(?:arc)?(?:sin|cos|tan)h?(?=\()|(?:exp|log|log10|sqrt|abs)(?=\())+",
+    re.S,
+)
+_MOST_NUMBER: Final = (1 << 32) - 1
+_YES: Final = ("Tx", "1", "true")
 _NS_PER_S: Final = 1_000_000_000
 _EXACT: Final = 1 << 53
 
@@ -47,6 +58,8 @@ def raw(channel: Channel, records: UInt8s, first: int) -> NDArray[Any]:
         raise MdfError(f"channel {channel.name} must lie within the {size} bytes of its records")
     is_big = channel.data_type in (UNSIGNED_BIG, SIGNED_BIG, FLOAT_BIG)
     kind = {FLOAT: "f", FLOAT_BIG: "f", SIGNED: "i", SIGNED_BIG: "i"}.get(channel.data_type, "u")
+    if channel.data_type in TEXTS:
+        return np.ndarray((count,), f"S{width}", records, channel.byte_offset, (size,))
     whole = channel.bit_offset == 0 and channel.bit_count in (8, 16, 32, 64)
     if whole and not (kind == "f" and width == 1):
         dtype = np.dtype(f"{'>' if is_big else '<'}{kind}{width}")
@@ -58,26 +71,79 @@ def raw(channel: Channel, records: UInt8s, first: int) -> NDArray[Any]:
     return word >> np.uint64(channel.bit_offset) & np.uint64((1 << channel.bit_count) - 1)
 
 
-def numbers(channel: Channel, records: UInt8s, first: int) -> NDArray[Any]:
-    """(n,) physical values; where they are words, 1 for "Tx" and others that say yes, else 0.
+def numbers(file: MdfFile, channel: Channel, records: UInt8s, first: int) -> NDArray[Any]:
+    """(n,) whole physical values of 32 bits; for words, 1 for "Tx" and others that say yes, else 0.
 
     Raises:
-        MdfError: see `raw`; or the conversion is of a kind that is not read.
+        MdfError: see `physical`; or a value is not between 0 and 2**32 - 1.
+    """
+    values = physical(file, channel, records, first)
+    if values.dtype.kind in "if":
+        with np.errstate(invalid="ignore"):
+            if not ((values >= 0) & (values <= _MOST_NUMBER)).all():
+                raise MdfError(f"channel {channel.name} must be between 0 and {_MOST_NUMBER}")
+    return values
+
+
+def physical(file: MdfFile, channel: Channel, records: UInt8s, first: int) -> NDArray[Any]:
+    """(n,) physical values; for words, 1 for "Tx" and others that say yes, else 0.
+
+    Raises:
+        MdfError: see `raw`; or the conversion is none that asammdf can apply.
     """
     values = raw(channel, records, first)
     conversion = channel.conversion
     if conversion.kind == _ONE_TO_ONE:
-        return values
+        return values if values.dtype.kind != "S" else np.isin(values.astype(str), _YES)
     if conversion.kind == _LINEAR and len(conversion.values) >= 2:
         offset, factor = conversion.values[:2]
         return values if (offset, factor) == (0, 1) else offset + factor * values
-    if conversion.kind in (_VALUE_TO_TEXT, _RANGE_TO_TEXT):
+    if conversion.kind == _NEAREST and len(conversion.values) >= 2:
+        return _nearest(conversion, values)
+    if conversion.kind in (_VALUE_TO_TEXT, _RANGE_TO_TEXT) and not conversion.is_nested:
         if channel.kind != VIRTUAL:
             return values  # codes: 1 for Tx, whatever they are called
         return np.array([_says_yes(conversion, float(value)) for value in values], np.uint8)
-    raise MdfError(
-        f"channel {channel.name} has a conversion of type {conversion.kind}, not 0, 1, 7 or 8"
-    )
+    found = _by_asammdf(file, channel, values)
+    if found.dtype.kind in "iufb":
+        return found
+    is_code = values.dtype.kind != "S" and channel.kind != VIRTUAL
+    numbered = [
+        said if not isinstance(said, bytes) else code if is_code else said.decode() in _YES
+        for said, code in zip(found.tolist(), values.tolist(), strict=True)
+    ]
+    return np.array(numbered, np.float64)
+
+
+def _nearest(conversion: Conversion, values: NDArray[Any]) -> NDArray[np.float64]:
+    """A table without interpolation: what belongs to the nearest key, the lower of two."""
+    table = np.array(conversion.values[: len(conversion.values) // 2 * 2]).reshape(-1, 2)
+    keys = table[:, 0]
+    above = np.minimum(np.searchsorted(keys, values), len(keys) - 1)
+    below = np.maximum(above - 1, 0)
+    is_lower = np.abs(values - keys[above]) >= np.abs(values - keys[below])
+    found: NDArray[np.float64] = table[np.where(is_lower, below, above), 1]
+    return found
+
+
+def _by_asammdf(file: MdfFile, channel: Channel, values: NDArray[Any]) -> NDArray[Any]:
+    """What asammdf makes of raw values by a conversion that loggers rarely have."""
+    conversion = channel.conversion
+    if conversion.kind == _FORMULA and not _ARITHMETIC.fullmatch("".join(conversion.words)):
+        raise MdfError(f"channel {channel.name} has a formula that is not read: {conversion.words}")
+    require("asammdf", extra="logs")
+    from asammdf.blocks.v4_blocks import ChannelConversion  # noqa: PLC0415 (slow to import)
+
+    try:
+        block = ChannelConversion(
+            stream=file.file, address=conversion.at, mapped=False, file_limit=file.size
+        )
+        return np.asarray(block.convert(values, as_object=True))
+    except Exception as error:  # whatever a damaged block leads to
+        raise MdfError(
+            f"channel {channel.name} has a conversion of type {conversion.kind} that asammdf does "
+            f"not apply: {one_line(error)}"
+        ) from None
 
 
 def _says_yes(conversion: Conversion, value: float) -> bool:
@@ -85,14 +151,14 @@ def _says_yes(conversion: Conversion, value: float) -> bool:
     lows, highs = conversion.values[::step], conversion.values[step - 1 :: step]
     pairs = enumerate(zip(lows, highs, strict=False))
     at = next((i for i, (low, high) in pairs if low <= value <= high), len(lows))
-    return conversion.words[at : at + 1] in (("Tx",), ("1",), ("true",))
+    return at < len(conversion.words) and conversion.words[at] in _YES
 
 
-def time_ns(channel: Channel, records: UInt8s, first: int) -> NDArray[np.int64]:
+def time_ns(file: MdfFile, channel: Channel, records: UInt8s, first: int) -> NDArray[np.int64]:
     """(n,) time stamps since the start of the recording, to the nearest nanosecond.
 
     Raises:
-        MdfError: see `numbers`; or one is not within 146 years.
+        MdfError: see `physical`; or one is not within 146 years.
     """
     conversion = channel.conversion
     if channel.kind == VIRTUAL_MASTER or conversion.kind == _LINEAR:
@@ -106,7 +172,8 @@ def time_ns(channel: Channel, records: UInt8s, first: int) -> NDArray[np.int64]:
                     raise MdfError("a time stamp later than 146 years after the start")
                 return ticks.astype(np.int64) * nearest
     with np.errstate(invalid="ignore", over="ignore"):
-        stamps = np.round(numbers(channel, records, first).astype(np.float64) * _NS_PER_S)
+        times = physical(file, channel, records, first).astype(np.float64)
+        stamps = np.round(times * _NS_PER_S)
     if not (np.abs(stamps) < 1 << 62).all():
         raise MdfError("a time stamp that is no number, or later than 146 years after the start")
     return stamps.astype(np.int64)

@@ -10,7 +10,13 @@ import numpy as np
 
 from can_rig.logs.frames import UInt8s
 from can_rig.logs.readers.binary.inflate import InflateError, inflated
-from can_rig.logs.readers.binary.mdf_blocks import ChannelGroup, DataGroup, MdfError, MdfFile
+from can_rig.logs.readers.binary.mdf_blocks import (
+    ChannelGroup,
+    DataGroup,
+    MdfCutError,
+    MdfError,
+    MdfFile,
+)
 from can_rig.logs.readers.binary.mdf_values import Values
 from firmware_model.compiled import compiled
 
@@ -25,11 +31,18 @@ _VARIABLE: Final = -1  # in place of a record's size: four bytes say it
 def stream(file: MdfFile, at: int) -> Iterator[bytes]:
     """The data that a link leads to, whatever lists and compression there are between.
 
-    Ends where the file ends.
+    Ends where the file ends, which is then known to be cut off.
 
     Raises:
         MdfError: a block is damaged, or of a kind that is not read.
     """
+    try:
+        yield from _pieces(file, at)
+    except MdfCutError:
+        file.is_cut = True
+
+
+def _pieces(file: MdfFile, at: int) -> Iterator[bytes]:
     seen: set[int] = set()
     waiting = [at] if at else []
     while waiting:
@@ -67,7 +80,7 @@ def _plain(file: MdfFile, at: int, end: int) -> Iterator[bytes]:
     while at < end:
         piece = file.piece(at, min(_PIECE_BYTES, end - at))
         if not piece:
-            return
+            raise MdfCutError
         yield piece
         at += len(piece)
 
@@ -75,7 +88,7 @@ def _plain(file: MdfFile, at: int, end: int) -> Iterator[bytes]:
 def _unpacked(file: MdfFile, at: int, length: int) -> bytes:
     head = file.piece(at + _HEADER_BYTES, 24)
     if len(head) < 24:
-        return b""  # cut off
+        raise MdfCutError
     _, how, columns, size, packed = struct.unpack("<2sBxIQQ", head)
     if how not in (_DEFLATE, _TRANSPOSED) or max(size, length) > _MOST_BYTES:
         raise MdfError(f"byte {at}: data compressed in a way that is not read (type {how})")
@@ -84,6 +97,10 @@ def _unpacked(file: MdfFile, at: int, length: int) -> bytes:
         data = inflated(content, size)
     except InflateError as error:
         raise MdfError(f"byte {at}: {error}") from None
+    if len(content) < packed:
+        file.is_cut = True
+        if how == _TRANSPOSED:
+            return b""  # the last bytes of every record are missing
     if how == _TRANSPOSED and columns:
         rows = len(data) // columns
         table = np.frombuffer(data, np.uint8, rows * columns).reshape(columns, rows)
@@ -112,7 +129,7 @@ def records(
     for piece in stream(file, data.data_at):
         text = rest + piece
         if data.id_bytes:
-            found, used = _split(text, data, group, values, held)
+            found, used = _split(file, text, data, group, values, held)
         else:
             used = len(text) // size * size
             found = np.frombuffer(text, np.uint8, used)
@@ -127,7 +144,12 @@ def records(
 
 
 def _split(
-    data: bytes, among: DataGroup, group: ChannelGroup, values: ChannelGroup | None, held: Values
+    file: MdfFile,
+    data: bytes,
+    among: DataGroup,
+    group: ChannelGroup,
+    values: ChannelGroup | None,
+    held: Values,
 ) -> tuple[UInt8s, int]:
     """One group's records among others; and how much of ``data`` is used."""
     groups = among.groups
@@ -136,11 +158,14 @@ def _split(
     codes = np.frombuffer(data, np.uint8)
     own, varying = np.empty(len(data), np.uint8), np.empty(len(data), np.uint8)
     wanted, of_values = groups.index(group), groups.index(values) if values else -1
-    used, count, found = split(
+    used, count, found, is_known = split(
         codes, among.id_bytes, numbers, sizes, wanted, of_values, own, varying
     )
-    if count < 0:
-        raise MdfError(f"a record of group {found}, which the file does not have")
+    if not is_known:
+        if data[used:].strip(b"\0"):
+            number = int.from_bytes(data[used : used + among.id_bytes], "little")
+            raise MdfError(f"a record of group {number}, which the file does not have")
+        file.is_cut, used = True, len(data)  # the logger had room for more
     held.add(varying[:found].tobytes())
     return own[:count], used
 
@@ -155,11 +180,11 @@ def split(
     values: int,
     records: UInt8s,
     varying: UInt8s,
-) -> tuple[int, int, int]:
+) -> tuple[int, int, int, bool]:
     """Copy the records of group ``wanted``, and with their lengths those of group ``values``.
 
-    Returns how much of ``data`` is used, how much of ``records`` and of ``varying`` is filled; or
-    for the last two -1 and the number of a group that is unknown.
+    Returns how much of ``data`` is used, how much of ``records`` and of ``varying`` is filled, and
+    whether it ended otherwise than at a record of an unknown group.
     """
     at = count = found = 0
     end = len(data)
@@ -171,7 +196,7 @@ def split(
         while which < len(numbers) and numbers[which] != number:
             which += 1
         if which == len(numbers):
-            return at, -1, int(np.int64(number))
+            return at, count, found, False
         begin = at + id_bytes
         size = sizes[which]
         if size < 0:
@@ -189,4 +214,4 @@ def split(
             varying[found : found + size] = data[begin : begin + size]
             found += size
         at = begin + size
-    return at, count, found
+    return at, count, found, True

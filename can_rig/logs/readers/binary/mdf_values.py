@@ -6,9 +6,9 @@ from collections.abc import Iterator
 from typing import Any, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from can_rig.logs.frames import CLASSIC_BYTES, FD_BYTES, UInt8s
-from can_rig.logs.readers.binary.mdf_blocks import MdfError
 from firmware_model.compiled import compiled
 
 _KEPT_BYTES: Final = 1 << 24
@@ -32,15 +32,15 @@ class Values:
         """Add values behind those that there are."""
         self._held += more
 
-    def rows(self, offsets: Any, length: UInt8s) -> UInt8s:
+    def rows(self, offsets: Any, length: UInt8s) -> tuple[UInt8s, NDArray[np.bool_]]:
         """(n, 8) or (n, 64) payloads that begin at ``offsets`` (n,), zero behind their lengths.
 
-        Raises:
-            MdfError: one is not there.
+        And (n,) whether the file has the payload.
         """
         rows = empty_rows(length)
+        found = np.ones(len(rows), np.bool_)
         if not len(rows):
-            return rows
+            return rows, found
         last = min(int(offsets.max()), 1 << 62)
         while self._begin + len(self._held) < last + _LENGTH_BYTES + FD_BYTES:
             more = next(self._source, b"")
@@ -48,13 +48,12 @@ class Values:
                 break
             self._held += more
         places = offsets.astype(np.int64) - self._begin
-        if not _copy(np.frombuffer(bytes(self._held), np.uint8), places, length, rows):
-            raise MdfError("a payload of varying length that is not in the file")
+        _copy(np.frombuffer(bytes(self._held), np.uint8), places, length, rows, found)
         unused = min(last - _KEPT_BYTES - self._begin, len(self._held))
         if unused > 0:
             del self._held[:unused]
             self._begin += unused
-        return rows
+        return rows, found
 
 
 def empty_rows(length: UInt8s) -> UInt8s:
@@ -64,20 +63,20 @@ def empty_rows(length: UInt8s) -> UInt8s:
 
 
 @compiled
-def _copy(values: UInt8s, places: Any, length: UInt8s, rows: UInt8s) -> bool:
-    """Fill ``rows`` from values with their lengths before them; False: one is not there."""
+def _copy(values: UInt8s, places: Any, length: UInt8s, rows: UInt8s, found: Any) -> None:
+    """Fill ``rows`` from values with their lengths before them, as far as they are ``found``."""
     for row in range(len(rows)):
         at = places[row]
-        if at < 0 or at + 4 > len(values):
-            return False
         size = np.int64(0)
-        for byte in range(4):
-            size += np.int64(values[at + byte]) << np.int64(8 * byte)
-        if at + 4 + size > len(values):
-            return False
+        found[row] = at >= 0 and at + 4 <= len(values)
+        if found[row]:
+            for byte in range(4):
+                size += np.int64(values[at + byte]) << np.int64(8 * byte)
+            found[row] = at + 4 + size <= len(values)
+        if not found[row]:
+            continue
         size = min(size, np.int64(length[row]), rows.shape[1])
         for byte in range(size):
             rows[row, byte] = values[at + 4 + byte]
         for byte in range(size, rows.shape[1]):
             rows[row, byte] = 0
-    return True

@@ -82,6 +82,11 @@ def read_mf4(log: Log) -> Iterator[Frames]:
                 for kind in KINDS
                 if any(channel.name == kind for channel in group.channels)
             ]
+            if not groups and file.is_cut:
+                raise LogError(
+                    f"{log.path}: an MDF 4 file that is cut off: it lacks the description of its "
+                    "records, which asammdf writes last and without which none can be read"
+                )
             if not groups:
                 raise LogError(f"{log.path}: holds no CAN frames (no channel group CAN_DataFrame)")
             total = sum(group.expected for group in groups)
@@ -95,8 +100,10 @@ def read_mf4(log: Log) -> Iterator[Frames]:
         raise LogError(f"{log.path}: cannot be read: {error.strerror}") from None
     except (MdfError, struct.error) as error:
         raise LogError(f"{log.path}: an MDF 4 file that is cut off or damaged: {error}") from None
-    if done < total or any(group.cut_off for group in groups):
-        log.notice = f"{log.path}: is cut off: {done} of {max(total, done + 1)} frames are in it"
+    missing = sum(group.missing for group in groups)
+    if done < total or missing or file.is_cut or any(group.cut_off for group in groups):
+        of_all = f" of {total}" if done < total else f" of {done + missing}" if missing else ""
+        log.notice = f"{log.path}: is cut off; {done}{of_all} frames are in it"
 
 
 def _start_ns(file: MdfFile) -> int:
@@ -134,6 +141,9 @@ class _Group:
         self.expected = group.records
         """Frames by the file."""
         self.cut_off = False
+        """Whether the last record is not whole."""
+        self.missing = 0
+        """Frames without their payloads."""
 
     def __iter__(self) -> Iterator[Frames]:
         payload = self._members.get("DataBytes")
@@ -154,7 +164,9 @@ class _Group:
                 piece = piece[: max(self.expected - first, 0)]
             for begin in range(0, len(piece), self._log.chunk_frames):
                 part = piece[begin : begin + self._log.chunk_frames]
-                yield self._frames(np.ascontiguousarray(part), first, held)
+                frames = self._frames(np.ascontiguousarray(part), first, held)
+                if len(frames):
+                    yield frames
                 first += len(part)
 
     def _frames(self, part: UInt8s, first: int, held: Values) -> Frames:
@@ -162,7 +174,9 @@ class _Group:
 
         def member(name: str) -> NDArray[Any]:
             channel = self._members.get(name)
-            return np.zeros(count, np.uint8) if channel is None else numbers(channel, part, first)
+            if channel is None:
+                return np.zeros(count, np.uint8)
+            return numbers(self._file, channel, part, first)
 
         identifier = member("ID").astype(np.uint32)
         flags = np.full(count, KINDS[self._kind], dtype=np.uint8)
@@ -181,24 +195,30 @@ class _Group:
         bus = member("BusChannel")
         if count and not 0 <= int(bus.min()) <= int(bus.max()) <= 0xFFFF:
             raise MdfError(f"bus {int(bus.max())}; it must be between 0 and 65535")
+        payload, found = self._payload(part, first, length, held)
+        self.missing += count - int(found.sum())
         frames = Frames(
-            time_ns(self._master, part, first) + self._log.start_ns,
+            time_ns(self._file, self._master, part, first) + self._log.start_ns,
             identifier & np.uint32(_ID_MASK),
             flags,
             bus.astype(np.uint16),
             length,
-            self._payload(part, first, length, held),
+            payload,
             (),
-        )
-        return numbered(frames) if count else frames
+        )[found]
+        return numbered(frames) if len(frames) else frames
 
-    def _payload(self, part: UInt8s, first: int, length: UInt8s, held: Values) -> UInt8s:
+    def _payload(
+        self, part: UInt8s, first: int, length: UInt8s, held: Values
+    ) -> tuple[UInt8s, NDArray[np.bool_]]:
+        """The payloads, and whether the file has each."""
         channel: Channel | None = self._members.get("DataBytes")
-        if channel is None:
-            return np.zeros((len(part), CLASSIC_BYTES), np.uint8)
-        if channel.kind == VARIABLE:
+        if channel is not None and channel.kind == VARIABLE:
             return held.rows(raw(channel, part, first), length)
-        return payloads(channel, part, length)
+        rows = np.zeros((len(part), CLASSIC_BYTES), np.uint8)
+        if channel is not None:
+            rows = payloads(channel, part, length)
+        return rows, np.ones(len(part), np.bool_)
 
 
 def _merged(groups: Sequence[_Group]) -> Iterator[Frames]:

@@ -22,6 +22,8 @@ class HeadedReader(LineReader):
 
     first_bus = 0
     """The number of the first bus in the columns."""
+    has_own_clock = False
+    """Whether there is no date: then the log starts with its first frame."""
 
     def ended(self, line: bytes, frame: Frames) -> bool:
         """All the bytes that the length announces, the last one with both digits."""
@@ -34,12 +36,17 @@ class HeadedReader(LineReader):
         Raises:
             LogError: a line is no frame; a time stamp is later than int64 nanoseconds reach.
         """
+        start_ns: int | None = None
         for frames in self.read():
             last_ns = int(frames.time_ns.max())
-            if last_ns > LAST_NS - self.log.start_ns:
+            if start_ns is None:
+                start_ns = self.log.start_ns
+                if self.has_own_clock:
+                    self.log.start_ns = int(frames.time_ns[0])
+            if last_ns > LAST_NS - start_ns:
                 raise LogError(
                     f"{self.log.path}: a time stamp of {last_ns / 1e9:.3g} s after the start; "
                     "it must be before the year 2262"
                 )
-            on_clock = replace(frames, time_ns=frames.time_ns + self.log.start_ns)
+            on_clock = replace(frames, time_ns=frames.time_ns + start_ns)
             yield numbered(on_clock, self.first_bus)

@@ -66,6 +66,10 @@ class LineReader:
         """Whether a last line that is no frame is whole all the same."""
         return False
 
+    def blocks(self) -> Iterator[bytes]:
+        """The text, whose lines end with a newline."""
+        return blocks(self.log)
+
     def read(self) -> Iterator[Frames]:
         """Chunks of the log.
 
@@ -73,7 +77,7 @@ class LineReader:
             LogError: a line has the form of a frame and is none; file and line number.
         """
         tail = b""
-        for block in blocks(self.log):
+        for block in self.blocks():
             text = tail + block
             end = text.rfind(b"\n") + 1
             tail = text[end:]

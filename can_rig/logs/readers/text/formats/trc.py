@@ -1,4 +1,10 @@
-"""PEAK traces, plain or gzipped."""
+"""PEAK traces, plain or gzipped; and, read alike, CARBUS Analyzer's traces and Microchip's logs.
+
+    166064;RX;0x0000027A;7;0x30;0x30;0x0D;0x8C;0x09;0x15;0x00;     Microchip; time in ms
+
+Microchip's CAN BUS Analyzer, and SavvyCAN like it, writes neither a bus nor a mark of remote
+frames; an identifier of more than 11 bits is extended. Source: SavvyCAN, `framefileio.cpp`.
+"""
 
 from __future__ import annotations
 
@@ -23,6 +29,9 @@ _COLUMNS: Final = {
 }
 """Columns by version; from 2.0 on the trace names its own."""
 
+_CARBUS: Final = "@ TEXT @ "
+_BLANKS: Final = bytes.maketrans(b";", b" ")
+_WHOLE: Final = re.compile(rb";(0[xX][0-9A-Fa-f]{2})?\s*\Z")
 _NEEDED: Final = frozenset("OTID")
 _DAYS_TO_1970: Final = 25569
 """From 30 December 1899, on which PEAK's days begin."""
@@ -31,24 +40,43 @@ _MOST_DAYS: Final = 53_000  # in the year 2115
 
 
 def read_trc(log: Log) -> Iterator[Frames]:
-    """Chunks of a PEAK trace.
+    """Chunks of a PEAK trace, or of one of CARBUS Analyzer, which has no date.
 
     Raises:
         LogError: it is not such a trace, or one of its lines is not a frame.
     """
     reader = _Reader(log)
     yield from reader.started()
-    if not reader.frames and not any(line.startswith(";") for line in reader.header):
+    if not reader.frames and not any(line.startswith((";", _CARBUS)) for line in reader.header):
         raise LogError(f"{log.path}: not a PEAK trace: it has neither a header nor a frame")
 
 
+def read_microchip(log: Log) -> Iterator[Frames]:
+    """Chunks of a Microchip log, whose time stamps are on a clock of its own.
+
+    Raises:
+        LogError: one of its lines is not a frame.
+    """
+    yield from _MicrochipReader(log).started()
+
+
 class _Reader(HeadedReader):
+    """Lines whose columns are named by letters, as in `parse`."""
+
     first_bus = 1
-    first_frame = re.compile(rb"[ \t]*\d+\)?[ \t]")
+    first_frame = re.compile(rb"[ \t]*\d+(\)?[ \t]|,\d+\t)")
 
     def __init__(self, log: Log) -> None:
         super().__init__(log, self._parsed)
         self._columns: UInt8s = np.zeros(0, np.uint8)
+
+    def blocks(self) -> Iterator[bytes]:
+        """With newlines where CARBUS Analyzer has carriage returns."""
+        is_carbus: bool | None = None
+        for block in super().blocks():
+            if is_carbus is None:
+                is_carbus = block.startswith(_CARBUS.encode())
+            yield block.replace(b"\r", b"\n") if is_carbus else block
 
     def ended(self, line: bytes, frame: Frames) -> bool:
         """A remote frame has no bytes, and a length of one digit."""
@@ -60,6 +88,11 @@ class _Reader(HeadedReader):
         Raises:
             LogError: the header does not say what columns there are, or its start is no date.
         """
+        if self.header and self.header[0].startswith(_CARBUS):
+            self.first_bus = 0
+            self.use("sBFilD" if self.header[0].split()[3] == "2" else "SBFilD")
+            self.has_own_clock = True
+            return
         said = dict(line[2:].partition("=")[::2] for line in self.header if line.startswith(";$"))
         version = said.get("FILEVERSION", "1.0").strip()
         columns = said.get("COLUMNS", "").replace(",", "").strip() or _COLUMNS.get(version, "")
@@ -69,8 +102,12 @@ class _Reader(HeadedReader):
                 f"{columns[:20]!r}; it must be of version 1.0 to 1.3, or name its columns O, T, I, "
                 "l or L, and D after $COLUMNS"
             )
-        self._columns = np.frombuffer(columns.encode("ascii", "replace"), np.uint8)
+        self.use(columns)
         self.log.start_ns = self._start_ns(said.get("STARTTIME", str(_DAYS_TO_1970)))
+
+    def use(self, columns: str) -> None:
+        """Read the columns that these letters name."""
+        self._columns = np.frombuffer(columns.encode("ascii", "replace"), np.uint8)
 
     def _start_ns(self, days: str) -> int:
         try:
@@ -96,3 +133,21 @@ class _Reader(HeadedReader):
             room.length,
             room.data,
         )
+
+
+class _MicrochipReader(_Reader):
+    first_frame = re.compile(rb"[ \t]*\d")
+    has_own_clock = True
+
+    def begin(self) -> None:
+        """The same columns in every file."""
+        self.use("OTilD")
+
+    def ended(self, line: bytes, frame: Frames) -> bool:
+        """A byte with both its digits, or what follows one."""
+        return bool(_WHOLE.search(line))
+
+    def _whole_lines(self, text: bytes) -> Iterator[Frames]:
+        """As a trace has them: parted by blanks, hexadecimal without a mark."""
+        plain = text.translate(_BLANKS).replace(b"0x", b"").replace(b"0X", b"")
+        yield from super()._whole_lines(plain)

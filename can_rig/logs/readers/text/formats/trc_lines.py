@@ -10,7 +10,15 @@ A column is named by a letter: N number, O offset in ms, T type, B bus, I identi
 it has more than four digits), d direction, R reserved, l bytes, L data length code, D data. Types
 that are no frames (ST, EC, Warng, …) are passed over.
 
-Source: PEAK-System, "PEAK CAN TRC File Format".
+    46,016 1  0004  45A  8  5A 04 00 …                     CARBUS Analyzer 2: s B F i l D
+    15,321000 1  00000005  1B000067  8  67 00 …            CARBUS Analyzer 3: S B F i l D
+
+Its columns are parted by tabs; where no data follow a length, the frame is a remote one. Letters:
+s and S are seconds and a number of ms or µs, F flags, of which the lowest marks an extended
+identifier, i an identifier that is extended if it has more than 11 bits. With i a frame of more
+than 8 bytes is one of CAN FD.
+
+Source: PEAK-System, "PEAK CAN TRC File Format"; SavvyCAN, `framefileio.cpp`.
 """
 
 from __future__ import annotations
@@ -38,6 +46,8 @@ from can_rig.logs.readers.text.scanning import (
     DONE,
     HEXADECIMAL,
     LOWER,
+    SPACE,
+    TAB,
     WIDER,
     blanks,
     fixed_point,
@@ -56,6 +66,10 @@ _STANDARD_DIGITS = 4
 _CLOSE, _CAPITAL, _T_OF_TX = 41, 0xDF, ord("t")
 _O, _T, _B, _I, _D = ord("O"), ord("T"), ord("B"), ord("I"), ord("D")
 _DIRECTION, _BYTES, _DLC = ord("d"), ord("l"), ord("L")
+_SECONDS_MS, _SECONDS_US, _FLAGS, _UNMARKED = ord("s"), ord("S"), ord("F"), ord("i")
+_NS_PER_S, _NS_PER_MS, _NS_PER_US = 1_000_000_000, 1_000_000, 1_000
+_MOST_SECONDS = 1 << 32
+_COMMA = ord(",")
 _UNTYPED = ord("n")  # the number in version 1.0, which has no types
 _RTR = np.frombuffer(b"rtr", np.uint8)
 _OTHER = -1
@@ -100,6 +114,8 @@ def parse(
             if size > data.shape[1]:
                 return frames, lines, at, WIDER
             row = data[frames]
+            if size and _is_empty(text, begin):
+                bits |= REMOTE
             first = next_word(text, begin)
             if first >= 0 and same_word(text, first, _RTR):
                 bits |= REMOTE
@@ -128,7 +144,7 @@ def _head(text: UInt8s, at: int, columns: UInt8s) -> tuple[int, int, int, int, i
     bits = _OTHER  # until the type is known
     stamp = identifier = size = direction = 0
     bus = 1
-    is_dlc = bad = False
+    is_dlc = bad = is_unmarked = False
     if DIGIT[text[at]] >= DECIMAL:
         return _OTHER, 0, 0, 0, 0, 0
     for place in range(len(columns)):
@@ -143,15 +159,22 @@ def _head(text: UInt8s, at: int, columns: UInt8s) -> tuple[int, int, int, int, i
         if column == _O:
             stamp, after = fixed_point(text, at, _NS_DIGITS_OF_MS)
             bad |= stamp < 0
+        elif column in (_SECONDS_MS, _SECONDS_US):
+            stamp, after = _seconds(text, at, _NS_PER_MS if column == _SECONDS_MS else _NS_PER_US)
         elif column == _UNTYPED:
             bits = 0 if text[end - 1] == _CLOSE else _OTHER
         elif column == _T:
             bits = _type(text, at, end)
         elif column == _B:
             bus, after = number(text, at, DECIMAL, 255)
-        elif column == _I:
+        elif column in (_I, _UNMARKED):
             identifier, after = number(text, at, HEXADECIMAL, _NO_ID)
-            direction |= EXTENDED * (end - at > _STANDARD_DIGITS)
+            is_unmarked = column == _UNMARKED
+            is_long = identifier > _STANDARD_ID if is_unmarked else end - at > _STANDARD_DIGITS
+            direction |= EXTENDED * is_long
+        elif column == _FLAGS:
+            marks, after = number(text, at, HEXADECIMAL, _NO_ID)
+            bits, direction = 0, EXTENDED * (marks & 1)
         elif column == _DIRECTION:
             direction |= SENT * (text[at] | LOWER == _T_OF_TX)
         elif column in (_BYTES, _DLC):
@@ -164,12 +187,34 @@ def _head(text: UInt8s, at: int, columns: UInt8s) -> tuple[int, int, int, int, i
     if is_dlc:
         bad |= size >= len(BYTES_OF_DLC)
         size = int(BYTES_OF_DLC[min(size, len(BYTES_OF_DLC) - 1)])
+    bits |= FD * (is_unmarked and size > CLASSIC_BYTES)
     if not bits & FD:
         bad |= not is_dlc and size > CLASSIC_BYTES
         size = min(size, CLASSIC_BYTES)
     bits |= direction
     bad |= identifier > (_EXTENDED_ID if bits & EXTENDED else _STANDARD_ID)
     return bits, stamp, bus, identifier, size, -1 if bad else at
+
+
+@compiled
+def _seconds(text: UInt8s, at: int, unit: int) -> tuple[int, int]:
+    """``seconds,parts`` in ns and the position after it; the parts may lack leading zeros."""
+    seconds, at = number(text, at, DECIMAL, _MOST_SECONDS)
+    if at < 0 or text[at] != _COMMA:
+        return 0, -1
+    parts, at = number(text, at + 1, DECIMAL, _NS_PER_S // unit - 1)
+    return seconds * _NS_PER_S + parts * unit, at
+
+
+@compiled
+def _is_empty(text: UInt8s, at: int) -> bool:
+    """Whether there is nothing but spaces between two tabs."""
+    if text[at] != TAB:
+        return False
+    at += 1
+    while text[at] == SPACE:
+        at += 1
+    return bool(text[at] == TAB)
 
 
 @compiled
