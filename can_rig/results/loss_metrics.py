@@ -72,7 +72,7 @@ def _commands_lost(scenario: Scenario, signals: Signals, fault: FaultSettings) -
     n = scenario.latency_ticks
     first = round(float(signals.time_s[0]) / scenario.tick_s) if len(signals) else 0
     at = -(-fault.span_ns[0] // scenario.tick_ns) - first
-    if fault.kind != "actuator-dead" or fault.every > 1 or not n <= at < len(signals):
+    if fault.kind != "actuator-dead" or fault.every > 1 or at < n:
         return None
     return _commands(signals, fault)[at - n :]
 

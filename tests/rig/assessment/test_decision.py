@@ -101,12 +101,6 @@ def test_half_of_the_torque_needs_twice_the_torque_and_the_words_say_so() -> Non
     assert figures(half).least_torque_nm == pytest.approx(2.0 * figures(whole).least_torque_nm)
     assert "the loss of 50% of the torque in" in next(figures(half).describe(half))
     assert "the loss of the torque in" in next(figures(whole).describe(whole))
-    no_box = ["budget.box=0", "budget.actuator_box=0", "limits.torque_nm=1000"]
-    delays = [
-        figures(load("default", [*settings, *no_box, *more])).expected_delay_s
-        for more in ([], ["fault.left=0.5", "reference.amplitude_mps2=2"])
-    ]
-    assert delays[0] == delays[1]
     sensor = load("default", [*settings, "fault.left=0.5", "fault.kind=sensor-dead"])
     assert figures(sensor) == figures(whole)
 
