@@ -1,4 +1,4 @@
-"""What a loss could do to D* at least, and whether the controller said that it was there.
+"""The least deviation that a loss can cause, and whether the controller found the loss.
 
 The controller claims that the torque is lost by the fault state CONFIRMED, that the force
 difference is lost by its verdict. A claim finds a loss where it begins while a sample can show
@@ -142,7 +142,7 @@ def detection_of(scenario: Scenario, signals: Signals, at: int) -> Detection:
 
 
 def _held(codes: FloatArray) -> FloatArray:
-    """``codes`` with the last one that was said where nothing was; 0 before the first."""
+    """``codes`` without gaps: the last known code stays, 0 before the first."""
     rows = np.where(np.isfinite(codes), np.arange(1, len(codes) + 1), 0)
     return np.append(0.0, codes)[np.maximum.accumulate(rows)]
 
@@ -213,7 +213,7 @@ def _delay(scenario: Scenario, signals: Signals, fault: FaultSettings, found: Ma
 
 
 def _known_already(scenario: Scenario, signals: Signals, at: int, begun: int) -> bool:
-    """Whether the claim that began there is of another fault of this channel that is there too."""
+    """Whether the claim began in another fault of the same channel, which is not over yet."""
     begin_ns, _ = scenario.faults[at].span_ns
     return any(
         other.loses_a_channel
