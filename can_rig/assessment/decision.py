@@ -19,6 +19,7 @@ from can_rig.frames.network import Network
 from can_rig.scenario.build import continuous_plant, controller_table, slowness
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
+from can_rig.scenario.tables.fault import CHANNELS
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
 from firmware_model.target.status import FaultState
@@ -34,7 +35,8 @@ class DecisionFigures:
         expected_delay_s: from the loss of the torque in this scenario to its confirmation; None:
             not within ``AFTER_S``, or the run ends before.
         noise_mps2: rms of D* that no model explains: noise and rounding.
-        least_torque_nm: steady |torque| whose loss shows within a second; d̂ is N1 u1 then.
+        least_torque_nm: steady |torque| whose loss shows within a second; d̂ is N1 u1 then, or
+            the part of N1 u1 that the scenario's fault takes away.
     """
 
     expected_delay_s: float | None
@@ -44,10 +46,11 @@ class DecisionFigures:
     def describe(self, scenario: Scenario) -> Iterator[str]:
         """A line on the loss, and one on the plants that are not the model."""
         budget, (output, lost, _) = scenario.budget, names_of(scenario.plant)
-        delay = self.expected_delay_s
+        delay, left = self.expected_delay_s, _left(scenario)
+        part = f"{1.0 - left:.0%} of " if left > 0.0 else ""
         found = "is not found" if delay is None else f"is confirmed after {_for_people(delay)}"
         yield (
-            f"decision: the loss of {lost.said} in this drive {found} on average "
+            f"decision: the loss of {part}{lost.said} in this drive {found} on average "
             f"(noise and rounding {with_unit(f'{self.noise_mps2:.2g}', output.unit)} rms, at most "
             f"{budget.false_alarms_per_hour:g} false alarms an hour); a steady |{lost.short}| "
             f"below {with_unit(f'{self.least_torque_nm:.2g}', lost.unit)} cannot be told"
@@ -77,14 +80,21 @@ def decision_figures(scenario: Scenario, network: Network) -> DecisionFigures:
     lost = round(scenario.loss.at_s / scenario.tick_s)
     ticks = min(scenario.ticks, lost + round(AFTER_S * slowness(scenario) / scenario.tick_s))
     left = np.ones((ticks, 2))
-    left[lost:, 0] = scenario.loss.left
+    left[lost:, 0] = _left(scenario)
     drive = reference(replace(scenario, duration_s=max(ticks, 1) * scenario.tick_s))[:ticks]
     run = simulate(table, sample(plant, scenario.tick_s), drive, effectiveness=left)
-    found = np.flatnonzero(run.fault_state[lost:] == FaultState.CONFIRMED)
+    confirmed = run.fault_state[lost:] == FaultState.CONFIRMED
+    found = np.flatnonzero(confirmed & ~confirmed[:1])  # none that stands from before
     variance = float(table.mismatch.noise) / (1.0 - float(table.mismatch.colour) ** 2)
     shows = math.sqrt(float(table.decision.confirm / table.decision.horizon * table.mismatch.noise))
     return DecisionFigures(
         expected_delay_s=float(found[0]) * scenario.tick_s if len(found) else None,
         noise_mps2=math.sqrt(variance),
-        least_torque_nm=shows / abs(n1.dc_gain),
+        least_torque_nm=shows / abs(n1.dc_gain) / (1.0 - _left(scenario)),
     )
+
+
+def _left(scenario: Scenario) -> float:
+    """What the scenario's fault leaves of the torque; 0 where its fault is another one."""
+    its = scenario.loss.kind == "actuator-dead" and scenario.loss.place == CHANNELS[0]
+    return scenario.loss.left if its else 0.0

@@ -53,17 +53,28 @@ def unavoidable(
     tick_s, fault = scenario.tick_s, fault or scenario.loss
     plant = _immediate(scenario.plant, tick_s)
     gamma = plant.gamma[:, CHANNELS.index(fault.place)] * (fault.left - 1.0)
+    pole, needed = _needed(scenario)
+    found, largest = _found(
+        plant.phi, gamma, plant.c, np.nan_to_num(commands), pole, needed, scenario.latency_ticks
+    )
+    return Unavoidable(found, largest) if found else None
+
+
+def can_be_told(scenario: Scenario, deviation_mps2: FloatArray) -> bool:
+    """Whether the best test expects to tell this deviation, shape (ticks,), from noise."""
+    pole, needed = _needed(scenario)
+    shown = np.nan_to_num(deviation_mps2)
+    return bool(((shown - pole * np.append(0.0, shown[:-1])) ** 2).sum() > needed)
+
+
+def _needed(scenario: Scenario) -> tuple[float, float]:
+    """The pole of the noise, and the sum of squares, whitened, that confirms a loss."""
     place = target(scenario, None)
     per_tick = 2.0 * (
         place.noise_rms * place.noise_rms * (1.0 - place.noise_pole**2)
         + place.resolution * place.resolution / 12.0
     )
-    needed = place.evidence(place.false_alarms_per_hour) * per_tick
-    found, largest = _found(
-        plant.phi, gamma, plant.c, np.nan_to_num(commands), place.noise_pole, needed,
-        scenario.latency_ticks,
-    )  # fmt: skip
-    return Unavoidable(found, largest) if found else None
+    return place.noise_pole, place.evidence(place.false_alarms_per_hour) * per_tick
 
 
 @remembered(4)

@@ -70,6 +70,7 @@ def run_row(plan: Plan, required: list[Requirement], run: int, values: dict[str,
         return {**row, "failure": one_line(error)}
     except (
         ArithmeticError,
+        AssertionError,
         ValueError,
         LookupError,
         TypeError,

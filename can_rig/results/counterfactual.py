@@ -8,6 +8,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from can_rig.logs.columns import TRUE_OUTPUT
 from can_rig.plant.changing_car import plant_of
 from can_rig.plant.faults.plant_faults import DISTORTING, PlantFaults
 from can_rig.plant.frameless import UntilItFails, common, with_files
@@ -99,3 +100,15 @@ def car_output(
             its = fault.ticks(scenario.tick_ns, ticks)
             hidden[np.array(its, dtype=np.int64) - first] = True
     return np.where(hidden, np.nan if true_output is None else true_output, output)
+
+
+def output_of_car(scenario: Scenario, signals: Signals) -> FloatArray:
+    """(ticks,), D* of the car, without what a faulty sensor makes of it; see ``car_output``."""
+    first = round(float(signals.time_s[0]) / scenario.tick_s) if len(signals) else 0
+    return car_output(scenario, signals.dstar_mps2, signals.plant.get(TRUE_OUTPUT), first)
+
+
+def deviation_from(scenario: Scenario, signals: Signals, other: Counterfactual) -> FloatArray:
+    """(ticks,), |D* of the car less that of another run|."""
+    with np.errstate(invalid="ignore", over="ignore"):  # a loop that diverges
+        return np.abs(output_of_car(scenario, signals) - other.car_mps2)

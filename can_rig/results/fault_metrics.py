@@ -3,20 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Any, Final
+from typing import Any
 
 import numpy as np
 
 from can_rig.drawing.fault_words import fault_in_words
 from can_rig.drawing.names import names_of, with_unit
-from can_rig.results.counterfactual import without_fault
-from can_rig.results.loss_metrics import decision_metrics, unavoidable_deviation
-from can_rig.results.metrics import deviation_from, peak_of, signed_error, windows
+from can_rig.results.counterfactual import deviation_from, without_fault
+from can_rig.results.loss_metrics import detection_of, unavoidable_deviation
+from can_rig.results.metrics import peak_of, signed_error, windows
 from can_rig.results.signals import Signals
 from can_rig.scenario.settings import Scenario
-
-DECIDED: Final = ("suspected_after_s", "detection_delay_s", "missed_detection")
-"""What the decision on d̂ made of a loss."""
 
 
 def fault_metrics(scenario: Scenario, signals: Signals) -> list[dict[str, Any]]:
@@ -44,6 +41,7 @@ def _said(values: dict[str, Any], unit: str) -> str:
     peak, delay_s = values["deviation_peak_mps2"], values["detection_delay_s"]
     parts = [] if peak is None else [f"deviation up to {with_unit(f'{peak:.4g}', unit)}"]
     parts += [] if delay_s is None else [f"confirmed after {delay_s:.4g} s"]
+    parts += ["missed"] if values["missed_detection"] else []
     return ", ".join(parts) or "nothing"
 
 
@@ -71,5 +69,4 @@ def _of(scenario: Scenario, signals: Signals, at: int) -> dict[str, Any]:
     }
     bound = unavoidable_deviation(scenario, signals, fault)
     values["unavoidable_deviation_mps2"] = None if bound is None else bound.deviation_mps2
-    decided = decision_metrics(alone, signals, window.lost)
-    return values | {key: decided[key] for key in DECIDED}
+    return values | detection_of(scenario, signals, at)._asdict()

@@ -1,20 +1,59 @@
-"""What a loss could do to D* at least, and what the decision on d̂ made of it."""
+"""The least deviation that a loss can cause, and whether the controller found the loss.
+
+The controller claims that the torque is lost by the fault state CONFIRMED, that the force
+difference is lost by its verdict. A claim finds a loss where it begins while a sample can show
+this loss. What was claimed before is a false alarm and finds nothing.
+"""
 
 from __future__ import annotations
+
+from typing import Final, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig.assessment.unavoidable import Unavoidable, unavoidable
+from can_rig.assessment.unavoidable import Unavoidable, can_be_told, unavoidable
+from can_rig.results.counterfactual import (
+    deviation_from,
+    fault_free,
+    output_of_car,
+    uncompensated,
+    without_fault,
+)
 from can_rig.results.signals import Signals
 from can_rig.scenario.driving.schedule import at_speed_of
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.fault import CHANNELS, FaultSettings
 from firmware_model.discretisation.targets import HOUR_S
-from firmware_model.target.status import FaultState
+from firmware_model.target.status import FaultState, Verdict
 from firmware_model.target.structs import FloatArray
 
 Mask = NDArray[np.bool_]
+
+TORQUE, FORCE = CHANNELS
+NOT_THE_TORQUE: Final = (
+    Verdict.FORCE_LOST,
+    Verdict.SENSOR_BIASED,
+    Verdict.SENSOR_DRIFTING,
+    Verdict.SENSOR_FROZEN,
+)
+"""Verdicts that name another place; with them a confirmation finds no loss of the torque."""
+COMPENSATED: Final = 0.5
+"""Of the rms deviation without compensation: a loss that causes no more is compensated."""
+
+
+class Detection(NamedTuple):
+    """What the controller made of one loss.
+
+    Attributes:
+        suspected_after_s: from its start to the first suspicion that begins in it.
+        detection_delay_s: likewise to the confirmation; None where the loss is missed.
+        missed_detection: None where there is no loss, or where not even the best test could tell.
+    """
+
+    suspected_after_s: float | None = None
+    detection_delay_s: float | None = None
+    missed_detection: bool | None = None
 
 
 def unavoidable_deviation(
@@ -24,65 +63,185 @@ def unavoidable_deviation(
 
     None where ``fault`` is no actuator that dies in the log, and where its loss never shows.
     """
+    lost = _commands_lost(scenario, signals, fault)
+    return None if lost is None else unavoidable(at_speed_of(scenario, fault), lost, fault)
+
+
+def _commands_lost(scenario: Scenario, signals: Signals, fault: FaultSettings) -> FloatArray | None:
+    """The commands that reach a dead actuator from its loss on; None where the log lacks some."""
     n = scenario.latency_ticks
-    lost = round(fault.at_s / scenario.tick_s)
     first = round(float(signals.time_s[0]) / scenario.tick_s) if len(signals) else 0
-    at = lost - first
-    if fault.kind != "actuator-dead" or fault.every > 1 or not n <= at < len(signals):
+    at = -(-fault.span_ns[0] // scenario.tick_ns) - first
+    if fault.kind != "actuator-dead" or fault.every > 1 or at < n:
         return None
-    command = (signals.torque_nm, signals.force_difference_n)[CHANNELS.index(fault.place)]
-    return unavoidable(at_speed_of(scenario, fault), command[at - n :], fault)
+    return _commands(signals, fault)[at - n :]
 
 
-def decision_metrics(
-    scenario: Scenario, signals: Signals, lost: Mask
-) -> dict[str, float | bool | None]:
+def decision_metrics(scenario: Scenario, signals: Signals) -> dict[str, float | bool | None]:
     """Delay, false alarms and a missed loss, from the fault state of the status frames.
 
-    A loss is missed if it is never confirmed; None where it could not show: the torque did so
-    little all the time that the firmware itself says CANNOT_TELL, or X_diff is what was lost and
-    was zero all that time. None as well where there was no loss. A false alarm is a confirmation
-    while nothing is lost, and so is a suspicion that is counted.
+    Of several losses one that is missed decides, and of the delays the longest. A false alarm is a
+    confirmation that begins where no sample can show a loss of the torque; so is a suspicion that
+    is counted.
     """
-    state = signals.fault_state
-    confirmed = state == FaultState.CONFIRMED
-    suspected = confirmed | (state == FaultState.SUSPECTED)
-    alarms = _begun(confirmed & ~lost, confirmed)
+    losses = range(len(scenario.faults))
+    found = [detection_of(scenario, signals, at) for at in losses]
+    missed = {each.missed_detection for each in found} - {None}
+    suspected_s = [each.suspected_after_s for each in found if each.suspected_after_s is not None]
+    delay_s = [each.detection_delay_s for each in found if each.detection_delay_s is not None]
+    lost, shown = np.zeros((2, len(signals)), dtype=np.bool_)
+    for fault in scenario.faults:
+        if fault.loses_a_channel and fault.place == TORQUE:
+            lost |= _there(scenario, signals, fault)
+            shown |= _shown(scenario, signals, fault)
     healthy_h = float((~lost).sum()) * scenario.tick_s / HOUR_S
-    known = lost & np.isfinite(state)
-    told = bool((state[known] != FaultState.CANNOT_TELL).any()) and _acted(scenario, signals, lost)
+    confirmed, suspected = _claims(signals, TORQUE), _suspicions(signals)
+    alarms = int((_begins(confirmed) & ~shown).sum())
     return {
-        "suspected_after_s": _delay(scenario, signals.time_s[suspected & lost]),
-        "detection_delay_s": _delay(scenario, signals.time_s[confirmed & lost]),
-        "missed_detection": not bool(confirmed[lost].any()) if told else None,
-        "suspicions": _begun(suspected & ~lost, suspected) if len(signals) else None,
+        "suspected_after_s": max(suspected_s, default=None),
+        "detection_delay_s": None if True in missed else max(delay_s, default=None),
+        "missed_detection": any(missed) if missed else None,
+        "suspicions": int((_begins(suspected) & ~shown).sum()) if len(signals) else None,
         "false_alarms": alarms if len(signals) else None,
         "false_alarms_per_hour": alarms / healthy_h if healthy_h > 0.0 else None,
     }
 
 
-def _begun(wanted: Mask, state: Mask) -> int:
-    """How often ``state`` begins at a tick that is ``wanted``."""
-    return int((wanted & ~np.concatenate([[False], state[:-1]])).sum())
+def detection_of(scenario: Scenario, signals: Signals, at: int) -> Detection:
+    """What the controller made of the fault of this number.
 
+    A loss is missed unless a confirmation begins in it and stands at its end. Where one stands from
+    before, which was a false alarm, the loss is not missed if it is compensated all the same.
 
-def _acted(scenario: Scenario, signals: Signals, lost: Mask) -> bool:
-    """Whether the lost channel had something to do; the torque always may have.
-
-    Of an actuator the log has it, late by the latency; of lost frames it has the last one before.
+    Raises:
+        AssertionError: a delay that cannot be; names the run.
     """
-    losses = [fault for fault in scenario.faults if fault.loses_a_channel]
-    if any(fault.place == CHANNELS[0] for fault in losses):
-        return True
-    before = 1 if losses[0].acts_on_frames else scenario.latency_ticks
-    ticks = np.flatnonzero(lost)
-    acting = signals.force_difference_n[max(ticks[0] - before, 0) : ticks[-1] + 1]
-    return bool(np.nan_to_num(acting).any())
+    fault = scenario.faults[at]
+    shown = _shown(scenario, signals, fault)
+    if not fault.loses_a_channel or not shown.any():
+        return Detection()
+    said = _claims(signals, fault.place)
+    found = _own(said, shown)
+    if fault.place == TORQUE and signals.verdict is not None:
+        found &= ~np.isin(_held(signals.verdict), NOT_THE_TORQUE)
+    delay_s = _delay(scenario, signals, fault, found)
+    suspected = found
+    if fault.place == TORQUE:
+        suspected = found | _own(_suspicions(signals), shown)
+    suspected_s = _delay(scenario, signals, fault, suspected)
+    last = int(np.flatnonzero(shown)[-1])
+    if said[last] and delay_s is not None:
+        return Detection(suspected_s, delay_s, missed_detection=False)
+    begun = int(np.flatnonzero(_begins(said)[: last + 1])[-1]) if said[last] else last
+    if said[last] and not shown[begun]:
+        if _known_already(scenario, signals, at, begun):
+            return Detection()
+        if _compensated(scenario, signals, _there(scenario, signals, fault)):
+            return Detection(suspected_s, None, missed_detection=False)
+    return Detection(suspected_s, None, _could_show(scenario, signals, at) or None)
 
 
-def _delay(scenario: Scenario, times_s: FloatArray) -> float | None:
-    """From the first loss on."""
-    if not len(times_s):
+def _held(codes: FloatArray) -> FloatArray:
+    """``codes`` without gaps: the last known code stays, 0 before the first."""
+    rows = np.where(np.isfinite(codes), np.arange(1, len(codes) + 1), 0)
+    return np.append(0.0, codes)[np.maximum.accumulate(rows)]
+
+
+def _claims(signals: Signals, place: str) -> Mask:
+    """The ticks at which the controller says that this channel is lost."""
+    if place == TORQUE:
+        confirmed: Mask = _held(signals.fault_state) == FaultState.CONFIRMED
+        return confirmed
+    if signals.verdict is None:
+        return np.zeros(len(signals), dtype=np.bool_)
+    return np.isin(_held(signals.verdict), (Verdict.FORCE_LOST, Verdict.BOTH_LOST))
+
+
+def _suspicions(signals: Signals) -> Mask:
+    return np.isin(_held(signals.fault_state), (FaultState.SUSPECTED, FaultState.CONFIRMED))
+
+
+def _begins(state: Mask) -> Mask:
+    begins: Mask = state & ~np.append([False], state[:-1])
+    return begins
+
+
+def _own(said: Mask, shown: Mask) -> Mask:
+    """The ticks of a loss at which a claim stands that began in it."""
+    rows = np.where(_begins(said), np.arange(len(said)), 0)
+    return said & shown & shown[np.maximum.accumulate(rows)]
+
+
+def _there(scenario: Scenario, signals: Signals, fault: FaultSettings, late_ns: int = 0) -> Mask:
+    """The ticks of a fault, or as many that are later."""
+    time_ns = np.rint(signals.time_s / scenario.tick_s).astype(np.int64) * scenario.tick_ns
+    begin_ns, end_ns = fault.span_ns
+    there: Mask = (time_ns - late_ns >= begin_ns) & (time_ns - late_ns < end_ns)
+    return there
+
+
+def _shown(scenario: Scenario, signals: Signals, fault: FaultSettings) -> Mask:
+    """The ticks whose sample of D* a fault can have changed.
+
+    The sample of a tick is taken before the actuators act in it. So the first is a tick after the
+    fault, later by the sensor's dead time, and a dead actuator has to be told something first.
+    """
+    dead_ticks = int(scenario.plant.sensor.dead_time_s / scenario.tick_s + 1e-9)
+    late = 1 + dead_ticks
+    shown = _there(scenario, signals, fault, late * scenario.tick_ns)
+    if fault.kind == "actuator-dead":
+        told = np.roll(_commands(signals, fault) != 0.0, late + scenario.latency_ticks)
+        told[: late + scenario.latency_ticks] = True  # before the log
+        shown &= np.logical_or.accumulate(told & shown)
+    return shown
+
+
+def _commands(signals: Signals, fault: FaultSettings) -> FloatArray:
+    return (signals.torque_nm, signals.force_difference_n)[CHANNELS.index(fault.place)]
+
+
+def _delay(scenario: Scenario, signals: Signals, fault: FaultSettings, found: Mask) -> float | None:
+    if not found.any():
         return None
-    first_s = min(fault.at_s for fault in scenario.faults if fault.loses_a_channel)
-    return round(float(times_s[0]) - first_s, 9)
+    delay_s = round(float(signals.time_s[np.argmax(found)]) - fault.at_s, 9)
+    if delay_s < scenario.tick_s * (1.0 - 1e-6):
+        raise AssertionError(
+            f"scenario {scenario.name}, seed {scenario.seed}: the loss at {fault.at_s:g} s is said "
+            f"to be found after {delay_s:g} s; no sample shows it within {scenario.tick_s:g} s"
+        )
+    return delay_s
+
+
+def _known_already(scenario: Scenario, signals: Signals, at: int, begun: int) -> bool:
+    """Whether the claim began in another fault of the same channel, which is not over yet."""
+    begin_ns, _ = scenario.faults[at].span_ns
+    return any(
+        other.loses_a_channel
+        and other.place == scenario.faults[at].place
+        and other.span_ns[0] <= begin_ns < other.span_ns[1]
+        and bool(_shown(scenario, signals, other)[begun])
+        for number, other in enumerate(scenario.faults)
+        if number != at
+    )
+
+
+def _compensated(scenario: Scenario, signals: Signals, there: Mask) -> bool:
+    """Whether D* of the car stays closer to the run without the fault than without compensation."""
+    healthy = fault_free(scenario, signals).car_mps2[there]
+    with_it, without = (
+        float(np.sqrt(np.nanmean((car[there] - healthy) ** 2)))
+        for car in (output_of_car(scenario, signals), uncompensated(scenario, signals).car_mps2)
+    )
+    return with_it <= COMPENSATED * without
+
+
+def _could_show(scenario: Scenario, signals: Signals, at: int) -> bool:
+    """Whether the best test could tell the loss: all of a channel, a part of it, by one rule.
+
+    Of an actuator that dies by what its commands would have done, otherwise by what D* did.
+    """
+    fault = scenario.faults[at]
+    if _commands_lost(scenario, signals, fault) is not None:
+        return unavoidable_deviation(scenario, signals, fault) is not None
+    deviation = deviation_from(scenario, signals, without_fault(scenario, at, signals))
+    return can_be_told(scenario, deviation[_there(scenario, signals, fault)])

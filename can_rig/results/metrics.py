@@ -10,8 +10,7 @@ from numpy.typing import NDArray
 
 from can_rig.assessment.control_authority import control_authority
 from can_rig.drawing.names import names_of
-from can_rig.logs.columns import TRUE_OUTPUT
-from can_rig.results.counterfactual import Counterfactual, car_output, fault_free, noise_free
+from can_rig.results.counterfactual import deviation_from, fault_free, noise_free, output_of_car
 from can_rig.results.loss_metrics import decision_metrics, unavoidable_deviation
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of
@@ -96,7 +95,7 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
     bound = None if alone is None else unavoidable_deviation(scenario, signals, alone)
     unavoidable = None if bound is None else bound.deviation_mps2
     peak = peak_of(deviation[window.after])
-    decided = decision_metrics(scenario, signals, window.lost)
+    decided = decision_metrics(scenario, signals)
     delay, least_s = decided["detection_delay_s"], None
     if bound is not None:
         least_s = round(bound.detection_ticks * scenario.tick_s, 9)
@@ -128,21 +127,9 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
     }
 
 
-def output_of_car(scenario: Scenario, signals: Signals) -> FloatArray:
-    """(ticks,), D* of the car, without what a faulty sensor makes of it; see ``car_output``."""
-    first = round(float(signals.time_s[0]) / scenario.tick_s) if len(signals) else 0
-    return car_output(scenario, signals.dstar_mps2, signals.plant.get(TRUE_OUTPUT), first)
-
-
 def signed_error(scenario: Scenario, signals: Signals) -> FloatArray:
     """(ticks,), e = r - D* of the car."""
     return signals.reference_mps2 - output_of_car(scenario, signals)
-
-
-def deviation_from(scenario: Scenario, signals: Signals, other: Counterfactual) -> FloatArray:
-    """(ticks,), |D* of the car less that of another run|."""
-    with np.errstate(invalid="ignore", over="ignore"):  # a loop that diverges
-        return np.abs(output_of_car(scenario, signals) - other.car_mps2)
 
 
 def _noise_rms(scenario: Scenario, signals: Signals, settled: Mask) -> float | None:
@@ -178,8 +165,8 @@ def rows(values: Metrics, plant: PlantSettings) -> list[tuple[str, str]]:
         if value is not None and text:
             number = f"{value:.4g} {units.get(unit, unit)}".rstrip()
             out.append((text.format(**names), number))
-        elif key == "detection_delay_s" and values.get("missed_detection"):
-            out.append((text, "never"))
+        elif key == "detection_delay_s" and values.get("missed_detection") is not None:
+            out.append((text, "missed" if values["missed_detection"] else "confirmed before it"))
     return out
 
 

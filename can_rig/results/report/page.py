@@ -16,8 +16,8 @@ from can_rig.drawing.names import Names, names_of
 from can_rig.frames.network import Network
 from can_rig.logs.columns import SPEED
 from can_rig.results.applied import applied_commands
-from can_rig.results.counterfactual import fault_free, uncompensated
-from can_rig.results.metrics import output_of_car, windows
+from can_rig.results.counterfactual import fault_free, output_of_car, uncompensated
+from can_rig.results.metrics import windows
 from can_rig.results.report.timing import draw_timing
 from can_rig.results.report.title import page_title
 from can_rig.results.signals import Signals

@@ -94,6 +94,17 @@ def test_the_least_torque_is_the_one_below_which_the_state_is_cannot_tell() -> N
         assert frameless(driven, network_of(driven)).fault_state[-1] == state
 
 
+def test_half_of_the_torque_needs_twice_the_torque_and_the_words_say_so() -> None:
+    settings = ["duration_s=3.3", "fault.at_s=3"]
+    whole = load("default", settings)
+    half = load("default", [*settings, "fault.left=0.5"])
+    assert figures(half).least_torque_nm == pytest.approx(2.0 * figures(whole).least_torque_nm)
+    assert "the loss of 50% of the torque in" in next(figures(half).describe(half))
+    assert "the loss of the torque in" in next(figures(whole).describe(whole))
+    sensor = load("default", [*settings, "fault.left=0.5", "fault.kind=sensor-dead"])
+    assert figures(sensor) == figures(whole)
+
+
 def test_the_words_say_the_box() -> None:
     lines = list(figures(load("default")).describe(load("default")))
     assert "confirmed after" in lines[0] and "at most 0.001 false alarms an hour" in lines[0]

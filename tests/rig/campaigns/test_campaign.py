@@ -26,7 +26,9 @@ from can_rig.campaigns.run import Task, run_rows
 from can_rig.campaigns.settings import campaign_of
 from can_rig.campaigns.table import METRICS, TRUTHS
 from can_rig.errors import RunFolderError, ScenarioError
+from can_rig.results.metrics import Metrics
 from can_rig.results.without_log import metrics_of
+from can_rig.scenario.settings import Scenario
 from tests.helpers import asked
 
 WhoComputes = AbstractContextManager[Compute]
@@ -188,6 +190,14 @@ def test_a_run_that_fails_is_a_row_with_its_reason(
     assert "failure" not in found[0]
     assert "axle broken" in found[2]["failure"]
     assert all("tick_s = 1e-09: must be" in found[at]["failure"] for at in (1, 3))
+
+    def impossible(_: Scenario) -> Metrics:
+        raise AssertionError("found after 0.0002 s")
+
+    monkeypatch.setattr("can_rig.campaigns.run.metrics_of", impossible)
+    (row,) = run_rows(some, Task(0, 1))
+    assert row["failure"] == "AssertionError: found after 0.0002 s"
+    assert "--set plant.mass_kg=1300.0" in row["command"]
 
 
 def test_what_may_not_be_replaced_or_gone_on_with_is_said(tmp_path: Path) -> None:

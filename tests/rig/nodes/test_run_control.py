@@ -12,7 +12,7 @@ from can_rig.frames.beside import control
 from can_rig.frames.beside.control import Command, command_message, taken_message
 from can_rig.frames.endpoints import Transmitter
 from can_rig.logs.reading import read_log
-from can_rig.nodes.clock import SYSTEM_CLOCK
+from can_rig.nodes.clock import SYSTEM_CLOCK, Clock
 from can_rig.nodes.operator.control_frames import done, touches
 from can_rig.nodes.operator.following import FollowedFaults
 from can_rig.nodes.operator.interaction import Interaction
@@ -23,6 +23,7 @@ from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Watchdog
 from can_rig.plant.faults.frame_faults import FrameFaults
 from can_rig.scenario.build import network_of
+from tests.clock import TurnedClock
 
 SETTINGS = ("duration_s=0.3", "fault.kind=none")
 FRAMES = 5  # of a tick
@@ -179,10 +180,12 @@ class Silent:
         raise AssertionError(msg)
 
 
-def a_control(interaction: Interaction, sent: list[can.Message]) -> tuple[RunControl, PlantEnd]:
+def a_control(
+    interaction: Interaction, sent: list[can.Message], clock: Clock = SYSTEM_CLOCK
+) -> tuple[RunControl, PlantEnd]:
     scenario = load("ideal", SETTINGS)
     end = PlantEnd(scenario, network_of(scenario), sent.append, None, None, interaction.injectable)
-    return RunControl(interaction, scenario, end, sent.append, SYSTEM_CLOCK), end
+    return RunControl(interaction, scenario, end, sent.append, clock), end
 
 
 def test_a_hundred_thousand_wrong_or_repeated_commands_change_nothing():
@@ -237,3 +240,22 @@ def test_a_paused_node_goes_on_by_steps_and_says_how_it_stands():
     assert end.reference_offset == 0.25
     bus.waiting = [command_message(Command("PACE", value=0.0), 3)]
     run.begin(7, watchdog, run.take)  # would wait for ever without it
+
+
+@pytest.mark.parametrize(
+    ("begun_s", "next_s"),
+    [
+        (0.102, 0.102),  # late by 0.1 s: caught up with, so the next tick need not wait
+        (0.103, 0.104),  # by more: the pace begins anew
+    ],
+)
+def test_the_pace_after_a_late_tick(begun_s: float, next_s: float) -> None:
+    clock = TurnedClock()
+    run, _ = a_control(Interaction(pace=1.0), [], clock)
+    watchdog = Watchdog(Silent(), "controller", DEFAULT_TIMEOUTS, StopRequest())
+    run.begin(0, watchdog, run.take)
+    assert clock.now_s == 0.001
+    clock.pass_s(begun_s - 0.001)
+    run.begin(1, watchdog, run.take)  # was due at 0.002 s
+    run.begin(2, watchdog, run.take)
+    assert clock.now_s == pytest.approx(next_s, abs=1e-12)

@@ -6,8 +6,9 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
+from can_rig.results.counterfactual import output_of_car
 from can_rig.results.fault_metrics import fault_metrics, fault_rows
-from can_rig.results.metrics import metrics, output_of_car
+from can_rig.results.metrics import metrics
 from can_rig.results.without_log import signals_without_log
 from tests.rig.results.quiet import quiet
 

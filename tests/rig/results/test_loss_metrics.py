@@ -2,14 +2,21 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy import signal
 
 from can_rig.assessment.resolve import load
+from can_rig.results import loss_metrics
+from can_rig.results.fault_metrics import fault_metrics
 from can_rig.results.metrics import metrics
+from can_rig.results.signals import Signals
+from can_rig.results.without_log import signals_without_log
 from can_rig.scenario.settings import Scenario
 from firmware_model.design.plants import steer_by_wire
+from firmware_model.target.status import Verdict
 from tests.rig.results.quiet import quiet
 
 LSB_MPS2 = 1e-8
@@ -26,9 +33,15 @@ def states(scenario: Scenario, *changes: tuple[int, float]) -> np.ndarray:
     return state
 
 
+def acting(scenario: Scenario, *changes: tuple[int, float], **columns: np.ndarray) -> Signals:
+    """A run at rest but for a steady torque, with these fault states."""
+    columns["torque_nm"] = np.full(scenario.ticks, 40.0)
+    return quiet(scenario, fault_state=states(scenario, *changes), **columns)
+
+
 def test_the_decision_is_what_the_status_frames_say() -> None:
     scenario = load("thesis-step", ["duration_s=3.6", "fault.at_s=1.0", "fault.for_s=1.0"])
-    state = states(
+    signals = acting(
         scenario,
         (100, CONFIRMED),  # a false alarm before the loss detects nothing
         (200, CLEAR),
@@ -39,24 +52,201 @@ def test_the_decision_is_what_the_status_frames_say() -> None:
         (2500, CLEAR),
         (2600, CONFIRMED),  # another one
     )
-    values = metrics(scenario, quiet(scenario, fault_state=state))
+    values = metrics(scenario, signals)
     assert values["suspected_after_s"] == 0.1
     assert values["detection_delay_s"] == 0.234
     assert values["missed_detection"] is False
     assert values["false_alarms"] == 2
+    assert values["suspicions"] == 3
     assert values["false_alarms_per_hour"] == pytest.approx(2 * 3600.0 / 2.6)
 
 
-def test_a_loss_that_is_never_confirmed_is_missed_unless_it_could_not_show() -> None:
+@pytest.mark.parametrize(
+    ("changes", "delay_s", "missed", "alarms"),
+    [
+        ([(900, CONFIRMED)], None, True, 1),
+        ([(900, CONFIRMED), (1400, np.nan), (1410, CONFIRMED)], None, True, 1),  # frames lost
+        ([(900, CONFIRMED), (1400, CLEAR), (1450, CONFIRMED)], 0.45, False, 1),
+        ([(900, CONFIRMED), (1400, np.nan), (1410, CLEAR), (1450, CONFIRMED)], 0.45, False, 1),
+        ([(1000, CONFIRMED)], None, True, 1),  # from a sample that was taken before the loss
+        ([(1001, CONFIRMED)], 0.001, False, 0),
+        ([(1050, CONFIRMED), (1500, CLEAR)], None, True, 0),  # not known at the end of the loss
+        ([(1050, CONFIRMED), (1500, CLEAR), (1600, CONFIRMED)], 0.05, False, 0),
+        ([(900, SUSPECTED), (1050, CONFIRMED)], 0.05, False, 0),
+        ([(900, SUSPECTED)], None, True, 0),
+        ([(2000, CONFIRMED)], 1.0, False, 0),  # from the last sample of the loss
+        ([(2001, CONFIRMED)], None, True, 1),
+    ],
+)
+def test_only_a_confirmation_that_begins_in_the_loss_and_stands_finds_it(
+    changes: list[tuple[int, float]], delay_s: float | None, missed: bool, alarms: int
+) -> None:
+    scenario = load("thesis-step", ["duration_s=2.5", "fault.at_s=1.0", "fault.for_s=1.0"])
+    signals = acting(scenario, *changes)
+    values, (of_fault,) = metrics(scenario, signals), fault_metrics(scenario, signals)
+    assert values["detection_delay_s"] == of_fault["detection_delay_s"] == delay_s
+    assert values["missed_detection"] is of_fault["missed_detection"] is missed
+    assert values["false_alarms"] == alarms
+    assert delay_s is None or values["suspected_after_s"] == delay_s
+
+
+@pytest.mark.parametrize(
+    ("settings", "told", "first"),
+    [
+        ([], 0, 1001),
+        (["plant.sensor.dead_time_s=0.0025"], 0, 1003),
+        ([], 1200, 1201),  # at rest nothing is lost
+        (["latency_ticks=3"], 1200, 1204),
+        (["latency_ticks=3"], 997, 1001),
+    ],
+)
+def test_no_confirmation_is_of_a_loss_that_no_sample_shows(
+    settings: list[str], told: int, first: int
+) -> None:
+    scenario = load("thesis-step", ["duration_s=2.0", "fault.at_s=1.0", *settings])
+    torque = np.where(np.arange(scenario.ticks) < told, 0.0, 40.0)
+    for tick in (first - 1, first):
+        state = states(scenario, (tick, CONFIRMED))
+        values = metrics(scenario, quiet(scenario, torque_nm=torque, fault_state=state))
+        assert values["false_alarms"] == (tick < first)
+        assert values["missed_detection"] is (tick < first)
+        delay_s = None if tick < first else round((tick - 1000) * 1e-3, 9)
+        assert values["detection_delay_s"] == delay_s
+
+
+def test_a_delay_below_a_tick_is_refused_and_names_the_run(monkeypatch: pytest.MonkeyPatch) -> None:
+    scenario = load("thesis-step", ["duration_s=2.0", "fault.at_s=1.0003", "seed=7"])
+    signals = acting(scenario, (1001, CONFIRMED))
+    assert metrics(scenario, signals)["missed_detection"] is True
+    monkeypatch.setattr(loss_metrics, "_shown", loss_metrics._there)
+    named = r"thesis-step, seed 7: the loss at 1.0003 s is said to be found after 0.0007 s"
+    with pytest.raises(AssertionError, match=named):
+        metrics(scenario, signals)
+
+
+def test_a_verdict_on_another_place_finds_nothing() -> None:
+    """The torque is lost; its confirmation counts from the tick that names no other place."""
     scenario = load("thesis-step", ["duration_s=2.0", "fault.at_s=1.0"])
-    for state, missed in ((SUSPECTED, True), (CLEAR, True), (CANNOT_TELL, None)):
-        signals = quiet(scenario, fault_state=states(scenario, (0, state)))
+    for verdict, delay_s in (
+        (Verdict.FORCE_LOST, 0.3), (Verdict.SENSOR_BIASED, 0.3), (Verdict.SENSOR_DRIFTING, 0.3),
+        (Verdict.SENSOR_FROZEN, 0.3), (Verdict.TORQUE_LOST, 0.1), (Verdict.BOTH_LOST, 0.1),
+        (Verdict.CANNOT_BE_TOLD, 0.1),
+    ):  # fmt: skip
+        verdicts = states(scenario, (1100, verdict), (1300, Verdict.TORQUE_LOST))
+        values = metrics(scenario, acting(scenario, (1100, CONFIRMED), verdict=verdicts))
+        assert values["detection_delay_s"] == delay_s
+        verdicts[1300:] = verdict
+        values = metrics(scenario, acting(scenario, (1100, CONFIRMED), verdict=verdicts))
+        assert values["missed_detection"] is (delay_s == 0.3)
+
+
+def test_a_lost_force_difference_is_found_by_its_own_verdict_alone() -> None:
+    lost = ["fault.channel=force-difference", "fault.at_s=1.0"]
+    scenario = load("thesis-step", ["duration_s=2.0", *lost])
+    force = np.full(scenario.ticks, 500.0)
+    for verdict, delay_s in (
+        (Verdict.FORCE_LOST, 0.1), (Verdict.BOTH_LOST, 0.1), (Verdict.TORQUE_LOST, None),
+        (Verdict.SENSOR_BIASED, None), (Verdict.CANNOT_BE_TOLD, None), (None, None),
+    ):  # fmt: skip
+        verdicts = None if verdict is None else states(scenario, (1100, verdict))
+        signals = acting(scenario, (1100, CONFIRMED), force_difference_n=force, verdict=verdicts)
         values = metrics(scenario, signals)
-        assert values["missed_detection"] is missed
+        assert values["detection_delay_s"] == delay_s
+        assert values["missed_detection"] is (delay_s is None)
+        assert values["false_alarms"] == 1  # of the torque, which works
+
+
+def test_a_standing_false_alarm_finds_a_loss_only_where_it_compensates() -> None:
+    """A car that the decision does not allow for: a false alarm, and then the motor dies."""
+    car = ["plant.mass_kg=1100", "model.mass_kg=1400", "budget.box=0", "budget.actuator_box=0"]
+    settings = ["duration_s=6", "fault.at_s=4.0003", *car]
+    missed = {}
+    for compensation in ("on-confirmation", "off"):
+        scenario = load("default", [*settings, f"design.compensation={compensation}"])
+        signals = signals_without_log(scenario)
+        values = metrics(scenario, signals)
+        assert values["false_alarms"] == 1
+        assert (signals.fault_state[4000:] == CONFIRMED).all()
         assert values["detection_delay_s"] is None
+        missed[compensation] = (values["missed_detection"], signals.error_mps2[-1])
+    assert missed["on-confirmation"] == (False, pytest.approx(0.0, abs=0.05))
+    assert missed["off"] == (True, pytest.approx(1.0, abs=0.05))
+
+
+def test_of_two_losses_the_one_that_is_missed_decides_and_the_longest_delay() -> None:
+    second = ["fault.1.kind=actuator-dead", "fault.1.channel=force-difference", "fault.1.at_s=1.5"]
+    scenario = load("thesis-step", ["duration_s=2.0", "fault.at_s=1.0", *second])
+    force = np.full(scenario.ticks, 500.0)
+    for begins, of_faults, of_run in (
+        ((1200, 1650), ((0.2, False), (0.15, False)), (0.2, False)),
+        ((1200, 1800), ((0.2, False), (0.3, False)), (0.3, False)),
+        ((1200, 9999), ((0.2, False), (None, True)), (None, True)),
+        ((9999, 1650), ((None, True), (0.15, False)), (None, True)),
+        ((1200, 1400), ((0.2, False), (None, True)), (None, True)),
+    ):
+        verdict = states(scenario, (begins[1], Verdict.BOTH_LOST))
+        signals = acting(
+            scenario, (begins[0], CONFIRMED), force_difference_n=force, verdict=verdict
+        )
+        keys = ("detection_delay_s", "missed_detection")
+        found = [tuple(each[key] for key in keys) for each in fault_metrics(scenario, signals)]
+        values = metrics(scenario, signals)
+        assert (tuple(found), tuple(values[key] for key in keys)) == (of_faults, of_run)
+
+
+def test_a_channel_that_is_known_to_be_lost_is_not_lost_again() -> None:
+    second = ["fault.1.kind=frames-missing", "fault.1.channel=torque", "fault.1.at_s=1.5"]
+    settings = ["duration_s=2.0", "fault.at_s=1.0", *second]
+    for for_s, missed in ((0.7, None), (0.3, True)):  # over before, and never seen to be over
+        scenario = load("thesis-step", [*settings, f"fault.0.for_s={for_s}"])
+        first, second_one = fault_metrics(scenario, acting(scenario, (1200, CONFIRMED)))
+        assert (first["detection_delay_s"], first["missed_detection"]) == (0.2, False)
+        assert second_one["detection_delay_s"] is None
+        assert second_one["missed_detection"] is missed
+
+
+@pytest.mark.parametrize("state", [CLEAR, SUSPECTED, CANNOT_TELL])
+def test_a_part_of_the_torque_is_missed_by_the_same_rule_as_all_of_it(state: float) -> None:
+    """The same torque that is missing, as half of what is asked for, a tenth, or all."""
+    missed = {}
+    for missing_nm in (1e-6, 0.01, 0.1, 1.0, 10.0):
+        for left in (0.0, 0.5, 0.9):
+            scenario = load("default", ["duration_s=2", "fault.at_s=1", f"fault.left={left}"])
+            torque = np.full(scenario.ticks, missing_nm / (1.0 - left))
+            signals = quiet(scenario, torque_nm=torque, fault_state=states(scenario, (0, state)))
+            values = metrics(scenario, signals)
+            assert values["detection_delay_s"] is None
+            missed.setdefault(missing_nm, set()).add(values["missed_detection"])
+    expected = {1e-6: {None}, 0.01: {None}, 0.1: {True}, 1.0: {True}, 10.0: {True}}
+    assert missed == expected
+
+
+def test_a_torque_whose_frames_are_missing_is_missed_where_the_car_shows_it() -> None:
+    """Whatever the controller says of what it can tell."""
+    for channel, missed in (("torque", True), ("force-difference", None)):
+        settings = ["fault.kind=frames-missing", f"fault.channel={channel}", "fault.at_s=1.5"]
+        scenario = load("thesis-step", [*settings, "duration_s=3.0", "design.compensation=off"])
+        signals = signals_without_log(scenario)
+        for state in (CLEAR, CANNOT_TELL):
+            said = replace(signals, fault_state=states(scenario, (0, state)))
+            assert metrics(scenario, said)["missed_detection"] is missed
+
+
+def test_nothing_is_missed_where_nothing_is_lost() -> None:
+    scenario = load("thesis-step", ["duration_s=2.0", "fault.at_s=1.0"])
     nothing_lost = metrics(scenario.healthy, quiet(scenario))
     assert nothing_lost["missed_detection"] is None
     assert nothing_lost["false_alarms_per_hour"] == 0.0
+
+
+def test_there_is_a_bound_where_the_log_has_every_command_that_is_lost() -> None:
+    for at_s, latency, there in (
+        (0.002, 2, True), (0.001, 2, False), (0.0, 0, True), (0.0191, 0, False), (0.019, 0, True),
+    ):  # fmt: skip
+        settings = ["duration_s=0.02", f"fault.at_s={at_s}", f"latency_ticks={latency}"]
+        scenario = load("ideal", settings)
+        signals = quiet(scenario, torque_nm=np.full(scenario.ticks, 1e6))
+        assert (metrics(scenario, signals)["unavoidable_deviation_mps2"] is not None) == there
 
 
 @pytest.mark.parametrize("latency", [0, 1, 2, 5])

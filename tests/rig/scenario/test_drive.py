@@ -54,6 +54,9 @@ def test_straight_lines_between_pairs_whose_ends_are_held() -> None:
 def test_a_change_that_is_too_fast_is_refused() -> None:
     with pytest.raises(ScenarioError, match=r"by 3 m/s²: must be at most .* = 2$"):
         speed_profile(load("default", [RAMP, "drive.speed_rate_max_mps2=2"]))
+    braking = ["drive.ramps=[[1, 16], [3, 10]]", "drive.speed_rate_max_mps2=2"]
+    with pytest.raises(ScenarioError, match=r"by 3 m/s²: must be at most .* = 2$"):
+        speed_profile(load("default", braking))
 
 
 def test_a_drive_from_a_file(tmp_path: Path) -> None:
