@@ -16,8 +16,8 @@ around the loop is halved.
 
 **Whose fault it is.** A bias of the sensor that has been found is taken out of the decision's d̂,
 and out of nothing else. A sensor that is frozen says nothing: the commands go back to those of
-before, and the inputs are missing. With channel 2 lost F̂ gets nothing, until it proves to be
-needed. With both lost the commands go to zero, where the table asks for it.
+before, and the inputs are missing. With channel 2 lost no suspicion is compensated. With both lost
+the commands go to zero, where the table asks for it. F̂ on d̂ compensates whatever is found.
 
 **Inputs that are missing.** The commands are held, and act on the plant for as long. So whatever
 models the plant goes on with them: F1, w, which a channel that is lost owes from these commands
@@ -40,7 +40,6 @@ from firmware_model.target.fault_decision.decision import (
     acting_commands,
     compensated_output,
     decide,
-    works_on_losses,
 )
 from firmware_model.target.fault_decision.hypotheses.frozen import go_back, note_commands
 from firmware_model.target.fault_decision.hypotheses.sensor_error import advance_sensor_error
@@ -170,7 +169,7 @@ def compute(table: Record, state: Record, r: float, y: float) -> None:
     # Without feedthrough of u2 this is already the residual; with it, all but u2 of this tick.
     decide(table, state, known + estimator.feedthrough_2 * held_2, model_1, model_2)
 
-    known_loss = works_on_losses(table, state)
+    known_loss = compensator.on_confirmation > 0
     if known_loss:  # u2 = r2 + F̂ s w, with the w of this tick's command
         drive = transfer(state.bumpless_transfer, compensated_output(table, state))
         force = from_reference + rest_2 + compensator.feedthrough * drive
@@ -212,7 +211,7 @@ def hold(table: Record, state: Record) -> None:
     asked_1 = track_on(table.tracking, state.tracking, state.command_1)
     short_1 = asked_1 - state.command_1
     short_2 = real(0.0, state.command_2)
-    if works_on_losses(table, state):
+    if table.compensator.on_confirmation > 0:
         drive = transfer(state.bumpless_transfer, compensated_output(table, state))
         force = advance(table.compensator.filter, state.compensator.filter, drive)
         short_2 = force - state.command_2
@@ -265,7 +264,7 @@ def reset(table: Record, state: Record, reference: float) -> None:
     state.shortfall_1.accumulators[:] = 0.0
     state.shortfall_2.accumulators[:] = 0.0
     state.probe.tick = 0
-    state.decision.pause = state.decision.distrusts_estimate = 0
+    state.decision.pause = 0
     release(state.bumpless_transfer)
     state.mode = MODE_INIT
 

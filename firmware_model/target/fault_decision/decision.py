@@ -75,7 +75,6 @@ CONSTANTS = (
 STATE = (
     Field("pause", "tick", "until the next probe", "int32"),
     Field("suspected_share", "1", "part of channel 1 that a suspicion takes for lost"),
-    Field("distrusts_estimate", "1", "1: F̂ works on what is known to be lost, not on d̂", "int32"),
 )
 
 
@@ -152,25 +151,14 @@ def begin_suspicion(table: Record, state: Record) -> None:
 def acquit(table: Record, state: Record) -> None:
     """It was sensor or force difference: what has looked like a loss of channel 1 is none.
 
-    Where channel 2 is lost nothing is to be compensated, until it proves to be needed: F̂ goes over
-    from d̂, or from what was suspected, to nothing.
+    Where channel 2 is lost nothing is to be compensated on suspicion. This ends what the decision
+    has begun; F̂ on d̂ goes on, for a wrong verdict would take away what compensates a loss.
     """
     force_lost = state.hypotheses.verdict == FORCE_LOST
-    if force_lost and not works_on_losses(table, state):
-        state.decision.distrusts_estimate = 1
-        state.bumpless_transfer.carried = state.fault_estimate
-        state.bumpless_transfer.carried_speed = 0.0
     if force_lost or state.fault_state == SUSPECTED:
         transfer_to_losses(table, state, real(0.0, state.command_1))
     state.fault_state = CLEAR
     start_candidate(table, state)
-
-
-@firmware
-def works_on_losses(table: Record, state: Record) -> bool:
-    """Whether F̂ works on s w: by its table, or since channel 2 has been taken for lost."""
-    known: bool = table.compensator.on_confirmation > 0 or state.decision.distrusts_estimate > 0
-    return known
 
 
 @firmware

@@ -95,10 +95,23 @@ def test_a_fault_of_an_actuator_begins_again_where_its_onset_was_none(name: str)
     own = state.hypotheses.signatures
     fresh = own[name].tobytes()
     own[name].candidate.foretold = -2.0
-    own[name].answer.accumulators[:] = own.commanded = own.missing = 7.0
+    own[name].answer.accumulators[:] = own.commanded = own.missing = own.before = 7.0
+    state.sequential_test.age = 3.0
     weigh_signatures(table, state, 0.0)
     assert own[name].tobytes() == fresh
-    assert (own.commanded == own.missing == 0.0) == (name == "force_lost")
+    assert (own.commanded == own.missing == own.before == 0.0) == (name == "force_lost")
+
+
+def test_the_evidence_of_before_is_that_at_the_last_onset_of_a_loss_of_channel_1() -> None:
+    table, state = begun()
+    own, evidence = state.hypotheses.signatures, []
+    for age in (4.0, 0.0, 1.0, 2.0):
+        state.other_cars.command_2, state.sequential_test.age = 1000.0, age
+        weigh_signatures(table, state, 0.5)
+        advance_signatures(table, state)
+        evidence.append(float(own.force_lost.candidate.evidence))
+        assert own.before == (evidence[1] if len(evidence) > 1 else 0.0)
+    assert evidence == sorted(set(evidence))
 
 
 def test_what_channel_2_was_told_and_what_of_it_is_missing() -> None:

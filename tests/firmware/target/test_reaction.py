@@ -55,30 +55,30 @@ def test_without_noise_a_number_that_is_repeated_tells_nothing() -> None:
         assert math.isfinite(table.hypotheses.frozen.least_motion) == told
 
 
-def test_what_is_known_to_be_lost_takes_over_where_d_hat_was() -> None:
-    table, state = started(on_confirmation=False)
-    state.fault_estimate = 0.2
-    state.hypotheses.verdict = state.hypotheses.found = Verdict.FORCE_LOST
-    acquit(table, state)
-    assert state.decision.distrusts_estimate
-    assert (state.bumpless_transfer.carried, state.bumpless_transfer.carried_speed) == (0.2, 0.0)
-    acquit(table, state)  # found once more
-    assert state.bumpless_transfer.carried == pytest.approx(0.2)
+@pytest.mark.parametrize("verdict", [Verdict.FORCE_LOST, Verdict.SENSOR_DRIFTING])
+def test_no_verdict_takes_away_the_compensation_on_d_hat(verdict: Verdict) -> None:
+    """The verdict may be wrong, and d̂ the loss that is compensated."""
+    forces = []
+    for found in (Verdict.NOTHING, verdict):
+        table, state = started(on_confirmation=False)
+        for k in range(200):
+            controller.step(table, state, 0.0, -0.2)
+            if k == 50 and found:
+                state.hypotheses.verdict = state.hypotheses.found = found
+                acquit(table, state)
+            forces.append(float(state.command_2))
+    np.testing.assert_array_equal(forces[:200], forces[200:])
+    assert min(np.abs(forces[50:200])) > 100.0
 
 
-@pytest.mark.long
-@pytest.mark.parametrize("on_confirmation", [True, False])
-def test_with_channel_2_lost_the_compensation_fades_without_a_bump(on_confirmation: bool) -> None:
+def test_with_channel_2_lost_what_is_suspected_fades_without_a_bump() -> None:
     """F̂ gets what it had at first, and then less and less, whatever d̂ is."""
-    table, state = started(on_confirmation)
-    state.fault_estimate = 0.2
-    if on_confirmation:
-        state.fault_state = FaultState.SUSPECTED
-        state.bumpless_transfer.carried = 0.2
+    table, state = started()
+    state.fault_estimate = state.bumpless_transfer.carried = 0.2
+    state.fault_state = FaultState.SUSPECTED
     state.hypotheses.verdict = state.hypotheses.found = Verdict.FORCE_LOST
     acquit(table, state)
     assert state.fault_state == FaultState.CLEAR
-    assert bool(state.decision.distrusts_estimate) != on_confirmation
     carried = []
     for k in range(3000):
         controller.step(table, state, 0.0, -0.2 + 1e-3 * (k % 2))
@@ -87,8 +87,6 @@ def test_with_channel_2_lost_the_compensation_fades_without_a_bump(on_confirmati
     assert changes.max() < 0.01 * 0.2
     assert abs(carried[-1]) < 1e-4
     assert abs(float(state.command_2)) < 1.0
-    controller.reset(table, state, 0.0)
-    assert not state.decision.distrusts_estimate
 
 
 def test_with_channel_2_lost_a_suspicion_is_not_compensated() -> None:

@@ -75,6 +75,24 @@ def test_a_place_must_be_far_ahead_of_both_others(evidence: dict[str, float], ve
 
 
 @pytest.mark.parametrize(
+    ("before", "verdict"), [(3.9, "FORCE_LOST"), (4.1, "CANNOT_BE_TOLD"), (30.0, "CANNOT_BE_TOLD")]
+)
+def test_what_channel_2_explained_before_a_loss_of_channel_1_is_no_evidence_against_that(
+    before: float, verdict: str
+) -> None:
+    """With 13 for a lost channel 1 it takes more than twice as much since its onset."""
+    state = state_of()
+    state.hypotheses.signatures.before = before
+    assert judged(state, force=30.0, lost=13.0).name == verdict
+
+
+def test_of_the_other_faults_all_evidence_counts() -> None:
+    state = state_of()
+    state.hypotheses.signatures.before = 30.0
+    assert judged(state, offset=30.0, force=13.0) == Verdict.TORQUE_OFFSET
+
+
+@pytest.mark.parametrize(
     ("before", "stands"),
     [
         ("TORQUE_LOST", False),

@@ -14,12 +14,15 @@ from can_rig.drawing.names import CAR
 from can_rig.logs.columns import EVIDENCE, VERDICT
 from can_rig.nodes.lockstep.without_bus import run_without_bus
 from can_rig.nodes.watchdog import StopRequest
+from can_rig.plant.frameless import frameless
 from can_rig.results.isolation.verdicts import CERTAIN, with_verdict
 from can_rig.results.isolation.words import in_words, verdict_rows, whose_fault
 from can_rig.results.signals import Signals, read_signals
 from can_rig.results.without_log import metrics_of, signals_without_log
 from can_rig.scenario.build import network_of
+from can_rig.scenario.driving.schedule import controls
 from can_rig.scenario.settings import Scenario
+from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.target.status import FaultState, Mode, Verdict
 
 LANE_CHANGE = ["reference.kind=lane-change", "reference.frequency_rad_per_s=1.34", "duration_s=5"]
@@ -103,6 +106,45 @@ def test_a_sensor_that_is_found_at_fault_is_not_compensated(fault: list[str]) ->
     assert with_it is not None and without is not None
     assert with_it == pytest.approx(without, rel=1e-3)
     assert with_it < 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "changes"),
+    [
+        *(
+            ("thesis-step", ["tick_s=0.0001", f"plant.variant={v}"])
+            for v in ("physics", "published")
+        ),
+        ("thesis-step", []),
+        ("ideal", []),
+        ("default", ["design.compensation=always"]),
+        ("chassis-can", ["design.compensation=always", "design.tau_s=0.03"]),
+    ],
+)
+@pytest.mark.parametrize("kind", ["step", "sine", "lane-change"])
+def test_no_verdict_takes_away_what_compensates_a_lost_torque(
+    name: str, changes: list[str], kind: str
+) -> None:
+    """D* is that of the same law with verdicts that are never sure of any place."""
+    draw = np.random.default_rng(len(kind))
+    for _ in range(2):
+        amplitude, frequency = np.exp(draw.uniform(np.log([0.1, 0.5]), np.log([3.0, 20.0])))
+        at_s = round(draw.uniform(0.2, 2.0), 2)
+        moving = [] if kind == "step" else [f"reference.frequency_rad_per_s={frequency}"]
+        scenario = load(
+            name,
+            [*changes, *moving, f"reference.kind={kind}", f"reference.amplitude_mps2={amplitude}",
+             f"fault.at_s={at_s}", f"duration_s={at_s + 0.4}"],
+        )  # fmt: skip
+        network = network_of(scenario)
+        of = controls(scenario, network)
+        unsure = of.table.copy()
+        unsure["hypotheses"]["ahead"] = unsure["hypotheses"]["sensor_ahead"] = np.inf
+        law, without = (
+            frameless(scenario, network, Scheduled(None, table)) for table in (of.table, unsure)
+        )
+        assert Verdict.FORCE_LOST not in law.verdict
+        np.testing.assert_array_equal(law.measurement, without.measurement)
 
 
 def test_a_motor_that_dies_beside_a_biased_sensor_is_found_as_soon_as_alone() -> None:

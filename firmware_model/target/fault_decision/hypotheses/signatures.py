@@ -38,6 +38,7 @@ STATE = (
     Field("ramp", "tick", "the drift of 1/tick as of this tick"),
     Field("commanded", "y²", "Σ (what channel 2 was told to move y)²"),
     Field("missing", "y²", "Σ of the same times what of it is missing in y"),
+    Field("before", "1", "evidence of a lost channel 2 from before the onset of the other's loss"),
     Field("jump", "1", "evidence of the bias in its first tick alone"),
 )
 
@@ -59,7 +60,9 @@ def weigh_signatures(table: Record, state: Record, innovation: float) -> None:
     own.missing += shown * state.mismatch.previous_residual
     if has_failed(constants.candidate, force.candidate):
         begin(force)
-        own.commanded = own.missing = 0.0
+        own.commanded = own.missing = own.before = 0.0
+    if not state.sequential_test.age > real(0.0, one):  # the candidate for channel 1 begins again
+        own.before = force.candidate.evidence
     half = real(0.5, innovation)
     fresh = half * innovation * innovation / state.mismatch.variance
     bias, drift = own.sensor_biased, own.sensor_drifting
@@ -94,7 +97,7 @@ def begin_all(state: Record) -> None:
     begin(state.force_lost)
     begin(state.sensor_biased)
     begin(state.sensor_drifting)
-    state.ramp = state.jump = state.commanded = state.missing = 0.0
+    state.ramp = state.jump = state.commanded = state.missing = state.before = 0.0
 
 
 @firmware

@@ -152,7 +152,9 @@ def judge(table: Record, state: Record) -> None:
 def is_clear(table: Record, state: Record, most: float, second: float) -> bool:
     """Whether the fault with the ``most`` evidence is told from those at other places.
 
-    A bias begins with a jump, which is what no torque can do.
+    A bias begins with a jump, which is what no torque can do. That channel 2 is lost is told from a
+    lost channel 1 by what d̂ has shown since the onset of the latter: where F̂ works on d̂, u2 answers
+    to every d̂, and what that has looked like before says nothing of now.
     """
     own, constants = state.hypotheses, table.hypotheses
     if own.evidence[SENSOR_BIASED] == most and own.signatures.jump < constants.jump:
@@ -160,6 +162,8 @@ def is_clear(table: Record, state: Record, most: float, second: float) -> bool:
     ahead: float = constants.ahead
     if strongest(own.evidence, SENSOR_BIASED, ANOTHER_CAR) == most:
         ahead = constants.sensor_ahead
+    if own.evidence[FORCE_LOST] == most:
+        most = most - own.signatures.before
     clear: bool = most > ahead * second
     return clear
 
