@@ -52,7 +52,7 @@ def refuse_log(path: Path, force: bool, option: str = "--log") -> None:
     refuse_existing(path, force, option)
 
 
-def write_log(log: Log, path: Path, reading: Reading = iter) -> int:
+def write_log(log: Log, path: Path, reading: Reading = iter, *, force: bool = False) -> int:
     """Write the frames of ``log`` to ``path``, in the format of its suffix; how many they are.
 
     ``path`` exists, complete, when this returns, and not before.
@@ -61,11 +61,13 @@ def write_log(log: Log, path: Path, reading: Reading = iter) -> int:
         log: what is written.
         path: the log to write.
         reading: goes through the frames, to choose among them or to show how far it is.
+        force: replace a log that is there.
 
     Raises:
-        LogError: the format is unknown or cannot hold a frame; a file cannot be read or written.
+        LogError: the format is unknown or cannot hold a frame; a file cannot be read or written,
+            or is there already.
     """
-    refuse_log(path, force=True)
+    refuse_log(path, force)
     counted = 0
 
     def chunks() -> Iterator[Frames]:
@@ -74,7 +76,7 @@ def write_log(log: Log, path: Path, reading: Reading = iter) -> int:
             counted += len(frames)
             yield frames
 
-    with atomic(path) as part:
+    with atomic(path, force=force) as part:
         match format_of(path):
             case ".log":
                 write_candump(chunks(), part)

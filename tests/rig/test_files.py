@@ -24,7 +24,7 @@ def test_a_read_only_file_system_is_one_line(
     out = tmp_path / "a.csv"
     with (
         pytest.raises(LogError, match=rf"^{out}: cannot be written: Read-only file system$"),
-        atomic(out) as part,
+        atomic(out, force=True) as part,
         part.open("w") as file,
     ):
         file.write("never")
@@ -35,7 +35,7 @@ def test_an_error_while_writing_leaves_what_was_there(tmp_path: Path) -> None:
     out.write_text("before")
     with (
         pytest.raises(LogError, match="cannot be written: No space left on device"),
-        atomic(out) as part,
+        atomic(out, force=True) as part,
     ):
         part.write_text("half")
         raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
@@ -47,7 +47,7 @@ def test_a_folder_is_never_replaced_by_a_file(tmp_path: Path) -> None:
     out = tmp_path / "a.csv"
     out.mkdir()
     (out / "mine").write_text("kept")
-    with pytest.raises(LogError, match="cannot be written: Is a directory"), atomic(out) as part:
+    with pytest.raises(LogError, match="cannot be written: Is a directory"), atomic(out, force=True) as part:
         part.write_text("new")
     assert [path.name for path in tmp_path.iterdir()] == ["a.csv"]
     assert (out / "mine").read_text() == "kept"
@@ -57,6 +57,6 @@ def test_nor_by_a_folder(tmp_path: Path) -> None:
     out = tmp_path / "folder"
     out.mkdir()
     (out / "mine").write_text("kept")
-    with pytest.raises(LogError, match="Directory not empty"), atomic(out) as part:
+    with pytest.raises(LogError, match="Directory not empty"), atomic(out, force=True) as part:
         part.mkdir()
     assert (out / "mine").read_text() == "kept"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Final, Protocol
 from can_rig.decoding.message_columns import MessageColumns
 from can_rig.errors import LogError, require
 from can_rig.files import atomic, refuse_existing
+from can_rig.folders import Kind, refuse_folder, whole_folder
 
 TABLES: Final = (".csv", ".parquet")
 """Formats with one table of all messages."""
@@ -18,6 +20,21 @@ _MF4: Final = ".mf4"
 _MCAP: Final = ".mcap"
 _NEEDS: Final = {_MF4: ("asammdf", "logs"), _MCAP: ("mcap", "mcap")}
 """Package and extra by suffix; the others need pyarrow."""
+
+INDEX: Final = "decoded.json"
+"""In a folder of decoded messages: the message of each file."""
+
+
+def _own(folder: Path) -> list[str]:
+    """The files that the index of a folder names, and itself."""
+    try:
+        files = json.loads((folder / INDEX).read_text("utf-8"))["files"]
+        return [*(name for name in files if name == Path(name).name), INDEX]
+    except (OSError, ValueError, KeyError, TypeError):
+        return [INDEX]
+
+
+DECODED: Final = Kind("a folder of decoded messages", INDEX, _own, lambda _: True)
 
 
 class Output(Protocol):
@@ -34,7 +51,7 @@ def refuse_output(path: Path, force: bool) -> None:
     """Refuse an output of an unknown format, or one that exists and must not be replaced.
 
     Raises:
-        LogError: the reason.
+        LogError, RunFolderError: the reason.
     """
     if path.suffix not in {"", _MF4, _MCAP, *TABLES}:
         raise LogError(
@@ -43,21 +60,15 @@ def refuse_output(path: Path, force: bool) -> None:
         )
     package, extra = _NEEDS.get(path.suffix, ("pyarrow", "logs"))
     require(package, extra)
-    refuse_existing(path, force, "--out")
-    if not path.exists():
-        return
-    if path.is_dir() and any(inside.suffix != ".csv" for inside in path.iterdir()):
-        raise LogError(
-            f"{path}: holds other files than decoded messages, so that --force does not replace it"
-        )
-    if path.is_dir() != (path.suffix == ""):
-        found, other = ("folder", "file") if path.is_dir() else ("file", "folder")
-        raise LogError(f"{path}: is a {found}, which --force does not replace by a {other}")
+    if path.suffix == "":
+        refuse_folder(path, DECODED, force)
+    else:
+        refuse_existing(path, force, "--out")
 
 
 @contextmanager
 def output(
-    path: Path, layout: Mapping[str, MessageColumns], start_ns: int, names: bool
+    path: Path, layout: Mapping[str, MessageColumns], start_ns: int, names: bool, force: bool
 ) -> Iterator[Output]:
     """An output at ``path``, which exists, complete, once the context is left without an error.
 
@@ -66,11 +77,13 @@ def output(
         layout: the messages of a table of all messages, without rows.
         start_ns: start of the recording, on the clock of the columns [ns].
         names: whether to write words of value tables instead of numbers.
+        force: replace an earlier output.
 
     Raises:
-        LogError: it cannot be written.
+        LogError, RunFolderError: it cannot be written.
     """
-    with atomic(path) as part:
+    whole = atomic(path, force=force) if path.suffix else whole_folder(path, DECODED, force=force)
+    with whole as part:
         writer = _writer(part, layout, start_ns, names)
         yield writer
         writer.close()
@@ -89,4 +102,4 @@ def _writer(path: Path, layout: Mapping[str, MessageColumns], start_ns: int, nam
 
     if path.suffix in TABLES:
         return WideTable(path, layout, start_ns, names)
-    return FolderOfTables(path, start_ns, names)
+    return FolderOfTables(path, start_ns, names, INDEX)

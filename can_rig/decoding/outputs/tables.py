@@ -11,6 +11,7 @@ nanosecond: PlotJuggler takes it for seconds, pandas for a date. In CSV it has n
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -22,6 +23,7 @@ import pyarrow.parquet
 from numpy.typing import NDArray
 
 from can_rig.decoding.message_columns import MessageColumns
+from can_rig.files import FileNames
 from can_rig.logs.frames import NS_PER_S
 
 _TYPES: Final = {"i": pa.int64(), "u": pa.uint64(), "f": pa.float64(), "O": pa.string()}
@@ -87,21 +89,30 @@ class WideTable:
 
 
 class FolderOfTables:
-    """A CSV file for each message that occurs; arguments as those of `WideTable`."""
+    """A CSV file for each message that occurs, and an index; arguments as those of `WideTable`.
 
-    def __init__(self, folder: Path, start_ns: int, names: bool) -> None:
+    Args:
+        index: name of the JSON file that says which file has which message.
+    """
+
+    def __init__(self, folder: Path, start_ns: int, names: bool, index: str) -> None:
         self._folder = folder
+        self._index = folder / index
+        self._file_names = FileNames()
+        self._file_names.of(index)
+        self._messages: dict[str, str] = {}  # by file name
         self._start_ns = start_ns
         self._names = names
         self._tables: dict[str, _Table] = {}
-        folder.mkdir(parents=True, exist_ok=True)
 
     def write(self, chunk: Mapping[str, MessageColumns]) -> None:
         """Add the messages of a chunk."""
         for name, columns in chunk.items():
             fields = _fields(columns, self._names)
             if name not in self._tables:
-                self._tables[name] = _Table(self._folder / f"{name}.csv", fields, self._start_ns)
+                file = self._file_names.of(name, ".csv")
+                self._messages[file] = name
+                self._tables[name] = _Table(self._folder / file, fields, self._start_ns)
             cells = {}
             for signal, kind in fields.items():
                 values, missing = _values(columns, signal, self._names)
@@ -112,6 +123,8 @@ class FolderOfTables:
         """Finish the files."""
         for table in self._tables.values():
             table.close()
+        text = json.dumps({"files": self._messages}, indent=2)
+        self._index.write_text(text + "\n", encoding="utf-8")
 
 
 class _Table:
