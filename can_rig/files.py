@@ -124,7 +124,10 @@ def part_folder(beside: Path) -> Iterator[Path]:
     tidy(beside)
     while True:
         folder = beside / f"{PART}{secrets.token_hex(8)}"
-        folder.mkdir(mode=0o700)
+        try:
+            folder.mkdir(mode=0o700)
+        except FileExistsError:
+            continue
         with suppress(BlockingIOError, FileNotFoundError):  # just tidied away by another process
             lock = locked(folder)
             break

@@ -74,6 +74,7 @@ def command(
     keys = {"scenario": scenario, "runs": runs, "seed": seed, "search": search}
     planned = plan(read_campaign(campaign, settings, **keys))
     folder = open_folder(out, planned, resume=resume, force=force)
+    click.get_current_context().call_on_close(folder.made.close)
     stop = StopRequest().on_signals()
     cores = min(workers or len(os.sched_getaffinity(0)), planned.runs)
     with counting(planned.settings.name, "runs", planned.runs) as on_done, _told(folder):

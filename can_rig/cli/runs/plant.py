@@ -65,10 +65,10 @@ def command(
         summary = run_plant(
             chosen,
             bus,
-            recording,
+            recording.path,
             timeouts,
             stop,
-            Throttled(on_tick),
+            recording.before(Throttled(on_tick)),
             real_time=real_time,
             by_hand=True,
             interaction=interaction,

@@ -4,21 +4,41 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import dataclass
 from pathlib import Path
 
 from can_rig.files import refuse_existing
 from can_rig.folders import Kind
 from can_rig.logs.plant_signals import plant_signals_path
 from can_rig.new_folder import NewFolder
+from can_rig.nodes.progress import OnTick
 from can_rig.nodes.recording.recorder import is_stream
 
 
+@dataclass
+class Recording:
+    """Where a node records, and how far it got."""
+
+    path: Path | None
+    """The log; None: nothing is recorded."""
+    ticks: int = 0
+
+    def before(self, on_tick: OnTick) -> OnTick:
+        """``on_tick``, which also counts here."""
+
+        def counted(tick: int) -> None:
+            self.ticks = tick
+            on_tick(tick)
+
+        return counted
+
+
 @contextmanager
-def recorded_log(log: Path | None, force: bool) -> Iterator[Path | None]:
-    """Where to record ``log`` and the plant's signals beside it.
+def recorded_log(log: Path | None, force: bool) -> Iterator[Recording]:
+    """Record ``log`` and the plant's signals beside it.
 
     In their own places if nothing is there, otherwise in the folder ``LOG.unfinished``, from which
-    they replace the earlier ones at the end, however the node ends, if anything was recorded.
+    they replace the earlier ones at the end, however the node ends, if it finished a tick.
 
     Args:
         log: the log, or a pipe or a device; None: nothing is recorded.
@@ -29,13 +49,13 @@ def recorded_log(log: Path | None, force: bool) -> Iterator[Path | None]:
         RunFolderError: an earlier log cannot be replaced.
     """
     if log is None or is_stream(log):
-        yield log
+        yield Recording(log)
         return
     pair = (log, plant_signals_path(log))
     for path in pair:
         refuse_existing(path, force, "--log")
     if not any(path.exists() or path.is_symlink() for path in pair):
-        yield log
+        yield Recording(log)
         return
     kind = Kind(
         "this log",
@@ -44,10 +64,11 @@ def recorded_log(log: Path | None, force: bool) -> Iterator[Path | None]:
         lambda folder: (folder / log.name).is_file() and (folder / log.name).stat().st_size > 0,
     )
     with NewFolder.files_of(log.parent, log.name, kind) as made:
+        recording = Recording(made.making / log.name)
         try:
-            yield made.making / log.name
+            yield recording
         finally:
-            if kind.recorded(made.making):
+            if recording.ticks:
                 made.publish()
             else:
                 made.give_up()
