@@ -151,7 +151,7 @@ def locked(folder: Path, *, wait: bool = False) -> int | None:
 
     Raises:
         BlockingIOError: another process holds it.
-        OSError: there is no such folder, or it is a link.
+        OSError: the folder is missing, or is a link.
     """
     descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
     try:
@@ -167,9 +167,9 @@ def locked(folder: Path, *, wait: bool = False) -> int | None:
 
 
 def tidy(folder: Path) -> None:
-    """Take away from a folder what killed processes left; finish what they were putting in place.
+    """Remove the parts of killed processes from a folder; complete the results that were whole.
 
-    What a process holds stays, and so does everything on a file system without locks.
+    Parts that a process holds stay. On a file system without locks every part stays.
     """
     with suppress(OSError):
         left = [

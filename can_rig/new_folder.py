@@ -1,7 +1,7 @@
-"""A folder of results that is made over some time, and what was recorded in it is never lost.
+"""A folder of results that grows over time; recorded results are never lost.
 
-A new one is made in its place. One that replaces another is made beside it, as ``NAME.unfinished``,
-and the other stands until the new one is whole. Both are locked meanwhile.
+A new folder is made in its final place. A folder that replaces an old one is made beside the old
+folder, as ``NAME.unfinished``; the old folder stands until the new one is whole. Both are locked.
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ class NewFolder:
     """A folder of results in the making; no other process writes into it meanwhile.
 
     Attributes:
-        path: where it will stand, as it was named.
-        making: where it is now.
+        path: the final place of the folder, as the user named the place.
+        making: the present place of the folder.
     """
 
     def __init__(self, path: Path, target: Path, making: Path, kind: Kind) -> None:
@@ -34,11 +34,11 @@ class NewFolder:
 
     @classmethod
     def create(cls, path: Path, kind: Kind, force: bool) -> NewFolder:
-        """Make the folder, and those around it.
+        """Make the folder, and its parents.
 
         Raises:
-            RunFolderError: it is there already and ``force`` is not given, is of another kind,
-                another process writes it, or it cannot be made.
+            RunFolderError: the folder exists and ``force`` is not given; the folder is of another
+                kind; another process writes the folder; the folder cannot be made.
         """
         target = followed(path)
         made = cls(path, target, target, kind)
@@ -54,7 +54,7 @@ class NewFolder:
         """Go on with the folder that is being made for ``path``.
 
         Raises:
-            RunFolderError: there is none, or another process writes it.
+            RunFolderError: the folder is missing, or another process writes it.
         """
         target = followed(path)
         made = cls(path, target, target.with_name(f"{target.name}.unfinished"), kind)
@@ -68,7 +68,7 @@ class NewFolder:
 
     @classmethod
     def files_of(cls, folder: Path, name: str, kind: Kind) -> NewFolder:
-        """Files that replace those of ``kind`` in ``folder``, made in ``NAME.unfinished`` there.
+        """New files for ``folder``, made in the folder ``NAME.unfinished`` within.
 
         Raises:
             RunFolderError: an earlier command could not finish them, or they cannot be made.

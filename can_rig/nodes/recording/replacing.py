@@ -37,15 +37,16 @@ class Recording:
 def recorded_log(log: Path | None, force: bool) -> Iterator[Recording]:
     """Record ``log`` and the plant's signals beside it.
 
-    In their own places if nothing is there, otherwise in the folder ``LOG.unfinished``, from which
-    they replace the earlier ones at the end, however the node ends, if it finished a tick.
+    New files are written in their places. Files that replace earlier ones are written in the folder
+    ``LOG.unfinished``. They replace the earlier ones when the node has ended, after one tick or
+    more.
 
     Args:
         log: the log, or a pipe or a device; None: nothing is recorded.
         force: replace an earlier log.
 
     Raises:
-        LogError: one of the files is there, and not to be replaced.
+        LogError: one of the files exists and ``force`` is not given.
         RunFolderError: an earlier log cannot be replaced.
     """
     if log is None or is_stream(log):
