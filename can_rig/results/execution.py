@@ -17,9 +17,9 @@ from can_rig.buses.bus import in_one_process
 from can_rig.errors import INTERRUPTED, BusError, RigError
 from can_rig.export.running.controllers import PYTHON, Controller
 from can_rig.files import atomic
-from can_rig.folders import default_folder
+from can_rig.folders.new_folder import NewFolder
+from can_rig.folders.replacing import default_folder
 from can_rig.frames.network import Network
-from can_rig.new_folder import NewFolder
 from can_rig.nodes.lockstep.plant_node import require_ticks
 from can_rig.nodes.lockstep.without_bus import run_without_bus
 from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction

@@ -12,7 +12,7 @@ from typing import Any, Final
 
 from can_rig.errors import LogError, RunFolderError
 from can_rig.files import atomic
-from can_rig.folders import Kind
+from can_rig.folders.replacing import Kind
 from can_rig.frames.network import Network
 from can_rig.logs.plant_signals import plant_signals_path
 from can_rig.nodes.summary import RunColumns

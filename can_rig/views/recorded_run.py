@@ -14,7 +14,7 @@ from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Any, Final
 
 from can_rig.errors import LogError, RunFolderError, ScenarioError, in_python, require
-from can_rig.new_folder import NewFolder
+from can_rig.folders.new_folder import NewFolder
 from can_rig.nodes.watchdog import StopRequest
 from can_rig.results.execution import execute, refuse
 from can_rig.results.metrics import Metrics, rows

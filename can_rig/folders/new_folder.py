@@ -13,7 +13,7 @@ from pathlib import Path
 
 from can_rig.errors import RunFolderError, one_line
 from can_rig.files import locked, tidy
-from can_rig.folders import Kind, followed, names, put_into, refuse_to_replace, remove
+from can_rig.folders.replacing import Kind, followed, names, put_into, refuse_to_replace, remove
 
 
 class NewFolder:
