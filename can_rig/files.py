@@ -1,20 +1,46 @@
-"""Output files that exist whole or not at all, and replace nothing unasked."""
+"""Output files: whole or not there, never over anything unasked, and under names that are safe.
+
+A file is written in a private folder beside its place, which nobody can foresee or put a link into,
+and is renamed once it is whole. The folder is locked; what a killed process left is recognised by
+its missing lock and taken away by the next output beside it. `folders` does the same for folders.
+"""
 
 from __future__ import annotations
 
+import fcntl
+import hashlib
+import os
+import re
+import secrets
 import shutil
+import unicodedata
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
+from typing import Final
 
 from can_rig.errors import LogError, one_line
 
 PICTURES = {".png", ".svg", ".pdf"}
 """Suffixes of pictures; matplotlib knows the format by it."""
 
+PART: Final = ".can-rig-part-"
+"""Begins the name of a private folder; what is in it is not whole."""
+
+WHOLE: Final = ".can-rig-whole-"
+"""Begins the name of a folder whose files are whole and on their way into the folder around it."""
+
+_LEFT_OVER: Final = re.compile(f"({re.escape(PART)}|{re.escape(WHOLE)})[0-9a-f]{{16}}")
+
+_RESERVED: Final = re.compile(r"(con|prn|aux|nul|com[0-9¹²³]|lpt[0-9¹²³])(\..*)?", re.IGNORECASE)
+"""Names that Windows keeps for devices."""
+
+_NAME_BYTES: Final = 120
+"""Of a safe name without its suffix; file systems take 255, some of them 143."""
+
 
 def refuse_existing(path: Path, force: bool, option: str, *, new_folder: bool = False) -> None:
-    """Refuse an output that exists, unless it may be replaced; or whose folder does not.
+    """Refuse a file as output that exists, unless it may be replaced; or whose folder does not.
 
     Args:
         path: the output.
@@ -25,7 +51,11 @@ def refuse_existing(path: Path, force: bool, option: str, *, new_folder: bool = 
     Raises:
         LogError: the reason.
     """
-    if path.exists() and not force:
+    if path.is_dir():
+        raise LogError(f"{path}: is a folder; {option} must name a file")
+    if path.exists() and not path.is_file():
+        raise LogError(f"{path}: is a device or a pipe; {option} must name a file")
+    if os.path.lexists(path) and not force:
         raise LogError(f"{path}: exists; choose another {option}, or --force to replace it")
     folder = path.parent.parent if new_folder else path.parent
     if not folder.is_dir():
@@ -44,29 +74,176 @@ def refuse_picture(path: Path, force: bool) -> None:
 
 
 @contextmanager
-def atomic(path: Path) -> Iterator[Path]:
-    """Where to write what becomes ``path`` once the context is left without an error.
+def atomic(path: Path, *, force: bool) -> Iterator[Path]:
+    """Where to write what becomes the file ``path`` once the context is left without an error.
 
-    A file replaces one that is there; a folder that holds something is never replaced.
+    Args:
+        path: the file; a link in its place is replaced, and never followed.
+        force: replace what is there; otherwise also a file that appears meanwhile stays.
 
     Raises:
-        LogError: the operating system does not let it be written.
+        LogError: the operating system does not let it be written, or a file is there.
     """
-    part = path.with_name(f".part-{path.name}")
     try:
         path.parent.mkdir(exist_ok=True)
-        yield part
-        part.replace(path)
+        with part_folder(path.parent) as folder:
+            part = folder / path.name
+            yield part
+            if force:
+                part.replace(path)
+            else:
+                _put_in_place(part, path)
+    except FileExistsError:
+        raise LogError(f"{path}: exists; choose another name, or --force to replace it") from None
     except OSError as error:
-        reason = error.strerror or one_line(error)
-        raise LogError(f"{path}: cannot be written: {reason}") from None
+        raise LogError(f"{path}: cannot be written: {error.strerror or one_line(error)}") from None
+
+
+def _put_in_place(part: Path, path: Path) -> None:
+    """Rename a file where nothing is.
+
+    Raises:
+        FileExistsError: something is there.
+    """
+    try:
+        path.hardlink_to(part)
+    except FileExistsError:
+        raise
+    except OSError:  # a file system without hard links
+        os.close(os.open(path, os.O_CREAT | os.O_EXCL))
+        part.replace(path)
+
+
+@contextmanager
+def part_folder(beside: Path) -> Iterator[Path]:
+    """A private folder in the folder ``beside``, gone when the context is left.
+
+    Raises:
+        OSError: it cannot be made.
+    """
+    tidy(beside)
+    while True:
+        folder = beside / f"{PART}{secrets.token_hex(8)}"
+        try:
+            folder.mkdir(mode=0o700)
+        except FileExistsError:
+            continue
+        with suppress(BlockingIOError, FileNotFoundError):  # just tidied away by another process
+            lock = locked(folder)
+            break
+    try:
+        yield folder
     finally:
-        with suppress(OSError):  # a read-only file system refuses this too; the reason is known
-            _remove(part)
+        shutil.rmtree(folder, ignore_errors=True)
+        if lock is not None:
+            os.close(lock)
 
 
-def _remove(path: Path) -> None:
-    if path.is_dir():
-        shutil.rmtree(path)
-    else:
-        path.unlink(missing_ok=True)
+def locked(folder: Path, *, wait: bool = False) -> int | None:
+    """Lock a folder until the descriptor is closed, here and in every forked process.
+
+    Args:
+        folder: the folder.
+        wait: until no other process holds it.
+
+    Returns:
+        The descriptor; None where the file system has no locks.
+
+    Raises:
+        BlockingIOError: another process holds it.
+        OSError: the folder is missing, or is a link.
+    """
+    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_NOFOLLOW)
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | (0 if wait else fcntl.LOCK_NB))
+        if not os.path.samestat(os.fstat(descriptor), folder.lstat()):
+            raise FileNotFoundError(folder)
+    except OSError as error:
+        os.close(descriptor)
+        if isinstance(error, BlockingIOError | FileNotFoundError):
+            raise
+        return None
+    return descriptor
+
+
+def tidy(folder: Path) -> None:
+    """Remove the parts of killed processes from a folder; complete the results that were whole.
+
+    Parts that a process holds stay. On a file system without locks every part stays.
+    """
+    with suppress(OSError):
+        left = [
+            each
+            for each in os.scandir(folder)
+            if _LEFT_OVER.fullmatch(each.name) and each.is_dir(follow_symlinks=False)
+        ]
+        for each in left:
+            with suppress(OSError):
+                lock = locked(Path(each))
+                if lock is None:
+                    continue
+                try:
+                    if each.name.startswith(WHOLE):
+                        move_up(Path(each))
+                    elif each.stat().st_uid == os.getuid():
+                        shutil.rmtree(each, ignore_errors=True)
+                finally:
+                    os.close(lock)
+
+
+def move_up(whole: Path) -> None:
+    """Put the files of a folder in their places in the folder around it.
+
+    Raises:
+        OSError: a file cannot be renamed.
+    """
+    for path in sorted(whole.iterdir()):
+        path.replace(whole.parent / path.name)
+    whole.rmdir()
+
+
+class FileNames:
+    """File names for names that come from a file; no two of them are the same to any file system.
+
+    Letters, digits and ``-_. ()+,=@`` stay as they are; everything else is written as %XX, as in an
+    address, and so are a first or last dot or space and the first letter of a name that Windows
+    reserves. A long name is cut. Where names were cut, or differ in nothing but case, a part of
+    their hash tells them apart.
+    """
+
+    def __init__(self) -> None:
+        self._taken: set[str] = set()
+
+    def of(self, name: str, suffix: str = "") -> str:
+        """The file name for ``name``, other than every earlier one."""
+        digest = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()
+        stem = safe_name(name)
+        for digits in (0, *range(8, len(digest), 8)):
+            found = (f"{stem}~{digest[:digits]}" if digits else stem) + suffix
+            folded = unicodedata.normalize("NFKC", unicodedata.normalize("NFKC", found).casefold())
+            if folded not in self._taken:
+                break
+        self._taken.add(folded)
+        return found
+
+
+def safe_name(name: str) -> str:
+    """``name`` as a file name that stays in its folder; see ``FileNames``."""
+    name = unicodedata.normalize("NFC", name)
+    first = len(name) - len(name.lstrip(". "))
+    end = len(name.rstrip(". "))
+    safe = "".join(
+        char if (char.isalnum() or char in "-_. ()+,=@") and first <= at < end else _escaped(char)
+        for at, char in enumerate(name)
+    )
+    if _RESERVED.fullmatch(safe):
+        safe = _escaped(safe[0]) + safe[1:]
+    encoded = safe.encode()
+    if len(encoded) > _NAME_BYTES:
+        digest = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()
+        safe = f"{encoded[:_NAME_BYTES].decode('utf-8', 'ignore').rstrip('. ')}~{digest[:8]}"
+    return safe or "%"
+
+
+def _escaped(char: str) -> str:
+    return "".join(f"%{byte:02X}" for byte in char.encode("utf-8", "surrogatepass"))

@@ -43,7 +43,7 @@ def record(names: tuple[str, ...]) -> None:
             same = path.exists() and frames(path) == frames(log)
             same = same and has_constants(name) and are_close(constants, recorded(name))
             if not same:
-                write_log(read_log(log), path)
+                write_log(read_log(log), path, force=True)
                 keep(name, constants)
         said = "as it was" if same else f"recorded, {path.stat().st_size / 1000:.0f} kB"
         click.echo(f"{name:16} {scenario.ticks:6} ticks  {said}")

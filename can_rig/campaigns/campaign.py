@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import json
-import shutil
-import time
+import re
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -16,11 +16,34 @@ from can_rig.campaigns.run import Task, requirements_of
 from can_rig.campaigns.search import GENERATION
 from can_rig.errors import LogError, RunFolderError, require
 from can_rig.files import atomic
+from can_rig.folders.new_folder import NewFolder
+from can_rig.folders.replacing import Kind, default_folder
 
 TABLE, PLAN, BLOCKS = "runs.parquet", "campaign.json", "blocks"
+SUMMARY, PICTURE, PAGE = "summary.json", "report.png", "report.html"
+BLOCK: Final = re.compile(r"\d{8}\.parquet")
 MOST_IN_A_BLOCK: Final = 256
 BLOCKS_WANTED: Final = 16
 """So that little is lost where few runs are interrupted; a file costs as much as several runs."""
+
+
+def _blocks(folder: Path) -> Iterator[str]:
+    if (folder / BLOCKS).is_dir() and not (folder / BLOCKS).is_symlink():
+        for path in (folder / BLOCKS).iterdir():
+            if BLOCK.fullmatch(path.name):
+                yield f"{BLOCKS}/{path.name}"
+
+
+def _own(folder: Path) -> Iterator[str]:
+    yield from _blocks(folder)
+    yield from (BLOCKS, PLAN, TABLE, SUMMARY, PICTURE, PAGE)
+
+
+def _recorded(folder: Path) -> bool:
+    return (folder / TABLE).exists() or any(_blocks(folder))
+
+
+CAMPAIGN_FOLDER: Final = Kind("the folder of a campaign", PLAN, _own, _recorded)
 
 
 @dataclass(frozen=True)
@@ -28,12 +51,17 @@ class CampaignFolder:
     """Where a campaign stands.
 
     Attributes:
-        path: the folder.
+        made: the folder in the making; it replaces an earlier one when the report is written.
         plan: what is run.
     """
 
-    path: Path
+    made: NewFolder
     plan: Plan
+
+    @property
+    def path(self) -> Path:
+        """The folder as it is now."""
+        return self.made.making
 
     @property
     def blocks_path(self) -> Path:
@@ -77,30 +105,22 @@ def open_folder(path: Path | None, plan: Plan, *, resume: bool, force: bool) -> 
     requirements_of(plan)
     if plan.searched:
         require("cma", extra="search")
-    if path is None:
-        path = Path("campaigns") / f"{plan.settings.name}-{time.strftime('%Y%m%d-%H%M%S')}"
-    folder, file = CampaignFolder(path, plan), path / PLAN
+    path = path or default_folder("campaigns", plan.settings.name)
     if resume:
-        if not file.is_file():
-            raise RunFolderError(f"{path}: not the folder of a campaign; --resume needs its --out")
-        _require_same(file, plan)
+        folder = CampaignFolder(NewFolder.resume(path, CAMPAIGN_FOLDER), plan)
+        try:
+            _require_same(folder.path / PLAN, plan)
+        except RunFolderError:
+            folder.made.close()
+            raise
         return folder
-    if path.exists():
-        if not force:
-            raise RunFolderError(
-                f"{path}: there already; choose another --out, --resume to go on with it, "
-                "or --force to replace it"
-            )
-        if not file.is_file():
-            raise RunFolderError(
-                f"{path}: not the folder of a campaign, so --force does not replace it"
-            )
-        shutil.rmtree(path)
+    folder = CampaignFolder(NewFolder.create(path, CAMPAIGN_FOLDER, force), plan)
     try:
-        (path / BLOCKS).mkdir(parents=True)
-        with atomic(file) as part:
+        folder.blocks_path.mkdir(exist_ok=True)
+        with atomic(folder.path / PLAN, force=True) as part:
             part.write_text(json.dumps(_said(plan), indent=2, ensure_ascii=False) + "\n", "utf-8")
     except (OSError, LogError) as error:
+        folder.made.give_up()
         raise RunFolderError(f"{path}: cannot be made: {error}") from None
     return folder
 

@@ -2,18 +2,19 @@
 
 from __future__ import annotations
 
-import shutil
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import AbstractContextManager
 from itertools import takewhile
 from typing import Final
 
-from can_rig.campaigns.campaign import CampaignFolder
+from can_rig.campaigns.campaign import BLOCKS, CampaignFolder
 from can_rig.campaigns.computing.workers import Compute
 from can_rig.campaigns.run import Row, Task
 from can_rig.campaigns.search import GENERATION, Search
 from can_rig.campaigns.statistics import margin_column
 from can_rig.campaigns.table import put_together, read_columns, schema, write_block
+from can_rig.files import tidy
+from can_rig.folders.replacing import remove
 
 Stopped = Callable[[], bool]
 OnRun = Callable[[int], None]
@@ -54,7 +55,8 @@ def execute(
     if folder.done < folder.plan.runs:
         return False
     put_together(list(blocks.values()), folder.table)
-    shutil.rmtree(folder.blocks_path)
+    tidy(folder.blocks_path)
+    remove(folder.path, [*(f"{BLOCKS}/{file.name}" for file in blocks.values()), BLOCKS])
     return True
 
 

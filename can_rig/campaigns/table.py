@@ -95,7 +95,7 @@ def write_block(path: Path, rows: Iterable[dict[str, Any]], columns: pa.Schema) 
         pa.array(_cells([row.get(field.name) for row in rows], field.type), field.type)
         for field in columns
     ]
-    with atomic(path) as part:
+    with atomic(path, force=True) as part:
         parquet.write_table(pa.Table.from_arrays(arrays, schema=columns), part)
 
 
@@ -122,7 +122,7 @@ def put_together(blocks: Sequence[Path], path: Path) -> None:
     from pyarrow import parquet  # noqa: PLC0415
 
     columns = parquet.read_schema(blocks[0])
-    with atomic(path) as part, parquet.ParquetWriter(part, columns) as writer:
+    with atomic(path, force=True) as part, parquet.ParquetWriter(part, columns) as writer:
         waiting: list[pa.Table] = []
         for block in blocks:
             waiting.append(parquet.read_table(block))

@@ -45,6 +45,8 @@ class Form:
     """Time counts from the start of the recording."""
     names: bool = False
     """Words of value tables in place of numbers."""
+    force: bool = False
+    """Earlier outputs are replaced."""
 
 
 def decode_to_files(
@@ -76,7 +78,8 @@ def decode_to_files(
         def opened() -> list[Output]:
             start_ns = 0 if form.relative else log.start_ns
             return [
-                stack.enter_context(output(path, layout, start_ns, form.names)) for path in outputs
+                stack.enter_context(output(path, layout, start_ns, form.names, form.force))
+                for path in outputs
             ]
 
         for frames in reading(log, "decoding"):

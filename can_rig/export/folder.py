@@ -6,12 +6,11 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Final
 
-from can_rig.errors import LogError
 from can_rig.export.application import application
 from can_rig.export.law import filled, support
 from can_rig.export.running.ecu import bench
 from can_rig.export.speed_words import words_of
-from can_rig.files import atomic, refuse_existing
+from can_rig.folders.replacing import Kind, refuse_folder, whole_folder
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import Precision
 
@@ -61,26 +60,10 @@ def write(files: dict[str, str], folder: Path, force: bool) -> None:
     What else is in that folder, a driver or what make has built, stays.
 
     Raises:
-        LogError: the folder exists and is not to be written to, or cannot be written.
+        RunFolderError: the folder exists and is not to be written to, or cannot be written.
     """
-    refuse_existing(folder, force, "--out")
-    if folder.exists():
-        _require_export(folder)
+    kind = Kind("an exported controller", HEADER, lambda _: files, lambda _: True)
+    refuse_folder(folder, kind, force)
+    with whole_folder(folder, kind, force=force) as made:
         for name, text in files.items():
-            with atomic(folder / name) as part:
-                part.write_text(text, encoding="utf-8")
-        return
-    with atomic(folder) as part:
-        part.mkdir()
-        for name, text in files.items():
-            (part / name).write_text(text, encoding="utf-8")
-
-
-def _require_export(folder: Path) -> None:
-    """Refuse a folder that holds something, but no controller of an earlier export."""
-    try:
-        names = {path.name for path in folder.iterdir()}
-    except OSError as error:
-        raise LogError(f"{folder}: cannot be read: {error.strerror}") from None
-    if names and HEADER not in names:
-        raise LogError(f"{folder}: no exported controller, so --force does not write into it")
+            (made / name).write_text(text, encoding="utf-8")

@@ -46,7 +46,7 @@ def refuse_log(path: Path, force: bool, option: str = "--log") -> None:
     refuse_existing(path, force, option)
 
 
-def write_log(log: Log, path: Path, reading: Reading = iter) -> Changes:
+def write_log(log: Log, path: Path, reading: Reading = iter, *, force: bool = False) -> Changes:
     """Write the frames of ``log`` to ``path``, in the format of its suffix; what that changed.
 
     ``path`` exists, complete, when this returns, and not before.
@@ -55,17 +55,19 @@ def write_log(log: Log, path: Path, reading: Reading = iter) -> Changes:
         log: what is written.
         path: the log to write.
         reading: goes through the frames, to choose among them or to show how far it is.
+        force: replace a log that is there.
 
     Raises:
-        LogError: the format is unknown or cannot hold a frame; a file cannot be read or written.
+        LogError: the format is unknown or cannot hold a frame; a file cannot be read or written,
+            or is there already.
     """
-    refuse_log(path, force=True)
+    refuse_log(path, force)
     suffix = format_of(path)
     source = iter(reading(log))
     first = next(source, None)  # the start of the log is known from here on
     changes = Changes(log, suffix, path, first)
     chunks = changes.prepare(source if first is None else chain([first], source))
-    with atomic(path) as part:
+    with atomic(path, force=force) as part:
         match suffix:
             case ".log":
                 write_candump(chunks, part)

@@ -28,7 +28,7 @@ from can_rig.nodes.realtime.plant_node import RealTimePlantNode
 from can_rig.nodes.realtime.recorder import RealTimeRecorder
 from can_rig.nodes.realtime.scheduling import prefer, undisturbed
 from can_rig.nodes.recording.plant_recorder import PlantRecorder
-from can_rig.nodes.recording.recorder import Recorder
+from can_rig.nodes.recording.recorder import Recorder, is_stream
 from can_rig.nodes.summary import NodeSummary
 from can_rig.nodes.watchdog import StopRequest, Timeouts, Watchdog
 from can_rig.scenario.build import network_of
@@ -81,7 +81,8 @@ def run_plant(
                 live = stack.enter_context(RealTimeRecorder(log))
             else:
                 recorder = stack.enter_context(Recorder(log, scenario.tick_ns))
-            reports = stack.enter_context(PlantRecorder(log))
+            if not is_stream(log):
+                reports = stack.enter_context(PlantRecorder(log))
         node: PlantNode | RealTimePlantNode
         if real_time:
             node = RealTimePlantNode(scenario, network, access.bus, live, clock, reports)

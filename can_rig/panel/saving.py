@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 import re
+from contextlib import ExitStack
 from dataclasses import asdict
 from pathlib import Path
 from typing import Any, Final
@@ -10,6 +12,7 @@ from typing import Any, Final
 import tomli_w
 
 from can_rig.errors import RigError
+from can_rig.files import atomic
 from can_rig.nodes.operator.control_frames import done, touches
 from can_rig.panel.session import Session
 from can_rig.results.run_folder import LOG
@@ -38,26 +41,23 @@ def save(session: Session, name: str) -> Path:
         )
     path, folder = Path(f"{name}.toml"), Path(session.folder)
     for each in (path, path.with_suffix(".csv")):
-        if each.exists():
+        if os.path.lexists(each):
             raise RigError(f"{each}: exists already; choose another name")
     source = source_of(folder, None, ())
     network = network_of(source.scenario)
     what = done(source.scenario, touches(source.frames(), network))
     values = with_changes(written(session.name), session.settings)
     values["fault"] = [_keys(fault) for fault in what.scenario.faults]
-    try:
+    reference = path.with_suffix(".csv")
+    if what.moved:
+        values["reference"] = {"kind": "csv", "file": reference.name}
+    with ExitStack() as both:  # neither is there if one cannot be written
+        part = both.enter_context(atomic(path, force=False))
+        part.write_text(f"# What was done in {folder}.\n\n{tomli_w.dumps(values)}", "utf-8")
         if what.moved:
-            reference = path.with_suffix(".csv")
+            part = both.enter_context(atomic(reference, force=False))
             moved = read_signals(folder / LOG, network, session.scenario.tick_s)
-            with reference.open("x", encoding="utf-8", newline="\n") as file:
-                file.write(reference_csv(moved))
-            values["reference"] = {"kind": "csv", "file": reference.name}
-        with path.open("x", encoding="utf-8") as file:
-            file.write(f"# What was done in {folder}.\n\n{tomli_w.dumps(values)}")
-    except FileExistsError:
-        raise RigError(f"{path}: exists already; choose another name") from None
-    except OSError as error:
-        raise RigError(f"{path}: cannot be written: {error.strerror}") from None
+            part.write_text(reference_csv(moved), encoding="utf-8", newline="\n")
     return path
 
 

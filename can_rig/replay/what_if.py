@@ -10,6 +10,7 @@ from typing import Final
 import numpy as np
 
 from can_rig.errors import LogError, ScenarioError
+from can_rig.files import atomic
 from can_rig.logs.frames import Frames
 from can_rig.logs.log import ALL, Window
 from can_rig.nodes.operator.control_frames import Touches
@@ -18,7 +19,7 @@ from can_rig.nodes.operator.operated_bus import Touch
 from can_rig.nodes.progress import Progress, no_progress
 from can_rig.nodes.watchdog import StopRequest
 from can_rig.results.execution import Execution, execute, refuse
-from can_rig.results.run_folder import LOG
+from can_rig.results.run_folder import LOG, WHAT_IF
 from can_rig.results.signals import Signals, read_signals, signals_of, with_plant_signals
 from can_rig.results.source import Reading, Source, reference_csv, source_of
 from can_rig.scenario.build import network_of
@@ -27,7 +28,6 @@ from can_rig.views.diff_picture import draw_difference
 from can_rig.views.run_diff import Difference, compare
 from can_rig.views.signal_table import SignalTable, table_of
 
-PICTURE: Final = "what-if.png"
 LABELS: Final = ("log", "what if")
 
 
@@ -141,7 +141,8 @@ def what_if(
     same_reference = replace(scenario, reference=asked.recorded.scenario.reference)
     after = table_of(signals, str(execution.folder), same_reference)  # the log's, as a file
     difference = compare(before, after, {})
-    draw_difference(execution.folder / PICTURE, before, after, difference)
+    with atomic(execution.folder / WHAT_IF, force=True) as part:
+        draw_difference(part, before, after, difference)
     return WhatIf(execution, before, difference)
 
 

@@ -14,8 +14,11 @@ from typing import Final
 
 from can_rig.assessment.speeds import refuse as refuse_unstable
 from can_rig.buses.bus import in_one_process
-from can_rig.errors import INTERRUPTED, BusError, RigError, RunFolderError
+from can_rig.errors import INTERRUPTED, BusError, RigError
 from can_rig.export.running.controllers import PYTHON, Controller
+from can_rig.files import atomic
+from can_rig.folders.new_folder import NewFolder
+from can_rig.folders.replacing import default_folder
 from can_rig.frames.network import Network
 from can_rig.nodes.lockstep.plant_node import require_ticks
 from can_rig.nodes.lockstep.without_bus import run_without_bus
@@ -28,15 +31,12 @@ from can_rig.nodes.summary import NodeSummary, RunColumns
 from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Timeouts
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.results.metrics import Metrics
-from can_rig.results.run_folder import LOG, Outcome, RunFolder, finish
+from can_rig.results.run_folder import LOG, REFERENCE, RUN_FOLDER, Outcome, finish
 from can_rig.results.source import happened
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving.schedule import controls
 from can_rig.scenario.reference import on_the_bus
 from can_rig.scenario.settings import ReferenceSettings, Scenario
-
-REFERENCE: Final = "reference.csv"
-"""A reference that is the run's own, in its folder."""
 
 NO_BUS: Final = "none"
 """In place of a bus's name: a run in this process, which nobody else hears."""
@@ -195,43 +195,44 @@ def execute(
         require_ticks(scenario, network)
     if runner is not in_process:
         _require_shared(bus)
-    folder = RunFolder.create(out, scenario, force)
-    try:
-        made_here, final = _with_reference(scenario, folder, reference_csv)
-        on_the_bus(made_here, network)
-    except RigError:
-        folder.give_up()
-        raise
-    outcome = Outcome(bus, realtime={} if runner is real_time else None)
-    columns, failure = _run(
-        lambda: runner(
-            made_here,
-            bus,
-            folder.making / LOG,
-            stop,
-            progress,
-            timeouts,
-            controller,
-            interaction,
-        ),
-        scenario,
-        outcome,
-    )
-    if not (folder.making / LOG).is_file():
-        folder.give_up()
-        if failure is not None:
-            raise failure
-        return None
-    try:
-        if interaction.injectable:
-            own = folder.making / REFERENCE
-            made_here = happened(folder.making / LOG, made_here, network, own)
-        values = finish(folder.making, made_here, network, outcome, final, report, columns)
-        folder.publish()
-    except RigError:
-        if failure is not None:  # came first, and may be why: a disk that was full already
-            raise failure from None
-        raise
+    out = out or default_folder("runs", scenario.name)
+    with NewFolder.create(out, RUN_FOLDER, force) as folder:
+        try:
+            made_here, final = _with_reference(scenario, folder, reference_csv)
+            on_the_bus(made_here, network)
+        except RigError:
+            folder.give_up()
+            raise
+        outcome = Outcome(bus, realtime={} if runner is real_time else None)
+        columns, failure = _run(
+            lambda: runner(
+                made_here,
+                bus,
+                folder.making / LOG,
+                stop,
+                progress,
+                timeouts,
+                controller,
+                interaction,
+            ),
+            scenario,
+            outcome,
+        )
+        if not RUN_FOLDER.recorded(folder.making):
+            folder.give_up()
+            if failure is not None:
+                raise failure
+            return None
+        try:
+            if interaction.injectable:
+                own = folder.making / REFERENCE
+                made_here = happened(folder.making / LOG, made_here, network, own)
+            values = finish(folder.making, made_here, network, outcome, final, report, columns)
+            folder.publish()
+        except RigError:
+            if failure is not None:  # came first, and may be why: a disk that was full already
+                raise failure from None
+            raise
     return Execution(folder.path, final, network, outcome, values, made_here, failure)
 
 
@@ -255,20 +256,18 @@ def _require_shared(bus: str) -> None:
 
 
 def _with_reference(
-    scenario: Scenario, folder: RunFolder, csv: str | None
+    scenario: Scenario, folder: NewFolder, csv: str | None
 ) -> tuple[Scenario, Scenario]:
     """The scenario as it runs while the folder is being made, and as it is recorded.
 
     Raises:
-        RunFolderError: the reference cannot be written.
+        LogError: the reference cannot be written.
     """
     if csv is None:
         return scenario, scenario
     file = folder.making / REFERENCE
-    try:
-        file.write_text(csv, encoding="utf-8")
-    except OSError as error:
-        raise RunFolderError(f"{file}: cannot be written: {error.strerror}") from None
+    with atomic(file, force=False) as part:
+        part.write_text(csv, encoding="utf-8")
     made_here, final = (
         replace(scenario, reference=ReferenceSettings(kind="csv", file=str(path / REFERENCE)))
         for path in (folder.making, folder.path)

@@ -1,20 +1,20 @@
-"""The run folder: made once, never overwritten unasked, completed from its ``bus.log``."""
+"""The run folder: what stands in it, and how it is completed from its ``bus.log``."""
 
 from __future__ import annotations
 
 import json
 import platform
-import shutil
-import time
 from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 from can_rig.errors import LogError, RunFolderError
 from can_rig.files import atomic
+from can_rig.folders.replacing import Kind
 from can_rig.frames.network import Network
+from can_rig.logs.plant_signals import plant_signals_path
 from can_rig.nodes.summary import RunColumns
 from can_rig.results.fault_metrics import fault_metrics
 from can_rig.results.isolation.verdicts import with_verdict
@@ -25,6 +25,13 @@ from can_rig.scenario.settings import Scenario
 
 LOG, SIGNALS, SUMMARY = "bus.log", "signals.csv", "run.json"
 REPORT, PAGE = "report.png", "report.html"
+REFERENCE: Final = "reference.csv"
+"""A reference that is the run's own, in its folder."""
+WHAT_IF: Final = "what-if.png"
+"""How the run of a what-if differs from the log that it was asked about."""
+OWN: Final = (
+    LOG, plant_signals_path(Path(LOG)).name, SIGNALS, SUMMARY, REPORT, PAGE, REFERENCE, WHAT_IF,
+)  # fmt: skip
 PACKAGES = (
     "fault-tolerant-steering",
     "numpy",
@@ -60,78 +67,13 @@ class Outcome:
         return self.ticks / self.wall_s if self.wall_s > 0.0 else 0.0
 
 
-class RunFolder:
-    """A run folder in the making: where it will stand, and where it is made until it is whole.
-
-    A new run is made in its place. One that replaces another is made beside it, as
-    ``NAME.unfinished``, and the other stands until ``publish``.
-
-    Attributes:
-        path: where it will stand.
-        making: where it is now.
-    """
-
-    def __init__(self, path: Path, making: Path) -> None:
-        self.path = path
-        self.making = making
-
-    @classmethod
-    def create(cls, path: Path | None, scenario: Scenario, force: bool) -> RunFolder:
-        """Make the folder; without a name it is ``runs/SCENARIO-DATE-TIME``.
-
-        Raises:
-            RunFolderError: it is there already and ``force`` is not given, or cannot be made.
-        """
-        if path is None:
-            path = Path("runs") / f"{scenario.name}-{time.strftime('%Y%m%d-%H%M%S')}"
-        making = path.with_name(f"{path.name}.unfinished") if path.exists() else path
-        if making != path:
-            _refuse_to_replace(path, making, force)
-        try:
-            making.mkdir(parents=True)
-        except OSError as error:
-            raise RunFolderError(f"{making}: cannot be made: {error.strerror}") from None
-        return cls(path, making)
-
-    def give_up(self) -> None:
-        """Take away the folder of a run that recorded nothing."""
-        shutil.rmtree(self.making, ignore_errors=True)
-
-    def publish(self) -> None:
-        """Put the folder, now whole, in its place, and take away the run that it replaces.
-
-        Raises:
-            RunFolderError: it cannot be renamed; both runs are still there.
-        """
-        if self.making == self.path:
-            return
-        old = self.path.with_name(f"{self.path.name}.replaced")
-        try:
-            self.path.rename(old)
-            self.making.rename(self.path)
-        except OSError as error:
-            if old.is_dir() and not self.path.exists():
-                old.rename(self.path)
-            raise RunFolderError(
-                f"{self.path}: cannot be replaced: {error.strerror}; the new run is {self.making}"
-            ) from None
-        self.making = self.path
-        shutil.rmtree(old, ignore_errors=True)
+def _recorded(folder: Path) -> bool:
+    """Whether a run has got anywhere."""
+    log = folder / LOG
+    return (log.is_file() and log.stat().st_size > 0) or (folder / SUMMARY).exists()
 
 
-def _refuse_to_replace(path: Path, making: Path, force: bool) -> None:
-    if not force:
-        raise RunFolderError(
-            f"{path}: there already, and no run is overwritten; "
-            "choose another --out, or --force to replace it"
-        )
-    if not (path / LOG).is_file():
-        raise RunFolderError(f"{path}: not a run folder, so --force does not replace it")
-    if making.exists():
-        raise RunFolderError(
-            f"{making}: holds what an earlier run recorded and could not finish; "
-            "move it away, or choose another --out"
-        )
+RUN_FOLDER: Final = Kind("a run folder", LOG, lambda _: OWN, _recorded)
 
 
 def finish(
@@ -182,18 +124,20 @@ def finish(
         del summary["realtime"]
     text = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False)
     try:
-        with atomic(folder / SUMMARY) as part:  # first: what it says, the log alone does not
+        with atomic(
+            folder / SUMMARY, force=True
+        ) as part:  # first: what it says, the log alone does not
             part.write_text(text + "\n", encoding="utf-8")
-        with atomic(folder / SIGNALS) as part:
+        with atomic(folder / SIGNALS, force=True) as part:
             signals.write_csv(part, scenario.plant)
         if report:
             # matplotlib, when the nodes are done
             from can_rig.results.report.page import draw_report  # noqa: PLC0415
             from can_rig.results.report.web_page import web_page  # noqa: PLC0415
 
-            with atomic(folder / REPORT) as part:
+            with atomic(folder / REPORT, force=True) as part:
                 draw_report(part, scenario, network, signals, outcome.realtime)
-            with atomic(folder / PAGE) as part:
+            with atomic(folder / PAGE, force=True) as part:
                 text = web_page(scenario, network, signals, values, outcome.faults)
                 part.write_text(text, encoding="utf-8")
     except LogError as error:

@@ -11,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from can_rig.assessment.resolve import load, load_run
-from can_rig.errors import LogError, RunFolderError, ScenarioError
+from can_rig.errors import LogError, ScenarioError
+from can_rig.files import atomic
 from can_rig.frames.network import Network
 from can_rig.logs.frames import Frames
 from can_rig.logs.log import ALL, Log, Window
@@ -140,8 +141,7 @@ def happened(log: Path, scenario: Scenario, network: Network, own_reference: Pat
     A reference that was moved is kept in ``own_reference``, if it is not there already.
 
     Raises:
-        LogError: the log cannot be read.
-        RunFolderError: the reference cannot be written.
+        LogError: the log cannot be read, or the reference cannot be written.
     """
     what = done(scenario, touches(read_log(log), network))
     if not what.moved or own_reference.exists():
@@ -149,10 +149,8 @@ def happened(log: Path, scenario: Scenario, network: Network, own_reference: Pat
     signals = read_signals(log, network, scenario.tick_s)
     if not np.isfinite(signals.reference_mps2).any():
         return what.scenario
-    try:
-        own_reference.write_text(reference_csv(signals), encoding="utf-8")
-    except OSError as error:
-        raise RunFolderError(f"{own_reference}: cannot be written: {error.strerror}") from None
+    with atomic(own_reference, force=False) as part:
+        part.write_text(reference_csv(signals), encoding="utf-8")
     own = ReferenceSettings(kind="csv", file=str(own_reference))
     return replace(what.scenario, reference=own)
 

@@ -37,7 +37,7 @@ def draw_figures(folder: Path, comparisons: Sequence[Comparison], force: bool) -
     refuse_existing(folder, force, [comparison.figure for comparison in comparisons])
     paths = [folder / f"fig-{comparison.figure}.png" for comparison in comparisons]
     for path, comparison in zip(paths, comparisons, strict=True):
-        with files.atomic(path) as part:
+        with files.atomic(path, force=force) as part:
             _draw(part, comparison)
     return paths
 

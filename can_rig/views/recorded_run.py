@@ -14,10 +14,11 @@ from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Any, Final
 
 from can_rig.errors import LogError, RunFolderError, ScenarioError, in_python, require
+from can_rig.folders.new_folder import NewFolder
 from can_rig.nodes.watchdog import StopRequest
 from can_rig.results.execution import execute, refuse
 from can_rig.results.metrics import Metrics, rows
-from can_rig.results.run_folder import REPORT, SUMMARY, RunFolder, signals_of_log
+from can_rig.results.run_folder import REPORT, RUN_FOLDER, SUMMARY, signals_of_log
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from can_rig.views.signal_table import read_table, scenario_of
@@ -105,15 +106,15 @@ class RecordedRun:
         Raises:
             RunFolderError: it is there already, or cannot be written.
         """
-        made = RunFolder.create(Path(folder), self.scenario, force)
-        try:
-            shutil.copytree(self.folder, made.making, dirs_exist_ok=True)
-            if not (made.making / REPORT).is_file():
-                self.plot().savefig(made.making / REPORT, dpi=150)
-        except OSError as error:
-            made.give_up()
-            raise RunFolderError(f"{folder}: cannot be written: {error.strerror}") from None
-        made.publish()
+        with NewFolder.create(Path(folder), RUN_FOLDER, force) as made:
+            try:
+                shutil.copytree(self.folder, made.making, dirs_exist_ok=True)
+                if not (made.making / REPORT).is_file():
+                    self.plot().savefig(made.making / REPORT, dpi=150)
+            except OSError as error:
+                made.give_up()
+                raise RunFolderError(f"{folder}: cannot be written: {error.strerror}") from None
+            made.publish()
         return made.path
 
     def __repr__(self) -> str:

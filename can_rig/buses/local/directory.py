@@ -58,6 +58,9 @@ class Directory:
             status = root.lstat()
             if status.st_uid != os.getuid() or stat.S_IMODE(status.st_mode) & 0o077:
                 raise CanInitializationError(f"{root} must be a private directory of this user")
+            for other in root.iterdir():
+                if other != self._path:
+                    _remove_if_abandoned(other)
         self._file = self._open_locked()
         # The view keeps the memory mapped for a send() after shutdown().
         self.generation = memoryview(mmap.mmap(self._file, 8)).cast("Q")
@@ -96,13 +99,11 @@ class Directory:
         """Connected sockets to the nodes not ``known``, by name; removes sockets of dead nodes."""
         links = {}
         with self._locked():  # so that a socket without a listener is dead, and not being bound
-            for name in self._nodes():
+            for name in _nodes(self._path):
                 if name in known:
                     continue
                 link = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
-                try:
-                    link.connect(str(self._path / name))
-                except (ConnectionRefusedError, FileNotFoundError):
+                if not _connected(link, self._path / name):
                     link.close()
                     self.remove(name)
                     continue
@@ -110,15 +111,6 @@ class Directory:
                 link.setsockopt(socket.SOL_SOCKET, socket.SO_SNDTIMEO, timeval)
                 links[name] = link
         return links
-
-    def _nodes(self) -> list[str]:
-        with contextlib.suppress(FileNotFoundError):
-            return [
-                path.name
-                for path in self._path.iterdir()
-                if NODE_NAME.fullmatch(path.name) and path.is_socket()
-            ]
-        return []
 
     def remove(self, name: str) -> None:
         """Remove the socket of a node, whose name is never used again."""
@@ -130,11 +122,60 @@ class Directory:
             link.close()
         with self._locked():
             self.remove(name)
-            if self._named and not self._nodes():
-                (self._path / GENERATION).unlink(missing_ok=True)
-                with contextlib.suppress(OSError):  # something else is in it
-                    self._path.rmdir()
+            if self._named and not _nodes(self._path):
+                _take_away(self._path)
 
     def close(self) -> None:
         """Close the file of the count; the memory stays mapped."""
         os.close(self._file)
+
+
+def _remove_if_abandoned(path: Path) -> None:
+    """Take away the directory of a bus whose nodes have all been killed."""
+    with contextlib.suppress(OSError), contextlib.ExitStack() as stack:
+        if path.is_symlink() or not path.is_dir():
+            return
+        try:
+            file = os.open(path / GENERATION, os.O_RDWR | os.O_NOFOLLOW)
+        except FileNotFoundError:  # killed, or just now interrupted, between making the two
+            path.rmdir()
+            return
+        stack.callback(os.close, file)
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # who joins or leaves holds the lock
+        if os.fstat(file).st_nlink == 0:
+            return
+        nodes = _nodes(path)
+        for name in nodes:
+            with socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM) as link:
+                if _connected(link, path / name):
+                    return
+        for name in nodes:
+            (path / name).unlink(missing_ok=True)
+        _take_away(path)
+
+
+def _nodes(path: Path) -> list[str]:
+    """Names of the sockets of nodes, dead ones too."""
+    with contextlib.suppress(FileNotFoundError):
+        return [
+            each.name
+            for each in path.iterdir()
+            if NODE_NAME.fullmatch(each.name) and each.is_socket()
+        ]
+    return []
+
+
+def _connected(link: socket.socket, node: Path) -> bool:
+    """Connect to a node; False if it is dead."""
+    try:
+        link.connect(str(node))
+    except (ConnectionRefusedError, FileNotFoundError):
+        return False
+    return True
+
+
+def _take_away(path: Path) -> None:
+    """Remove the directory of a bus without nodes."""
+    (path / GENERATION).unlink(missing_ok=True)
+    with contextlib.suppress(OSError):  # something else is in it
+        path.rmdir()

@@ -6,7 +6,7 @@ import json
 from dataclasses import asdict
 from typing import Final
 
-from can_rig.campaigns.campaign import CampaignFolder
+from can_rig.campaigns.campaign import PAGE, PICTURE, SUMMARY, CampaignFolder
 from can_rig.campaigns.report.html import html_page
 from can_rig.campaigns.report.picture import draw
 from can_rig.campaigns.run import requirements_of
@@ -14,7 +14,6 @@ from can_rig.campaigns.statistics import Summary, margin_column, metrics_shown, 
 from can_rig.campaigns.table import read_columns
 from can_rig.files import atomic
 
-SUMMARY, PICTURE, PAGE = "summary.json", "report.png", "report.html"
 PICTURE_DPI: Final = 110
 
 
@@ -34,12 +33,12 @@ def write_report(folder: CampaignFolder) -> Summary:
     ]  # fmt: skip
     columns = read_columns(folder.table, list(dict.fromkeys(names)))
     summary = summarise(plan, required, columns)
-    with atomic(folder.path / SUMMARY) as part:
+    with atomic(folder.path / SUMMARY, force=True) as part:
         text = json.dumps(asdict(summary), indent=2, ensure_ascii=False, allow_nan=False)
         part.write_text(text + "\n", encoding="utf-8")
     figure = draw(plan, required, columns, summary)
-    with atomic(folder.path / PICTURE) as part:
+    with atomic(folder.path / PICTURE, force=True) as part:
         figure.savefig(part, dpi=PICTURE_DPI, format="png")
-    with atomic(folder.path / PAGE) as part:
+    with atomic(folder.path / PAGE, force=True) as part:
         part.write_text(html_page(plan, summary, figure), encoding="utf-8")
     return summary

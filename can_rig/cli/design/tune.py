@@ -107,7 +107,7 @@ def command(
         sys.exit(error.exit_status)
     from can_rig.assessment.tuning.picture import draw_tunings  # noqa: PLC0415 (matplotlib)
 
-    with atomic(picture) as part:
+    with atomic(picture, force=force) as part:
         draw_tunings(part, found)
     if as_json:
         json_line(**as_dict(found), picture=str(picture))

@@ -45,7 +45,10 @@ def command(
     source = read_log(log_path(log), window=window_of(from_s, to_s))
     refuse_log(out, force, "OUT")
     changes = write_log(
-        source, out, lambda log: only_channel(reading(log, "converting"), channel, log.path)
+        source,
+        out,
+        lambda log: only_channel(reading(log, "converting"), channel, log.path),
+        force=force,
     )
     if as_json:
         json_line(

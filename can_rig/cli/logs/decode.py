@@ -83,7 +83,7 @@ def command(
     for path in outputs:
         refuse_output(path, force)
     selection = Selection(messages or None, signals or None, channel)
-    form = Form(relative, names)
+    form = Form(relative, names, force)
     decoder = decode_to_files(source, databases, selection, outputs, form, reading)
     if as_json:
         json_line(**_summary(source, decoder, outputs))

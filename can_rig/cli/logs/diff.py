@@ -72,7 +72,7 @@ def command(
     if out is not None:
         from can_rig.views.diff_picture import draw_difference  # noqa: PLC0415 (matplotlib)
 
-        with atomic(out) as part:
+        with atomic(out, force=force) as part:
             draw_difference(part, a, b, difference)
     if as_json:
         json_line(a=a.label, b=b.label, **difference.as_dict())

@@ -75,7 +75,7 @@ def command(
         raise LogError(f"{source.path}: {nothing}")
     run = scenario_of(log) if log.is_dir() else None
     page = plot_page(found, drawn, source.start_ns, run.faults if run else ())
-    with atomic(out) as part:
+    with atomic(out, force=force) as part:
         page.savefig(part, dpi=150)
     note(source.notice, f"no frame of {', '.join(absent)}" if absent else None)
     say(f"picture in {out}")

@@ -151,7 +151,7 @@ def _open_loop(source: Source, begin_ns: int, gaps: Path | None, force: bool, as
     if gaps is not None:
         refuse_existing(gaps, force, "--gaps")
     found: list[Gap] = []
-    with _all_gaps(gaps) as write:
+    with _all_gaps(gaps, force) as write:
         network, answers = network_of(source.scenario), None
         if source.is_realtime:
             looking = source.frames(lambda log: reading(log, "looking through"))
@@ -181,10 +181,13 @@ def _compared_from(begin_ns: int, source: Source, loop: OpenLoop) -> Iterator[Fr
 
 
 @contextmanager
-def _all_gaps(path: Path | None) -> Iterator[Callable[[list[Gap]], None]]:
+def _all_gaps(path: Path | None, force: bool) -> Iterator[Callable[[list[Gap]], None]]:
     """Writes the list, or does not; what cannot be written is refused before the replay."""
     if path is None:
         yield lambda gaps: None
         return
-    with atomic(path) as part, part.open("w", encoding="utf-8", newline="") as file:
+    with (
+        atomic(path, force=force) as part,
+        part.open("w", encoding="utf-8", newline="") as file,
+    ):
         yield lambda gaps: write_gaps(file, gaps)

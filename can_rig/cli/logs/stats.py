@@ -83,7 +83,7 @@ def command(
     if out is not None:
         from can_rig.views.load_picture import load_page  # noqa: PLC0415 (matplotlib)
 
-        with atomic(out) as part:
+        with atomic(out, force=force) as part:
             load_page(statistics).savefig(part, dpi=150, format="png")
     if as_json:
         json_line(log=str(source.path), **result, notice=source.notice)

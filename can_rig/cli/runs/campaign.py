@@ -74,14 +74,20 @@ def command(
     keys = {"scenario": scenario, "runs": runs, "seed": seed, "search": search}
     planned = plan(read_campaign(campaign, settings, **keys))
     folder = open_folder(out, planned, resume=resume, force=force)
+    click.get_current_context().call_on_close(folder.made.close)
     stop = StopRequest().on_signals()
     cores = min(workers or len(os.sched_getaffinity(0)), planned.runs)
     with counting(planned.settings.name, "runs", planned.runs) as on_done, _told(folder):
         whole = execute(folder, computing(planned, cores, scheduler), lambda: stop.wanted, on_done)
     if not whole:
-        say(f"{folder.done} of {planned.runs} runs are done; --resume --out {folder.path} goes on")
+        say(
+            f"{folder.done} of {planned.runs} runs are done; "
+            f"--resume --out {folder.made.path} goes on"
+        )
         sys.exit(INTERRUPTED)
-    summary = write_report(folder)
+    with _told(folder):
+        summary = write_report(folder)
+        folder.made.publish()
     if as_json:
         json_line(folder=str(folder.path), **asdict(summary))
     else:
@@ -104,11 +110,14 @@ def computing(
 
 @contextmanager
 def _told(folder: CampaignFolder) -> Iterator[None]:
-    """Say where the campaign is, whatever ends it."""
+    """Say where the campaign is, whatever ends it; one without a run is taken away."""
     try:
         yield
     except BaseException:
-        say(f"campaign folder  {folder.path}")
+        if folder.done == 0:
+            folder.made.give_up()
+        else:
+            say(f"campaign folder  {folder.path}")
         raise
 
 

@@ -17,8 +17,8 @@ from can_rig.cli.options import (
 )
 from can_rig.cli.runs.node import end_of_node, node_options, node_progress
 from can_rig.errors import LogError
-from can_rig.files import refuse_existing
 from can_rig.nodes.progress import Throttled
+from can_rig.nodes.recording.replacing import recorded_log
 from can_rig.nodes.runner import run_plant
 from can_rig.nodes.watchdog import StopRequest, Timeouts
 
@@ -56,21 +56,19 @@ def command(
             f"{log}: must be FILE.log, a node records candump lines as it goes; "
             "can-rig run --log writes other formats"
         )
-    if log is not None and log.is_file():  # a pipe or a terminal has nothing to lose
-        refuse_existing(log, force, "--log")
     interaction = interaction_of(pace, injectable, real_time)
     alone_s = math.inf if real_time else Timeouts.silence_s
     timeouts = Timeouts(first_s, alone_s if silence_s is None else silence_s)
     chosen = load(scenario, settings)
     stop = StopRequest().on_signals()
-    with node_progress(chosen, as_json) as on_tick:
+    with recorded_log(log, force) as recording, node_progress(chosen, as_json) as on_tick:
         summary = run_plant(
             chosen,
             bus,
-            log,
+            recording.path,
             timeouts,
             stop,
-            Throttled(on_tick),
+            recording.before(Throttled(on_tick)),
             real_time=real_time,
             by_hand=True,
             interaction=interaction,

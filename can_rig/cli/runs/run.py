@@ -111,7 +111,7 @@ def command(
     else:
         closing_table(done.happened, done.metrics, done.outcome, done.folder)
     for path in logs:
-        write_log(read_log(done.folder / LOG), path)
+        write_log(read_log(done.folder / LOG), path, force=force)
     if done.failure is not None:
         raise done.failure
     sys.exit(done.exit_status)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -10,6 +11,7 @@ from typing import Final, Protocol
 from can_rig.decoding.message_columns import MessageColumns
 from can_rig.errors import LogError, require
 from can_rig.files import atomic, refuse_existing
+from can_rig.folders.replacing import Kind, refuse_folder, whole_folder
 
 CSV: Final = ".csv"
 """The format with one table of all messages."""
@@ -21,6 +23,21 @@ _MF4: Final = ".mf4"
 _MCAP: Final = ".mcap"
 _NEEDS: Final = {_MF4: ("asammdf", "logs"), _MCAP: ("mcap", "mcap")}
 """Package and extra by suffix; the others need pyarrow."""
+
+INDEX: Final = "decoded.json"
+"""In a folder of decoded messages: the message of each file."""
+
+
+def _own(folder: Path) -> list[str]:
+    """The files that the index of a folder names, and itself."""
+    try:
+        files = json.loads((folder / INDEX).read_text("utf-8"))["files"]
+        return [*(name for name in files if name == Path(name).name), INDEX]
+    except (OSError, ValueError, KeyError, TypeError):
+        return [INDEX]
+
+
+DECODED: Final = Kind("a folder of decoded messages", INDEX, _own, lambda _: True)
 
 
 class Output(Protocol):
@@ -37,31 +54,24 @@ def refuse_output(path: Path, force: bool) -> None:
     """Refuse an output of an unknown format, or one that exists and must not be replaced.
 
     Raises:
-        LogError: the reason.
+        LogError, RunFolderError: the reason.
     """
     if path.suffix not in {CSV, _MF4, _MCAP, *_OF_FILES}:
         raise LogError(
             f"{path}: cannot be written as {path.suffix}; it must be .csv, .parquet, .mf4 or "
             ".mcap, or a folder, without a suffix"
         )
-    inner = _OF_FILES.get(path.suffix)
     package, extra = _NEEDS.get(path.suffix, ("pyarrow", "logs"))
     require(package, extra)
-    refuse_existing(path, force, "--out")
-    if not path.exists():
-        return
-    if path.is_dir() and any(inside.suffix != inner for inside in path.iterdir()):
-        raise LogError(
-            f"{path}: holds other files than decoded messages, so that --force does not replace it"
-        )
-    if path.is_dir() != (inner is not None):
-        found, other = ("folder", "file") if path.is_dir() else ("file", "folder")
-        raise LogError(f"{path}: is a {found}, which --force does not replace by a {other}")
+    if path.suffix in _OF_FILES:
+        refuse_folder(path, DECODED, force)
+    else:
+        refuse_existing(path, force, "--out")
 
 
 @contextmanager
 def output(
-    path: Path, layout: Mapping[str, MessageColumns], start_ns: int, names: bool
+    path: Path, layout: Mapping[str, MessageColumns], start_ns: int, names: bool, force: bool
 ) -> Iterator[Output]:
     """An output at ``path``, which exists, complete, once the context is left without an error.
 
@@ -70,11 +80,14 @@ def output(
         layout: for `CSV`, the messages that can occur, without rows.
         start_ns: start of the recording, on the clock of the columns [ns].
         names: whether to write words of value tables instead of numbers.
+        force: replace an earlier output.
 
     Raises:
-        LogError: it cannot be written.
+        LogError, RunFolderError: it cannot be written.
     """
-    with atomic(path) as part:
+    folder = path.suffix in _OF_FILES
+    whole = whole_folder(path, DECODED, force=force) if folder else atomic(path, force=force)
+    with whole as part:
         writer = _writer(part, layout, start_ns, names)
         yield writer
         writer.close()
@@ -95,4 +108,4 @@ def _writer(path: Path, layout: Mapping[str, MessageColumns], start_ns: int, nam
         return WideCsv(path, layout, start_ns, names)
     from can_rig.decoding.outputs.tables import FolderOfTables  # noqa: PLC0415 (slow to import)
 
-    return FolderOfTables(path, _OF_FILES[path.suffix], start_ns, names)
+    return FolderOfTables(path, _OF_FILES[path.suffix], start_ns, names, INDEX)

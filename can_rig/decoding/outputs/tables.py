@@ -9,6 +9,7 @@ nanosecond: PlotJuggler takes it for seconds, pandas for a date. In CSV it has n
 
 from __future__ import annotations
 
+import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any, Final
@@ -20,6 +21,7 @@ import pyarrow.parquet
 from numpy.typing import NDArray
 
 from can_rig.decoding.message_columns import MessageColumns
+from can_rig.files import FileNames
 from can_rig.logs.frames import NS_PER_S
 
 TIME_S: Final = "time_s"
@@ -31,30 +33,35 @@ _CELLS: Final = 1 << 23  # held in memory, so that row groups are long even of 1
 
 
 class FolderOfTables:
-    """A file for each message that occurs.
+    """A file for each message that occurs, and an index of the files.
 
     Args:
-        folder: is made.
+        folder: the folder of the files.
         suffix: ``.csv`` or ``.parquet``, of the files.
         start_ns: time of about the first frame [ns].
         names: whether to write words of value tables instead of codes.
+        index: name of the JSON file that says which file has which message.
     """
 
-    def __init__(self, folder: Path, suffix: str, start_ns: int, names: bool) -> None:
+    def __init__(self, folder: Path, suffix: str, start_ns: int, names: bool, index: str) -> None:
         self._folder = folder
+        self._index = folder / index
+        self._file_names = FileNames()
+        self._file_names.of(index)
+        self._messages: dict[str, str] = {}  # by file name
         self._suffix = suffix
         self._start_ns = start_ns
         self._names = names
         self._tables: dict[str, _Table] = {}
-        folder.mkdir(parents=True, exist_ok=True)
 
     def write(self, chunk: Mapping[str, MessageColumns]) -> None:
         """Add the messages of a chunk."""
         for name, columns in chunk.items():
             if name not in self._tables:
                 fields = signal_types(columns, self._names)
-                path = self._folder / file_name(name, self._suffix)
-                self._tables[name] = _Table(path, name, fields, self._start_ns)
+                file = self._file_names.of(name, self._suffix)
+                self._messages[file] = name
+                self._tables[name] = _Table(self._folder / file, name, fields, self._start_ns)
             cells = [signal_cells(columns, signal, self._names) for signal in columns.signals]
             self._tables[name].add(columns.time_ns, cells)
         held = sum(table.cells for table in self._tables.values())
@@ -68,11 +75,8 @@ class FolderOfTables:
         """Finish the files."""
         for table in self._tables.values():
             table.close()
-
-
-def file_name(message: str, suffix: str) -> str:
-    """The name of the file of a message: the one place where a database names files."""
-    return f"{message}{suffix}"
+        text = json.dumps({"files": self._messages}, indent=2)
+        self._index.write_text(text + "\n", encoding="utf-8")
 
 
 class _Table:

@@ -12,7 +12,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Final
 
-from can_rig.errors import ExportError
+from can_rig.errors import ExportError, LogError
+from can_rig.files import atomic
 
 FLAGS: Final = ("-std=c99", "-O2", "-ffp-contract=off", "-fPIC", "-shared")
 WARNINGS: Final = (
@@ -81,11 +82,12 @@ def built(
             raise ExportError(f"{compiler[0]}: must be a C compiler: it has compiled nothing")
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            part = folder / f".{os.getpid()}-{result.name}"
-            shutil.copy(made, part)
-            part.rename(result)  # another process may be making the same one
+            with atomic(result, force=True) as part:  # another process may be making the same one
+                shutil.copy(made, part)
         except OSError as error:
             raise ExportError(f"{folder}: cannot be written: {error.strerror}") from None
+        except LogError as error:
+            raise ExportError(str(error)) from None
     return result
 
 

@@ -26,14 +26,14 @@ class PlantRecorder:
         log: the log; the file has its name with another ending.
 
     Raises:
-        RunFolderError: the file cannot be opened or written.
+        RunFolderError: the file is there already, or cannot be opened or written.
     """
 
     def __init__(self, log: Path) -> None:
         self._path = plant_signals_path(log)
         self._names: tuple[str, ...] = ()
         try:
-            self._file = self._path.open("wb", BUFFER)
+            self._file = self._path.open("xb", BUFFER)
         except OSError as error:
             raise RunFolderError(f"{self._path}: cannot be opened: {error.strerror}") from None
 

@@ -24,17 +24,22 @@ class Log(Protocol):
         """Note one frame, ``sent`` by this node or received."""
 
 
+def is_stream(path: Path) -> bool:
+    """Whether what is written there goes to a pipe or a device, which have nothing to lose."""
+    return path.exists() and not path.is_file() and not path.is_dir()
+
+
 class LogFile:
-    """A file that lines are appended to.
+    """A new file, a pipe or a device that lines are appended to.
 
     Raises:
-        RunFolderError: the file cannot be opened or written.
+        RunFolderError: the file is there already, or cannot be opened or written.
     """
 
     def __init__(self, path: Path) -> None:
         self._path = path
         try:
-            self._file = path.open("wb")
+            self._file = path.open("wb" if is_stream(path) else "xb")
         except OSError as error:
             raise RunFolderError(f"{path}: cannot be opened: {error.strerror}") from None
 

@@ -92,6 +92,7 @@ def ran(path: Path, some: Plan, number: int = 1, blocks: int | None = None) -> C
         left = iter([False] * blocks)
         assert not execute(folder, by(some, number), lambda: next(left, True), quiet)
         assert 0 < folder.done < some.runs
+        folder.made.close()  # as the end of a process does
         folder = open_folder(path, some, resume=True, force=False)
     assert execute(folder, by(some, number), never, quiet)
     return folder
@@ -202,7 +203,8 @@ def test_a_run_that_fails_is_a_row_with_its_reason(
 
 def test_what_may_not_be_replaced_or_gone_on_with_is_said(tmp_path: Path) -> None:
     path = tmp_path / "there"
-    open_folder(path, planned(), resume=False, force=False)
+    with open_folder(path, planned(), resume=False, force=False).made as made:
+        (made.making / "blocks" / "00000000.parquet").write_text("of an earlier run")
     for values, keywords, line in (
         ({}, {"resume": False, "force": False}, "there already"),
         ({"seed": 1}, {"resume": True, "force": False}, "campaign seed is 0 there and 1 now"),
@@ -212,7 +214,7 @@ def test_what_may_not_be_replaced_or_gone_on_with_is_said(tmp_path: Path) -> Non
             open_folder(path, planned(**values), **keywords)
     with pytest.raises(RunFolderError, match="not the folder of a campaign; --resume"):
         open_folder(tmp_path, planned(), resume=True, force=False)
-    with pytest.raises(RunFolderError, match="--force does not replace"):
+    with pytest.raises(RunFolderError, match="not the folder of a campaign, so --force"):
         open_folder(tmp_path, planned(), resume=False, force=True)
     with pytest.raises(ScenarioError, match="no such metric"):
         open_folder(path, planned(requirements={"x": "y > 1"}), resume=False, force=True)

@@ -94,7 +94,7 @@ def test_a_shipped_campaign_by_name(tmp_path: Path) -> None:
         (["cars", "--runs", "3"], "runs = 3: must not be set of a grid"),
         (["cars", "--set", "plant.mas=1"], "mas: unknown key"),
         (["cars", "--workers", "0"], "0 is not in the range"),
-        (["cars", "--out", "."], "there already"),
+        (["cars", "--out", ".."], "there already"),
     ],
 )
 def test_bad_input_is_one_line(

@@ -14,7 +14,7 @@ from click.testing import CliRunner
 
 from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
-from can_rig.errors import LogError
+from can_rig.errors import RunFolderError
 from can_rig.export.back_to_back.memories import random_table
 from can_rig.export.constants import constants_source
 from can_rig.export.folder import HEADER, exported, in_precision, write
@@ -180,6 +180,7 @@ def test_every_constant_is_exact(precision: Precision, tmp_path: Path) -> None:
 
 def test_an_existing_folder_stays(tmp_path: Path) -> None:
     command = ["export", "default", "--out", str(tmp_path)]
+    assert CliRunner().invoke(main, command).exit_code == 0  # an empty folder is as good as new
     done = CliRunner().invoke(main, command)
     assert done.exit_code == 2
     assert "--force" in done.stderr
@@ -248,7 +249,7 @@ def test_force_writes_into_no_other_folder(
     (tmp_path / "work").mkdir()
     for kept in ("thesis.txt", "work/notes.txt"):
         (tmp_path / kept).write_text("mine")
-    with pytest.raises(LogError, match="no exported controller, so --force does not write into it"):
+    with pytest.raises(RunFolderError, match="not an exported controller, so --force does not"):
         write({HEADER: "new"}, Path(out), force=True)
     assert {path.name for path in tmp_path.rglob("*")} == {"thesis.txt", "work", "notes.txt"}
 
@@ -260,5 +261,5 @@ def test_force_writes_into_an_empty_folder(tmp_path: Path) -> None:
 
 def test_what_is_no_folder_is_one_line(tmp_path: Path) -> None:
     (tmp_path / "file").write_text("mine")
-    with pytest.raises(LogError, match="cannot be read: Not a directory"):
+    with pytest.raises(RunFolderError, match="cannot be read: Not a directory"):
         write({HEADER: "new"}, tmp_path / "file", force=True)

@@ -1,5 +1,6 @@
 """The nodes by hand, in two terminals: who starts first, and how each ends."""
 
+import os
 import signal
 import time
 
@@ -67,3 +68,37 @@ def test_ctrl_c_on_each_node_by_hand(tmp_path):
         for process in nodes.values():
             process.kill()
             process.communicate()
+
+
+def test_the_log_of_before_stands_until_there_is_a_new_one(tmp_path):
+    """A plant that stays alone has recorded nothing that could replace it."""
+    log, beside = tmp_path / "bus.log", tmp_path / "bus.plant.csv"
+    notes = tmp_path / "notes.txt"
+    notes.write_text("mine")
+    common = ["thesis-step", "--set", "duration_s=0.2", "--bus", f"local:{tmp_path / 'bus'}"]
+    beside.write_text("mine")
+    refused = rig("plant", *common, "--log", log, "--wait", "0.1")
+    assert (refused.returncode, beside.read_text()) == (2, "mine")
+    assert f"{beside}: exists" in one_line(refused.stderr)
+    log.write_text("old")
+    assert rig("plant", *common, "--log", log, "--wait", "0.1", "--force").returncode == 3
+    assert (log.read_text(), beside.read_text()) == ("old", "mine")
+    nodes = [start("plant", *common, "--log", log, "--force"), start("controller", *common)]
+    for each in nodes:
+        assert each.communicate(timeout=60) and each.returncode == 0
+    assert log.read_bytes() == record(tmp_path, "duration_s=0.2")[0].read_bytes()
+    assert beside.read_text().startswith("tick,")
+    assert notes.read_text() == "mine"
+    assert not list(tmp_path.glob("*.unfinished"))
+
+
+def test_a_plant_records_into_a_pipe_and_leaves_nothing_beside_it(tmp_path):
+    pipe = tmp_path / "pipe.log"
+    os.mkfifo(pipe)
+    common = ["thesis-step", "--set", "duration_s=0.2", "--bus", f"local:{tmp_path / 'bus'}"]
+    nodes = [start("plant", *common, "--log", pipe), start("controller", *common)]
+    heard = pipe.read_bytes()
+    for each in nodes:
+        assert each.communicate(timeout=60) and each.returncode == 0
+    assert {path.name for path in tmp_path.iterdir()} == {"bus", "pipe.log"}
+    assert heard == record(tmp_path, "duration_s=0.2")[0].read_bytes()

@@ -68,7 +68,8 @@ def test_an_existing_folder_is_an_error_and_force_replaces_it(finished):
     stranger = folder / "notes.txt"
     stranger.write_text("mine")
     assert rig(*again, "--force").returncode == 0
-    assert sorted(path.name for path in folder.iterdir()) == FILES
+    assert sorted(path.name for path in folder.iterdir()) == sorted([*FILES, "notes.txt"])
+    assert stranger.read_text() == "mine"
     assert whole_ticks(folder / "bus.log") == 10
 
 

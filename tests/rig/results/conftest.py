@@ -19,8 +19,11 @@ Run = Callable[..., tuple[Scenario, Signals]]
 
 @pytest.fixture
 def run(tmp_path: Path) -> Run:
+    runs: list[Path] = []
+
     def rig(name: str, *settings: str) -> tuple[Scenario, Signals]:
-        scenario, log = load(name, settings), tmp_path / "bus.log"
+        scenario, log = load(name, settings), tmp_path / f"{len(runs)}.log"
+        runs.append(log)
         run_in_process(scenario, "virtual:metrics", log, StopRequest(), lambda tick: None)
         return scenario, read_signals(log, network_of(scenario), scenario.tick_s)
 

@@ -102,7 +102,7 @@ def test_where_the_closing_files_cannot_be_written_both_runs_are_kept(
     assert contents(there) == before
     assert (unfinished / "bus.log").read_bytes() == before["bus.log"]  # of the same scenario
     assert {path.name for path in tmp_path.iterdir()} == {"demo", "demo.unfinished"}
-    with pytest.raises(RunFolderError, match=r"demo\.unfinished: holds what an earlier run"):
+    with pytest.raises(RunFolderError, match=r"demo\.unfinished: holds what an earlier command"):
         execute(SCENARIO, there, StopRequest(), force=True)
     shutil.rmtree(unfinished)
     assert execute(SCENARIO, there, StopRequest(), force=True) is not None

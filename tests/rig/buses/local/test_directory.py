@@ -1,5 +1,6 @@
 """Where the sockets of a bus lie: names, permissions, other files."""
 
+import fcntl
 import os
 import socket
 from pathlib import Path
@@ -9,7 +10,7 @@ import pytest
 
 from can_rig.buses.local import directory as local_bus_directory
 from can_rig.buses.local.bus import LocalBus
-from tests.rig.buses.local.nodes import TIMEOUT_S, buses, frame, number
+from tests.rig.buses.local.nodes import TIMEOUT_S, buses, frame, node, number, sockets
 
 
 def test_last_node_takes_the_directory_of_a_name_away_but_not_a_users(
@@ -35,6 +36,31 @@ def test_other_files_in_the_directory_are_left_alone(tmp_path: Path) -> None:
         assert number(receiver.recv(TIMEOUT_S)) == 1
     for name in ("notes.txt", "1-abcdef.node", "foreign.sock"):
         assert (tmp_path / name).exists()
+
+
+def test_buses_of_killed_nodes_are_gone_with_the_next_start_and_no_others(root: Path) -> None:
+    with node("import time; time.sleep(60)") as killed:
+        killed.kill()
+        killed.wait()
+        (root / "x").rename(root / "killed")
+    (root / "empty").mkdir()
+    (root / "with-a-file").mkdir()
+    (root / "with-a-file" / "notes.txt").write_text("mine")
+    (root / "link").symlink_to(root / "empty-elsewhere")
+    (root / "empty-elsewhere").mkdir()
+    (root / "empty-elsewhere" / "kept").write_text("mine")
+    (root / "joined").mkdir()
+    with (root / "joined" / ".can-generation").open("w") as joining:
+        fcntl.flock(joining, fcntl.LOCK_EX)
+        with node("import time; time.sleep(60)"), LocalBus("next"):
+            assert {path.name for path in root.iterdir()} == {
+                "x", "next", "joined", "with-a-file", "link", "empty-elsewhere",
+            }  # fmt: skip
+            assert len(sockets(root)) == 1
+    with LocalBus("next"):
+        assert {path.name for path in root.iterdir()} == {
+            "next", "with-a-file", "link", "empty-elsewhere",
+        }  # fmt: skip
 
 
 @pytest.mark.parametrize("name", ["a/b", "", ".", "..", ".hidden"])
