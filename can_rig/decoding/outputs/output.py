@@ -24,7 +24,7 @@ _MCAP: Final = ".mcap"
 _NEEDS: Final = {_MF4: ("asammdf", "logs"), _MCAP: ("mcap", "mcap")}
 """Package and extra by suffix; the others need pyarrow."""
 
-INDEX: Final = "decoded.json"
+INDEX: Final = "_decoded.json"
 """In a folder of decoded messages: the message of each file."""
 
 

@@ -54,16 +54,16 @@ def test_no_name_of_a_message_leads_out_of_the_folder(
     assert {path.name for path in inner.rglob("*") if path.is_file()} == {
         path.name for path in out.iterdir()
     }
-    files = json.loads((out / "decoded.json").read_text())["files"]
+    files = json.loads((out / "_decoded.json").read_text())["files"]
     assert sorted(files.values()) == sorted(HOSTILE)
-    assert {path.name for path in out.iterdir()} == {*files, "decoded.json"}
+    assert {path.name for path in out.iterdir()} == {*files, "_decoded.json"}
     assert len({file.lower() for file in files}) == len(HOSTILE)
     for file, name in files.items():
         assert pd.read_csv(out / file)["Value"].tolist() == [HOSTILE.index(name)]
     again = asked("decode", tmp_path / "a.log", "--dbc", dbc, "--out", out, "--force",
                 "--message", "Speed")  # fmt: skip
     assert again.returncode == 0, again.stderr
-    assert {path.name for path in out.iterdir()} == {"Speed.csv", "decoded.json"}
+    assert {path.name for path in out.iterdir()} == {"Speed.csv", "_decoded.json"}
 
 
 def test_an_index_names_no_file_outside_its_folder(tmp_path: Path) -> None:
@@ -72,6 +72,6 @@ def test_an_index_names_no_file_outside_its_folder(tmp_path: Path) -> None:
     out.mkdir()
     (tmp_path / "mine.csv").write_text("mine")
     index = {"files": {"../mine.csv": "a", str(tmp_path / "mine.csv"): "b", "..": "c", "": "d"}}
-    (out / "decoded.json").write_text(json.dumps(index))
+    (out / "_decoded.json").write_text(json.dumps(index))
     assert asked("decode", drive, "--out", out, "--force").returncode == 0
     assert (tmp_path / "mine.csv").read_text() == "mine"

@@ -100,7 +100,7 @@ def test_parquet_and_mcap_name_their_series_alike(log: Path, tmp_path: Path) -> 
             for _, channel, m in make_reader(file).iter_messages()
             for field in json.loads(m.data)
         }
-    files = (tmp_path / "a.parquet").iterdir()
+    files = (tmp_path / "a.parquet").glob("*.parquet")
     columns = {f"{file.stem}/{name}" for file in files for name in pq.read_schema(file).names}
     assert series == columns - {"SPEEDS/time", "STATE/time"}
     assert "SPEEDS/Left" in series
@@ -127,7 +127,7 @@ def test_mcap_has_no_times_before_1970(tmp_path: Path, log: Path) -> None:
     columns["STATE"].time_ns[0] = -1
     with (
         pytest.raises(LogError, match="MCAP holds no times before 1970"),
-        output(tmp_path / "b.mcap", {}, 0, False) as out,
+        output(tmp_path / "b.mcap", {}, 0, False, force=False) as out,
     ):
         out.write(columns)
     assert not (tmp_path / "b.mcap").exists()

@@ -73,7 +73,7 @@ def test_parquet_is_a_file_for_each_message(wide: Path, tmp_path: Path) -> None:
     wanted: dict[str, list[dict[str, float]]] = {}
     for time_ns, message, values in by_cantools(wide):
         wanted.setdefault(message.name, []).append({"at": time_ns, **values})
-    assert {path.stem for path in folder.iterdir()} == set(wanted)
+    assert {path.stem for path in folder.glob("*.parquet")} == set(wanted)
     for name, rows in wanted.items():
         table = pd.read_parquet(folder / f"{name}.parquet")
         table.insert(0, "at", table.pop("time").astype("int64"))
@@ -84,7 +84,7 @@ def test_parquet_is_a_file_for_each_message(wide: Path, tmp_path: Path) -> None:
 def test_rows_are_held_until_a_row_group_is_long(wide: Path, tmp_path: Path) -> None:
     """A row group a chunk would make a footer that grows with the log, which stays in memory."""
     folder = decoded(wide, tmp_path / "a.parquet")
-    for path in folder.iterdir():
+    for path in folder.glob("*.parquet"):
         assert (pq.ParquetFile(path).num_row_groups, pq.read_metadata(path).num_rows) == (1, ROWS)
 
 
@@ -95,7 +95,7 @@ def test_what_is_held_is_bounded(
 
     monkeypatch.setattr(tables, "_CELLS", 20 * (SIGNALS + 1))
     folder = decoded(wide, tmp_path / "a.parquet")
-    assert max(pq.ParquetFile(path).num_row_groups for path in folder.iterdir()) > 5
+    assert max(pq.ParquetFile(path).num_row_groups for path in folder.glob("*.parquet")) > 5
     whole = decoded(wide, tmp_path / "b")
     monkeypatch.undo()
     same = decoded(wide, tmp_path / "c")
