@@ -19,7 +19,7 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator
 from pathlib import Path
 
-from can_rig.errors import LogError, require
+from can_rig.errors import LogError
 from can_rig.files import atomic, refuse_existing
 from can_rig.logs.formats import format_of
 from can_rig.logs.frames import Frames
@@ -47,8 +47,6 @@ def refuse_log(path: Path, force: bool, option: str = "--log") -> None:
     """
     if format_of(path) != ".log" and path.suffix.lower() == ".gz":
         raise LogError(f"{path}: a compressed log can only be written as .log.gz")
-    if format_of(path) == ".mf4":
-        require("asammdf", extra="logs")
     refuse_existing(path, force, option)
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from can_rig.decoding.message_columns import MessageColumns
-from can_rig.errors import LogError, require
+from can_rig.errors import LogError
 from can_rig.files import atomic, refuse_existing
 
 TABLES: Final = (".csv", ".parquet")
@@ -16,8 +16,6 @@ TABLES: Final = (".csv", ".parquet")
 
 _MF4: Final = ".mf4"
 _MCAP: Final = ".mcap"
-_NEEDS: Final = {_MF4: ("asammdf", "logs"), _MCAP: ("mcap", "mcap")}
-"""Package and extra by suffix; the others need pyarrow."""
 
 
 class Output(Protocol):
@@ -41,8 +39,6 @@ def refuse_output(path: Path, force: bool) -> None:
             f"{path}: cannot be written as {path.suffix}; it must be .csv, .parquet, .mf4 or "
             ".mcap, or a folder, without a suffix"
         )
-    package, extra = _NEEDS.get(path.suffix, ("pyarrow", "logs"))
-    require(package, extra)
     refuse_existing(path, force, "--out")
     if not path.exists():
         return
