@@ -40,6 +40,7 @@ def refusals_in_one_line() -> Iterator[None]:
         with suppress(OSError):  # standard error may be full too
             print(f"error: {_reason(error)}", file=sys.stderr)
         sys.stdout = None  # Python flushes it once more
+        sys.unraisablehook = lambda _: None  # of what was half made, such as an event loop
         sys.exit(RigError.exit_status)
 
 
