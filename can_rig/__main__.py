@@ -5,6 +5,7 @@ import os
 from can_rig.cli.garbage import collect_nothing
 from can_rig.cli.interrupts import end_at_once
 from can_rig.cli.libraries import leave_out, silence
+from can_rig.cli.streams import refusals_in_one_line, write_what_can_be_written
 
 
 def main() -> None:
@@ -15,9 +16,11 @@ def main() -> None:
     silence()
     # The matrices are small: threads of OpenBLAS cost more than they save, and do not survive fork.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
-    from can_rig.cli.main import main as commands  # noqa: PLC0415 (from here on it takes time)
+    write_what_can_be_written()
+    with refusals_in_one_line():
+        from can_rig.cli.main import main as commands  # noqa: PLC0415 (from here on it takes time)
 
-    commands()
+        commands()
 
 
 if __name__ == "__main__":

@@ -5,6 +5,7 @@ import sys
 from collections.abc import Callable
 from functools import wraps
 from importlib.util import find_spec
+from pathlib import Path
 from typing import Final, ParamSpec, TypeVar
 
 P = ParamSpec("P")
@@ -106,8 +107,17 @@ def require(package: str, extra: str) -> None:
     Raises:
         MissingExtraError: it is not installed.
     """
-    if find_spec(package) is None:
-        raise MissingExtraError(
-            f"{package} is not installed: {sys.executable} -m pip install "
-            f"'fault-tolerant-steering[{extra}]'"
+    if find_spec(package) is not None:
+        return
+    from importlib.metadata import requires  # noqa: PLC0415 (hardly ever)
+
+    setup = Path(__file__).parents[1] / "tools" / "setup"
+    if setup.is_file() and Path(sys.prefix) == setup.parents[1] / ".venv":
+        command = f"{setup} {extra}"
+    else:  # this project stands in no index; the package does
+        lines = (line.partition(";") for line in requires("fault-tolerant-steering") or [])
+        (needed,) = (
+            what for what, _, marker in lines if marker.strip("'\" ").endswith(f" '{extra}")
         )
+        command = f"{sys.executable} -m pip install '{needed}'"
+    raise MissingExtraError(f"{package} is not installed: {command}")

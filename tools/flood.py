@@ -81,8 +81,9 @@ def _nodes() -> list[tuple[str, int]]:
         name = Path(f"/proc/{child}/comm").read_text().strip()
         if name.startswith("rig-"):
             status = Path(f"/proc/{child}/status").read_text()
-            resident = int(status.partition("VmRSS:")[2].split()[0])
-            found.append((name.removeprefix("rig-"), resident))
+            resident = status.partition("VmRSS:")[2].split()
+            if resident:  # a process that ends has none
+                found.append((name.removeprefix("rig-"), int(resident[0])))
     return found
 
 

@@ -15,7 +15,7 @@ from can_rig.assessment.tuning.box import cars_of
 from can_rig.assessment.tuning.search import Tunings
 from can_rig.assessment.tuning.search import tune as search
 from can_rig.decoding.decode import decode_log
-from can_rig.errors import RigError, ScenarioError, in_python, require
+from can_rig.errors import RigError, ScenarioError, in_python
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.changes import Changes, as_settings
 from can_rig.views.recorded_run import RecordedRun, record
@@ -161,9 +161,7 @@ def decode(
     Raises:
         LogError: the log cannot be read.
         DbcError: nor the database, or a name is not in it.
-        MissingExtraError: pandas is not installed.
     """
-    require("pandas", extra="logs")
     tables = {}
     log, dbc = _path("log", log), _path("dbc", dbc)
     decoded = decode_log(log, dbc, messages, signals, from_s=from_s, to_s=to_s)

@@ -272,9 +272,13 @@ def _isolation(scenario: Scenario) -> str:
             f"isolation: a loss is confirmed only when a {lost.short} probe of {size} goes "
             f"unanswered; a bias of {output.said} stays suspected"
         )
+    if scenario.design.estimator == "kalman":
+        return "isolation: none: where a share is followed nothing decides whose fault it is"
     return (
-        f"isolation: none: a sudden bias of {output.said} may be taken for a loss; a small "
-        f"{lost.short} probe, design.probe_nm, would tell the two apart"
+        "isolation: the evidence says whether either actuator, the sensor or another car is to "
+        f"blame; from {output.said} alone a steady offset of the {lost.short} or a slow drift of "
+        "the sensor may look like a partial loss; a "
+        f"{lost.short} probe, design.probe_nm, tells a loss"
     )
 
 

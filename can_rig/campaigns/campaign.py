@@ -97,11 +97,10 @@ def open_folder(path: Path | None, plan: Plan, *, resume: bool, force: bool) -> 
     """The folder of a campaign, new or gone on with.
 
     Raises:
-        MissingExtraError: pyarrow is not installed.
+        MissingExtraError: a search, and cma is not installed.
         ScenarioError: a requirement that is none.
         RunFolderError: it is there already, is not that of this campaign, or cannot be made.
     """
-    require("pyarrow", extra="logs")
     requirements_of(plan)
     if plan.searched:
         require("cma", extra="search")

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import json
+import sys
+from textwrap import wrap
 
 from rich.console import Console
 from rich.table import Table
@@ -22,6 +24,36 @@ def table(*headings: str, left: int = 1, title: str | None = None) -> Table:
 def show(what: Table) -> None:
     """A table, as wide as the terminal."""
     Console(emoji=False).print(what)
+
+
+def show_beside(headings: tuple[str, ...], *rows: tuple[str, ...]) -> None:
+    """A table in as many parts, one below the other, as keep every cell on one line."""
+    widths = [max(map(len, column)) + 2 for column in zip(headings, *rows, strict=True)]
+    room, shown = Console().width + 2 - widths[0], 1  # no space after the last column
+    while shown < len(headings):
+        end = shown + 1
+        while end < len(headings) and sum(widths[shown : end + 1]) <= room:
+            end += 1
+        part = table(*(headings[i] for i in (0, *range(shown, end))))
+        for column in part.columns:
+            column.no_wrap = True
+        for row in rows:
+            part.add_row(row[0], *row[shown:end])
+        say(*([""] if shown > 1 else []))
+        show(part)
+        shown = end
+
+
+def show_pairs(rows: list[tuple[str, str]]) -> None:
+    """Labels and, at the right, their values; on lines of their own where both are too long."""
+    natural = max(len(label) for label, _ in rows) + 2 + max(len(value) for _, value in rows)
+    width = min(natural, Console().width)
+    for label, value in rows:
+        if len(label) + 2 + len(value) <= width:
+            say(f"{label}{value:>{width - len(label)}}")
+        else:
+            say(*wrap(label, width, subsequent_indent="    "))
+            say(*(f"{line:>{width}}" for line in wrap(value, width)))
 
 
 def wide() -> Console:
@@ -59,7 +91,8 @@ def complain(text: str) -> None:
 
 def json_line(**values: object) -> None:
     """One line of JSON on standard output, at once."""
-    print(json.dumps(values, ensure_ascii=False), flush=True)
+    plain = sys.stdout is None or "utf" not in sys.stdout.encoding.lower()
+    print(json.dumps(values, ensure_ascii=plain), flush=True)
 
 
 def _print(console: Console, lines: list[str] | tuple[str, ...], style: str | None = None) -> None:

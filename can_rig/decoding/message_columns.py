@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig.decoding.signal_columns import Column, SignalColumn
-from can_rig.errors import require
 from can_rig.logs.frames import NS_PER_S
 
 if TYPE_CHECKING:
@@ -53,7 +52,6 @@ class MessageColumns:
 
         A signal that is not in a frame is NaN, or <NA> in a column of integers.
         """
-        require("pandas", extra="logs")
         import pandas as pd  # noqa: PLC0415 (slow to import)
 
         columns = {name: _series(column) for name, column in self.signals.items()}

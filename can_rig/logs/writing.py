@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 from itertools import chain
 from pathlib import Path
 
-from can_rig.errors import LogError, require
+from can_rig.errors import LogError
 from can_rig.files import atomic, refuse_existing
 from can_rig.logs.changes import Changes
 from can_rig.logs.formats import format_of
@@ -41,8 +41,6 @@ def refuse_log(path: Path, force: bool, option: str = "--log") -> None:
     """
     if format_of(path) != ".log" and path.suffix.lower() == ".gz":
         raise LogError(f"{path}: a compressed log can only be written as .log.gz")
-    if format_of(path) == ".mf4":
-        require("asammdf", extra="logs")
     refuse_existing(path, force, option)
 
 

@@ -22,7 +22,7 @@ from multiprocessing.context import ForkProcess
 from pathlib import Path
 from typing import Any, Final
 
-from can_rig.errors import RigError, SilentNodeError
+from can_rig.errors import RigError, SilentNodeError, one_line
 from can_rig.export.running.controllers import PYTHON, Controller
 from can_rig.nodes.lockstep.one_core import one_core
 from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
@@ -130,9 +130,10 @@ def _node_main(
 
     try:
         report(summary=node(stop, report))
-    except RigError as error:
-        report(error=error)
-        sys.exit(error.exit_status)
+    except (RigError, OSError) as error:  # of the system: too many open files, for one
+        refused = error if isinstance(error, RigError) else RigError(one_line(error))
+        report(error=refused)
+        sys.exit(refused.exit_status)
 
 
 def run_processes(

@@ -214,5 +214,5 @@ _TABLE = (
         "u2",
     ),
     ("force_difference_settled_n", "|{command_2}|, settled", "|{command_2}|, settled", "u2"),
-    ("dstar_carried_mps2", "|{output}| that the {command_2} can hold alone", "", "y"),
+    ("dstar_carried_mps2", "|{output}| held by the {command_2} alone", "", "y"),
 )

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 import difflib
+import math
 import re
 from collections.abc import Sequence
 from typing import Any, Final, get_args, get_origin, get_type_hints
@@ -49,7 +50,18 @@ def refusal(error: ValidationError, settings: type[Any]) -> str:
         message = _one_of(finding["input"], finding["ctx"]["expected"])
     for theirs, ours in WORDS.items():
         message = message.replace(theirs, ours)
+    if kind in {"float_parsing", "float_type", "int_parsing", "int_type"}:
+        message += _as_toml(finding["input"])
     return f"{key} = {finding['input']!r}: {message}"
+
+
+def _as_toml(value: Any) -> str:
+    """How TOML has a number that it does not know as this text: .5, 1., 1e3 with a comma."""
+    try:
+        number = float(value) if isinstance(value, str) else math.nan
+    except ValueError:
+        return ""
+    return f", as {number:.15g}" if math.isfinite(number) else ""
 
 
 def _one_of(value: Any, expected: str) -> str:

@@ -13,7 +13,7 @@ from pathlib import Path
 from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Any, Final
 
-from can_rig.errors import LogError, RunFolderError, ScenarioError, in_python, require
+from can_rig.errors import LogError, RunFolderError, ScenarioError, in_python
 from can_rig.folders.new_folder import NewFolder
 from can_rig.nodes.watchdog import StopRequest
 from can_rig.results.execution import execute, refuse
@@ -72,11 +72,7 @@ class RecordedRun:
         """The columns of ``signals.csv``, a row a tick; the index is ``time_s``.
 
         ``attrs["units"]`` has the unit of each column, ``attrs["names"]`` what print calls it.
-
-        Raises:
-            MissingExtraError: pandas is not installed.
         """
-        require("pandas", extra="logs")
         import pandas as pd  # noqa: PLC0415 (slow to import)
 
         table = read_table(self.folder, self.scenario)

@@ -10,7 +10,7 @@ from can_rig.assessment.resolve import load
 from can_rig.assessment.speeds import check
 from can_rig.assessment.stability_table import table_rows
 from can_rig.cli.options import json_option, scenario_options
-from can_rig.cli.output import explain, json_line, say, show, table
+from can_rig.cli.output import explain, json_line, say, show_beside
 from can_rig.cli.progress import car_bar
 
 
@@ -27,11 +27,7 @@ def command(scenario: str, settings: tuple[str, ...], as_json: bool) -> None:
     if as_json:
         json_line(**result.as_dict())
     else:
-        headings, *rows = table_rows(result.states)
-        figures = table(*headings)
-        for row in rows:
-            figures.add_row(*row)
-        show(figures)
+        show_beside(*table_rows(result.states))
         explain(*result.notes, *result.scenario.notes)
         say(result.verdict)
     sys.exit(0 if result.stable else 1)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from pathlib import Path
 
-from can_rig.cli.output import say, show, table
+from can_rig.cli.output import say, show_pairs
 from can_rig.nodes.realtime import timing
 from can_rig.results.fault_metrics import fault_rows
 from can_rig.results.isolation.words import verdict_rows
@@ -19,27 +19,23 @@ def closing_table(scenario: Scenario, values: Metrics, outcome: Outcome, folder:
 
     No metrics and no rate where no command was recorded, and so no whole tick.
     """
-    closing = table("", "")
+    closing: list[tuple[str, str]] = []
     if values.get("torque_peak_nm") is not None:
-        for label, text in rows(values, scenario.plant):
-            closing.add_row(label, text)
-        for label, text in fault_rows(scenario, outcome.faults):
-            closing.add_row(label, text)
-        for label, text in verdict_rows(scenario, outcome.whose_fault):
-            closing.add_row(label, text)
+        closing += rows(values, scenario.plant)
+        closing += fault_rows(scenario, outcome.faults)
+        closing += verdict_rows(scenario, outcome.whose_fault)
         factor = outcome.ticks_per_s * scenario.tick_s
-        closing.add_row("rate", f"{outcome.ticks_per_s:.0f} ticks/s, {factor:.1f} x real time")
-    for label, text in timing.rows(outcome.realtime or {}):
-        closing.add_row(label, text)
+        closing.append(("rate", f"{outcome.ticks_per_s:.0f} ticks/s, {factor:.1f} x real time"))
+    closing += timing.rows(outcome.realtime or {})
     rejected: Counter[str] = Counter()
     for counts in outcome.rejected_frames.values():
         rejected.update(counts)
     if rejected:
-        closing.add_row("frames not used", ", ".join(f"{n} {k}" for k, n in rejected.items()))
+        closing.append(("frames not used", ", ".join(f"{n} {k}" for k, n in rejected.items())))
     for node, events in outcome.bus_events.items():
-        closing.add_row(f"bus of the {node}", ", ".join(f"{n} {k}" for k, n in events.items()))
-    if closing.row_count:
-        show(closing)
+        closing.append((f"bus of the {node}", ", ".join(f"{n} {k}" for k, n in events.items())))
+    if closing:
+        show_pairs(closing)
     say(*scenario.notes)
     say(*timing.scheduling_lines(outcome.realtime or {}))
     say(f"run folder  {folder}")

@@ -7,7 +7,6 @@ import click
 from can_rig.assessment.resolve import load
 from can_rig.cli.options import bus_name, scenario_options
 from can_rig.cli.output import say
-from can_rig.errors import require
 from can_rig.scenario.catalogue import shipped
 
 
@@ -31,9 +30,7 @@ def command(
     Two addresses are printed, each with a token of this start: one for whoever may touch the run,
     one for whoever may only look.
     """
-    for package in ("aiohttp", "tomli_w"):
-        require(package, "panel")
-    from can_rig.panel.serving import Shown, serve  # noqa: PLC0415 (an extra)
+    from can_rig.panel.serving import Shown, serve  # noqa: PLC0415 (aiohttp is slow to import)
 
     chosen = load(scenario, settings)
     names = [] if bus else list(shipped())

@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final, Protocol
 
 from can_rig.decoding.message_columns import MessageColumns
-from can_rig.errors import LogError, require
+from can_rig.errors import LogError
 from can_rig.files import atomic, refuse_existing
 from can_rig.folders.replacing import Kind, refuse_folder, whole_folder
 
@@ -21,8 +21,6 @@ _OF_FILES: Final = {"": CSV, _PARQUET: _PARQUET}
 """Suffix of a folder with one file a message, and of those files."""
 _MF4: Final = ".mf4"
 _MCAP: Final = ".mcap"
-_NEEDS: Final = {_MF4: ("asammdf", "logs"), _MCAP: ("mcap", "mcap")}
-"""Package and extra by suffix; the others need pyarrow."""
 
 INDEX: Final = "_decoded.json"
 """In a folder of decoded messages: the message of each file."""
@@ -61,8 +59,6 @@ def refuse_output(path: Path, force: bool) -> None:
             f"{path}: cannot be written as {path.suffix}; it must be .csv, .parquet, .mf4 or "
             ".mcap, or a folder, without a suffix"
         )
-    package, extra = _NEEDS.get(path.suffix, ("pyarrow", "logs"))
-    require(package, extra)
     if path.suffix in _OF_FILES:
         refuse_folder(path, DECODED, force)
     else:

@@ -15,6 +15,7 @@ from fmpy.simulation import settable_in_initialization_mode, settable_in_instant
 
 from can_rig.errors import ScenarioError, one_line
 from can_rig.logs.columns import TAKEN
+from can_rig.plant.fmu.unpacking import refuse_large_description
 from can_rig.scenario.plant_settings import FMU, SIGNALS, PlantSettings, flat_parameters
 
 CO_SIMULATION: Final = "co-simulation"
@@ -69,6 +70,7 @@ def describe(settings: PlantSettings) -> Description:
     if not path.is_file():
         raise _refused(settings, "there is no such file")
     try:
+        refuse_large_description(path)
         model, files = _read(path), zipfile.ZipFile(path).namelist()
     except Exception as error:  # FMPy raises whatever the reading of a wrong file meets
         raise _refused(settings, f"must be an FMU: {_why_not(error)}") from None

@@ -19,6 +19,7 @@ from fmpy.simulation import (
 
 from can_rig.errors import one_line
 from can_rig.plant.fmu.description import Description, Variable
+from can_rig.plant.fmu.unpacking import unpack
 
 if TYPE_CHECKING:
     from collections.abc import Iterator
@@ -44,7 +45,7 @@ class Instance:
         # Of multiprocessing, because a forked node leaves without Python's own atexit.
         Finalize(self, shutil.rmtree, (folder, True), exitpriority=0)
         with _working_directory(), self.explained(hidden=f"{folder}{os.sep}"):
-            fmpy.extract(str(description.path), folder)
+            unpack(description.path, Path(folder))
             self.fmu = fmpy.simulation.instantiate_fmu(
                 folder,
                 description.model,

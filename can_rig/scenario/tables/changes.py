@@ -31,6 +31,8 @@ def change(values: dict[str, Any], setting: str) -> None:
     parts = key.strip().split(".")
     if not equals or not all(parts):
         raise ScenarioError(f"--set {setting}: must be KEY=VALUE, as in plant.speed_mps=20")
+    if any("\ud800" <= letter <= "\udfff" for letter in setting):
+        raise ScenarioError(f"--set {setting!a}: must be text of this terminal's encoding")
     try:
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:

@@ -175,7 +175,24 @@ FILES = {  # a name in the FMU and what is in it, line
     ),
     "a path out of it": (
         {"modelDescription.xml": None, "binaries/linux64/linear.so": b"MZ", "/etc/x": b""},
-        "does not start: Illegal path /etc/x found in .*car.fmu",
+        "does not start: it holds the path '/etc/x', which must stay in the FMU's folder$",
+    ),
+    "a path up and out of it": (
+        {"modelDescription.xml": None, "binaries/linux64/linear.so": b"MZ", "a/../../x": b""},
+        r"does not start: it holds the path 'a/\.\./\.\./x', which must stay",
+    ),
+    "more than fits": (
+        {"modelDescription.xml": None, "binaries/linux64/linear.so": bytes(65 << 20)},
+        "does not start: it unpacks to more than 64 MiB; at most 100 times its own size and 512",
+    ),
+    "a description that is larger": (
+        {"modelDescription.xml": bytes(65 << 20)},
+        "must be an FMU: modelDescription.xml is larger than 64 MiB$",
+    ),
+    "many files": (
+        {"modelDescription.xml": None, "binaries/linux64/linear.so": b"MZ"}
+        | {f"{n}": b"" for n in range(10_000)},
+        "does not start: it holds more than 10000 files$",
     ),
 }
 
@@ -183,7 +200,7 @@ FILES = {  # a name in the FMU and what is in it, line
 @pytest.mark.parametrize(("files", "line"), FILES.values(), ids=FILES)
 def test_a_file_that_does_not_fit(files, line, tmp_path):
     path = tmp_path / "car.fmu"
-    with zipfile.ZipFile(path, "w") as fmu:
+    with zipfile.ZipFile(path, "w", zipfile.ZIP_DEFLATED, compresslevel=1) as fmu:
         for name, content in files.items():
             fmu.writestr(name, description(2, 4) if content is None else content)
     refused = line_of({"kind": f"fmu:{path}", "variables": NAMES})

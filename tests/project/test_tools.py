@@ -1,0 +1,62 @@
+"""Every tool ends well in its shortest form."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+
+import pytest
+
+from tests.project.pages import ROOT
+
+SHORTEST = {
+    "bench": [
+        ("loop", "--rounds=1", "--seconds=0.1"),
+        ("decode", "--rounds=1", "--frames=1000"),
+        ("filter", "--rounds=1", "--filters=2"),
+    ],
+    "kill_workers": [("--runs=2", "--every=100")],
+    "mutation": [("--list",)],
+    "verdicts": [("--scenarios=1",)],
+    "whose_fault": [("--runs=1", "--no-kinds", "--processes=1")],
+}
+"""20 s of a processor together; ``bench`` with campaign, plants or c takes more than 10 s each."""
+
+ELSEWHERE = {
+    "against_libraries": "tests/rig/logs/test_against_libraries.py",
+    "flood": "tests/rig/nodes/test_flood.py",
+    "fuzz": "tests/rig/fuzz/test_fuzz.py",
+    "mutation_c": "tests/project/test_mutation_c.py",
+    "scenario_keys": "tests/project/test_scenario_keys.py",
+    "setup": "tests/project/test_lock.py",
+    "vcan_guest": "tests/project/test_vcan_guest.py",
+}
+"""By tool, the tests that are about it."""
+
+NOT_TESTED = {
+    "lock": "asks the package index for every version",
+    "record_drives": "would write to this checkout where a drive is no longer the same",
+    "run": "its setup may install; can-rig run has tests of its own",
+    "same_bytes": "compiles for every board and emulates each: more than 30 s",
+    "speeds": "drives 50 s with four controllers: more than 10 s",
+    "test": "runs all of this",
+}
+
+
+def test_each_tool_is_run_here_or_there_or_has_a_reason() -> None:
+    tools = {path.name for path in (ROOT / "tools").iterdir() if path.is_file() and not path.suffix}
+    assert tools == SHORTEST.keys() | ELSEWHERE.keys() | NOT_TESTED.keys()
+    assert all((ROOT / page).is_file() for page in ELSEWHERE.values())
+
+
+@pytest.mark.parametrize(
+    ("tool", "words"), [(tool, words) for tool, forms in SHORTEST.items() for words in forms]
+)
+def test_a_tool_ends_well(tool: str, words: tuple[str, ...]) -> None:
+    command = [sys.executable, f"tools/{tool}.py", *words]
+    done = subprocess.run(
+        command, cwd=ROOT, check=False, capture_output=True, text=True, timeout=300
+    )
+    assert done.returncode == 0, done.stderr
+    assert done.stdout
+    assert "Traceback" not in done.stderr

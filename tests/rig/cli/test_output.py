@@ -1,0 +1,68 @@
+"""Tables and pairs in terminals of any width: no cell is cut, no row goes on below another."""
+
+from __future__ import annotations
+
+import pytest
+
+from tests.helpers import asked
+
+
+@pytest.mark.parametrize("width", [30, 60, 80, 200])
+def test_check_keeps_headings_and_figures_in_any_width(
+    width: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
+    lines = asked("check", "thesis-step").stdout.splitlines()
+    for heading in ("healthy", "torque dead", "torque 75%", "torque 50%", "torque 25%"):
+        assert sum(heading in line for line in lines[: lines.index(last(lines))]) == 1
+    parts = sum(line.startswith("spectral radius ") for line in lines)
+    assert parts == sum(line.startswith("u2 / noise ") for line in lines)
+    assert (parts == 1) == (width >= 80)
+    table = lines[: lines.index(last(lines)) + 1]
+    assert len(table) == parts * 11 - 1  # a heading, nine figures, an empty line between
+    assert all(len(line) <= width for line in table)
+    assert "…" not in "".join(table)
+
+
+def last(lines: list[str]) -> str:
+    """The last row of the table's last part."""
+    return next(line for line in reversed(lines) if line.startswith("u2 / noise "))
+
+
+@pytest.mark.parametrize("width", [60, 80, 200])
+def test_the_closing_table_keeps_each_metric_on_its_line(
+    width: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("COLUMNS", str(width))
+    words = ("--set", "duration_s=0.1", "--set", "fault.at_s=0.05", "--allow-unstable")
+    lines = asked("run", "default", "--in-process", *words).stdout.splitlines()
+    assert all(len(line) <= width for line in lines)
+    (held,) = [line for line in lines if "held by the rear force difference alone" in line]
+    assert held.endswith("m/s²")
+    assert not [line for line in lines if line.strip() == "alone"]
+
+
+def test_what_isolates_whose_fault_it_is_is_said(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("COLUMNS", "1000")
+    own, probed, followed = (
+        next(line for line in asked("check", *words).stdout.splitlines() if "isolation:" in line)
+        for words in (
+            ("default",),
+            ("default", "--set", "design.probe_nm=5"),
+            ("default", "--set", "design.estimator=kalman"),
+        )
+    )
+    assert "the evidence says whether either actuator, the sensor or another car" in own
+    assert "probe of 5 N m goes unanswered" in probed
+    assert followed.startswith("isolation: none")
+
+
+@pytest.mark.parametrize(
+    ("text", "number"), [(".0015", "0.0015"), ("1.", "1"), ("+.5e-3", "0.0005"), ("abc", None)]
+)
+def test_a_number_that_toml_does_not_know_is_refused_with_one_that_it_knows(
+    text: str, number: str | None
+) -> None:
+    done = asked("check", "default", "--set", f"design.tau_s={text}")
+    line = f"error: scenario default: design.tau_s = {text!r}: must be a valid number"
+    assert done.stderr == line + (f", as {number}\n" if number else "\n")

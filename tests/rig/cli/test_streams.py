@@ -1,0 +1,80 @@
+"""What every command does on a terminal with few letters, a full disk and with few open files."""
+
+from __future__ import annotations
+
+import os
+import resource
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from can_rig.cli.main import COMMANDS
+
+LOG = Path(__file__).parents[2] / "drives" / "ideal.log.gz"
+SHORT = ("thesis-step", "--set", "duration_s=0.01", "--allow-unstable")
+
+
+def rig(*words: object, **options: object) -> subprocess.CompletedProcess[str]:
+    command = [sys.executable, "-m", "can_rig", *map(str, words)]
+    options = {"stdout": subprocess.PIPE, "stderr": subprocess.PIPE, **options}
+    return subprocess.run(command, check=False, text=True, timeout=300, **options)
+
+
+@pytest.mark.parametrize(
+    "words",
+    [("check", "thesis-step"), ("scenarios",), ("bus", "default"), ("check", "--json")],
+    ids=" ".join,
+)
+def test_a_terminal_without_some_letters_shows_the_others(words: tuple[str, ...]) -> None:
+    plain = {"PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "LC_ALL": "C"}
+    done = rig(*words, env=os.environ | plain)
+    assert (done.returncode, done.stderr) == (0, "")
+    assert done.stdout.isascii()
+
+
+def test_a_value_that_such_a_terminal_does_not_know_is_refused() -> None:
+    plain = {"PYTHONUTF8": "0", "PYTHONCOERCECLOCALE": "0", "LC_ALL": "C"}
+    done = rig("check", "--set", "design.tau_s=ü", env=os.environ | plain)
+    assert done.returncode == 2
+    assert done.stderr.startswith("error: --set 'design.tau_s=")
+    assert done.stderr.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        *((name, "--help") for name in COMMANDS),
+        ("--version",),
+        ("scenarios",),
+        ("check", "thesis-step", "--json"),
+        ("stats", LOG),
+        ("decode", LOG),
+    ],
+    ids=lambda words: " ".join(map(str, words)),
+)
+def test_a_full_disk_at_standard_output_is_one_line(words: tuple[object, ...]) -> None:
+    with Path("/dev/full").open("w") as full:
+        done = rig(*words, stdout=full)
+    assert done.returncode == 2
+    assert done.stderr == ("error: standard output cannot be written: No space left on device\n")
+
+
+@pytest.mark.parametrize("files", [6, 9, 12])
+def test_too_few_open_files_are_one_line_and_no_traceback(files: int, tmp_path: Path) -> None:
+    def limited() -> None:
+        resource.setrlimit(resource.RLIMIT_NOFILE, (files, files))
+
+    for number, words in enumerate(
+        (
+            ("run", *SHORT, "--out", tmp_path / "two"),
+            ("decode", LOG, "--out", tmp_path / "x.parquet"),
+            ("campaign", "losses", "--runs", "2", "--out", tmp_path / "campaign"),
+        )
+    ):
+        done = rig(*words, preexec_fn=limited, cwd=tmp_path)
+        assert "Traceback" not in done.stderr, (number, done.stderr)
+        assert done.returncode in {0, 2, 3}
+        if done.returncode:
+            assert done.stderr.splitlines()[-1].startswith("error: ")
