@@ -8,7 +8,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig.errors import one_line, require
+from can_rig.errors import one_line
 from can_rig.logs.frames import UInt8s
 from can_rig.logs.readers.binary.mdf_blocks import (
     FLOAT,
@@ -131,7 +131,6 @@ def _by_asammdf(file: MdfFile, channel: Channel, values: NDArray[Any]) -> NDArra
     conversion = channel.conversion
     if conversion.kind == _FORMULA and not _ARITHMETIC.fullmatch("".join(conversion.words)):
         raise MdfError(f"channel {channel.name} has a formula that is not read: {conversion.words}")
-    require("asammdf", extra="logs")
     from asammdf.blocks.v4_blocks import ChannelConversion  # noqa: PLC0415 (slow to import)
 
     try:
