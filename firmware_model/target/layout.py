@@ -1,7 +1,7 @@
 """The fixed memory of the controller: a constant table and a private state, a C struct each.
 
-Here the structs of the modules are put together, and nothing else. The table is written once, by
-``tables.build``; everything that changes lives in the state.
+This module only nests the structs of the other modules. ``tables.build`` writes the table once; the
+state holds all changing values.
 """
 
 from __future__ import annotations

@@ -1,12 +1,11 @@
-"""What cars that are not the model show in d̂ without a fault.
+"""The effect on d̂ of healthy cars that differ from the model.
 
     x_i = (G1_i - G1) u1 + (G2_i - G2) u2
 
-with G1_i, G2_i the models of another car, along the i-th principal direction of the box of cars
-that the design allows for and scaled to the end of it (``design.mismatch``). A command that is
-known to be lost drives none of them.
+with G1_i, G2_i the models of another car, along the i-th principal direction of the allowed box of
+cars and scaled to the end of the box (``design.mismatch``). A known lost command drives no model.
 
-Of a plant that is not stable that is, in coprime factors over the same poles,
+For an unstable plant, in coprime factors over the same poles,
 
     x_i = (N1_i - N1) u1 + (N2_i - N2) u2 - (M_i - M) y
 """
@@ -51,7 +50,7 @@ STATE = (
 
 @firmware
 def show_other_cars(table: Record, state: Record, command_1: float, command_2: float) -> None:
-    """x of this tick, where these commands begin to show in what is measured."""
+    """Return x of this tick; these commands begin to act on the measurement."""
     cars, own, shown = table.other_cars, state.other_cars, state.other_cars.shown
     own.command_1, own.command_2 = command_1, command_2
     if cars.n == 0:

@@ -1,18 +1,18 @@
-"""The sequential test that finds the moment in which channel 1 is lost, or comes back.
+"""The sequential test for the moment of a loss, or of the return, of channel 1.
 
-What a loss does is known but for its moment and its share: from then on d̂ = s w, w the answer of G1
-to the commands since. So one candidate runs along, started anew whenever the evidence speaks
-against it, and its log-likelihood ratio grows with every tick (Page's cumulative sum of a known
-signature: Basseville and Nikiforov, Detection of Abrupt Changes, 1993, 7.2.4):
+The effect of a loss is known except for moment and share: after the loss d̂ = s w, with w the
+answer of G1 to the commands since. So one candidate runs along, restarted whenever the evidence
+contradicts the candidate, and the log-likelihood ratio grows with every tick (Page's cumulative sum
+of a known signature: Basseville and Nikiforov, Detection of Abrupt Changes, 1993, 7.2.4):
 
     g⁺ = g + (f ν - ½ f²)/S
 
-with ν the innovation of d̂ (``mismatch``), S its variance, and f what a loss of ``share`` would have
-added to ν: w, whitened as the noise is, less what the estimates of the car would have made of it.
-A g below -1 says: not from then on, and the candidate begins again at this tick. So it does where
-f has faded before anything was decided, for nothing more will be. The chance that a
-healthy car takes one candidate beyond h is e^-h at most (Wald), and there is at most one a tick: so
-h is the logarithm of the ticks between two false alarms, whatever the drive, and needs no tuning.
+with ν the innovation of d̂ (``mismatch``), S its variance, and f the effect of a loss of ``share``
+on ν: w, whitened like the noise, minus the part absorbed by the estimates of the car. A g below -1
+rejects the moment, and the candidate restarts at this tick. An f that fades before a decision
+restarts the candidate too, because no more evidence can follow. The chance that a healthy car takes
+one candidate beyond h is e^-h at most (Wald), and there is at most one a tick: so h is the
+logarithm of the ticks between two false alarms, whatever the drive, and needs no tuning.
 
 The test for the return of a lost channel is the same with the opposite sign.
 """
@@ -55,7 +55,7 @@ STATE = (
 
 @firmware
 def candidate_output(table: Record, state: Record) -> float:
-    """w of this tick, as this tick's command drives it."""
+    """Return w of this tick, driven by this tick's command."""
     candidate = state.sequential_test.channel_1
     w: float = output(table.estimator.channel_1, candidate, state.command_1)
     return w
@@ -88,9 +88,9 @@ def update_test(table: Record, state: Record, innovation: float, share: float) -
 
 @firmware
 def is_stale(constants: Record, test: Record) -> bool:
-    """Whether a candidate that is twice as old now has learnt hardly more meanwhile.
+    """Whether a candidate of doubled age has gained hardly any information.
 
-    Neither much of what it has, nor what a decision takes.
+    Neither a good part of the present information, nor enough for a decision.
     """
     two = real(2.0, test.age)
     if test.age < two * max(test.half_age, two):
@@ -105,7 +105,7 @@ def is_stale(constants: Record, test: Record) -> bool:
 
 @firmware
 def candidate_shown(table: Record, state: Record) -> float:
-    """w as d̂ of this tick contains it, late by bus and dead time."""
+    """Return w as contained in d̂ of this tick, late by bus and dead time."""
     if table.estimator.shown_ticks_1 > 0:
         w: float = state.sequential_test.delay[state.estimator.shown_index_1]
         return w
@@ -114,7 +114,7 @@ def candidate_shown(table: Record, state: Record) -> float:
 
 @firmware
 def start_candidate(table: Record, state: Record) -> None:
-    """Begin again: no command that has acted so far is lost, those on their way are."""
+    """Restart: all past commands acted; the commands on the way are lost."""
     test, estimator = state.sequential_test, table.estimator
     g1, shown = estimator.channel_1, estimator.shown_ticks_1
     test.channel_1.accumulators[:] = 0.0
@@ -130,7 +130,7 @@ def start_candidate(table: Record, state: Record) -> None:
         test.previous_output = w
         advance(g1, test.channel_1, command)
     before = state.command_1
-    if shown > 0:  # the one that has just acted is gone; it was hardly another
+    if shown > 0:  # the last acting command has left the ring and hardly differs
         before = pending_command(estimator, state.estimator, 0)
     advance(g1, test.earlier, before)
 
@@ -148,7 +148,7 @@ def advance_candidate(table: Record, state: Record) -> None:
 
 @firmware
 def forget_candidate(table: Record, state: Record, share: float) -> None:
-    """Take back what θ has learnt from ``share`` of w, taken for another car until now."""
+    """Remove the effect of ``share`` of w from θ: θ took the loss for another car."""
     theta, explained = state.mismatch.theta, state.sequential_test.explained
     for i in range(table.mismatch.n):
         theta[i] -= share * explained[i]
@@ -158,7 +158,7 @@ def forget_candidate(table: Record, state: Record, share: float) -> None:
 def lost_share(constants: Record, test: Record) -> float:
     """The share of channel 1 that explains ``innovation`` best, by least squares, 0 or above.
 
-    Above 1 only as far as it must be: then channel 1 does more to this car than to the model.
+    Above 1 only if necessary: channel 1 then moves this car more than the model.
     """
     zero, one = real(0.0, test.evidence), real(1.0, test.evidence)
     if not test.information > zero:
