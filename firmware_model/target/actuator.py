@@ -19,7 +19,7 @@ CONSTANTS = (
     Field("slew", "command/tick", "largest change of a command in a tick"),
     Field("lsb", "command", "resolution of the command's frame; 0: none"),
 )
-STATE = (Field("rounded_off", "command", "what rounding has left for the next command"),)
+STATE = (Field("rounded_off", "command", "rounding error carried to the next command"),)
 
 
 @firmware

@@ -27,11 +27,11 @@ CONSTANTS = (
     Field("haste", "1", "-ln p over the speed of s w by its value"),
 )
 STATE = (
-    Field("missed", "y", "m, the part of s w that F̂ does not get yet"),
+    Field("missed", "y", "m, the part of s w held back from F̂"),
     Field("missed_growth", "y/tick", "b of m, as of this tick"),
     Field("missed_memory", "1", "p of m"),
     Field("carried", "y", "input of F̂ in the last tick"),
-    Field("carried_speed", "y/tick", "its change in that tick"),
+    Field("carried_speed", "y/tick", "change of the input of F̂ in the last tick"),
 )
 
 

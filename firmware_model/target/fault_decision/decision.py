@@ -66,10 +66,10 @@ LEAST_SHARE = 0.01  # of a confirmed loss: no division by nothing
 
 CONSTANTS = (
     Field("confirm", "1", "evidence that confirms a loss"),
-    Field("recover", "1", "evidence that ends it: more, for a return is not urgent"),
+    Field("recover", "1", "evidence that ends a loss: more, because a return is not urgent"),
     Field("suspect", "1", "evidence from which a loss is compensated provisionally"),
-    Field("horizon", "tick", "within which a loss of now has to show"),
-    Field("pause_ticks", "tick", "from a probe that found nothing to the next", "int32"),
+    Field("horizon", "tick", "time within which a new loss must show"),
+    Field("pause_ticks", "tick", "pause after a probe without a finding", "int32"),
     Field("tracks_share", "1", "1: a Kalman filter follows the lost share; 0: a test", "int32"),
 )
 STATE = (

@@ -19,16 +19,18 @@ from firmware_model.target.structs import MAX_SHOWN_TICKS, Field, Record
 CONFIRMED = int(FaultState.CONFIRMED)
 
 CONSTANTS = (
-    Field("share_variance", "1", "largest of s, when a loss is confirmed"),
-    Field("doubt", "1", "variance of s then, times the information on it"),
-    Field("least_doubt", "1", "variance of s at least: of a car whose G1 is another"),
-    Field("moment", "1", "deviation of the moment then, as a part of the time that it took"),
-    Field("follow", "1", "part of the distance to s that a lag covers in a tick"),
+    Field("share_variance", "1", "largest variance of s at the confirmation"),
+    Field("doubt", "1", "variance of s at the confirmation, times its information"),
+    Field("least_doubt", "1", "least variance of s, for a car with another G1"),
+    Field("moment", "1", "deviation of the moment, as a part of the detection time"),
+    Field("follow", "1", "part of the distance to s per tick of a lag"),
 )
 STATE = (
-    Field("channel_1", "y", "state of G1 driven by the commands that were lost", biquad.STATE),
-    Field("earlier", "y", "state of G1 driven by the command before them alone", biquad.STATE),
-    Field("share", "1", "s, the part of channel 1 that is lost, as of its confirmation"),
+    Field("channel_1", "y", "state of G1 driven by the lost commands", biquad.STATE),
+    Field(
+        "earlier", "y", "state of G1 driven only by the last command before the loss", biquad.STATE
+    ),
+    Field("share", "1", "s, the lost share of channel 1 at the confirmation"),
     Field("between", "1", "s behind the first lag"),
     Field("followed", "1", "s behind the second lag"),
     Field("previous_output", "y", "w of the last tick"),

@@ -49,14 +49,16 @@ from firmware_model.target.structs import Field, Record
 
 CONSTANTS = (
     Field("n", "1", "states: share and moment of a loss, other cars, the remainder", "int32"),
-    Field("prior", "1", "P0, variance of each θ before anything is known; of the remainder 1"),
+    Field("prior", "1", "P0, initial variance of each θ; of the remainder 1"),
     Field("forgetting", "1", "1 - φ of each θ where the car moves", shape=SIZES),
     Field("growth", "1", "1 - φ², times the variance of θ", shape=SIZES),
     Field("motion", "1", "(time constant of the remainder/tick)², from changes to extents"),
     Field("beyond", "1", "variance of the remainder, as a share of M, for cars all over the box"),
-    Field("rule", "1", "the same for what F1's rule leaves, of the change of G1 u1 + G2 u2"),
-    Field("white", "1", "share of the remainder's variance that differs from tick to tick"),
-    Field("fading", "1", "what a tick leaves of M and of the largest extent"),
+    Field(
+        "rule", "1", "variance of the error of F1's rule, as a share of the change of G1 u1 + G2 u2"
+    ),
+    Field("white", "1", "white share of the remainder's variance"),
+    Field("fading", "1", "factor per tick of M and of the largest extent"),
     Field("noise", "y²", "variance of the whitened noise of a tick"),
     Field("colour", "1", "a of the noise, n(k) = a n(k-1) + white"),
 )
@@ -65,11 +67,11 @@ STATE = (
     Field("regressor", "y", "x of this tick, whitened", shape=SIZES),
     Field("theta", "1", "θ", shape=SIZES),
     Field("covariance", "1", "P", covariance.STATE),
-    Field("gain", "1/y", "of the last update of θ", shape=SIZES),
-    Field("memory", "1", "φ, what that tick left of each θ", shape=SIZES),
+    Field("gain", "1/y", "gain of the last update of θ", shape=SIZES),
+    Field("memory", "1", "φ of each θ in the last update", shape=SIZES),
     Field("extent", "y²", "fading largest Σ x²"),
     Field("change", "y²", "M, fading largest Σ (time constant · dx/dt)²"),
-    Field("rule", "y²", "part of it that F1's rule leaves, or how it began, fading"),
+    Field("rule", "y²", "fading part due to F1's rule or to the initial error"),
     Field("remainder", "y²", "variance of the remainder"),
     Field("previous_model_output", "y", "G1 u1 + G2 u2 of the last tick"),
     Field("previous_residual", "y", "d̂ of the last tick, less the known loss"),

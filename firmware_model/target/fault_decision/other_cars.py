@@ -21,7 +21,7 @@ from firmware_model.target.structs import Field, Record
 CAR = (
     Field("channel_1", "y/u1", "G1 of this car", biquad.CONSTANTS),
     Field("channel_2", "y/u2", "G2 of this car", biquad.CONSTANTS),
-    Field("measurement", "1", "M of this car; no section where it is stable", biquad.CONSTANTS),
+    Field("measurement", "1", "M of this car; no section for a stable car", biquad.CONSTANTS),
 )
 CAR_STATE = (
     Field("channel_1", "y", "its state", biquad.STATE),
@@ -30,7 +30,7 @@ CAR_STATE = (
 )
 CONSTANTS = (
     Field("n", "1", "principal directions in use", "int32"),
-    Field("scale", "1", "from one of these cars to the end of the box"),
+    Field("scale", "1", "from a car of this table to the end of the box"),
     Field("car_1", "1", "the car along the first direction", CAR),
     Field("car_2", "1", "likewise the second", CAR),
     Field("car_3", "1", "likewise the third", CAR),
@@ -43,7 +43,7 @@ STATE = (
     Field("car_3", "y", "the third car", CAR_STATE),
     Field("car_4", "y", "the fourth car", CAR_STATE),
     Field("shown", "y", "x_i of this tick", shape=(MAX_DIRECTIONS,)),
-    Field("command_1", "u1", "command 1 as it acts in what is measured, what is lost left out"),
+    Field("command_1", "u1", "command 1 in the measurement, without the known loss"),
     Field("command_2", "u2", "command 2 likewise"),
 )
 

@@ -22,11 +22,11 @@ from firmware_model.target.structs import Field, Record
 CONSTANTS = (
     Field("ticks", "tick", "duration of a probe; 0: none", "int32"),
     Field("amplitude", "u1", "half of a, the amplitude of the sine"),
-    Field("least_share", "1", "part of the torque that has to be missing to confirm a loss"),
+    Field("least_share", "1", "least missing part of the torque for a confirmed loss"),
     Field("rotation", "1", "of φ in a tick: cosine, sine", shape=(2,)),
 )
 STATE = (
-    Field("tick", "tick", "tick of the running probe, from 1 on; 0: none runs", "int32"),
+    Field("tick", "tick", "tick of the running probe, from 1 on; 0: no probe", "int32"),
     Field("cosine", "1", "cos φ"),
     Field("sine", "1", "sin φ"),
     Field("correlation", "y", "Re D, -Im D, Re W, -Im W", shape=(4,)),

@@ -17,8 +17,8 @@ from firmware_model.target.structs import Field, Record
 
 BOTH_LOST = int(Verdict.BOTH_LOST)
 
-CONSTANTS = (Field("duration", "tick", "of the way to zero; 0: the commands go on"),)
-STATE = (Field("elapsed", "tick", "of it"),)
+CONSTANTS = (Field("duration", "tick", "duration of the way to zero; 0: the commands go on"),)
+STATE = (Field("elapsed", "tick", "ticks since the start of the way to zero"),)
 
 
 @firmware

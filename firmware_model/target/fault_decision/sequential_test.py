@@ -30,26 +30,28 @@ from firmware_model.target.precision import real
 from firmware_model.target.structs import MAX_SHOWN_TICKS, Field, Record
 
 CONSTANTS = (
-    Field("share", "1", "of channel 1 whose loss is looked for"),
-    Field("restart", "1", "log-likelihood ratio below which the candidate begins again"),
-    Field("freshness", "1", "part of its information that is new as its age doubles, or it ends"),
-    Field("needed", "1", "information that decides, and is enough if it comes"),
-    Field("promising", "1", "evidence with which a candidate for a loss is kept all the same"),
-    Field("deviations", "1", "by which a share above 1 must be above it"),
+    Field("share", "1", "tested lost share of channel 1"),
+    Field("restart", "1", "log-likelihood ratio of a restart"),
+    Field("freshness", "1", "least growth of information per doubled age; else the candidate ends"),
+    Field("needed", "1", "information of a decision"),
+    Field("promising", "1", "evidence that keeps an old candidate"),
+    Field("deviations", "1", "deviations by which a share above 1 must exceed 1"),
 )
 STATE = (
     Field("channel_1", "y", "state of G1 driven by the commands since the start", biquad.STATE),
-    Field("earlier", "y", "state of G1 driven by the command before these alone", biquad.STATE),
+    Field(
+        "earlier", "y", "state of G1 driven only by the last command before the start", biquad.STATE
+    ),
     Field("delay", "y", "ring of w on its way into d̂", shape=(MAX_SHOWN_TICKS,)),
     Field("previous_output", "y", "w of the last tick"),
-    Field("previous_shown", "y", "w of the last tick as d̂ contains it"),
-    Field("explained", "1", "what w makes of θ", shape=(MAX_STATES,)),
+    Field("previous_shown", "y", "w of the last tick as contained in d̂"),
+    Field("explained", "1", "effect of w on θ", shape=(MAX_STATES,)),
     Field("age", "tick", "since the start"),
     Field("evidence", "1", "g, log-likelihood ratio"),
     Field("correlation", "1", "Σ ν f/S for a share of 1"),
     Field("information", "1", "Σ f²/S for a share of 1"),
-    Field("half_age", "tick", "age when it was last looked whether more comes"),
-    Field("half_information", "1", "the information of then"),
+    Field("half_age", "tick", "age at the last check of growth"),
+    Field("half_information", "1", "information at the last check of growth"),
 )
 
 

@@ -13,8 +13,8 @@ the model. The gain of Q G1 is 1 at zero frequency: the integrator.
 After a loss channel 2 closes the loop. The shortfall of channel 2, G2 (asked - possible), is
 subtracted from the model's output: so the limits of channel 2 are outside the loop too.
 
-For an unstable plant the model is N1, and a filter R of the command stabilises the plant: u1 = Q (r
-- y + N1 u1) + R u1 (``design.tracking``). Then limits have to stay in the loop.
+For an unstable plant the model is N1, and a filter R of the command stabilises the plant:
+u1 = Q (r - y + N1 u1) + R u1 (``design.tracking``). Then limits have to stay in the loop.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ CONSTANTS = (
     Field("filter", "u1/y", "Q; 1 in the open loop", biquad.CONSTANTS),
     Field("feedback", "1", "1: Q works on r - y + G1 u1; 0, the open loop: on r"),
     Field("stabiliser", "1", "R; no section where the plant is stable", biquad.CONSTANTS),
-    Field("excuses_limits", "1", "1: what channels could not do is made up for; 0: unstable plant"),
+    Field("excuses_limits", "1", "1: make-up of shortfalls; 0: unstable plant"),
     Field("loop_inverse", "1", "1/(1 - gain of the loop u1 → G1 u1 → u1 within a tick)"),
 )
 STATE = (

@@ -22,16 +22,16 @@ from firmware_model.target.precision import real
 from firmware_model.target.structs import Field, Record
 
 LIMITS = (
-    Field("least", "1", "size, in the unit of its signature"),
-    Field("most", "1", "likewise"),
+    Field("least", "1", "least size, in the unit of the signature"),
+    Field("most", "1", "largest size, in the unit of the signature"),
 )
 CONSTANTS = (
-    Field("restart", "1", "foretold log-likelihood ratio below which the onset was none"),
-    Field("lifetime", "tick", "age at which a candidate that found nothing begins again"),
-    Field("promising", "1", "evidence with which it does not"),
+    Field("restart", "1", "predicted log-likelihood ratio that rejects the onset"),
+    Field("lifetime", "tick", "age of a restart without a finding"),
+    Field("promising", "1", "evidence that prevents the restart by age"),
 )
 STATE = (
-    Field("explained", "1", "what the signature makes of θ", shape=(MAX_STATES,)),
+    Field("explained", "1", "effect of the signature on θ", shape=(MAX_STATES,)),
     Field("previous_shown", "y", "the signature in d̂ of the last tick"),
     Field("age", "tick", "since the onset"),
     Field("correlation", "1", "c for a size of 1"),

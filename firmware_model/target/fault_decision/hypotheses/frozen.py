@@ -16,17 +16,17 @@ from firmware_model.target.precision import real
 from firmware_model.target.structs import Field, Record
 
 CONSTANTS = (
-    Field("size_of_one", "1", "limits of the size: it is 1", candidate.LIMITS),
-    Field("least_motion", "y", "by the model, from which on a repetition says something"),
+    Field("size_of_one", "1", "limits of the size, always 1", candidate.LIMITS),
+    Field("least_motion", "y", "least modelled motion for a repetition to count"),
     Field("repetition", "1", "-ln of the chance that noise repeats a number"),
 )
 STATE = (
     Field("candidate", "1", "how well missing motion explains d̂", candidate.STATE),
-    Field("measurement", "y", "the number that is repeated"),
-    Field("expected", "y", "y by the model when it came first"),
-    Field("repetitions", "1", "of it since"),
-    Field("command_1", "u1", "command 1 of the tick before it came"),
-    Field("command_2", "u2", "command 2 likewise"),
+    Field("measurement", "y", "the repeated number"),
+    Field("expected", "y", "modelled y at the first occurrence"),
+    Field("repetitions", "1", "repetitions since"),
+    Field("command_1", "u1", "command 1 of the tick before the number"),
+    Field("command_2", "u2", "command 2 of the tick before the number"),
     Field("evidence", "1", "log-likelihood ratio"),
 )
 

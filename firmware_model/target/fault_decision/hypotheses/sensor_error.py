@@ -14,8 +14,8 @@ from firmware_model.target.precision import real
 from firmware_model.target.structs import Field, Record
 
 STATE = (
-    Field("offset", "y", "what the sensor adds to y"),
-    Field("answer", "y", "state of M driven by it", biquad.STATE),
+    Field("offset", "y", "known error of the sensor in y"),
+    Field("answer", "y", "state of M driven by the offset", biquad.STATE),
 )
 
 

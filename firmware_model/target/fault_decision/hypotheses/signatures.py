@@ -20,15 +20,15 @@ from firmware_model.target.precision import real
 from firmware_model.target.structs import Field, Record
 
 CONSTANTS = (
-    Field("candidate", "1", "when one begins again", candidate.CONSTANTS),
+    Field("candidate", "1", "thresholds of a restart", candidate.CONSTANTS),
     Field("torque_offset", "u1", "limits of its size", candidate.LIMITS),
-    Field("force_lost", "1", "limits of the share that is lost", candidate.LIMITS),
+    Field("force_lost", "1", "limits of the lost share", candidate.LIMITS),
     Field("sensor_biased", "y", "limits of its size", candidate.LIMITS),
     Field("sensor_drifting", "y/tick", "limits of its size", candidate.LIMITS),
 )
 ONE = (
-    Field("candidate", "1", "how well it explains d̂", candidate.STATE),
-    Field("answer", "y", "state of what it goes through: G1, G2 or M", biquad.STATE),
+    Field("candidate", "1", "fit of the signature to d̂", candidate.STATE),
+    Field("answer", "y", "state of the signature's filter: G1, G2 or M", biquad.STATE),
 )
 STATE = (
     Field("torque_offset", "u1", "an offset of the torque", ONE),
@@ -36,8 +36,8 @@ STATE = (
     Field("sensor_biased", "y", "a bias of the sensor", ONE),
     Field("sensor_drifting", "y/tick", "a drift of the sensor", ONE),
     Field("ramp", "tick", "the drift of 1/tick as of this tick"),
-    Field("commanded", "y²", "Σ (what channel 2 was told to move y)²"),
-    Field("missing", "y²", "Σ of the same times what of it is missing in y"),
+    Field("commanded", "y²", "Σ (commanded effect of channel 2 on y)²"),
+    Field("missing", "y²", "Σ commanded effect · missing effect in y"),
     Field("before", "1", "evidence of a lost channel 2 from before the onset of the other's loss"),
     Field("jump", "1", "evidence of the bias in its first tick alone"),
 )

@@ -53,22 +53,24 @@ SENSOR_FROZEN, ANOTHER_CAR = int(Verdict.SENSOR_FROZEN), int(Verdict.ANOTHER_CAR
 HYPOTHESES = 8  # NOTHING (evidence 0), the faults, ANOTHER_CAR
 
 CONSTANTS = (
-    Field("signatures", "1", "of what has one", signatures.CONSTANTS),
-    Field("frozen", "1", "of a sensor that repeats itself", frozen.CONSTANTS),
-    Field("torque_lost", "1", "limits of the share that is lost, or works again", candidate.LIMITS),
-    Field("ahead", "1", "times the evidence of a fault at another place that a verdict needs"),
-    Field("sensor_ahead", "1", "the same of a fault of the sensor"),
+    Field(
+        "signatures", "1", "of torque offset, lost force and sensor errors", signatures.CONSTANTS
+    ),
+    Field("frozen", "1", "of a frozen sensor", frozen.CONSTANTS),
+    Field("torque_lost", "1", "limits of the lost or returned share", candidate.LIMITS),
+    Field("ahead", "1", "least ratio of a verdict's evidence to faults at other places"),
+    Field("sensor_ahead", "1", "least ratio for a sensor fault"),
     Field("jump", "1", "evidence of a bias in its first tick, at least"),
-    Field("both_lost", "1", "evidence by which the loss of channel 2 is ahead after that of 1"),
+    Field("both_lost", "1", "lead in evidence for a loss of channel 2 after a loss of channel 1"),
 )
 STATE = (
-    Field("signatures", "1", "of what has one", signatures.STATE),
-    Field("frozen", "1", "of a sensor that repeats itself", frozen.STATE),
+    Field("signatures", "1", "of torque offset, lost force and sensor errors", signatures.STATE),
+    Field("frozen", "1", "of a frozen sensor", frozen.STATE),
     Field("evidence", "1", "of each hypothesis, by the number of its verdict", shape=(HYPOTHESES,)),
     Field("verdict", "1", "a Verdict", "int32"),
-    Field("found", "1", "the fault that was found in this tick; 0: none", "int32"),
-    Field("found_size", "1", "of that of an actuator, when it was found"),
-    Field("sensor_error", "y", "what the sensor is known to add", sensor_error.STATE),
+    Field("found", "1", "fault found in this tick; 0: none", "int32"),
+    Field("found_size", "1", "size of a found actuator fault"),
+    Field("sensor_error", "y", "known error of the sensor", sensor_error.STATE),
 )
 
 
