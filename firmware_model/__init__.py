@@ -1,9 +1,10 @@
 """The thesis's fault-tolerant controller: continuous designs, discretised into firmware.
 
-Nothing here opens a file, reads a clock or knows a bus: every function is arithmetic on its
-arguments, so what is tested here is what runs on the target.
+No function opens a file, reads a clock or knows a bus: each function is arithmetic on its
+arguments. So the tests run the same code as the target.
 
-``discretise`` makes a ``Filter`` of any continuous one; ``testing`` compares it with theory.
+``discretise`` makes a ``Filter`` of any continuous filter; ``testing`` compares a filter with
+theory.
 """
 
 from importlib import import_module

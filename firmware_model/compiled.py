@@ -28,9 +28,9 @@ _IMPORT = re.compile(
 
 
 def _cache_folder(file: Path) -> str:
-    """The folder for compiled code of ``file``: another for each state of the lines in that code.
+    """The folder for the compiled code of ``file``: each state of the source has a folder.
 
-    Numba compares the file of a cached function only, and not the files that the function calls.
+    Numba compares only the file of a cached function and ignores the files of called functions.
     Here the folder follows from the contents of ``file`` and of all project files that ``file``
     imports, directly or not. Modification times do not count: the kernel of a virtual machine
     rounds them.
@@ -43,7 +43,7 @@ def _cache_folder(file: Path) -> str:
 
 
 def _closure(file: Path) -> set[Path]:
-    """``file`` and the project files that it imports, directly or not."""
+    """``file`` and all project files imported by ``file``, directly or indirectly."""
     root = file.parent
     while (root / "__init__.py").exists():
         root = root.parent
@@ -90,23 +90,23 @@ def compiled(function: Function) -> Function:
 
 
 def firmware(function: Function) -> Function:
-    """The same without memory of its own: nothing is counted as in use, what allocates fails."""
+    """Compile without a memory counter: a function that allocates memory fails."""
     return _compiled(function, allocates=False)
 
 
 def firmware_run(function: Function) -> Function:
-    """The same for a whole run: without the interpreter's lock, so that other threads go on.
+    """Compile a whole run that releases the interpreter's lock, so that other threads go on.
 
-    A tick keeps it: a node that let go of it there would wait for a thread that has taken it.
+    A single tick keeps the lock: a node that released the lock would wait for another thread.
     """
     return _compiled(function, allocates=False, nogil=True)
 
 
-@cache  # asked for twice, it is told once
+@cache  # each caller is registered once
 def tell_when_compiling(tell: Callable[[], object]) -> None:
-    """Call ``tell`` when this process compiles the control law, which takes most of a minute.
+    """Call ``tell`` when this process compiles the control law (most of a minute).
 
-    It is kept, so this happens once for each version, precision and kind of processor.
+    The cache keeps the code, so each version, precision and kind of processor compiles once.
     """
     event.register("numba:compile", _LawIsCompiled(tell))  # type: ignore[no-untyped-call]
 
@@ -114,10 +114,10 @@ def tell_when_compiling(tell: Callable[[], object]) -> None:
 class _LawIsCompiled(event.Listener):
     def __init__(self, tell: Callable[[], object]) -> None:
         self._tell = tell
-        self._process = os.getpid()  # and not in those that it forks
+        self._process = os.getpid()  # forked processes stay silent
 
     def on_start(self, event: event.Event) -> None:
-        """Something is being compiled that is not kept yet."""
+        """Numba compiles a function that the cache lacks."""
         function = event.data["dispatcher"].py_func
         name = f"{function.__module__}.{function.__name__}"
         if name == "firmware_model.target.controller.step" and os.getpid() == self._process:
@@ -131,11 +131,11 @@ def _compiled(function: Function, *, allocates: bool, nogil: bool = False) -> Fu
     settings: Any = config
     folder = _folder(Path(inspect.getfile(function)))
     before, settings.CACHE_DIR = settings.CACHE_DIR, folder
-    # _nrt: numba's own option, which its hints do not name
+    # _nrt: numba's option, absent from numba's type hints
     options: dict[str, Any] = {"error_model": "numpy", "nogil": nogil, "_nrt": allocates}
     try:
         return cast(Function, njit(cache=True, **options)(function))
-    except RuntimeError:  # there is no folder to keep it in
+    except RuntimeError:  # no folder for the cache
         return cast(Function, njit(cache=False, **options)(function))
     finally:
         settings.CACHE_DIR = before

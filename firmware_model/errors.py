@@ -1,22 +1,21 @@
-"""What can be wrong with a design, one class for each broken assumption.
+"""Errors of a design, one class for each broken assumption.
 
-``DesignError`` is a ``ValueError``, so a caller who does not care which assumption broke catches
-that one.
+``DesignError`` is a ``ValueError``: a caller catches all broken assumptions with one class.
 """
 
 import math
 
 
 class DesignError(ValueError):
-    """A design that cannot be made: the message names the assumption and what broke it."""
+    """An impossible design: the message names the broken assumption and the cause."""
 
 
 class ParameterError(DesignError):
-    """A number that is not finite, or outside the range in which it means anything."""
+    """A number that is infinite, not a number, or outside its meaningful range."""
 
 
 class UnstablePlantError(DesignError):
-    """A mode that is not stable where it must be, or that one input alone cannot hold."""
+    """An unstable mode where stability is required, or a mode that one input alone cannot hold."""
 
 
 class ImproperError(DesignError):
@@ -24,7 +23,7 @@ class ImproperError(DesignError):
 
 
 class ZeroChannelError(DesignError):
-    """A channel that is identically zero: nothing to lose (2.3), or nothing to compensate with."""
+    """A channel that is identically zero: no effect to lose (2.3), or no means to compensate."""
 
 
 class AxisZeroError(DesignError):

@@ -37,13 +37,13 @@ ChangeSpeed = Callable[[float], None]
 
 
 class Law(Protocol):
-    """The control law as something that runs."""
+    """The runnable control law."""
 
     def init(self, table: Record) -> RecordArray:
         """One state at rest, shape (1,); see ``controller.init``."""
 
     def step_of(self, tables: RecordArray, states: RecordArray) -> Step:
-        """``controller.step`` for this table and this state, each the first of its array."""
+        """Run ``controller.step`` on the first table and the first state of the arrays."""
 
     def reset(self, table: Record, state: Record, reference: float) -> None:
         """See ``controller.reset``."""
@@ -76,13 +76,13 @@ PYTHON_LAW = PythonLaw()
 
 
 class Firmware:
-    """A table and a state of its own; ``step`` and ``reset`` are those of the law.
+    """A controller with a table and a private state; ``step`` and ``reset`` call the law.
 
     Args:
         table: from ``tables.build``.
-        law: what runs.
-        speeds: of a car whose speed changes, from ``schedules.schedule``; None: it does not, and
-            ``change_speed`` changes nothing.
+        law: the compiled functions.
+        speeds: the schedule of a car with changing speed, from ``schedules.schedule``; None for a
+            constant speed: then ``change_speed`` has no effect.
     """
 
     def __init__(self, table: Record, law: Law = PYTHON_LAW, speeds: Record | None = None) -> None:
@@ -117,11 +117,11 @@ class Firmware:
             self._change_speed(speed)
 
     def move(self, sections: FloatArray, doubt: float) -> None:
-        """Add a motion of the plant to F1 that no command of this controller caused.
+        """Add a motion of the plant to F1, caused by another source than this controller.
 
         Args:
-            sections: shape (MAX_SECTIONS, 2), what to add to the state of F1's first model.
-            doubt: how far off y may be by it, a variance: not a fault.
+            sections: shape (MAX_SECTIONS, 2), the change of the state of F1's first model.
+            doubt: variance of y due to the motion; the decision takes no fault from the motion.
         """
         state = self._states[0]
         accumulators = state.estimator.channel_1.accumulators
@@ -129,10 +129,10 @@ class Firmware:
         doubt_motion(self._tables[0].mismatch, state.mismatch, doubt)
 
     def act(self, command_1: float, command_2: float) -> None:
-        """Say which commands act from the next ``step`` on, where those sent were lost.
+        """Set the commands that act from the next ``step`` on, after a loss of the sent commands.
 
-        F1 and the decision go on with them, and what was lost is made up for. Only for a latency
-        of at least one tick: without it no command can be late.
+        F1 and the decision go on with the acting commands; the law makes up for the lost commands.
+        The latency must be at least one tick: without latency no command comes late.
         """
         act_first(self._tables, self._states, self._motions, command_1, command_2)
 

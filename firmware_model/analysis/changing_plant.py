@@ -1,18 +1,18 @@
-"""A plant whose matrices change with its speed, between two ticks, to fourth order.
+"""A plant with matrices that change with the speed, between two ticks, to fourth order.
 
     ẋ = A(V) x + B u,   y = C(V) x,   A(V) = A₁ V + A₂ + A₃/V + A₄/V²,   C(V) likewise
 
-is a linear time-varying system where V is a known function of time. Over an interval h with
-constant commands the state goes on by
+is a linear time-varying system for a known speed V(t). Over an interval h with constant commands
+the state advances by
 
     [x; u] → e^Ω [x; u],   Ω = h/2 (M₁ + M₂) + √3/12 h² (M₂ M₁ - M₁ M₂),   M = [A B; 0 0]
 
 with M₁ and M₂ at the Gauss points h (1/2 ∓ √3/6): the Magnus series to fourth order (Iserles and
-Nørsett, Phil. Trans. R. Soc. A 357 (1999) 983). Where V is constant, that is exact. A corner of V
-within a tick lowers the order in that tick alone.
+Nørsett, Phil. Trans. R. Soc. A 357 (1999) 983). For constant V the step is exact. A corner of V
+within a tick lowers the order only in the same tick.
 
-e^Ω acts on a vector, so no matrix of it is ever formed: its Taylor series in steps whose norm is at
-most 1 (Al-Mohy and Higham, SIAM J. Sci. Comput. 33 (2011) 488).
+e^Ω acts on a vector, so the code never forms the matrix e^Ω: a Taylor series in steps of norm at
+most 1 suffices (Al-Mohy and Higham, SIAM J. Sci. Comput. 33 (2011) 488).
 """
 
 from __future__ import annotations
@@ -46,13 +46,14 @@ class ChangingPlant:
     """A plant in multiples of powers of its speed; n states.
 
     Attributes:
-        a: (4, n, n). b: (n, 2). c: (4, n), what the sensor reads. sensed: (4, n), before that.
+        a: (4, n, n). b: (n, 2). c: (4, n), the sensor's reading. sensed: (4, n), the sensor's
+            input.
         tick_s: the tick, seconds.
         dead_ticks: whole ticks of dead time of each input.
-        sensor_dead_ticks: likewise of the sensor.
+        sensor_dead_ticks: whole ticks of the sensor's dead time.
         cuts: parts of a tick, ascending from 0 to 1, at which an input or the reading changes.
-        new: (len(cuts) - 1, 2), whether an input has gone over to the newer command by then.
-        read_at: the interval at whose end the sensor's dead time has it read.
+        new: (len(cuts) - 1, 2), whether an input already uses the newer command.
+        read_at: the interval that ends at the delayed sensor reading.
     """
 
     a: FloatArray
@@ -68,7 +69,7 @@ class ChangingPlant:
 
     @property
     def constants(self) -> Any:
-        """Everything that ``follow_changing`` needs to know, for compiled code."""
+        """The constants of ``follow_changing``, for compiled code."""
         dead = np.array([*self.dead_ticks, self.sensor_dead_ticks, self.read_at], np.int64)
         return self.a, self.b, self.c, self.sensed, np.diff(self.cuts) * self.tick_s, self.new, dead
 
@@ -96,7 +97,7 @@ class ChangingPlant:
 def changing_plant(
     plant_at: Callable[[float], Plant], fastest_mps: float, tick_s: float
 ) -> ChangingPlant:
-    """The plant that ``plant_at`` gives at each speed, V above 0.
+    """The plant of ``plant_at`` over all speeds V above 0.
 
     Args:
         plant_at: the plant at a speed in m/s; B and the dead times must not depend on it.
@@ -129,7 +130,7 @@ def changing_plant(
 
 
 def _multiples(speeds: Sequence[float], matrices: Sequence[FloatArray]) -> FloatArray:
-    """(4, ...), the multiples of ``POWERS`` of the speed that ``matrices`` are."""
+    """(4, ...), the coefficients of ``matrices`` over the ``POWERS`` of the speed."""
     scaled = np.array(speeds) / speeds[-1]
     powers = np.array([scaled**power for power in POWERS]).T
     flat = np.linalg.solve(powers, np.reshape(matrices, (len(speeds), -1)))

@@ -1,10 +1,10 @@
-"""The delay beyond its own that a sampled loop survives, in whole ticks and to the very edge.
+"""The additional delay that a sampled loop survives, in whole ticks and to the very edge.
 
-An extra delay of d ticks turns L into z⁻ᵈL, and nothing else. Poles can reach the unit circle only
-where |L| = 1 and arg(-L) = dωT, so the least such d over all crossovers is a lower bound: below it
-the Nyquist curve never meets -1, and with |L(-1)| < 1 it gains no encirclement either where the
-curve of a d that is no whole number is left open, at z = -1. From there on eigenvalues decide:
-whole ticks one by one, parts of a tick by a command that changes within it.
+An extra delay of d ticks only turns L into z⁻ᵈL. Poles can reach the unit circle only where |L| = 1
+and arg(-L) = dωT, so the least such d over all crossovers is a lower bound: below the bound the
+Nyquist curve never meets -1. The curve for a fractional d is open at z = -1; with |L(-1)| < 1 the
+gap adds no encirclement. Above the bound eigenvalues decide: whole ticks one by one, parts of a
+tick by a command that changes within it.
 """
 
 from __future__ import annotations
@@ -34,7 +34,7 @@ def delay_margins(
     bound = _least_critical_delay(loop)
     if math.isinf(bound):
         return None, None
-    if bound > EXACT_DELAY_TICKS:  # crossovers so slow that the hold's interpolation is z⁻ᵈ
+    if bound > EXACT_DELAY_TICKS:  # slow crossovers: the hold's interpolation equals z⁻ᵈ
         return math.ceil(bound) - 1, bound
     start = max(math.ceil(bound) - 2, 0)
     whole = start
@@ -75,11 +75,11 @@ def gain_at(loop: SampledLoop, theta: float) -> complex:
 def zero(
     function: Callable[[float], float], low: float, high: float, tolerance: float = 0.0
 ) -> float:
-    """Where ``function`` changes sign between the two, by the Illinois method.
+    """Find the sign change of ``function`` between both ends by the Illinois method.
 
-    To ``tolerance``, or to rounding where that is more.
+    The accuracy is the larger of ``tolerance`` and rounding.
 
-    scipy.optimize has many such methods, and takes as long to import as all of a check's margins.
+    scipy.optimize has many such methods, but the import takes as long as all margins of a check.
     """
     at_low, at_high, middle = function(low), function(high), low
     for _ in range(100):  # it takes some ten

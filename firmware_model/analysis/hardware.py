@@ -1,9 +1,9 @@
 """An actuator, a sensor and their frames in one tick, healthy or with a fault.
 
-A frame carries whole steps of its signal, or a floating-point number of so many bits, within its
-range. A fault is a row of numbers: by how many ticks a command or a reading is late, a factor and
-an addend of it, whether it stays as it was in the tick before, by how much it can change in a tick;
-and whether something else has come in its place, and what.
+A frame carries whole steps of the signal, or a floating-point number of given width, within a
+range. A fault is a row of numbers: ticks of delay of a command or a reading, factor, addend,
+whether the value freezes, largest change in a tick; and whether a substitute replaces the value,
+and the substitute.
 """
 
 from __future__ import annotations
@@ -37,8 +37,8 @@ def frame_of(step: float, least: float, most: float, bits: int = 0) -> FloatArra
     """The row of a frame, (``GRID``,): for `carried`.
 
     Args:
-        step: of the signal, in its unit; 0: it is a float.
-        least: smallest value that it carries, in its unit.
+        step: step of the signal, in the signal's unit; 0 for a float.
+        least: smallest value in the frame, in the signal's unit.
         most: largest.
         bits: of a float: 16, 32 or 64.
     """
@@ -60,7 +60,7 @@ def sensor_reading(read: float, bias: float, noise: float, resolution: float) ->
 
 @firmware
 def carried(value: float, frame: FloatArray) -> float:
-    """``value`` as a receiver of its ``frame`` gets it, (``GRID``,): saturated, in whole steps."""
+    """``value`` after transport in a ``frame``, (``GRID``,): saturated, in whole steps."""
     if math.isnan(value):
         return value
     inside: float = min(max(value, frame[LEAST]), frame[MOST])

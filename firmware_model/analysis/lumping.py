@@ -1,10 +1,10 @@
-"""States that are always equal, lumped into one.
+"""Lumping of permanently equal states.
 
-A dead time is a chain of states, each of which takes over what another held a tick before. The bus,
-the actuators, the sensor and the controller's model of all three each hold such a chain of the same
-commands. From the first tick on equal states stay equal, so one of them stands for all: the loop
-behaves as before, and has as many poles fewer at z = 0. Eigenvalues take the cube of the size, and
-a dead time of 50 ms at 1 kHz is 100 states instead of 200 or 300.
+A dead time is a chain of states; each state takes over the previous state's value after a tick. The
+bus, the actuators, the sensor and the controller's model of all three each hold such a chain of the
+same commands. Equal states stay equal from the first tick on, so a single state represents the
+group: the loop behaves as before, with fewer poles at z = 0. Eigenvalues take the cube of the size,
+and a dead time of 50 ms at 1 kHz is 100 states instead of 200 or 300.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ def lumps(a: FloatArray, b: FloatArray) -> NDArray[np.int_]:
 def lumped(
     a: FloatArray, b: FloatArray, rows: FloatArray
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """A, B and ``rows`` (r, n) of what is left when equal states are one."""
+    """A, B and ``rows`` (r, n) of the lumped system."""
     lump = lumps(a, b)
     _, first = np.unique(lump, return_index=True)
     belongs = np.zeros((len(a), len(first)))

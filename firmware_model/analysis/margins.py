@@ -1,6 +1,6 @@
-"""How far the sampled loop is from instability, and what it makes of measurement noise.
+"""Stability margins of the sampled loop, and the gain from measurement noise.
 
-Everything is read off ``SampledLoop``, the loop that the target closes, at the measurement.
+``SampledLoop``, the target's loop opened at the measurement, gives all figures.
 """
 
 from __future__ import annotations
@@ -39,21 +39,21 @@ NOISE_DOUBLINGS = 32  # 2^32 ticks, far beyond 1/OPEN_INTEGRATOR
 
 @dataclass(frozen=True)
 class Margins:
-    """Figures of merit of one loop. What an unstable loop has none of is ``None`` or NaN.
+    """Figures of merit of a loop. Figures undefined for an unstable loop are ``None`` or NaN.
 
     Attributes:
         spectral_radius: largest magnitude of a pole, per tick; below 1 is stable.
-        slowest_rad_per_s: |s| of the pole z = e^{sT} of that magnitude.
-        slowest_damping: its -Re(s)/|s|; 1 does not oscillate, below 0 is unstable.
-        delay_margin_ticks: whole extra ticks of delay, known to nobody, with each of which the
-            loop is stable; None if it has no such limit.
-        delay_margin_s: the extra delay that takes it to the edge, seconds.
-        gain_margin: smallest factor above 1 on the measurement with which it is unstable.
-        gain_reduction_margin: largest factor below 1; 0 if there is none.
+        slowest_rad_per_s: |s| of the pole z = e^{sT} with the largest magnitude.
+        slowest_damping: -Re(s)/|s| of the same pole; 1 without oscillation, below 0 unstable.
+        delay_margin_ticks: whole extra ticks of delay, unknown to the controller, up to which the
+            loop is stable; None without limit.
+        delay_margin_s: the extra delay at the edge of stability, seconds.
+        gain_margin: smallest factor above 1 on the measurement that makes the loop unstable.
+        gain_reduction_margin: largest such factor below 1; 0 without limit.
         peak_sensitivity: max |S(e^{jωT})|, S = 1/(1 + L).
         peak_sensitivity_rad_per_s: where.
-        noise_to_command_1, noise_to_command_2: rms of a command for white measurement noise of
-            rms 1; infinite when an integrator is left open.
+        noise_to_command_1, noise_to_command_2: rms of a command for white measurement noise of rms
+            1; infinite with an open integrator.
     """
 
     spectral_radius: float
@@ -81,10 +81,10 @@ def margins(
     effectiveness: tuple[float, float] = HEALTHY,
     confirmed: float | None = None,
 ) -> Margins:
-    """The margins of ``table`` around ``plant``, with ``effectiveness`` left of its actuators.
+    """The margins of ``table`` around ``plant`` at the ``effectiveness`` of the actuators.
 
-    Arguments and errors are those of ``sampled_loop``; ``confirmed`` is that of
-    ``linear_controller``, by default whenever an actuator is not whole.
+    Arguments and errors as in ``sampled_loop``; ``confirmed`` as in ``linear_controller``, by
+    default whenever an actuator is not whole.
     """
     law = law_in(table, effectiveness) if confirmed is None else linear_controller(table, confirmed)
     loop = sampled_loop(law, plant, tick_s, effectiveness)
@@ -128,20 +128,21 @@ def margins(
 
 
 def law_in(table: Record, effectiveness: tuple[float, float]) -> LinearController:
-    """The law that acts in this state: a loss has been confirmed wherever there is one.
+    """The acting law in this state: every loss counts as confirmed.
 
-    Of channel 1 as much as is lost; of all of it where channel 2 is, which d̂ cannot tell from it.
+    The confirmed share of channel 1 is the lost share; the whole channel 1 if channel 2 is lost,
+    because d̂ cannot distinguish both losses.
     """
     lost = 1.0 - effectiveness[0]
     return linear_controller(table, lost if lost > 0.0 or effectiveness == HEALTHY else 1.0)
 
 
 def gain_margins(loop: SampledLoop) -> tuple[float, float]:
-    """The factors below and above 1 on the measurement that take a stable ``loop`` to the edge.
+    """The factors on the measurement, below and above 1, at a stable ``loop``'s edge.
 
-    A pole can reach the unit circle only where L is real and negative, with the factor -1/L: of
-    these the next below and above 1. A factor beyond ``MOST_GAIN``, or below its inverse, is none:
-    infinite above and 0 below.
+    A pole can reach the unit circle only where L is real and negative, with the factor -1/L: the
+    result is the nearest factors below and above 1. A factor beyond ``MOST_GAIN`` counts as
+    infinite, a factor below the inverse as 0.
     """
     angle = loop.angles
     crossing = list(_real_at(loop, angle))
@@ -163,7 +164,7 @@ def _real_at(loop: SampledLoop, angle: FloatArray) -> Iterator[float]:
     if np.abs(np.linalg.eigvals(loop.lumped.a) - 1.0).min() > OPEN_INTEGRATOR:
         yield gain_at(loop, 0.0).real
         return
-    lowest = gain_at(loop, float(angle[0]))  # the integrator may be one that L does not see
+    lowest = gain_at(loop, float(angle[0]))  # L may not see the integrator
     if abs(lowest.imag) < abs(lowest.real) * SEEN:
         yield lowest.real
 
@@ -184,8 +185,8 @@ def noise_gain(loop: SampledLoop, answer: int) -> float:
     """Rms of u1, u2 or d̂ (``answer`` 0, 1, 2) for white measurement noise of rms 1; exact.
 
     The covariance P = APAᵀ + bbᵀ is summed by doubling: with P_k the first 2ᵏ terms of ΣAⁱbbᵀAᵀⁱ,
-    P_{k+1} = P_k + A^{2ᵏ} P_k A^{2ᵏ}ᵀ (Smith, "Matrix equation XA + BX = C", 1968). Infinite if an
-    integrator that is left open is heard in that answer.
+    P_{k+1} = P_k + A^{2ᵏ} P_k A^{2ᵏ}ᵀ (Smith, "Matrix equation XA + BX = C", 1968). Infinite if
+    noise reaches the answer through an open integrator.
     """
     loop = loop.lumped
     closed, h = loop.closed(), loop.h[answer] + loop.d[answer, 0] * loop.c
@@ -199,7 +200,7 @@ def noise_gain(loop: SampledLoop, answer: int) -> float:
     for _ in range(NOISE_DOUBLINGS):
         before = covariance
         covariance = covariance + power @ covariance @ power.T
-        if np.array_equal(covariance, before):  # what is left of the noise is below rounding
+        if np.array_equal(covariance, before):  # the remaining noise is below rounding
             break
         power = power @ power
     return math.sqrt(float(h @ covariance @ h) + float(loop.d[answer, 0]) ** 2)
@@ -212,9 +213,9 @@ def largest_latency_survived(
     states: Iterable[tuple[float, float]] = (HEALTHY, TORQUE_DEAD),
     most: int = MAX_LATENCY_TICKS,
 ) -> int | None:
-    """Largest latency with which, and with all below which, the loop is stable in every state.
+    """Largest latency up to which the loop is stable in every state, or None.
 
-    The controller knows the latency: its table is built for each. None if there is no such one.
+    The controller knows the latency: each latency has a separate table.
     """
     states = tuple(states)
     for latency in range(most + 1):
@@ -232,9 +233,9 @@ def is_stable_in(
     extra_delay_ticks: float = 0.0,
     most_sensitive: float = math.inf,
 ) -> bool:
-    """Whether ``design`` on ``target`` can be built and is stable in every one of ``states``.
+    """Whether ``design`` on ``target`` can be built and is stable in all ``states``.
 
-    With a peak |S| of at most ``most_sensitive``.
+    The peak |S| must be at most ``most_sensitive``.
     """
     try:
         table = build(design, target)

@@ -1,15 +1,15 @@
-"""The sampled closed loop as one matrix, read off the code that the target runs.
+"""The sampled closed loop as one matrix, read off the target's code.
 
-Without limits, grid and threshold a tick of ``controller.step`` is a linear map of its memories
-and its inputs. So column j of its matrix is one tick from unit memory j: no finite difference, no
-second copy of the control law, exact to rounding. Plant, hold and bus are linear algebra:
+Without limits, grid and threshold a tick of ``controller.step`` is a linear map of memories and
+inputs. So column j of its matrix is one tick from unit memory j: no finite difference, no second
+copy of the control law, exact to rounding. Plant, hold and bus are linear algebra:
 
     x⁺ = Φx + Γ Λ u(k - m) + Γ' Λ u(k - m - 1),   y = cx
 
-with m whole ticks of latency and dead time, for each channel its own, Λ what the actuators have
-left, and a delay that is no whole number of ticks as a command that changes within the tick (Åström
-and Wittenmark, "Computer-Controlled Systems", section on systems with time delays). From command to
-measurement the sensor's dead time counts as if it lay before both inputs.
+with m whole ticks of latency and dead time of each channel, Λ the effectiveness of the actuators,
+and a fractional delay as a command that changes within the tick (Åström and Wittenmark,
+"Computer-Controlled Systems", section on systems with time delays). From command to measurement the
+sensor's dead time counts as a dead time before both inputs.
 
 The loop is kept open at the measurement, y_m, and closed with y_m = gain · y when asked.
 """
@@ -35,7 +35,7 @@ from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray, Record, RecordArray
 
 ANSWERS = ("command_1", "command_2", "fault_estimate")
-DELAYS = (  # rings of the estimator: where each turns, and how many ticks it holds
+DELAYS = (  # rings of the estimator: index and length in ticks
     ("delay_1", "delay_index", "latency_ticks"),
     ("delay_2", "delay_index", "latency_ticks"),
     ("dead_1", "dead_index_1", "dead_ticks_1"),
@@ -65,8 +65,8 @@ class LinearController:
 class SampledLoop:
     """The loop, open at the measurement: ξ⁺ = Aξ + B(y_m, r), y = cξ, (u1, u2, d̂) = Hξ + D(y_m, r).
 
-    The state is the plant's, then the commands that wait for it (newest first), then the
-    controller's.
+    The state consists of the plant's state, the waiting commands (newest first) and the
+    controller's state.
 
     Attributes:
         a: (n, n). b: (n, 2). c: (n,). h: (3, n). d: (3, 2).
@@ -86,17 +86,18 @@ class SampledLoop:
 
     @cached_property
     def lumped(self) -> SampledLoop:
-        """The same loop with equal states as one; what waits anywhere counts once."""
+        """The same loop with equal states lumped; each waiting value counts once."""
         a, b, rows = lumped(self.a, self.b, np.vstack([self.c, self.h]))
         return replace(self, a=a, b=b, c=rows[0], h=rows[1:])
 
     def poles(self, gain: float = 1.0) -> ComplexArray:
         """Eigenvalues of the lumped closed loop that decide its stability.
 
-        A channel that is dead can leave an integrator of the controller open: C's after the loss
-        of an uncompensated torque channel, d̂'s own (1 - q = 0 at s = 0) after that of the force
-        difference. It drifts with what it is fed, but neither grows by itself nor reaches the
-        plant, and is left out. "Does not reach" is a question about exact zeros of the matrix.
+        A dead channel can leave an integrator of the controller open: the integrator of C after the
+        loss of an uncompensated torque channel, the integrator of d̂ (1 - q = 0 at s = 0) after a
+        lost force difference. An open integrator drifts with its input, but neither grows by itself
+        nor reaches the plant, so the result omits its eigenvalue. "Does not reach" is a question
+        about exact zeros of the matrix.
         """
         a = self.lumped.closed(gain)
         reaches = reaching(a, self.lumped.c)
@@ -135,7 +136,7 @@ class SampledLoop:
     def angles(self) -> FloatArray:
         """ωT, ascending to π: a logarithmic grid, closer where a pole is near the unit circle.
 
-        At most an eighth of a turn apart for what waits longest in the loop, too.
+        The step is at most an eighth of a turn of the longest delay in the loop.
         """
         waiting = self.lumped.a
         poles = np.concatenate([np.linalg.eigvals(waiting), self.poles()])
@@ -150,10 +151,10 @@ class SampledLoop:
 
 
 def linear_controller(table: Record, confirmed: float = 0.0) -> LinearController:
-    """The matrices of ``controller.step`` for ``table``, in float64 whatever its precision.
+    """The matrices of ``controller.step`` for ``table``, in float64 for any table precision.
 
-    ``confirmed``: as the law is after a confirmed loss of that share of channel 1; 0: none is. That
-    is another law only for a table that compensates on confirmation.
+    ``confirmed`` is the confirmed lost share of channel 1; 0: no loss. The share changes the law
+    only for a table that compensates on confirmation.
     """
     memories = memories_of(table)
     k = len(memories)
@@ -174,7 +175,7 @@ def linear_controller(table: Record, confirmed: float = 0.0) -> LinearController
         ring = estimator[name][:, : int(table.estimator[length])]
         ring[:] = np.roll(ring, -estimator[turned][0], axis=1)
     after = np.array([field_of(states, path)[(slice(None), *index)] for path, index in memories])
-    after = after.reshape(k, k + 2)  # also when there is no memory at all
+    after = after.reshape(k, k + 2)  # valid without any memory, too
     answers = np.array([states[name] for name in ANSWERS])
     return LinearController(after[:, :k], after[:, k:], answers[:, :k], answers[:, k:], latency)
 
@@ -190,11 +191,11 @@ def sampled_loop(
 
     Args:
         law: ``linear_controller`` of a table that was built for ``tick_s``.
-        plant: the car, which need not be the one the table was designed for.
+        plant: the car, not necessarily the table's design car.
         tick_s: the tick, seconds.
-        effectiveness: what is left of each actuator, 1 healthy, 0 dead.
-        extra_delay_ticks: by how much commands come later than the ``latency_ticks`` that the
-            controller knows of; need not be whole.
+        effectiveness: effectiveness of each actuator, 1 healthy, 0 dead.
+        extra_delay_ticks: delay of commands beyond the controller's ``latency_ticks``; fractions
+            allowed.
 
     Raises:
         ParameterError: a delay that is not finite and >= 0, an effectiveness outside 0..1.
@@ -239,7 +240,7 @@ def sampled_loop(
 
 
 def reaching(a: FloatArray, row: FloatArray) -> NDArray[np.bool_]:
-    """Which states (n,) can ever be seen in ``row`` ξ: by a path of non-zeros of ``a`` to it."""
+    """Which states (n,) reach ``row`` ξ by a path of non-zeros of ``a``."""
     reaches, steps = np.asarray(row != 0.0, dtype=np.bool_), a != 0.0
     while True:
         wider = reaches | (reaches @ steps)
@@ -249,17 +250,17 @@ def reaching(a: FloatArray, row: FloatArray) -> NDArray[np.bool_]:
 
 
 def field_of(states: RecordArray, path: tuple[str, ...]) -> RecordArray:
-    """A view of the field at ``path`` in every one of ``states``."""
+    """A view of the field at ``path`` in all ``states``."""
     for name in path:
         states = states[name]
     return states
 
 
 def memories_of(table: Record) -> list[Memory]:
-    """Everything that one tick leaves to the next, but for accumulators that stay zero for ever.
+    """All memories from tick to tick, except accumulators that stay zero for ever.
 
-    The second accumulator of a first-order section is never excited, nor is either of a gain; to
-    count them would add eigenvalues at 1 that no signal ever sees.
+    No signal excites the second accumulator of a first-order section or the accumulators of a gain;
+    counting such accumulators would add eigenvalues at 1 without effect.
     """
     memories: list[Memory] = []
     estimator = table.estimator
@@ -287,7 +288,7 @@ def memories_of(table: Record) -> list[Memory]:
 
 
 def without_limits(table: Record, n: int) -> RecordArray:
-    """``n`` copies of ``table`` that are linear, in float64."""
+    """``n`` linear copies of ``table`` in float64."""
     tables = np.zeros(n, table_type())
     tables[:] = np.array(table)
     for actuator in ("actuator_1", "actuator_2"):

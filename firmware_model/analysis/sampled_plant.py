@@ -1,12 +1,12 @@
-"""A plant between two ticks: exact for commands that are held, as actuators on a bus hold them.
+"""A plant between two ticks: exact for held commands, as actuators on a bus hold commands.
 
-A dead time that is no whole number of ticks makes an input change within the interval, from the
-older of two commands to the newer, and a sensor look back into it. Both are exact: the interval is
-cut where something changes, and the pieces are put together into one step
+A fractional dead time makes an input change within the interval, from the older of two commands to
+the newer, and a sensor look back into the interval. Both are exact: the code cuts the interval at
+each change and combines the pieces into one step
 
     x⁺ = Φx + Γ u(k - m) + Γ' u(k - m - 1)
 
-with m the whole ticks of the dead time, for each input its own.
+with m the whole ticks of each input's dead time.
 """
 
 from __future__ import annotations
@@ -24,12 +24,12 @@ from firmware_model.design.plants import Plant
 from firmware_model.errors import ParameterError
 from firmware_model.target.structs import FloatArray
 
-WHOLE = 1e-9  # of a tick: a dead time that near to a whole number of ticks is one
+WHOLE = 1e-9  # of a tick: tolerance for a whole number of ticks
 
 
 @dataclass(frozen=True)
 class SampledPlant:
-    """The step above, what the sensor reads at its end, and where the output is before the sensor.
+    """The step above, the sensor's reading at the end, and the output before the sensor.
 
     Attributes:
         phi: (n, n). gamma: (n, 2). c: (n,). Read-only, float64.
@@ -37,9 +37,9 @@ class SampledPlant:
         gamma_old: (n, 2), Γ'; zero where dead times are whole ticks.
         sensed: (n,), the output before the sensor.
         dead_ticks: m of each input.
-        looks_back: (n + 4,), what the sensor reads within the interval, of the state at its begin,
-            u(k - m) and u(k - m - 1); zero where its dead time is whole ticks: then it reads ``c``
-            at the end.
+        looks_back: (n + 4,), the sensor's reading within the interval from the initial state, u(k -
+            m) and u(k - m - 1); zero for a dead time of whole ticks: then the sensor reads ``c`` at
+            the end.
         sensor_dead_ticks: the whole ticks of the sensor's dead time.
     """
 
@@ -60,7 +60,7 @@ class SampledPlant:
 
     @property
     def constants(self) -> Any:
-        """Everything that ``follow`` needs to know, for compiled code."""
+        """The constants of ``follow``, for compiled code."""
         inputs = (self.phi, self.gamma, self.gamma_old, bool(self.gamma_old.any()))
         outputs = (self.sensed, self.c, self.looks_back, bool(self.looks_back.any()))
         dead = np.array([*self.dead_ticks, self.sensor_dead_ticks], np.int64)
@@ -68,7 +68,7 @@ class SampledPlant:
 
     @property
     def memory(self) -> Any:
-        """All that ``follow`` changes, at rest.
+        """The memory of ``follow``, at rest.
 
         The state, room for the next one, and rings of commands and of samples.
         """
@@ -103,7 +103,7 @@ def sample(plant: Plant, tick_s: float) -> SampledPlant:
 
 
 def split_ticks(ticks: float) -> tuple[int, float]:
-    """Whole ticks and the part of one that is left; a part within rounding is none."""
+    """Whole ticks and the remaining fraction of a tick; a fraction within rounding is zero."""
     whole = math.floor(ticks + WHOLE)
     part = ticks - whole
     return whole, part if part > WHOLE else 0.0
@@ -156,9 +156,9 @@ def _exponential(a: FloatArray, b: FloatArray, duration_s: float) -> tuple[Float
 
 @firmware
 def advance_plant(phi: Any, gamma: Any, x: Any, after: Any, u1: float, u2: float) -> None:
-    """The state one tick later, in place; plain loops, so that every machine adds in one order.
+    """The state one tick later, in place; plain loops fix the order of additions on all machines.
 
-    ``after`` is like ``x`` and free to be overwritten.
+    ``after`` is scratch memory of the shape of ``x``.
     """
     n = len(x)
     for i in range(n):
@@ -181,7 +181,7 @@ def measure_plant(c: Any, x: Any) -> float:
 
 @compiled
 def follow_plant(phi: Any, gamma: Any, c: Any, x: Any, u1: float, u2: float) -> float:
-    """Advance by one tick, in place, and measure."""
+    """Advance by a tick, in place, and measure."""
     advance_plant(phi, gamma, x, np.empty(len(x)), u1, u2)
     return measure_plant(c, x)
 
@@ -190,16 +190,16 @@ def follow_plant(phi: Any, gamma: Any, c: Any, x: Any, u1: float, u2: float) -> 
 def follow(
     constants: Any, memory: Any, k: int, u1: float, u2: float, left_1: float, left_2: float
 ) -> tuple[float, float]:
-    """Advance from tick ``k`` to the next: the output before the sensor, and what that reads.
+    """Advance from tick ``k`` to the next; return the output before the sensor and the reading.
 
     Args:
-        constants: of a ``SampledPlant``.
-        memory: of the same; changed in place.
+        constants: constants of a ``SampledPlant``.
+        memory: memory of the plant; changed in place.
         k: the tick, counted from rest.
         u1: the command that reaches actuator 1 now, before its dead time.
-        u2: that of actuator 2.
-        left_1: the share of what is behind the dead time of actuator 1 that still acts.
-        left_2: that of actuator 2.
+        u2: the command of actuator 2.
+        left_1: effectiveness of actuator 1, applied behind the dead time.
+        left_2: effectiveness of actuator 2.
     """
     (phi, gamma, gamma_old, changes), (sensed, c, looks_back, within), dead, immediate = constants
     x, after, commands, samples = memory

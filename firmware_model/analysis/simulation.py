@@ -1,10 +1,10 @@
-"""The one loop without frames: ``step``, what lies between it and a plant, and the plant.
+"""The loop without frames: ``step``, the links between ``step`` and a plant, and the plant.
 
-What a bus does to the loop is an input of it: which commands arrive, what the sensor adds, on which
-grid D* is. A command that has come is limited as its actuator is, then it goes through dead time
-and lag; what a fault leaves is of what enters that lag. So it gives the signals of a run on a bus,
-bit for bit, in a fraction of the time. A linear plant runs compiled as a whole; for any other the
-same ``tick`` alternates with the plant's own ``follow``.
+The effects of a bus are inputs of the loop: the arriving commands, the sensor's errors, the grid of
+D*. The actuator's limits act on an arriving command, then dead time and lag; a fault acts on the
+input of the lag. So the loop returns the signals of a run on a bus, bit for bit, in a fraction of
+the time. A linear plant runs compiled as a whole; for any other the same ``tick`` alternates with
+the plant's own ``follow``.
 """
 
 from __future__ import annotations
@@ -34,35 +34,37 @@ class AnyPlant(Protocol):
     def follow(
         self, command_1: float, command_2: float, left_1: float, left_2: float
     ) -> tuple[float, float]:
-        """A tick later: the output before the sensor, and what the sensor reads.
+        """Advance by a tick; return the output before the sensor and the sensor's reading.
 
-        The commands reach their actuators now; ``left_1`` and ``left_2`` is what a fault leaves.
+        The commands reach the actuators now; ``left_1`` and ``left_2`` are the remaining
+        effectiveness.
         """
 
 
 class Simulation:
-    """A loop that starts from rest and goes on as far as it is told.
+    """A loop that starts from rest and advances on request.
 
     Args:
         table: from ``tables.build``, for the plant's tick; its latency is the loop's.
-        plant: the car, which need not be the one the table was designed for.
+        plant: the car, not necessarily the table's design car.
         reference: (ticks,).
         tick_s: seconds; a ``SampledPlant`` knows it.
-        effectiveness: (ticks, 2), what is left of each actuator; default all ones. A zero is the
+        effectiveness: (ticks, 2), effectiveness of each actuator; default all ones. A zero is the
             thesis's fault: the channel's input is gone, the plant and the lag keep their state.
-        noise: (ticks,), added to what the controller measures; default none.
-        bias: (ticks,), likewise, and first.
-        arrives: (ticks, 2), whether the command of a tick reaches its actuator; default always.
-        hold_ticks: how long an actuator holds its last command without one; then it applies zero.
+        noise: (ticks,), added to the controller's measurement; default none.
+        bias: (ticks,), added before the noise; default none.
+        arrives: (ticks, 2), whether the command of a tick reaches the actuator; default always.
+        hold_ticks: ticks without a command during which an actuator holds the last command; then
+            the actuator applies zero.
         limits: (2, 2), the actuators' own, a row a channel: largest magnitude of a command, largest
             change in a tick.
         faults: (ticks, 3, ``DISTORTION``), of channels and sensor; see ``hardware``. Default none.
         schedule: for a plant whose speed changes, from ``schedules.schedule``. Default none.
-        speed: (ticks,), which the controller hears of it.
+        speed: (ticks,), speed signal of the controller.
         resolution: of the sensor; 0: none.
-        frames: (3, ``GRID``), of both commands and of what is measured; see ``hardware``.
-        keeps_states: whether ``plant_states`` has those of a ``SampledPlant``.
-        at_rest: (1,), of ``controller.init``, for whoever has it.
+        frames: (3, ``GRID``), frames of both commands and of the measurement; see ``hardware``.
+        keeps_states: whether ``plant_states`` records the states of a ``SampledPlant``.
+        at_rest: (1,), a state from ``controller.init``, to save the call.
     """
 
     def __init__(
@@ -102,8 +104,8 @@ class Simulation:
         state = controller.init(table) if at_rest is None else at_rest
         tables = np.asarray(table).reshape(1)
         self._loop = (
-            tables if schedule is None else np.array([table], table.dtype),  # which it changes
-            state.view(np.uint8).copy().view(state.dtype),  # not field by field, which is slow
+            tables if schedule is None else np.array([table], table.dtype),  # changed later
+            state.view(np.uint8).copy().view(state.dtype),  # a copy field by field is slow
             self.inputs,
             (float(resolution), frames),
             (np.zeros(2), np.zeros(2, dtype=np.int64), hold_ticks, np.zeros(3), limits, faults),
@@ -113,7 +115,7 @@ class Simulation:
         if schedule is not None:
             blending = np.zeros(1, record_type(STATE, precision_of(table)))
             self._speeds = (np.array([schedule], schedule.dtype), blending, *self._loop[:2])
-        self._output = (0.0, 0.0)  # of the plant at rest, and what its sensor reads
+        self._output = (0.0, 0.0)  # output of the plant at rest, and the sensor's reading
         self._memory: Any = ()
         self.plant_states = np.zeros((0, 0))
         """(ticks, n), at the beginning of each tick, where they are kept."""
@@ -124,7 +126,7 @@ class Simulation:
         self.tick_s = tick_s
 
     def run(self, until: int | None = None) -> None:
-        """Go on up to the tick ``until``; None: to the end. What the plant raises is passed on."""
+        """Advance up to the tick ``until``; None: to the end. Errors of the plant pass through."""
         end, plant = self.ticks if until is None else min(until, self.ticks), self._plant
         if isinstance(plant, SampledPlant):
             if end > self.done:
@@ -143,9 +145,9 @@ class Simulation:
             self._output = plant.follow(u1, u2, *effectiveness[self.done - 1].tolist())
 
     def go_on_from(self, other: Simulation) -> None:
-        """Be where ``other`` is: a loop of the same table and ``SampledPlant``, as long as this.
+        """Copy the position of ``other``: a loop of the same table, ``SampledPlant`` and length.
 
-        As far as that is its inputs must have been the same.
+        The inputs of both loops must agree up to the position.
         """
         self._loop[1][0] = other._loop[1][0]
         for own, its in zip(self._changing, other._changing, strict=True):
@@ -185,7 +187,7 @@ class Simulation:
 def simulate(
     table: Record, plant: SampledPlant | AnyPlant, reference: FloatArray, **inputs: Any
 ) -> Trace:
-    """Run the loop from rest to its end, one tick for each reference sample; see ``Simulation``."""
+    """Run the loop from rest to the end, a tick for each reference sample; see ``Simulation``."""
     simulation = Simulation(table, plant, reference, **inputs)
     simulation.run()
     return simulation.trace
@@ -204,21 +206,21 @@ def tick(
     y: float,
     read: float,
 ) -> tuple[float, float]:
-    """Tick ``k`` of the loop but for the plant: its output → the commands that its actuators get.
+    """Tick ``k`` of the loop without the plant: output of the plant → commands at the actuators.
 
     Args:
         tables: (1,), the constants of the controller; arrays of one record are the fastest way from
             interpreted code to compiled code.
-        controllers: (1,), its state; changed in place.
-        inputs: reference, bias, noise, effectiveness, arrives, as those of ``Simulation``.
+        controllers: (1,), state of the controller; changed in place.
+        inputs: reference, bias, noise, effectiveness, arrives, as in ``Simulation``.
         grid: the sensor's resolution, and the frames (3, ``GRID``).
-        actuators: the last commands (2,), ticks without one (2,), ticks that they hold; what
-            reached them last and what the sensor said (3,); their limits (2, 2), faults.
-        signals: (ROWS, ticks), filled in for this tick, and read for what is still on its way.
-        states: (3, ticks), likewise fault state, mode and verdict.
+        actuators: the last commands (2,), ticks without command (2,), ticks of hold; last values at
+            the actuators and last reading (3,); limits of the actuators (2, 2), faults.
+        signals: (ROWS, ticks), filled in for this tick; read for delayed values.
+        states: (3, ticks), fault state, mode and verdict, filled in for this tick.
         k: the tick.
         y: the output of the plant.
-        read: what its sensor reads of it.
+        read: the sensor's reading of the plant.
     """
     table, state = tables[0], controllers[0]
     reference, bias, noise, _, arrives = inputs

@@ -1,15 +1,15 @@
 """The loop of a scheduled controller around a car at every speed, and while the speed changes.
 
-Frozen at one speed it is a ``SampledLoop``. That each of them is stable does not make the loop
-stable while the speed moves (Rugh and Shamma, Automatica 36 (2000) 1401). So it is also driven up
-and down without a rest, at the fastest change that is allowed, through all speeds and between
-neighbouring designs. Over one such cycle a state ξ goes to Φ ξ,
+Frozen at one speed the loop is a ``SampledLoop``. Stability at each frozen speed does not prove
+stability under a changing speed (Rugh and Shamma, Automatica 36 (2000) 1401). So the speed also
+cycles up and down without a rest, at the fastest allowed change, through all speeds and between
+neighbouring designs. Over a cycle a state ξ goes to Φ ξ,
 
     Φ = A(V_n)^k T_n ... A(V_1)^k T_1,
 
-k ticks at each speed of a fine grid, T the turn of the models' states between two of them as
-``target.schedule`` does it; the state of the car stays. The cycle is stable where all eigenvalues
-of Φ, its Floquet multipliers, are inside the unit circle, whatever the units of the states.
+k ticks at each speed of a fine grid, T the turn of the models' states between two speeds by
+``target.schedule``; the state of the car stays. The cycle is stable if all eigenvalues of Φ
+(Floquet multipliers) are inside the unit circle, whatever the units of the states.
 """
 
 from __future__ import annotations
@@ -41,14 +41,15 @@ BETWEEN = 4  # speeds of the grid for each interval between two designs
 
 @dataclass(frozen=True)
 class SpeedSweep:
-    """What became of the loop between the slowest design and the fastest.
+    """Stability of the loop between the slowest design and the fastest.
 
     Attributes:
-        speeds: how many were looked at.
-        spectral_radius: the largest of all of them, frozen.
-        at_mps: the speed where it is.
-        while_changing: the largest of all cycles, as the mean over a tick: |multiplier|^(1/ticks).
-        between_mps: the speeds of that cycle.
+        speeds: number of examined speeds.
+        spectral_radius: largest spectral radius over all frozen speeds.
+        at_mps: the speed of the largest radius.
+        while_changing: largest multiplier of all cycles, as a mean per tick:
+            |multiplier|^(1/ticks).
+        between_mps: the speeds of the cycle with the largest multiplier.
     """
 
     speeds: int
@@ -59,7 +60,7 @@ class SpeedSweep:
 
     @property
     def stable(self) -> bool:
-        """At every speed, and while it changes."""
+        """Whether the loop is stable at every speed and under speed changes."""
         return self.spectral_radius < 1.0 and self.while_changing < 1.0
 
 
@@ -99,7 +100,7 @@ def sweep(
 
 
 def table_at(of: Scheduled, speed: float) -> Record:
-    """The table that ``of`` has at ``speed``."""
+    """The table of ``of`` at ``speed``."""
     return _moved(of, np.zeros(0), speed, speed)[0]
 
 
@@ -148,7 +149,7 @@ def _turn(of: Scheduled, before: float, after: float, size: int) -> FloatArray:
 def _moved(
     of: Scheduled, memories: FloatArray, before: float, after: float
 ) -> tuple[Record, FloatArray]:
-    """The table at the speed ``after``, and what ``memories`` at ``before`` are there."""
+    """The table at the speed ``after``, and ``memories`` carried from ``before`` to ``after``."""
     assert of.schedule is not None
     precision = precision_of(of.table)
     schedules = np.array([of.schedule], of.schedule.dtype)

@@ -1,4 +1,4 @@
 """The continuous design: vehicle, plants, factorisation, estimator, compensator, tracking.
 
-It imports nothing of `firmware_model` but `errors`.
+Imports only `errors` of `firmware_model`.
 """

@@ -2,9 +2,9 @@
 
     y = S e^(-d s) (G1 A1 e^(-d1 s) u1 + G2 A2 e^(-d2 s) u2)
 
-A1, A2 and S are lags of first order, 1/(1 + τs), or of second, ω²/(s² + 2ζωs + ω²). They add poles
-and no zero, so they raise the relative degree of a channel and leave its zeros as they are. Dead
-times are no rational functions: a plant carries them beside G1 and G2.
+A1, A2 and S are lags of first order, 1/(1 + τs), or of second, ω²/(s² + 2ζωs + ω²). The stages add
+poles and no zero, so a channel's relative degree rises and the zeros stay. Dead times are no
+rational functions: a plant stores dead times beside G1 and G2.
 """
 
 from __future__ import annotations
@@ -84,10 +84,10 @@ IDEAL = Stage()
 
 
 def behind(car: Plant, actuator_1: Stage, actuator_2: Stage, sensor: Stage) -> Plant:
-    """``car`` with a stage before each input and one after its output.
+    """``car`` with a stage before each input and a stage after the output.
 
     The states are those of the car, of actuator 1, of actuator 2 and of the sensor, in this order.
-    With nothing but immediate stages it is the car itself.
+    With only immediate stages the result is ``car``.
     """
     if actuator_1 == actuator_2 == sensor == IDEAL:
         return car

@@ -1,4 +1,4 @@
-"""A design specification and the whole continuous design that follows from it and a plant.
+"""A design specification, and the continuous design from specification and plant.
 
 Chapter 3 closes the loop: u1 = C (r - y), u2 = F̂2 d̂. Chapter 2 leaves it open: u = r + F̂ d̂.
 """
@@ -53,11 +53,11 @@ class DesignSpecification:
 
 @dataclass(frozen=True)
 class ContinuousDesign:
-    """The controllers of Figs. 2.1 and 3.4 and the factors of G2; ``None`` where not asked for.
+    """The controllers of Figs. 2.1 and 3.4 and the factors of G2; ``None`` if not requested.
 
-    ``factors`` are M, N1 and N2 of the plant, 1, G1 and G2 of a stable one.
-    ``compensator`` is F̂2 from d̂ to u2, ``tracking`` is C from r - y to u1 and what it is made of;
-    ``inner`` and ``outer`` are G2i and G2o of (3.31), of a plant that is not stable those of N2.
+    ``factors`` are M, N1 and N2 of the plant, 1, G1 and G2 of a stable one. ``compensator`` is F̂2
+    from d̂ to u2, ``tracking`` is C from r - y to u1 with the parts of C; ``inner`` and ``outer``
+    are G2i and G2o of (3.31), for an unstable plant the factors of N2.
     """
 
     plant: Plant
@@ -116,7 +116,7 @@ def design(plant: Plant, specification: DesignSpecification) -> ContinuousDesign
 def refuse_unreachable(plant: Plant, feedback: bool) -> None:
     """Raise unless C alone, and after the loss F̂ alone, can hold every unstable mode of ``plant``.
 
-    A mode that a channel does not reach is a zero of that channel on its pole.
+    A mode out of a channel's reach shows as a zero of the channel on the pole.
     """
     for label, channel in (("input 1", plant.g1), ("input 2", plant.g2)):
         for pole in unstable(channel):

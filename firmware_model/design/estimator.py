@@ -21,8 +21,8 @@ _EPS = float(np.finfo(np.float64).eps)
 class FaultEstimator:
     """``f1`` (one for each input) and ``f2`` of (2.1), in the plant's units of output an input.
 
-    ``one_plus_q`` is their common factor: d̂ = (1 + Q)(N1 u1 + N2 u2 - M y) is what runs, so that a
-    shared filter cannot differ between three copies of it.
+    ``one_plus_q`` is the common factor: the target runs d̂ = (1 + Q)(N1 u1 + N2 u2 - M y), so the
+    shared filter has a single copy.
     """
 
     f1: tuple[ZeroPoleGain, ZeroPoleGain]
@@ -47,7 +47,7 @@ def fault_estimator(factors: CoprimeFactors, q: ZeroPoleGain | None = None) -> F
 
 
 def _one_plus(q: ZeroPoleGain) -> ZeroPoleGain:
-    """1 + N/D = (D + N)/D; a sum that cancels to rounding is zero, or it would be a far zero."""
+    """1 + N/D = (D + N)/D; a sum within rounding of zero becomes zero, not a far zero."""
     if not q.is_stable():
         pole = max(q.poles, key=lambda p: p.real)
         raise UnstableFilterError(f"Q has a pole at {pole:.6g} rad/s, must have real part < 0")

@@ -1,6 +1,7 @@
 """Inner-outer factorisation of a stable channel: G = Gi·Go with Gi(0) = 1, (3.31).
 
-A zero z in the right half plane has no stable inverse. Its mirror image -conj(z) has, and
+A zero z in the right half plane has no stable inverse. The mirror image -conj(z) has a stable
+inverse, and
 
     (s - z) = (z - s)/(conj(z) + s) · (-1)(s + conj(z))
 

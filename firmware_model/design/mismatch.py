@@ -1,12 +1,12 @@
-"""Cars that are not the model, as few directions in which the fault estimate can be wrong.
+"""Cars that differ from the model, as a few directions of error in the fault estimate.
 
-A car that differs in k parameters shows d̂ = (G1 - G1') u1 + (G2 - G2') u2. To first order that is a
-sum over the parameters, of which some show almost alike and some hardly at all: the singular
-vectors of what they make of d̂ on a step of the reference, which G1 follows or G2 in its place, give
-the few combinations that matter, largest first.
+A car that differs in k parameters shows d̂ = (G1 - G1') u1 + (G2 - G2') u2. To first order d̂ is a
+sum over the parameters; some parameters act almost alike and some hardly act. The singular vectors
+of the parameters' effects on d̂ at a step of the reference, followed by G1 or by G2 in place of G1,
+give the few important combinations, largest first.
 
-Of a plant that is not stable d̂ = ΔN1 u1 + ΔN2 u2 - ΔM y, which for y = G u is to first order
-M ΔG/G y: the same, as large as M leaves it (``factors.coprime``).
+For an unstable plant d̂ = ΔN1 u1 + ΔN2 u2 - ΔM y; for y = G u d̂ is M ΔG/G y to first order: the
+same effect, filtered by M (``factors.coprime``).
 """
 
 from __future__ import annotations
@@ -20,8 +20,8 @@ from numpy.typing import NDArray
 from firmware_model.design.factors.coprime import left_coprime
 from firmware_model.design.zpk import ZeroPoleGain
 
-STEP = 0.05  # of the box, for a difference that is still linear
-LEAST = 1e-3  # of the largest singular value, below which a direction shows nothing
+STEP = 0.05  # share of the box for a linear difference
+LEAST = 1e-3  # share of the largest singular value; smaller directions have no visible effect
 FREQUENCIES = 200
 
 FloatArray = NDArray[np.float64]
@@ -35,9 +35,10 @@ class Mismatch:
     """G1, G2 of other cars, one for each principal direction, ``STEP`` of the box away.
 
     Attributes:
-        cars: none trusts the model.
-        directions: to each of them, shape (k,), of unit length.
-        singular_values: of all directions, rms of d̂ on a step of 1 a box: what is left out too.
+        cars: empty if the model is trusted.
+        directions: of each car, shape (k,), unit length.
+        singular_values: of all directions (left-out directions too), rms of d̂ on a step of 1 a
+            box.
     """
 
     cars: tuple[Channels, ...] = ()

@@ -32,8 +32,8 @@ from firmware_model.errors import ParameterError, UnstablePlantError, ZeroChanne
 Matrix = NDArray[np.float64]
 
 _EPS = float(np.finfo(np.float64).eps)
-LOOKED_AT = cmath.exp(1j)  # direction in s in which channels are compared: no pole as a rule
-_AGREEMENT = 1e-6  # of the channels with C(sI - A)⁻¹B; far above rounding, far below a wrong root
+LOOKED_AT = cmath.exp(1j)  # direction in s for the comparison of channels: usually free of poles
+_AGREEMENT = 1e-6  # relative; far above rounding, far below the effect of a wrong root
 
 
 @dataclass(frozen=True, eq=False)
@@ -44,13 +44,13 @@ class Plant:
     transfer functions (3.18), (3.19) of its columns. Units are those of the inputs and the output:
     for the car [N m], [N] and [m/s²]. Two plants are equal only if they are the same object.
 
-    A plant behind actuators and a sensor (``actuator_dynamics``) has dead times that G1 and G2 do
-    not contain, s: ``dead_times_s`` from each input, ``sensor_dead_time_s`` to the output. Its
-    ``sensed`` (1, n) is the output before the sensor; by default that is ``c``.
+    A plant behind actuators and a sensor (``actuator_dynamics``) has dead times outside G1 and G2,
+    s: ``dead_times_s`` from each input, ``sensor_dead_time_s`` to the output. ``sensed`` (1, n) is
+    the output before the sensor, by default ``c``.
 
-    Raises ``ParameterError`` for shapes that do not fit, values that are not finite, dead times
-    below zero and channels that are not those of the state space; ``UnstablePlantError`` for poles
-    of one channel alone that are not in the left half plane; ``ZeroChannelError``.
+    Raises ``ParameterError`` for mismatched shapes, values that are not finite, dead times below
+    zero and channels that contradict the state space; ``UnstablePlantError`` for poles of a single
+    channel outside the left half plane; ``ZeroChannelError``.
     """
 
     name: str
@@ -78,7 +78,7 @@ class Plant:
 
     @property
     def path_dead_times_s(self) -> tuple[float, float]:
-        """From each input to the measurement, s: that of its actuator and that of the sensor."""
+        """Dead time from each input to the measurement, s: actuator plus sensor."""
         first, second = self.dead_times_s
         return first + self.sensor_dead_time_s, second + self.sensor_dead_time_s
 
@@ -95,8 +95,8 @@ class Plant:
     def from_state_space(cls, name: str, a: ArrayLike, b: ArrayLike, c: ArrayLike) -> Self:
         """The plant of any ``a`` (n, n), ``b`` (n, 2), ``c`` (1, n); channels of order n.
 
-        Modes that a channel does not reach or show stay in it as pole-zero pairs.
-        Raises what ``Plant`` raises.
+        Unreachable and unobservable modes of a channel stay as pole-zero pairs. Raises what
+        ``Plant`` raises.
         """
         a, b, c = _validated(name, a, b, c)
         poles = _poles(a)
@@ -106,12 +106,12 @@ class Plant:
 
     @classmethod
     def from_transfer_functions(cls, name: str, g1: ZeroPoleGain, g2: ZeroPoleGain) -> Self:
-        """The plant of two channels with fewer zeros than poles, which share unstable modes only.
+        """The plant of two strictly proper channels that share only the unstable modes.
 
-        Those stand in partial fractions, n_i/Π(s - p) + S_i, so that both inputs drive one and the
-        same: or what one input alone holds would not be what the other has left.
+        The partial fractions n_i/Π(s - p) + S_i separate the unstable modes, so both inputs drive
+        the same modes: otherwise channel 2 could not hold the modes of a lost channel 1.
 
-        Raises what ``Plant`` raises, and ``ParameterError`` for a channel that feeds through.
+        Raises the errors of ``Plant``, and ``ParameterError`` for a channel with feedthrough.
         """
         _refuse_zero(name, g1, g2)
         largest = max(map(abs, (*g1.poles, *g2.poles)), default=0.0)
@@ -175,10 +175,10 @@ def _leverrier(a: Matrix) -> Iterator[tuple[Matrix, Matrix, float]]:
 
 
 def _poles(a: Matrix) -> Roots:
-    """The eigenvalues of A; those that rounding alone keeps off 0 or off the imaginary axis there.
+    """The eigenvalues of A, moved to 0 or to the imaginary axis if within rounding.
 
-    m poles at 0 are as many last coefficients of det(sI - A) within their own rounding error of
-    zero; their eigenvalues may be off by the m-th root of that.
+    m poles at 0 make the last m coefficients of det(sI - A) zero within rounding error; the
+    computed eigenvalues may be off by the m-th root of the error.
     """
     n = len(a)
     rounding = n * _EPS * float(np.linalg.norm(a))
@@ -196,7 +196,7 @@ def _poles(a: Matrix) -> Roots:
 
 
 def _validated(name: str, a: ArrayLike, b: ArrayLike, c: ArrayLike) -> tuple[Matrix, ...]:
-    """Read-only float64 copies of A, B, C whose shapes fit and whose values are finite."""
+    """Read-only float64 copies of A, B, C after checks of shapes and finite values."""
     n = np.shape(a)[0] if np.ndim(a) else 0
     matrices = []
     for label, value, shape in (("A", a, (n, n)), ("B", b, (n, 2)), ("C", c, (1, n))):
@@ -223,7 +223,7 @@ def _refuse_zero(name: str, g1: ZeroPoleGain, g2: ZeroPoleGain) -> None:
 
 
 def _refuse_unshared(name: str, g1: ZeroPoleGain, g2: ZeroPoleGain) -> None:
-    """What only one input reaches, the other cannot hold."""
+    """A mode within reach of one input alone cannot be held by the other input."""
     first, second = unstable(g1), unstable(g2)
     if Counter(first) != Counter(second):
         raise UnstablePlantError(
@@ -238,7 +238,7 @@ def _listed(roots: Roots) -> str:
 
 
 def _refuse_disagreement(plant: Plant) -> None:
-    """The channels must be C(sI - A)⁻¹B; looked at where they change, at the poles' magnitudes."""
+    """Check the channels against C(sI - A)⁻¹B at the magnitudes of the poles."""
     sizes = {abs(pole) for pole in (*plant.g1.poles, *plant.g2.poles)} - {0.0} or {1.0}
     points = LOOKED_AT * np.array(sorted(sizes))
     resolvents = np.linalg.inv(points[:, None, None] * np.eye(len(plant.a)) - plant.a)

@@ -1,22 +1,22 @@
 """The tracking controller C of (3.32)-(3.34), for any plant with no zero on the imaginary axis.
 
-The thesis's is for a stable, minimum-phase G1: Q = q̂/G1 makes the healthy loop T = q̂, and C is run
-as u1 = Q (r - y + G1 u1). Of any other, with G1 = N1/M of ``coprime`` and N1 = N1i N1o in inner and
-outer factors, all controllers that stabilise it are C = U/V with U N1 + V M = 1 in RH∞ (Youla). A
-choice of T, which ``interpolation`` makes, fixes both:
+The thesis treats a stable, minimum-phase G1: Q = q̂/G1 makes the healthy loop T = q̂, and C runs as
+u1 = Q (r - y + G1 u1). For any other G1 = N1/M of ``coprime``, with N1 = N1i N1o in inner and outer
+factors, all stabilising controllers are C = U/V with U N1 + V M = 1 in RH∞ (Youla).
+``interpolation`` chooses T, and T fixes U and V:
 
     T = q̂ N1i P,   U = T/N1 = q̂ P/N1o,   V = (1 - T)/M
 
-and V u1 = U (r - y) is, with nothing but stable filters,
+and V u1 = U (r - y) is, with only stable filters,
 
     u1 = U (r - y + N1 u1) + R u1,   R = 1 - U N1 - V = (1 - 1/M)(1 - T)
 
-so the thesis's own structure, and one filter R more, strictly proper and zero for a stable plant.
-C itself, multiplied out: with S the zeros of 1 - T other than s = 0 and the unstable poles,
+hence the thesis's structure plus a filter R, strictly proper and zero for a stable plant. C itself,
+multiplied out: with S the zeros of 1 - T other than s = 0 and the unstable poles,
 
     C = P's numerator · G1's stable poles / (G1's zeros in the left half plane · s · S)
 
-s = 0 is the integrator that leaves a step no steady-state error.
+s = 0 is the integrator: a step leaves no steady-state error.
 """
 
 from dataclasses import dataclass
@@ -32,10 +32,10 @@ from firmware_model.errors import ImproperError, require_order, require_positive
 
 @dataclass(frozen=True)
 class Tracking:
-    """``controller`` is C from r - y to u1; what runs of it are ``filter`` U and ``stabiliser`` R.
+    """``controller`` is C from r - y to u1; the target runs ``filter`` U and ``stabiliser`` R.
 
-    ``complementary`` is T, from r to y in the healthy loop. ``stabiliser`` is None where G1 is
-    stable; ``filter`` then is the thesis's Q.
+    ``complementary`` is T, from r to y in the healthy loop. For a stable G1 ``stabiliser`` is None
+    and ``filter`` is the thesis's Q.
     """
 
     controller: ZeroPoleGain

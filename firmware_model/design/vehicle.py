@@ -1,7 +1,7 @@
-"""The car: Tables 3.1 and 3.2, and the state space (3.9)-(3.15) that (3.1)-(3.8) work out to.
+"""The car: Tables 3.1 and 3.2, and the state space (3.9)-(3.15) derived from (3.1)-(3.8).
 
 The lateral forces are linear in the slip angles (3.5), (3.6); the speed is constant, so (3.1) drops
-out. With Yf the force of one front tire, substituting them gives each row of A below.
+out. With Yf the force of one front tire, substitution gives each row of A below.
 """
 
 import math
@@ -21,7 +21,7 @@ StateSpace = tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64]
 class VehicleParameters:
     """Table 3.1's symbols with their units in the names, and Table 3.2's values as defaults.
 
-    Raises ``ParameterError`` that names the field, its value and what is allowed: everything is
+    Raises ``ParameterError`` naming the field, the value and the allowed range: all values are
     finite and positive, but the damping may be zero and the weight lies in 0..1.
     """
 

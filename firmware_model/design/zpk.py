@@ -1,7 +1,7 @@
-"""Real-rational transfer functions in factored form: what is not expanded loses no digits.
+"""Real-rational transfer functions in factored form: roots lose no digits, expanded polynomials do.
 
 A product of factored forms only joins lists of roots, so the tracking controller keeps its order of
-4 where polynomial algebra that cancels nothing reaches 12 and then has to guess what was common.
+4 where polynomial algebra without cancellation reaches 12 and has to guess common factors.
 """
 
 import math
@@ -24,12 +24,12 @@ Roots = tuple[complex, ...]
 class ZeroPoleGain:
     """``gain · Π(s - zero) / Π(s - pole)``, continuous, one input, one output, real-rational.
 
-    Roots are in rad/s and ordered canonically: real ones by magnitude, then conjugate pairs
+    Roots are in rad/s and ordered canonically: real roots by magnitude, then conjugate pairs
     (+imaginary first), so equal functions written with the same roots compare equal. A zero
     ``gain`` is the zero function and drops its roots. Nothing cancels unless ``cancelled`` asks.
 
-    Raises ``ParameterError`` for a value that is not finite, or a complex root whose exact
-    conjugate is missing.
+    Raises ``ParameterError`` for a value that is not finite, or a complex root without exact
+    conjugate.
     """
 
     zeros: Roots
@@ -54,8 +54,8 @@ class ZeroPoleGain:
     def from_coefficients(cls, num: ArrayLike, den: ArrayLike) -> Self:
         """``num(s)/den(s)``, real coefficients with the highest power first; roots by eigenvalues.
 
-        Raises ``ParameterError`` for a ``den`` that is zero, or coefficients that are not finite
-        or whose ratio to the leading one overflows.
+        Raises ``ParameterError`` for a zero ``den``, coefficients that are not finite, or an
+        overflow in the ratio to the leading coefficient.
         """
         numerator, denominator = _trimmed("num", num), _trimmed("den", den)
         if denominator.size == 0:
@@ -182,7 +182,7 @@ def _canonical(name: str, roots: Iterable[complex]) -> Roots:
 
 
 def _trimmed(name: str, coefficients: ArrayLike) -> NDArray[np.float64]:
-    """Coefficients from the first that is not zero; empty for the zero polynomial."""
+    """Coefficients from the first non-zero coefficient on; empty for the zero polynomial."""
     values = np.atleast_1d(np.asarray(coefficients, dtype=np.float64))
     if values.ndim != 1 or not np.isfinite(values).all():
         raise ParameterError(f"{name} = {values}: must be one row of finite coefficients")

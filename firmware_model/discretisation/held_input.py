@@ -1,6 +1,7 @@
-"""A continuous filter whose input is held over each tick: its exact state space, and the zeros.
+"""A continuous filter with an input held over each tick: exact state space and zeros.
 
-All in δ = z - 1 and in units of the tick, where numbers of slow and fast filters are of one size.
+All quantities are in δ = z - 1 and in units of the tick: slow and fast filters then have numbers of
+similar size.
 """
 
 from __future__ import annotations
@@ -19,8 +20,8 @@ StateSpace = tuple[FloatArray, FloatArray, FloatArray]
 def sampled(g: ZeroPoleGain, tick_s: float) -> StateSpace:
     """``(a, b, c)`` with δx = a x + b u, y = c x + d u; shapes (n, n), (n, 1), (1, n).
 
-    d is the feedthrough of ``g``, which sampling does not change.
-    a = e^{AT} - 1 and b = ∫e^{At}dt B, both by way of that integral, without losing small numbers.
+    d is the feedthrough of ``g``, which sampling does not change. a = e^{AT} - 1 and b = ∫e^{At}dt
+    B, both from the integral, so small numbers keep their digits.
     """
     per_tick = ZeroPoleGain(
         tuple(root * tick_s for root in g.zeros),
@@ -86,9 +87,10 @@ def _cascade(g: ZeroPoleGain) -> StateSpace:
 
 
 def _balanced(a: FloatArray, b: FloatArray, c: FloatArray) -> StateSpace:
-    """The same system with states scaled, by powers of two, so that its numbers are of one size.
+    """The same system with states scaled by powers of two to numbers of similar size.
 
-    In a cascade of slow and fast sections they span many decades, and eigenvalues lose as many.
+    In a cascade of slow and fast sections the numbers span many decades, and eigenvalues lose as
+    many digits.
     """
     whole = np.block([[a, b], [c, np.zeros((1, 1))]])
     _, (scale, _) = linalg.matrix_balance(whole, permute=False, separate=True)

@@ -1,6 +1,6 @@
 """Designs for several speeds as the constants of ``target.schedule``, and the table for the first.
 
-What does not depend on the speed must be the same in all of them: rule, latency, limits, decision.
+All designs share the values independent of the speed: rule, latency, limits, decision.
 """
 
 from __future__ import annotations
@@ -33,8 +33,8 @@ class AtSpeed:
     Attributes:
         speed_mps: V.
         design: of the model at this speed.
-        target: where it runs, with the other cars of this speed in its ``mismatch``.
-        others: those cars, in the same order.
+        target: the target, with the other cars of this speed in ``mismatch``.
+        others: the other cars, in the same order.
     """
 
     speed_mps: float
@@ -45,7 +45,7 @@ class AtSpeed:
 
 @dataclass(frozen=True)
 class Scheduled:
-    """The table of the first speed, and the schedule; without one the speed does not change."""
+    """The table of the first speed and the schedule; no schedule for a constant speed."""
 
     schedule: Record | None
     table: Record
@@ -55,7 +55,7 @@ def schedule(designs: Sequence[AtSpeed]) -> Scheduled:
     """The constants for ``designs``, ascending in speed, one or more.
 
     Raises:
-        DesignError: a design that cannot be discretised, an unstable model, models whose states
+        DesignError: a design without discretisation, an unstable model, models with modes that
             cannot be followed from speed to speed.
     """
     if not 0 < len(designs) <= MAX_SPEEDS:

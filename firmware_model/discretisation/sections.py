@@ -1,14 +1,14 @@
-"""Second-order sections in the delta operator: the form in which every filter runs.
+"""Second-order sections in the delta operator: the runtime form of every filter.
 
 With ``δ = z - 1`` a section is
 
     H(δ) = (β0 δ² + β1 δ + β2) / (δ² + α1 δ + α2)
 
-and α1, α2 are small numbers (of size |p|T and |p|²T²) instead of differences of numbers near 2
-and 1. A pole at 1 rad/s sampled at 10 kHz has α2 ~ 1e-8: stored as ``1 + a1 + a2`` it would keep
-one digit in float32 and eight in float64; stored as itself it keeps all (Middleton and Goodwin,
-"Improved finite word length characteristics in digital control using delta operators", 1986).
-Nothing is ever expanded into one polynomial.
+and α1, α2 are small numbers (of size |p|T and |p|²T²) instead of differences of numbers near 2 and
+1. A pole at 1 rad/s sampled at 10 kHz has α2 ~ 1e-8: stored as ``1 + a1 + a2`` the number would
+   keep one digit in float32 and eight in float64; stored directly the number keeps all digits
+   (Middleton and Goodwin, "Improved finite word length characteristics in digital control using
+   delta operators", 1986). No function expands a filter into one polynomial.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ class Sections:
         return self.at_delta(np.asarray(z, dtype=np.complex128) - 1.0)
 
     def at_delta(self, delta: ComplexArray) -> ComplexArray:
-        """Transfer function at δ = z - 1, any shape; near z = 1, δ has digits that z has not."""
+        """Transfer function at δ = z - 1, any shape; near z = 1, δ has more digits than z."""
         response = np.ones_like(delta)
         for b0, b1, b2, a1, a2 in self.coefficients:
             if a2 == 0.0 and b2 == 0.0:  # δ/δ cancels, also at δ = 0
@@ -57,7 +57,7 @@ class Sections:
 
     @property
     def feedthrough(self) -> float:
-        """What this tick's input adds to this tick's output, H(z → ∞)."""
+        """Feedthrough from this tick's input to this tick's output, H(z → ∞)."""
         return float(np.prod(self.coefficients[:, 0]))
 
     @property
@@ -125,7 +125,7 @@ def make_up_gain(sections: Sections) -> FloatArray:
 
 
 def _by_two(roots: Sequence[complex] | ComplexArray) -> list[list[complex]]:
-    """Conjugate pairs, then real roots two by two in order of size, then one that is left over."""
+    """Conjugate pairs, then real roots in pairs by size, then a single last root."""
     upper = sorted((complex(r) for r in roots if r.imag > 0), key=abs)
     real = sorted((complex(r) for r in roots if r.imag == 0), key=abs)
     return [[r, r.conjugate()] for r in upper] + [real[i : i + 2] for i in range(0, len(real), 2)]
@@ -163,7 +163,7 @@ def realisation(
     for i, (b0, b1, b2, a1, a2) in enumerate(sections.coefficients):
         first, second = 2 * i, 2 * i + 1
         reached += [first] * bool(b1 or a1 or b2 or a2) + [second] * bool(b2 or a2)
-        y, direct = b0 * c, b0 * d  # of this section, with c and d its input
+        y, direct = b0 * c, b0 * d  # output of this section for the input (c, d)
         y[first] += 1.0
         a[first, [first, second]] = 1.0
         a[second, second] = 1.0

@@ -1,7 +1,7 @@
-"""Anybody's continuous filter, one input and one output, as zeros, poles and gain.
+"""Continuous filters of other libraries, one input and one output, as zeros, poles and gain.
 
-Objects of python-control and ``scipy.signal`` are known by their attributes, so neither library is
-imported here. A state space is never expanded into polynomials.
+Attributes identify the objects of python-control and ``scipy.signal``, so this module imports
+neither library. No function expands a state space into polynomials.
 """
 
 from __future__ import annotations
@@ -65,10 +65,10 @@ class StateSpace:
         return np.asarray((self.c @ np.linalg.solve(resolvent, self.b))[..., 0, 0] + self.d)
 
     def zero_pole_gain(self) -> ZeroPoleGain:
-        """The same function in factored form: its zeros are those of the inverse system.
+        """The same function in factored form: the zeros are the poles of the inverse system.
 
-        Without feedthrough they are the eigenvalues of the zero dynamics: the motion in the largest
-        subspace in which an input can keep the output at zero, ker(c, ca, …, ca^(r-1)).
+        Without feedthrough the zeros are the eigenvalues of the zero dynamics: the motion in the
+        largest subspace with an input that keeps the output at zero, ker(c, ca, …, ca^(r-1)).
         """
         if not len(self.a):
             return ZeroPoleGain.constant(self.d)
@@ -87,7 +87,7 @@ class StateSpace:
         return min((self._matched(zeros, poles) for zeros in candidates), key=self.distance)
 
     def _matched(self, zeros: Iterable[complex], poles: ComplexArray) -> ZeroPoleGain:
-        """With the gain that is right where zeros and poles lie, not at infinity."""
+        """With the gain matched near the zeros and poles, not at infinity."""
         size = np.abs(poles[poles != 0.0])
         probe = PROBED * float(np.exp(np.log(size).mean())) if size.size else PROBED
         shape = np.prod([probe - q for q in zeros]) / np.prod([probe - p for p in poles])
@@ -103,7 +103,7 @@ class StateSpace:
 
 
 def _until_the_input_shows(a: FloatArray, b: FloatArray, c: FloatArray) -> tuple[FloatArray, float]:
-    """c, ca, …, ca^(r-1) up to the first that meets b, and that product; 0 where none does."""
+    """c, ca, …, ca^(r-1) up to the first non-zero product with b, and the product, else 0."""
     row, rows = c, [c]
     size = float(np.linalg.norm(c))
     for _ in range(len(a)):
@@ -117,11 +117,11 @@ def _until_the_input_shows(a: FloatArray, b: FloatArray, c: FloatArray) -> tuple
 
 
 def continuous(system: object) -> ZeroPoleGain | Polynomials | StateSpace:
-    """``system`` in the form in which it was given.
+    """``system`` in the form of the argument.
 
     Raises:
-        ParameterError: it is none of those that ``discretise`` takes, has several inputs or
-            outputs, or is sampled already.
+        ParameterError: ``system`` is of a type unknown to ``discretise``, has several inputs or
+            outputs, or is already sampled.
     """
     if isinstance(system, ZeroPoleGain | Polynomials | StateSpace):
         return system
@@ -183,7 +183,7 @@ def _row(name: str, values: Any) -> FloatArray:
 
 
 def _paired(roots: Iterable[complex]) -> tuple[complex, ...]:
-    """Roots of another library with conjugates that are exact, where they were so but for rounding.
+    """Roots of another library, with exact conjugates in place of conjugates within rounding.
 
     Raises:
         ParameterError: a complex root without its conjugate.

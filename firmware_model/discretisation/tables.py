@@ -25,29 +25,29 @@ from firmware_model.target.fault_decision.covariance import LOSS_STATES, MAX_DIR
 from firmware_model.target.layout import table_type
 from firmware_model.target.structs import MAX_SECTIONS, Precision, Record
 
-SLOWEST_TRANSFER_S = 0.05  # some time constants of w, 1/17.7 s for this car
-HASTE = 2.0  # of a transfer, against the time that its beginning took
-SHARE = 0.8  # of the torque whose loss is looked for: of all of it, a half still counts
-RESTART = -1.0  # evidence of a candidate that is given up
-FRESHNESS = 0.1  # by which the information of a candidate grows at least as its age doubles
-DEVIATIONS, NEVER = 3.0, 1e9  # by which more is lost than the model has, where cars may differ
-SHARE_VARIANCE = 0.09  # of the share of a loss when that is confirmed, at most
-LARGEST_SHARE_VARIANCE = 1.0  # of a share that is followed, when nothing has shown for long
-RECOVER = 5.0  # evidence that ends a loss, over that which confirms it
-MOMENT = 0.5  # deviation of the moment of a loss, as a part of the time to its confirmation
-LEAST_DOUBT = 0.04  # of cars whose G1 is not the model's: 20 % off
-DOUBT = 9.0  # over 1, as the moment of the loss is not known either
-FOLLOW_S, FOLLOW_TICKS = 0.01, 3.0  # of each of the two lags by which F̂ gets it
-HORIZON_S = 1.0  # a loss that would take longer to show cannot be told
-MISMATCH_S = 3.0  # in which a car changes
-MISMATCH_VARIANCE = 0.36  # of a parameter in a box of ±1: uniform, and some more
-BEYOND = 0.01  # of other cars' d̂, what is of second order: corners of a box of 20 % show less
-BEYOND_S = 1.0  # as long as other cars ring
-MOST_FORGOTTEN = 0.99  # in a tick: the factors of P are divided by what is left
-REMAINDER_S = 0.12  # in which what they show beyond the first order changes
-WHITE = 0.1  # of that, what differs from tick to tick
+SLOWEST_TRANSFER_S = 0.05  # some time constants of w (1/17.7 s for this car)
+HASTE = 2.0  # pace of a transfer relative to the detection time
+SHARE = 0.8  # tested share of a lost torque: of a complete loss, a half still counts
+RESTART = -1.0  # evidence that ends a candidate
+FRESHNESS = 0.1  # least growth of a candidate's information when the age doubles
+DEVIATIONS, NEVER = 3.0, 1e9  # threshold for losses above the model's channel
+SHARE_VARIANCE = 0.09  # of the share at the confirmation of a loss, at most
+LARGEST_SHARE_VARIANCE = 1.0  # of a followed share after long silence
+RECOVER = 5.0  # evidence of a return over evidence of a loss
+MOMENT = 0.5  # deviation of a loss's moment, as a part of the time to confirmation
+LEAST_DOUBT = 0.04  # for cars with a G1 20 % off the model
+DOUBT = 9.0  # above 1, because the moment of the loss is unknown too
+FOLLOW_S, FOLLOW_TICKS = 0.01, 3.0  # of each of the two lags before F̂
+HORIZON_S = 1.0  # a loss with a longer detection time is undecidable
+MISMATCH_S = 3.0  # time constant of a car's changes
+MISMATCH_VARIANCE = 0.36  # of a parameter in a box of ±1: uniform plus a margin
+BEYOND = 0.01  # second-order part of other cars' d̂: corners of a 20 % box show less
+BEYOND_S = 1.0  # decay time of other cars
+MOST_FORGOTTEN = 0.99  # in a tick: the rest divides the factors of P
+REMAINDER_S = 0.12  # time constant of the remainder beyond the first order
+WHITE = 0.1  # white part of the remainder
 RULE_ERROR = {"zoh": 0.0, "tustin": 1.0, "tustin-held": 1.0}  # of a tick's change of G1 u1
-# rms, in units of the measurement, that rounding leaves of a perfect sensor
+# rms rounding error of a perfect sensor, in units of the measurement
 NO_NOISE: dict[Precision, float] = {"float64": 1e-9, "float32": 1e-6}
 LEAST_EVIDENCE = 1.0  # log-likelihood ratio of about 3 to 1
 PROBE_PERIODS = 2  # the half phase of ``probe`` goes once around
@@ -87,8 +87,8 @@ def build(design: ContinuousDesign, target: Target) -> Record:
     """The table of ``design`` on ``target``: a read-only record of ``layout.table_type``.
 
     Raises:
-        DesignError: what ``discretise`` refuses, or an algebraic loop gain of 1 or more, for
-            which saturation has no one answer.
+        DesignError: a refusal of ``discretise``, or an algebraic loop gain of 1 or more, because
+            saturation then has no unique answer.
     """
     filters = discretise(design, target)
     dead = dead_ticks(design, target)
@@ -119,7 +119,7 @@ def build(design: ContinuousDesign, target: Target) -> Record:
 
 
 def _factors(design: ContinuousDesign, target: Target) -> SampledFactors:
-    """M, N1 and N2 of the model, as d̂ has them."""
+    """M, N1 and N2 of the model, as used in d̂."""
     channels = (design.plant.g1, design.plant.g2)
     slowest = design.factors.slowest_rad_per_s
     return sampled_factors(channels, slowest, target.estimator, target.tick_s)
@@ -196,7 +196,7 @@ def _fill_compensator(
 
 
 def _fill_decision(table: Record, target: Target) -> None:
-    """When d̂ is a loss, and when it no longer is."""
+    """Thresholds for a loss in d̂ and for the return."""
     decision, test = table.decision, table.sequential_test
     decision.confirm = max(target.evidence(target.false_alarms_per_hour), LEAST_EVIDENCE)
     decision.recover = RECOVER * decision.confirm
@@ -219,7 +219,7 @@ def _fill_decision(table: Record, target: Target) -> None:
 
 
 def _fill_mismatch(table: Record, design: ContinuousDesign, target: Target) -> None:
-    """What other cars and noise make of d̂."""
+    """Effect of other cars and noise on d̂."""
     constants, other, cars = table.mismatch, table.other_cars, target.mismatch.cars
     if len(cars) > MAX_DIRECTIONS:
         raise ParameterError(f"mismatch: {len(cars)} other cars; must be at most {MAX_DIRECTIONS}")
@@ -270,5 +270,5 @@ def _fill_probe(probe: Record, target: Target) -> None:
 
 
 def _memory(target: Target, time_constant_s: float) -> float:
-    """What a tick leaves of a memory that fades with ``time_constant_s``."""
+    """Factor per tick of a memory that fades with ``time_constant_s``."""
     return math.exp(-target.tick_s / time_constant_s)

@@ -1,4 +1,4 @@
-"""Where a design runs: everything about the controller that is not its continuous design."""
+"""The target of a design: all settings of the controller besides the continuous design."""
 
 from __future__ import annotations
 
@@ -15,34 +15,34 @@ HOUR_S = 3600.0
 
 @dataclass(frozen=True)
 class Target:
-    """Where the design runs: everything about the table that is not the continuous design.
+    """The target of the design: all settings of the table besides the continuous design.
 
     Attributes:
         tick_s: sampling period, seconds.
         latency_ticks: whole ticks from the sample of the measurement until the command computed
             from it acts on the plant; 0 is the thesis's ideal.
-        estimator: how F1 is discretised; F̂ and C are always Tustin's.
+        estimator: discretisation rule of F1; F̂ and C always use Tustin's rule.
         limit_1, limit_2: largest magnitude of a command, in its own unit.
         rate_1, rate_2: largest change of a command in a second.
-        reference_acceleration: largest second derivative of the reference that C follows; a faster
-            reference is followed later (``reference_shaper``).
-        lsb_1, lsb_2: grid of a command as its frame carries it; 0 for none.
-        noise_rms: of the measurement without a fault, its resolution included; what is not white
-            noise of ``noise_pole`` counts as white.
+        reference_acceleration: largest second derivative of C's reference; C follows a faster
+            reference with a delay (``reference_shaper``).
+        lsb_1, lsb_2: resolution of a command in the frame; 0 for none.
+        noise_rms: rms of a healthy measurement's noise, resolution included; noise without the
+            colour of ``noise_pole`` counts as white.
         noise_pole: a of coloured noise, n(k) = a n(k-1) + white; 0 for white noise.
-        resolution: step of what is measured, rounding included in the bus.
-        mismatch: cars that are not the model; by default the model is trusted.
+        resolution: step of the measurement, bus rounding included.
+        mismatch: cars different from the model; the default trusts the model.
         false_alarms_per_hour: losses confirmed by chance, at most.
-        suspicions_per_hour: likewise those that are compensated for a few ticks only.
-        share_drift: rms by which the lost share may change within a second, 1/√s: a Kalman filter
-            follows it, and no test decides; 0: the test does.
-        probe_pause_s: from a probe that found nothing to the next.
-        on_confirmation: compensate from the confirmed loss on, with what the lost channel's own
-            commands would have done, instead of always and with d̂ (the thesis).
-        safe_stop_s: from the verdict that both actuators are lost to commands of zero; 0: the
-            commands go on.
-        probe: amplitude of the sine, in the unit of command 1, that has to be missing in the
-            measurement before a loss is confirmed; 0 for none.
+        suspicions_per_hour: false suspicions, compensated only for a few ticks, at most.
+        share_drift: rms change of the lost share within a second, 1/√s: a Kalman filter follows the
+            share instead of a test; 0: the test decides.
+        probe_pause_s: pause after a probe without a finding.
+        on_confirmation: compensate from the confirmed loss on, with the modelled effect of the lost
+            channel's commands, instead of always with d̂ (the thesis).
+        safe_stop_s: time from the verdict "both actuators lost" to zero commands; 0: the commands
+            go on.
+        probe: amplitude of the sine, in the unit of command 1; a loss is confirmed only if the
+            measurement lacks the sine; 0 for no probe.
         probe_rad_per_s: its frequency.
         prewarp_rad_per_s: frequency at which C and F̂ keep their continuous response exactly.
         precision: of every number in the table and the state.

@@ -1,6 +1,6 @@
 """From a continuous design to difference equations at a tick T.
 
-Three rules, each computed on poles and zeros in δ = z - 1, never on polynomials in z:
+Three rules; each rule works on poles and zeros in δ = z - 1, never on polynomials in z:
 
 ``tustin``       s = (2/T)(z-1)/(z+1): a root r moves to δ = rT/(1 - rT/2) and every zero at
                  infinity to δ = -2. Exact identity: H_d(e^{jωT}) = H_c(j(2/T)tan(ωT/2)).
@@ -60,10 +60,10 @@ def tustin_held(g: ZeroPoleGain, tick_s: float) -> Sections:
 def zoh(g: ZeroPoleGain, tick_s: float) -> Sections:
     """The exact discretisation of ``g`` for an input held over each tick.
 
-    Kept: tables that differ in frames, limits or noise alone have the same filters.
+    A cache keeps the result: tables with different frames, limits or noise share filters.
 
-    Poles are e^{pT}. Zeros are those of the sampled state space, and so is the gain: the
-    feedthrough, or without one read off in the middle of the filter's band.
+    Poles are e^{pT}. Zeros and gain come from the sampled state space: the gain from the
+    feedthrough, or without feedthrough from the middle of the filter's band.
 
     Raises:
         ImproperError: ``g`` has more zeros than poles.
@@ -98,7 +98,7 @@ def _held_exactly(g: ZeroPoleGain, tick_s: float) -> DeltaRoots:
     """``zoh`` as zeros, poles and gain in δ."""
     _check_tick(tick_s)
     _require_proper(g)
-    g = g.cancelled()  # a state space of what is left has a state for each pole
+    g = g.cancelled()  # so the state space has a state for each remaining pole
     if not g.poles:
         return [], [], g.gain
     poles = np.array([_expm1(p * tick_s) for p in g.poles])
@@ -125,7 +125,7 @@ def bilinear(g: ZeroPoleGain, tick_s: float, prewarp_rad_per_s: float | None) ->
             raise ParameterError(f"a pole at {pole.real:g} rad/s is mapped to infinity; change T")
     zeros = [2.0 * r / (kappa - r) for r in g.zeros] + [complex(-2.0)] * g.relative_degree
     poles = [2.0 * r / (kappa - r) for r in g.poles]
-    # By pairs, so that no product of many large factors overflows or loses digits.
+    # In pairs: products of many large factors would overflow or lose digits.
     factors = [kappa - r for r in g.zeros] + [complex(1.0)] * g.relative_degree
     gain = complex(g.gain)
     for above, below in zip(factors, [kappa - r for r in g.poles], strict=True):

@@ -16,11 +16,11 @@ REFINEMENTS = 16
 def refined(
     a: FloatArray, b: FloatArray, c: FloatArray, poles: ComplexArray, found: Iterable[complex]
 ) -> list[complex]:
-    """The zeros that were ``found`` by eigenvalues, which miss those far from the rest by a lot.
+    """Refine the zeros ``found`` by eigenvalues; eigenvalues miss distant zeros by far.
 
     Aberth's iteration for all at once on the numerator N(x) = c(xI - a)⁻¹b Π(x - pole): the step is
     N/(N' - N Σ 1/(zero - other)). Real zeros stay real, and pairs stay conjugate. Zeros that cancel
-    poles are returned as they were found.
+    poles stay unchanged.
     """
     found = list(found)
     real = [root for root in found if root.imag == 0.0]
@@ -39,7 +39,7 @@ def refined(
             of_others = (1.0 / (zeros[:, None] - poles)).sum(axis=1) - (1.0 / distance).sum(axis=1)
             step = 1.0 / (slope / (c @ x)[:, 0, 0] + of_others)
         before = zeros.copy()
-        zeros -= np.where(np.isfinite(step), step, 0.0)  # one that is exact, or double, stays
+        zeros -= np.where(np.isfinite(step), step, 0.0)  # exact or double zeros stay
         zeros[: len(real)].imag = 0.0
         zeros[len(real) + len(upper) :] = zeros[len(real) : len(real) + len(upper)].conj()
         if (zeros == before).all():

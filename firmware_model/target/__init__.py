@@ -1,4 +1,4 @@
-"""What runs on the target and nothing else: the control law and the layout of its memory.
+"""The code of the target: the control law and the layout of its memory.
 
-Imports nothing of `firmware_model` but `compiled`; everything that runs the law imports it.
+Imports only `compiled` of `firmware_model`; every caller of the law imports this package.
 """

@@ -1,7 +1,7 @@
-"""A command as its actuator can follow it and its frame can carry it.
+"""A command within the limits of its actuator and the resolution of its frame.
 
-What rounding to the frame takes off a command is added to the next one (first-order noise shaping),
-so that the mean of the commands is exact and no error settles below the resolution.
+The rounding error of a command is added to the next command (first-order noise shaping), so the
+mean of the commands is exact and no error settles below the resolution.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ CONSTANTS = (
     Field("slew", "command/tick", "largest change of a command in a tick"),
     Field("lsb", "command", "resolution of the command's frame; 0: none"),
 )
-STATE = (Field("rounded_off", "command", "what rounding has left for the next command"),)
+STATE = (Field("rounded_off", "command", "rounding error carried to the next command"),)
 
 
 @firmware
@@ -40,7 +40,7 @@ def saturate_rate(actuator: Record, command: float, previous: float) -> float:
 
 @firmware
 def quantise(actuator: Record, state: Record, command: float) -> float:
-    """``command``, and what was left of the last one, on the grid of its frame."""
+    """Round ``command`` plus the last rounding error to the grid of the frame."""
     if not actuator.lsb > 0.0:
         return command
     wanted = saturate(actuator, command + state.rounded_off)
@@ -52,7 +52,7 @@ def quantise(actuator: Record, state: Record, command: float) -> float:
 
 @firmware
 def command_possible(table: Record, state: Record, wanted_1: float, wanted_2: float) -> None:
-    """Command what both actuators can do of what is wanted of them."""
+    """Limit both wanted commands to the range of the actuators."""
     possible = saturate_rate(table.actuator_1, wanted_1, state.command_1)
     state.command_1 = quantise(table.actuator_1, state.actuator_1, possible)
     possible = saturate_rate(table.actuator_2, wanted_2, state.command_2)

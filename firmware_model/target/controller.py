@@ -1,28 +1,28 @@
 """The control law, once: u1 = C(r - y), d̂ = F1 u + F2 y, u2 = F̂ d̂ (2.1), (2.37), (3.32).
 
-What is said of G1, G2 and y here holds for N1, N2 and M y of a plant that is not stable
-(``filters.estimator``).
+For an unstable plant read N1, N2 and M y in place of G1, G2 and y (``filters.estimator``).
 
-Everything that runs the controller calls ``step``: a node on a bus, a simulation, a replay, a
-batch of thousands. It allocates nothing and reads nothing but its arguments.
+Every runner calls ``step``: a node on a bus, a simulation, a replay, a batch of thousands. ``step``
+allocates no memory and reads only its arguments.
 
-**Commands as the plant gets them.** A command is saturated in magnitude and rate and rounded to the
-resolution of its frame first, and that value is what the estimator works on.
+**Commands as the plant gets them.** A command is first saturated in magnitude and rate and rounded
+to the resolution of its frame; the estimator works on the resulting value.
 
-**Compensation on confirmation.** The thesis feeds F̂ with d̂, which has waited for the bus twice:
-once in the model, once on the way of u2. After a confirmed loss the lost channel's own command is
-known at once, so F̂ may work on s w = s G1 u1 instead, s the share that is lost, and the delay
-around the loop is halved.
+**Compensation on confirmation.** The thesis feeds F̂ with d̂, and d̂ waits for the bus twice: once
+in the model, once on the way of u2. After a confirmed loss the controller knows the lost channel's
+command at once, so F̂ may work on s w = s G1 u1 instead, with s the lost share. The delay around
+the loop is then halved.
 
-**Whose fault it is.** A bias of the sensor that has been found is taken out of the decision's d̂,
-and out of nothing else. A sensor that is frozen says nothing: the commands go back to those of
-before, and the inputs are missing. With channel 2 lost no suspicion is compensated. With both lost
-the commands go to zero, where the table asks for it. F̂ on d̂ compensates whatever is found.
+**Whose fault it is.** The decision subtracts a known sensor bias from d̂; no other module does. A
+frozen sensor gives no information: the controller restores the commands from before the freeze and
+treats the inputs as missing. With channel 2 lost no suspicion is compensated. With both channels
+lost the commands go to zero, if the table asks for a safe stop. F̂ on d̂ compensates under every
+verdict.
 
-**Inputs that are missing.** The commands are held, and act on the plant for as long. So whatever
-models the plant goes on with them: F1, w, which a channel that is lost owes from these commands
-too, and F̂ where it works on w. What acts on the inputs (C, the reference shaper, the decision)
-waits.
+**Inputs that are missing.** The controller holds the commands, and the held commands act on the
+plant. So every model of the plant goes on with the held commands: F1, w (a lost channel owes these
+commands too), and F̂ where F̂ works on w. Modules that need inputs (C, the reference shaper, the
+decision) wait.
 """
 
 from __future__ import annotations
@@ -104,7 +104,7 @@ def init(table: Record, n: int = 1) -> RecordArray:
 
 @firmware
 def start_up(table: Record, state: Record) -> None:
-    """Make a state of zeros one at rest."""
+    """Turn a state of zeros into a state at rest."""
     clear_mismatch(table.mismatch, state.mismatch)
 
 
@@ -112,9 +112,9 @@ def start_up(table: Record, state: Record) -> None:
 def step(table: Record, state: Record, reference: float, measurement: float) -> None:
     """One tick: from the reference and D* of this tick to the commands of this tick.
 
-    Answers in ``state.command_1``, ``state.command_2``, ``state.fault_estimate``, ``state.mode``
-    and ``state.fault_state``. An input that is not a finite number changes no command: the last
-    good ones are held, the models follow them, and the mode says HOLD.
+    The answers are ``state.command_1``, ``state.command_2``, ``state.fault_estimate``,
+    ``state.mode`` and ``state.fault_state``. An input that is not finite changes no command: the
+    controller holds the last good commands, the models follow, and the mode says HOLD.
 
     Args:
         table: the constant table of ``tables.build``.
@@ -144,7 +144,7 @@ def compute(table: Record, state: Record, r: float, y: float) -> None:
     held_1, held_2 = state.command_1, state.command_2
     estimator, compensator = table.estimator, table.compensator
 
-    # Every filter's answer to a zero: what this tick's commands find already there.
+    # Every filter's answer to zero input: the output before this tick's commands.
     zero = real(0.0, held_1)
     rest_1, _ = model_output(estimator, state.estimator, zero, held_2)
     tracked = tracked_reference(table, state)
@@ -166,7 +166,8 @@ def compute(table: Record, state: Record, r: float, y: float) -> None:
     from_reference = compensator.reference_share * r
     made_up = make_up(table.shortfall_2, estimator.channel_2, table.actuator_2, state.shortfall_2)
 
-    # Without feedthrough of u2 this is already the residual; with it, all but u2 of this tick.
+    # Without feedthrough of u2 the sum is the residual; with feedthrough u2 of this tick is
+    # missing.
     decide(table, state, known + estimator.feedthrough_2 * held_2, model_1, model_2)
 
     known_loss = compensator.on_confirmation > 0
@@ -220,9 +221,9 @@ def hold(table: Record, state: Record) -> None:
 
 @firmware
 def advance_models(table: Record, state: Record, short_1: float, short_2: float) -> None:
-    """Advance everything that models the plant by the commands of this tick.
+    """Advance every model of the plant by the commands of this tick.
 
-    ``short_1`` and ``short_2`` are what the channels were asked for and could not do.
+    ``short_1`` and ``short_2`` are asked minus possible commands of the channels.
     """
     advance_shortfalls(table, state, short_1, short_2)
     advance_loss_model(table, state)
@@ -237,8 +238,8 @@ def advance_models(table: Record, state: Record, short_1: float, short_2: float)
 def reset(table: Record, state: Record, reference: float) -> None:
     """Put the controller into the steady state of a healthy loop at a constant ``reference``.
 
-    The next ``step`` with that reference, and the measurement that settles at it, repeats the
-    commands: no bump.
+    The next ``step`` with the same reference and the settled measurement repeats the commands: no
+    bump.
     """
     state.reference = reference
     target = state.reference
@@ -280,7 +281,7 @@ def step_many(tables: RecordArray, states: RecordArray, references: Any, measure
 def step_first(
     tables: RecordArray, states: RecordArray, reference: float, measurement: float
 ) -> tuple[float, float, float, int, int, int]:
-    """``step`` for the first of the controllers, and what it answers.
+    """Run ``step`` for the first controller and return its answers.
 
     Arrays of one record are the fastest way from interpreted code to compiled code and back.
     """

@@ -1,4 +1,4 @@
-"""e^-x with the same bits on every machine: libraries of exponentials differ in the last one.
+"""e^-x with the same bits on every machine: the math libraries differ in the last bit.
 
 Cody and Waite's reduction: x = n ln 2 + r, |r| ≤ ½ ln 2, so e^-x = 2^-n e^-r. The first part of
 ln 2 has 9 bits, so n times it is exact in either precision; e^-r is its series, whose terms are

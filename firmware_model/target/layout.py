@@ -1,7 +1,7 @@
 """The fixed memory of the controller: a constant table and a private state, a C struct each.
 
-Here the structs of the modules are put together, and nothing else. The table is written once, by
-``tables.build``; everything that changes lives in the state.
+This module only nests the structs of the other modules. ``tables.build`` writes the table once; the
+state holds all changing values.
 """
 
 from __future__ import annotations
@@ -30,8 +30,8 @@ TABLE = (
     Field("compensator", "1", "F̂", compensator.CONSTANTS),
     Field("actuator_1", "1", "what channel 1 can follow", actuator.CONSTANTS),
     Field("actuator_2", "1", "what channel 2 can follow", actuator.CONSTANTS),
-    Field("shortfall_1", "1", "how channel 1 makes up for it", shortfall.CONSTANTS),
-    Field("shortfall_2", "1", "how channel 2 makes up for it", shortfall.CONSTANTS),
+    Field("shortfall_1", "1", "make-up of channel 1", shortfall.CONSTANTS),
+    Field("shortfall_2", "1", "make-up of channel 2", shortfall.CONSTANTS),
     Field("other_cars", "1", "what they show", other_cars.CONSTANTS),
     Field("mismatch", "1", "how this car differs", mismatch.CONSTANTS),
     Field("sequential_test", "1", "for a loss or its end", sequential_test.CONSTANTS),
@@ -39,12 +39,12 @@ TABLE = (
     Field("decision", "1", "on the fault state", decision.CONSTANTS),
     Field("bumpless_transfer", "1", "of F̂ to s w", bumpless_transfer.CONSTANTS),
     Field("probe", "1", "of the torque", probe.CONSTANTS),
-    Field("hypotheses", "1", "whose fault it may be", verdict.CONSTANTS),
+    Field("hypotheses", "1", "hypotheses of the fault's place", verdict.CONSTANTS),
     Field("safe_stop", "1", "where both actuators are lost", safe_stop.CONSTANTS),
 )  # fmt: skip
 STATE = (
     *status.STATE,
-    Field("reference_shaper", "1", "the reference that C tracks", reference_shaper.STATE),
+    Field("reference_shaper", "1", "reference of C", reference_shaper.STATE),
     Field("tracking", "1", "C", tracking.STATE),
     Field("estimator", "1", "F1 and 1 + Q", estimator.STATE),
     Field("compensator", "1", "F̂", compensator.STATE),
@@ -59,7 +59,7 @@ STATE = (
     Field("decision", "1", "on the fault state", decision.STATE),
     Field("bumpless_transfer", "1", "of F̂ to s w", bumpless_transfer.STATE),
     Field("probe", "1", "of the torque", probe.STATE),
-    Field("hypotheses", "1", "whose fault it may be", verdict.STATE),
+    Field("hypotheses", "1", "hypotheses of the fault's place", verdict.STATE),
     Field("safe_stop", "1", "where both actuators are lost", safe_stop.STATE),
 )
 

@@ -1,4 +1,4 @@
-"""What an overflow leaves of the memories: a number that is lost must not stay lost."""
+"""Recovery of the memories after an overflow: a lost number must not stay lost."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ from firmware_model.target.structs import Record
 
 @firmware
 def clear_memories(table: Record, state: Record) -> None:
-    """What the measurement feeds begins anew; what follows the commands goes on if it still can.
+    """Restart the memories fed by the measurement; keep finite memories of the commands.
 
-    So a loss that is known stays known.
+    A known loss stays known.
     """
     state.probe.tick = 0
     state.tracking.filter.accumulators[:] = 0.0
@@ -44,7 +44,7 @@ def clear_memories(table: Record, state: Record) -> None:
 
 @firmware
 def sum_of_models(table: Record, state: Record) -> float:
-    """Of all that follows the commands: not finite where one of them is lost."""
+    """Sum of all memories of the commands: not finite if one memory is lost."""
     zero = real(0.0, state.command_1)
     model_1, model_2 = model_output(table.estimator, state.estimator, zero, zero)
     known = model_1 + model_2 + compensated_output(table, state) + missing_output(table, state)
@@ -61,7 +61,7 @@ def sum_of_models(table: Record, state: Record) -> float:
 
 @firmware
 def clear_models(state: Record) -> None:
-    """Nothing is known of the plant: it is at rest, and nothing is lost."""
+    """Forget the plant: plant at rest, no loss."""
     start(state.reference_shaper, real(0.0, state.command_1))
     state.shortfall_1.accumulators[:] = 0.0
     state.shortfall_2.accumulators[:] = 0.0

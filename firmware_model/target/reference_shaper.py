@@ -1,16 +1,16 @@
-"""A reference that the actuator can follow: r with its second derivative limited.
+"""A reference within the actuator's reach: r with a limited second derivative.
 
 C asks for the second derivative of the reference: G1 has relative degree two, so u1 = r̈/g1 and
-more. No motor delivers what a step asks for, and a limit on the torque alone leaves a loop that
-brakes too late: full torque up to the step, full torque back, over and over. So where the motor has
-a limit, C follows a shaped reference r_s that reaches r in minimum time with
+more. No motor delivers the torque of a step, and a limit on the torque alone makes the loop brake
+too late: full torque up to the step, full torque back, over and over. So where the motor has a
+limit, C follows a shaped reference r_s that reaches r in minimum time with
 
     |r̈_s| ≤ R
 
 by the time-optimal law of a double integrator in whole ticks (Han and Yuan 1999): the speed from
-which equal decrements, one a tick, end exactly at the target, so it neither overshoots nor
-chatters. It works in coordinates that move with r: a reference that keeps to R passes unchanged,
-without a tick of delay. All this is outside the loop, so no margin changes.
+which equal decrements, one a tick, end exactly at the target, without overshoot or chatter. The
+coordinates move with r: a reference within R passes unchanged, without a tick of delay. The shaper
+is outside the loop, so no margin changes.
 """
 
 from __future__ import annotations
@@ -43,7 +43,7 @@ def tracked_reference(table: Record, state: Record) -> float:
 
 @firmware
 def shape_reference(constants: Record, state: Record, reference: float) -> float:
-    """r_s of this tick, which is ``reference`` if that is within reach."""
+    """Return r_s of this tick: ``reference`` itself if within reach."""
     largest = constants.acceleration
     moved = reference - state.previous_reference
     state.previous_reference = reference

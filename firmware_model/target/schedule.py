@@ -1,21 +1,21 @@
 """A controller for a car whose speed changes: constants blended between designs at several speeds.
 
-**Coefficients.** Between two neighbouring designs each coefficient is a straight line over 1/V, in
-which the car's matrices are polynomials. Every filter has the same poles in the same section at all
+**Coefficients.** Between two neighbouring designs each coefficient is a straight line over 1/V; the
+car's matrices are polynomials in 1/V. Every filter has the same poles in the same section at all
 speeds (``discretisation.law.paired``), so that a coefficient has one meaning.
 
-**States.** What a section remembers means something else at another speed: its accumulators are
-s = T(V) x, x the state of the car (side slip, yaw rate, steering) and its actuator. The car's state
+**States.** The meaning of a section's memory changes with the speed: the accumulators are s = T(V)
+x, with x the state of the car (side slip, yaw rate, steering) and the actuator. The car's state
 does not jump when its speed changes, so s turns with T. Over the interval between two designs
 
     ds/dλ = L s,   L = log(T_after T_before⁻¹),   λ = 0..1 the share of the way from one to the next
 
-and a change of λ turns s by 1 + Δλ L + (Δλ L)²/2. So every model of the car (F1, what is lost, the
-candidate of the test, other cars, shortfalls) goes on with the motion that it had, and a healthy
-car shows no d̂ because it brakes.
+and a change of λ turns s by 1 + Δλ L + (Δλ L)²/2. So every model of the car (F1, loss model,
+candidate of the test, other cars, shortfalls) keeps its motion, and braking alone causes no d̂ in a
+healthy car.
 
-``controller.step`` knows nothing of all this: its table is blended here, before it, in a tick that
-brings another speed.
+``controller.step`` does not know the schedule: this module blends the table before ``step``, in a
+tick with a new speed.
 """
 
 from __future__ import annotations
@@ -76,10 +76,10 @@ STATE = (
 
 @firmware
 def change_speed(schedule: Record, own: Record, table: Record, state: Record, speed: float) -> None:
-    """Make ``table`` the one for ``speed``, and carry the states of the models over.
+    """Blend ``table`` for ``speed`` and carry the states of the models over.
 
-    A speed beyond the designs is taken for the nearest of them; one that is not a number is none,
-    and the last one stays.
+    A speed beyond the designs counts as the nearest design's speed; a speed that is not a number
+    changes no value.
 
     Args:
         schedule: constants of this module.
@@ -179,7 +179,7 @@ def turn(turns: Any, own: Record, filter_state: Record, at: int, way: float) -> 
 
     Args:
         turns: L of each interval, shape ``TURN``.
-        own: state of this module, for what is in between.
+        own: state of this module, for intermediate results.
         filter_state: the filter's; changed in place.
         at: the interval.
         way: Δλ.
@@ -237,7 +237,7 @@ def between(values: Any, at: int, share: float) -> float:
 
 @firmware
 def blend_filter(designs: Any, cascade: Record, at: int, share: float) -> None:
-    """The coefficients of a cascade likewise; ``designs`` has those of each speed in a row."""
+    """Blend the coefficients of a cascade; ``designs`` has one row for each speed."""
     n = cascade.n
     for i in range(n):
         for j in range(5):

@@ -1,4 +1,4 @@
-"""What a tick takes in and answers, and the words for its mode and the state of channel 1."""
+"""Inputs and answers of a tick, and the names of modes and fault states."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from firmware_model.target.structs import Field
 
 
 class Mode(IntEnum):
-    """What the controller is doing, as its status frame says it."""
+    """The mode of the controller, as sent in the status frame."""
 
     INIT = 0
     """No tick has run since ``init`` or ``reset``."""
@@ -34,7 +34,7 @@ class FaultState(IntEnum):
 
 
 class Verdict(IntEnum):
-    """Whose fault it is, as far as ``hypotheses`` can tell: what explains d̂ best, by far."""
+    """The verdict of ``hypotheses``: the fault that explains d̂ best, by far."""
 
     NOTHING = 0
     """Nothing speaks for a fault."""

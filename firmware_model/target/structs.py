@@ -1,7 +1,7 @@
-"""How memory on the target is declared: structs of fields, each with its unit and its meaning.
+"""Declaration of the memory on the target: structs of fields with unit and meaning.
 
-Each module of this room declares two of them, ``CONSTANTS`` and ``STATE``; ``layout`` nests them.
-A struct becomes a numpy record type with the offsets that a C compiler gives it.
+Each module of this room declares two structs, ``CONSTANTS`` and ``STATE``; ``layout`` nests the
+structs. A struct becomes a numpy record type with the offsets that a C compiler gives it.
 
 Units are those of the plant: ``u1`` and ``u2`` of the two commands (N m and N for the car), ``y``
 of the measurement (m/s²), ``tick`` for a sampling period, ``1`` for a pure number.
@@ -22,7 +22,7 @@ MAX_SHOWN_TICKS = 2 * MAX_LATENCY_TICKS  # of the bus, and of a dead time
 
 Precision = Literal["float64", "float32"]
 FloatArray = NDArray[np.float64]
-Record = Any  # one numpy record of a type from here: numba and mypy know no common name for it
+Record = Any  # one numpy record: numba and mypy share no type name for records
 RecordArray = Any  # an array of them, shape (n,)
 
 
@@ -32,7 +32,7 @@ class Field:
 
     Attributes:
         name: its name, unique in its struct.
-        unit: its unit, or that of an array's elements; see this module.
+        unit: unit of the value or of the array's elements; see this module.
         meaning: what it stands for.
         kind: a real number in the precision of the table, a 32-bit integer, or a struct.
         shape: () for one value, else an array's.
@@ -62,5 +62,5 @@ def struct_type(struct: Struct, precision: Precision) -> np.dtype[np.void]:
 
 @cache
 def record_type(struct: Struct, precision: Precision) -> np.dtype[np.void]:
-    """``struct_type`` whose members, nested ones too, are read and written as attributes."""
+    """``struct_type`` with members (nested members too) readable and writable as attributes."""
     return np.dtype((np.record, struct_type(struct, precision)))

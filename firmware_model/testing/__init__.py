@@ -1,11 +1,11 @@
 """Assertions for tests of discretised filters: against theory, never against golden numbers.
 
-Each takes a ``Filter`` of ``discretise`` and raises ``AssertionError`` with one line: where the
-filter is how far from theory, and what was allowed. What is allowed comes from the coefficients,
-where the caller does not say: how far rounding can move the answer (``single_filter.rounding``).
-What is no filter, frequency or sample raises ``ParameterError``.
+Each assertion takes a ``Filter`` of ``discretise`` and raises ``AssertionError`` with one line: the
+place, the deviation from theory, and the allowed deviation. The default tolerance comes from the
+coefficients: the bound of the rounding error (``single_filter.rounding``). Invalid filters,
+frequencies or samples raise ``ParameterError``.
 
-Nothing else imports this room.
+No other room imports this room.
 """
 
 from firmware_model.testing.assertions import (

@@ -35,14 +35,15 @@ def assert_follows(
     *,
     within: float | None = None,
 ) -> None:
-    """The frequency response is the one that theory gives the rule.
+    """Assert the theoretical frequency response of the rule.
 
-    ``tustin``: H(e^{jωT}) = G(j(2/T) tan(ωT/2)), with prewarp for 2/T what keeps that frequency;
-    ``tustin-held``: 2/(z + 1) times that; ``zoh``: of the sampled state space.
+    ``tustin``: H(e^{jωT}) = G(j(2/T) tan(ωT/2)), with prewarp a factor that keeps the prewarp
+    frequency replaces 2/T; ``tustin-held``: 2/(z + 1) times the ``tustin`` response; ``zoh``: the
+    response of the sampled state space.
 
     Args:
         filter: the discretised filter.
-        system: the continuous one, as ``discretise`` takes it.
+        system: the continuous filter, in any form of ``discretise``.
         rad_per_s: frequencies below π/T, shape (m,); left out: 200 up to 0.95 of that.
         within: relative error that is allowed; left out: a bound from the coefficients.
     """
@@ -72,7 +73,7 @@ def assert_follows(
 
 
 def _theory(filter: Filter, system: object, omega: FloatArray) -> tuple[ComplexArray, FloatArray]:
-    """What the rule makes of ``system`` at ``omega``, and how ill-conditioned that is."""
+    """The theoretical response of ``system`` at ``omega`` under the rule, and the conditioning."""
     half = 0.5 * omega * filter.tick_s
     given = continuous(system)
     if filter.rule == "zoh":
@@ -90,11 +91,11 @@ def _theory(filter: Filter, system: object, omega: FloatArray) -> tuple[ComplexA
 def assert_dc_gain(
     filter: Filter, expected: float | object, *, within: float | None = None
 ) -> None:
-    """The gain for a constant input.
+    """Assert the gain for a constant input.
 
     Args:
         filter: the discretised filter.
-        expected: that gain, or the continuous filter that has it.
+        expected: the gain, or a continuous filter with the gain.
         within: relative error that is allowed; left out: a bound from the number of sections.
     """
     _require_filter(filter)
@@ -124,15 +125,15 @@ def assert_stable(filter: Filter, *, margin: float = 0.0) -> None:
 
 
 def assert_step(filter: Filter, system: object, *, ticks: int = 1000, within: float = 0.01) -> None:
-    """The step response from rest is that of the continuous filter, solved exactly.
+    """Assert the step response from rest against the exact solution of the continuous filter.
 
     A held input steps at the first tick, and ``zoh`` answers exactly; Tustin's ramps up over the
-    tick before, so that its answer is compared with that of half a tick later.
+    tick before, so the exact answer half a tick later is the reference.
 
     Args:
         filter: the discretised filter.
-        system: the continuous one, as ``discretise`` takes it.
-        ticks: for how long.
+        system: the continuous filter, in any form of ``discretise``.
+        ticks: duration.
         within: error that is allowed, as a share of the largest answer.
     """
     _require_filter(filter)

@@ -1,18 +1,18 @@
-"""Left-coprime factors of a plant that need not be stable: [G1 G2] = M⁻¹ [N1 N2], all in RH∞.
+"""Left-coprime factors of a stable or unstable plant: [G1 G2] = M⁻¹ [N1 N2], all in RH∞.
 
-M has the poles p of the plant that are not in the left half plane as its zeros, and of each an
-image there as a pole:
+The zeros of M are the plant's poles p outside the left half plane; each p has an image p* in the
+left half plane as a pole of M:
 
     M = Π (s - p)/(s - p*),   N1 = M G1,   N2 = M G2
 
-In Theorem 2.3.1 that is a choice of the free parameter, 1 + Q = M: the only ones that keep F1 of
-such a plant stable have all p among their zeros. Of a stable plant M = 1 and N = G, the thesis's
-own.
+In Theorem 2.3.1 the factors are a choice of the free parameter, 1 + Q = M: F1 of an unstable plant
+is stable only if 1 + Q has all p among its zeros. For a stable plant M = 1 and N = G, as in the
+thesis.
 
-Where p is fast its image is its mirror image, p* = -p̄: M is then all-pass, so white noise in y is
-as large and as white in M y, and what decides on d̂ need not know of M. The mirror image of a pole
-at 0 or anywhere on the imaginary axis is that pole itself. So p* is at least ``slowest_rad_per_s``
-to the left: the sensor of a plant that integrates is heard through a high-pass filter.
+For a fast p the image is the mirror image, p* = -p̄: M is then all-pass, so white noise in y is as
+large and as white in M y, and the decision on d̂ need not know M. The mirror image of a pole on the
+imaginary axis (0 included) is the pole itself. So p* lies at least ``slowest_rad_per_s`` to the
+left: a high-pass filter follows the sensor of an integrating plant.
 """
 
 from dataclasses import dataclass
@@ -41,9 +41,9 @@ class CoprimeFactors:
 
 
 def left_coprime(g1: ZeroPoleGain, g2: ZeroPoleGain, tau_q_s: float) -> CoprimeFactors:
-    """M, N1 and N2 of two channels that have the same unstable poles, with M(∞) = 1.
+    """M, N1 and N2 of two channels with the same unstable poles; M(∞) = 1.
 
-    ``tau_q_s`` is that of q̂, in seconds.
+    ``tau_q_s`` is the time constant of q̂, in seconds.
     """
     slowest = SLOWEST / tau_q_s
     poles = unstable(g1)
@@ -58,7 +58,7 @@ def unstable(g: ZeroPoleGain) -> Roots:
 
 
 def image(pole: complex, slowest_rad_per_s: float) -> complex:
-    """Where M has the pole that belongs to its zero at ``pole``."""
+    """The pole of M for the zero of M at ``pole``."""
     return complex(-max(pole.real, slowest_rad_per_s), pole.imag)
 
 
@@ -69,7 +69,7 @@ def _with_images(g: ZeroPoleGain, slowest: float) -> ZeroPoleGain:
 
 
 def with_poles_of(g: ZeroPoleGain, poles: Roots) -> ZeroPoleGain:
-    """``g`` with each unstable pole that rounding alone tells from one of ``poles`` moved there."""
+    """``g`` with unstable poles moved onto ``poles`` where only rounding separates both."""
     moved = []
     for pole in g.poles:
         near = [p for p in poles if pole.real >= 0 and abs(p - pole) <= SAME_POLE * abs(pole)]

@@ -1,13 +1,13 @@
-"""The complementary sensitivity T = q̂ G1i P of a plant that need not be stable or minimum phase.
+"""The complementary sensitivity T = q̂ G1i P of any plant, stable and minimum phase or not.
 
-For internal stability T must vanish at the zeros of G1 in the right half plane, which the inner
-factor G1i sees to, and be 1 at every unstable pole p (Zames and Francis, IEEE Trans. Automat.
-Contr. 28 (1983) 585), as it is at s = 0 to track a step. For k such poles,
+For internal stability T must vanish at the zeros of G1 in the right half plane (the inner factor
+G1i ensures so), and be 1 at every unstable pole p (Zames and Francis, IEEE Trans. Automat. Contr.
+28 (1983) 585), as it is at s = 0 to track a step. For k such poles,
 
     P = (1 + c1 s + ... + ck s^k)/(1 + τq s)^k
 
-has as many coefficients. They make the numerator of 1 - T a multiple of s Π(s - p), a linear system
-for them, whether or not poles are repeated. All polynomials are in x = τq s.
+has as many coefficients. The coefficients make the numerator of 1 - T a multiple of s Π(s - p): a
+linear system, also for repeated poles. All polynomials are in x = τq s.
 """
 
 import math
@@ -21,12 +21,12 @@ from firmware_model.design.zpk import Roots
 
 @dataclass(frozen=True)
 class Interpolation:
-    """What T is made of, as roots in rad/s.
+    """The parts of T, roots in rad/s.
 
     Attributes:
         zeros: of P, at most k.
         gain: leading coefficient of the numerator of P in x.
-        remaining: the zeros of 1 - T but s = 0 and the unstable poles.
+        remaining: the zeros of 1 - T except s = 0 and the unstable poles.
     """
 
     zeros: Roots
@@ -35,9 +35,10 @@ class Interpolation:
 
 
 def interpolate(zeros: Roots, poles: Roots, tau_q_s: float, alpha_q: int) -> Interpolation:
-    """P for G1 with these ``zeros`` and ``poles`` in the right half plane, none in common.
+    """P for G1 with these distinct ``zeros`` and ``poles`` in the right half plane.
 
-    Without any, P = 1 and 1 - T = 1 - q̂ has its roots where 1 + τq s is an αq-th root of one.
+    Without zeros and poles P = 1, and the roots of 1 - T = 1 - q̂ make 1 + τq s an αq-th root of
+    one.
     """
     if not zeros and not poles:
         first, *others = roots_of_one_less_one(alpha_q)
@@ -59,7 +60,7 @@ def interpolate(zeros: Roots, poles: Roots, tau_q_s: float, alpha_q: int) -> Int
 
 
 def roots_of_one_less_one(order: int) -> Roots:
-    """``exp(2πik/order) - 1`` for k = 0..order-1; real ones and conjugate pairs are exactly so."""
+    """``exp(2πik/order) - 1`` for k = 0..order-1; real roots and conjugate pairs are exact."""
     real: Roots = (0j,) if order % 2 else (0j, -2 + 0j)
     # exp(iθ) - 1 = -2 sin²(θ/2) + i sin θ, which does not subtract near-equal numbers
     angles = [2 * math.pi * k / order for k in range(1, (order + 1) // 2)]

@@ -1,18 +1,18 @@
-"""What zeros and poles in the right half plane make impossible, whatever the controller is.
+"""The limits set by zeros and poles in the right half plane for every controller.
 
-For every controller that stabilises a loop, its sensitivity S is 1 at each such zero z of the plant
-and 0 at each unstable pole p, and T = 1 - S the reverse. By the maximum modulus principle (Zames
-and Francis, IEEE Trans. Automat. Contr. 28 (1983) 585), with a delay d in the loop,
+Under every stabilising controller the sensitivity S is 1 at each right-half-plane zero z of the
+plant and 0 at each unstable pole p, and T = 1 - S the reverse. By the maximum modulus principle
+(Zames and Francis, IEEE Trans. Automat. Contr. 28 (1983) 585), with a delay d in the loop,
 
     max |S| >= B(z) = Π |(z + p̄)/(z - p)|,   max |T| >= e^(Re(p) d) Π |(p + z̄)/(p - z)|
 
-and if |S| <= ε up to the frequency ω, which z sees under the angle Θ of 0..π, then (Freudenberg and
+and if |S| <= ε up to the frequency ω (seen from z under the angle Θ of 0..π), then (Freudenberg and
 Looze, IEEE Trans. Automat. Contr. 30 (1985) 555)
 
     max |S| >= (1/ε)^(Θ/(π - Θ)) B(z)^(π/(π - Θ))
 
-The same holds for what a compensator leaves of a loss, 1 - q N2i, which is 1 at the zeros of N2 and
-has no other condition to meet: there is no p in it.
+The same bound without p holds for the rest of a compensated loss, 1 - q N2i: 1 at the zeros of N2,
+without further conditions.
 """
 
 import math
@@ -25,13 +25,13 @@ from firmware_model.design.zpk import Roots
 
 @dataclass(frozen=True)
 class Limitations:
-    """Of a loop with these ``zeros`` and ``poles`` in the right half plane, rad/s.
+    """Limits of a loop with these ``zeros`` and ``poles`` in the right half plane, rad/s.
 
     Attributes:
         sensitivity: least max |S|.
         complementary: least max |T|.
-        halving_rad_per_s: up to where |S| can be a half with |S| at most 2 anywhere; infinite
-            without zeros, 0 where it cannot be anywhere.
+        halving_rad_per_s: largest frequency up to which |S| can be a half with |S| at most 2
+            anywhere; infinite without zeros, 0 if impossible.
     """
 
     zeros: Roots
@@ -58,7 +58,7 @@ def _blaschke(point: complex, roots: Roots) -> float:
 
 
 def _halving(zero: complex, least: float) -> float:
-    """The ω with 2 = 2^(Θ/(π - Θ)) B^(π/(π - Θ)), which is Θ = π (1 - log2 B)/2.
+    """The ω with 2 = 2^(Θ/(π - Θ)) B^(π/(π - Θ)), hence Θ = π (1 - log2 B)/2.
 
     Θ = atan((ω - Im z)/Re z) + atan((ω + Im z)/Re z), so tan Θ = 2 ω Re z/(|z|² - ω²).
     """

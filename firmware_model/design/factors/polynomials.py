@@ -12,7 +12,8 @@ def congruent(
     """x of degree below that of ``modulus``, and a quotient: factor x + modulus quotient = wanted.
 
     ``modulus`` is monic and has no root in common with ``factor``. A linear system: each power of s
-    times ``factor`` leaves a remainder, and these must add up to that of ``wanted``.
+    times ``factor`` leaves a remainder, and the remainders must add up to the remainder of
+    ``wanted``.
     """
     size = len(modulus) - 1
     if size == 0:
@@ -30,7 +31,7 @@ def monic(roots: tuple[complex, ...]) -> Polynomial:
 
 
 def _remainder(polynomial: Polynomial, modulus: Polynomial) -> Polynomial:
-    """Of the division by ``modulus``: as many coefficients as that has roots."""
+    """Remainder of the division by ``modulus``: one coefficient for each root of ``modulus``."""
     _, rest = np.polydiv(polynomial, modulus)
     size = len(modulus) - 1
     return np.concatenate([np.zeros(max(size - len(rest), 0)), rest])[-size:]

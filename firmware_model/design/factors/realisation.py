@@ -27,10 +27,10 @@ class Parts:
 
 
 def in_parts(g: ZeroPoleGain, name: str) -> Parts:
-    """The partial fractions of ``g``; of a stable one, nothing and itself.
+    """The partial fractions of ``g``; zero and ``g`` for a stable ``g``.
 
     Raises:
-        ParameterError: ``g`` does not have fewer zeros than poles; ``name`` is what it is called.
+        ParameterError: ``g`` needs fewer zeros than poles; the message calls ``g`` ``name``.
     """
     if g.gain != 0.0 and g.relative_degree < 1:
         raise ParameterError(
@@ -56,8 +56,8 @@ def companion(poles: Roots) -> Matrix:
 def realised(g: ZeroPoleGain) -> Realisation:
     """A (n, n), b (n,), c (n,) and d with ``g`` = c (sI - A)⁻¹ b + d, n its poles; g is proper.
 
-    One companion form of the whole would hold the coefficients of a polynomial of high order, which
-    lose their digits; each section of a chain holds those of two roots:
+    One companion form would hold the coefficients of a polynomial of high order and lose digits;
+    each section of a chain holds the coefficients of two roots:
 
         x1' = x2,  x2' = -a0 x1 - a1 x2 + u,  y = c0 x1 + c1 x2 + d u
     """
@@ -79,9 +79,9 @@ def realised(g: ZeroPoleGain) -> Realisation:
 
 
 def _sections(roots: Sequence[complex]) -> list[Matrix]:
-    """Monic polynomials of the roots in twos, lowest power first; the last may be of one root.
+    """Monic polynomials of the roots in pairs, lowest power first; the last may have one root.
 
-    ``roots`` are in the order of ``ZeroPoleGain``: those that are real come first.
+    ``roots`` are in the order of ``ZeroPoleGain``: real roots come first.
     """
     real = [root.real for root in roots if root.imag == 0]
     pairs = [np.array([abs(root) ** 2, -2.0 * root.real, 1.0]) for root in roots if root.imag > 0]

@@ -1,9 +1,9 @@
-"""The left-coprime factors of a plant as it is sampled: [G1 G2] = M⁻¹ [N1 N2] in z.
+"""The left-coprime factors of a sampled plant: [G1 G2] = M⁻¹ [N1 N2] in z.
 
-G1 and G2 are discretised first, by the estimator's rule, and factored then, so that d̂ is as quiet
-for a healthy plant as the rule is exact. M has the poles that are not within the unit circle as its
-zeros, and of each an image there as a pole: 1/z̄ where the pole is fast, and M then 1 in magnitude
-on the circle. At low frequency M goes as the continuous M does, so steady gains agree too.
+The estimator's rule first discretises G1 and G2; the factorisation follows. So d̂ of a healthy
+plant is as quiet as the rule is exact. The zeros of M are the poles outside the unit circle; each
+has an image inside the circle as a pole of M: 1/z̄ for a fast pole, so M is 1 in magnitude on the
+circle. At low frequency M goes as the continuous M does, so steady gains agree too.
 """
 
 from __future__ import annotations
@@ -63,9 +63,9 @@ def sampled_factors(
 def sampled_over(
     channels: Channels, model: SampledFactors, rule: Rule, tick_s: float
 ) -> SampledFactors:
-    """M, N1 and N2 of another plant over the images of ``model``: M y = N1 u1 + N2 u2 of that.
+    """M, N1 and N2 of another plant over the images of ``model``: M y = N1 u1 + N2 u2.
 
-    Its poles furthest right stand for those of the model that are not stable.
+    The plant's rightmost poles replace the unstable poles of the model.
     """
     return _over(channels, model.images, model.gain, rule, tick_s)
 

@@ -1,4 +1,4 @@
-"""Constants of ``target.fault_decision.hypotheses``: what faults may be, and what is enough."""
+"""Constants of ``target.fault_decision.hypotheses``: sizes of faults and thresholds of evidence."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ import math
 from firmware_model.discretisation.targets import Target
 from firmware_model.target.structs import Record
 
-AHEAD = 2.0  # times the evidence of any other place, where a fault is found
-SENSOR_AHEAD = 3.0  # the same of a fault of the sensor, of which a compensation is the price
-LEAST_SHARE, MOST_SHARE = 0.5, 1.5  # of a lost force; of a channel that another car may have
-MOTION = 3.0  # deviations of the noise by which a car has moved
-LEAST_CHANCE = 1e-6  # of a number that is repeated: no sensor is finer
+AHEAD = 2.0  # least ratio of a found fault's evidence to faults at other places
+SENSOR_AHEAD = 3.0  # the ratio for a sensor fault, where an error costs a compensation
+LEAST_SHARE, MOST_SHARE = 0.5, 1.5  # share of a lost force; of a channel in another car
+MOTION = 3.0  # deviations of the noise for a moved car
+LEAST_CHANCE = 1e-6  # chance of a repeated number: no sensor is finer
 
 
 def fill_hypotheses(table: Record, target: Target) -> None:
-    """Fill in the constants; those of the decision and of its test are there already."""
+    """Fill in the constants; the decision and the test have their constants already."""
     constants, signatures = table.hypotheses, table.hypotheses.signatures
     constants.ahead = AHEAD
     constants.sensor_ahead = SENSOR_AHEAD
@@ -37,7 +37,7 @@ def fill_hypotheses(table: Record, target: Target) -> None:
 
 
 def fill_frozen(frozen: Record, target: Target) -> None:
-    """Where numbers repeat anyway, as of a perfect sensor on a car at rest, they tell nothing."""
+    """Numbers that repeat anyway (a perfect sensor on a car at rest) are no evidence."""
     frozen.repetition = repetition(target)
     frozen.least_motion = math.inf
     if frozen.repetition > 0.0:
@@ -47,7 +47,7 @@ def fill_frozen(frozen: Record, target: Target) -> None:
 def repetition(target: Target) -> float:
     """-ln of the chance that the noise of two ticks in a row falls into one step of the sensor.
 
-    Their difference has a density of 1/(√(2π) σ) at most; 0 where that says nothing.
+    The difference has a density of 1/(√(2π) σ) at most; 0 where the bound gives no information.
     """
     change = target.noise_rms * math.sqrt(2.0 * (1.0 - target.noise_pole))
     chance = target.resolution / (math.sqrt(2.0 * math.pi) * change) if change > 0.0 else 1.0

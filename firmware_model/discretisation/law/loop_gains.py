@@ -45,7 +45,7 @@ def dead_ticks(design: ContinuousDesign, target: Target) -> tuple[int, int]:
 def algebraic_loop_gain(filters: Filters, delay_ticks: int) -> float:
     """Gain of the loop d̂ → u2 → d̂ within one tick: F̂, G2 and 1 + Q at z → ∞; T/(2τ+T) for α = 1.
 
-    With any delay of u2, by the bus or by a dead time, there is no such loop.
+    A delay of u2, by the bus or by a dead time, opens the loop: gain 0.
     """
     if delay_ticks > 0:
         return 0.0

@@ -1,9 +1,9 @@
 """One filter at several speeds, with the same poles and zeros in the same sections at each.
 
-From speed to speed each root is followed to the nearest of the next speed. Two that are a conjugate
-pair anywhere share a section everywhere, also where they are real; which of the others share one,
-and which zeros stand over which poles, is decided in the middle. So the coefficients of a section
-are smooth functions of the speed.
+From speed to speed each root moves to the nearest root of the next speed. A conjugate pair at any
+speed shares a section at all speeds, also where both roots are real; the middle speed decides the
+sections of the other roots and the zeros over each pole. So the coefficients of a section are
+smooth functions of the speed.
 """
 
 from __future__ import annotations
@@ -21,10 +21,10 @@ Group = tuple[int, ...]
 
 
 def paired_alike(designs: Sequence[DeltaRoots], tick_s: float) -> list[Sections]:
-    """The sections of each of ``designs``, which follow one another in speed.
+    """The sections of each of ``designs``; ``designs`` are in order of speed.
 
     Raises:
-        ParameterError: roots that come and go, or change partners, from one speed to another.
+        ParameterError: roots that appear, vanish or change partners between two speeds.
     """
     zeros = followed([zeros for zeros, _, _ in designs])
     poles = followed([poles for _, poles, _ in designs])
@@ -46,10 +46,10 @@ def paired_alike(designs: Sequence[DeltaRoots], tick_s: float) -> list[Sections]
 
 
 def followed(roots: Sequence[Sequence[complex]]) -> ComplexArray:
-    """(speeds, n): in each column one root on its way, which begins at the first speed.
+    """(speeds, n): each column follows a root from the first speed on.
 
     Raises:
-        ParameterError: not as many at each speed.
+        ParameterError: different numbers of roots.
     """
     rows = [np.array(roots[0], dtype=np.complex128)]
     for following in roots[1:]:
@@ -74,10 +74,10 @@ def nearest(roots: ComplexArray, others: ComplexArray) -> list[int]:
 
 
 def groups(roots: ComplexArray) -> list[Group]:
-    """Which columns of ``followed`` share a section: conjugates, then reals by size, two by two.
+    """Columns of ``followed`` that share a section: conjugates, then reals by size in pairs.
 
     Raises:
-        ParameterError: a root has one conjugate here and another there.
+        ParameterError: a root changes its conjugate between speeds.
     """
     n = roots.shape[1]
     partner: dict[int, int] = {}
@@ -99,7 +99,7 @@ def groups(roots: ComplexArray) -> list[Group]:
 def _over(
     zeros: ComplexArray, above: list[Group], poles: ComplexArray, below: list[Group]
 ) -> list[Group]:
-    """For each group of poles the zeros over them: the nearest, in the middle."""
+    """For each group of poles the zeros over the group: the nearest at the middle speed."""
     at = len(poles) // 2
     partners: list[Group] = [() for _ in below]
     for group in sorted(above, key=len, reverse=True):

@@ -1,7 +1,7 @@
 """How the state of a discretised model turns as the speed of its car changes.
 
-The accumulators of a cascade that is c (zI - A)⁻¹ b + d are s = T x, x the state of the continuous
-model: T takes each mode of the one to the mode of the other that shows as much in the output.
+The accumulators of a cascade c (zI - A)⁻¹ b + d are s = T x, with x the state of the continuous
+model: T maps each mode of the model to the cascade's mode with the same effect on the output.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ def turn(
     """(SIZE, SIZE), L of ``target.schedule`` from one speed to the next, over all accumulators.
 
     Args:
-        before: the plant at the one speed, and its channel's sections there.
-        after: likewise at the next.
+        before: the plant at the first speed, and the channel's sections.
+        after: the same at the next speed.
         channel: 0 or 1.
-        rule: that discretised it.
+        rule: the discretisation.
 
     Raises:
-        ParameterError: a model of more order than the layout holds.
-        DesignError: two modes that are one, as two equal lags in series have.
+        ParameterError: model order above the capacity of the layout.
+        DesignError: two coinciding modes, for example two equal lags in series.
     """
     reached = realisation(before[1])[4]
     if max(reached) >= SIZE:
@@ -50,7 +50,7 @@ def turn(
 
 
 def coordinates(plant: Plant, sections: Sections, channel: int, rule: Rule) -> FloatArray:
-    """T (n, n): the accumulators that signals reach, from the state that the channel reaches.
+    """T (n, n): from the channel's reachable state to the reachable accumulators.
 
     Raises:
         DesignError: as ``turn``.

@@ -1,1 +1,1 @@
-"""One filter alone, from any continuous one: run, bounded in its rounding, and as C."""
+"""A single discretised filter from any continuous filter: runs, rounding bounds, C source."""

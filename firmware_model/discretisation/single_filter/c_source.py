@@ -1,6 +1,6 @@
-"""One filter as a pair of C files: its constants, and the lines of `target.filters.biquad`.
+"""A filter as a pair of C files: constants, and the lines of `target.filters.biquad`.
 
-The loops are those that `can_rig.export` translates; a test compares the texts.
+`can_rig.export` translates the same loops; a test compares both texts.
 """
 
 from __future__ import annotations
@@ -142,11 +142,11 @@ def c_source(
     Args:
         coefficients: β0, β1, β2, α1, α2, exact in ``precision``, shape (sections, 5).
         precision: of coefficients, state and arithmetic.
-        name: of the files, the struct of the state, and what its functions' names begin with.
-        what: the filter in words.
+        name: name of the files and of the state's struct, and prefix of the functions.
+        what: description of the filter.
 
     Raises:
-        ParameterError: ``name`` is no name in C, or one that C or C++ has already.
+        ParameterError: ``name`` is no C identifier, or a reserved name of C or C++.
     """
     if not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", name):
         raise ParameterError(
@@ -172,7 +172,7 @@ def _row(row: FloatArray, precision: Precision) -> str:
 
 
 def _literal(value: float, precision: Precision) -> str:
-    """The shortest literal of exactly this value."""
+    """The shortest literal with exactly this value."""
     if precision == "float64":
         return repr(value)
     shortest = str(np.float32(value))

@@ -1,4 +1,4 @@
-"""One filter alone, from any continuous one: what a unit test of a discretised filter holds."""
+"""A single discretised filter from any continuous filter, for unit tests."""
 
 from __future__ import annotations
 
@@ -28,12 +28,12 @@ from firmware_model.target.structs import (
 
 
 class Filter:
-    """A discretised filter with a state of its own: ``step`` is ``biquad.advance``.
+    """A discretised filter with a private state: ``step`` is ``biquad.advance``.
 
     Attributes:
-        sections: its second-order sections, with the coefficients as they are stored.
+        sections: the second-order sections, with the stored coefficients.
         tick_s: sampling period, seconds.
-        rule: how it was discretised.
+        rule: the discretisation.
         prewarp_rad_per_s: the frequency at which Tustin kept the response, or None.
         precision: of coefficients, state and arithmetic.
         cascade: the same constants as the record of ``biquad.CONSTANTS`` that runs. Read-only.
@@ -65,7 +65,7 @@ class Filter:
         """The same filter at rest, stored and computed in ``precision``.
 
         Raises:
-            ParameterError: no such precision, or one that cannot hold a coefficient.
+            ParameterError: an unknown precision, or a precision too small for a coefficient.
         """
         _require_precision(precision)
         return Filter(self._exact, self.rule, self.prewarp_rad_per_s, precision)
@@ -77,7 +77,7 @@ class Filter:
     def run(self, u: ArrayLike) -> FloatArray:
         """The answers to the samples ``u``, shape (n,), in the filter's precision.
 
-        It goes on from the state in which the last call left the filter.
+        The run continues from the state after the last call.
 
         Raises:
             ParameterError: ``u`` is not one row of real numbers.
@@ -124,28 +124,29 @@ class Filter:
 
     @property
     def is_stable(self) -> bool:
-        """Every pole inside the unit circle, by the stored coefficients."""
-        # |1 + δ| < 1 from δ, which near z = 1 has digits that z has not
+        """Whether the stored coefficients have every pole inside the unit circle."""
+        # |1 + δ| < 1 from δ: near z = 1, δ has more digits than z
         delta = [np.roots(below) for _, below in map(_fraction, self.sections.coefficients)]
         return all(2.0 * d.real + abs(d) ** 2 < 0.0 for d in np.concatenate(delta))
 
     def to_scipy_sos(self) -> FloatArray:
         """The sections in powers of 1/z for ``scipy.signal.sosfilt``, shape (sections, 6).
 
-        Standard sections of a filter that is slow for its tick have fewer digits than these in δ.
+        For a filter slow relative to the tick, standard sections have fewer digits than sections in
+        δ.
         """
         return self.sections.sos
 
     def to_c(self, name: str = "filter") -> dict[str, str]:
-        """The filter as C99, text by file name: ``name.h`` and ``name.c``, with nothing to add.
+        """The filter as complete C99, text by file name: ``name.h`` and ``name.c``.
 
-        ``name_step`` and ``name_reset`` have the bits of ``step`` and ``reset``.
+        ``name_step`` and ``name_reset`` return the same bits as ``step`` and ``reset``.
 
         Args:
-            name: of the files, the struct of the state, and what its functions' names begin with.
+            name: name of the files and of the state's struct, and prefix of the functions.
 
         Raises:
-            ParameterError: ``name`` is no name in C.
+            ParameterError: ``name`` is no C identifier.
         """
         return c_source(self.sections.coefficients, self.precision, name, repr(self)[1:-1])
 
@@ -174,21 +175,21 @@ def discretise(
 ) -> Filter:
     """A continuous filter as the second-order sections that the firmware runs.
 
-    The gain is spread over the sections by powers of two, so that float32 holds every signal
-    between them; that changes no bit of an answer.
+    The gain is spread over the sections by powers of two, so float32 holds every signal between
+    sections; powers of two change no bit of an answer.
 
     Args:
         system: one input, one output: a ``TransferFunction`` or ``StateSpace`` of python-control
             or ``scipy.signal``, a ``ZerosPolesGain``, a ``ZeroPoleGain``, or ``(num, den)`` with
             the highest power of s first.
         tick_s: sampling period, seconds.
-        rule: ``tustin``; ``tustin-held``, for an input that is held over each tick; or ``zoh``,
-            exact for such an input.
+        rule: ``tustin``; ``tustin-held``, for an input held over each tick; or ``zoh``, exact for a
+            held input.
         prewarp_rad_per_s: frequency at which ``tustin`` keeps the response exactly.
         precision: ``float64`` or ``float32``, of coefficients, state and arithmetic.
 
     Raises:
-        ParameterError: not such a filter, tick, rule or precision; an order above 16.
+        ParameterError: an invalid filter, tick, rule or precision; an order above 16.
         ImproperError: more zeros than poles, or feedthrough with ``tustin-held``.
     """
     if not _is_number(tick_s):
@@ -227,7 +228,7 @@ def _run(cascades: RecordArray, states: RecordArray, u: FloatArray, y: FloatArra
 
 
 def _stored(coefficients: FloatArray, precision: Precision) -> FloatArray:
-    """The coefficients in ``precision``; raises ``ParameterError`` where it cannot hold one."""
+    """The coefficients in ``precision``; ``ParameterError`` for a coefficient out of range."""
     with np.errstate(over="ignore", under="ignore"):
         stored = coefficients.astype(precision)
     least = np.finfo(precision).tiny
@@ -271,7 +272,7 @@ def _fraction(row: FloatArray) -> tuple[Sequence[float], Sequence[float]]:
 
 
 def _lowest(polynomial: Sequence[float]) -> tuple[float, float]:
-    """The coefficient of the lowest power of δ that is there, and that power; of zero, 0 and ∞."""
+    """The coefficient of the lowest non-zero power of δ, and the power; for zero, 0 and ∞."""
     for power, coefficient in enumerate(reversed(polynomial)):
         if coefficient != 0.0:
             return coefficient, power

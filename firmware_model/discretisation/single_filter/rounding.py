@@ -1,8 +1,8 @@
 """How far rounding can move a filter: bounds from its coefficients, to first order.
 
-``conditioning`` bounds a response: each root, coefficient or matrix that is rounded once moves it
-by at most this many roundings. ``run_error`` bounds a run: what is rounded at each operation of
-``biquad.advance``, through all that it passes on its way to the output.
+``conditioning`` bounds a response: a single rounding of each root, coefficient or matrix moves the
+response by at most this many roundings. ``run_error`` bounds a run: the rounding of each operation
+of ``biquad.advance``, followed to the output.
 """
 
 from __future__ import annotations
@@ -45,7 +45,7 @@ def of_system(system: ZeroPoleGain | Polynomials | StateSpace, s: ComplexArray) 
 
 
 def _of_state_space(system: StateSpace, s: ComplexArray) -> FloatArray:
-    """Of poles and response, the worst at any ``s``: that is how exact its zeros are.
+    """Conditioning of poles and response, the worst over ``s``: the accuracy of the zeros.
 
     ‖a‖‖(sI - a)⁻¹‖, and (‖a‖‖x‖‖y‖ + ‖b‖‖y‖ + ‖c‖‖x‖)/|H| for x = (sI - a)⁻¹b, y = c(sI - a)⁻¹.
     """
@@ -58,7 +58,7 @@ def _of_state_space(system: StateSpace, s: ComplexArray) -> FloatArray:
         np.linalg.norm(m, axis=(1, 2)) for m in (resolvent, resolvent @ b, c @ resolvent)
     )
     of_a, of_b, of_c = (np.linalg.norm(m) for m in (a, b, c))
-    with np.errstate(divide="ignore"):  # a sum that has lost every digit
+    with np.errstate(divide="ignore"):  # for a sum without correct digits
         of_response = (of_a * x * y + of_b * y + of_c * x + abs(system.d)) / np.abs(system(s))
     return np.full(len(s), len(a) * np.max(of_a * whole + of_response))
 
@@ -72,12 +72,13 @@ def _cancellation(polynomial: FloatArray, x: ComplexArray) -> FloatArray:
 
 
 def run_error(sections: Sections, ticks: int, precision: Precision = "float32") -> float:
-    """Bound of what ``precision`` changes in a run from rest, as a share of the largest input.
+    """Bound of the effect of ``precision`` on a run from rest, as a share of the largest input.
 
-    Each section is, per tick, y = β0 u + s1, s1 += β1 u - α1 y + s2, s2 += β2 u - α2 y. Its signals
-    are at most their impulse responses' sums of magnitudes times the largest input; each product
-    is rounded twice, with its coefficient, and each sum once; and the error of a signal reaches the
-    output by the sum of magnitudes of what an impulse there does. Underflow is left out.
+    Each section is, per tick, y = β0 u + s1, s1 += β1 u - α1 y + s2, s2 += β2 u - α2 y. Each signal
+    is at most the largest input times the summed magnitudes of the signal's impulse response; each
+    product is rounded twice, once with the coefficient, and each sum once; the gain from a signal's
+    error to the output is the summed magnitudes of the output after an impulse at the signal. The
+    bound ignores underflow.
     """
     coefficients = sections.coefficients
     unit, error, u = ROUNDING[precision], 0.0, 1.0
@@ -100,9 +101,10 @@ def _sums(coefficients: FloatArray, ticks: int, impulse_at: int | None) -> Float
     """Σ|y|, and Σ|s1|, Σ|s2| of the last section, after an impulse.
 
     Args:
-        coefficients: of the cascade, shape (n, 5).
-        ticks: how long.
-        impulse_at: the accumulator of the first section that it sits in; None: it is the input.
+        coefficients: coefficients of the cascade, shape (n, 5).
+        ticks: duration.
+        impulse_at: the first section's accumulator with the impulse; None: the impulse is the
+            input.
     """
     if not len(coefficients):
         return np.array([1.0, 0.0, 0.0])

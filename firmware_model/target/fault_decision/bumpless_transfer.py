@@ -1,18 +1,17 @@
-"""Bumpless transfer: a compensation that engages late makes up what it missed without a bump.
+"""Bumpless transfer: a late compensation makes up the missed output without a bump.
 
-When the compensation on confirmation engages, s w, what the lost channel would add to y, has a
-value and a speed that no command has carried so far. Given to F̂ at once, which differentiates
-twice, they would ask for all that channel 2 has, one way and then the other. So F̂ gets
+When the compensation on confirmation engages, no command has carried the value and the speed of s w
+so far (s w is the lost channel's share of y). F̂ differentiates twice: a step of s w would drive
+channel 2 to one limit and then to the other. So F̂ gets
 
     s w - m,    m = (m0 + b k) p^k,    k = 0 in the tick before the loss was confirmed,
 
-with m0 = s w of then, and the speed of m that of s w: the input of F̂ begins at zero with a speed of
-zero (or, where an earlier loss is still being released or inputs were missing, with what it had),
-and m fades as a critically damped motion does. Its pace, -ln p, is twice the speed over the value:
-d̂ grows with the square of time, so what took n ticks to detect is made up in about as many, with a
-few times the force that carries the load anyway; m rises to 1.08 m0 meanwhile. A loss that is
-detected at its first sample is made up almost at once; one whose w has settled since, with the pace
-of the car.
+where m begins with the value m0 and the speed of s w: the input of F̂ begins at zero with zero
+speed (or with its last value and speed, if an earlier loss is still being released or inputs were
+missing). m fades like a critically damped motion. Its pace, -ln p, is twice the speed over the
+value: d̂ grows with the square of time, so the make-up takes about as many ticks as the detection,
+with a few times the force of the steady load; m rises to 1.08 m0 meanwhile. A loss detected at its
+first sample is made up almost at once; a loss with a settled w, at the pace of the car.
 """
 
 from __future__ import annotations
@@ -28,11 +27,11 @@ CONSTANTS = (
     Field("haste", "1", "-ln p over the speed of s w by its value"),
 )
 STATE = (
-    Field("missed", "y", "m, the part of s w that F̂ does not get yet"),
+    Field("missed", "y", "m, the part of s w held back from F̂"),
     Field("missed_growth", "y/tick", "b of m, as of this tick"),
     Field("missed_memory", "1", "p of m"),
     Field("carried", "y", "input of F̂ in the last tick"),
-    Field("carried_speed", "y/tick", "its change in that tick"),
+    Field("carried_speed", "y/tick", "change of the input of F̂ in the last tick"),
 )
 
 
@@ -52,7 +51,7 @@ def begin_transfer(constants: Record, state: Record, lost: float, speed: float) 
     if missed == 0.0:
         return
     pace = abs(missed_speed / missed)
-    if not math.isfinite(pace):  # so little is missed that there is nothing to make up
+    if not math.isfinite(pace):  # the missed output is negligible
         return
     pace = max(constants.haste * pace, constants.slowest_pace)
     state.missed = missed
@@ -73,5 +72,5 @@ def transfer(state: Record, lost: float) -> float:
 
 @firmware
 def release(state: Record) -> None:
-    """F̂ carries nothing, and what it once did is forgotten."""
+    """Empty F̂ and forget its past output."""
     state.missed = state.missed_growth = state.carried = state.carried_speed = 0.0

@@ -24,7 +24,7 @@ STATE = (
     Field("upper", "1", "U above its diagonal of ones", shape=(MAX_STATES, MAX_STATES)),
     Field("variances", "1", "D", shape=SIZES),
     Field("projected", "y", "Uᵀ x of the last measurement", shape=SIZES),
-    Field("added", "1", "the direction of what is being added", shape=SIZES),
+    Field("added", "1", "direction of the added term", shape=SIZES),
 )
 
 

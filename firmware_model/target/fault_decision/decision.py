@@ -1,23 +1,23 @@
-"""Is channel 1 lost? What is made of the fault estimate d̂, tick by tick.
+"""Is channel 1 lost? The tick-by-tick decision on the fault estimate d̂.
 
-``mismatch`` takes out of d̂ what other cars show, ``loss_model`` what is known to be lost, and
-``sequential_test`` says how far what is left speaks for a loss, or for the return of a lost
-channel. The evidence g makes a loss
+``mismatch`` removes the effect of other cars from d̂, ``loss_model`` removes known losses, and
+``sequential_test`` weighs the rest for a loss, or for the return of a lost channel. The evidence g
+makes a loss
 
     SUSPECTED   from ``suspect`` on: the compensation begins, at the pace of a bumpless transfer
-    CONFIRMED   from ``confirm`` on, which happens once in a given number of hours by chance
+    CONFIRMED   from ``confirm`` on, by chance once in a given number of hours
 
-and clears a confirmed one from ``recover`` on for the return: to take a loss for gone that is not
-costs more than to be late. A suspicion ends with its candidate.
+and clears a confirmed loss from ``recover`` on for the return: a false return costs more than a
+late return. A suspicion ends with its candidate.
 
-A table with a ``share_drift`` has no test: there the share that is lost is a state of the Kalman
-filter, which follows it at all times, and more than a half of it lost is CONFIRMED.
+A table with a ``share_drift`` has no test: a state of the Kalman filter follows the lost share at
+all times, and a lost share above one half is CONFIRMED.
 
-A fault of the sensor or of channel 2 makes a d̂ too. Where ``hypotheses`` finds one, what looked
-like a loss of channel 1 is none; what of it they do not know is taken for a loss. A table with a
-``probe`` tests the motor before it confirms, and compensates only then: a d̂ that does not answer
-to a small torque stays SUSPECTED. Where channel 1 contributes so little that its loss would not
-show within ``horizon``, a small d̂ says nothing, and the state is CANNOT_TELL instead of CLEAR.
+A fault of the sensor or of channel 2 changes d̂ too. If ``hypotheses`` finds such a fault, the
+suspected loss of channel 1 is withdrawn; the unexplained rest counts as a loss. A table with a
+``probe`` tests the motor before confirmation and compensates only afterwards: a d̂ without an
+answer to a small torque stays SUSPECTED. If channel 1 contributes too little to show its loss
+within ``horizon``, a small d̂ proves no health, and the state is CANNOT_TELL instead of CLEAR.
 """
 
 from __future__ import annotations
@@ -66,10 +66,10 @@ LEAST_SHARE = 0.01  # of a confirmed loss: no division by nothing
 
 CONSTANTS = (
     Field("confirm", "1", "evidence that confirms a loss"),
-    Field("recover", "1", "evidence that ends it: more, for a return is not urgent"),
+    Field("recover", "1", "evidence that ends a loss: more, because a return is not urgent"),
     Field("suspect", "1", "evidence from which a loss is compensated provisionally"),
-    Field("horizon", "tick", "within which a loss of now has to show"),
-    Field("pause_ticks", "tick", "from a probe that found nothing to the next", "int32"),
+    Field("horizon", "tick", "time within which a new loss must show"),
+    Field("pause_ticks", "tick", "pause after a probe without a finding", "int32"),
     Field("tracks_share", "1", "1: a Kalman filter follows the lost share; 0: a test", "int32"),
 )
 STATE = (
@@ -86,7 +86,7 @@ def decide(table: Record, state: Record, residual: float, model_1: float, model_
         table: the constant table.
         state: changed in place.
         residual: G1 u1 + G2 u2 - y of this tick.
-        model_1: G1 u1 as that contains it: what channel 1, if it works, adds to y.
+        model_1: G1 u1 in the residual: a working channel 1 adds G1 u1 to y.
         model_2: G2 u2 likewise.
     """
     constants, test = table.decision, state.sequential_test
@@ -138,7 +138,7 @@ def decide(table: Record, state: Record, residual: float, model_1: float, model_
 
 @firmware
 def begin_suspicion(table: Record, state: Record) -> None:
-    """Compensate what the candidate may have cost so far; nothing with a channel 2 that is lost."""
+    """Compensate the candidate's possible cost so far; zero if channel 2 is lost."""
     constants, test = table.sequential_test, state.sequential_test
     share = possible_share(max(lost_share(constants, test), constants.share))
     if state.hypotheses.verdict == FORCE_LOST:
@@ -149,10 +149,10 @@ def begin_suspicion(table: Record, state: Record) -> None:
 
 @firmware
 def acquit(table: Record, state: Record) -> None:
-    """It was sensor or force difference: what has looked like a loss of channel 1 is none.
+    """Withdraw a suspected loss of channel 1: the fault is in the sensor or the force difference.
 
-    Where channel 2 is lost nothing is to be compensated on suspicion. This ends what the decision
-    has begun; F̂ on d̂ goes on, for a wrong verdict would take away what compensates a loss.
+    With channel 2 lost no suspicion is compensated. The function ends the decision's compensation;
+    F̂ on d̂ goes on, because a wrong verdict would remove the compensation of a real loss.
     """
     force_lost = state.hypotheses.verdict == FORCE_LOST
     if force_lost or state.fault_state == SUSPECTED:
@@ -163,12 +163,12 @@ def acquit(table: Record, state: Record) -> None:
 
 @firmware
 def acting_commands(table: Record, state: Record) -> tuple[float, float]:
-    """The commands as the measurement shows them, without what is known to be lost."""
+    """The commands visible in the measurement, without the known loss."""
     one = real(1.0, state.command_1)
     share = one - known_share(state) if state.fault_state == CONFIRMED else one
     command_1 = state.estimator.showing_1 * share
     command_2 = state.estimator.showing_2
-    if table.estimator.shown_ticks_2 == 0:  # that of this tick is not known yet, or is held
+    if table.estimator.shown_ticks_2 == 0:  # this tick's command is unknown yet, or held
         command_2 = state.command_2
     return command_1, command_2
 
@@ -206,9 +206,9 @@ def recover(table: Record, state: Record) -> None:
 
 @firmware
 def take_candidate(table: Record, state: Record, share: float, sign: float) -> None:
-    """Take the candidate for what has happened: ``share`` is lost (``sign`` 1) or works again (-1).
+    """Accept the candidate: ``share`` is lost (``sign`` 1) or works again (-1).
 
-    How far share and moment are off is learnt from now on.
+    From now on the filter learns the errors of share and moment.
     """
     constants, test = table.loss_model, state.sequential_test
     share = max(share, real(LEAST_SHARE, share))
@@ -234,7 +234,7 @@ def transfer_to_losses(table: Record, state: Record, share: float) -> None:
 
 @firmware
 def compensated_output(table: Record, state: Record) -> float:
-    """What F̂ makes up for: what is known to be lost, and what is suspected to be."""
+    """The input of F̂: the known loss plus the suspected loss."""
     lost: float = state.loss_model.followed * loss_output(table, state)
     if state.fault_state == SUSPECTED and table.probe.ticks == 0:
         lost = lost + state.decision.suspected_share * candidate_output(table, state)

@@ -1,11 +1,10 @@
-"""What d̂ is after a loss: s w, w the answer of G1 to the commands that were lost.
+"""The model of d̂ after a loss: s w, with w the answer of G1 to the lost commands.
 
-The thesis's (2.9) for a loss of all: what channel 1 would have added to y. Once the channel works
-again no more commands are lost, and w fades as the motion does that they would have caused.
+The thesis's (2.9) for a complete loss: the missing contribution of channel 1 to y. Once the channel
+works again no more commands are lost, and w fades like the missing motion.
 
-At first s and the moment of the loss are known but roughly: how far they are off, ``mismatch``
-learns from the ticks that follow.
-F̂ differentiates, so it gets s as two lags in a row follow it.
+At first s and the moment of the loss are known only roughly: ``mismatch`` learns both errors from
+the following ticks. F̂ differentiates, so it gets s as two lags in a row follow it.
 """
 
 from __future__ import annotations
@@ -20,16 +19,18 @@ from firmware_model.target.structs import MAX_SHOWN_TICKS, Field, Record
 CONFIRMED = int(FaultState.CONFIRMED)
 
 CONSTANTS = (
-    Field("share_variance", "1", "largest of s, when a loss is confirmed"),
-    Field("doubt", "1", "variance of s then, times the information on it"),
-    Field("least_doubt", "1", "variance of s at least: of a car whose G1 is another"),
-    Field("moment", "1", "deviation of the moment then, as a part of the time that it took"),
-    Field("follow", "1", "part of the distance to s that a lag covers in a tick"),
+    Field("share_variance", "1", "largest variance of s at the confirmation"),
+    Field("doubt", "1", "variance of s at the confirmation, times its information"),
+    Field("least_doubt", "1", "least variance of s, for a car with another G1"),
+    Field("moment", "1", "deviation of the moment, as a part of the detection time"),
+    Field("follow", "1", "part of the distance to s per tick of a lag"),
 )
 STATE = (
-    Field("channel_1", "y", "state of G1 driven by the commands that were lost", biquad.STATE),
-    Field("earlier", "y", "state of G1 driven by the command before them alone", biquad.STATE),
-    Field("share", "1", "s, the part of channel 1 that is lost, as of its confirmation"),
+    Field("channel_1", "y", "state of G1 driven by the lost commands", biquad.STATE),
+    Field(
+        "earlier", "y", "state of G1 driven only by the last command before the loss", biquad.STATE
+    ),
+    Field("share", "1", "s, the lost share of channel 1 at the confirmation"),
     Field("between", "1", "s behind the first lag"),
     Field("followed", "1", "s behind the second lag"),
     Field("previous_output", "y", "w of the last tick"),
@@ -39,7 +40,7 @@ STATE = (
 
 @firmware
 def loss_output(table: Record, state: Record) -> float:
-    """w of this tick, as this tick's command drives it."""
+    """Return w of this tick, driven by this tick's command."""
     w: float = output(
         table.estimator.channel_1, state.loss_model.channel_1, lost_command(table, state)
     )
@@ -48,7 +49,7 @@ def loss_output(table: Record, state: Record) -> float:
 
 @firmware
 def loss_shown(table: Record, state: Record) -> float:
-    """w as d̂ of this tick contains it, late by bus and dead time."""
+    """Return w as contained in d̂ of this tick, late by bus and dead time."""
     if table.estimator.shown_ticks_1 > 0:
         w: float = state.loss_model.delay[state.estimator.shown_index_1]
         return w
@@ -57,20 +58,20 @@ def loss_shown(table: Record, state: Record) -> float:
 
 @firmware
 def earlier_shown(table: Record, state: Record) -> float:
-    """What a tick more of a confirmed loss would add to w as d̂ of this tick contains it."""
+    """Return the change of the delayed w if the confirmed loss were one tick older."""
     zero = real(0.0, state.command_1)
     return output(table.estimator.channel_1, state.loss_model.earlier, zero)
 
 
 @firmware
 def known_share(state: Record) -> float:
-    """s as far as it is known now, 0..1."""
+    """The present estimate of s, 0..1."""
     return possible_share(state.loss_model.share + state.mismatch.theta[0])
 
 
 @firmware
 def possible_share(share: float) -> float:
-    """``share`` as a part of command 1 that does not act, 0..1."""
+    """Limit ``share`` to the inactive part of command 1, 0..1."""
     possible: float = min(max(share, real(0.0, share)), real(1.0, share))
     return possible
 
@@ -85,7 +86,7 @@ def follow_share(constants: Record, state: Record) -> None:
 
 @firmware
 def lost_command(table: Record, state: Record) -> float:
-    """The command whose share s is lost: that of this tick, or none before a loss is known."""
+    """The command with the lost share s: this tick's command, or zero before a known loss."""
     command: float = state.command_1
     if state.fault_state == CONFIRMED or table.decision.tracks_share:
         return command
@@ -105,12 +106,12 @@ def advance_loss_model(table: Record, state: Record) -> None:
 
 @firmware
 def take_over_candidate(table: Record, state: Record, share: float, sign: float) -> None:
-    """Add the candidate to what is lost (``sign`` 1), or take it away (-1): s w is continuous.
+    """Add the candidate to the loss (``sign`` 1) or subtract the candidate (-1): s w is continuous.
 
     Args:
         table: the constant table.
         state: changed in place.
-        share: s from now on, of which an earlier loss that still fades becomes a part too.
+        share: s from now on; a fading earlier loss becomes part of the new loss.
         sign: 1 or -1.
     """
     loss, test = state.loss_model, state.sequential_test
@@ -129,7 +130,7 @@ def take_over_candidate(table: Record, state: Record, share: float, sign: float)
 
 @firmware
 def settle_loss_model(table: Record, state: Record) -> None:
-    """Nothing is lost, in the steady state for the command of this tick."""
+    """Reset to no loss, in the steady state for the command of this tick."""
     clear_loss_model(state)
     loss = state.loss_model
     w = settle(table.estimator.channel_1, loss.channel_1, lost_command(table, state))

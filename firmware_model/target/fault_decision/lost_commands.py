@@ -1,7 +1,7 @@
-"""Commands that came too late to act: what the models of the plant have made of them is taken back.
+"""Commands that came too late to act: the models of the plant undo the late commands.
 
-F1 goes on with what the actuators did without them. What is missing is a shortfall, which is made
-up for, and a channel that is lost, known or not, does not owe what it was not told.
+F1 goes on with the commands of the actuators. The missing output is a shortfall, and the law makes
+up for a shortfall. A lost channel, known or not, does not owe a command that never arrived.
 """
 
 from __future__ import annotations
@@ -17,14 +17,14 @@ CONFIRMED = int(FaultState.CONFIRMED)
 
 @firmware
 def act(table: Record, state: Record, motion: Record, command_1: float, command_2: float) -> None:
-    """These commands act from the next tick on, in place of those that should have.
+    """Let these commands act from the next tick on, in place of the late commands.
 
     Args:
         table: the constant table, of a latency of at least one tick.
         state: changed in place.
         motion: a state of any cascade, overwritten.
-        command_1: what actuator 1 does.
-        command_2: what actuator 2 does.
+        command_1: the command of actuator 1.
+        command_2: the command of actuator 2.
     """
     estimator = state.estimator
     at = estimator.delay_index
@@ -38,7 +38,7 @@ def act(table: Record, state: Record, motion: Record, command_1: float, command_
 
 @firmware
 def lose_command_1(table: Record, state: Record, motion: Record, lost: float) -> None:
-    """``lost`` is missing of the command 1 that would act now."""
+    """Subtract ``lost`` from the acting command 1."""
     constants, test, loss = table.estimator, state.sequential_test, state.loss_model
     owes = state.fault_state == CONFIRMED or table.decision.tracks_share > 0
     first = state.estimator.shown_index_1 - constants.latency_ticks
@@ -61,7 +61,7 @@ def lose_command_1(table: Record, state: Record, motion: Record, lost: float) ->
 
 @firmware
 def lose_command_2(table: Record, state: Record, motion: Record, lost: float) -> None:
-    """``lost`` is missing of the command 2 that would act now."""
+    """Subtract ``lost`` from the acting command 2."""
     constants = table.estimator
     first = state.estimator.shown_index_2 - constants.latency_ticks
     motion.accumulators[:] = 0.0

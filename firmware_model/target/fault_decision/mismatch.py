@@ -1,32 +1,31 @@
-"""How a car differs from the model, learnt from d̂ tick by tick, and what of d̂ is new.
+"""The difference between a car and the model, learnt from d̂ tick by tick, and the innovation.
 
 To first order in its differences a car without a fault shows
 
     d̂ = Σ θ_i x_i
 
-with x_i what the cars along the principal directions of the box show (``other_cars``). A Kalman
-filter learns θ, which starts at zero and wanders about it slowly,
+with x_i the effect of the cars along the principal directions of the box (``other_cars``). A Kalman
+filter learns θ; θ starts at zero and wanders slowly around zero,
 
     θ⁺ = φ θ + ...,  covariance P0 at rest,
 
-from d̂ itself. What a loss would show is put through the same gains (``sequential_test``), so only
-the part of it that no other car explains counts as evidence (Willsky and Jones, IEEE Trans. Autom.
-Control 21 (1976) 108).
+from d̂ itself. The signature of a loss passes the same gains (``sequential_test``), so only the
+part that no other car explains counts as evidence (Willsky and Jones, IEEE Trans. Autom. Control 21
+(1976) 108).
 
-After a confirmed loss two more states learn how far its share was off, whose x is the lost w, and
-by how many ticks its moment, whose x is what one more command would add: both are only roughly
-known then.
+After a confirmed loss two more states learn the error of the share (x is the lost w) and the error
+of the moment in ticks (x is the effect of one more command): share and moment are only roughly
+known at first.
 
-Where the lost share is followed at all times instead, it is such a state from the start, and
-wanders whether the car moves or not.
+With a ``share_drift`` the lost share is a state from the start, and wanders even in a steady car.
 
-What other cars show beyond the first order is a remainder that changes as slowly as the car does:
-one more θ, whose x is 1. Both wander only where the car moves: the steady state of a bend is the
-same for any time, so what d̂ is there is soon known, and a loss is told from it at once. The measure
-of motion is the fading largest change of the x_i, M, against their fading largest extent: the
+The effect of other cars beyond the first order is a remainder that changes as slowly as the car
+moves: one more θ with x = 1. Both wander only while the car moves: the steady state of a bend is
+constant, so the filter soon knows the steady d̂ and distinguishes a loss at once. The measure of
+motion is the fading largest change of the x_i, M, against their fading largest extent: the
 remainder's variance is a share of the first, and θ wanders at the ratio of both. The remainder is
-of second order, so its variance goes with the square of the mean θ² that is still possible: of a
-car that has shown that it is the model little remains. A model that is trusted has no x.
+of second order, so the variance grows with the square of the mean θ² that is still possible: a car
+close to the model leaves little remainder. A trusted model has no x.
 """
 
 from __future__ import annotations
@@ -50,14 +49,16 @@ from firmware_model.target.structs import Field, Record
 
 CONSTANTS = (
     Field("n", "1", "states: share and moment of a loss, other cars, the remainder", "int32"),
-    Field("prior", "1", "P0, variance of each θ before anything is known; of the remainder 1"),
+    Field("prior", "1", "P0, initial variance of each θ; of the remainder 1"),
     Field("forgetting", "1", "1 - φ of each θ where the car moves", shape=SIZES),
     Field("growth", "1", "1 - φ², times the variance of θ", shape=SIZES),
     Field("motion", "1", "(time constant of the remainder/tick)², from changes to extents"),
     Field("beyond", "1", "variance of the remainder, as a share of M, for cars all over the box"),
-    Field("rule", "1", "the same for what F1's rule leaves, of the change of G1 u1 + G2 u2"),
-    Field("white", "1", "share of the remainder's variance that differs from tick to tick"),
-    Field("fading", "1", "what a tick leaves of M and of the largest extent"),
+    Field(
+        "rule", "1", "variance of the error of F1's rule, as a share of the change of G1 u1 + G2 u2"
+    ),
+    Field("white", "1", "white share of the remainder's variance"),
+    Field("fading", "1", "factor per tick of M and of the largest extent"),
     Field("noise", "y²", "variance of the whitened noise of a tick"),
     Field("colour", "1", "a of the noise, n(k) = a n(k-1) + white"),
 )
@@ -66,11 +67,11 @@ STATE = (
     Field("regressor", "y", "x of this tick, whitened", shape=SIZES),
     Field("theta", "1", "θ", shape=SIZES),
     Field("covariance", "1", "P", covariance.STATE),
-    Field("gain", "1/y", "of the last update of θ", shape=SIZES),
-    Field("memory", "1", "φ, what that tick left of each θ", shape=SIZES),
+    Field("gain", "1/y", "gain of the last update of θ", shape=SIZES),
+    Field("memory", "1", "φ of each θ in the last update", shape=SIZES),
     Field("extent", "y²", "fading largest Σ x²"),
     Field("change", "y²", "M, fading largest Σ (time constant · dx/dt)²"),
-    Field("rule", "y²", "part of it that F1's rule leaves, or how it began, fading"),
+    Field("rule", "y²", "fading part due to F1's rule or to the initial error"),
     Field("remainder", "y²", "variance of the remainder"),
     Field("previous_model_output", "y", "G1 u1 + G2 u2 of the last tick"),
     Field("previous_residual", "y", "d̂ of the last tick, less the known loss"),
@@ -82,14 +83,14 @@ STATE = (
 def predict_mismatch(
     table: Record, state: Record, model_output: float, lost: float, earlier: float
 ) -> None:
-    """x of this tick, and its part in the variance of the noise.
+    """Compute x of this tick and the part of x in the noise variance.
 
     Args:
         table: the constant table.
         state: changed in place; ``other_cars`` shows this tick.
-        model_output: G1 u1 + G2 u2 as d̂ contains it.
-        lost: w of a confirmed loss likewise; 0 without one.
-        earlier: what a loss that is a tick older would add to it.
+        model_output: G1 u1 + G2 u2 as contained in d̂.
+        lost: w of a confirmed loss as contained in d̂; 0 without loss.
+        earlier: the change of w if the loss were one tick older.
     """
     constants, mismatch, shown = table.mismatch, state.mismatch, state.other_cars.shown
     a, x, previous = constants.colour, mismatch.regressor, mismatch.x
@@ -119,7 +120,7 @@ def predict_mismatch(
 
 @firmware
 def difference(table: Record, state: Record) -> float:
-    """The mean square of θ by what is known of this car, over that of the box; 1 at most."""
+    """Mean square of θ for this car relative to the box; 1 at most."""
     constants, cars = table.mismatch, table.other_cars.n
     zero, one = real(0.0, constants.prior), real(1.0, constants.prior)
     squares = box = zero
@@ -131,13 +132,13 @@ def difference(table: Record, state: Record) -> float:
 
 @firmware
 def finite(value: float) -> float:
-    """``value``, or zero where it is not finite: an overflow must not stay in a memory."""
+    """Return ``value``, or zero if not finite: an overflow must not stay in a memory."""
     return value if math.isfinite(value) else real(0.0, value)
 
 
 @firmware
 def innovation(constants: Record, state: Record, residual: float) -> float:
-    """What is new in ``residual``, d̂ less the known loss; θ and P learn from it.
+    """Return the innovation of ``residual`` (d̂ minus the known loss); θ and P are updated.
 
     Leaves the gain in ``state.gain`` and the innovation's variance in ``state.variance``.
     """
@@ -168,7 +169,7 @@ def innovation(constants: Record, state: Record, residual: float) -> float:
 
 @firmware
 def clear_mismatch(constants: Record, state: Record) -> None:
-    """Nothing is known of the car, which is at rest."""
+    """Forget the car: no knowledge of θ, car at rest."""
     state.x[:] = 0.0
     state.theta[:] = 0.0
     clear_covariance(state.covariance)
@@ -191,7 +192,7 @@ def settle_mismatch(table: Record, state: Record, model_output: float) -> None:
 
 
 def doubt_motion(constants: Record, state: Record, variance: float) -> None:
-    """y may be off by this ``variance`` from the start, and by less and less as it fades."""
+    """Allow an initial error of y with this ``variance`` that fades with time."""
     state.rule = variance
     if constants.n > LOSS_STATES:
         state.covariance.variances[constants.n - 1] = variance

@@ -1,12 +1,11 @@
-"""What cars that are not the model show in d̂ without a fault.
+"""The effect on d̂ of healthy cars that differ from the model.
 
     x_i = (G1_i - G1) u1 + (G2_i - G2) u2
 
-with G1_i, G2_i the models of another car, along the i-th principal direction of the box of cars
-that the design allows for and scaled to the end of it (``design.mismatch``). A command that is
-known to be lost drives none of them.
+with G1_i, G2_i the models of another car, along the i-th principal direction of the allowed box of
+cars and scaled to the end of the box (``design.mismatch``). A known lost command drives no model.
 
-Of a plant that is not stable that is, in coprime factors over the same poles,
+For an unstable plant, in coprime factors over the same poles,
 
     x_i = (N1_i - N1) u1 + (N2_i - N2) u2 - (M_i - M) y
 """
@@ -22,7 +21,7 @@ from firmware_model.target.structs import Field, Record
 CAR = (
     Field("channel_1", "y/u1", "G1 of this car", biquad.CONSTANTS),
     Field("channel_2", "y/u2", "G2 of this car", biquad.CONSTANTS),
-    Field("measurement", "1", "M of this car; no section where it is stable", biquad.CONSTANTS),
+    Field("measurement", "1", "M of this car; no section for a stable car", biquad.CONSTANTS),
 )
 CAR_STATE = (
     Field("channel_1", "y", "its state", biquad.STATE),
@@ -31,7 +30,7 @@ CAR_STATE = (
 )
 CONSTANTS = (
     Field("n", "1", "principal directions in use", "int32"),
-    Field("scale", "1", "from one of these cars to the end of the box"),
+    Field("scale", "1", "from a car of this table to the end of the box"),
     Field("car_1", "1", "the car along the first direction", CAR),
     Field("car_2", "1", "likewise the second", CAR),
     Field("car_3", "1", "likewise the third", CAR),
@@ -44,14 +43,14 @@ STATE = (
     Field("car_3", "y", "the third car", CAR_STATE),
     Field("car_4", "y", "the fourth car", CAR_STATE),
     Field("shown", "y", "x_i of this tick", shape=(MAX_DIRECTIONS,)),
-    Field("command_1", "u1", "command 1 as it acts in what is measured, what is lost left out"),
+    Field("command_1", "u1", "command 1 in the measurement, without the known loss"),
     Field("command_2", "u2", "command 2 likewise"),
 )
 
 
 @firmware
 def show_other_cars(table: Record, state: Record, command_1: float, command_2: float) -> None:
-    """x of this tick, where these commands begin to show in what is measured."""
+    """Return x of this tick; these commands begin to act on the measurement."""
     cars, own, shown = table.other_cars, state.other_cars, state.other_cars.shown
     own.command_1, own.command_2 = command_1, command_2
     if cars.n == 0:

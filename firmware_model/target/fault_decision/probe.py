@@ -1,15 +1,14 @@
-"""A small torque probe: it tells a lost torque from all else that makes d̂ grow.
+"""A small torque probe: the probe distinguishes a lost torque from other causes of d̂.
 
-A biased D* sensor makes some d̂, a car that is not the model too. But only a torque that does not
-reach the wheels leaves its *own* effect in d̂. So before a suspected loss is confirmed the motor
-adds two periods of a windowed sine, a sin ωkT (1 - cos ½ωkT)/2, and d̂ is compared with w (what d̂
-is if the torque is lost; ``sequential_test``) at its frequency, where over whole periods a constant
-cancels:
+A biased D* sensor causes a d̂; a car different from the model does too. But only a lost torque
+leaves the *probe's* effect in d̂. So before a suspected loss is confirmed the motor adds two
+periods of a windowed sine, a sin ωkT (1 - cos ½ωkT)/2, and d̂ is compared with w (d̂ of a lost
+torque; ``sequential_test``) at the probe's frequency, where over whole periods a constant cancels:
 
     share = Re(D W*)/|W|²,  D = Σ d̂ exp(-jωk T),  W = Σ w exp(-jωk T)
 
-1 for a dead motor, 1 - left for one that has lost a part, 0 for a bias, ΔG1/G1 for another car. C
-works on y less what the model makes of u1, the probe included, so it does not fight the probe.
+1 for a dead motor, 1 - left for a weak motor, 0 for a bias, ΔG1/G1 for another car. C works on y
+minus the modelled effect of u1 with the probe, so C does not fight the probe.
 
 Only half of the phase, φ = ½ωkT, is kept: sin ωkT = 2 sin φ cos φ, cos ωkT = cos² φ - sin² φ.
 """
@@ -23,11 +22,11 @@ from firmware_model.target.structs import Field, Record
 CONSTANTS = (
     Field("ticks", "tick", "duration of a probe; 0: none", "int32"),
     Field("amplitude", "u1", "half of a, the amplitude of the sine"),
-    Field("least_share", "1", "part of the torque that has to be missing to confirm a loss"),
+    Field("least_share", "1", "least missing part of the torque for a confirmed loss"),
     Field("rotation", "1", "of φ in a tick: cosine, sine", shape=(2,)),
 )
 STATE = (
-    Field("tick", "tick", "tick of the running probe, from 1 on; 0: none runs", "int32"),
+    Field("tick", "tick", "tick of the running probe, from 1 on; 0: no probe", "int32"),
     Field("cosine", "1", "cos φ"),
     Field("sine", "1", "sin φ"),
     Field("correlation", "y", "Re D, -Im D, Re W, -Im W", shape=(4,)),
@@ -54,7 +53,7 @@ def phase(state: Record) -> tuple[float, float, float]:
 
 @firmware
 def probe_torque(constants: Record, state: Record) -> float:
-    """What the probe adds to command 1 in this tick."""
+    """The probe's addition to command 1 in this tick."""
     _, sin, window = phase(state)
     torque: float = constants.amplitude * window * sin
     return torque
@@ -62,7 +61,7 @@ def probe_torque(constants: Record, state: Record) -> float:
 
 @firmware
 def correlate(constants: Record, state: Record, estimate: float, lost: float) -> bool:
-    """Take in d̂ and w of this tick, and turn the phase; whether the probe is over."""
+    """Add d̂ and w of this tick and turn the phase; return whether the probe is over."""
     cos, sin, _ = phase(state)
     correlation = state.correlation
     correlation[0] += estimate * cos
@@ -79,7 +78,7 @@ def correlate(constants: Record, state: Record, estimate: float, lost: float) ->
 
 @firmware
 def end_probe(state: Record) -> float:
-    """End the probe; returns the part of the torque that it has found missing."""
+    """End the probe and return the missing part of the torque."""
     state.tick = 0
     d, w = state.correlation[:2], state.correlation[2:]
     power = w[0] * w[0] + w[1] * w[1]

@@ -1,10 +1,10 @@
 """Both actuators are lost: the commands are taken back to zero, without a bump.
 
-Nothing that is commanded moves the plant any more, and what is still commanded would act at once if
-an actuator came back. So each command goes to zero in a straight line, as far as its rate allows,
-and stays there until ``reset``, whatever is measured. The models follow, as through a HOLD.
+No command moves the plant any more, and a standing command would act at once if an actuator came
+back. So each command goes to zero in a straight line, as far as the rate limit allows, and stays
+zero until ``reset``, whatever the measurement. The models follow, as during a HOLD.
 
-A table with a duration of 0 says so in its verdict, and goes on.
+A table with a duration of 0 only reports the verdict and goes on.
 """
 
 from __future__ import annotations
@@ -17,8 +17,8 @@ from firmware_model.target.structs import Field, Record
 
 BOTH_LOST = int(Verdict.BOTH_LOST)
 
-CONSTANTS = (Field("duration", "tick", "of the way to zero; 0: the commands go on"),)
-STATE = (Field("elapsed", "tick", "of it"),)
+CONSTANTS = (Field("duration", "tick", "duration of the way to zero; 0: the commands go on"),)
+STATE = (Field("elapsed", "tick", "ticks since the start of the way to zero"),)
 
 
 @firmware

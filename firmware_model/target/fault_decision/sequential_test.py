@@ -1,18 +1,18 @@
-"""The sequential test that finds the moment in which channel 1 is lost, or comes back.
+"""The sequential test for the moment of a loss, or of the return, of channel 1.
 
-What a loss does is known but for its moment and its share: from then on d̂ = s w, w the answer of G1
-to the commands since. So one candidate runs along, started anew whenever the evidence speaks
-against it, and its log-likelihood ratio grows with every tick (Page's cumulative sum of a known
-signature: Basseville and Nikiforov, Detection of Abrupt Changes, 1993, 7.2.4):
+The effect of a loss is known except for moment and share: after the loss d̂ = s w, with w the
+answer of G1 to the commands since. So one candidate runs along, restarted whenever the evidence
+contradicts the candidate, and the log-likelihood ratio grows with every tick (Page's cumulative sum
+of a known signature: Basseville and Nikiforov, Detection of Abrupt Changes, 1993, 7.2.4):
 
     g⁺ = g + (f ν - ½ f²)/S
 
-with ν the innovation of d̂ (``mismatch``), S its variance, and f what a loss of ``share`` would have
-added to ν: w, whitened as the noise is, less what the estimates of the car would have made of it.
-A g below -1 says: not from then on, and the candidate begins again at this tick. So it does where
-f has faded before anything was decided, for nothing more will be. The chance that a
-healthy car takes one candidate beyond h is e^-h at most (Wald), and there is at most one a tick: so
-h is the logarithm of the ticks between two false alarms, whatever the drive, and needs no tuning.
+with ν the innovation of d̂ (``mismatch``), S its variance, and f the effect of a loss of ``share``
+on ν: w, whitened like the noise, minus the part absorbed by the estimates of the car. A g below -1
+rejects the moment, and the candidate restarts at this tick. An f that fades before a decision
+restarts the candidate too, because no more evidence can follow. The chance that a healthy car takes
+one candidate beyond h is e^-h at most (Wald), and there is at most one a tick: so h is the
+logarithm of the ticks between two false alarms, whatever the drive, and needs no tuning.
 
 The test for the return of a lost channel is the same with the opposite sign.
 """
@@ -30,32 +30,34 @@ from firmware_model.target.precision import real
 from firmware_model.target.structs import MAX_SHOWN_TICKS, Field, Record
 
 CONSTANTS = (
-    Field("share", "1", "of channel 1 whose loss is looked for"),
-    Field("restart", "1", "log-likelihood ratio below which the candidate begins again"),
-    Field("freshness", "1", "part of its information that is new as its age doubles, or it ends"),
-    Field("needed", "1", "information that decides, and is enough if it comes"),
-    Field("promising", "1", "evidence with which a candidate for a loss is kept all the same"),
-    Field("deviations", "1", "by which a share above 1 must be above it"),
+    Field("share", "1", "tested lost share of channel 1"),
+    Field("restart", "1", "log-likelihood ratio of a restart"),
+    Field("freshness", "1", "least growth of information per doubled age; else the candidate ends"),
+    Field("needed", "1", "information of a decision"),
+    Field("promising", "1", "evidence that keeps an old candidate"),
+    Field("deviations", "1", "deviations by which a share above 1 must exceed 1"),
 )
 STATE = (
     Field("channel_1", "y", "state of G1 driven by the commands since the start", biquad.STATE),
-    Field("earlier", "y", "state of G1 driven by the command before these alone", biquad.STATE),
+    Field(
+        "earlier", "y", "state of G1 driven only by the last command before the start", biquad.STATE
+    ),
     Field("delay", "y", "ring of w on its way into d̂", shape=(MAX_SHOWN_TICKS,)),
     Field("previous_output", "y", "w of the last tick"),
-    Field("previous_shown", "y", "w of the last tick as d̂ contains it"),
-    Field("explained", "1", "what w makes of θ", shape=(MAX_STATES,)),
+    Field("previous_shown", "y", "w of the last tick as contained in d̂"),
+    Field("explained", "1", "effect of w on θ", shape=(MAX_STATES,)),
     Field("age", "tick", "since the start"),
     Field("evidence", "1", "g, log-likelihood ratio"),
     Field("correlation", "1", "Σ ν f/S for a share of 1"),
     Field("information", "1", "Σ f²/S for a share of 1"),
-    Field("half_age", "tick", "age when it was last looked whether more comes"),
-    Field("half_information", "1", "the information of then"),
+    Field("half_age", "tick", "age at the last check of growth"),
+    Field("half_information", "1", "information at the last check of growth"),
 )
 
 
 @firmware
 def candidate_output(table: Record, state: Record) -> float:
-    """w of this tick, as this tick's command drives it."""
+    """Return w of this tick, driven by this tick's command."""
     candidate = state.sequential_test.channel_1
     w: float = output(table.estimator.channel_1, candidate, state.command_1)
     return w
@@ -88,9 +90,9 @@ def update_test(table: Record, state: Record, innovation: float, share: float) -
 
 @firmware
 def is_stale(constants: Record, test: Record) -> bool:
-    """Whether a candidate that is twice as old now has learnt hardly more meanwhile.
+    """Whether a candidate of doubled age has gained hardly any information.
 
-    Neither much of what it has, nor what a decision takes.
+    Neither a good part of the present information, nor enough for a decision.
     """
     two = real(2.0, test.age)
     if test.age < two * max(test.half_age, two):
@@ -105,7 +107,7 @@ def is_stale(constants: Record, test: Record) -> bool:
 
 @firmware
 def candidate_shown(table: Record, state: Record) -> float:
-    """w as d̂ of this tick contains it, late by bus and dead time."""
+    """Return w as contained in d̂ of this tick, late by bus and dead time."""
     if table.estimator.shown_ticks_1 > 0:
         w: float = state.sequential_test.delay[state.estimator.shown_index_1]
         return w
@@ -114,7 +116,7 @@ def candidate_shown(table: Record, state: Record) -> float:
 
 @firmware
 def start_candidate(table: Record, state: Record) -> None:
-    """Begin again: no command that has acted so far is lost, those on their way are."""
+    """Restart: all past commands acted; the commands on the way are lost."""
     test, estimator = state.sequential_test, table.estimator
     g1, shown = estimator.channel_1, estimator.shown_ticks_1
     test.channel_1.accumulators[:] = 0.0
@@ -130,7 +132,7 @@ def start_candidate(table: Record, state: Record) -> None:
         test.previous_output = w
         advance(g1, test.channel_1, command)
     before = state.command_1
-    if shown > 0:  # the one that has just acted is gone; it was hardly another
+    if shown > 0:  # the last acting command has left the ring and hardly differs
         before = pending_command(estimator, state.estimator, 0)
     advance(g1, test.earlier, before)
 
@@ -148,7 +150,7 @@ def advance_candidate(table: Record, state: Record) -> None:
 
 @firmware
 def forget_candidate(table: Record, state: Record, share: float) -> None:
-    """Take back what θ has learnt from ``share`` of w, taken for another car until now."""
+    """Remove the effect of ``share`` of w from θ: θ took the loss for another car."""
     theta, explained = state.mismatch.theta, state.sequential_test.explained
     for i in range(table.mismatch.n):
         theta[i] -= share * explained[i]
@@ -158,7 +160,7 @@ def forget_candidate(table: Record, state: Record, share: float) -> None:
 def lost_share(constants: Record, test: Record) -> float:
     """The share of channel 1 that explains ``innovation`` best, by least squares, 0 or above.
 
-    Above 1 only as far as it must be: then channel 1 does more to this car than to the model.
+    Above 1 only if necessary: channel 1 then moves this car more than the model.
     """
     zero, one = real(0.0, test.evidence), real(1.0, test.evidence)
     if not test.information > zero:

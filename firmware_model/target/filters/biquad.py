@@ -26,13 +26,13 @@ STATE = (Field("accumulators", "output", "s1, s2, a row a section", shape=(MAX_S
 
 
 def at_rest(precision: Precision = "float64") -> Record:
-    """A state of any cascade, at rest, for whoever runs one alone."""
+    """Return the state of a cascade at rest, for a cascade outside the law."""
     return np.zeros(1, record_type(STATE, precision))[0]
 
 
 @firmware
 def output(cascade: Record, state: Record, u: float) -> float:
-    """The answer to ``u`` in this tick; the state stays as it is."""
+    """Return the answer to ``u`` in this tick; the state does not change."""
     coefficients, s = cascade.coefficients, state.accumulators
     for i in range(cascade.n):
         u = coefficients[i, 0] * u + s[i, 0]

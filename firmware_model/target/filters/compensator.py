@@ -2,9 +2,9 @@
 
 With a Tustin estimator at zero latency this tick's d̂ depends on this tick's u2, which depends on
 this tick's d̂: F̂ is biproper and Tustin's G2 feeds through, with loop gain T/(2τ+T) for the
-thesis's design. It is solved exactly, by a factor that is known at design time, and exactly too
-under saturation: for a loop gain below 1 the saturated solution of the linear loop is the solution
-of the saturated loop. With a held-input estimator, or any latency, the gain is 0.
+thesis's design. A factor known at design time solves the loop exactly, also under saturation: for a
+loop gain below 1 the saturated solution of the linear loop is the solution of the saturated loop.
+With a held-input estimator, or any latency, the gain is 0.
 """
 
 from __future__ import annotations

@@ -1,11 +1,11 @@
 """The fault estimator d̂ = (1 + Q)(G1 u1 + G2 u2 - y) of (2.1): the model of the plant, its bus.
 
-Of a plant that is not stable the models are N1 and N2 of its left-coprime factors, and M y is what
-they are compared with (``discretisation.law.coprime``); of a stable one M is 1.
+For an unstable plant the models are N1 and N2 of the left-coprime factors, compared with M y
+(``discretisation.law.coprime``); a stable plant has M = 1.
 
-The model gets each command when the plant gets it, ``latency_ticks`` after it was computed, and
-whether it was computed or held: an actuator that hears nothing new goes on with what it has. What
-the bus has delivered then waits for the dead time of its channel, that of the sensor included.
+The model gets each command together with the plant, ``latency_ticks`` after the computation. Held
+commands count too: an actuator without a new command keeps the last command. A delivered command
+then waits for the dead time of the channel plus the dead time of the sensor.
 """
 
 from __future__ import annotations
@@ -36,18 +36,18 @@ STATE = (
     Field("channel_2", "y", "state of G2", biquad.STATE),
     Field("one_plus_q", "y", "state of 1 + Q", biquad.STATE),
     Field("measurement", "y", "state of M", biquad.STATE),
-    Field("measured", "y", "y of this tick, or the one that was expected where it is missing"),
+    Field("measured", "y", "y of this tick, or the expected y without a measurement"),
     Field("delay_1", "u1", "ring of commands on their way to the plant", shape=RING),
     Field("delay_2", "u2", "ring of commands on their way to the plant", shape=RING),
-    Field("delay_index", "1", "where the rings hold the command that acts next", "int32"),
+    Field("delay_index", "1", "index of the next acting command in the rings", "int32"),
     Field("dead_1", "u1", "ring of commands in the dead time of channel 1", shape=RING),
     Field("dead_2", "u2", "ring of commands in the dead time of channel 2", shape=RING),
-    Field("dead_index_1", "1", "where its ring holds the command that G1 gets next", "int32"),
-    Field("dead_index_2", "1", "where its ring holds the command that G2 gets next", "int32"),
-    Field("showing_1", "u1", "command 1 as the measurement of this tick begins to show it"),
+    Field("dead_index_1", "1", "index of G1's next command in the ring", "int32"),
+    Field("dead_index_2", "1", "index of G2's next command in the ring", "int32"),
+    Field("showing_1", "u1", "command 1 visible in this tick's measurement"),
     Field("showing_2", "u2", "command 2 likewise"),
-    Field("shown_index_1", "1", "where rings of outputs of G1 hold what shows next", "int32"),
-    Field("shown_index_2", "1", "where rings of outputs of G2 hold what shows next", "int32"),
+    Field("shown_index_1", "1", "index of the next visible output in the rings of G1", "int32"),
+    Field("shown_index_2", "1", "index of the next visible output in the rings of G2", "int32"),
 )  # fmt: skip
 
 
@@ -55,10 +55,9 @@ STATE = (
 def model_output(
     constants: Record, state: Record, command_1: float, command_2: float
 ) -> tuple[float, float]:
-    """G1 u1 and G2 u2 as the measurement of this tick shows them, by the model.
+    """Return the modelled G1 u1 and G2 u2 in the measurement of this tick.
 
-    Without latency and dead time that is of this tick's commands, otherwise of the ones that act
-    now.
+    Without latency and dead time this tick's commands act, otherwise earlier commands.
     """
     u1, u2 = command_1, command_2
     if constants.latency_ticks > 0:
@@ -76,7 +75,7 @@ def model_output(
 
 @firmware
 def advance_model(constants: Record, state: Record, command_1: float, command_2: float) -> None:
-    """Put the commands of this tick on their way; advance the model by those that act."""
+    """Queue the commands of this tick; advance the model by the acting commands."""
     u1, u2 = command_1, command_2
     if constants.latency_ticks > 0:
         index = state.delay_index
@@ -115,7 +114,7 @@ def take_measurement(constants: Record, state: Record, measurement: float) -> fl
 
 @firmware
 def expect_measurement(constants: Record, state: Record, shown: float) -> None:
-    """Let a tick without a measurement pass: M gets the one that makes M y what is ``shown``."""
+    """Pass a tick without a measurement: M gets a y with M y = ``shown``."""
     cascade, own = constants.measurement, state.measurement
     if cascade.n > 0:
         rest = output(cascade, own, real(0.0, shown))
@@ -130,7 +129,7 @@ def settle_estimator(
 ) -> None:
     """The steady state of a healthy plant for constant commands: d̂ = 0.
 
-    ``level`` is y of a plant that integrates, which stays at any y where its commands are zero.
+    ``level`` is y of an integrating plant: with zero commands the plant rests at any y.
     """
     shown = settle(constants.channel_1, state.channel_1, command_1)
     shown += settle(constants.channel_2, state.channel_2, command_2)
@@ -154,7 +153,7 @@ def settle_estimator(
 
 @firmware
 def clear_estimator(state: Record) -> None:
-    """Empty the filters; the commands that are on their way stay."""
+    """Empty the filters; queued commands stay."""
     state.channel_1.accumulators[:] = 0.0
     state.channel_2.accumulators[:] = 0.0
     state.one_plus_q.accumulators[:] = 0.0

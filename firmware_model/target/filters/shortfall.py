@@ -1,16 +1,16 @@
-"""What an actuator could not do of what it was asked for, and how that is made up for.
+"""The shortfall of an actuator (asked minus possible command), and the make-up.
 
-The output that is missing, G (asked - possible), is the model's, so it is known exactly and winds
-nothing up. Left alone it fades as the plant lets it. Instead a command is added to the next one
-asked for: of all that the actuator can do in this tick the one after which the least is still to
-come, if nothing more were done,
+The missing output, G (asked - possible), comes from the model, so the output is known exactly and
+causes no windup. Without a make-up the missing output fades with the plant. The make-up adds a
+command to the next asked command: among all possible commands of this tick the command with the
+least remaining missing output, without any further make-up,
 
     V = Σ y², y the missing output from this tick on = y² + xᵀ P x,  P = Aᵀ P A + cᵀ c,
 
-x the state of G that is driven by asked - possible. V is a parabola in the command, so of a range
-of commands the nearest to its minimum, v = gain · x, is the best: whatever the limits, V shrinks at
-least as it would without a make-up, and nothing can swing. A make-up is never more than its
-actuator can take back within a tick: where a rate is limited, what is asked for must stay in reach.
+x the state of G driven by asked - possible. V is a parabola in the command, so the best command of
+a range is the nearest to the minimum v = gain · x: whatever the limits, V shrinks at least as fast
+as without a make-up, and no oscillation can start. The actuator can always take back a make-up
+within a tick: under a rate limit the asked command must stay in reach.
 """
 
 from __future__ import annotations
@@ -31,7 +31,7 @@ STATE = biquad.STATE  # of G driven by asked - possible
 
 @firmware
 def make_up(constants: Record, cascade: Record, actuator: Record, state: Record) -> float:
-    """What to add to the command that is asked for in this tick.
+    """Return the make-up, an addition to this tick's asked command.
 
     Args:
         constants: of this module.

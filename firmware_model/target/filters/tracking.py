@@ -1,20 +1,20 @@
-"""The tracking controller u1 = C (r - y) of (3.32), written so that no limit can make it swing.
+"""The tracking controller u1 = C (r - y) of (3.32), in a form that no limit can make oscillate.
 
-C = Q/(1 - Q G1) is the filter Q = q̂/G1 fed with what the model does not explain:
+C = Q/(1 - Q G1) is the filter Q = q̂/G1 fed with the part of y outside the model:
 
     u1 = Q (r - y + G1 u1)
 
-G1 u1 is the estimator's own: of the command as it was limited and rounded, and as late as the bus
-makes it. So as long as the car is the model, y - G1 u1 is its disturbance, whatever the actuator
-could not follow: limits of magnitude and rate are outside the loop (internal model control:
-Garcia and Morari, Ind. Eng. Chem. Process Des. Dev. 21 (1982) 308). Another car closes the loop by
-its difference alone. The gain of Q G1 is 1 at zero frequency: that is the integrator.
+G1 u1 comes from the estimator: the limited and rounded command, with the delay of the bus. So as
+long as the car equals the model, y - G1 u1 is the disturbance, whatever the limits of the actuator:
+limits of magnitude and rate are outside the loop (internal model control: Garcia and Morari, Ind.
+Eng. Chem. Process Des. Dev. 21 (1982) 308). Another car closes the loop only by the difference from
+the model. The gain of Q G1 is 1 at zero frequency: the integrator.
 
-After a loss the loop is closed through channel 2. What that was asked for and could not do,
-G2 (asked - possible), is taken off the model's output: so its limits are outside the loop too.
+After a loss channel 2 closes the loop. The shortfall of channel 2, G2 (asked - possible), is
+subtracted from the model's output: so the limits of channel 2 are outside the loop too.
 
-Of a plant that is not stable the model is N1, and a filter R of the command holds what would run
-away: u1 = Q (r - y + N1 u1) + R u1 (``design.tracking``). Then limits have to stay in the loop.
+For an unstable plant the model is N1, and a filter R of the command stabilises the plant:
+u1 = Q (r - y + N1 u1) + R u1 (``design.tracking``). Then limits have to stay in the loop.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ CONSTANTS = (
     Field("filter", "u1/y", "Q; 1 in the open loop", biquad.CONSTANTS),
     Field("feedback", "1", "1: Q works on r - y + G1 u1; 0, the open loop: on r"),
     Field("stabiliser", "1", "R; no section where the plant is stable", biquad.CONSTANTS),
-    Field("excuses_limits", "1", "1: what channels could not do is made up for; 0: unstable plant"),
+    Field("excuses_limits", "1", "1: make-up of shortfalls; 0: unstable plant"),
     Field("loop_inverse", "1", "1/(1 - gain of the loop u1 → G1 u1 → u1 within a tick)"),
 )
 STATE = (
@@ -42,7 +42,7 @@ STATE = (
 
 @firmware
 def missing_output(table: Record, state: Record) -> float:
-    """G2 (asked - possible) as the measurement of this tick shows it."""
+    """Return G2 (asked - possible) in the measurement of this tick."""
     if table.estimator.shown_ticks_2 > 0:
         missing: float = state.tracking.delay[state.estimator.shown_index_2]
         return missing
@@ -52,7 +52,7 @@ def missing_output(table: Record, state: Record) -> float:
 
 @firmware
 def asked_torque(constants: Record, state: Record, error: float) -> float:
-    """u1 for ``error`` = r - y + G1 u1, where G1 u1 is what it is without this tick's command."""
+    """Return u1 for ``error`` = r - y + G1 u1, with G1 u1 before this tick's command."""
     torque: float = output(constants.filter, state.filter, error)
     if constants.stabiliser.n > 0:
         torque += output(constants.stabiliser, state.stabiliser, real(0.0, torque))
@@ -71,7 +71,7 @@ def track(constants: Record, state: Record, error: float, command: float) -> Non
 
 @firmware
 def track_on(constants: Record, state: Record, command: float) -> float:
-    """A tick without inputs, which nothing new has happened in; what C would have asked for."""
+    """Pass a tick without inputs as if C saw no change; return the command that C would ask for."""
     torque: float = advance(constants.filter, state.filter, state.error)
     if constants.stabiliser.n > 0:
         torque += advance(constants.stabiliser, state.stabiliser, command)
@@ -80,7 +80,7 @@ def track_on(constants: Record, state: Record, command: float) -> float:
 
 @firmware
 def advance_shortfalls(table: Record, state: Record, short_1: float, short_2: float) -> None:
-    """Advance what the channels could not do by this tick's asked - possible."""
+    """Advance the shortfalls of both channels by this tick's asked - possible."""
     counts = table.tracking.excuses_limits
     advance(table.estimator.channel_1, state.shortfall_1, short_1 * counts)
     missing = advance(table.estimator.channel_2, state.shortfall_2, short_2 * counts)

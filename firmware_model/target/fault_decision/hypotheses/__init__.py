@@ -1,4 +1,5 @@
-"""Whose fault is it? What else than a lost torque explains d̂, and how well each does.
+"""Whose fault is it? The explanations of d̂ besides a lost torque, and their evidence.
 
-Imports the rest of the decision but ``decision`` itself, which calls ``verdict`` in every tick.
+Imports all modules of the decision except ``decision``; ``decision`` calls ``verdict`` in every
+tick.
 """

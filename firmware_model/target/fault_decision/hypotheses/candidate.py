@@ -1,16 +1,15 @@
 """One hypothesis: a signature of unknown size in d̂, from an onset on.
 
-What a fault adds to d̂ is its size m times a signature f that is known from its onset on. As in
-``sequential_test`` f is whitened as the noise is, and less what the estimates of the car would have
-made of it. Of all sizes between ``least`` and ``most`` the likeliest explains the innovations ν, of
+A fault adds its size m times a signature f to d̂; f is known from the onset on. As in
+``sequential_test`` f is whitened like the noise, minus the part absorbed by the estimates of the
+car. Of all sizes between ``least`` and ``most`` the likeliest explains the innovations ν, of
 variance S, with the log-likelihood ratio
 
     m (c - ½ m i),    c = Σ f ν/S,  i = Σ f²/S,  m = c/i within its limits
 
-the *evidence*. That a size fits afterwards does not prove the onset, so it is also foretold: the
-same sum, in each tick with the size of the tick before. Where that falls below ``restart`` the
-onset was none, and this tick is the next one; so it is where the candidate is older than
-``lifetime`` and has found nothing.
+the *evidence*. A size fitted afterwards does not prove the onset, so a second sum predicts each
+tick with the size of the tick before. A predicted sum below ``restart`` rejects the onset, and the
+present tick becomes the new onset; so does a candidate older than ``lifetime`` without a finding.
 """
 
 from __future__ import annotations
@@ -23,16 +22,16 @@ from firmware_model.target.precision import real
 from firmware_model.target.structs import Field, Record
 
 LIMITS = (
-    Field("least", "1", "size, in the unit of its signature"),
-    Field("most", "1", "likewise"),
+    Field("least", "1", "least size, in the unit of the signature"),
+    Field("most", "1", "largest size, in the unit of the signature"),
 )
 CONSTANTS = (
-    Field("restart", "1", "foretold log-likelihood ratio below which the onset was none"),
-    Field("lifetime", "tick", "age at which a candidate that found nothing begins again"),
-    Field("promising", "1", "evidence with which it does not"),
+    Field("restart", "1", "predicted log-likelihood ratio that rejects the onset"),
+    Field("lifetime", "tick", "age of a restart without a finding"),
+    Field("promising", "1", "evidence that prevents the restart by age"),
 )
 STATE = (
-    Field("explained", "1", "what the signature makes of θ", shape=(MAX_STATES,)),
+    Field("explained", "1", "effect of the signature on θ", shape=(MAX_STATES,)),
     Field("previous_shown", "y", "the signature in d̂ of the last tick"),
     Field("age", "tick", "since the onset"),
     Field("correlation", "1", "c for a size of 1"),
@@ -53,8 +52,8 @@ def take_in(
         table: the constant table.
         state: of the controller; ``mismatch`` is that of this tick.
         own: state of this module; changed in place.
-        limits: of its size.
-        shown: the signature of size 1 as d̂ of this tick contains it.
+        limits: the limits of the size.
+        shown: the part of a size-1 signature in d̂ of this tick.
         innovation: ν.
     """
     mismatch, half = state.mismatch, real(0.5, shown)
@@ -76,7 +75,7 @@ def take_in(
 
 @firmware
 def likeliest(correlation: float, information: float, limits: Record) -> float:
-    """The size within ``limits`` that explains most; 0 where nothing is known of it."""
+    """The likeliest size within ``limits``; 0 without information."""
     size = real(0.0, correlation)
     if information > real(0.0, correlation):
         size = min(max(correlation / information, limits.least), limits.most)
@@ -85,7 +84,7 @@ def likeliest(correlation: float, information: float, limits: Record) -> float:
 
 @firmware
 def has_failed(constants: Record, own: Record) -> bool:
-    """Whether the onset was none, or is so long ago that nothing more will come of it."""
+    """Whether the onset is rejected, or too old to gain more evidence."""
     if not (own.foretold > constants.restart and math.isfinite(own.evidence)):
         return True
     old: bool = own.age >= constants.lifetime and not own.evidence > constants.promising

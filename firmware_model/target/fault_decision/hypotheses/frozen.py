@@ -1,9 +1,9 @@
-"""A sensor that is frozen says the same number again and again, whatever the car does.
+"""A frozen sensor repeats the same number, whatever the car does.
 
-Where the car, by the model, is no longer where it was at the last change of y, two things speak for
-it. Noise never repeats for long: each repetition has a small chance, and its -ln is evidence. And
-the motion since is missing in y: a signature of known size in d̂. A car that stands still may have a
-sensor without a fault, and less noise than it is said to have.
+If the modelled car has moved since the last change of y, two facts speak for a frozen sensor. Noise
+never repeats for long: each repetition has a small chance, and its -ln is evidence. And y lacks the
+motion since: a signature of known size in d̂. A car at rest may repeat a number with a healthy
+sensor and less noise than specified.
 """
 
 from __future__ import annotations
@@ -16,17 +16,17 @@ from firmware_model.target.precision import real
 from firmware_model.target.structs import Field, Record
 
 CONSTANTS = (
-    Field("size_of_one", "1", "limits of the size: it is 1", candidate.LIMITS),
-    Field("least_motion", "y", "by the model, from which on a repetition says something"),
+    Field("size_of_one", "1", "limits of the size, always 1", candidate.LIMITS),
+    Field("least_motion", "y", "least modelled motion for a repetition to count"),
     Field("repetition", "1", "-ln of the chance that noise repeats a number"),
 )
 STATE = (
     Field("candidate", "1", "how well missing motion explains d̂", candidate.STATE),
-    Field("measurement", "y", "the number that is repeated"),
-    Field("expected", "y", "y by the model when it came first"),
-    Field("repetitions", "1", "of it since"),
-    Field("command_1", "u1", "command 1 of the tick before it came"),
-    Field("command_2", "u2", "command 2 likewise"),
+    Field("measurement", "y", "the repeated number"),
+    Field("expected", "y", "modelled y at the first occurrence"),
+    Field("repetitions", "1", "repetitions since"),
+    Field("command_1", "u1", "command 1 of the tick before the number"),
+    Field("command_2", "u2", "command 2 of the tick before the number"),
     Field("evidence", "1", "log-likelihood ratio"),
 )
 
@@ -42,7 +42,7 @@ def weigh_frozen(table: Record, state: Record, innovation: float, expected: floa
     own.repetitions += real(1.0, expected)
     moved = expected - own.expected
     missing = moved
-    if table.estimator.measurement.n > 0:  # y is not what the model says, M y is
+    if table.estimator.measurement.n > 0:  # the model predicts M y, not y
         missing = real(0.0, expected)
     take_in(table, state, own.candidate, constants.size_of_one, missing, innovation)
     own.evidence = real(0.0, expected)
@@ -52,7 +52,7 @@ def weigh_frozen(table: Record, state: Record, innovation: float, expected: floa
 
 @firmware
 def note_commands(state: Record, measurement: float) -> None:
-    """Before the tick of a ``measurement``: it may be the first that is frozen."""
+    """Prepare the tick of a ``measurement``: the number may be the first frozen one."""
     own = state.hypotheses.frozen
     if measurement != own.measurement:
         own.command_1 = state.command_1
@@ -61,7 +61,7 @@ def note_commands(state: Record, measurement: float) -> None:
 
 @firmware
 def go_back(table: Record, state: Record) -> None:
-    """Go back to the commands that no frozen number has had a part in."""
+    """Restore the last commands computed without a frozen number."""
     own = state.hypotheses.frozen
     command_possible(table, state, own.command_1, own.command_2)
 

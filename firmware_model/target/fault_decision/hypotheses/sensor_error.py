@@ -1,9 +1,8 @@
-"""What the sensor is known to add to y, once it has been found biased or drifting.
+"""The known error of the sensor in y, after a bias or drift has been found.
 
-The decision takes it out of d̂, as if it had never been in it, so that a motor that is lost later is
-found as soon as ever. A drift that goes on is found again and again, each time by what it has come
-to since. C and F1 do not know of it: without a second sensor, y less a bias that a verdict believes
-in is no better a y.
+The decision removes the known error from d̂ completely, so a later loss of the motor is found
+without extra delay. A continuing drift is found repeatedly, each time by its growth since. C and F1
+ignore the known error: without a second sensor, subtracting a believed bias does not improve y.
 """
 
 from __future__ import annotations
@@ -15,14 +14,14 @@ from firmware_model.target.precision import real
 from firmware_model.target.structs import Field, Record
 
 STATE = (
-    Field("offset", "y", "what the sensor adds to y"),
-    Field("answer", "y", "state of M driven by it", biquad.STATE),
+    Field("offset", "y", "known error of the sensor in y"),
+    Field("answer", "y", "state of M driven by the offset", biquad.STATE),
 )
 
 
 @firmware
 def sensor_error_shown(table: Record, state: Record) -> float:
-    """What d̂ of this tick lacks of G1 u1 + G2 u2 by it: M times the offset."""
+    """The part of G1 u1 + G2 u2 missing in d̂ of this tick: M times the offset."""
     own = state.hypotheses.sensor_error
     shown: float = output(table.estimator.measurement, own.answer, own.offset)
     return shown
@@ -37,17 +36,17 @@ def advance_sensor_error(table: Record, state: Record) -> None:
 
 @firmware
 def learn_sensor_error(table: Record, state: Record, found: Record, input_now: float) -> bool:
-    """Take in an error that has been found; θ forgets what it has learnt from it.
+    """Add a found sensor error; θ forgets the error's influence.
 
     Args:
         table: the constant table.
         state: of the controller; changed in place.
-        found: the hypothesis, whose size is in the unit of its signature.
-        input_now: of this signature, before M: -1 of a bias.
+        found: the hypothesis; its size has the unit of the signature.
+        input_now: input of the signature before M: -1 for a bias.
 
     Returns:
-        Whether the error of before is gone by that: less than half of it is left. Not where a probe
-        asks the motor: there the verdict changes nothing.
+        Whether the earlier error is gone: less than half is left. False where a probe tests the
+        motor: then the verdict has no effect.
     """
     if table.probe.ticks > 0:
         return False

@@ -1,12 +1,12 @@
-"""What a fault of size 1 adds to d̂ = G1 u1 + G2 u2 - y, from its onset on.
+"""The effect of a fault of size 1 on d̂ = G1 u1 + G2 u2 - y, from the onset on.
 
-A torque offset o is one more command, and shows as -G1 o. Of a lost force difference d̂ has the part
-of G2 u2 that is missing. A biased sensor adds -b to d̂ in the very tick in which the bias begins,
-where no torque ever jumps: this is what tells it from a loss. A drift is a ramp. Of a plant that is
-not stable y is M y, and so are bias and drift.
+A torque offset o acts like an additional command and adds -G1 o. A lost force difference adds the
+missing part of G2 u2. A biased sensor adds -b to d̂ in the first tick of the bias; no torque makes
+such a jump, and the jump distinguishes a bias from a loss. A drift is a ramp. For an unstable plant
+M multiplies y, bias and drift.
 
-A bias or a drift of now would be in d̂ of now: where that alone explains more than all since the
-present onset, the onset is now.
+A new bias or drift would show in the present d̂: if the present tick alone explains more than all
+ticks since the old onset, the onset moves to the present tick.
 """
 
 from __future__ import annotations
@@ -20,15 +20,15 @@ from firmware_model.target.precision import real
 from firmware_model.target.structs import Field, Record
 
 CONSTANTS = (
-    Field("candidate", "1", "when one begins again", candidate.CONSTANTS),
+    Field("candidate", "1", "thresholds of a restart", candidate.CONSTANTS),
     Field("torque_offset", "u1", "limits of its size", candidate.LIMITS),
-    Field("force_lost", "1", "limits of the share that is lost", candidate.LIMITS),
+    Field("force_lost", "1", "limits of the lost share", candidate.LIMITS),
     Field("sensor_biased", "y", "limits of its size", candidate.LIMITS),
     Field("sensor_drifting", "y/tick", "limits of its size", candidate.LIMITS),
 )
 ONE = (
-    Field("candidate", "1", "how well it explains d̂", candidate.STATE),
-    Field("answer", "y", "state of what it goes through: G1, G2 or M", biquad.STATE),
+    Field("candidate", "1", "fit of the signature to d̂", candidate.STATE),
+    Field("answer", "y", "state of the signature's filter: G1, G2 or M", biquad.STATE),
 )
 STATE = (
     Field("torque_offset", "u1", "an offset of the torque", ONE),
@@ -36,8 +36,8 @@ STATE = (
     Field("sensor_biased", "y", "a bias of the sensor", ONE),
     Field("sensor_drifting", "y/tick", "a drift of the sensor", ONE),
     Field("ramp", "tick", "the drift of 1/tick as of this tick"),
-    Field("commanded", "y²", "Σ (what channel 2 was told to move y)²"),
-    Field("missing", "y²", "Σ of the same times what of it is missing in y"),
+    Field("commanded", "y²", "Σ (commanded effect of channel 2 on y)²"),
+    Field("missing", "y²", "Σ commanded effect · missing effect in y"),
     Field("before", "1", "evidence of a lost channel 2 from before the onset of the other's loss"),
     Field("jump", "1", "evidence of the bias in its first tick alone"),
 )
@@ -45,7 +45,7 @@ STATE = (
 
 @firmware
 def weigh_signatures(table: Record, state: Record, innovation: float) -> None:
-    """Take the innovation of this tick into each; one whose onset was none begins again."""
+    """Update all candidates with the innovation; restart rejected candidates."""
     constants, own = table.hypotheses.signatures, state.hypotheses.signatures
     g1, g2, m = table.estimator.channel_1, table.estimator.channel_2, table.estimator.measurement
     one = real(1.0, innovation)
@@ -102,9 +102,9 @@ def begin_all(state: Record) -> None:
 
 @firmware
 def answers_no_more(state: Record) -> bool:
-    """Whether y follows less than half of what channel 2 was told since the onset of its loss.
+    """Whether y follows less than half of channel 2's commands since the onset of its loss.
 
-    Taken from d̂ itself: another car cannot explain so much, nor can a sensor that errs by a little.
+    The test uses d̂ directly: neither another car nor a small sensor error explains so large a d̂.
     """
     gone: bool = state.missing > real(0.5, state.missing) * state.commanded
     return gone

@@ -1,19 +1,19 @@
-"""Whose fault it is: the hypothesis that explains d̂ better than any other.
+"""Whose fault is d̂: the hypothesis with the best explanation of d̂.
 
-The evidence of each is the logarithm of how much likelier the innovations are with that fault than
-without one, each with its own onset. A fault is found with as much evidence as confirms a loss, and
-``ahead`` times what a fault elsewhere explains: torque, force difference or sensor must be far
-ahead of both others, for a loss whose onset is a few ticks off keeps hardly more than half of its
-own. With less d̂ cannot tell, and the verdict says so. Its name is the likeliest fault at that
-place. It stands until another is found, or the same with the opposite sign: then it is gone. What
-is known of the sensor's error is added up, and it is gone where little is left.
+The evidence of a hypothesis is the log-likelihood ratio of the innovations with and without the
+fault, each fault with a private onset. A found fault needs the evidence of a confirmed loss, and
+``ahead`` times the evidence of faults elsewhere: torque, force difference or sensor must be far
+ahead of both other places, because a loss with an onset error of a few ticks keeps hardly half of
+its evidence. With less evidence the verdict is "cannot tell". The verdict names the likeliest fault
+at the found place. The verdict stands until another fault is found; the same fault with the
+opposite sign ends the verdict. The known sensor errors add up; a small remaining sum ends the
+sensor verdict.
 
-A torque that is lost has a test of its own, ``sequential_test``; once that has confirmed it, its
-evidence is how many deviations its share is from none, by what has been learnt since. Likewise
-another car: the evidence is that of the direction in which it differs most clearly. It explains
-what no fault does, and is none.
+A lost torque has a separate test, ``sequential_test``; after confirmation the evidence is the
+learnt share in standard deviations from zero. Likewise another car: the evidence belongs to the
+direction with the clearest difference. Another car explains d̂ without any fault.
 
-A table with a ``share_drift`` has no test, and no verdict.
+A table with a ``share_drift`` has neither test nor verdict.
 """
 
 from __future__ import annotations
@@ -50,36 +50,38 @@ TORQUE_LOST, TORQUE_OFFSET = int(Verdict.TORQUE_LOST), int(Verdict.TORQUE_OFFSET
 FORCE_LOST, BOTH_LOST = int(Verdict.FORCE_LOST), int(Verdict.BOTH_LOST)
 SENSOR_BIASED, SENSOR_DRIFTING = int(Verdict.SENSOR_BIASED), int(Verdict.SENSOR_DRIFTING)
 SENSOR_FROZEN, ANOTHER_CAR = int(Verdict.SENSOR_FROZEN), int(Verdict.ANOTHER_CAR)
-HYPOTHESES = 8  # from NOTHING, whose evidence is 0, to ANOTHER_CAR; before it the faults
+HYPOTHESES = 8  # NOTHING (evidence 0), the faults, ANOTHER_CAR
 
 CONSTANTS = (
-    Field("signatures", "1", "of what has one", signatures.CONSTANTS),
-    Field("frozen", "1", "of a sensor that repeats itself", frozen.CONSTANTS),
-    Field("torque_lost", "1", "limits of the share that is lost, or works again", candidate.LIMITS),
-    Field("ahead", "1", "times the evidence of a fault at another place that a verdict needs"),
-    Field("sensor_ahead", "1", "the same of a fault of the sensor"),
+    Field(
+        "signatures", "1", "of torque offset, lost force and sensor errors", signatures.CONSTANTS
+    ),
+    Field("frozen", "1", "of a frozen sensor", frozen.CONSTANTS),
+    Field("torque_lost", "1", "limits of the lost or returned share", candidate.LIMITS),
+    Field("ahead", "1", "least ratio of a verdict's evidence to faults at other places"),
+    Field("sensor_ahead", "1", "least ratio for a sensor fault"),
     Field("jump", "1", "evidence of a bias in its first tick, at least"),
-    Field("both_lost", "1", "evidence by which the loss of channel 2 is ahead after that of 1"),
+    Field("both_lost", "1", "lead in evidence for a loss of channel 2 after a loss of channel 1"),
 )
 STATE = (
-    Field("signatures", "1", "of what has one", signatures.STATE),
-    Field("frozen", "1", "of a sensor that repeats itself", frozen.STATE),
+    Field("signatures", "1", "of torque offset, lost force and sensor errors", signatures.STATE),
+    Field("frozen", "1", "of a frozen sensor", frozen.STATE),
     Field("evidence", "1", "of each hypothesis, by the number of its verdict", shape=(HYPOTHESES,)),
     Field("verdict", "1", "a Verdict", "int32"),
-    Field("found", "1", "the fault that was found in this tick; 0: none", "int32"),
-    Field("found_size", "1", "of that of an actuator, when it was found"),
-    Field("sensor_error", "y", "what the sensor is known to add", sensor_error.STATE),
+    Field("found", "1", "fault found in this tick; 0: none", "int32"),
+    Field("found_size", "1", "size of a found actuator fault"),
+    Field("sensor_error", "y", "known error of the sensor", sensor_error.STATE),
 )
 
 
 @firmware
 def weigh_hypotheses(table: Record, state: Record, innovation: float, expected: float) -> None:
-    """The evidence of this tick, and the verdict.
+    """Compute the evidence and the verdict of this tick.
 
     Args:
         table: the constant table.
-        state: changed in place; ``mismatch`` and ``sequential_test`` are those of this tick.
-        innovation: of d̂.
+        state: changed in place; ``mismatch`` and ``sequential_test`` already updated in this tick.
+        innovation: innovation of d̂.
         expected: y by the model.
     """
     weigh_signatures(table, state, innovation)
@@ -97,7 +99,7 @@ def weigh_hypotheses(table: Record, state: Record, innovation: float, expected: 
 
 @firmware
 def torque_evidence(table: Record, state: Record) -> float:
-    """The evidence of a lost torque: of its test, or of its share once that has confirmed it."""
+    """The evidence of a lost torque: from the test, or from the share after confirmation."""
     limits, test = table.hypotheses.torque_lost, state.sequential_test
     half = real(0.5, test.evidence)
     if state.fault_state == CONFIRMED:
@@ -110,7 +112,7 @@ def torque_evidence(table: Record, state: Record) -> float:
 
 @firmware
 def other_car_evidence(table: Record, state: Record) -> float:
-    """The evidence of the direction in which this car differs most clearly from the model."""
+    """The evidence of the direction with the clearest difference between car and model."""
     mismatch, n, half = state.mismatch, table.mismatch.n, real(0.5, state.command_1)
     most = real(0.0, half)
     for i in range(LOSS_STATES, LOSS_STATES + table.other_cars.n):
@@ -150,11 +152,11 @@ def judge(table: Record, state: Record) -> None:
 
 @firmware
 def is_clear(table: Record, state: Record, most: float, second: float) -> bool:
-    """Whether the fault with the ``most`` evidence is told from those at other places.
+    """Whether the fault with the ``most`` evidence is distinguished from faults at other places.
 
-    A bias begins with a jump, which is what no torque can do. That channel 2 is lost is told from a
-    lost channel 1 by what d̂ has shown since the onset of the latter: where F̂ works on d̂, u2 answers
-    to every d̂, and what that has looked like before says nothing of now.
+    A bias begins with a jump; no torque can jump. Only d̂ since the onset of a lost channel 1
+    distinguishes a lost channel 2 from a lost channel 1: where F̂ works on d̂, u2 answers to every
+    d̂, and an earlier d̂ gives no present evidence.
     """
     own, constants = state.hypotheses, table.hypotheses
     if own.evidence[SENSOR_BIASED] == most and own.signatures.jump < constants.jump:
@@ -170,7 +172,7 @@ def is_clear(table: Record, state: Record, most: float, second: float) -> bool:
 
 @firmware
 def standing(table: Record, state: Record) -> int:
-    """What the verdict of the last tick still says, where nothing new is found."""
+    """The standing verdict of the last tick, without a new finding."""
     own = state.hypotheses
     verdict: int = own.verdict
     if state.fault_state == CONFIRMED:
@@ -197,7 +199,7 @@ def strongest(evidence: Any, first: int, end: int) -> float:
 
 @firmware
 def likeliest_fault(evidence: Any, most: float) -> int:
-    """The fault whose evidence is ``most``; the first of them, where they are as likely."""
+    """The fault with the evidence ``most``; the first fault among equals."""
     fault = ANOTHER_CAR
     for i in range(1, ANOTHER_CAR):
         last = ANOTHER_CAR - i
@@ -208,9 +210,9 @@ def likeliest_fault(evidence: Any, most: float) -> int:
 
 @firmware
 def find(table: Record, state: Record, fault: int) -> None:
-    """Take in a ``fault`` that has been found: it is there, or what was there is gone.
+    """Record a found ``fault``: the fault is present, or an earlier fault is gone.
 
-    What has been weighed for it is known from now on, so every onset is yet to come.
+    The weighed evidence is now known, so every candidate starts with a new onset.
     """
     own, weighed = state.hypotheses, state.hypotheses.signatures
     size = size_of(weighed, fault)
@@ -238,14 +240,14 @@ def place_of(fault: int) -> int:
 
 @firmware
 def found_elsewhere(own: Record) -> bool:
-    """Whether a fault, or the end of one, was found in this tick that is not of the torque."""
+    """Whether this tick found the begin or the end of a fault outside the torque."""
     elsewhere: bool = place_of(own.found) != TORQUE_LOST
     return elsewhere
 
 
 @firmware
 def size_of(own: Record, fault: int) -> float:
-    """The size of a fault of an actuator that has been found; 0 where it has none."""
+    """The size of a found actuator fault; 0 for other faults."""
     size = real(0.0, own.ramp)
     if fault == TORQUE_OFFSET:
         size = own.torque_offset.candidate.size_now
