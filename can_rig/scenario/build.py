@@ -146,10 +146,8 @@ def continuous_design(scenario: Scenario) -> ContinuousDesign:
 def _refuse_slow_sensor(scenario: Scenario) -> None:
     """Refuse a C that drives the car at frequencies hidden by the sensor's filter.
 
-    C also inverts that filter.
-
-    With q̂ faster than the filter, y follows the reference while D* overshoots, by C's gain above
-    the filter's corner.
+    C also inverts the sensor's filter. With q̂ faster than the filter, y follows the reference
+    while D* overshoots, by C's gain above the filter's corner.
     """
     corner_hz, chosen = scenario.model.sensor.corner_hz, scenario.design
     if corner_hz is None or not chosen.feedback:
