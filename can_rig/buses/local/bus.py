@@ -182,7 +182,7 @@ class LocalBus(BusABC):
         super().shutdown()
         self._seen = -1  # so that the next send() finds the bus closed
         self._directory.leave(self._name)
-        self._socket.shutdown(socket.SHUT_RD)  # so that senders stop waiting for this node
+        self._socket.shutdown(socket.SHUT_RD)  # senders stop waiting for this node
         deadline = time.monotonic() + _SHUTDOWN_S
         for peer in self._known.values():
             if lost := peer.close(deadline):

@@ -202,7 +202,7 @@ def applied_message(applied_1: float, applied_2: float) -> Message:
 
 
 def read_applied(message: Message) -> tuple[float, float] | None:
-    """The applied values of both actuators; None for a frame of another length."""
+    """The applied values of both actuators; None for a wrong length."""
     if len(message.data) != FRAME_BYTES:
         return None
     said = cast(dict[str, float], _message("RIG_APPLIED").decode(bytes(message.data)))
