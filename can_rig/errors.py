@@ -1,4 +1,4 @@
-"""What can go wrong where the user can put it right, and the exit status that says so."""
+"""Errors that users can correct, with their exit statuses."""
 
 import re
 import sys
@@ -22,10 +22,10 @@ ARGUMENTS: Final = {
     "--out": "folder",
     "--set ": "",
 }
-"""What options of the command line are called in Python."""
+"""Python's argument names for options of the command line."""
 
 INTERRUPTED: Final = 130
-"""Exit status of what was stopped by Ctrl-C, as a shell reports it."""
+"""Exit status after Ctrl-C, following shells."""
 
 
 def one_line(error: BaseException) -> str:
@@ -34,13 +34,13 @@ def one_line(error: BaseException) -> str:
 
 
 class RigError(Exception):
-    """A failure that is shown to the user as one line, with exit status 2."""
+    """A failure shown to the user as one line, with exit status 2."""
 
     exit_status = 2
 
 
 def in_python(function: Callable[P, T]) -> Callable[P, T]:
-    """``function``, whose errors name arguments of Python in place of options."""
+    """``function`` with errors that name Python arguments in place of options."""
     option = re.compile("|".join(ARGUMENTS))
 
     @wraps(function)
@@ -56,7 +56,7 @@ def in_python(function: Callable[P, T]) -> Callable[P, T]:
 
 
 class BusError(RigError):
-    """The bus could not be opened: an unknown name, or an interface that is not there."""
+    """A failure to open the bus: an unknown name, or an absent interface."""
 
 
 class ScenarioError(RigError):
@@ -64,11 +64,11 @@ class ScenarioError(RigError):
 
 
 class RunFolderError(RigError):
-    """A run folder that exists already, cannot be written, or is not one."""
+    """An existing, unwritable or invalid run folder."""
 
 
 class SilentNodeError(RigError):
-    """The other node said nothing for longer than the watchdog allows."""
+    """The other node was silent for longer than the watchdog allows."""
 
     exit_status = 3
 
@@ -80,17 +80,17 @@ class BusLostError(RigError):
 
 
 class WorkersLostError(RigError):
-    """Who computes a campaign has died or gone away; what is done is kept."""
+    """A campaign's workers died or left; finished runs are kept."""
 
     exit_status = 3
 
 
 class DbcError(RigError):
-    """A DBC that does not describe the frames of the rig; names file, frame and what is wanted."""
+    """A DBC without the rig's frames; names file, frame and requirement."""
 
 
 class LogError(RigError):
-    """A log that cannot be read or written, or is not what its name says; names file and place."""
+    """An unreadable, unwritable or mismatched log; names file and place."""
 
 
 class ExportError(RigError):
@@ -98,11 +98,11 @@ class ExportError(RigError):
 
 
 class MissingExtraError(RigError):
-    """A package that comes with an extra of this one and is not installed; names both."""
+    """A missing package that an extra installs; names package and extra."""
 
 
 def require(package: str, extra: str) -> None:
-    """Say clearly, before ``package`` is imported, that it takes ``extra`` to have it.
+    """Refuse a missing ``package`` before its import, naming the ``extra`` to install.
 
     Raises:
         MissingExtraError: it is not installed.

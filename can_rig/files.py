@@ -1,8 +1,8 @@
-"""Output files: whole or not there, never over anything unasked, and under names that are safe.
+"""Output files: complete or absent, never over existing files unasked, and under safe names.
 
-A file is written in a private folder beside its place, which nobody can foresee or put a link into,
-and is renamed once it is whole. The folder is locked; what a killed process left is recognised by
-its missing lock and taken away by the next output beside it. `folders` does the same for folders.
+The writer works in a private folder beside the file's place, safe from guesses and planted links,
+and renames the complete file. The folder is locked; a missing lock identifies the remains of a
+killed process, which the next output beside removes. `folders` does the same for folders.
 """
 
 from __future__ import annotations
@@ -25,10 +25,10 @@ PICTURES = {".png", ".svg", ".pdf"}
 """Suffixes of pictures; matplotlib knows the format by it."""
 
 PART: Final = ".can-rig-part-"
-"""Begins the name of a private folder; what is in it is not whole."""
+"""Prefix of a private folder's name; its contents are incomplete."""
 
 WHOLE: Final = ".can-rig-whole-"
-"""Begins the name of a folder whose files are whole and on their way into the folder around it."""
+"""Prefix of a folder's name; its files are complete and about to move into the parent folder."""
 
 _LEFT_OVER: Final = re.compile(f"({re.escape(PART)}|{re.escape(WHOLE)})[0-9a-f]{{16}}")
 
@@ -40,13 +40,13 @@ _NAME_BYTES: Final = 120
 
 
 def refuse_existing(path: Path, force: bool, option: str, *, new_folder: bool = False) -> None:
-    """Refuse a file as output that exists, unless it may be replaced; or whose folder does not.
+    """Refuse an existing output file unless replaceable, and a missing folder.
 
     Args:
         path: the output.
         force: replace it.
         option: the one that named it.
-        new_folder: the option named the folder of the output, which is made where it is missing.
+        new_folder: the option named the output's folder; a missing folder is then created.
 
     Raises:
         LogError: the reason.
@@ -63,7 +63,7 @@ def refuse_existing(path: Path, force: bool, option: str, *, new_folder: bool = 
 
 
 def refuse_picture(path: Path, force: bool) -> None:
-    """Refuse a picture of --out that cannot be one, or exists.
+    """Refuse an impossible picture format in --out, and an existing picture.
 
     Raises:
         LogError: the reason.
@@ -79,10 +79,10 @@ def atomic(path: Path, *, force: bool) -> Iterator[Path]:
 
     Args:
         path: the file; a link in its place is replaced, and never followed.
-        force: replace what is there; otherwise also a file that appears meanwhile stays.
+        force: replace an existing file; without ``force``, a file that appears meanwhile stays too.
 
     Raises:
-        LogError: the operating system does not let it be written, or a file is there.
+        LogError: a failing write, or an existing file.
     """
     try:
         path.parent.mkdir(exist_ok=True)
@@ -147,7 +147,7 @@ def locked(folder: Path, *, wait: bool = False) -> int | None:
         wait: until no other process holds it.
 
     Returns:
-        The descriptor; None where the file system has no locks.
+        The descriptor; None on a file system without locks.
 
     Raises:
         BlockingIOError: another process holds it.
@@ -192,7 +192,7 @@ def tidy(folder: Path) -> None:
 
 
 def move_up(whole: Path) -> None:
-    """Put the files of a folder in their places in the folder around it.
+    """Move the files of a folder to their places in the parent folder.
 
     Raises:
         OSError: a file cannot be renamed.
@@ -203,19 +203,19 @@ def move_up(whole: Path) -> None:
 
 
 class FileNames:
-    """File names for names that come from a file; no two of them are the same to any file system.
+    """Safe file names for names from a file; every two names differ on every file system.
 
     Letters, digits and ``-_. ()+,=@`` stay as they are; everything else is written as %XX, as in an
     address, and so are a first or last dot or space and the first letter of a name that Windows
-    reserves. A long name is cut. Where names were cut, or differ in nothing but case, a part of
-    their hash tells them apart.
+    reserves. A long name is cut. A part of the hash distinguishes shortened names, and names that
+    differ only in case.
     """
 
     def __init__(self) -> None:
         self._taken: set[str] = set()
 
     def of(self, name: str, suffix: str = "") -> str:
-        """The file name for ``name``, other than every earlier one."""
+        """The file name for ``name``, different from every earlier file name."""
         digest = hashlib.sha256(name.encode("utf-8", "surrogatepass")).hexdigest()
         stem = safe_name(name)
         for digits in (0, *range(8, len(digest), 8)):

@@ -1,4 +1,4 @@
-"""Before a run: is the loop stable, what does it bear, which tuning suits it, and which bus.
+"""Checks before a run: stability, margins, tuning, bus timing.
 
-Imported by `cli`, `thesis` and `results` at most; it imports `scenario` and what lies below.
+Only `cli`, `thesis` and `results` import `assessment`; the room imports `scenario` and lower rooms.
 """

@@ -3,8 +3,8 @@
 With the torque lost the steering column turns freely, so in a steady bend the front tires carry no
 lateral force (3.4) and the rear axle carries all of m a_y: Y_r = m a_y, and X_diff = 2 l_r Y_r/d_r
 from (3.3), which is a_y/G2(0); D* = a_y once the yaw rate is steady (3.8). Both share the friction
-of the rear tires: √(X_diff² + Y_r²) ≤ μ m g l_f/(l_f + l_r). The linear car does not model this
-limit; a nonlinear one slides.
+of the rear tires: √(X_diff² + Y_r²) ≤ μ m g l_f/(l_f + l_r). The linear car ignores this limit; a
+nonlinear car slides.
 """
 
 from __future__ import annotations
@@ -26,14 +26,14 @@ from can_rig.scenario.settings import Scenario
 
 @dataclass(frozen=True)
 class ControlAuthority:
-    """What X_diff must give after the loss of the torque, and what it can give.
+    """The X_diff needed after a loss of the torque, and the X_diff available.
 
     Attributes:
         reference_mps2: largest |r| of the scenario.
-        needed_n: |X_diff| that holds it in a steady bend.
+        needed_n: |X_diff| to hold D* in a steady bend.
         limit_n: largest |X_diff| of the actuator, or of its frame.
-        tires_n: largest |X_diff| that friction leaves beside the lateral force of that bend.
-        carries_mps2: the largest |D*| that can be held within limit and tires.
+        tires_n: largest |X_diff| within the friction beside the bend's lateral force.
+        carries_mps2: the largest |D*| sustainable within limit and tires.
         friction: μ.
     """
 
@@ -46,7 +46,7 @@ class ControlAuthority:
 
     @property
     def available_n(self) -> float:
-        """The largest |X_diff| that both limit and tires allow in that bend."""
+        """The largest |X_diff| within both limit and tires in the bend."""
         return min(self.limit_n, self.tires_n)
 
     @property
@@ -74,7 +74,7 @@ def _what_it_follows_from(scenario: Scenario, _: Network) -> Iterator[object]:
 
 @remembered(4, by=_what_it_follows_from)
 def control_authority(scenario: Scenario, network: Network) -> ControlAuthority | None:
-    """The control authority that X_diff has in ``scenario``; None for a plant that is no car."""
+    """The control authority of X_diff in ``scenario``; None for a plant other than a car."""
     if not scenario.plant.is_car:
         return None
     car = car_of(scenario.plant)

@@ -1,9 +1,9 @@
-"""What the decision on d̂ can tell in a scenario: how soon a loss shows, and which never does.
+"""Figures of the decision on d̂ in a scenario: the time to find a loss, and losses never found.
 
-The evidence for a loss grows with the square of what the lost torque would have done, over the
-variance of what is not known: noise, rounding, and cars of ``budget.box`` (the firmware's
-``fault_decision``). Its mean, which is that of a drive without noise, says when a loss is confirmed
-as a rule: with noise a half of the losses take longer, one in a hundred about a fifth longer.
+The evidence for a loss grows with the square of the lost torque's effect, over the variance of the
+unknown: noise, rounding, and cars of ``budget.box`` (the firmware's ``fault_decision``). The
+evidence's mean, equal to a drive without noise, gives the usual time of confirmation: with noise,
+half of the losses take longer, one in a hundred about a fifth longer.
 """
 
 from __future__ import annotations
@@ -24,17 +24,17 @@ from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
 from firmware_model.target.status import FaultState
 
-AFTER_S = 5.0  # of the loss, in which it has to be found; times ``slowness`` of a plant
+AFTER_S = 5.0  # time limit for finding the loss; multiplied by ``slowness`` of a plant
 
 
 @dataclass(frozen=True)
 class DecisionFigures:
-    """What the decision achieves with the modelled car.
+    """Figures of the decision with the modelled car.
 
     Attributes:
-        expected_delay_s: from the loss of the torque in this scenario to its confirmation; None:
-            not within ``AFTER_S``, or the run ends before.
-        noise_mps2: rms of D* that no model explains: noise and rounding.
+        expected_delay_s: from this scenario's loss of the torque to its confirmation; None: later
+            than ``AFTER_S``, or after the end of the run.
+        noise_mps2: rms of D* outside every model: noise and rounding.
         least_torque_nm: steady |torque| whose loss shows within a second; d̂ is N1 u1 then, or
             the part of N1 u1 that the scenario's fault takes away.
     """
@@ -44,7 +44,7 @@ class DecisionFigures:
     least_torque_nm: float
 
     def describe(self, scenario: Scenario) -> Iterator[str]:
-        """A line on the loss, and one on the plants that are not the model."""
+        """A line on the loss, and a line on the plants beside the model."""
         budget, (output, lost, _) = scenario.budget, names_of(scenario.plant)
         delay, left = self.expected_delay_s, _left(scenario)
         part = f"{1.0 - left:.0%} of " if left > 0.0 else ""
@@ -70,7 +70,7 @@ def _for_people(time_s: float) -> str:
 
 
 def decision_figures(scenario: Scenario, network: Network) -> DecisionFigures:
-    """The figures of ``scenario``, from one drive without noise.
+    """Compute the figures of ``scenario`` from a single drive without noise.
 
     Raises:
         ScenarioError: a design that cannot be made.
@@ -95,6 +95,6 @@ def decision_figures(scenario: Scenario, network: Network) -> DecisionFigures:
 
 
 def _left(scenario: Scenario) -> float:
-    """What the scenario's fault leaves of the torque; 0 where its fault is another one."""
+    """The remaining share of the torque after the scenario's fault; 0 for another kind of fault."""
     its = scenario.loss.kind == "actuator-dead" and scenario.loss.place == CHANNELS[0]
     return scenario.loss.left if its else 0.0

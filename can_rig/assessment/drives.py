@@ -1,16 +1,16 @@
 """Drives before a run: whether the loop bears its limits, its noise and other cars.
 
-A margin is of the linear loop. What a limited actuator, a noisy sensor or a car of the box makes of
-it shows only in a drive: so the scenario's own reference is driven, without frames but with
-everything else that a run has, healthy first and then with a channel lost. A drive fails where
+A margin is of the linear loop. Only a drive shows the effects of a limited actuator, a noisy sensor
+or a car of the box. The scenario's reference is therefore driven, without frames but with every
+other part of a run, healthy first and then with a lost channel. A drive fails where
 
-    a loss is confirmed that is none, or
-    D* stays away for more than ``RETURN_S`` from where the unlimited modelled car goes: the loop
-    swings between its limits, or rests far from a demand that is feasible.
+    the controller confirms a false loss, or D* stays away for more than ``RETURN_S`` from the
+    unlimited modelled car's D*: the loop swings between its limits, or rests far from a feasible
+    demand.
 
-The times are those of a car, and longer for a plant that is slower by itself.
+The times suit a car, and grow for a slower plant.
 
-Other cars are the vertices of the budget's box and some drawn from its inside.
+Other cars are the vertices of the budget's box and random cars from its inside.
 """
 
 from __future__ import annotations
@@ -41,7 +41,7 @@ from firmware_model.target.structs import FloatArray, Record
 HEALTHY_S, LOST_S = 4.0, 3.0  # of a drive
 FEWEST_TICKS = 400  # of either, where a tick is long
 RETURN_S = 2.0  # within which D* must be back
-TOGETHER_S = 0.5  # D* that passes where it should be for less is still away
+TOGETHER_S = 0.5  # a shorter return of D* still counts as away
 AWAY = 0.1  # of the largest reference, beside the noise
 NOISE_SIGMAS = 8.0
 DRAWN = 8  # cars from the inside of the box
@@ -50,7 +50,7 @@ LOSSES: Final[Mapping[str, tuple[Channel, float]]] = {
     "torque 50%": ("torque", 0.5),
     "force-difference dead": ("force-difference", 0.0),
 }
-"""The channel of each kind of loss, and what it leaves; of any plant, by the words of a car."""
+"""The channel of each kind of loss, and its remaining share; for any plant, in a car's words."""
 
 
 @dataclass(frozen=True)
@@ -59,7 +59,7 @@ class Finding:
 
     Attributes:
         car: which one, in words.
-        false_alarm: a loss is confirmed that is none; otherwise D* stays away.
+        false_alarm: a confirmed loss without a loss; False: D* stays away.
         text: what happens, and when.
     """
 
@@ -100,16 +100,16 @@ class Drives:
         return AWAY * float(np.abs(self._goal).max()) + NOISE_SIGMAS * sensor.noise_mps2
 
     def at_start(self, plant: PlantSettings, loss: str) -> Simulation:
-        """The drive of ``plant`` that ends with one of ``LOSSES``, at rest."""
+        """The drive of ``plant`` that ends with the loss ``loss`` of ``LOSSES``, at rest."""
         driven, of = replace(self._scenario, plant=plant), Scheduled(None, self._table)
         return frameless_loop(driven, self._network, of, self._inputs(loss))
 
     def findings(self, car: str, plant: PlantSettings, loss: str) -> Iterator[Finding]:
-        """What is wrong with ``plant`` in a drive that ends with one of ``LOSSES``."""
+        """The failures of ``plant`` in a drive that ends with a loss of ``LOSSES``."""
         yield from self.judged(car, plant, loss, to_the_end(self.at_start(plant, loss)))
 
     def judged(self, car: str, plant: PlantSettings, loss: str, trace: Trace) -> Iterator[Finding]:
-        """What is wrong with ``plant`` in this drive."""
+        """The failures of ``plant`` in this drive."""
         tick_s = self._scenario.tick_s
         alarms = np.flatnonzero(trace.fault_state[: self._lost] == FaultState.CONFIRMED)
         if len(alarms):
@@ -133,7 +133,7 @@ class Drives:
                 return
 
     def _inputs(self, loss: str) -> Inputs:
-        """Of a drive that ends with ``loss``; the sensor is that of the scenario's own plant."""
+        """The inputs of a drive that ends with ``loss``; the sensor is the scenario's own."""
         if loss not in self._known:
             channel, left = LOSSES[loss]
             at_s = self._lost * self._scenario.tick_s
@@ -150,7 +150,7 @@ class Drives:
         return demand <= gain * target(self._scenario, self._network).limit_2
 
     def _longest_away_s(self, distance: FloatArray) -> float:
-        """The longest time in which D* is away, or not back for long."""
+        """The longest time with D* away, or back only briefly."""
         tick_s = self._scenario.tick_s
         away = np.flatnonzero(~(distance <= self._away))
         if len(away) == 0:
@@ -160,7 +160,7 @@ class Drives:
 
 
 def to_the_end(loop: Simulation) -> Trace:
-    """What happens in the drive that is about to start."""
+    """Run the drive to its end; return the trace."""
     loop.run()
     return loop.trace
 
@@ -175,7 +175,7 @@ def _said(loss: str, names: Names) -> str:
 
 
 def own_findings(drives: Drives) -> list[Finding]:
-    """What is wrong with the scenario's own plant, in every kind of loss."""
+    """The failures of the scenario's plant, for every kind of loss."""
     scenario = drives.scenario
     if not scenario.design.feedback:
         return []
@@ -187,9 +187,9 @@ def own_findings(drives: Drives) -> list[Finding]:
 def box_findings(
     drives: Drives, on_car: Callable[[int, int], None] = lambda done, of: None
 ) -> list[Finding]:
-    """What is wrong with other cars of the budget's box when the torque is lost.
+    """The failures of other cars of the budget's box after a loss of the torque.
 
-    While some drive, compiled and without the lock of the interpreter, the next is made.
+    While some cars drive, compiled and without the interpreter's lock, the next car is made.
     """
     scenario, loss = drives.scenario, "torque dead"
     if not scenario.design.feedback or scenario.plant.is_own:
@@ -209,7 +209,7 @@ def box_findings(
 def box_cars(scenario: Scenario) -> Iterator[tuple[str, PlantSettings]]:
     """Vertices of the budget's box around the model, then cars from its inside, with labels.
 
-    They have the limits and the sensor of the scenario's own plant.
+    All cars have the limits and the sensor of the scenario's plant.
     """
     budget, plant = scenario.budget, scenario.plant
     late = budget.actuator_box if scenario.model.torque_actuator.lags else 0.0

@@ -1,7 +1,7 @@
-"""What the zeros and poles of the modelled plant make impossible, as lines of ``can-rig check``.
+"""Limits imposed by the modelled plant's zeros and poles, as lines of ``can-rig check``.
 
-Healthy, the loop has the zeros of G1; after the loss also those of G2, through which it closes, and
-the longer of the two delays.
+The healthy loop has the zeros of G1. After the loss the loop closes through G2: the zeros of G2 and
+the longer of the two delays limit the loop too.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from firmware_model.design.factors.limitations import Limitations, limitations
 from firmware_model.design.zpk import Roots, ZeroPoleGain
 
 MENTIONED = 1.01
-"""A least peak of |T| that says something."""
+"""Smallest relevant peak of |T|."""
 
 
 def plant_limitations(scenario: Scenario) -> dict[str, Limitations]:
@@ -34,7 +34,7 @@ def plant_limitations(scenario: Scenario) -> dict[str, Limitations]:
 
 
 def describe(scenario: Scenario, found: dict[str, Limitations]) -> Iterator[str]:
-    """A line for each reason; none for a stable plant that is minimum phase."""
+    """A line for each reason; no line for a stable plant with minimum phase."""
     output, lost, other = names_of(scenario.plant)
     healthy, faulted, compensation = (found[key] for key in found)
     if continuous_plant(scenario.model).integrates:
@@ -97,7 +97,7 @@ def _listed(roots: Roots) -> str:
 
 
 def without_roots(found: Limitations) -> dict[str, float]:
-    """The bounds for JSON, which has no numbers for the roots."""
+    """The bounds for JSON, without the roots, because JSON has no complex numbers."""
     return {
         "sensitivity": found.sensitivity,
         "complementary": found.complementary,

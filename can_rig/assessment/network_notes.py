@@ -1,4 +1,4 @@
-"""What to know of frames of one's own before a run: protection, other traffic, ranges, steps."""
+"""Notes before a run on the user's frames: protection, other traffic, ranges, steps."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from can_rig.frames.network import Network
 from can_rig.scenario.settings import Scenario
 
 COARSE = 0.01
-"""Share of a command's range that one step of the output may move it by."""
+"""Share of a command's range; limit for the command's change by one step of the output."""
 
 
 def frame_notes(network: Network) -> Iterator[str]:
-    """Lines on the frames alone: which are not protected, which have another's identifier."""
+    """Lines on the frames alone: unprotected frames, identifiers shared with other messages."""
     if network.unprotected:
         yield (
             f"network: {len(network.unprotected)} of 5 frames unprotected "
@@ -35,7 +35,7 @@ def frame_notes(network: Network) -> Iterator[str]:
 
 
 def signal_notes(scenario: Scenario, network: Network, gains: tuple[float, float]) -> Iterator[str]:
-    """Lines on what the signals can say.
+    """Lines on the signals' ranges and steps.
 
     Args:
         scenario: the run.

@@ -1,4 +1,4 @@
-"""The numbers that follow from the rest of a scenario, put in where a word stands for them.
+"""Replacing words in a scenario by numbers that follow from the rest of the scenario.
 
 ``latency_ticks = "from-bus"`` is the worst case of the bus timing.
 """
@@ -41,7 +41,7 @@ def resolve(draft: Draft) -> Scenario:
     """The scenario with a number in place of every word.
 
     Raises:
-        ScenarioError: a number does not follow: the bus is too slow, or there is no design.
+        ScenarioError: no number follows, because the bus is too slow or the design fails.
     """
     scenario = draft.scenario
     if FROM_BUS in draft.words:

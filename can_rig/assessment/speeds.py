@@ -1,8 +1,8 @@
-"""The check of a scenario whose speed changes: at the ends of the drive, and on the way.
+"""The check of a scenario with changing speed: at the ends of the drive, and between.
 
-At the slowest and the fastest speed it is the check of a scenario that keeps this speed. Between
-them the loop must be stable at every speed of a fine grid, and while it changes as fast as
-``drive.speed_rate_max_mps2`` allows (``analysis.speed_sweep``).
+At the slowest and the fastest speed the check equals the check at constant speed. Between both ends
+the loop must be stable at every speed of a fine grid, and during the fastest change,
+``drive.speed_rate_max_mps2`` (``analysis.speed_sweep``).
 """
 
 from __future__ import annotations
@@ -31,12 +31,13 @@ from firmware_model.design.plants import Plant
 
 @dataclass(frozen=True)
 class DriveCheck:
-    """What ``check`` finds of a scenario with a drive.
+    """Findings of ``check`` for a scenario with a drive.
 
     Attributes:
         scenario: it.
         ends: the check at the slowest and the fastest speed, by the speed in m/s.
-        sweeps: between them, by the state of the actuators; none where the design is for one speed.
+        sweeps: between the ends, by the state of the actuators; empty for a design at a single
+            speed.
     """
 
     scenario: Scenario
@@ -56,7 +57,7 @@ class DriveCheck:
 
     @property
     def states(self) -> Iterator[tuple[str, Margins]]:
-        """The name of each state, and its margins: healthy and lost, at each end."""
+        """Name and margins of each state: healthy and lost, at each end."""
         for speed, check in self.ends.items():
             for name, figures in list(check.states)[:2]:
                 yield f"{speed:g} m/s {name}", figures
@@ -78,7 +79,7 @@ class DriveCheck:
 
     @property
     def verdict(self) -> str:
-        """One line: stable, or what is not and what would be."""
+        """One line: stable, or the unstable state and a stable alternative."""
         for speed, check in self.ends.items():
             if not check.stable:
                 return f"{speed:g} m/s: {check.verdict}"
@@ -112,7 +113,7 @@ def check(
 
 
 def refuse(scenario: Scenario) -> None:
-    """``refuse_unstable``, at both ends of a drive and on the way.
+    """``refuse_unstable`` at both ends of a drive and between.
 
     Raises:
         ScenarioError: as ``refuse_unstable``; a drive that is none.
@@ -146,7 +147,7 @@ def _unstable(name: str, found: SpeedSweep) -> str:
 
 
 def _ends(scenario: Scenario) -> list[Scenario]:
-    """The scenario at its slowest and its fastest speed, with the design that it has there."""
+    """The scenario at its slowest and its fastest speed, with the design for that speed."""
     slowest, fastest = speed_profile(scenario).range_mps
     ends = [frozen(scenario, speed) for speed in dict.fromkeys((slowest, fastest))]
     alone = scenario.design.speeds_mps or ()

@@ -1,11 +1,11 @@
-"""``can-rig check``: whether a scenario's loop is stable, by how much, and what would make it so.
+"""``can-rig check``: stability of a scenario's loop, its margins, and a stable alternative.
 
-The margins are those of the linear loop: limits, frames and the time of the fault do not count. It
-is checked before the fault and after it, that is healthy and with the channel dead, whether or not
-the scenario has a fault: the loss is what the controller is for. What limits, noise and other cars
-make of it, ``drives`` looks for. Missing and corrupted frames come to
-the same as a dead actuator: nothing is applied. Of a plant that is a class, the loop is that of the
-linear car with its parameters.
+The margins describe the linear loop: limits, frames and the fault's time have no influence. The
+check covers the loop before and after the fault, healthy and with the channel dead, also for a
+scenario without a fault: the controller's purpose is to survive the loss. ``drives`` looks for the
+effects of limits, noise and other cars. Missing and corrupted frames come to the same as a dead
+actuator: nothing is applied. For a plant class, the loop uses the linear car with the class's
+parameters.
 """
 
 from __future__ import annotations
@@ -47,21 +47,21 @@ from firmware_model.design.factors.limitations import Limitations
 from firmware_model.discretisation.rules import RULE_NAMES
 
 Effectiveness = tuple[float, float]
-"""What is left of the torque's and of the force difference's effect, 1 healthy and 0 dead."""
+"""Remaining effect of the torque and the force difference, 1 healthy and 0 dead."""
 
 DEAD: dict[str, Effectiveness] = {"torque": (0.0, 1.0), "force-difference": (1.0, 0.0)}
-PARTLY_LOST = (0.75, 0.5, 0.25)  # what is left of the torque channel
+PARTLY_LOST = (0.75, 0.5, 0.25)  # remaining share of the torque channel
 FASTER = 0.05  # tau_s over tau_q_s, tried for an unstable plant
 TUNINGS_S = (0.001, 0.002, 0.005, 0.01, 0.02, 0.05, 0.1)  # tried for tau_s = tau_q_s
 
 
 @dataclass(frozen=True)
 class StabilityCheck:
-    """Margins of a scenario's loop in every state that matters.
+    """Margins of a scenario's loop in every relevant state.
 
-    ``partly_lost`` has the margins by what is left of the torque channel, ``false_alarm`` those of
-    a healthy car whose controller compensates all the same; None where it always does. Neither
-    decides whether the scenario counts as stable.
+    ``partly_lost`` has the margins by remaining share of the torque channel; ``false_alarm`` has
+    the margins of a healthy car with a compensating controller, None for an always compensating
+    controller. Neither decides whether the scenario counts as stable.
     """
 
     scenario: Scenario
@@ -79,23 +79,23 @@ class StabilityCheck:
 
     @property
     def linear_stable(self) -> bool:
-        """Stable before the fault and after it, as far as the loop is linear."""
+        """Whether the linear loop is stable before and after the fault."""
         return self.healthy.stable and self.faulted.stable
 
     @property
     def thin_margins(self) -> list[str]:
-        """What the linear loop has less of than ``budget`` asks for, before or after the fault."""
+        """The linear loop's margins below ``budget``, before or after the fault."""
         ends = zip(_both_ends(self.scenario), (self.healthy, self.faulted), strict=True)
         return list(thin_margins(self.scenario.budget, ends))
 
     @property
     def stable(self) -> bool:
-        """That with no thin margin, and every drive with limits, noise and other cars is calm."""
+        """Linear stability without thin margins; calm drives with limits, noise and other cars."""
         return self.linear_stable and not self.findings and not self.thin_margins
 
     @property
     def states(self) -> Iterator[tuple[str, Margins]]:
-        """The name of each state, and its margins."""
+        """Name and margins of each state."""
         yield from zip(_both_ends(self.scenario), (self.healthy, self.faulted), strict=True)
         for left, figures in self.partly_lost.items():
             yield f"{names_of(self.scenario.plant).command_1.short} {left:.0%}", figures
@@ -104,7 +104,7 @@ class StabilityCheck:
 
     @property
     def notes(self) -> Iterator[str]:
-        """A line each: whose margins, the plant's limits, the decision, isolation and so on."""
+        """A line each: the source of the margins, the plant's limits, the decision and so on."""
         scenario = self.scenario
         if scenario.plant.is_own:
             stands_for = "car with its parameters" if scenario.plant.is_car else "plant by numbers"
@@ -129,7 +129,7 @@ class StabilityCheck:
 
     @property
     def verdict(self) -> str:
-        """One line: stable, or what is not and what would be."""
+        """One line: stable, or the unstable state and a stable alternative."""
         unstable = [(name, figures) for name, figures in self.states if not figures.stable]
         if not unstable and self.findings:
             more = f" (and {len(self.findings) - 1} more)" if len(self.findings) > 1 else ""
@@ -170,7 +170,7 @@ def check_stability(
     ``on_car`` is told how many cars have been driven, and of how many.
 
     Raises:
-        ScenarioError: a design that cannot be made or discretised, a class that is no plant.
+        ScenarioError: a failing design or discretisation, a class without the plant's methods.
     """
     if scenario.plant.is_own:
         SimulatedPlant(scenario)  # refuses what a run refuses
@@ -206,7 +206,7 @@ def refuse_unstable(scenario: Scenario) -> None:
     """Raise unless the loop is stable before the fault and after it, and bears its limits.
 
     Raises:
-        ScenarioError: names the unstable state and what would be stable; D* within the limits.
+        ScenarioError: the unstable state and a stable alternative; D* within the limits.
     """
     table, plant = controller_table(scenario, None), continuous_plant(scenario.plant)
     for name, left in _every_end(scenario).items():
@@ -227,8 +227,9 @@ def refuse_unstable(scenario: Scenario) -> None:
 def stable_tuning(scenario: Scenario) -> str | None:
     """The fastest tau_s = tau_q_s that is stable before and after the fault, and not thinly.
 
-    Of an unstable plant tau_s is ``FASTER`` of that: C has to hold it through F̂. As options; the
-    scenario's own estimator is tried first. None if there is no such tuning.
+    For an unstable plant, tau_s is ``FASTER`` times tau_q_s: C must hold the plant through F̂. The
+    search begins with the scenario's estimator. Returns the tuning as options, or None without a
+    stable tuning.
     """
     share = FASTER if unstable(continuous_plant(scenario.model).g1) else 1.0
     plant, states = continuous_plant(scenario.plant), tuple(_both_ends(scenario).values())
@@ -248,7 +249,7 @@ def stable_tuning(scenario: Scenario) -> str | None:
 
 
 def _reason(scenario: Scenario, state: str, radius: float) -> str:
-    """What is wrong with the loop in ``state``, and what latency and what tuning would do."""
+    """The reason for instability in ``state``, with a stable latency and a stable tuning."""
     unstable_as = f"unstable ({state}): the spectral radius is {radius:.4f} and must be below 1"
     held = scenario.design.compensation != "off" or state == "healthy"
     if not held and unstable(continuous_plant(scenario.plant).g1):
@@ -283,7 +284,7 @@ def _isolation(scenario: Scenario) -> str:
 
 
 def _channel(scenario: Scenario) -> str:
-    """The channel that the fault concerns: as the key has it of a car, by name of other plants."""
+    """The fault's channel: for a car its key, for other plants its name."""
     if scenario.plant.is_car:
         return str(scenario.loss.channel)
     return names_of(scenario.plant)[1 + CHANNELS.index(scenario.loss.channel)].short
@@ -295,7 +296,7 @@ def _both_ends(scenario: Scenario) -> dict[str, Effectiveness]:
 
 
 def _every_end(scenario: Scenario) -> dict[str, Effectiveness]:
-    """The same, and with the other channel dead where it fails too."""
+    """Healthy, and with each channel dead that a fault of the scenario concerns."""
     ends = _both_ends(scenario)
     for fault in scenario.faults:
         if fault.loses_a_channel:

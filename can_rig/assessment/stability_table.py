@@ -1,4 +1,4 @@
-"""The margins of a loop as a table, those of them that are thin, and figures for JSON."""
+"""A loop's margins as a table, the thin margins in words, and figures for JSON."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ IF_STABLE: Final[dict[str, Callable[[Margins], str]]] = {
 def table_rows(states: Iterable[tuple[str, Margins]]) -> Iterator[tuple[str, ...]]:
     """A heading with the names of the states, then a row for each figure.
 
-    "-" stands where an unstable loop has no such figure, "any" where a margin has no end.
+    "-" stands for the missing figures of an unstable loop, "any" for an unlimited margin.
     """
     named = list(states)
     yield "", *(name for name, _ in named)
@@ -41,10 +41,10 @@ def table_rows(states: Iterable[tuple[str, Margins]]) -> Iterator[tuple[str, ...
 
 
 def thin_margins(budget: BudgetSettings, states: Iterable[tuple[str, Margins]]) -> Iterator[str]:
-    """A part of a sentence for each margin of a stable state that is thinner than ``budget``.
+    """A part of a sentence for each margin of a stable state below ``budget``.
 
-    A peak |S| of 5 leaves L a fifth of the distance to -1: a gain that is off by 20 %, or a phase
-    by 11°, can make the loop unstable.
+    With a peak |S| of 5, L keeps a fifth of the distance to -1: a gain error of 20 %, or a phase
+    error of 11°, can make the loop unstable.
     """
     for name, figures in states:
         if not figures.stable:
@@ -63,7 +63,7 @@ def thin_margins(budget: BudgetSettings, states: Iterable[tuple[str, Margins]]) 
 
 
 def finite_or_null(value: Any) -> Any:
-    """``value`` with None for every number in it that is not finite."""
+    """``value`` with None in place of every infinite number or nan."""
     if isinstance(value, dict):
         return {key: finite_or_null(inner) for key, inner in value.items()}
     return None if isinstance(value, float) and not math.isfinite(value) else value

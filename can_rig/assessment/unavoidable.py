@@ -1,15 +1,15 @@
-"""The least deviation of D* that a loss can cause, whatever the controller does about it.
+"""The least deviation of D* after a loss, for any controller.
 
-A loss has to show before anything can be done about it. What it takes off D* grows as
+No controller can react before the loss shows. The loss reduces D* by
 
     δ(k+1) = Φ δ(k) + Γ (left - 1) u(k)
 
-and is known to be a loss after the first tick on a sensor without noise, otherwise once the best
-test can tell: when the expected log-likelihood ratio Σ δ²/(2 σ²) has reached that of the false
-alarms that are allowed (Basseville and Nikiforov 1993, 8.2; the moment of the loss is taken as
-known, which favours nobody). What is done about it acts n + 1 ticks later. So the least deviation
-is the largest |δ| until then, with the commands u that were sent: a controller that reacts to the
-loss with a larger command makes it show sooner.
+and is known after the first tick on a sensor without noise. With noise, the best test decides: when
+the expected log-likelihood ratio Σ δ²/(2 σ²) has reached the threshold of the allowed false alarms
+(Basseville and Nikiforov 1993, 8.2; the moment of the loss is taken as known, which favours no
+controller). The reaction acts n + 1 ticks later. The least deviation is therefore the largest |δ|
+until then, with the sent commands u: a controller with a larger command after the loss makes the
+loss show sooner.
 """
 
 from __future__ import annotations
@@ -34,8 +34,8 @@ class Unavoidable:
     """What no controller can avoid.
 
     Attributes:
-        detection_ticks: from the loss until it can be known.
-        deviation_mps2: largest |deviation| of D* by then and by the delay of the commands.
+        detection_ticks: from the loss to the earliest knowledge.
+        deviation_mps2: largest |deviation| of D* until detection and the commands' delay.
     """
 
     detection_ticks: int
@@ -47,8 +47,8 @@ def unavoidable(
 ) -> Unavoidable | None:
     """For a dead actuator, None: the scenario's loss. None where it never shows.
 
-    ``commands`` are those that reach the lost channel from the loss on, shape (ticks,). For a plant
-    that is a class, whose Φ is not known, it is that of the linear car with the same parameters.
+    ``commands`` reach the lost channel from the loss on, shape (ticks,). For a plant class, whose Φ
+    is unknown, the linear car with equal parameters supplies Φ.
     """
     tick_s, fault = scenario.tick_s, fault or scenario.loss
     plant = _immediate(scenario.plant, tick_s)
@@ -79,7 +79,7 @@ def _needed(scenario: Scenario) -> tuple[float, float]:
 
 @remembered(4)
 def _immediate(settings: PlantSettings, tick_s: float) -> SampledPlant:
-    """The plant without dead times; a loss comes behind that of its actuator."""
+    """The plant without dead times; a loss follows its actuator's dead time."""
     torque, force = settings.torque_actuator, settings.force_difference_actuator
     without = replace(
         settings,
@@ -94,7 +94,7 @@ def _immediate(settings: PlantSettings, tick_s: float) -> SampledPlant:
 def _found(
     phi: Any, gamma: Any, c: Any, commands: Any, pole: float, needed: float, latency: int
 ) -> tuple[int, float]:
-    """The tick at which the loss is known, 0: never; the largest |δ| until something is done."""
+    """The tick of detection, 0: never; the largest |δ| until the reaction."""
     missing, after = np.zeros(len(phi)), np.zeros(len(phi))
     found, largest, shown, before = 0, 0.0, 0.0, 0.0
     for k in range(len(commands)):

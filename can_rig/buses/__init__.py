@@ -1,4 +1,4 @@
 """A python-can bus by name: the local bus, SocketCAN, and every other bus of python-can.
 
-It imports `errors` only; `nodes` and every room above may import it.
+It imports only `errors`; `nodes` and all rooms above may import `buses`.
 """

@@ -1,7 +1,7 @@
-"""Open a CAN bus by a name such as ``local``, ``socketcan:vcan0`` or ``kvaser:0?bitrate=500000``.
+"""Opening a CAN bus by name: ``local``, ``socketcan:vcan0``, ``kvaser:0?bitrate=500000``.
 
 A name is ``interface[:channel][?key=value[&key=value ...]]``: any interface of python-can, and any
-arguments of its bus class, whose values are converted as in python-can's configuration files.
+arguments of its bus class; values are converted like those of python-can's configuration files.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _NO_CAN: Final = {errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT}
 
 _MISSING: Final = re.compile(r"missing \d+ required positional arguments?: (.*)")
 
-# Interfaces that need another package, and the extra of python-can that installs it.
+# Interfaces with an additional package, and python-can's extra for installing that package.
 _EXTRAS: Final = {
     "canalystii": "canalystii",
     "cantact": "cantact",
@@ -64,23 +64,24 @@ def open_bus(name: str, **kwargs: Any) -> can.BusABC:
         _check_is_up(str(channel))
         if {**arguments, **kwargs}.get("fd"):
             _check_carries_fd(str(channel))
-    with _quiet():  # also while a bus that was opened by half is thrown away with the error
+    with _quiet():  # also while Python discards a half-opened bus together with the error
         try:
             return can.Bus(
                 channel=channel, interface=interface, ignore_config=True, **{**arguments, **kwargs}
             )
-        except Exception as error:  # a backend raises what its driver's library raises
+        except Exception as error:  # backends raise their driver library's exceptions
             reason = _explain(name, interface, channel, error)
     raise BusError(reason)
 
 
 @contextmanager
 def _quiet() -> Iterator[None]:
-    """Without python-can's own log records, whose content is in the error."""
+    """Silence python-can's log records; the error carries their content."""
     logger = logging.getLogger("can")  # the parent of the loggers of its buses
     propagate, logger.propagate = logger.propagate, False
     nowhere = logging.NullHandler()
-    logger.addHandler(nowhere)  # without one, logging prints to standard error as a last resort
+    # without a handler, logging prints to standard error as a last resort
+    logger.addHandler(nowhere)
     try:
         yield
     finally:
@@ -93,9 +94,9 @@ def open_for_node(
 ) -> can.BusABC:
     """Open the bus called ``name`` for a node of the rig.
 
-    On SocketCAN it is a `NodeSocketcanBus`, on which other traffic cannot displace frames with the
-    ``identifiers`` (of 29 bits with bit 31 set), and is received only if ``overhear`` is set; else
-    as `open_bus`. With ``fd`` it carries CAN FD frames.
+    On SocketCAN the bus is a `NodeSocketcanBus`: other traffic cannot displace frames with the
+    ``identifiers`` (of 29 bits with bit 31 set), and only ``overhear`` lets other traffic through.
+    Other interfaces open like `open_bus`. With ``fd`` the bus carries CAN FD frames.
 
     Raises:
         BusError: as `open_bus`.
@@ -112,7 +113,7 @@ def open_for_node(
 
 
 def in_one_process(name: str) -> bool:
-    """Whether the bus called ``name`` connects only nodes of one and the same process.
+    """Whether the bus ``name`` connects only nodes of a single process.
 
     Raises:
         BusError: the name is malformed.
@@ -140,7 +141,7 @@ def _suggestion(interface: str) -> str:
 
 
 def _check_is_up(channel: str) -> None:
-    # The kernel binds to an interface that is down, and only the first recv() would fail.
+    # The kernel binds to an interface that is down; only the first recv() would fail.
     flags = _NETWORK / channel / "flags"
     if flags.exists() and not int(flags.read_text(), 16) & _IFF_UP:
         raise BusError(f"CAN interface {channel} is down: sudo ip link set up {channel}")
@@ -157,7 +158,7 @@ def _check_carries_fd(channel: str) -> None:
 
 
 def lost(bus: object, error: can.CanError, for_s: float) -> BusLostError:
-    """The error for a bus that has been failing with ``error`` for ``for_s``, with its remedy."""
+    """The error for a bus failing with ``error`` for ``for_s``, with a remedy."""
     code = error.error_code or 0
     channel = getattr(bus, "channel", "")
     reasons = {
@@ -180,7 +181,7 @@ def _recipe(channel: object) -> str:
 
 
 def _explain(name: str, interface: str, channel: object, error: Exception) -> str:
-    """What is wrong, and what the user can do about it, in one line."""
+    """The cause and the user's remedy, in one line."""
     if interface == "socketcan" and isinstance(error, OSError):
         if error.errno in _NO_CAN:
             return (

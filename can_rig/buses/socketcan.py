@@ -1,11 +1,11 @@
 """SocketCAN for a node of the rig: other traffic cannot displace the frames of the control loop.
 
-A raw CAN socket has one receive queue, and the kernel silently drops what does not fit: a flood of
-other identifiers would drop the frames of the loop. So a node has two sockets with filters in the
-kernel. The identifiers of the loop have a queue of their own; the other socket takes everything
-else, for the log, and sends it too, so that the node does not hear itself. While both have frames
-they are read in turns, so that a flood at most doubles what a node has to read. Frames that the
-kernel drops from either are counted (``SO_MEMINFO``, sock_diag(7): ``SK_MEMINFO_DROPS``).
+A raw CAN socket has one receive queue, and the kernel silently drops overflowing frames: a flood of
+other identifiers would drop the loop's frames. So a node has two sockets with filters in the
+kernel. The loop's identifiers have a separate queue. The other socket receives everything else, for
+the log, and also sends, so that the node never hears its own frames. While both queues hold frames,
+the node reads the queues in turns, so a flood at most doubles the node's reading. Counts the frames
+dropped by the kernel from either socket (``SO_MEMINFO``, sock_diag(7): ``SK_MEMINFO_DROPS``).
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class NodeSocketcanBus(can.BusABC):
 
     Args:
         opened: opens a python-can bus on the interface, given the arguments of its class.
-        identifiers: those with a queue of their own; of 29 bits with bit 31 set.
+        identifiers: identifiers for the separate queue; of 29 bits with bit 31 set.
         overhear: whether to receive all other frames too.
 
     Raises:
@@ -80,7 +80,7 @@ class NodeSocketcanBus(can.BusABC):
 
     @property
     def lost_frames(self) -> int:
-        """Number of frames that the kernel has dropped because this node did not read in time."""
+        """Number of frames dropped by the kernel because this node read too late."""
         return self._dropped() - self._dropped_before
 
     def _dropped(self) -> int:

@@ -1,4 +1,4 @@
-"""Folders of results: what may replace what, and a folder that grows until it is whole.
+"""Folders of results: rules for replacing, and folders that grow until complete.
 
-Imported by everything that writes a folder; it imports `files` and `errors` alone.
+Every writer of folders imports `folders`; `folders` imports only `files` and `errors`.
 """

@@ -1,7 +1,7 @@
 """A folder of results that grows over time; recorded results are never lost.
 
-A new folder is made in its final place. A folder that replaces an old one is made beside the old
-folder, as ``NAME.unfinished``; the old folder stands until the new one is whole. Both are locked.
+A new folder is made in its final place. A replacement grows beside the old folder, as
+``NAME.unfinished``; the old folder stands until the new folder is complete. Both are locked.
 """
 
 from __future__ import annotations
@@ -17,7 +17,7 @@ from can_rig.folders.replacing import Kind, followed, names, put_into, refuse_to
 
 
 class NewFolder:
-    """A folder of results in the making; no other process writes into it meanwhile.
+    """A growing folder of results; no other process writes into the folder meanwhile.
 
     Attributes:
         path: the final place of the folder, as the user named the place.
@@ -51,10 +51,10 @@ class NewFolder:
 
     @classmethod
     def resume(cls, path: Path, kind: Kind) -> NewFolder:
-        """Go on with the folder that is being made for ``path``.
+        """Continue the unfinished folder for ``path``.
 
         Raises:
-            RunFolderError: the folder is missing, or another process writes it.
+            RunFolderError: a missing folder, or another process writing the folder.
         """
         target = followed(path)
         made = cls(path, target, target.with_name(f"{target.name}.unfinished"), kind)
@@ -71,7 +71,7 @@ class NewFolder:
         """New files for ``folder``, made in the folder ``NAME.unfinished`` within.
 
         Raises:
-            RunFolderError: an earlier command could not finish them, or they cannot be made.
+            RunFolderError: files that an earlier command failed to finish, or a failure to create.
         """
         made = cls(folder / name, folder, folder, kind)
         with made._refusals():
@@ -99,7 +99,7 @@ class NewFolder:
             raise
 
     def _took_place(self) -> bool:
-        """Whether the folder of ``making`` is new, or was and now is empty."""
+        """Whether the folder ``making`` is new, or became empty."""
         tidy(self.making.parent)
         if not os.path.lexists(self.making):
             self.making.mkdir()
@@ -138,7 +138,7 @@ class NewFolder:
         self.close()
 
     def give_up(self) -> None:
-        """Take away what was made, where nothing was recorded."""
+        """Remove the new folder, unless the folder holds recorded results."""
         with suppress(OSError):
             tidy(self.making)
             remove(self.making, self._kind.own(self.making))
@@ -147,7 +147,7 @@ class NewFolder:
         self.close()
 
     def publish(self) -> None:
-        """Put the folder, now whole, in its place, and take away what it replaces.
+        """Put the complete folder in its place, and remove the replaced folder.
 
         Raises:
             RunFolderError: it cannot be; both are still there.

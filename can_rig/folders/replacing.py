@@ -1,9 +1,8 @@
-"""Folders of results: the old one stands until the new one is whole, and foreign files stay.
+"""Folders of results: the old folder stands until the new folder is complete; foreign files stay.
 
-A folder that replaces another of its kind is made elsewhere, and then its files are moved into the
-other one by one: the folder itself and everything in it that is not of its kind are not touched. A
-process that is killed while it moves files leaves them in a hidden folder, and the next command
-puts them in their places.
+A replacement is made elsewhere; then its files move into the old folder one by one. The old folder
+itself and all foreign files in the folder remain untouched. A process killed while moving files
+leaves the rest in a hidden folder; the next command puts the rest in place.
 """
 
 from __future__ import annotations
@@ -23,14 +22,14 @@ from can_rig.files import WHOLE, locked, move_up, part_folder, safe_name, tidy
 
 @dataclass(frozen=True)
 class Kind:
-    """What stands in a folder of results.
+    """The contents of a kind of result folder.
 
     Attributes:
         name: as in "not a run folder".
-        marker: the file by which such a folder is recognised.
-        own: the paths in a folder that are of this kind, those in a folder before itself; all
-            others are foreign.
-        recorded: whether anything would be lost with the folder.
+        marker: the file that identifies such a folder.
+        own: the paths of this kind in a folder, contents before their folder; all other paths are
+            foreign.
+        recorded: whether the folder holds results that must survive.
     """
 
     name: str
@@ -41,7 +40,7 @@ class Kind:
 
 @contextmanager
 def whole_folder(path: Path, kind: Kind, *, force: bool) -> Iterator[Path]:
-    """Where to write the files of a folder, which are in place once this is left without an error.
+    """A path for writing a folder's files; after leaving without an error, the files are in place.
 
     Args:
         path: the folder.
@@ -49,7 +48,7 @@ def whole_folder(path: Path, kind: Kind, *, force: bool) -> Iterator[Path]:
         force: replace a folder of that kind; foreign files in it stay.
 
     Raises:
-        RunFolderError: it is not to be replaced, or cannot be written.
+        RunFolderError: a folder that must not be replaced, or a failure to write.
     """
     target = followed(path)
     try:
@@ -74,7 +73,7 @@ def whole_folder(path: Path, kind: Kind, *, force: bool) -> Iterator[Path]:
 
 
 def refuse_folder(path: Path, kind: Kind, force: bool) -> None:
-    """Refuse a folder that holds something, unless that is of ``kind`` and may be replaced.
+    """Refuse a non-empty folder, unless the folder is of ``kind`` and replaceable.
 
     Raises:
         RunFolderError: the reason.
@@ -93,7 +92,7 @@ def refuse_folder(path: Path, kind: Kind, force: bool) -> None:
 
 
 def refuse_to_replace(path: Path, kind: Kind, force: bool) -> None:
-    """Refuse to replace a folder unasked, or one of another kind.
+    """Refuse replacing without ``force``, and replacing another kind of folder.
 
     Raises:
         RunFolderError: the reason.
@@ -108,7 +107,7 @@ def refuse_to_replace(path: Path, kind: Kind, force: bool) -> None:
 
 
 def default_folder(parent: str, name: str) -> Path:
-    """``PARENT/NAME-DATE-TIME``, with a number where that is there already."""
+    """``PARENT/NAME-DATE-TIME``, followed by a number if the folder exists."""
     first = Path(parent) / f"{safe_name(name)}-{time.strftime('%Y%m%d-%H%M%S')}"
     folder, number = first, 1
     while os.path.lexists(folder):
@@ -118,7 +117,7 @@ def default_folder(parent: str, name: str) -> Path:
 
 
 def followed(path: Path) -> Path:
-    """The folder that ``path`` means, with a name of its own.
+    """The folder behind ``path``, with links resolved and a real name.
 
     Raises:
         RunFolderError: it is a link to nothing.
@@ -129,10 +128,10 @@ def followed(path: Path) -> Path:
 
 
 def put_into(made: Path, target: Path, kind: Kind) -> None:
-    """Move the files of ``made`` into ``target``, in place of those of its kind.
+    """Move the files of ``made`` into ``target``, in place of the files of its kind.
 
     Raises:
-        OSError: they cannot be moved, or a foreign file is in the way; nothing has changed.
+        OSError: failed moves, or a foreign file in the way; the target is unchanged.
     """
     tidy(made)
     new, old = names(made), [*kind.own(target)]
@@ -142,13 +141,13 @@ def put_into(made: Path, target: Path, kind: Kind) -> None:
         if os.path.lexists(there) and (name not in own or _is_folder(there)):
             raise FileExistsError(errno.EEXIST, f"{name} in it is not of {kind.name}")
     whole = target / f"{WHOLE}{secrets.token_hex(8)}"
-    made.rename(whole)  # from here on the next command finishes, where this one is killed
+    made.rename(whole)  # killed after this line, the next command completes the move
     remove(target, [name for name in old if name not in new])
     move_up(whole)
 
 
 def remove(folder: Path, names: Iterable[str]) -> None:
-    """Take away these files of a folder, links themselves, and folders that are then empty."""
+    """Remove these files of a folder, links themselves, and emptied folders."""
     for name in names:
         path = folder / name
         if _is_folder(path):

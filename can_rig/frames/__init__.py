@@ -1,4 +1,4 @@
 """Records to frames and back through the DBC, with end-to-end protection.
 
-It imports `errors` only; `scenario` and every room above it may import it.
+It imports only `errors`; `scenario` and all rooms above may import `frames`.
 """

@@ -1,10 +1,11 @@
 """One frame: the conversion between a record and its bytes.
 
-A value outside the range of its signal saturates; it never wraps and never raises. Not-a-number is
-sent as a raw value outside the range, NOT_AVAILABLE, which no receiver uses; a float has its own.
+A value outside the range of its signal saturates; it never wraps and never raises. NOT_AVAILABLE, a
+raw value outside the range, stands for not-a-number; no receiver uses NOT_AVAILABLE. A float sends
+its own not-a-number.
 
-The value counts in steps of the signal's factor. ``layout`` puts them into bytes: that of the rig,
-or any other through cantools.
+The value counts in steps of the signal's factor. ``layout`` packs the steps into bytes: the rig's
+layout, or any other layout through cantools.
 """
 
 from __future__ import annotations
@@ -30,7 +31,7 @@ class Record(NamedTuple):
     fault_state: int = 0
     """State of the fault decision, a key of `MessageCodec.fault_states`; 0 likewise."""
     verdict: int = 0
-    """Whose fault it is, a key of `MessageCodec.verdicts`; 0 likewise."""
+    """Verdict on the fault's cause, a key of `MessageCodec.verdicts`; 0 likewise."""
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,25 +43,25 @@ class MessageCodec:
     frame_id: int
     """CAN identifier."""
     sender: str
-    """Node of the DBC that sends it."""
+    """Sending node in the DBC."""
     data_id: int | None
     """E2E data identifier; None: the frame is not protected."""
     cycle_time_ms: int | None
     """GenMsgCycleTime [ms]; the rig sends at the tick of the scenario instead."""
     signal_name: str
     unit: str
-    """Unit of the value, as the DBC writes it; empty where dimensionless."""
+    """Unit of the value in the DBC's spelling; empty where dimensionless."""
     lsb: float
     """Resolution of the value [unit]; 0 of a float."""
     raw_minimum: float
     raw_maximum: float
     """Steps of the value; of a float the value itself."""
     minimum: float
-    """Smallest value that can be sent [unit]."""
+    """Smallest representable value [unit]."""
     maximum: float
-    """Largest value that can be sent [unit]."""
+    """Largest representable value [unit]."""
     not_available: float
-    """Raw value that says that there is none."""
+    """Raw value for a missing value."""
     modes: Mapping[int, str]
     """Value table of Mode; empty for a frame without it."""
     fault_states: Mapping[int, str]
@@ -71,9 +72,9 @@ class MessageCodec:
     extended: bool = False
     """Whether the identifier has 29 bits."""
     fd: bool = False
-    """Whether it is a CAN FD frame."""
+    """Whether the frame is CAN FD."""
     float_format: str = ""
-    """Of a float, as `struct` has it."""
+    """The `struct` format of a float."""
 
     @property
     def protected(self) -> bool:
@@ -98,13 +99,13 @@ class MessageCodec:
         return number
 
     def from_raw(self, raw: float) -> float:
-        """The value of so many steps [unit]; nan for NOT_AVAILABLE and any beyond the range."""
+        """The value of ``raw`` steps [unit]; nan for NOT_AVAILABLE and raw values out of range."""
         if self.raw_minimum <= raw <= self.raw_maximum:
             return raw * self.lsb if self.lsb else raw
         return math.nan
 
     def quantise(self, value: float) -> float:
-        """``value`` as a receiver gets it [unit]: saturated, on the raw grid; nan stays nan."""
+        """A receiver's ``value`` [unit]: saturated, on the raw grid; nan stays nan."""
         return self.from_raw(self.to_raw(value))
 
     def encode(
@@ -112,9 +113,9 @@ class MessageCodec:
     ) -> bytearray:
         """The bytes of a frame, with counter and checksum still zero.
 
-        ``value`` [unit] saturates, ``tick`` is taken modulo 65536; ``mode``, ``fault_state`` and
-        ``verdict`` saturate at the ends of their bits in the status frame, and are ignored for any
-        other.
+        ``value`` [unit] saturates; ``tick`` is reduced modulo 65536; ``mode``, ``fault_state`` and
+        ``verdict`` saturate at their bits' ends in the status frame, and other frames ignore all
+        three.
         """
         return self.layout.pack(self.to_raw(value), tick, mode, fault_state, verdict)
 

@@ -1,8 +1,8 @@
 """The CRC of AUTOSAR E2E profile 1 for many frames at once.
 
-A CRC is linear in the bits that it covers: it is the exclusive or of a table value for each byte of
-the frame, and of a constant for the data identifier. The tables are computed with the E2E library,
-so that the polynomial stays there only.
+A CRC is linear in the covered bits: the exclusive or of a table value per byte of the frame, and of
+a constant for the data identifier. The E2E library computes the tables, so that only the library
+contains the polynomial.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ UInt8s = NDArray[np.uint8]
 
 
 def crcs(data: UInt8s, data_id: int) -> UInt8s:
-    """(n,) CRC that belongs into byte 0 of payloads (n, 8 or more)."""
+    """(n,) CRC for byte 0 of payloads (n, 8 or more)."""
     found: UInt8s = np.empty(len(data), dtype=np.uint8)
     _crcs(data, np.uint8(_crc(bytearray(FRAME_BYTES), data_id)), _tables(), found)
     return found
@@ -38,7 +38,7 @@ def _crcs(data: UInt8s, crc_of_id: Any, tables: Any, found: UInt8s) -> None:
 
 @cache
 def _tables() -> Any:
-    """(7, 256) contribution of each value of bytes 1 to 7 to the CRC."""
+    """(7, 256) contribution of every value of bytes 1 to 7 to the CRC."""
     nothing = _crc(bytearray(FRAME_BYTES), 0)
     tables = np.zeros((FRAME_BYTES - 1, 256), dtype=np.uint8)
     for byte in range(1, FRAME_BYTES):

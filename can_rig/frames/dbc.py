@@ -1,4 +1,4 @@
-"""DBC files: where the shipped ones are, how one is loaded or refused, attributes of messages."""
+"""DBC files: locating the shipped files, loading, refusing, reading attributes of messages."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ _SYNTAX: Final = re.compile(r"Invalid syntax at line (\d+), column (\d+)")
 _MESSAGE: Final = re.compile(r"\b(?:in|of|to) message (\w+)|\bmessage (\w+)")
 _OPEN: Final = re.compile(r"\s*(?:CM_|BA_|BA_DEF_\w*|VAL_|VAL_TABLE_|SG_MUL_VAL_|SIG_\w+)\s[^;]*")
 _BEGINNING: Final = re.compile(r"\s*[A-Z]+\w*_\b")
-_ADVICE: Final = {  # the text before the place, |, the text from there on: what to change
+_ADVICE: Final = {  # the text before the place, |, the text after the place: the change to make
     r".*\b(?:SG_|BO_ \d+)\s+\|\d": "a name must begin with a letter or an underscore",
     r".*\|\.\d": "a number must have a digit before its point, as in 0.5",
     r"\s*CM_\s+SG_\s+\d+\s*\|\"": "the name of the signal is missing before its comment",
@@ -30,7 +30,7 @@ _SHOWN: Final = 40
 
 @cache
 def shipped_dbc(name: str) -> Path:
-    """The DBC called ``name`` that comes with the package, or is in the checkout."""
+    """The DBC ``name`` from the package or the checkout."""
     package = Path(str(files("can_rig")))
     folder = package / "dbc" if (package / "dbc").is_dir() else package.parent / "dbc"
     return folder / name
@@ -41,16 +41,16 @@ def load_dbc(path: str | Path, strict: bool = True) -> Database:
 
     Args:
         path: the file.
-        strict: whether signals must not overlap, and must fit into their messages.
+        strict: whether to refuse overlapping signals and signals larger than their message.
 
     Raises:
-        DbcError: it cannot be read, or is not a DBC.
+        DbcError: an unreadable file, or a file other than a DBC.
     """
     try:
         loaded = cantools.database.load_file(path, database_format="dbc", strict=strict)
     except OSError as error:
         raise DbcError(f"{path}: cannot be read: {error.strerror}") from error
-    except Exception as error:  # whatever a damaged file leads cantools to
+    except Exception as error:  # any exception: a damaged file confuses cantools
         said = advice(Path(path).read_text("cp1252", "replace"), error)
         raise DbcError(f"{path}: not a DBC that can be loaded: {said}") from error
     if not isinstance(loaded, Database):
@@ -59,7 +59,7 @@ def load_dbc(path: str | Path, strict: bool = True) -> Database:
 
 
 def advice(text: str, error: BaseException) -> str:
-    """What cantools says of ``text``, a DBC, as one line that begins with where it is."""
+    """cantools's complaint about ``text``, a DBC, as one line that begins with the place."""
     said = one_line(error).removeprefix("DBC: ").strip('"')
     if syntax := _SYNTAX.search(said):
         number, column = int(syntax[1]), int(syntax[2])
@@ -86,7 +86,7 @@ def _of_syntax(lines: list[str], number: int, column: int) -> str:
 
 
 def attribute(message: Message, name: str) -> int | str | None:
-    """The attribute of a message, as a word for an ENUM; None where the DBC does not set it."""
+    """The attribute of a message, as a word for an ENUM; None for an unset attribute."""
     found = message.dbc.attributes.get(name) if message.dbc else None
     if found is None or isinstance(found.value, float):
         return None

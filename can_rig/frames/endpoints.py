@@ -53,19 +53,19 @@ class Receiver:
         )
         self._length = length
         self._has_tick = codec.layout.has_tick
-        self._judged = False  # whether the checker has judged a frame of this tick
+        self._judged = False  # whether the checker judged a frame of this tick
 
     def accept(self, message: Message, tick: int | None = None) -> Record | None:
-        """The content of a frame; None if it must not be used, for a reason that is counted.
+        """The content of a usable frame; None for a rejected frame, counted by reason.
 
-        A frame that says no tick is of ``tick``, or of tick 0 without one.
+        A frame without a tick belongs to ``tick``, or to tick 0 if ``tick`` is None.
 
-        Call `end_tick` at the end of each tick. The value is nan where it is NOT_AVAILABLE.
+        Call `end_tick` at the end of each tick. NOT_AVAILABLE gives a value of nan.
 
         Args:
-            message: a received frame with this codec's identifier.
-            tick: the current tick; a frame of another tick, modulo 65536, is not used. None: a
-                frame of any tick is.
+            message: a received frame with the codec's identifier.
+            tick: the current tick; a frame of another tick, modulo 65536, is rejected. None: accept
+                any tick.
         """
         data = message.data
         if (
@@ -74,7 +74,7 @@ class Receiver:
             or message.is_remote_frame
             or message.is_error_frame
         ):
-            return None  # another kind of frame with the same number
+            return None  # another kind of frame with an equal identifier
         if len(data) == self._length:
             record = self.codec.decode(data)
             if not self._has_tick:
@@ -86,13 +86,13 @@ class Receiver:
         return None
 
     def end_tick(self) -> None:
-        """Tell the checker of a tick without any frame that it could judge."""
+        """Tell the checker about a tick without a judged frame."""
         if not self._judged:
             self.checker.no_new_data()
         self._judged = False
 
     @property
     def rejected(self) -> dict[str, int]:
-        """Number of frames that were not used, by `CheckStatus` in lower case, if not zero."""
+        """Number of rejected frames by `CheckStatus` in lower case, without zeros."""
         counts = self.checker.counts
         return {s.name.lower(): n for s, n in counts.items() if n and s not in USABLE}

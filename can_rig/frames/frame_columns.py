@@ -1,4 +1,4 @@
-"""One frame of the DBC for every tick of a run: what `codec` and `protection` make of one."""
+"""A DBC frame for every tick of a run at once: the arrays of `codec` and `protection`."""
 
 from __future__ import annotations
 
@@ -26,15 +26,15 @@ def payloads(
     fault_state: Ints | None = None,
     verdict: Ints | None = None,
 ) -> UInt8s:
-    """(n, 8), what a `Transmitter` that has sent a frame in every tick from 0 on sends next.
+    """(n, 8), the next frames of a `Transmitter` after a frame in every tick from 0.
 
     Args:
-        codec: the frame, one of the rig's own.
+        codec: a frame with the rig's layout.
         values: (n,), in the unit of the DBC; see `MessageCodec.encode`.
         first_tick: that of the first value.
         mode: (n,), of the status frame.
         fault_state: (n,), likewise.
-        verdict: (n,), likewise; not used where the frame has none.
+        verdict: (n,), likewise; ignored for a frame without a verdict.
     """
     layout, data_id = codec.layout, codec.data_id
     assert isinstance(layout, RigLayout) and data_id is not None
@@ -81,7 +81,7 @@ def _raw(
 
 
 def quantised(codec: MessageCodec, values: FloatArray) -> FloatArray:
-    """(n,) ``values`` as a receiver gets them; see `MessageCodec.quantise`."""
+    """(n,) ``values`` at the receiver; see `MessageCodec.quantise`."""
     if codec.lsb == 0.0:  # a float
         return np.array([codec.quantise(value) for value in values.tolist()])
     received = raw_values(codec, values).astype(np.float64) * codec.lsb

@@ -1,7 +1,7 @@
 """The frames of a tick, found in a DBC by their roles.
 
-The DBC is the only truth about frames: names, identifiers, units, scaling and ranges come from it.
-A frame is found by its attribute `RigRole`, and its layout must be that of `layout`.
+The DBC is the only source for frames: names, identifiers, units, scaling and ranges. The attribute
+`RigRole` identifies a frame; the frame must have the layout of `layout`.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ EXTENDED_FLAG = 1 << 31
 
 @dataclass(frozen=True, slots=True)
 class Network:
-    """The frames of a tick: five, and before them the speed, where the network has it."""
+    """The frames of a tick: five frames, preceded by an optional speed frame."""
 
     reference: MessageCodec
     feedback: MessageCodec
@@ -40,36 +40,36 @@ class Network:
     command_2: MessageCodec
     status: MessageCodec
     collisions: tuple[str, ...] = ()
-    """Messages of the database with the identifier of one of them."""
+    """Other messages of the database with the identifier of a rig frame."""
     speed: MessageCodec | None = None
 
     def __iter__(self) -> Iterator[MessageCodec]:
-        """The five of every tick in the order of `ROLES`."""
+        """The five frames of every tick in the order of `ROLES`."""
         return (getattr(self, role) for role in ROLES)
 
     @property
     def by_role(self) -> tuple[MessageCodec, ...]:
-        """All of them, the five of `ROLES` first."""
+        """All frames, beginning with the five of `ROLES`."""
         return (*self, self.speed) if self.speed else tuple(self)
 
     @property
     def on_the_bus(self) -> tuple[MessageCodec, ...]:
-        """All of them in their order on the bus."""
+        """All frames in bus order."""
         return (self.speed, *self) if self.speed else tuple(self)
 
     @property
     def offered(self) -> int:
-        """How many of them the plant node sends at the start of a tick, the first on the bus."""
+        """How many frames the plant node sends at the start of a tick, before all other frames."""
         return 2 if self.speed is None else 3
 
     @property
     def has_ticks(self) -> bool:
-        """Whether every frame says the tick that it belongs to, which lockstep needs."""
+        """Whether every frame carries its tick, a requirement of lockstep."""
         return all(codec.layout.has_tick for codec in self.by_role)
 
     @property
     def is_the_rigs(self) -> bool:
-        """Whether all frames have the layout of the rig's own."""
+        """Whether all frames have the rig's layout."""
         return all(isinstance(codec.layout, RigLayout) for codec in self)
 
     @property
@@ -79,22 +79,21 @@ class Network:
 
     @property
     def fd(self) -> bool:
-        """Whether one of them is a CAN FD frame."""
+        """Whether a frame is CAN FD."""
         return any(codec.fd for codec in self)
 
     @property
     def identifiers(self) -> tuple[int, ...]:
-        """Their CAN identifiers, in their order on the bus; with bit 31 set if of 29 bits."""
+        """CAN identifiers in bus order; with bit 31 set for 29 bits."""
         return tuple(codec.frame_id | codec.extended * EXTENDED_FLAG for codec in self.on_the_bus)
 
 
 def load_network(path: str | Path, says_speed: bool = False) -> Network:
-    """The frames of the rig in the DBC at ``path``; that of the speed where ``says_speed``.
+    """The rig's frames in the DBC at ``path``; includes the speed frame if ``says_speed``.
 
     Raises:
-        DbcError: it is not a DBC, a role is missing or given twice, the layout of a
-            frame is not that of the rig, or an `E2EDataId` is missing or gives the same CRC as
-            another.
+        DbcError: an invalid DBC, a missing or repeated role, a layout other than the rig's, an
+            `E2EDataId` that is missing or shares its CRC with another.
     """
     by_role: dict[int | str, DbcMessage] = {}
     for message in load_dbc(path).messages:
@@ -160,7 +159,7 @@ def words_of(signal: Signal | None) -> dict[int, str]:
 
 
 def require_distinct_data_ids(network: Network, path: str | Path) -> None:
-    """Refuse two 16-bit data identifiers that give the same 8-bit CRC.
+    """Refuse two 16-bit data identifiers with equal 8-bit CRCs.
 
     Raises:
         DbcError: names both messages.

@@ -2,14 +2,14 @@
 
 Byte 0 is a CRC-8 (SAE J1850, polynomial 0x1D) over the low byte and the high byte of the data
 identifier and the bytes from 1 on; the low nibble of byte 1 is a counter 0..14. The CRC detects
-damage and a frame of another sender, the counter detects repetition, loss and wrong order. Every
-burst of up to 8 bits is detected, except for 5 of the 769 that straddle bytes 0 and 1: the
-polynomial needs the CRC after the data, and the profile sends it before. The CRC-15 of CAN detects
-those.
+damage and a frame of another sender, the counter detects repetition, loss and wrong order. The CRC
+detects every burst of up to 8 bits, except for 5 of the 769 across bytes 0 and 1: the polynomial
+needs the CRC after the data, and the profile sends the CRC first. CAN's CRC-15 detects these
+bursts.
 
 Source: AUTOSAR SWS E2E Library (Doc. 428), "Specification of E2E Profile 1": data identifier mode
-E2E_P01_DATAID_BOTH, E2E_P01Protect and E2E_P01Check. Of its configuration, SyncCounterInit is 1
-and MaxNoNewOrRepeatedData is 14, which disables that monitor.
+E2E_P01_DATAID_BOTH, E2E_P01Protect and E2E_P01Check. Configuration: SyncCounterInit is 1;
+MaxNoNewOrRepeatedData is 14, which disables its monitor.
 """
 
 from enum import IntEnum
@@ -24,37 +24,37 @@ COUNTERS: Final = 15
 """Counters are 0..14; 15 is never sent."""
 
 _LARGEST_DELTA: Final = COUNTERS - 1
-_AFTER: Final = (*range(1, COUNTERS), 0)  # of each counter, the one that follows
+_AFTER: Final = (*range(1, COUNTERS), 0)  # the successor of each counter
 _SYNC_COUNTER_INIT: Final = 1
 
 
 class CheckStatus(IntEnum):
-    """Result of the check of one frame: those of E2E_P01CheckStatusType, and some of our own."""
+    """Result of checking one frame: E2E_P01CheckStatusType, extended by the rig."""
 
     OK = 0
     """The next frame."""
     INITIAL = 1
-    """The first intact frame of a run; there is no counter to compare with."""
+    """The first intact frame of a run; no earlier counter exists."""
     OK_SOME_LOST = 2
-    """An intact frame, newer than the last one, with a tolerated number lost between them."""
+    """An intact frame, newer than the last frame, after a tolerated number of losses."""
     REPEATED = 3
-    """The same counter as in the last frame."""
+    """The last frame's counter again."""
     WRONG_SEQUENCE = 4
     """Too many frames lost, or an old frame."""
     SYNC = 5
     """In sequence again after WRONG_SEQUENCE, but not yet confirmed."""
     WRONG_CRC = 6
-    """Damaged, another sender's frame, or the counter 15, which no sender uses."""
+    """A damaged frame, another sender's frame, or the counter 15, which no sender uses."""
     WRONG_LENGTH = 7
-    """Not as long as its frames are."""
+    """Another length than the codec's."""
     NO_NEW_DATA = 8
-    """No frame at all where one was due."""
+    """A missing frame."""
     WRONG_TICK = 9
-    """Intact, but of another tick than the current one; its counter is not checked."""
+    """Intact, but from another tick; the counter is left unchecked."""
 
 
 USABLE: Final = (CheckStatus.OK, CheckStatus.INITIAL, CheckStatus.OK_SOME_LOST)
-"""The statuses of a frame whose content may be used; with any other it updates nothing."""
+"""The statuses of usable frames; frames of other statuses update nothing."""
 
 # Module constants: a lookup in the enumeration costs as much as the rest of a check.
 _OK, _INITIAL, _OK_SOME_LOST = USABLE
@@ -83,11 +83,11 @@ class Protector:
 
     def __init__(self, data_id: int) -> None:
         self.data_id: Final = _require_data_id(data_id)
-        self._counter = _LARGEST_DELTA  # so that 0 is sent first, as in SWS E2E
+        self._counter = _LARGEST_DELTA  # sends 0 first, following SWS E2E
 
     def protect(self, data: bytearray) -> None:
         """Write the next counter and the CRC into `data`, in place."""
-        # The library increments the counter that it finds in the frame; 0 follows 14.
+        # The library increments the counter in the frame; 0 follows 14.
         data[1] = (data[1] & 0xF0) | self._counter
         e2e_p01_protect(data, self.data_id)
         self._counter = data[1] & 0x0F
@@ -96,11 +96,11 @@ class Protector:
 class Checker:
     """The receiving end of one protected frame (E2E_P01Check).
 
-    Call `check` for every frame that has arrived, or `no_new_data` where one was due and none has.
-    Each call without a usable frame widens the tolerated counter step by one, because the sender
-    has counted on in the meantime; a usable frame narrows it to ``max_delta_counter`` again. After
-    a larger step the received counter is adopted, and one more frame in sequence (SYNC) is needed
-    before the content is used again.
+    Call `check` for every arrived frame, and `no_new_data` for every missing frame. Each call
+    without a usable frame widens the tolerated counter step by one, because the sender continues
+    counting; a usable frame resets the step to ``max_delta_counter``. After a larger step the
+    received counter is adopted, and one more frame in sequence (SYNC) is needed before the content
+    is used again.
 
     Args:
         data_id: identifier of the frame, as at the sender.
@@ -109,7 +109,7 @@ class Checker:
         length: of its frames [byte].
 
     Raises:
-        ValueError: an argument is out of its range.
+        ValueError: an argument out of range.
     """
 
     __slots__ = (
@@ -122,9 +122,9 @@ class Checker:
         self.data_id: Final = _require_data_id(data_id)
         self.max_delta_counter: Final = max_delta_counter
         self._length = length
-        self._last: int | None = None  # counter of the last frame that was accepted
+        self._last: int | None = None  # counter of the last accepted frame
         self._next: int | None = None  # the counter of an OK frame; None where that is not enough
-        self._window = max_delta_counter  # largest step that was tolerated at the last call
+        self._window = max_delta_counter  # largest tolerated step at the last call
         self._sync = 0  # frames in sequence still needed before use
         self._counts = [0] * len(CheckStatus)
 
@@ -141,31 +141,31 @@ class Checker:
             self._window = self.max_delta_counter
             self._counts[_OK] += 1
             return _OK
-        self._window += 1  # SWS E2E limits it to 14, which tolerates every step
+        self._window += 1  # SWS E2E limits the window to 14, which tolerates every step
         status = self._judge(data[1] & 0x0F) if intact else self._damage(data)
         self._counts[status] += 1
         return status
 
     def reject(self, data: bytearray) -> None:
-        """Count a frame of another tick than the current one; nothing else changes.
+        """Count a frame of another tick, without further effect.
 
-        So a forged frame must also have the current tick before it can disturb the counter.
+        A forged frame therefore needs the current tick to disturb the counter.
         """
         intact = len(data) == self._length and e2e_p01_check(data, self.data_id)
         self._counts[_WRONG_TICK if intact else self._damage(data)] += 1
 
     def _damage(self, data: bytearray) -> CheckStatus:
-        """What is wrong with a frame that is not intact."""
+        """The status of a damaged frame."""
         return _WRONG_LENGTH if len(data) != self._length else _WRONG_CRC
 
     def no_new_data(self) -> CheckStatus:
-        """Note that a frame was due and none arrived."""
+        """Record a missing frame."""
         self._window += 1
         self._counts[CheckStatus.NO_NEW_DATA] += 1
         return CheckStatus.NO_NEW_DATA
 
     def _judge(self, received: int) -> CheckStatus:
-        """Compare the counter of an intact frame that is not OK with that of the last one."""
+        """Compare the counter of an intact frame, not OK, with the last frame's counter."""
         if self._last is None:
             return self._accept(received, _INITIAL)
         delta = (received - self._last) % COUNTERS
@@ -188,7 +188,7 @@ class Checker:
 
 
 class Unprotected:
-    """The receiving end of a frame without protection: what is as long as it should be is used."""
+    """The receiving end of a frame without protection: only the length decides."""
 
     def __init__(self, length: int) -> None:
         self._length = length

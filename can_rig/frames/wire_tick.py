@@ -1,4 +1,4 @@
-"""The tick on the wire: 16 bits of a count that goes on for hours."""
+"""The tick on the wire: the low 16 bits of an hours-long count."""
 
 from __future__ import annotations
 
@@ -13,12 +13,12 @@ _AT: Final = slice(2, 4)  # of a frame's bytes
 
 
 def tick_on(data: bytes | bytearray) -> int:
-    """What the bytes of a frame say, modulo 65536; of a short one what there is of it."""
+    """The tick in a frame's bytes, modulo 65536; from a short frame the available bytes."""
     return int.from_bytes(data[_AT], "little")
 
 
 def ticks_on(data: NDArray[np.uint8]) -> NDArray[np.int64]:
-    """The same of many frames: (frames, 4 bytes or more) → (frames,)."""
+    """The ticks of many frames: (frames, 4 bytes or more) → (frames,)."""
     return data[:, 2].astype(np.int64) | data[:, 3].astype(np.int64) << 8
 
 

@@ -1,8 +1,9 @@
-"""Actuators between the bus and the car: what they hold, how far they go, how late they follow.
+"""Actuators between the bus and the car: held commands, limits, dead times and lags.
 
-A command that has come over the bus is held until the next one, then limited in magnitude and in
-its change from tick to tick, then it waits for the dead time, and what a fault leaves of it enters
-the lag. So a dead actuator fades with its lag and does not wait for its dead time.
+An actuator holds the last command from the bus until the next command, limits its magnitude and its
+change per tick, and delays the limited command by the dead time. A fault scales the delayed
+command; the scaled command enters the lag. A dead actuator therefore fades with its lag, without
+waiting for its dead time.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from firmware_model.target.structs import FloatArray
 
 
 class Actuator:
-    """Holds the last valid command for ``hold_ticks`` ticks without one, then applies zero."""
+    """Holds the last valid command for ``hold_ticks`` ticks, then applies zero."""
 
     def __init__(self, hold_ticks: int) -> None:
         self._hold_ticks = hold_ticks
@@ -26,7 +27,7 @@ class Actuator:
         self._command = 0.0
 
     def hear(self, command: float | None) -> float:
-        """The command that acts, given this tick's valid command or None."""
+        """The acting command, from this tick's valid command; None: no valid command this tick."""
         if command is not None:
             self._silent_ticks = 0
             self._command = command
@@ -51,10 +52,10 @@ def actuator_limits(settings: PlantSettings, tick_s: float) -> FloatArray:
 
 
 class FollowedCommand:
-    """What an actuator makes of its commands, as means over equal parts of a tick.
+    """Commands behind an actuator's dead time and lag, as means over equal parts of a tick.
 
-    The car of a class takes commands that are held. With the mean of each part it gets the
-    actuator's impulse exactly.
+    A plant class takes held commands; the mean of each part preserves the actuator's impulse
+    exactly.
 
     Args:
         stage: the actuator's lag and dead time.
@@ -69,7 +70,7 @@ class FollowedCommand:
         lag_a, lag_b, lag_c = stage.realisation
         k = len(lag_a)
         self._lags = k > 0
-        self._state = np.zeros(k + 1)  # the last one sums up the output
+        self._state = np.zeros(k + 1)  # the last state sums the output
         a, b = np.zeros((k + 1, k + 1)), np.zeros((k + 1, 1))
         a[:k, :k], a[k, :k] = lag_a, lag_c
         b[:k, 0], b[k, 0] = lag_b, 0.0 if k else 1.0
@@ -80,13 +81,13 @@ class FollowedCommand:
         ]
 
     def output(self, command: float, left: float) -> float:
-        """What acts right after ``command`` has come, with the share ``left``."""
+        """The acting value right after ``command`` arrived, with the remaining share ``left``."""
         if self._lags:
             return float(self._state[0])
         return left * self._entering(command)[1 if self._changes_late else 0]
 
     def follow(self, command: float, left: float) -> list[float]:
-        """The means over the parts of the tick that begins as ``command`` comes."""
+        """The means over the parts of the tick that begins with the arrival of ``command``."""
         new, old = (left * each for each in self._entering(command))
         self._waiting.append(command)
         self._waiting.popleft()
@@ -98,6 +99,6 @@ class FollowedCommand:
         return means
 
     def _entering(self, command: float) -> tuple[float, float]:
-        """The newer and the older of the commands between which it changes over in this tick."""
+        """The newer and the older command; the lag's input changes between them in this tick."""
         line = [*self._waiting, command]
         return line[1], line[0]

@@ -1,7 +1,7 @@
 """A plant behind its actuators and its sensor, a tick at a time.
 
-A linear one is exact; any other goes in steps that are short beside the lags. Either also reports
-signals that no frame carries, by a name that ends in their unit.
+A linear plant is exact; a plant class advances in steps far shorter than the lags. Both also report
+signals beyond the frames, by names that end in a unit.
 """
 
 from __future__ import annotations
@@ -24,35 +24,35 @@ from firmware_model.design.actuator_dynamics import IDEAL
 from firmware_model.target.structs import FloatArray
 
 LONGEST_STEP_S = 5e-4
-"""Over which the car of a class gets a constant command, where its actuators or sensor lag."""
+"""Longest time of a constant command for a plant class whose actuators or sensor lag."""
 
 CAR_STATES = ("side_slip_rad", "yaw_rate_rad_per_s", None, "steering_angle_rad")
-"""Of the linear car, in the order of its state."""
+"""State names of the linear car, in state order."""
 
 
 class PlantBehind(Protocol):
-    """A plant behind its actuators and its sensor, at rest when it is made."""
+    """A plant behind its actuators and its sensor, initially at rest."""
 
     def report(
         self, command_1: float, command_2: float, left_1: float, left_2: float
     ) -> Mapping[str, float]:
-        """Signals of this tick: the car's, and what acts on it from these commands on."""
+        """Signals of this tick: the car's state, and the actions that these commands cause."""
 
     def follow(
         self, command_1: float, command_2: float, left_1: float, left_2: float
     ) -> tuple[float, float]:
-        """One tick on: D* of the car, and what the sensor reads; see ``simulation.AnyPlant``.
+        """Advance one tick: return D* and the sensor's reading; see ``simulation.AnyPlant``.
 
         Raises:
-            RigError: an exception in a plant that is the user's own.
+            RigError: an exception in the user's plant class.
         """
 
 
 def plant_behind(settings: PlantSettings, tick_s: float) -> PlantBehind:
-    """The plant that ``settings`` name, at rest, behind its actuators and its sensor.
+    """Make the plant of ``settings``, at rest, behind its actuators and its sensor.
 
     Raises:
-        ScenarioError: a car that is not stable, a class that is no plant.
+        ScenarioError: an unstable car, or a class without the plant's methods.
     """
     if settings.is_own:
         return ClassBehind(settings, tick_s)
@@ -70,23 +70,23 @@ def sampled_plant(settings: PlantSettings, tick_s: float) -> SampledPlant:
 
 
 class LinearBehind:
-    """The plants of the thesis: one matrix for car, actuators and sensor."""
+    """The thesis's plants: one matrix for car, actuators and sensor."""
 
     def __init__(self, settings: PlantSettings, tick_s: float) -> None:
         self.sampled = sampled_plant(settings, tick_s)
         self._constants, self.memory = self.sampled.constants, self.sampled.memory
-        # Compiles before the first tick needs it, on a memory of its own.
+        # Compile before the first tick, on a separate memory.
         follow(self._constants, self.sampled.memory, 0, 0.0, 0.0, 1.0, 1.0)
         self._tick = 0
         self._output = 0.0
         self._names = CAR_STATES if settings.is_car else ()
         at = len(continuous_car(settings).a)
-        self._actuators: list[int | None] = []  # where the output of each lag is in the state
+        self._actuators: list[int | None] = []  # index of each lag's output in the state
         for stage in settings.stages[:2]:
             order = len(stage.realisation[0])
             self._actuators.append(at if order else None)
             at += order
-        self._ago = [  # ticks before which the command came that enters a lag right after a tick
+        self._ago = [  # ticks between a command and its entry into a lag right after a tick
             dead + bool(late.any())
             for dead, late in zip(self.sampled.dead_ticks, self.sampled.gamma_old.T, strict=True)
         ]
@@ -121,14 +121,14 @@ class LinearBehind:
         left: FloatArray,
         ticks: range,
     ) -> dict[str, FloatArray]:
-        """What ``report`` says of these ``ticks`` of a run from rest, (len(ticks),) each.
+        """The values of ``report`` at these ``ticks`` of a run from rest, (len(ticks),) each.
 
         Args:
             output: (ticks,), D* of the car.
             states: (ticks, n), of the sampled plant.
-            reached: (2, ticks), the commands that reached the actuators.
-            left: (ticks, 2), what a fault left of them.
-            ticks: which of them; one behind the other.
+            reached: (2, ticks), the commands at the actuators' inputs.
+            left: (ticks, 2), the share of each command that a fault left.
+            ticks: consecutive ticks.
         """
         begin, end = ticks.start, ticks.stop
         columns = {TRUE_OUTPUT: output[begin:end]}
@@ -140,9 +140,9 @@ class LinearBehind:
                 applied = states[begin:end, place]
             else:
                 sent = np.zeros(len(ticks))
-                first = max(begin, ago)  # from here on a command has come
+                first = max(begin, ago)  # the first command arrives here
                 sent[first - begin :] = reached[channel, first - ago : max(end, first) - ago]
-                applied = left[begin:end, channel] * (sent + 0.0)  # a frame has no -0.0
+                applied = left[begin:end, channel] * (sent + 0.0)  # a frame carries no -0.0
             columns[APPLIED[channel]] = applied
         return columns
 
@@ -157,15 +157,15 @@ class LinearBehind:
         return output, read
 
     def moved(self, output: float) -> None:
-        """A tick has passed, in which ``memory`` was advanced; D* of the car is ``output``."""
+        """Record a tick that advanced ``memory``; ``output`` is D* of the car."""
         self._tick += 1
         self._output = output
 
 
 class ClassBehind:
-    """A plant of one's own, in equal steps of a tick, each with the mean of what the actuators do.
+    """A plant class in equal steps of a tick, each with the mean of the actuators' output.
 
-    Behind immediate actuators and sensor one step is the whole tick.
+    With immediate actuators and an immediate sensor, one step spans the whole tick.
     """
 
     def __init__(self, settings: PlantSettings, tick_s: float) -> None:
@@ -180,7 +180,7 @@ class ClassBehind:
         self._ideal = ideal
         self._sensor = FilteredSamples(sensor, self._step_s)
         self._output = 0.0
-        self._plant.advance(self._step_s, 0.0, 0.0)  # compiles before the first tick needs it
+        self._plant.advance(self._step_s, 0.0, 0.0)  # compile before the first tick
         self._plant.reset()
 
     def report(

@@ -1,4 +1,4 @@
-"""The linear car of a scenario with a drive: its speed changes as the drive says."""
+"""The linear car of a scenario with a drive: its speed follows the drive."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ from firmware_model.analysis.sampled_plant import SampledPlant
 
 
 def plant_of(scenario: Scenario) -> PlantBehind:
-    """The plant of ``scenario``, at rest, behind its actuators and its sensor.
+    """Make the plant of ``scenario``, at rest, behind its actuators and its sensor.
 
     Raises:
-        ScenarioError: a car that is not stable, a class that is no plant, a drive that is none.
+        ScenarioError: an unstable car, a class without the plant's methods, an invalid drive.
     """
     if scenario.drive.is_given:
         return ChangingCar(scenario)
@@ -28,7 +28,7 @@ def plant_of(scenario: Scenario) -> PlantBehind:
 
 
 def linear_plant(scenario: Scenario) -> SampledPlant | None:
-    """The same where it is one step from tick to tick; None: a plant of one's own, or a drive.
+    """The linear plant from tick to tick; None for a plant class and for a drive.
 
     Raises:
         ScenarioError: a car that is not stable.
@@ -46,7 +46,7 @@ def _changing(settings: PlantSettings, fastest_mps: float, tick_s: float) -> Cha
 
 
 class ChangingCar:
-    """A car of which all but the speed is that of ``LinearBehind``; see ``PlantBehind``."""
+    """``LinearBehind`` with a changing speed; see ``PlantBehind``."""
 
     def __init__(self, scenario: Scenario) -> None:
         profile = speed_profile(scenario)

@@ -1,6 +1,7 @@
-"""A scenario without frames: what both nodes and a bus make of it, in one loop of arithmetic.
+"""A scenario without frames: one arithmetic loop in place of two nodes and a bus.
 
-Bit for bit the signals of the run on a lockstep bus; thousands of times faster for a linear plant.
+The signals equal those of a run on a lockstep bus bit for bit; a linear plant runs thousands of
+times faster.
 """
 
 from __future__ import annotations
@@ -40,7 +41,7 @@ from firmware_model.target.structs import FloatArray, RecordArray
 
 @dataclass(frozen=True)
 class Inputs:
-    """What happens to the loop from outside, tick by tick; see ``simulation.Simulation``."""
+    """The loop's inputs from outside, tick by tick; see ``simulation.Simulation``."""
 
     reference: FloatArray
     effectiveness: FloatArray
@@ -49,20 +50,20 @@ class Inputs:
     delivery: Delivery
     faults: FloatArray
     speed: FloatArray | None
-    """Of the car; None: it has no drive."""
+    """Speed of the car; None: no drive."""
 
 
 @dataclass(frozen=True)
 class Common:
-    """What runs have in common that differ in their faults and in their noise and in nothing else.
+    """The common parts of runs that differ only in faults and sensor noise.
 
     Attributes:
-        undisturbed: what they have in common, as a scenario.
+        undisturbed: the common scenario, without faults and noise.
         network: their frames.
         of: their controller.
-        at_rest: its state.
-        plant: what is linear; None: each run has one of its own.
-        quiet: their inputs where nothing fails and the sensor has no noise.
+        at_rest: the controller's state at rest.
+        plant: the linear plant; None: each run makes a plant object.
+        quiet: the inputs without faults and sensor noise.
     """
 
     undisturbed: Scenario
@@ -73,18 +74,18 @@ class Common:
     quiet: Inputs
 
     def inputs_of(self, scenario: Scenario) -> Inputs:
-        """Those of one of them."""
+        """The inputs of one run."""
         return with_disturbances(self.quiet, scenario, self.network)
 
     def loop(
         self, scenario: Scenario, inputs: Inputs, plant: SampledPlant | AnyPlant
     ) -> Simulation:
-        """The loop of one of them at rest."""
+        """One run's loop, at rest."""
         return simulation(scenario, self.network, plant, self.of, inputs, at_rest=self.at_rest)
 
 
 def with_files(scenario: Scenario) -> Iterator[object]:
-    """What a run follows from: its scenario, and the states of the files that this names."""
+    """The sources of a run: its scenario, and the states of the files named there."""
     yield scenario
     for file in (scenario.reference.file, scenario.drive.file):
         if file and Path(file).is_file():
@@ -93,13 +94,13 @@ def with_files(scenario: Scenario) -> Iterator[object]:
 
 
 def undisturbed_with_files(scenario: Scenario) -> Iterator[object]:
-    """The same of what it has in common with others."""
+    """The sources of the part that several runs share."""
     return with_files(scenario.undisturbed)
 
 
 @remembered(4, by=undisturbed_with_files)
 def common(scenario: Scenario) -> Common:
-    """What ``scenario`` has in common with all that have the same ``undisturbed`` one.
+    """The common part of ``scenario`` and all scenarios with an equal ``undisturbed`` scenario.
 
     Raises:
         ScenarioError: as ``frameless``.
@@ -113,7 +114,7 @@ def common(scenario: Scenario) -> Common:
 
 
 def inputs_of(scenario: Scenario, network: Network) -> Inputs:
-    """The inputs of ``scenario``, which do not depend on its car."""
+    """The inputs of ``scenario``, independent of its car."""
     ticks = scenario.ticks
     quiet = Inputs(
         reference=quantised(network.reference, reference(scenario)),
@@ -145,7 +146,7 @@ def with_disturbances(quiet: Inputs, scenario: Scenario, network: Network) -> In
 
 
 def _with_replaced(rows: FloatArray, delivered: Delivery, ticks: int) -> FloatArray:
-    """The rows of ``hardware`` with what other frames say."""
+    """The rows of ``hardware`` with the values of other frames."""
     if not delivered.replaced:
         return rows
     if not len(rows):
@@ -161,10 +162,10 @@ def frameless(
     of: Scheduled | None = None,
     inputs: Inputs | None = None,
 ) -> Trace:
-    """Run ``scenario`` without a bus; every signal as its frame on ``network`` would have it.
+    """Run ``scenario`` without a bus; round every signal like its frame on ``network``.
 
-    A plant of one's own may fail in mid-run: what is measured is not a number from there on.
-    ``of`` is the scenario's controller and ``inputs`` are its own, for whoever has them.
+    After an error in a plant class, every measured value is nan. ``of`` is the scenario's
+    controller, ``inputs`` its inputs; callers pass known values to save time.
 
     Raises:
         ScenarioError: a scenario that cannot run.
@@ -180,7 +181,7 @@ def frameless_loop(
     of: Scheduled | None = None,
     inputs: Inputs | None = None,
 ) -> Simulation:
-    """The same at rest, to be run as far as somebody wants it.
+    """The loop of ``frameless`` at rest, for a run of any length.
 
     Raises:
         ScenarioError: as ``frameless``.
@@ -233,7 +234,7 @@ def _frame(codec: MessageCodec) -> FloatArray:
 
 
 class UntilItFails:
-    """A plant whose output is not a number from its first error on."""
+    """A plant whose output is nan from its first error on."""
 
     def __init__(self, plant: PlantBehind) -> None:
         self._plant = plant

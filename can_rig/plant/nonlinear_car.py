@@ -1,4 +1,4 @@
-"""A car that the design has not seen: nonlinear tires, nonlinear angles, the thesis's parameters.
+"""A car beyond the design's model: nonlinear tires, nonlinear angles, the thesis's parameters.
 
 A single-track car at constant speed V, steered by a motor torque on a free steering column. With
 the slip angle β, the yaw rate γ, the steer angle δ, Yf and Yr the lateral forces of a whole axle:
@@ -33,7 +33,7 @@ STEP_OF_FASTEST_MODE = 0.1
 
 
 class Car(NamedTuple):
-    """What the equations need, in their symbols; both tires of an axle taken together."""
+    """Parameters of the equations, in their symbols; one stiffness covers both tires of an axle."""
 
     m: float  # kg
     j: float  # kg m²
@@ -52,7 +52,7 @@ class Car(NamedTuple):
 
 
 def car_of(settings: PlantSettings) -> Car:
-    """Table 3.1's parameters; K_f and K_r of (3.5), (3.6) are those of one tire."""
+    """Table 3.1's parameters; K_f and K_r of (3.5), (3.6) belong to one tire."""
     lf, lr = settings.front_axle_distance_m, settings.rear_axle_distance_m
     grip = settings.friction * settings.mass_kg * GRAVITY_MPS2
     return Car(
@@ -77,8 +77,8 @@ class NonlinearCar:
     """``plant.kind = "can_rig.plant.nonlinear_car:NonlinearCar"``; see ``plant_protocol``.
 
     Runge and Kutta's fourth order in equal steps of at most 1 ms, and of at most a tenth of the
-    linear car's fastest time constant: an error of 0.1⁵/120 ≈ 1e-7 of a mode a step at worst. At
-    10 m/s the fastest mode is 16 rad/s and it is 1e-11.
+    linear car's fastest time constant: an error of 0.1⁵/120 ≈ 1e-7 of a mode a step at worst. At 10
+    m/s the fastest mode is 16 rad/s and the error 1e-11.
     """
 
     def __init__(self, settings: PlantSettings) -> None:
@@ -124,7 +124,7 @@ def brush(stiffness: float, grip: float, along: float, across: float) -> float:
     """
     if stiffness * abs(across) >= 3.0 * grip * abs(along):
         return -math.copysign(grip, across)
-    part = -stiffness * across / (3.0 * grip * abs(along))  # of the slip at which all slides
+    part = -stiffness * across / (3.0 * grip * abs(along))  # share of the slip at full sliding
     return 3.0 * grip * part * (1.0 - abs(part) + part * part / 3.0)
 
 
@@ -132,8 +132,8 @@ def brush(stiffness: float, grip: float, along: float, across: float) -> float:
 def _rates(car: Any, state: Any, torque: float, force_difference: float) -> Any:
     """β̇, γ̇, δ̈, δ̇, and D* as the fifth.
 
-    The rear wheels push with ±X_diff/2. What they push they cannot hold sideways: on the friction
-    circle of a wheel √((μ F_z)² - (X_diff/2)²) is left, and no wheel pushes more than μ F_z.
+    The rear wheels push with ±X_diff/2. A longitudinal push reduces the lateral grip: a wheel's
+    friction circle leaves √((μ F_z)² - (X_diff/2)²), and no wheel pushes harder than μ F_z.
     """
     beta, yaw_rate, steer_rate, steer = state[0], state[1], state[2], state[3]
     push = min(max(force_difference, -car.grip_r), car.grip_r)

@@ -1,7 +1,7 @@
-"""Anybody's plant: what a class must have to be simulated, and how one is found and checked.
+"""The user's plant: the methods of a plant class, its import and its checks.
 
-``plant.kind = "package.module:Class"`` names it. A module in the current directory is found too, so
-``mycar.py`` beside a scenario is a plant:
+``plant.kind = "package.module:Class"`` names it. The search includes the current directory, so
+``mycar.py`` beside a scenario defines a plant:
 
     class Lag:                                     # plant.kind = "mycar:Lag"
         def __init__(self, settings):              # can_rig.scenario.plant_settings.PlantSettings
@@ -43,8 +43,8 @@ Answer = TypeVar("Answer")
 class PlantProtocol(Protocol):
     """A car between two ticks, constructed as ``Class(settings)`` and then at rest.
 
-    It knows neither bus nor clock nor fault: commands arrive late, limited, rounded and reduced by
-    what is left of the actuators. The controller starts from rest, so at rest D* is 0.
+    The plant knows neither bus nor clock nor fault: its commands arrive late, limited, rounded, and
+    reduced by a weak actuator. The controller starts from rest, so D* at rest must be 0.
     """
 
     def reset(self) -> None:
@@ -54,32 +54,30 @@ class PlantProtocol(Protocol):
         """D* [m/s²] ``dt_s`` seconds later, both commands held until then.
 
         ``torque_nm`` is the steering motor's torque T, ``force_difference_n`` the rear wheels'
-        X_diff, both of (3.11), as the actuators apply them. Every call of a run has the same
-        ``dt_s``: the tick, or an equal part of it where actuators or sensor lag.
+        X_diff, both of (3.11), as the actuators apply them. Every call of a run passes the same
+        ``dt_s``: the tick, or an equal part of the tick if actuators or sensor lag.
         """
 
 
 @runtime_checkable
 class ReportingPlant(PlantProtocol, Protocol):
-    """A plant that also says how the car moves; ``signals`` may be left out."""
+    """A plant that also reports the car's motion; ``signals`` is optional."""
 
     def signals(self) -> Mapping[str, float]:
-        """Values of now by names that end in their unit, as ``yaw_rate_rad_per_s`` does.
+        """Present values by names that end in a unit, for example ``yaw_rate_rad_per_s``.
 
-        The names are the same in every tick. They become columns of ``signals.csv``.
+        Every tick has the same names. They become columns of ``signals.csv``.
         """
 
 
 def load_plant(kind: str, settings: PlantSettings) -> PlantProtocol:
-    """A new plant of the class or the FMU ``kind``, at rest.
+    """Make a new plant of the class or the FMU ``kind``, at rest.
 
-    Of a class, a trial on an instance of its own, at rest, shows first that ``reset`` and
-    ``advance`` work.
+    For a class, a trial with a separate instance at rest first proves ``reset`` and ``advance``.
 
     Raises:
-        ScenarioError: no such module, class or FMU, or one that does not do as ``PlantProtocol``
-            says.
-        MissingExtraError: an FMU, and FMPy is not installed.
+        ScenarioError: an unknown module, class or FMU, or a class that violates ``PlantProtocol``.
+        MissingExtraError: an FMU without an installed FMPy.
     """
     if settings.is_fmu:
         require("fmpy", "fmu")
@@ -92,16 +90,16 @@ def load_plant(kind: str, settings: PlantSettings) -> PlantProtocol:
 
 
 def failure(kind: str, what: str, error: BaseException) -> str:
-    """One line for an exception in the class or module of ``kind``."""
+    """One line for an exception in the class or module ``kind``."""
     reason = " ".join(str(error).split())
     return f"plant.kind = {kind!r}: {what}: {type(error).__name__}" + (reason and f": {reason}")
 
 
 class GuardedPlant:
-    """A plant whose exceptions in mid-run are one line that says when.
+    """A plant that reports exceptions of a run in one line, with the time.
 
     Args:
-        kind: names it.
+        kind: the plant's name.
         plant: from ``load_plant``.
     """
 
@@ -123,7 +121,7 @@ class GuardedPlant:
         """D* ``dt_s`` seconds later; see ``PlantProtocol``.
 
         Raises:
-            RigError: an exception in the class, or an answer that is not a finite number.
+            RigError: an exception in the class, or an answer other than a finite number.
         """
         try:
             answer = self._plant.advance(dt_s, torque_nm, force_difference_n)
@@ -142,7 +140,7 @@ class GuardedPlant:
         """What the plant reports besides D*; see ``ReportingPlant``.
 
         Raises:
-            RigError: an exception in the class, a name or a value that is none.
+            RigError: an exception in the class, an invalid name or value.
         """
         plant = self._plant
         if not isinstance(plant, ReportingPlant):
@@ -157,7 +155,7 @@ def _find(kind: str) -> type[object]:
     module_name, _, class_name = kind.partition(":")
     here = str(Path.cwd())
     if here not in sys.path:
-        sys.path.append(here)  # last: no file that lies around hides an installed package
+        sys.path.append(here)  # last: no stray file hides an installed package
     importlib.invalidate_caches()
     try:
         module = importlib.import_module(module_name)
@@ -165,7 +163,7 @@ def _find(kind: str) -> type[object]:
         raise
     except BaseException as error:
         missing = error.name if isinstance(error, ModuleNotFoundError) else None
-        if missing and f"{module_name}.".startswith(f"{missing}."):  # not one that it imports
+        if missing and f"{module_name}.".startswith(f"{missing}."):  # not an import of the module
             raise ScenarioError(
                 f"plant.kind = {kind!r}: no module {missing}, neither installed nor in {here}"
             ) from None
@@ -177,7 +175,7 @@ def _find(kind: str) -> type[object]:
 
 
 def _construct(kind: str, plant_class: type[object], settings: PlantSettings) -> PlantProtocol:
-    """An instance that has the methods; whether they do as they should is not known yet."""
+    """Make an instance with all methods; their behaviour is still untested."""
     _accepts(kind, plant_class, plant_class.__name__, settings)
     construct: Callable[..., object] = plant_class
     plant = _guard(kind, f"{plant_class.__name__}(settings) failed", lambda: construct(settings))
@@ -191,7 +189,7 @@ def _construct(kind: str, plant_class: type[object], settings: PlantSettings) ->
 
 
 def _try(kind: str, plant: PlantProtocol) -> None:
-    """Reset and advance at rest, with no command; ``plant`` is of no use afterwards."""
+    """Reset and advance at rest, without a command; discard ``plant`` afterwards."""
     _accepts(kind, plant.reset, "reset")
     _accepts(kind, plant.advance, "advance", TRIAL_S, 0.0, 0.0)
     _guard(kind, "reset() failed", plant.reset)
@@ -219,10 +217,10 @@ def _reported(kind: str, what: str, values: object) -> dict[str, float]:
 
 
 def _is_finite(answer: object) -> bool:
-    """A NumPy scalar is a number; an array, or text that reads like a number, is none."""
+    """NumPy scalars count as numbers; arrays, and text that reads like a number, do not."""
     try:
         return isinstance(answer, Real) and math.isfinite(answer)
-    except OverflowError:  # a whole number that no float can hold
+    except OverflowError:  # a whole number beyond every float
         return False
 
 
@@ -231,10 +229,10 @@ def _not_finite(answer: object) -> str:
 
 
 def _accepts(kind: str, function: Callable[..., object], name: str, *arguments: object) -> None:
-    """Refuse a signature that does not take ``arguments`` by position."""
+    """Refuse a signature that rejects ``arguments`` by position."""
     try:
         signature = inspect.signature(function)
-    except ValueError:  # of compiled code, which says no signature: the trial will tell
+    except ValueError:  # compiled code without a signature: the trial decides
         return
     try:
         signature.bind(*arguments)
@@ -246,7 +244,7 @@ def _accepts(kind: str, function: Callable[..., object], name: str, *arguments: 
 def _guard(
     kind: str, what: str, call: Callable[[], Answer], refusal: type[RigError] = ScenarioError
 ) -> Answer:
-    """What ``call`` returns; an exception of the class, ``sys.exit`` too, as one line."""
+    """Return the result of ``call``; report an exception, also ``sys.exit``, in one line."""
     try:
         return call()
     except KeyboardInterrupt:

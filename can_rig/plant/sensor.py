@@ -1,7 +1,7 @@
 """The sensor of D*: a dead time, a filter of first order, noise, a resolution.
 
-A linear car has dead time and filter in its own matrices, exact; those here are for the car of a
-class, of which only samples are known.
+A linear car includes dead time and filter in its matrix, exactly. The filter here serves plant
+classes, which provide only samples.
 """
 
 from __future__ import annotations
@@ -22,8 +22,8 @@ from firmware_model.target.structs import FloatArray
 class SensorNoise:
     """Noise of the scenario's seed with the sensor's rms, tick by tick.
 
-    White, or as the sensor's filter colours it: n(k) = p n(k-1) + √(1 - p²) w(k), p = e^{-T/τ}, so
-    that the rms is that of what comes out.
+    White noise, or noise coloured by the sensor's filter: n(k) = p n(k-1) + √(1 - p²) w(k), p =
+    e^{-T/τ}. The rms describes the coloured noise.
     """
 
     def __init__(self, scenario: Scenario) -> None:
@@ -38,7 +38,7 @@ class SensorNoise:
         if self._rms == 0.0:
             return 0.0
         drawn = self._rms * float(self._random.standard_normal())
-        if self._last is None:  # as if it had always been there
+        if self._last is None:  # a stationary start
             self._last = drawn
         else:
             fresh = math.sqrt(1.0 - self._memory**2)
@@ -49,7 +49,7 @@ class SensorNoise:
 def noise(scenario: Scenario) -> FloatArray:
     """(ticks,), the noise of every tick of a run, m/s²: what ``SensorNoise`` draws one by one.
 
-    Not to be changed: it is that of the run without its fault too.
+    Never change the array: the same run without its fault shares the array.
     """
     sensor = scenario.plant.sensor
     if sensor.noise_mps2 == 0.0:
@@ -69,14 +69,14 @@ def _drawn(seed: int, rms: float, memory: float, ticks: int) -> FloatArray:
 
 @compiled
 def colour(drawn: FloatArray, memory: float) -> None:
-    """White noise → what a filter of first order with this pole makes of it, in place."""
+    """Filter white noise by a first-order lag with pole ``memory``, in place."""
     fresh = math.sqrt(1.0 - memory**2)
     for k in range(1, len(drawn)):
         drawn[k] = memory * drawn[k - 1] + fresh * drawn[k]
 
 
 class FilteredSamples:
-    """What a dead time and a filter make of samples, with straight lines between them.
+    """Samples behind a dead time and a filter; straight lines connect the samples.
 
     Args:
         stage: the sensor's lag and dead time.
@@ -91,14 +91,14 @@ class FilteredSamples:
         self._delayed = self._filtered = 0.0
 
     def next(self, sample: float) -> float:
-        """What the sensor reads now, at this ``sample``."""
+        """The sensor's present reading, from the present ``sample``."""
         self._samples.append(sample)
         self._samples.popleft()
         newer, older = self._samples[1], self._samples[0]
         delayed = newer + self._part * (older - newer)
         if self._tau == 0.0:
             self._filtered = delayed
-        else:  # exact for a straight line from one to the other
+        else:  # exact for a straight line between samples
             fade = math.exp(-1.0 / self._tau)
             mean = self._tau * (1.0 - fade)
             self._filtered = (

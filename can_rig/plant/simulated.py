@@ -18,7 +18,7 @@ from firmware_model.target.structs import FloatArray
 
 
 class SimulatedPlant:
-    """The car: two actuators, a latency line, a plant that commands are held for, a noisy sensor.
+    """The car: two actuators, a latency line, a plant with held commands, a noisy sensor.
 
     Args:
         scenario: the run.
@@ -37,7 +37,7 @@ class SimulatedPlant:
         self._actuators = (Actuator(hold_ticks), Actuator(hold_ticks))
         self._latency_ticks = scenario.latency_ticks
         at_once = 1 + self._faults.latest_ticks
-        # From when a command or a reading may be that is not there yet, at rest.
+        # Earliest arrival of a command or a reading; before, the line holds rest values.
         self._on_the_way = deque([(0.0, 0.0)] * (self._latency_ticks + at_once))
         self._readings = deque([0.0] * at_once)
         limits = actuator_limits(scenario.plant, scenario.tick_s)
@@ -45,20 +45,20 @@ class SimulatedPlant:
         self._is_limited = bool(np.isfinite(limits).any())
         self._reached = (0.0, 0.0)
         self.applied = (0.0, 0.0)
-        """By both actuators in the last tick."""
+        """The applied commands of both actuators in the last tick."""
         self._said = 0.0
         self._noise = SensorNoise(scenario)
         self._resolution = scenario.plant.sensor.resolution_mps2
-        # Compile before the first tick needs it.
+        # Compile before the first tick.
         sensor_reading(0.0, 0.0, 0.0, self._resolution)
         limited(0.0, 0.0, *self._limits[0])
 
     def change_faults(self, scenario: Scenario) -> None:
-        """From this tick on, which has not been measured yet, the faults of ``scenario``."""
+        """Take the faults of ``scenario`` from this tick on, before its measurement."""
         self._faults.change(scenario)
 
     def measure(self) -> float:
-        """D* as the sensor reads it now, m/s²."""
+        """The sensor's present reading of D*, m/s²."""
         now = self._faults.at(self._tick)
         reading = float(sensor_reading(self._read, now.bias, self._noise.next(), self._resolution))
         if now.rows is None:
@@ -72,13 +72,13 @@ class SimulatedPlant:
     def advance(
         self, tick: int, command_1: float | None, command_2: float | None
     ) -> Mapping[str, float]:
-        """One tick on, with the valid commands of ``tick`` (None: there was none).
+        """Advance one tick with the valid commands of ``tick`` (None: no valid command).
 
         Returns:
-            The signals of ``tick`` that no frame carries.
+            Return the signals of ``tick`` beyond the frames.
 
         Raises:
-            RigError: an exception in a plant that is the user's own.
+            RigError: an exception in the user's plant class.
         """
         now = self._faults.at(tick)
         self._tick = tick + 1

@@ -1,6 +1,6 @@
 """A scenario: TOML to settings, settings to design, target, table and reference.
 
-`shipped/` holds the scenarios that come with the package. It imports `frames` and `firmware_model`.
+`shipped/` holds the scenarios of the package. It imports `frames` and `firmware_model`.
 """
 
 import sys
@@ -10,7 +10,7 @@ from typing import Any
 
 
 class _Callable(ModuleType):
-    """A room that can be called, as ``can_rig.scenario(…)``: the function in ``can_rig.api``."""
+    """A room that also acts as a function: ``can_rig.scenario(…)`` calls ``can_rig.api``."""
 
     def __call__(self, *arguments: Any, **options: Any) -> Any:
         return import_module("can_rig.api").scenario(*arguments, **options)

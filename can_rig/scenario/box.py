@@ -1,11 +1,10 @@
-"""Other plants than the model: what may differ, by how much, and the settings of one that does.
+"""Plants beside the model: varying parameters, ranges, and settings of a plant in the box.
 
-Of a car, mass, both cornering stiffnesses and speed differ from car to car and from day to day; the
-rest of Table 3.1 is known. Of a plant by numbers nothing is known of the kind, so what differs is
-how strongly each input acts (``gain_1``, ``gain_2``) and how fast the plant answers: the frequency
-of every pole and zero, with damping and steady gain as they are, for each channel (``speed_1``,
-``speed_2``) where each has a transfer function of its own, and for the whole (``speed``) where they
-share a state, as unstable modes always are.
+For a car, mass, both cornering stiffnesses and speed vary between cars and between days; the rest
+of Table 3.1 is known. For a plant by numbers, the varying parameters are the strength of each input
+(``gain_1``, ``gain_2``) and the plant's pace: the frequency of every pole and zero, at constant
+damping and steady gain. Channels with separate transfer functions vary separately (``speed_1``,
+``speed_2``); channels with a shared state, and unstable modes, vary together (``speed``).
 """
 
 from __future__ import annotations
@@ -27,21 +26,21 @@ FACTORS: Final = {
     TRANSFER_FUNCTIONS: ("gain_1", "gain_2", "speed_1", "speed_2"),
     STATE_SPACE: ("gain_1", "gain_2", "speed"),
 }
-"""What is multiplied with 1 in the plant as given, by kind."""
+"""Factors on the given plant, 1 at the centre, by kind."""
 
 
 def uncertain(settings: PlantSettings) -> dict[str, float]:
-    """What may differ, with the values of ``settings``."""
+    """The varying parameters, with the values in ``settings``."""
     if settings.is_car:
         return {key: float(getattr(settings, key)) for key in CAR}
     kind = settings.kind
     if kind == TRANSFER_FUNCTIONS and any(p != 0.0 for p in unstable(settings.g1.factored)):
-        kind = STATE_SPACE  # one speed, or the modes would be shared no more
+        kind = STATE_SPACE  # a common speed keeps the modes shared
     return dict.fromkeys(FACTORS[kind], 1.0)
 
 
 def with_values(settings: PlantSettings, values: Mapping[str, float]) -> PlantSettings:
-    """``settings`` with other values of what may differ, or of other parameters of a car."""
+    """``settings`` with other values of varying parameters, or of other parameters of a car."""
     if settings.is_car:
         changes: dict[str, Any] = dict(values)
         return replace(settings, **changes)
@@ -63,7 +62,7 @@ def with_values(settings: PlantSettings, values: Mapping[str, float]) -> PlantSe
 
 
 def in_box(settings: PlantSettings, shares: Mapping[str, float]) -> PlantSettings:
-    """``settings`` with what may differ greater by these shares, 0.2 for 20 %."""
+    """``settings`` with varying parameters increased by these shares; 0.2 means 20 %."""
     nominal = uncertain(settings)
     return with_values(
         settings, {key: nominal[key] * (1.0 + share) for key, share in shares.items()}
@@ -71,7 +70,7 @@ def in_box(settings: PlantSettings, shares: Mapping[str, float]) -> PlantSetting
 
 
 def with_lags(settings: PlantSettings, factor: float) -> PlantSettings:
-    """``settings`` with actuators that are slower by ``factor``."""
+    """``settings`` with actuators slower by ``factor``."""
     return replace(
         settings,
         torque_actuator=settings.torque_actuator.slower(factor),

@@ -1,4 +1,4 @@
-"""From a scenario to what the firmware and the figures need: plant, design, target, table."""
+"""Plant, design, target and table of a scenario, for the firmware and for the figures."""
 
 from __future__ import annotations
 
@@ -29,22 +29,23 @@ from firmware_model.errors import DesignError
 from firmware_model.target.fault_decision.covariance import MAX_DIRECTIONS
 from firmware_model.target.structs import FloatArray, Record
 
-MOST_PLANTS, MOST_TABLES = 64, 16  # that are remembered; a box has 40 cars
+MOST_PLANTS, MOST_TABLES = 64, 16  # limits of the caches; a box has 40 cars
 _TABLES: Final[dict[str, Record]] = {}
-"""The last ones that were computed, by everything that they follow from."""
+"""The most recent tables, by all inputs of their computation."""
 
-GOVERNED = 0.5  # share of the motor's limit that may go into the second derivative of D*
+GOVERNED = 0.5  # share of the motor's limit granted to the second derivative of D*
 CAR_DECAYS_PER_S = 3.5  # the slowest mode of the car's F̂
-LONGEST_TICKS = 20_000  # for what a car does in a second
-SHAPED = 2  # relative degree of a G1 whose C asks for the second derivative
+LONGEST_TICKS = 20_000  # limit for a car's response of one second
+SHAPED = 2  # relative degree of a G1 whose C uses the reference's second derivative
 
 
 def network_of(scenario: Scenario) -> Network:
-    """The scenario's frames, from its DBC or from a database of the user's.
+    """The scenario's frames, from the shipped DBC or the user's database.
 
     Raises:
-        DbcError: that cannot be read, or does not have what ``network.signals`` names.
-        ScenarioError: a fault that cannot be told in these frames.
+        DbcError: an unreadable database, or a name in ``network.signals`` missing from the
+            database.
+        ScenarioError: a fault that these frames cannot represent.
     """
     chosen = scenario.network
     if not chosen.signals:
@@ -75,19 +76,19 @@ def _network(dbc: Path, says_speed: bool) -> Network:
 
 
 def but_for_noise(settings: PlantSettings, *others: object) -> tuple[object, ...]:
-    """What a linear plant follows from: its sensor's noise is no part of it."""
+    """Settings that determine a linear plant; the sensor's noise has no influence."""
     return settings.noise_free, *others
 
 
 @remembered(MOST_PLANTS, by=but_for_noise)
 def continuous_car(settings: PlantSettings) -> plants.Plant:
-    """The linear plant that ``settings`` describe, without its actuators and its sensor.
+    """The linear plant of ``settings``, without actuators and sensor.
 
-    Of a plant that is a class, all that is known before it runs: the thesis's car with its
-    parameters. Designs and margins are of that car, runs are of the class.
+    For a plant class, the known model before the run: the thesis's car with the class's parameters.
+    Designs and margins use this car; runs use the class.
 
     Raises:
-        ScenarioError: parameters with which the car is not stable.
+        ScenarioError: parameters of an unstable car.
     """
     try:
         return settings.linear.make(settings)
@@ -98,7 +99,7 @@ def continuous_car(settings: PlantSettings) -> plants.Plant:
 def slowness(scenario: Scenario) -> float:
     """How many times longer than a car the model takes to settle, by its slowest pole or zero.
 
-    1 for a car and for what is faster; no more than ``LONGEST_TICKS`` can show.
+    1 for a car and for faster models; limited by ``LONGEST_TICKS``.
     """
     if scenario.model.is_car:
         return 1.0
@@ -111,7 +112,7 @@ def slowness(scenario: Scenario) -> float:
 
 @remembered(MOST_PLANTS, by=but_for_noise)
 def continuous_plant(settings: PlantSettings) -> plants.Plant:
-    """``continuous_car`` behind its actuators and its sensor, as far as they are linear.
+    """``continuous_car`` behind the linear parts of its actuators and its sensor.
 
     Raises:
         ScenarioError: as ``continuous_car``.
@@ -120,10 +121,10 @@ def continuous_plant(settings: PlantSettings) -> plants.Plant:
 
 
 def continuous_design(scenario: Scenario) -> ContinuousDesign:
-    """The controller's design, for the car that it believes in.
+    """The controller's design, for the controller's model.
 
     Raises:
-        ScenarioError: an assumption of the thesis that this car or this tuning breaks.
+        ScenarioError: a car or a tuning that breaks an assumption of the thesis.
     """
     chosen = scenario.design
     specification = DesignSpecification(
@@ -143,10 +144,10 @@ def continuous_design(scenario: Scenario) -> ContinuousDesign:
 
 
 def _refuse_slow_sensor(scenario: Scenario) -> None:
-    """C inverts the sensor's filter too, and must not ask the car for what that filter hides.
+    """Refuse a C that drives the car at frequencies hidden by the sensor's filter.
 
-    With q̂ faster than the filter, y follows the reference and D* overshoots it, by all that C adds
-    above the corner.
+    C also inverts the sensor's filter. With q̂ faster than the filter, y follows the reference
+    while D* overshoots, by C's gain above the filter's corner.
     """
     corner_hz, chosen = scenario.model.sensor.corner_hz, scenario.design
     if corner_hz is None or not chosen.feedback:
@@ -163,9 +164,9 @@ def _refuse_slow_sensor(scenario: Scenario) -> None:
 
 
 def target(scenario: Scenario, network: Network | None) -> Target:
-    """Where the design runs, trusting the model; see ``mismatch`` for the cars that are not it.
+    """Where the design runs, trusting the model; ``mismatch`` describes the other cars.
 
-    Without a network, commands are neither limited nor rounded by it.
+    Without a network, commands are neither limited nor rounded.
     """
     chosen, limits = scenario.design, scenario.limits
     follows = chosen.estimator == "kalman"
@@ -211,7 +212,7 @@ def target(scenario: Scenario, network: Network | None) -> Target:
 
 
 def mismatch(scenario: Scenario) -> Mismatch:
-    """The plants that are not the model, along the principal directions of the budget's box."""
+    """The plants beside the model, along the principal directions of the budget's box."""
     chosen = scenario.design
     keys, late = _uncertain(scenario)
     other = other_plants(scenario)
@@ -242,23 +243,23 @@ def other_plants(scenario: Scenario) -> Callable[[FloatArray], plants.Plant]:
 
 
 def _uncertain(scenario: Scenario) -> tuple[tuple[str, ...], bool]:
-    """What differs in the budget's box: parameters by key, and whether the lags of actuators."""
+    """The varying parameters of the budget's box by key, and whether actuator lags vary."""
     budget, model = scenario.budget, scenario.model
     keys = tuple(uncertain(model)) if budget.box > 0.0 else ()
     return keys, budget.actuator_box > 0.0 and model.torque_actuator.lags
 
 
 def reference_acceleration(scenario: Scenario) -> float:
-    """How fast a reference C may follow, m/s⁴: what ``GOVERNED`` of the motor's limits can do.
+    """Fastest reference for C, m/s⁴: the share ``GOVERNED`` of the motor's limits.
 
-    Of a G1 of relative degree two, as a car's: u1 = r̈/g1 and the rest of D/N1, so half of the
-    limit goes to r̈. A turn from full ahead to full back is 2R/g1, smoothed by q̂: at most
-    0.37·2R/(g1 τ_q) a second for α_q = 2, less for more, and as much again is left for the rest.
-    Other plants follow the reference as it is, within what q̂ makes of it.
+    For a G1 of relative degree two, such as a car's, u1 = r̈/g1 plus the rest of D/N1, so half of
+    the limit goes to r̈. A turn from full ahead to full back is 2R/g1, smoothed by q̂: at most
+    0.37·2R/(g1 τ_q) a second for α_q = 2, less for larger α_q. The rest of D/N1 keeps the same
+    amount. Other plants follow the unshaped reference, within the bandwidth of q̂.
     """
     limits = scenario.limits
     g1 = continuous_car(scenario.model).g1
-    if not scenario.design.feedback or g1.relative_degree != SHAPED:  # no C that would ask for r̈
+    if not scenario.design.feedback or g1.relative_degree != SHAPED:  # this C never uses r̈
         return math.inf
     torque = math.inf if limits.torque_nm is None else limits.torque_nm
     if limits.torque_rate_nm_per_s is not None:
@@ -270,7 +271,7 @@ def controller_table(scenario: Scenario, network: Network | None) -> Record:
     """The constant table of the scenario's controller on ``network`` (None: without frames).
 
     Raises:
-        ScenarioError: a design that cannot be made or discretised.
+        ScenarioError: a failing design or discretisation.
     """
     place = target(scenario, network)
     known = repr((place, scenario.model, scenario.design, scenario.budget))

@@ -1,4 +1,4 @@
-"""The scenarios that come with the package."""
+"""The scenarios shipped with the package."""
 
 from __future__ import annotations
 

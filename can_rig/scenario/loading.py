@@ -1,8 +1,8 @@
-"""TOML to a validated, frozen scenario: the one source of every default of a run.
+"""TOML to a validated, frozen scenario: the only source of a run's defaults.
 
-What keys there are is declared in ``settings``. Errors name the scenario and the key. One number
-may be given as a word, ``latency_ticks = "from-bus"``: a ``Draft`` keeps it, and
-``assessment.resolve`` puts the number in, which follows from the rest of the scenario.
+``settings`` declares the keys. Errors name the scenario and the key. A word may replace one number,
+``latency_ticks = "from-bus"``: a ``Draft`` keeps the word, and ``assessment.resolve`` computes the
+number from the rest of the scenario.
 """
 
 from __future__ import annotations
@@ -36,7 +36,7 @@ from can_rig.scenario.tables.changes import FAULT, change, require_kinds, requir
 from can_rig.scenario.tables.numbers import FACTORED, POLYNOMIAL
 
 FROM_BUS: Final = ("latency_ticks", "from-bus")
-"""A key, and the word that may stand there for its number."""
+"""A key, and the allowed word in place of its number."""
 
 ACTUATORS: Final = ("torque_actuator", "force_difference_actuator")
 INSTEAD: Final = (
@@ -45,19 +45,19 @@ INSTEAD: Final = (
     *product(POLYNOMIAL, FACTORED),
     *product(FACTORED, POLYNOMIAL),
 )
-"""A key, and one that it replaces: the two lags, the two forms of a transfer function."""
+"""A key and the key that the first replaces: the two lags, the two forms of a transfer function."""
 FILES: Final = (
     ("reference", "file", ""),
     ("drive", "file", ""),
     ("network", "dbc", ""),
     ("plant", "kind", FMU),
 )
-"""Keys that name a file, and what stands before its name."""
+"""Keys with a file name, and the prefix of the name."""
 LIMITS: Final = ("limit_", "rate_")
-"""Begins of the keys that an actuator has and a belief about it has not."""
+"""Prefixes of keys that actuators have and models of actuators lack."""
 
 MOST_TABLES: Final = 128
-"""That are kept: runs of a campaign have most of theirs in common."""
+"""Limit of the cache; runs of a campaign share most tables."""
 
 _ENCODER: Final = json.JSONEncoder(default=str)
 _ADAPTER: Final = TypeAdapter(Scenario)
@@ -68,18 +68,18 @@ _TABLES: Final = {
 
 @dataclass(frozen=True)
 class Draft:
-    """A scenario as it is written: the default stands in ``scenario`` where a word is written."""
+    """A scenario as written: ``scenario`` holds the default in place of each word."""
 
     scenario: Scenario
     words: frozenset[tuple[str, str]] = frozenset()
-    """Which are written: ``FROM_BUS`` or none."""
+    """The written words: ``FROM_BUS`` or none."""
 
 
 def read(name: str, settings: Iterable[str] = ()) -> Draft:
-    """The scenario ``name``, a shipped one or a path to a TOML file, with ``KEY=VALUE`` changes.
+    """The scenario ``name``, shipped or a path to a TOML file, with ``KEY=VALUE`` changes.
 
     Raises:
-        ScenarioError: no such scenario, not TOML, an unknown key, a bad value.
+        ScenarioError: an unknown scenario, invalid TOML, an unknown key, a bad value.
     """
     file = written(name)
     require_own_numbers(file.name, file.values.get(FAULT))
@@ -91,12 +91,12 @@ def read(name: str, settings: Iterable[str] = ()) -> Draft:
 
 @dataclass(frozen=True)
 class Written:
-    """A scenario as its file has it.
+    """A scenario's file content.
 
     Attributes:
-        given: what names it: a shipped one, or a path.
-        name: its own.
-        values: its keys, without a default.
+        given: the user's word: the name of a shipped scenario, or a path.
+        name: the scenario's name.
+        values: the written keys, without defaults.
     """
 
     given: str
@@ -105,10 +105,10 @@ class Written:
 
 
 def written(name: str) -> Written:
-    """The file of the scenario ``name``, a shipped one or a path, before its keys are looked at.
+    """The file of the scenario ``name``, shipped or a path, before any check of keys.
 
     Raises:
-        ScenarioError: no such scenario, or not TOML.
+        ScenarioError: an unknown scenario, or invalid TOML.
     """
     known = shipped()
     path = Path(name)
@@ -128,14 +128,14 @@ def written(name: str) -> Written:
         table = values.get(name_of_table)
         given = table.get(key) if isinstance(table, dict) else None
         if isinstance(table, dict) and isinstance(given, str) and given.startswith(prefix):
-            # in a scenario relative to it, as everywhere else; in --set to the working directory
+            # in a scenario relative to the scenario's file; in --set to the working directory
             file = given.removeprefix(prefix)
             table[key] = prefix + (str(path.parent / file) if file else "")
     return Written(name, path.stem, values)
 
 
 def changed(file: Written, settings: Iterable[str] = ()) -> Draft:
-    """A scenario that was written, with ``KEY=VALUE`` changes.
+    """A written scenario with ``KEY=VALUE`` changes.
 
     Raises:
         ScenarioError: an unknown key, a bad value.
@@ -149,10 +149,10 @@ def changed(file: Written, settings: Iterable[str] = ()) -> Draft:
 
 
 def with_changes(file: Written, settings: Iterable[str] = ()) -> dict[str, Any]:
-    """What is written, with ``KEY=VALUE`` changes, before its keys are looked at.
+    """The written keys with ``KEY=VALUE`` changes, before any check.
 
     Raises:
-        ScenarioError: a change that is none.
+        ScenarioError: an invalid change.
     """
     values: dict[str, Any] = _copied(file.values)
     for setting in settings:
@@ -161,17 +161,17 @@ def with_changes(file: Written, settings: Iterable[str] = ()) -> dict[str, Any]:
 
 
 def _copied(value: Any) -> Any:
-    """Tables and lists of what TOML has, which a change goes into."""
+    """A deep copy of TOML's tables and lists, open to changes."""
     if isinstance(value, dict):
         return {key: _copied(each) for key, each in value.items()}
     return [_copied(each) for each in value] if isinstance(value, list) else value
 
 
 def of_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Draft:
-    """The scenario that a run folder's ``run.json`` holds, with ``KEY=VALUE`` changes.
+    """The scenario in a run folder's ``run.json``, with ``KEY=VALUE`` changes.
 
-    A parameter that the controller believed as it was follows the plant's again when that is
-    changed, as in a scenario file that does not name it.
+    A model parameter equal to the plant's follows the plant again after a change, like in a
+    scenario file without that key.
 
     Raises:
         ScenarioError: as ``draft``.
@@ -189,10 +189,10 @@ def of_run(values: Mapping[str, Any], settings: Iterable[str] = ()) -> Draft:
 
 
 def draft(name: str, values: Mapping[str, Any]) -> Draft:
-    """A scenario from plain values; ``model`` is the plant's own but for the keys it names.
+    """A scenario from plain values; ``model`` copies the plant except for its written keys.
 
-    What the controller believes in is linear: of a plant of one's own, what its numbers say, or
-    the thesis's car with the same parameters.
+    The controller's model is linear: for a plant of one's own, the plant's numbers, or the thesis's
+    car with the same parameters.
 
     Raises:
         ScenarioError: an unknown key, a bad value; the message names the key.
@@ -210,44 +210,44 @@ def draft(name: str, values: Mapping[str, Any]) -> Draft:
     words = frozenset(pair for pair in (FROM_BUS,) if _take(merged, *pair))
     try:
         scenario = Scenario(name=name, **{key: _valid(key, each) for key, each in merged.items()})
-    except (ValidationError, KeyError):  # in one table; of the whole, the finding has its key
+    except (ValidationError, KeyError):  # in one table; the whole scenario's finding has the key
         try:
             scenario = _ADAPTER.validate_json(_json({"name": name, **merged}))
         except ValidationError as error:
             said = refusal(error, Scenario)
-            if not several:  # one table has no number
+            if not several:  # a single table has no number
                 said = said.replace(f"{FAULT}.0", FAULT, 1)
             raise ScenarioError(f"scenario {name}: {said}") from None
     return Draft(scenario, words)
 
 
 def _valid(key: str, value: Any) -> Any:
-    """``value`` as ``Scenario`` has it, if it is a table or a list of them."""
+    """``value`` as a field of ``Scenario``: converted if a table or a list of tables."""
     return _table(key, _json(value)) if isinstance(value, Mapping | list) else value
 
 
 @lru_cache(MOST_TABLES)
 def _table(key: str, text: str) -> Any:
-    """A table of a scenario: of one text one and the same.
+    """A validated table of a scenario; equal texts share one object.
 
     Raises:
-        KeyError: there is no such key.
+        KeyError: an unknown key.
         ValidationError: a bad value.
     """
     return _TABLES[key].validate_json(text)
 
 
 def _json(value: Any) -> str:
-    """As JSON, where strict still takes a table for a dataclass and a whole number for a float."""
+    """JSON text: strict JSON accepts tables for dataclasses and whole numbers for floats."""
     return _ENCODER.encode(value)
 
 
 def _believed(plant: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str, Any]:
-    """``model`` with what it does not name as the plant has it, but nothing that is no belief.
+    """``model``, completed by the plant's values, without keys that no model has.
 
-    Of a plant of one's own it is the linear plant that stands for it; limits are believed in
-    ``limits``. An actuator's lag in ``model`` replaces any other of the plant's, and the form of a
-    transfer function does so too.
+    A plant of one's own passes on the linear plant that represents the class; ``limits`` holds the
+    model's limits. An actuator's lag in ``model`` replaces every other lag of the plant's actuator;
+    likewise for the form of a transfer function.
     """
     inherited = {k: v for k, v in plant.items() if k not in (*OWN, *SIGNALS)}
     if ":" in str(plant.get("kind")):
@@ -269,7 +269,7 @@ def _believed(plant: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str, A
 
 
 def _other_than(plant: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str, Any]:
-    """The keys of ``model`` that are not as the plant has them, table by table."""
+    """The keys of ``model`` that differ from the plant's, table by table."""
     other: dict[str, Any] = {}
     for key, value in model.items():
         of_plant = plant.get(key)
@@ -282,7 +282,7 @@ def _other_than(plant: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str,
 
 
 def _take(values: dict[str, Any], key: str, word: str) -> bool:
-    """Whether ``word`` stands at ``key``; if so it is taken out, without touching other tables."""
+    """Whether ``word`` stands at ``key``; remove the word then, leaving other tables untouched."""
     first, _, rest = key.partition(".")
     inner = values.get(first)
     if rest and isinstance(inner, Mapping):

@@ -1,4 +1,4 @@
-"""The plant of a scenario: the built-in kinds in one table, and the keys of each."""
+"""The plant of a scenario: a table of the built-in kinds, and each kind's keys."""
 
 from __future__ import annotations
 
@@ -30,13 +30,13 @@ from firmware_model.design.vehicle import TABLE_3_2, VehicleParameters
 
 @dataclass(frozen=True)
 class BuiltIn:
-    """A kind of linear plant, and what follows from which one it is."""
+    """A kind of linear plant, and the kind's properties."""
 
     make: Callable[[PlantSettings], plants.Plant]
     dbc: str
-    """File name of its frames in ``dbc/``."""
+    """File name of the plant's frames in ``dbc/``."""
     keys: tuple[str, ...]
-    """Those that only this kind has, and must have."""
+    """Required keys that only this kind has."""
 
 
 def _by_transfer_functions(settings: PlantSettings) -> plants.Plant:
@@ -50,9 +50,9 @@ def _by_state_space(settings: PlantSettings) -> plants.Plant:
 
 
 CAR: Final = "steer-by-wire"
-"""What the controller believes in where a plant of one's own gives no numbers."""
+"""The controller's model for a plant of one's own without numbers."""
 FMU: Final = "fmu:"
-"""Begin of a kind that names the file of an FMU."""
+"""Prefix of a kind that names an FMU file."""
 TRANSFER_FUNCTIONS: Final = "transfer-functions"
 STATE_SPACE: Final = "state-space"
 INPUTS: Final = 2
@@ -67,27 +67,25 @@ BUILT_IN: Final = {
 
 BY_NUMBERS: Final = (TRANSFER_FUNCTIONS, STATE_SPACE)
 NUMBERS: Final = tuple(key for kind in BUILT_IN.values() for key in kind.keys)
-"""Keys that describe a plant by numbers."""
+"""Keys of a plant by numbers."""
 OWN: Final = ("parameters", "variables", "fmi_type")
-"""Keys that only a plant of one's own has, and no belief about it."""
+"""Keys of a plant of one's own that its model lacks."""
 SIGNALS: Final = ("input_1", "input_2", "output")
-"""Keys that say what its signals are called."""
+"""Keys for the names of the plant's signals."""
 
 
 @validated(frozen=True, config=STRICT)
 class PlantSettings(VehicleParameters):
-    """The simulated plant; of a plant by numbers those of the car must not be set.
+    """The simulated plant; a plant by numbers must leave the car's parameters unset.
 
     ``kind`` is built in or a plant of one's own: ``package.module:Class`` (``plant.protocol``) or
-    ``fmu:FILE.fmu`` (``plant.fmu``).
-    ``a`` (n, n), ``b`` (n, 2) and ``c`` (n,) are those of ``state-space``, ``g1`` and ``g2`` those
-    of ``transfer-functions``; input 1 is the channel that can be lost. Of a plant of one's own
-    they are the linear plant that stands for it; without them that is the car.
-    ``friction`` μ is what tires can transmit at most, as a part of their load: the linear cars
-    ignore it, a nonlinear one saturates with it. The bounds leave room for anything on wheels.
-    ``parameters`` are those that only a plant of one's own knows: numbers, text, true or false.
-    ``variables`` of an FMU: its inputs and output by role, and by name of a column what else is
-    recorded.
+    ``fmu:FILE.fmu`` (``plant.fmu``). ``a`` (n, n), ``b`` (n, 2) and ``c`` (n,) belong to
+    ``state-space``, ``g1`` and ``g2`` to ``transfer-functions``; input 1 is the channel that can
+    fail. For a plant of one's own these keys give the representing linear plant; the default is the
+    car. ``friction`` μ limits a tire's force, as a share of the tire's load: linear cars ignore μ,
+    a nonlinear car saturates. The bounds admit any vehicle on wheels. ``parameters`` belong to a
+    plant of one's own: numbers, text, true or false. ``variables`` of an FMU: its inputs and output
+    by role, and further recorded variables by column name.
     """
 
     mass_kg: Annotated[float, Field(ge=10.0, le=1e6)] = TABLE_3_2.mass_kg
@@ -144,7 +142,7 @@ class PlantSettings(VehicleParameters):
         self._refuse_other_parameters()
 
     def _refuse_other_parameters(self) -> None:
-        """Parameters and variables where nothing has such, and values that are none."""
+        """Refuse parameters and variables for built-in plants, and invalid values."""
         for key, value in flat_parameters(self.parameters).items():
             if not isinstance(value, bool | int | float | str):
                 raise ValueError(
@@ -166,7 +164,7 @@ class PlantSettings(VehicleParameters):
                 raise ValueError(f"variables.{key}: must be set, as the name of the FMU's variable")
 
     def _refuse_other_keys(self) -> None:
-        """Every key that this kind of plant needs, and none of another kind."""
+        """Require every key of this kind of plant; refuse the keys of other kinds."""
         own = BUILT_IN[self.linear_kind].keys
         for key in NUMBERS:
             given = bool(getattr(self, key))
@@ -196,24 +194,24 @@ class PlantSettings(VehicleParameters):
 
     @property
     def is_own(self) -> bool:
-        """Whether it is a plant of one's own, of which nothing is known before it runs."""
+        """Whether the plant is the user's own, unknown before the run."""
         return self.is_fmu or self.is_class
 
     @property
     def is_fmu(self) -> bool:
-        """Whether ``kind`` reads ``fmu:FILE.fmu``; not whether there is one."""
+        """Whether ``kind`` reads ``fmu:FILE.fmu``; the file need not exist."""
         return self.kind.startswith(FMU) and len(self.kind) > len(FMU)
 
     @property
     def is_class(self) -> bool:
-        """Whether ``kind`` reads ``package.module:Class``; not whether there is one."""
+        """Whether ``kind`` reads ``package.module:Class``; the class need not exist."""
         module, _, name = self.kind.partition(":")
         parts = (name, *module.split("."))
         return all(part.isidentifier() for part in parts) and not self.is_fmu
 
     @property
     def linear_kind(self) -> str:
-        """Its built-in kind; of a plant of one's own, the kind of what stands for it."""
+        """The built-in kind; for a plant of one's own, the representing linear plant's kind."""
         if not self.is_own:
             return self.kind
         if any((self.a, self.b, self.c)):
@@ -222,28 +220,28 @@ class PlantSettings(VehicleParameters):
 
     @property
     def linear(self) -> BuiltIn:
-        """The built-in plant; of a plant of one's own, the one that stands for it."""
+        """The built-in plant; for a plant of one's own, the representing linear plant."""
         return BUILT_IN[self.linear_kind]
 
     @property
     def is_car(self) -> bool:
-        """Whether the parameters, and a lateral acceleration, mean anything."""
+        """Whether the car's parameters, and a lateral acceleration, have a meaning."""
         return self.linear is BUILT_IN[CAR]
 
     @property
     def noun(self) -> str:
-        """What sentences call it."""
+        """The plant's name in sentences."""
         return "car" if self.is_car else "plant"
 
     @cached_property
     def noise_free(self) -> PlantSettings:
-        """The same with a sensor that has no noise."""
+        """A copy without sensor noise."""
         sensor = dataclasses.replace(self.sensor, noise_mps2=0.0)
         return dataclasses.replace(self, sensor=sensor) if sensor != self.sensor else self
 
     @property
     def stages(self) -> tuple[Stage, Stage, Stage]:
-        """The linear parts of both actuators and of the sensor."""
+        """The linear parts of both actuators and the sensor."""
         return self.torque_actuator.stage, self.force_difference_actuator.stage, self.sensor.stage
 
 
@@ -259,7 +257,7 @@ def flat_parameters(parameters: Mapping[str, Any]) -> dict[str, Any]:
 
 
 def _refuse_shapes(a: tuple[Row, ...], b: tuple[Row, ...], c: Row) -> None:
-    """Refuse matrices that are not (n, n), (n, 2) and (n,), and numbers that leave the floats."""
+    """Refuse matrices other than (n, n), (n, 2) and (n,), and numbers beyond the floats."""
     n = len(a)
     if b and len(b) != n:
         raise ValueError(f"b: has {len(b)} rows: must have {n}, as many as a")

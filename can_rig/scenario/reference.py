@@ -1,4 +1,4 @@
-"""The reference that D* is to follow, one value a tick."""
+"""The reference of D*, one value per tick."""
 
 from __future__ import annotations
 
@@ -27,10 +27,10 @@ def on_the_bus(scenario: Scenario, network: Network) -> list[float]:
 
 
 def refuse_saturation(scenario: Scenario, network: Network) -> None:
-    """Refuse a reference that its frame cannot carry.
+    """Refuse a reference beyond its frame's range.
 
     Raises:
-        ScenarioError: it does not fit; what ``reference`` refuses.
+        ScenarioError: values beyond the frame's range; refusals of ``reference``.
     """
     frame = network.reference
     largest = float(np.abs(reference(scenario)).max())
@@ -42,10 +42,10 @@ def refuse_saturation(scenario: Scenario, network: Network) -> None:
 
 
 def reference(scenario: Scenario) -> FloatArray:
-    """r at every tick of the run, shape (ticks,), m/s²; not to be changed.
+    """r at every tick of the run, shape (ticks,), m/s²; callers must not change the array.
 
     Raises:
-        ScenarioError: a CSV that cannot be read, or whose times do not increase.
+        ScenarioError: an unreadable CSV, or times that fail to increase.
     """
     if scenario.reference.kind == "csv":
         return _from_csv(scenario, _times_s(scenario.ticks, scenario.tick_ns))
@@ -73,19 +73,19 @@ def lane_change(
 ) -> FloatArray:
     """A double lane change from ``LANE_CHANGE_S`` on, m/s² at ``time_s``: there and back once.
 
-    One period of a sine out, half a period of nothing, one period of the opposite sine back. A
-    sine's integral over its period is zero: as a lateral acceleration either one ends with no
-    lateral speed, 2πA/ω² to the side, and both together on the lane where they began. r is
-    continuous throughout, and zero where it starts and ends; its slope, at most Aω, jumps there.
+    A sine period to the side, half a period of zero, the opposite sine period back. A sine's
+    integral over its period is zero: as a lateral acceleration, each sine ends with zero lateral
+    speed, displaced by 2πA/ω²; both together end on the initial lane. r is continuous, zero at
+    begin and end; its slope, at most Aω, jumps there.
     """
     phase = frequency_rad_per_s * (time_s - LANE_CHANGE_S) / (2.0 * np.pi)  # in periods
     out, back = (phase >= 0.0) & (phase < 1.0), (phase >= 1.5) & (phase < 2.5)
-    # Half a period later the same sine runs the other way: back is already the opposite.
+    # Half a period later the same sine has the opposite sign, which suits the way back.
     return np.where(out | back, amplitude_mps2 * np.sin(2.0 * np.pi * phase), 0.0)
 
 
 def _from_csv(scenario: Scenario, time_s: FloatArray) -> FloatArray:
-    """Linear between the CSV's rows (time_s, reference_mps2), its ends held; a header may lead."""
+    """Linear between the CSV's rows (time_s, reference_mps2), end values held; header optional."""
     where = f"scenario {scenario.name}: reference.file = {scenario.reference.file!r}"
     file, end_s = scenario.reference.file, scenario.duration_s
     times, references = over_time(file, where, "reference_mps2", end_s)

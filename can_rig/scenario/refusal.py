@@ -1,4 +1,4 @@
-"""What pydantic finds wrong with settings, as one line: ``key = value: must be ...``."""
+"""pydantic's findings about settings as one line: ``key = value: must be ...``."""
 
 from __future__ import annotations
 
@@ -22,14 +22,14 @@ WORDS: Final = {
     "an object": "a table",
     "a valid tuple": "a list",
 }
-"""What pydantic says, and what a line of the rig says."""
+"""pydantic's wording, and the rig's wording."""
 
 
 def refusal(error: ValidationError, settings: type[Any]) -> str:
-    """The first finding about ``settings``, the class that was to be made.
+    """The first finding about ``settings``, the intended class.
 
-    Findings of a ``__post_init__`` are ``key = value: must be ...`` already, with the key within
-    their own table.
+    Findings of a ``__post_init__`` already read ``key = value: must be ...``, with the key within
+    its table.
     """
     finding = error.errors()[0]
     location = [str(part) for part in finding["loc"]]
@@ -65,7 +65,7 @@ def _as_toml(value: Any) -> str:
 
 
 def _one_of(value: Any, expected: str) -> str:
-    """What pydantic says of a word that is not one of few; of many, those that are like it."""
+    """The expected words: all if few, otherwise those similar to ``value``."""
     words = re.findall("'([^']*)'", expected)
     if len(words) <= FEW:
         return f"must be {expected}"
@@ -76,12 +76,12 @@ def _one_of(value: Any, expected: str) -> str:
 
 
 def _keys(settings: Any, location: Sequence[str]) -> list[str]:
-    """Key names of the table at ``location``; a scenario's own name is no key of its file."""
+    """Key names of the table at ``location``; a scenario's name is no key of its file."""
     at_top = not location
     for part in location:
         if part.isdecimal():  # of a list
             continue
-        if get_origin(settings) is dict:  # of tables by names of one's own
+        if get_origin(settings) is dict:  # tables by free names
             settings = get_args(settings)[1]
             continue
         field: Any = next(each for each in dataclasses.fields(settings) if each.name == part)

@@ -1,4 +1,4 @@
-"""Results that are computed again and again from the same settings, kept."""
+"""A cache for repeated computations from equal settings."""
 
 from __future__ import annotations
 
@@ -11,19 +11,20 @@ Arguments = ParamSpec("Arguments")
 Result = TypeVar("Result")
 
 MOST_TEXTS: Final = 256
-"""Tables of settings whose text is kept: those of some scenarios."""
+"""Limit of the cache of settings texts: the tables of several scenarios."""
 
 _TEXTS: Final[dict[int, tuple[object, str]]] = {}
-"""The last tables and their texts by identity, which is theirs alone as long as they are here."""
+"""The last tables and their texts by identity; a kept table keeps its identity unique."""
 
 
 def remembered(
     most: int, by: Callable[..., Iterable[object]] | None = None
 ) -> Callable[[Callable[Arguments, Result]], Callable[Arguments, Result]]:
-    """Keep those ``most`` results of a function of settings that were asked for last.
+    """Cache the ``most`` recently requested results of a function of settings.
 
-    Nobody may change them. Settings are known by their text, which has every key and every digit;
-    they need no hash. ``by`` says what the result follows from, where it is not every argument.
+    Callers must not change results. The key is the settings' text, with every key and every digit;
+    settings need no hash. ``by`` returns the arguments that determine the result; default: every
+    argument.
     """
 
     def keeping(function: Callable[Arguments, Result]) -> Callable[Arguments, Result]:
@@ -35,7 +36,7 @@ def remembered(
             key = tuple(map(text_of, what))
             result = known[key] if key in known else function(*arguments, **keywords)
             known.pop(key, None)
-            known[key] = result  # the last that somebody asked for
+            known[key] = result  # now the most recent
             if len(known) > most:
                 del known[next(iter(known))]
             return result
@@ -46,9 +47,9 @@ def remembered(
 
 
 def text_of(settings: Any) -> str:
-    """Every key and every digit; of a table that was asked for not long ago, not again.
+    """Every key and every digit of the settings, from the cache for a recently used table.
 
-    What runs of a campaign have in common are the same tables, which are frozen.
+    Runs of a campaign share their common tables, which are frozen.
     """
     kept = _TEXTS.get(id(settings))
     if kept is not None:

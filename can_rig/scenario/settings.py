@@ -1,8 +1,8 @@
-"""The settings of a scenario: every key, its unit, its default and its bounds.
+"""The settings of a scenario: every key, unit, default and bound.
 
-Those of the plant are in ``plant_settings`` and ``stage_settings``, those of a fault in
-``tables.fault``. A value out of bounds raises pydantic's ``ValidationError``, of which ``loading``
-makes a line that names the key.
+``plant_settings`` and ``stage_settings`` have the plant's keys, ``tables.fault`` a fault's. A value
+out of bounds raises pydantic's ``ValidationError``; ``loading`` turns the error into a line with
+the key.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from firmware_model.target.structs import MAX_LATENCY_TICKS, Precision
 ReferenceKind = Literal["step", "sine", "lane-change", "driver", "csv"]
 
 MAX_TICKS = 10_000_000  # of a run: a log of 2 GB
-MAX_REFERENCE_MPS2 = 1e6  # far beyond any frame, and its square is still a number
+MAX_REFERENCE_MPS2 = 1e6  # far beyond any frame, and with a finite square
 
 Order = Annotated[int, Field(ge=1, le=8)]
 """Of a low-pass filter."""
@@ -36,10 +36,10 @@ Order = Annotated[int, Field(ge=1, le=8)]
 
 @dataclass(frozen=True, config=STRICT)
 class DesignSettings:
-    """The thesis's tuning knobs and how they are put on the target.
+    """The thesis's tuning knobs, and their discretisation for the target.
 
-    The estimator ``kalman`` discretises F1 as ``zoh`` does. Instead of a decision on d̂ it follows
-    the share of channel 1 that is lost, which drifts by ``share_drift`` rms in a second.
+    The estimator ``kalman`` discretises F1 as ``zoh`` does. Instead of deciding on d̂, ``kalman``
+    tracks the lost share of channel 1, which drifts by ``share_drift`` rms in a second.
     """
 
     tau_s: PositiveFloat = 0.001
@@ -59,13 +59,13 @@ class DesignSettings:
 
 @dataclass(frozen=True, config=STRICT)
 class BudgetSettings:
-    """What the decision on d̂ has to allow for.
+    """Margins for the decision on d̂.
 
-    ``box`` is by how much mass, both cornering stiffnesses and speed of the car may be off, 0.2 for
-    ±20 %; ``actuator_box`` the same for the lags of both actuators. At most
-    ``false_alarms_per_hour`` losses are confirmed by chance, and ``suspicions_per_hour`` are
-    compensated for a few ticks. With a peak |S| above ``peak_sensitivity``, or fewer than
-    ``spare_ticks`` of further delay, a stable loop has a thin margin.
+    ``box`` is the uncertainty of the car's mass, both cornering stiffnesses and speed, 0.2 for ±20
+    %; ``actuator_box`` likewise for the lags of both actuators. At most ``false_alarms_per_hour``
+    losses are confirmed by chance; ``suspicions_per_hour`` cause a compensation of a few ticks.
+    With a peak |S| above ``peak_sensitivity``, or fewer than ``spare_ticks`` of further delay, a
+    stable loop has a thin margin.
     """
 
     box: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.2
@@ -78,7 +78,7 @@ class BudgetSettings:
 
 @dataclass(frozen=True, config=STRICT)
 class ReferenceSettings:
-    """What D* is to follow; ``reference`` has the shapes.
+    """The reference of D*; ``reference`` has the shapes.
 
     ``csv`` has two columns: time in s, reference in m/s². ``driver`` changes to the other of two
     lanes, ``lane_m`` apart, at each of ``lane_changes_s``.
@@ -107,10 +107,10 @@ class ReferenceSettings:
 
 @dataclass(frozen=True, config=STRICT)
 class LimitSettings:
-    """Largest commands and rates of commands that the controller sends.
+    """Largest commands and command rates of the controller.
 
-    It takes them for those of the actuators, whose own are ``plant.torque_actuator.limit_nm`` and
-    so on. Without one, the range of the frame limits the command.
+    The controller assumes equal limits of the actuators; ``plant.torque_actuator.limit_nm`` and
+    similar keys set the actuators' limits. Without a limit, the frame's range limits the command.
     """
 
     torque_nm: PositiveFloat | None = None
@@ -121,7 +121,7 @@ class LimitSettings:
 
 @dataclass(frozen=True, config=STRICT)
 class ActuatorSettings:
-    """What an actuator does that hears no valid command: hold the last one, then apply zero."""
+    """An actuator's reaction to missing valid commands: hold the last command, then apply zero."""
 
     hold_s: Moment = 0.01
 
@@ -130,13 +130,13 @@ class ActuatorSettings:
 class BusSettings:
     """The bus from which ``latency_ticks = "from-bus"`` follows; see ``assessment.bus_timing``."""
 
-    bitrate: Annotated[int, Field(ge=1_000, le=1_000_000)] = 1_000_000  # classic frames: no more
+    bitrate: Annotated[int, Field(ge=1_000, le=1_000_000)] = 1_000_000  # maximum of classic frames
     compute_s: NonNegativeFloat = 0.0002
 
 
 @dataclass(frozen=True, config=STRICT)
 class Scenario:
-    """One run, whole. ``name`` is the file's own and no key of it."""
+    """A complete run. ``name`` derives from the file name; no key sets ``name``."""
 
     name: str
     description: str = ""
@@ -196,35 +196,35 @@ class Scenario:
 
     @cached_property
     def healthy(self) -> Scenario:
-        """The same with nothing lost."""
+        """A copy without faults."""
         return dataclasses.replace(self, fault=()) if self.fault else self
 
     @cached_property
     def noise_free(self) -> Scenario:
-        """The same with a sensor that has no noise."""
+        """A copy without sensor noise."""
         return dataclasses.replace(self, plant=self.plant.noise_free)
 
     @cached_property
     def undisturbed(self) -> Scenario:
-        """The same for all runs that differ in their faults and in their noise alone."""
+        """An equal copy for all runs that differ only in faults and sensor noise."""
         if self.fault:
             return self.healthy.undisturbed
         return dataclasses.replace(self, plant=self.plant.noise_free, seed=0)
 
     @cached_property
     def faults(self) -> tuple[FaultSettings, ...]:
-        """Those that do something, in the order in which they act."""
+        """The effective faults, in the order of their action."""
         return tuple(fault for fault in self.fault if fault.kind != "none")
 
     @property
     def loss(self) -> FaultSettings:
-        """The loss to prepare for: the first fault of a channel, otherwise what would be one."""
+        """The loss to prepare for: the first fault of a channel, otherwise a default loss."""
         first = self.fault[0] if self.fault and self.fault[0].channel != SENSOR else FaultSettings()
         return next((fault for fault in self.faults if fault.loses_a_channel), first)
 
     @property
     def notes(self) -> list[str]:
-        """What is allowed and yet may not be meant, a line each."""
+        """Notes on allowed but perhaps unintended settings, a line each."""
         return [
             f"note: the fault ({fault.kind} at {fault.at_s:g} s) never occurs: "
             f"the run ends at {self.ticks * self.tick_s:g} s"
@@ -233,14 +233,14 @@ class Scenario:
         ]
 
     def as_dict(self) -> dict[str, Any]:
-        """Every key and value, as a scenario file would have them: one fault is a table."""
+        """Every key and value in the form of a scenario file: a single fault is a table."""
         values = dataclasses.asdict(self)
         values["fault"] = values["fault"][0] if len(self.fault) == 1 else list(values["fault"])
         return values
 
 
 def _refuse_speeds(scenario: Scenario) -> None:
-    """A drive is of the linear car, whose frames say its speed; so is a design for several."""
+    """Require the linear car, whose frames carry the speed, for drives and several speeds."""
     speeds = scenario.design.speeds_mps
     if not scenario.drive.is_given:
         if speeds:
@@ -265,7 +265,7 @@ def _refuse_speeds(scenario: Scenario) -> None:
 
 
 def _refuse_limits_of_the_model(model: PlantSettings) -> None:
-    """What the controller believes of limits stands in ``limits``, and there only."""
+    """Refuse limits in ``model``: the controller's limits belong in ``limits`` only."""
     torque, force = model.torque_actuator, model.force_difference_actuator
     for key, value, instead in (
         ("torque_actuator.limit_nm", torque.limit_nm, "torque_nm"),
@@ -285,7 +285,7 @@ def _refuse_limits_of_the_model(model: PlantSettings) -> None:
 
 
 def _refuse_long_dead_times(table: str, plant: PlantSettings, tick_s: float) -> None:
-    """No more than the controller's own model can hold, for either channel with the sensor."""
+    """Refuse dead times, of a channel plus the sensor, too long for the controller's model."""
     sensor_s, longest_s = plant.sensor.dead_time_s, MAX_LATENCY_TICKS * tick_s
     for key, dead_time_s, beside_s in (
         ("sensor", sensor_s, 0.0),

@@ -1,6 +1,6 @@
-"""What lies between the bus and the car: the keys of its two actuators and of its sensor.
+"""The stages between bus and car: the keys of both actuators and the sensor.
 
-All are immediate and perfect by default, as the thesis has them.
+All stages are immediate and perfect by default, like the thesis's.
 """
 
 from __future__ import annotations
@@ -15,9 +15,9 @@ from pydantic.dataclasses import dataclass
 from firmware_model.design.actuator_dynamics import Stage
 
 STRICT: Final = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
-"""Refuse unknown keys, text for numbers, and numbers that are not finite."""
+"""Refuse unknown keys, text for numbers, and non-finite numbers."""
 
-SHORTEST_LAG_S = 1e-6  # a shorter one would be none at any tick
+SHORTEST_LAG_S = 1e-6  # no tick could show a shorter lag
 
 Lag = Annotated[float, Field(ge=0.0, le=10.0)]
 DeadTime = Annotated[float, Field(ge=0.0, le=100.0)]
@@ -25,7 +25,7 @@ DeadTime = Annotated[float, Field(ge=0.0, le=100.0)]
 
 @dataclass(frozen=True, config=STRICT)
 class ActuatorLag:
-    """A lag of first order, ``lag_s``, or of second, then behind a dead time."""
+    """A lag of first order, ``lag_s``, or of second order, behind a dead time."""
 
     lag_s: Lag = 0.0
     natural_frequency_rad_per_s: Annotated[float, Field(ge=0.01, le=1e6)] | None = None
@@ -45,16 +45,16 @@ class ActuatorLag:
 
     @property
     def stage(self) -> Stage:
-        """The linear part of it."""
+        """The linear part of the lag."""
         return Stage(self.lag_s, self.natural_frequency_rad_per_s, self.damping, self.dead_time_s)
 
     @property
     def lags(self) -> bool:
-        """Whether it follows later than at once, a dead time aside."""
+        """Whether the actuator follows with a lag, apart from a dead time."""
         return self.lag_s > 0.0 or self.natural_frequency_rad_per_s is not None
 
     def slower(self, factor: float) -> Self:
-        """The same with every time constant multiplied by ``factor``."""
+        """A copy with every time constant multiplied by ``factor``."""
         omega = self.natural_frequency_rad_per_s
         return replace(
             self,
@@ -65,35 +65,35 @@ class ActuatorLag:
 
 @dataclass(frozen=True, config=STRICT)
 class TorqueActuator(ActuatorLag):
-    """The steering motor; without limits of its own, it follows every command that is sent."""
+    """The steering motor; without limits, the motor follows every sent command."""
 
     limit_nm: PositiveFloat | None = None
     rate_nm_per_s: PositiveFloat | None = None
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Largest magnitude and rate of what it follows."""
+        """Largest magnitude and rate of the motor's output."""
         return _or_none(self.limit_nm), _or_none(self.rate_nm_per_s)
 
 
 @dataclass(frozen=True, config=STRICT)
 class ForceDifferenceActuator(ActuatorLag):
-    """The rear drives; without limits of their own, they follow every command that is sent."""
+    """The rear drives; without limits, the drives follow every sent command."""
 
     limit_n: PositiveFloat | None = None
     rate_n_per_s: PositiveFloat | None = None
 
     @property
     def limits(self) -> tuple[float, float]:
-        """Largest magnitude and rate of what they follow."""
+        """Largest magnitude and rate of the drives' output."""
         return _or_none(self.limit_n), _or_none(self.rate_n_per_s)
 
 
 @dataclass(frozen=True, config=STRICT)
 class SensorSettings:
-    """What measures D*: a dead time, a filter, noise and a resolution, in this order.
+    """The sensor of D*: a dead time, a filter, noise and a resolution, in this order.
 
-    The noise is as coloured as the filter makes it, and has its rms behind it.
+    The filter colours the noise; the rms describes the coloured noise.
     """
 
     noise_mps2: Annotated[float, Field(ge=0.0, le=1e6)] = 0.0
@@ -103,12 +103,12 @@ class SensorSettings:
 
     @property
     def lag_s(self) -> float:
-        """The time constant of the filter; 0: none."""
+        """The time constant of the filter; 0: no filter."""
         return 0.0 if self.corner_hz is None else 1.0 / (2.0 * math.pi * self.corner_hz)
 
     @property
     def stage(self) -> Stage:
-        """The linear part of it."""
+        """The linear part of the sensor."""
         return Stage(self.lag_s, dead_time_s=self.dead_time_s)
 
 

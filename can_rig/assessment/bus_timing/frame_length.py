@@ -1,7 +1,7 @@
-"""How many bits a frame has on the wire: exactly, from its contents, and at worst.
+"""The bits of a frame on the wire: exactly from its contents, and in the worst case.
 
 After five equal bits the sender inserts one of the other value, which itself counts towards the
-next five (ISO 11898-1, bit stuffing). Which bits are stuffed, and what the others are:
+next five (ISO 11898-1, bit stuffing). The stuffed bits, and the remaining bits:
 
 | frame       | dynamically stuffed, s bytes of data                              |
 |-------------|-------------------------------------------------------------------|
@@ -14,8 +14,8 @@ In FD frames a stuff count of 4 bits and a CRC of 17 follow, of 21 above 16 byte
 stuff bit before their first bit and after every fourth. All frames end in 10 bits without stuffing:
 CRC delimiter, ACK slot, ACK delimiter, and seven for the end of frame.
 
-A remote frame is a classic one with s = 0. The intermission of 3 bits between frames belongs to
-neither: `FrameBits` leaves it out, `duration_s` and `on_the_bus` add it.
+A remote frame counts as a classic frame with s = 0. The intermission of 3 bits separates frames:
+`FrameBits` excludes the intermission, `duration_s` and `on_the_bus` add the 3 bits.
 """
 
 from fractions import Fraction
@@ -38,14 +38,14 @@ _LENGTH_OF_CRC_17: Final = 16  # longest data of an FD frame with the short CRC 
 
 
 class FrameError(RigError):
-    """A frame or a bit rate that does not exist in CAN."""
+    """A frame or a bit rate outside the CAN standard."""
 
 
 class FrameBits(NamedTuple):
     """Length of a frame from its start-of-frame bit to the last of its end-of-frame bits."""
 
     nominal: int
-    """Bits at the nominal bit rate: all of them, unless the frame switches its bit rate."""
+    """Bits at the nominal bit rate: all bits, unless the frame switches its bit rate."""
     data: int = 0
     """Bits at the data bit rate."""
 
@@ -67,8 +67,8 @@ class FrameBits(NamedTuple):
         Args:
             bitrate: nominal bit rate [bit/s].
             data_bitrate: of the data phase [bit/s]; None where no frame switches.
-            intermission: whether the 3 bits after the frame count. They do for when the next frame
-                can be sent, they do not for when a receiver has this one.
+            intermission: whether the 3 bits after the frame count. Include the intermission for the
+                next frame's earliest start; exclude the intermission for a receiver's arrival time.
 
         Raises:
             FrameError: a bit rate not above 0; a data bit rate missing or below the nominal one.
@@ -88,10 +88,10 @@ class FrameBits(NamedTuple):
 
 
 def frame_bits(message: Message) -> FrameBits:
-    """The exact length of one frame, with the stuff bits that its identifier and data cause.
+    """The exact length of one frame, including the stuff bits of its identifier and data.
 
     Raises:
-        FrameError: an error frame; a length or an identifier that no frame has.
+        FrameError: an error frame; a length or an identifier outside the standard.
     """
     remote = message.is_remote_frame
     length = message.dlc  # python-can: in bytes for FD frames too
@@ -122,22 +122,22 @@ def worst_case_bits(
     fd: bool = False,
     brs: bool = False,
 ) -> FrameBits:
-    """The most bits that a frame of `length` bytes can have, whatever its contents.
+    """The largest number of bits of a frame with `length` bytes, for any contents.
 
-    n stuffable bits take at most (n - 1) // 4 stuff bits: one after the first five and one after
-    every four more. With the intermission that is (Davis et al. 2007)
-    g + 8 s + 13 + (g + 8 s - 1) // 4 bits of a classic frame, g = 34 or 54. In FD frames the first
-    fixed stuff bit replaces one after the last bit, so it is (n - 2) // 4.
+    n stuffable bits take at most (n - 1) // 4 stuff bits: one after the first five bits, then one
+    after every four bits. Including the intermission, a classic frame has (Davis et al. 2007) g + 8
+    s + 13 + (g + 8 s - 1) // 4 bits, g = 34 or 54. In FD frames the first fixed stuff bit replaces
+    a stuff bit after the last bit, giving (n - 2) // 4.
 
     Raises:
-        FrameError: a length that no such frame has.
+        FrameError: a length outside the standard.
     """
     _require_length(length, fd)
     if not fd:
         bits = (54 if extended else 34) + (0 if remote else 8 * length)
         return FrameBits(bits + (bits - 1) // 4 + _TAIL_BITS)
     arbitration = _arbitration_bits(extended)
-    early = (arbitration - 2) // 4  # all at the slower rate, which makes them last longest
+    early = (arbitration - 2) // 4  # all at the slower rate, the longest duration
     late = (arbitration + 5 + 8 * length - 2) // 4 - early
     return _fd_bits(length, extended, brs, early, late)
 
@@ -174,7 +174,7 @@ def _crc_15(bits: str) -> int:
 
 
 def _stuffed_after(bits: str) -> list[int]:
-    """For each stuff bit, how many of `bits` are sent before it."""
+    """For each stuff bit, the number of `bits` before the stuff bit."""
     places = []
     run, last = 0, ""
     for sent, bit in enumerate(bits, start=1):
@@ -192,15 +192,15 @@ def _arbitration_bits(extended: bool) -> int:
 
 
 def _fd_bits(length: int, extended: bool, brs: bool, early: int, late: int) -> FrameBits:
-    """An FD frame with `early` dynamic stuff bits before its BRS bit and `late` ones after it.
+    """An FD frame with `early` dynamic stuff bits before its BRS bit and `late` bits after BRS.
 
-    The rate switches at the sample points of BRS and of the CRC delimiter, so each of these bits is
-    partly nominal and partly data; together they last one bit of each rate, wherever the sample
-    points are. Here BRS counts as the nominal one.
+    The rate switches at the sample points of BRS and of the CRC delimiter, so both bits are partly
+    nominal and partly data. Together both bits last one bit of each rate, for any sample points.
+    Here BRS counts as nominal.
     """
     crc = 17 if length <= _LENGTH_OF_CRC_17 else 21
     check = _STUFF_COUNT_BITS + crc
-    fixed = -(-check // 4)  # one before the first bit and one after every fourth
+    fixed = -(-check // 4)  # a stuff bit before the first bit and after every fourth bit
     nominal = _arbitration_bits(extended) + early + _TAIL_BITS - 1
     data = 1 + 4 + 8 * length + late + check + fixed + 1  # ESI, DLC, ..., CRC delimiter
     return FrameBits(nominal, data) if brs else FrameBits(nominal + data)

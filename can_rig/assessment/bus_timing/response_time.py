@@ -2,8 +2,8 @@
 
 Davis, Burns, Bril, Lukkien: "Controller Area Network (CAN) schedulability analysis: Refuted,
 revisited and revised", Real-Time Systems 35 (2007). They refute that the first instance after the
-critical instant has the longest response: a frame is not pre-empted once it is on the bus, so
-what waits behind it delays the next instance. All instances of the busy period count.
+critical instant has the longest response: nothing pre-empts a frame on the bus, so waiting frames
+delay the next instance. All instances of the busy period count.
 
 For frame m with transmission time C, period T, queuing jitter J, the frames of higher priority
 hp(m), those of lower priority lp(m), and one nominal bit τ:
@@ -16,9 +16,10 @@ hp(m), those of lower priority lp(m), and one nominal bit τ:
     E(t)   = (31 τ + max C_k over hp(m), m) (burst - 1 + ⌈t / every⌉)   errors; 0 without any
 
 C includes the intermission, so R does too. Every node must send its queued frame of the highest
-priority first; a node that queues m late is covered by J.
+priority first; J covers a node that queues m late.
 
-All times become whole multiples of one unit: the ceilings are exact, no rounding adds an instance.
+All times become whole multiples of a common unit: the ceilings are exact, and rounding adds no
+instance.
 """
 
 import math
@@ -36,7 +37,7 @@ ERROR_BITS: Final = 31
 """Most bits of error signalling and recovery, in addition to the frame sent again."""
 
 Seconds = float | Fraction
-"""A time [s]; a float stands for the decimal that it prints as: 0.1 is exactly a tenth."""
+"""A time [s]; a float stands for its printed decimal: 0.1 is exactly a tenth."""
 
 
 class AnalysisError(RigError):
@@ -45,16 +46,16 @@ class AnalysisError(RigError):
 
 @dataclass(frozen=True)
 class PeriodicFrame:
-    """One frame as its node queues it."""
+    """A frame with its node's queueing parameters."""
 
     name: str
     frame_id: int
     bits: FrameBits
     """Worst-case length."""
     period_s: Seconds
-    """Least time from one release to the next [s]."""
+    """Shortest time between two releases [s]."""
     jitter_s: Seconds = 0.0
-    """Most time from release to being queued [s]."""
+    """Longest time from release to queueing [s]."""
     deadline_s: Seconds | None = None
     """Latest end of the transmission after the release [s]; None: the period."""
     extended: bool = False
@@ -73,7 +74,7 @@ class PeriodicFrame:
 
 @dataclass(frozen=True)
 class Errors:
-    """`burst` errors at once, and then at most one every `every_s` seconds."""
+    """`burst` errors at once, followed by at most one error per `every_s` seconds."""
 
     every_s: Seconds
     burst: int = 1
@@ -89,7 +90,7 @@ class Response:
     instances: int
     """Instances of the frame in the busy period; 0 if that is unbounded."""
     busy_period_s: Fraction | None
-    """None: the bus is never free at this priority, so the frame may wait for ever."""
+    """None: the bus is never free at this priority; the frame may wait for ever."""
     response_s: Fraction | None
     """From the release to the end of the intermission after the frame; None: unbounded."""
 
@@ -108,14 +109,14 @@ class Response:
 
 
 def exact(seconds: Seconds) -> Fraction:
-    """A float as the decimal that it prints as; a Fraction as it is."""
+    """A float as its printed decimal; a Fraction unchanged."""
     return Fraction(repr(seconds)) if isinstance(seconds, float) else Fraction(seconds)
 
 
 def utilisation(
     frames: Sequence[PeriodicFrame], bitrate: int, data_bitrate: int | None = None
 ) -> Fraction:
-    """Share of the time that the bus is busy, Σ C / T; above 1 it is overloaded."""
+    """Share of time with a busy bus, Σ C / T; above 1 the bus is overloaded."""
     shares = (f.bits.duration_s(bitrate, data_bitrate) / exact(f.period_s) for f in frames)
     return sum(shares, Fraction(0))
 
@@ -129,7 +130,7 @@ def response_times(
     """The worst-case response of each frame, in order of priority.
 
     Args:
-        frames: all that is on the bus, in any order.
+        frames: all frames on the bus, in any order.
         bitrate: nominal bit rate [bit/s].
         data_bitrate: of the data phase [bit/s], where frames switch.
         errors: how often frames are destroyed; None: never.
@@ -192,7 +193,7 @@ class _Load(NamedTuple):
 
 @dataclass(frozen=True)
 class _Analysis:
-    """The equations above for one frame `own`, in units of time."""
+    """The module's equations for one frame `own`, in units of time."""
 
     higher: Sequence[_Load]
     own: _Load
@@ -207,7 +208,7 @@ class _Analysis:
         return replace(self, errors=[errors])
 
     def worst(self) -> tuple[int | None, int, int | None]:
-        """t, Q and R; None, 0 and None where the busy period never ends."""
+        """t, Q and R; None, 0 and None for an endless busy period."""
         own = self.own
         everything = [*self.errors, *self.higher, own]
         share = sum(Fraction(load.transmission, load.period) for load in everything)
@@ -235,12 +236,12 @@ def _times(t: int, period: int) -> int:
 
 
 def _demand(loads: Sequence[_Load], t: int) -> int:
-    """The most that `loads` can queue in a window of length t, each with its jitter."""
+    """The largest amount that `loads` queue in a window of length t, jitter included."""
     return sum(_times(t + load.jitter, load.period) * load.transmission for load in loads)
 
 
 def _least(start: int, step: Callable[[int], int]) -> int:
-    """The least fixed point of a monotonic `step`, from a `start` not above it."""
+    """The least fixed point of a monotonic `step`, from a `start` at or below the fixed point."""
     t = start
     while (longer := step(t)) > t:
         t = longer

@@ -5,9 +5,9 @@ both after their worst-case response, computes for `compute_s`, and queues its t
 period of all five is the tick; nothing else is on the bus.
 
 If the last answer is sent before the tick ends, the two groups never meet: every tick finds the bus
-free, so each group is analysed by itself. If not, all five are analysed together at any phase: the
-answers are queued at some time from the start of the tick to the moment above, which is their
-jitter.
+free, so each group is analysed by itself. Otherwise all five frames are analysed together at any
+phase: the controller queues its answers between the start of the tick and the moment above; this
+range is their jitter.
 
 A command that has arrived acts from the start of the next tick, so the latency in ticks is the
 arrival of the later command over the tick, rounded up: 1 where the exchange fits in a tick.
@@ -41,7 +41,7 @@ MAX_SETTLING_TICKS: Final = 64  # more latency than a controller's table can hol
 
 
 class TimingError(RigError):
-    """A bus on which the frames of a tick may not all be sent within it."""
+    """A bus too slow to send a tick's frames within the tick."""
 
 
 @dataclass(frozen=True)
@@ -60,7 +60,7 @@ class FrameTiming:
     response_s: Fraction | None
     """Worst case from the release to the end of the intermission; None: unbounded."""
     deadline_s: Fraction
-    """Largest response allowed: the period, at the end of which the next one is queued."""
+    """Largest allowed response: the period, at whose end the next instance is queued."""
 
     @property
     def arrival_s(self) -> Fraction | None:
@@ -69,7 +69,7 @@ class FrameTiming:
 
     @property
     def slack_s(self) -> Fraction | None:
-        """Deadline minus response, negative where it is missed."""
+        """Deadline minus response, negative for a missed deadline."""
         return None if self.response_s is None else self.deadline_s - self.response_s
 
 
@@ -79,12 +79,12 @@ class BusTiming:
 
     bitrate: int
     utilisation: Fraction
-    """Share of the time that the bus is busy, every frame at its longest."""
+    """Share of time with a busy bus, every frame at its longest."""
     frames: Sequence[FrameTiming]
     latency_ticks: int | None = None
     """From the sample of D* to the command acting; None: unbounded, or not the rig's frames."""
     left_out: Sequence[str] = ()
-    """Messages that cannot be analysed, each with the reason."""
+    """Messages left out of the analysis, each with the reason."""
 
     @property
     def schedulable(self) -> bool:
@@ -125,7 +125,7 @@ def latency_ticks(network: Network, bitrate: int, tick_s: Seconds, compute_s: Se
     Arguments as those of `network_timing`.
 
     Raises:
-        TimingError: some frame may not be sent before its successor is queued.
+        TimingError: a frame may still wait while its successor is queued.
     """
     timing = network_timing(network, bitrate, tick_s, compute_s)
     if timing.latency_ticks is None:
@@ -147,7 +147,7 @@ def dbc_timing(path: str | Path, bitrate: int, data_bitrate: int | None = None) 
 
     Raises:
         DbcError: not a DBC.
-        AnalysisError, FrameError: frames or bit rates that no bus has.
+        AnalysisError, FrameError: frames or bit rates outside the CAN standard.
     """
     frames, left_out = [], []
     for message in load_dbc(path, strict=False).messages:
@@ -170,7 +170,7 @@ def _of_tick(codec: MessageCodec, tick: Fraction) -> PeriodicFrame:
 
 def _of_dbc(message: DbcMessage, cycle_time_ms: int, switches: bool) -> PeriodicFrame:
     length = message.length
-    if message.is_fd:  # the frame has the next length that a DLC can say
+    if message.is_fd:  # the frame takes the next length with a DLC
         length = min(known for known in FD_LENGTHS if known >= length)
     extended = message.is_extended_frame
     bits = worst_case_bits(
@@ -198,7 +198,7 @@ def _together(
     bitrate: int,
     compute: Fraction,
 ) -> list[FrameTiming]:
-    """All five at any phase; the answers' jitter depends on responses that depend on it."""
+    """All five frames at any phase; the answers' jitter and the responses depend on each other."""
     names = {frame.name for frame in plant}
     release, limit = compute, MAX_SETTLING_TICKS * exact(plant[0].period_s)
     while True:

@@ -1,9 +1,9 @@
-"""The cars that a tuning must work with: the nominal one and the vertices of a box around it.
+"""The cars that every tuning must hold: the nominal car and the vertices of a surrounding box.
 
-The design stays that of the nominal car; the plant is that of each vertex. A vertex need not be a
-car that one could design for (its G1 or G2 may have zeros in the right half plane), only a stable
-one. Vertices do not prove anything for the inside of the box; they are where the loop of this car
-is worst, which a test confirms with cars drawn from the inside.
+The nominal car keeps the design; each vertex supplies the plant. A vertex need only be stable; the
+design may be impossible for a vertex (its G1 or G2 may have zeros in the right half plane).
+Vertices prove nothing about the inside of the box. The loop of this car is worst at the vertices; a
+test confirms this with cars from the inside.
 """
 
 from __future__ import annotations
@@ -33,22 +33,22 @@ from firmware_model.design.vehicle import VehicleParameters
 from firmware_model.target.structs import Record
 
 Range = tuple[float, float]
-Law = tuple[LinearController, tuple[float, float]]  # and what is left of the actuators
+Law = tuple[LinearController, tuple[float, float]]  # and the remaining shares of the actuators
 KEYS = tuple(field.name for field in dataclasses.fields(VehicleParameters))
 MAX_KEYS = 8  # 256 vertices
-MAX_DELAY_TICKS = 8  # extra delay up to which a margin is counted
+MAX_DELAY_TICKS = 8  # largest extra delay of a counted margin
 
 
 @dataclass(frozen=True)
 class Car:
-    """A stable plant, its settings, and in words how it differs from the nominal car."""
+    """A stable plant, its settings, and its difference from the nominal car in words."""
 
     label: str
     plant: Plant
     settings: PlantSettings
 
     def steady_commands(self, dstar_mps2: float) -> tuple[float, float]:
-        """|Torque| in N m and |X_diff| in N that hold ``dstar_mps2``, each by itself."""
+        """|Torque| in N m and |X_diff| in N to hold ``dstar_mps2``, each channel alone."""
         size = abs(dstar_mps2)
         return size / abs(self.plant.g1.dc_gain), size / abs(self.plant.g2.dc_gain)
 
@@ -60,8 +60,8 @@ def parameter_ranges(
 
     Args:
         nominal: the car in its middle.
-        share: by how much each of ``uncertain`` may differ, 0.2 for ±20 %; 0 for not at all.
-        settings: ``plant.KEY=LOW..HIGH``, for these or, of a car, other parameters.
+        share: largest difference of each of ``uncertain``, 0.2 for ±20 %; 0 for no difference.
+        settings: ``plant.KEY=LOW..HIGH``, for these parameters or, for a car, other parameters.
 
     Raises:
         ScenarioError: a share outside 0..1, a setting that cannot be read, too many parameters.
@@ -91,7 +91,7 @@ def parameter_ranges(
 
 
 def cars_of(scenario: Scenario, share: float, settings: Iterable[str] = ()) -> list[Car]:
-    """The cars that a tuning of ``scenario`` must work with, the lags of its budget included.
+    """The cars that every tuning of ``scenario`` must hold, including the budget's lags.
 
     Raises:
         ScenarioError: as ``parameter_ranges`` and ``cars``.
@@ -106,10 +106,10 @@ def cars(nominal: PlantSettings, box: Mapping[str, Range], lag_share: float = 0.
     Args:
         nominal: the car in its middle.
         box: from ``parameter_ranges``.
-        lag_share: by how much the lags of both actuators may differ, 0.3 for ±30 %.
+        lag_share: largest difference of both actuators' lags, 0.3 for ±30 %.
 
     Raises:
-        ScenarioError: one of them is not stable by itself, or is no car.
+        ScenarioError: an unstable car, or an impossible car.
     """
     found = [Car("the nominal car", continuous_plant(nominal), nominal)]
     lags = (lag_share,) if nominal.torque_actuator.lags and lag_share > 0.0 else ()
@@ -135,7 +135,7 @@ def _no_car(label: str, reason: str) -> ScenarioError:
 
 
 def laws(table: Record) -> tuple[Law, Law]:
-    """The law and what is left of the actuators: healthy, and with the torque channel dead."""
+    """The law and the actuators' remaining shares: healthy, and with the torque channel dead."""
     return (
         (linear_controller(table), HEALTHY),
         (linear_controller(table, confirmed=1.0), TORQUE_DEAD),
@@ -148,11 +148,11 @@ def loops(table: Record, car: Car, tick_s: float) -> list[SampledLoop]:
 
 
 def is_stable(table: Record, some: Iterable[Car], tick_s: float, spare_ticks: int) -> bool:
-    """Whether all of ``some`` are stable, healthy and lost, with up to ``spare_ticks`` more delay.
+    """Whether all cars are stable, healthy and lost, with up to ``spare_ticks`` of extra delay.
 
-    A false alarm must be stable too, without additional delay: a car that is not the nominal one
-    shows some d̂, and a table that compensates on confirmation may then compensate for a channel
-    that works.
+    A false alarm must be stable too, without extra delay: a car other than the nominal car shows
+    some d̂, and a table with compensation on confirmation may then compensate for a working
+    channel.
     """
     healthy, lost = laws(table)
     needed = [(law, extra) for extra in range(spare_ticks, -1, -1) for law in (healthy, lost)]
@@ -162,10 +162,10 @@ def is_stable(table: Record, some: Iterable[Car], tick_s: float, spare_ticks: in
 
 
 def delay_margin(table: Record, some: Iterable[Car], tick_s: float, known: int = -1) -> int:
-    """Extra ticks of delay, up to ``MAX_DELAY_TICKS``, with each of which every car is stable.
+    """Extra ticks of delay, up to ``MAX_DELAY_TICKS``, through which every car is stable.
 
-    Healthy and lost; -1 if a car is unstable without any. With ``known`` ticks all are known to be
-    stable.
+    Healthy and lost; -1 for a car unstable without extra delay. All cars are known to be stable
+    with ``known`` ticks.
     """
     margin, states = max(MAX_DELAY_TICKS, known), laws(table)
     for car, law in product(some, states):

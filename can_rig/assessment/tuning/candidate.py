@@ -1,4 +1,4 @@
-"""One candidate of ``can-rig tune``: its noise, and its response to the loss of the torque."""
+"""A candidate of ``can-rig tune``: noise, and response to a loss of the torque."""
 
 from __future__ import annotations
 
@@ -36,10 +36,10 @@ RESPONSE_TICKS, RESPONSE_S = (
 OF_ZERO = 0.05, 2.0  # and where a zero lies right of the axis at z: of 1/|z|, which F̂ cannot beat
 RESPONSE_OF_ZERO = 10.0  # nor can C
 HELD = 10.0  # times as slow where C has to hold the plant, in spite of all delays
-ORDERS, TRACKING_ORDERS = 2, 3  # from the least that the car allows upwards
+ORDERS, TRACKING_ORDERS = 2, 3  # upwards from the smallest value that the car allows
 
-BEFORE_S, AFTER_S = 2.0, 2.0  # the loss; times ``slowness`` of a plant that is no car
-NOISE_SIGMAS = 3.0  # of the noise in a command that must fit below its limit
+BEFORE_S, AFTER_S = 2.0, 2.0  # the loss; multiplied by ``slowness`` for a plant other than a car
+NOISE_SIGMAS = 3.0  # noise in a command that must fit below the limit
 DECAYED = 0.5  # largest part of the peak in the last quarter of a transient that decays
 
 
@@ -48,14 +48,14 @@ class Tuning:
     """One candidate and what it achieves.
 
     Attributes:
-        design: its keys, the rest of them the scenario's.
+        design: its keys; the scenario supplies the rest.
         peak_mps2: largest deviation from the fault-free run after the loss.
         unavoidable_mps2: what no controller avoids; see ``unavoidable``.
         noise_to_torque: rms of the torque command for D* noise of rms 1 m/s², N m per m/s².
         noise_to_force: the same for X_diff, N per m/s²; each in the worse of the two states.
         torque_peak_nm: over the whole run, the first step of the reference included.
         torque_after_nm, force_after_n: largest commands from the loss on.
-        within_limits: these plus ``NOISE_SIGMAS`` of the noise are below the limits.
+        within_limits: the peaks plus ``NOISE_SIGMAS`` of the noise stay below the limits.
         delay_margin_ticks: of the worst car of the box; None where it was not computed.
     """
 
@@ -72,12 +72,12 @@ class Tuning:
 
     @property
     def peak_ratio(self) -> float:
-        """The peak over the deviation that no controller can avoid."""
+        """The peak relative to the unavoidable deviation."""
         return self.peak_mps2 / self.unavoidable_mps2
 
     @property
     def changes(self) -> dict[str, float]:
-        """The scenario keys that choose it, as ``can_rig.run`` takes them."""
+        """The scenario keys of this tuning, for ``can_rig.run``."""
         keys = ("tau_s", "alpha", "tau_q_s", "alpha_q")
         return {f"design.{key}": getattr(self.design, key) for key in keys}
 
@@ -115,7 +115,7 @@ def assess(
     cars: Iterable[Car],
     spare_ticks: int,
 ) -> Tuning | Refusal:
-    """Steps 1 and 2 for one candidate: what it achieves, or the test that it fails."""
+    """Steps 1 and 2 for one candidate: its tuning, or the failed test."""
     scenario, tick_s = with_tuning(scenario, values), scenario.tick_s
     cars = list(cars)
     try:
@@ -181,11 +181,11 @@ def _loss_in_a_step(scenario: Scenario) -> tuple[int, FloatArray]:
 def trusting_table(scenario: Scenario) -> Record:
     """The controller's table without frames, whose decision trusts the model.
 
-    When a loss is detected with another car depends on the drive before it, how it is met on the
-    tuning.
+    The drive before a loss decides the time of detection with another car; the tuning decides the
+    response.
 
     Raises:
-        ScenarioError, DesignError: a design that cannot be made or discretised.
+        ScenarioError, DesignError: a failing design or discretisation.
     """
     return build(continuous_design(scenario), target(scenario, None))
 

@@ -1,4 +1,4 @@
-"""Why tunings are refused, how many for each reason, and which change would help most."""
+"""Refused tunings counted by reason, and the most helpful change."""
 
 from __future__ import annotations
 
@@ -75,9 +75,9 @@ def refusals_as_dict(refusals: Counter[Refusal]) -> dict[str, int]:
 
 
 def advice(scenario: Scenario, cars: Iterable[Car], refusals: Counter[Refusal]) -> str:
-    """The change that would let through the tunings that came furthest.
+    """The change that admits the tunings with the most tests passed.
 
-    A tuning that fails a late test has passed all earlier ones, so what it needs is one change.
+    A tuning that fails a late test has passed all earlier tests, so a single change suffices.
     """
     furthest = [reason for reason in Refusal if refusals[reason]][-1]
     if furthest in _AT_REST:

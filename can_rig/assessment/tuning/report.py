@@ -1,4 +1,4 @@
-"""The trade-off that ``can-rig tune`` finds as rows of a table, one sentence, and JSON."""
+"""The trade-off of ``can-rig tune`` as table rows, a sentence, and JSON."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from can_rig.assessment.tuning.refusals import refusals_as_dict
 from can_rig.assessment.tuning.search import EQUAL_PEAKS, Tunings
 from can_rig.drawing.names import names_of, ticks_text, with_unit
 
-ROW_RATIO = 1.6  # factor in peak or noise from one row of the table to the next
+ROW_RATIO = 1.6  # factor in peak or noise between successive rows
 HEADINGS = (("τ", "ms"), ("τ_q", "ms"), ("α", ""), ("α_q", ""), ("margin", "ticks"))
 
 
@@ -32,7 +32,7 @@ def headings(found: Tunings) -> list[str]:
 
 
 def options(found: Tunings, tuning: Tuning) -> str:
-    """The ``--set`` options that choose ``tuning`` in its scenario."""
+    """The ``--set`` options of ``tuning`` for its scenario."""
     return " ".join(f"--set {key}={value:g}" for key, value in tuning.changes.items())
 
 
@@ -55,7 +55,7 @@ def why(found: Tunings) -> str:
 
 
 def as_dict(found: Tunings) -> dict[str, Any]:
-    """For JSON: what was asked, the choice and how to use it, the whole trade-off."""
+    """For JSON: the request, the choice with its use, the whole trade-off."""
     return {
         "scenario": found.scenario.name,
         "compensation": found.scenario.design.compensation,
@@ -103,7 +103,7 @@ def rows(found: Tunings) -> Iterator[tuple[Tuning, tuple[str, ...]]]:
 
 
 def noise_unit(found: Tunings, command_unit: str) -> str:
-    """The unit of the noise in a command; of an output without noise, for each unit of it."""
+    """The unit of the noise in a command; without sensor noise, per unit of the output."""
     output = names_of(found.scenario.plant).output.unit
     if found.scenario.model.sensor.noise_mps2 or not output:
         return command_unit

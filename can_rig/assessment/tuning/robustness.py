@@ -13,17 +13,17 @@ from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import Record
 
-AT_REST = 0.05  # largest error that counts as rest, as a share of the step
+AT_REST = 0.05  # largest error at rest, as a share of the step
 
 
 def box_refusal(
     scenario: Scenario, table: Record, cars: Sequence[Car], spare_ticks: int
 ) -> tuple[Refusal, Car | None] | None:
-    """The first test that ``scenario``'s tuning fails, and the car that a drive fails with.
+    """The first failed test of ``scenario``'s tuning, and the failing drive's car.
 
     None: it fails none.
 
-    The tests are the linear loop with each car, a drive of each with limits and noise, and such a
+    The tests cover the linear loop with each car, a drive of each car with limits and noise, and a
     drive with the spare ticks.
     """
     if not is_stable(table, cars, scenario.tick_s, spare_ticks):
@@ -31,7 +31,7 @@ def box_refusal(
         return (Refusal.BOX_SPARE if stable else Refusal.BOX), None
     stepped = replace(scenario, reference=replace(scenario.reference, kind="step"))
     if continuous_plant(scenario.model).integrates:
-        stepped = scenario  # at rest it takes no command, whose loss would show
+        stepped = scenario  # at rest no command would show the loss
     drives = Drives(stepped, network_of(scenario))
     for car in cars:
         plant = with_sensor_and_limits(car.settings, scenario.plant)
@@ -48,7 +48,7 @@ def box_refusal(
 
 
 def has_control_authority(scenario: Scenario, car: Car) -> bool:
-    """Whether X_diff alone can hold the step with ``car``: if not, no tuning comes to rest."""
+    """Whether X_diff alone can hold the step with ``car``; otherwise no tuning comes to rest."""
     _, force_n = car.steady_commands(scenario.reference.amplitude_mps2)
     return (1.0 - AT_REST) * force_n <= target(scenario, None).limit_2
 
@@ -73,7 +73,7 @@ def _finding(drives: Drives, plant: PlantSettings) -> Finding | None:
 
 
 def _limit_at_fault(scenario: Scenario, plant: PlantSettings) -> Refusal:
-    """The limit without which D* of ``plant`` comes to rest."""
+    """The limit that keeps D* of ``plant`` from rest."""
     for refusal, without in (
         (Refusal.FORCE_LIMIT, ("force_difference_n",)),
         (Refusal.TORQUE_LIMIT, ("torque_nm",)),
@@ -87,7 +87,7 @@ def _limit_at_fault(scenario: Scenario, plant: PlantSettings) -> Refusal:
 
 
 def _late(plant: PlantSettings, delay_s: float) -> PlantSettings:
-    """``plant`` with actuators that begin later by ``delay_s``."""
+    """``plant`` with actuators delayed further by ``delay_s``."""
     torque, force = plant.torque_actuator, plant.force_difference_actuator
     return replace(
         plant,

@@ -1,16 +1,16 @@
 """The search behind ``can-rig tune``: τ, α, τ_q, α_q for a tick, a latency, limits and a box.
 
-The candidates are on a grid that follows the tick. For each of them:
+The grid of candidates follows the tick. For each of them:
 
 1. the design must exist, and the nominal car must be stable, healthy and lost, with the ticks to
    spare;
 2. the noise in both commands is computed exactly, and the loss of the torque channel during a
    settled step is simulated with the scenario's limits, rates, latency and decision on d̂;
-3. unless an accepted one has both less noise and less peak: the vertices of the box must be stable,
-   and in a drive with limits and noise come to rest at the step, before and after the loss, without
-   a false alarm, and come to rest with the ticks to spare too.
+3. unless an accepted tuning has both less noise and a smaller peak: the vertices of the box must be
+   stable; a drive with limits and noise must come to rest at the step, before and after the loss,
+   without a false alarm; a drive with the spare ticks must come to rest too.
 
-Step 3 goes from the least peak upwards, so that it looks at little more than the trade-off.
+Step 3 proceeds from the smallest peak upwards, so that few tunings beyond the trade-off are tested.
 """
 
 from __future__ import annotations
@@ -38,16 +38,16 @@ from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.settings import Scenario
 
-FEWEST_A_WORKER = 16  # candidates, of which one takes some 20 ms
+FEWEST_A_WORKER = 16  # candidates; each takes some 20 ms
 LONGEST_FRONT = 6  # from the least peak on
-EQUAL_PEAKS = 1.05  # of peaks within this factor the one with the least noise is chosen
+EQUAL_PEAKS = 1.05  # among peaks within this factor, the least noise wins
 
 
 @dataclass(frozen=True)
 class Tunings:
-    """What was found: ``front`` from the least peak to the least noise, and all that was tried.
+    """The result: ``front`` from the smallest peak to the least noise, and all tried candidates.
 
-    ``nominal`` are those that pass steps 1 and 2, ``refusals`` how many fail each test.
+    ``nominal`` passed steps 1 and 2; ``refusals`` counts the failures of each test.
     """
 
     scenario: Scenario
@@ -60,7 +60,7 @@ class Tunings:
     refusals: Counter[Refusal] = field(default_factory=Counter)
 
     def __repr__(self) -> str:
-        """How many were tried and are left, and the one to use."""
+        """Numbers of tried and remaining tunings, and the recommended tuning."""
         said = ", ".join(f"{key} = {value:g}" for key, value in self.chosen.changes.items())
         left = f"{len(self.front)} tunings of {self.tried} tried"
         return f"<{left} for {self.scenario.name}; chosen: {said}>"
@@ -73,7 +73,7 @@ class Tunings:
         return min(equal, key=lambda tuning: tuning.noise_to_force)
 
     def noise_n(self, tuning: Tuning) -> float:
-        """Rms of X_diff in N at the scenario's noise; per m/s² of noise where it has none."""
+        """Rms of X_diff in N at the scenario's noise; without noise, per m/s² of noise."""
         return tuning.noise_to_force * (self.scenario.model.sensor.noise_mps2 or 1.0)
 
 
@@ -89,15 +89,14 @@ def tune(
     """Search the trade-off.
 
     Args:
-        scenario: everything but the four numbers; its reference is a step of its amplitude.
+        scenario: everything except the four numbers; its reference is a step of its amplitude.
         cars: the nominal one first (``box.cars``).
-        spare_ticks: additional ticks of delay, unknown to the controller, with which the loop must
-            be stable.
-        noise_limit_n: largest rms of X_diff that ``plant.sensor.noise_mps2`` may cause, N.
+        spare_ticks: extra ticks of delay, unknown to the controller, that the loop must survive.
+        noise_limit_n: largest allowed rms of X_diff by ``plant.sensor.noise_mps2``, N.
         torque_noise_limit_nm: the same of the torque, N m; a tuning beyond it is refused.
         candidates: in place of ``grid``.
-        on_progress: told how many tests are done, and of how many: those of the nominal car, and
-            those over the box that they leave.
+        on_progress: called with finished and total tests: the nominal car's tests, then the box's
+            tests of the remaining tunings.
 
     Raises:
         ScenarioError: nothing to tune; NoTuningError: no candidate passes.
@@ -139,7 +138,7 @@ def tune(
         done += 1
         on_progress(done, of)
 
-    # Those that reach a limit come last, and only where no other passes.
+    # Tunings that reach a limit come last, and only if no other tuning passes.
     for held in (True, False):
         some = [tuning for tuning in nominal if tuning.within_limits is held]
         front = _front(scenario, some, box, spare_ticks, refusals, on_tested)
@@ -155,7 +154,7 @@ def tune(
 def _assessed(
     scenario: Scenario, candidates: Sequence[Values], some: Sequence[Car], spare_ticks: int
 ) -> Iterator[Tuning | Refusal]:
-    """``assess`` for each of ``candidates``, in their order, on every processor there is."""
+    """``assess`` for each of ``candidates``, in order, on every processor."""
     work = partial(_assess, scenario, tuple(some), spare_ticks)
     workers = min(os.cpu_count() or 1, len(candidates) // FEWEST_A_WORKER)
     if workers < 2:
@@ -179,7 +178,7 @@ def _front(
     refusals: Counter[Refusal],
     on_tested: Callable[[], None],
 ) -> list[Tuning]:
-    """Those that pass with all ``cars`` and that no such one beats in both noise and peak.
+    """The tunings that pass with all ``cars``, without a passing tuning better in noise and peak.
 
     Least peak first. Adds to ``refusals``.
     """
@@ -200,7 +199,7 @@ def _front(
             else:
                 refusal, car = refused
                 refusals[refusal] += 1
-                if car is not None:  # it will be the first to fail with the next tuning too
+                if car is not None:  # this car will be the first to fail with the next tuning too
                     order.remove(car)
                     order.insert(0, car)
         on_tested()

@@ -1,13 +1,14 @@
 """CAN between processes without root or kernel module: the python-can interface ``local``.
 
-A bus is a directory and a node is an AF_UNIX datagram socket in it, so that the kernel keeps the
-frames of all senders in one queue per listener, lossless and in order. A sender keeps a connected
-socket per listener; frames that do not fit into a listener's queue wait in the sender's memory.
+A bus is a directory, and a node is an AF_UNIX datagram socket in the directory. The kernel thus
+keeps the frames of all senders in one queue per listener, lossless and in order. A sender keeps a
+connected socket per listener; frames that do not fit into a listener's queue wait in the sender's
+memory.
 
 A sender reads the directory again whenever the count in its file ``.can-generation`` has changed.
-Every node maps that file and increments the count when it joins, after it has bound its socket and
-before its constructor returns: a sender only reads a word of memory, without a system call, and
-cannot miss a node. A lock on the file orders joining, leaving and the removal of dead sockets.
+Every node maps the count file. A joining node binds its socket, then increments the count before
+its constructor returns: a sender only reads a word of memory, without a system call, and cannot
+miss a node. A lock on the file orders joining, leaving and the removal of dead sockets.
 """
 
 from __future__ import annotations
@@ -48,7 +49,7 @@ log = logging.getLogger(__name__)
 DEFAULT_CHANNEL: Final = "rig"
 
 _DONTWAIT: Final = int(socket.MSG_DONTWAIT)
-_SHUTDOWN_S: Final = 2.0  # how long shutdown() waits for listeners to take what was sent
+_SHUTDOWN_S: Final = 2.0  # waiting time of shutdown() for listeners to take sent frames
 _COARSE_S: Final = 0.05  # SO_RCVTIMEO counts in jiffies of 4 ms; select() does shorter timeouts
 
 
@@ -56,18 +57,17 @@ class LocalBus(BusABC):
     """A node on a bus of this machine; lossless, in order, for any number of listeners.
 
     Args:
-        channel: a name, or the absolute path of a directory; the same for all nodes of a bus.
-        receive_own_messages: deliver the frames of this node to itself too, ``is_rx=False``.
+        channel: a name, or the absolute path of a directory; equal for all nodes of a bus.
+        receive_own_messages: also deliver this node's frames to the node, ``is_rx=False``.
         preserve_timestamps: send ``Message.timestamp`` instead of the time of sending.
-        fd: CAN FD; without it FD frames are refused by `send` and skipped by ``recv``.
-        tx_backlog: number of frames that may wait for one listener, in addition to those in the
-            kernel's queue. A listener that leaves more unread is cut off, so that it cannot stop
-            the others: the sender logs a warning and goes on, the listener gets every frame sent
-            until then and after them a `can.CanOperationError`. For flow control, call `send`
-            with a timeout.
+        fd: CAN FD; without ``fd``, `send` refuses and ``recv`` skips FD frames.
+        tx_backlog: number of waiting frames per listener, in addition to the kernel's queue. A
+            listener with more unread frames is cut off and cannot stop the other listeners: the
+            sender logs a warning and continues; the listener gets every frame sent before the cut,
+            followed by a `can.CanOperationError`. For flow control, call `send` with a timeout.
 
     Raises:
-        can.CanInitializationError: the directory is unusable, or its path is too long.
+        can.CanInitializationError: an unusable directory, or a path that is too long.
     """
 
     def __init__(
@@ -88,7 +88,8 @@ class LocalBus(BusABC):
         self._can_protocol = CanProtocol.CAN_FD if fd else CanProtocol.CAN_20
         self._tx_backlog = tx_backlog
         self._rescan_lock = threading.Lock()
-        self._known: dict[str, Peer] = {}  # also those cut off, so that they are not found again
+        # including cut-off listeners, against finding these listeners again
+        self._known: dict[str, Peer] = {}
         self._peers: tuple[Peer, ...] = ()
         self._own: Peer | None = None
         self._timeout: float | None = None  # the value of SO_RCVTIMEO
@@ -111,7 +112,7 @@ class LocalBus(BusABC):
                 [s].
 
         Raises:
-            can.CanTimeoutError: there was no room in time; the frame has been sent to no node.
+            can.CanTimeoutError: no room in time; no node received the frame.
             can.CanOperationError: the frame is not a CAN frame, or the bus is closed.
         """
         if self._generation[0] != self._seen:
@@ -156,32 +157,32 @@ class LocalBus(BusABC):
         except (OSError, ValueError) as error:  # ValueError: select() on a closed socket
             self._check_if_open()
             raise CanOperationError(f"cannot receive from {self}: {error}") from error
-        if not datagram:  # this is how shutdown() in another thread wakes a waiting receiver
+        if not datagram:  # the signal of shutdown() in another thread to a waiting receiver
             self._check_if_open()
         received, flags = message(datagram, self.channel)
         if flags & CUT_OFF:
             raise CanOperationError(f"cut off from a sender on {self}: too many frames unread")
         if flags & FD and self._can_protocol is not CanProtocol.CAN_FD:
-            return self._recv_internal(timeout)  # as if it had not been sent
+            return self._recv_internal(timeout)  # the frame counts as never sent
         return received, False
 
     def fileno(self) -> int:
-        """The descriptor that is readable while there are frames to receive; -1 once closed."""
+        """The descriptor, readable while frames wait; -1 once closed."""
         return self._socket.fileno()
 
     def flush_tx_buffer(self) -> None:
-        """Discard the frames that wait for room in the queues of listeners."""
+        """Discard the frames waiting for room in listeners' queues."""
         for peer in self._peers:
             peer.discard()
 
     def shutdown(self) -> None:
-        """Leave the bus; waits up to 2 s for listeners to take what was sent, else warns."""
+        """Leave the bus; wait up to 2 s until listeners take the sent frames, otherwise warn."""
         if self._is_shutdown:
             return
         super().shutdown()
         self._seen = -1  # so that the next send() finds the bus closed
         self._directory.leave(self._name)
-        self._socket.shutdown(socket.SHUT_RD)  # so that senders no longer wait for this node
+        self._socket.shutdown(socket.SHUT_RD)  # senders stop waiting for this node
         deadline = time.monotonic() + _SHUTDOWN_S
         for peer in self._known.values():
             if lost := peer.close(deadline):
@@ -218,10 +219,11 @@ class LocalBus(BusABC):
         self._timeout = timeout
 
     def _rescan(self) -> None:
-        """Connect to the nodes that have joined since the last time."""
+        """Connect to the nodes that joined since the last scan."""
         with self._rescan_lock:
             self._check_if_open()
-            seen = self._generation[0]  # before the directory: a node that joins later changes it
+            # before the directory: a node that joins later changes the count
+            seen = self._generation[0]
             known = {*self._known} if self.receive_own_messages else {*self._known, self._name}
             try:
                 links = self._directory.connect_all_but(known)

@@ -16,11 +16,11 @@ EXTENDED, REMOTE, ERROR, FD, BRS, ESI, OWN, CUT_OFF = (1 << bit for bit in range
 """Flags. OWN: sent by the receiver itself; CUT_OFF: not a frame, but a sender's last datagram."""
 
 CUT_OFF_NOTICE: Final = HEADER.pack(0.0, 0, CUT_OFF, 0)
-"""What a sender sends to a listener that it cuts off."""
+"""A sender's notice to a listener before cutting the listener off."""
 
 
 def flags_of(msg: Message) -> int:
-    """The flags of a frame that is not a plain data frame."""
+    """The flags of a frame other than a plain data frame."""
     return (
         EXTENDED * msg.is_extended_id
         | REMOTE * msg.is_remote_frame

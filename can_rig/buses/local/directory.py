@@ -1,4 +1,4 @@
-"""The nodes on a local bus: the directory of their sockets, and a count of all that have joined."""
+"""The nodes on a local bus: the directory of their sockets, and a count of all joins."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ PATH_MAX: Final = 107 - len("/4194304-012345.node")  # sun_path holds 107 bytes 
 
 
 def bus_root() -> Path:
-    """The directory with the named buses of this user."""
+    """The directory with this user's named buses."""
     runtime = os.environ.get("XDG_RUNTIME_DIR", "")
     if runtime.startswith("/") and os.access(runtime, os.W_OK | os.X_OK):
         return Path(runtime) / "can-rig"
@@ -68,7 +68,8 @@ class Directory:
     def _open_locked(self) -> int:
         while True:
             self._path.mkdir(mode=0o700, exist_ok=True)
-            with contextlib.suppress(FileNotFoundError):  # the last node has just removed it
+            # the last node has just removed the directory
+            with contextlib.suppress(FileNotFoundError):
                 file = os.open(self._path / GENERATION, os.O_RDWR | os.O_CREAT, mode=0o600)
                 fcntl.flock(file, fcntl.LOCK_EX)
                 status = os.fstat(file)
@@ -87,7 +88,7 @@ class Directory:
             fcntl.flock(self._file, fcntl.LOCK_UN)
 
     def join(self) -> tuple[socket.socket, str]:
-        """Bind the socket of a new node and count it; returns the socket and its name."""
+        """Bind and count the socket of a new node; return the socket and its name."""
         name = f"{os.getpid()}-{secrets.token_hex(3)}.node"
         node = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         with self._locked():
@@ -98,7 +99,8 @@ class Directory:
     def connect_all_but(self, known: Container[str]) -> dict[str, socket.socket]:
         """Connected sockets to the nodes not ``known``, by name; removes sockets of dead nodes."""
         links = {}
-        with self._locked():  # so that a socket without a listener is dead, and not being bound
+        # within the lock a socket without a listener is dead, never half-bound
+        with self._locked():
             for name in _nodes(self._path):
                 if name in known:
                     continue
@@ -131,7 +133,7 @@ class Directory:
 
 
 def _remove_if_abandoned(path: Path) -> None:
-    """Take away the directory of a bus whose nodes have all been killed."""
+    """Remove the directory of a bus after all its nodes were killed."""
     with contextlib.suppress(OSError), contextlib.ExitStack() as stack:
         if path.is_symlink() or not path.is_dir():
             return
@@ -141,7 +143,7 @@ def _remove_if_abandoned(path: Path) -> None:
             path.rmdir()
             return
         stack.callback(os.close, file)
-        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # who joins or leaves holds the lock
+        fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)  # a joining or leaving node holds the lock
         if os.fstat(file).st_nlink == 0:
             return
         nodes = _nodes(path)
@@ -155,7 +157,7 @@ def _remove_if_abandoned(path: Path) -> None:
 
 
 def _nodes(path: Path) -> list[str]:
-    """Names of the sockets of nodes, dead ones too."""
+    """Names of the nodes' sockets, including dead sockets."""
     with contextlib.suppress(FileNotFoundError):
         return [
             each.name

@@ -1,4 +1,4 @@
-"""A listener on a local bus, as a sender keeps it: a connection and a backlog."""
+"""A sender's view of a listener on a local bus: a connection and a backlog."""
 
 from __future__ import annotations
 
@@ -15,13 +15,13 @@ RETRY_S: Final = 0.1  # how long a drainer waits for room until it checks whethe
 
 
 class Peer:
-    """A listener: a connected socket, and the frames that wait for room in its queue.
+    """A listener: a connected socket, and the frames waiting for room in its queue.
 
     Args:
         name: of its socket.
         link: connected to it.
         limit: number of frames that may wait.
-        cut_off_notice: sent after them when more would have to wait.
+        cut_off_notice: sent after the backlog when the backlog is full.
     """
 
     def __init__(self, name: str, link: socket.socket, limit: int, cut_off_notice: bytes) -> None:
@@ -31,7 +31,7 @@ class Peer:
         self._limit = limit
         self._cut_off_notice = cut_off_notice
         self._backlog: deque[bytes] = deque()
-        self._lock = threading.Lock()  # taken only where there is a backlog, or will be
+        self._lock = threading.Lock()  # taken only for a present or imminent backlog
         self._drainer: threading.Thread | None = None
         self._closing = False
 
@@ -49,7 +49,7 @@ class Peer:
                 return True
         with self._lock:
             if self.cut_off:
-                return True  # another thread has just cut it off, and reports that
+                return True  # another thread has just cut the listener off, and reports the cut
             self.cut_off = len(self._backlog) >= self._limit
             self._backlog.append(self._cut_off_notice if self.cut_off else frame)
             if self._drainer is None:
@@ -63,21 +63,22 @@ class Peer:
                 if not self._backlog or self._closing:
                     self._drainer = None
                     return
-            # The frame stays in the backlog until it is sent, so that no other can overtake it.
+            # The frame stays in the backlog until sent, so that no other frame overtakes.
             try:
                 self._link.send(self._backlog[0])
             except BlockingIOError:  # SO_SNDTIMEO has passed
                 continue
             except OSError as error:
                 if error.errno in GONE:
-                    self._backlog.clear()  # the next offer() fails likewise, and reports it
+                    # the next offer() fails likewise, and reports the failure
+                    self._backlog.clear()
                 else:
                     time.sleep(RETRY_S)  # the kernel is short of memory
             else:
                 self._backlog.popleft()
 
     def discard(self) -> None:
-        """Empty the backlog, except for the frame that may be being sent."""
+        """Empty the backlog, except for a frame that another thread may be sending."""
         with self._lock:
             while len(self._backlog) > 1:
                 self._backlog.pop()

@@ -1,1 +1,1 @@
-"""Frames that are on every network of the rig beside its own: scenarios compared, runs touched."""
+"""Extra frames on every network of the rig: comparing scenarios, commanding a run."""

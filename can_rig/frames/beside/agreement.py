@@ -22,7 +22,7 @@ _DAMAGED: Final = (CheckStatus.WRONG_CRC, CheckStatus.WRONG_LENGTH)
 
 
 class Comparison(NamedTuple):
-    """What one frame says."""
+    """The content of one frame."""
 
     key: int
     """0: the whole scenario; n: its n-th key."""
@@ -36,13 +36,13 @@ def digest(key: str, value: object) -> int:
 
 
 class ComparisonFrame:
-    """One of the two messages, as either end has it.
+    """Both ends of one comparison message.
 
     Args:
-        node: whose it is, a key of `SENDERS`.
+        node: the sending node, a key of `SENDERS`.
 
     Raises:
-        DbcError: the DBC has no such message, or not with this layout.
+        DbcError: a DBC without this message, or a different layout.
     """
 
     def __init__(self, node: str) -> None:
@@ -66,9 +66,9 @@ class ComparisonFrame:
         return Message(arbitration_id=self.frame_id, is_extended_id=False, data=data)
 
     def read(self, message: Message) -> Comparison | None:
-        """What a frame with this identifier says; None if it is damaged.
+        """The content of a frame with this identifier; None for a damaged frame.
 
-        Its counter does not matter: a frame that is lost, or comes twice, compares nothing wrong.
+        The counter has no influence: losing or repeating a frame causes no wrong comparison.
         """
         if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
             return None

@@ -1,4 +1,4 @@
-"""The frames with which a run is touched while it goes on, as ``dbc/control.dbc`` has them."""
+"""The frames of ``dbc/control.dbc``, which command a run from outside."""
 
 from __future__ import annotations
 
@@ -16,14 +16,14 @@ from can_rig.frames.protection import COUNTERS, FRAME_BYTES
 
 DBC: Final = "control.dbc"
 SEQUENCES: Final = 255
-"""A multiple of the alive counter's 15, so that the counter follows from the sequence."""
+"""A multiple of the alive counter's 15, so that the sequence determines the counter."""
 
 ALL: Final = "all"
-"""In place of a place."""
+"""Means every place."""
 
 SHORTEST_S: Final = 0.1
 LONGEST_S: Final = 25.5
-"""Of a fault that ends by itself."""
+"""Longest time of a fault with a set end."""
 
 _NAMES: Final = ("CONTROL", "STATE", "APPLIED", "TAKEN")
 
@@ -37,10 +37,10 @@ class Command(NamedTuple):
     kind: str | None = None
     """Of a fault."""
     place: str = ALL
-    """Where it acts, or what is cleared."""
+    """The place of the fault, or the place to clear."""
     value: float | None = None
     duration_s: float | None = None
-    """None: until it is cleared."""
+    """None: until cleared."""
 
 
 class State(NamedTuple):
@@ -85,7 +85,7 @@ def identifiers() -> Identifiers:
 
 
 def kinds() -> tuple[str, ...]:
-    """The faults that can be injected, by the words of a scenario."""
+    """The injectable faults, by a scenario's words."""
     return tuple(str(word) for word in _choices("Kind").values())
 
 
@@ -101,17 +101,17 @@ def _choices(signal: str) -> dict[int, str]:
 
 
 def command_message(command: Command, sequence: int) -> Message:
-    """The frame of ``command``, of which ``NextSequence`` was ``sequence``; values saturate."""
+    """The frame of ``command``; ``sequence`` is the last ``NextSequence``; values saturate."""
     return _command_message("RIG_CONTROL", command, sequence)
 
 
 def taken_message(command: Command, sequence: int) -> Message:
-    """The frame with which the plant node says that it takes ``command``."""
+    """The plant node's confirmation frame for ``command``."""
     return _command_message("RIG_TAKEN", command, sequence)
 
 
 def read_command(message: Message, sequence: int) -> Command | None:
-    """What a ``RIG_CONTROL`` says; None if it is damaged, or is not number ``sequence``."""
+    """The command in a ``RIG_CONTROL``; None if damaged or numbered other than ``sequence``."""
     numbered = _read_command("RIG_CONTROL", message)
     return None if numbered is None or sequence != numbered[0] else numbered[1]
 
@@ -195,14 +195,14 @@ def read_state(message: Message) -> State | None:
 
 
 def applied_message(applied_1: float, applied_2: float) -> Message:
-    """The frame of what both actuators apply."""
+    """The frame of both actuators' applied values."""
     frame = _message("RIG_APPLIED")
     data = frame.encode({"Applied1": applied_1, "Applied2": applied_2}, strict=False)
     return Message(arbitration_id=frame.frame_id, is_extended_id=False, data=data)
 
 
 def read_applied(message: Message) -> tuple[float, float] | None:
-    """What both actuators apply; None from a frame of another length."""
+    """The applied values of both actuators; None for a wrong length."""
     if len(message.data) != FRAME_BYTES:
         return None
     said = cast(dict[str, float], _message("RIG_APPLIED").decode(bytes(message.data)))

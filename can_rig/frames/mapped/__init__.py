@@ -1,4 +1,4 @@
-"""Frames of anybody's database: found by the names of their signals, in any layout, by cantools.
+"""Frames of the user's database: found by signal names, in any layout, by cantools.
 
-It imports the rest of `frames`; `scenario` and every room above it may import it.
+It imports the rest of `frames`; `scenario` and all rooms above may import `mapped`.
 """

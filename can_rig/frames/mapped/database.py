@@ -1,4 +1,4 @@
-"""A CAN database of any format that cantools reads."""
+"""A CAN database in any format that cantools reads."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from can_rig.errors import DbcError, one_line
 from can_rig.frames.dbc import advice, load_dbc
 
 _HEAD_BYTES: Final = 4096
-_LOOKS_LIKE: Final = {  # what the beginning of a file has in it, in the order of certainty
+_LOOKS_LIKE: Final = {  # typical text at the beginning of a file, in the order of certainty
     "arxml": re.compile(rb"<AUTOSAR\b"),
     "kcd": re.compile(rb"<NetworkDefinition\b"),
     "sym": re.compile(rb"^\s*FormatVersion\s*=", re.M),
@@ -24,7 +24,7 @@ _LOOKS_LIKE: Final = {  # what the beginning of a file has in it, in the order o
 }
 _BY_SUFFIX: Final = {".arxml": "arxml", ".kcd": "kcd", ".sym": "sym"}
 _MOST_BYTES: Final = 4096  # of a message: a container; J1939 has 1785
-_SIZES: Final = {  # places and lengths, and the most that cantools deals with in bounded time
+_SIZES: Final = {  # places and lengths; limits of cantools's bounded computing time
     "arxml": ((rb"<FRAME-LENGTH>\s*(\d+)", 1), (rb"<(?:LENGTH|START-POSITION)>\s*(\d+)", 8)),
     "kcd": (
         (rb"<Message\b[^>]*?\blength\s*=\s*[\"'](\d+)", 1),
@@ -43,11 +43,11 @@ _SIZES: Final = {  # places and lengths, and the most that cantools deals with i
 }
 _MULTIPLEXED: Final = re.compile(rb"\bSG_MUL_VAL_\s[^;]*")
 _RANGE: Final = re.compile(rb"(\d+)\s*-\s*(\d+)")
-_MOST_LISTED: Final = 1 << 18  # values of multiplexers, each of which cantools has in a list
+_MOST_LISTED: Final = 1 << 18  # multiplexer values, which cantools keeps in lists
 _MOST_IDENTIFIER: Final = (1 << 29) - 1
 _MOST_STANDARD: Final = (1 << 11) - 1
 _EXTENDED_BIT: Final = 1 << 31
-_IDENTIFIER: Final = re.compile(  # of a message, wherever a DBC has one
+_IDENTIFIER: Final = re.compile(  # message identifiers, at every place in a DBC
     r"^(\s*(?:BO_|VAL_|SIG_VALTYPE_|SG_MUL_VAL_|SIG_GROUP_|BO_TX_BU_|"
     r"(?:CM_|BA_\s+\"[^\"]*\")\s+(?:BO_|SG_))\s+)(\d{4,10})\b",
     re.M,
@@ -57,15 +57,15 @@ _VALUE_TABLE: Final = re.compile(r"^\s*VAL_\s+(\d+)\s+(\w+)(?:\s+-?\d+\s+\"[^\"]
 
 
 def load_database(path: str | Path, strict: bool = True) -> Database:
-    """Load a CAN database: DBC, ARXML, KCD or SYM, whatever its file is called.
+    """Load a CAN database: DBC, ARXML, KCD or SYM, under any file name.
 
     Args:
         path: the file.
-        strict: whether signals must not overlap, and must fit into their messages; a DBC also must
-            mark extended identifiers, and have value tables of its own signals alone.
+        strict: whether to refuse overlapping signals, signals larger than their message, and, in a
+            DBC, unmarked extended identifiers and value tables of unknown signals.
 
     Raises:
-        DbcError: it cannot be read or loaded.
+        DbcError: an unreadable or invalid file.
     """
     kind = _format_of(Path(path))
     loaded = load_dbc(path) if kind == "dbc" and strict else _load(path, kind, strict)
@@ -81,10 +81,10 @@ def load_database(path: str | Path, strict: bool = True) -> Database:
 
 
 def load_for(path: str | Path, names: Collection[str]) -> Database:
-    """Load a database of which only these messages have to be sound.
+    """Load a database; only the messages in ``names`` must be sound.
 
     Raises:
-        DbcError: it cannot be read or loaded, or signals of one of these overlap or do not fit.
+        DbcError: an unreadable or invalid file, or overlapping or oversized signals in ``names``.
     """
     try:
         return load_database(path)
@@ -103,7 +103,7 @@ def load_for(path: str | Path, names: Collection[str]) -> Database:
 
 
 def _tell_apart(message: Message, strict: bool) -> None:
-    """Put its start bit after the name of each signal that has another's name."""
+    """Append the start bit to every signal name used twice."""
     every = Counter(signal.name for signal in message.signals)
     for signal in message.signals:
         if every[signal.name] > 1 and not signal.is_multiplexer:
@@ -122,7 +122,7 @@ def _load(path: str | Path, kind: str, strict: bool) -> Database:
             loaded = cantools.database.load_file(path, kind, encoding, strict=strict)
     except OSError as error:
         raise DbcError(f"{path}: cannot be read: {error.strerror}") from error
-    except Exception as error:  # its readers of XML raise whatever a damaged file leads to
+    except Exception as error:  # the XML readers raise any exception for a damaged file
         said = advice(text, error) if kind == "dbc" else one_line(error)
         raise DbcError(f"{path}: cannot be loaded: {said}") from error
     if not isinstance(loaded, Database):
@@ -131,7 +131,7 @@ def _load(path: str | Path, kind: str, strict: bool) -> Database:
 
 
 def _mended(text: str) -> str:
-    """A DBC whose extended identifiers are marked as such, without value tables of nothing."""
+    """A DBC with marked extended identifiers, without value tables of unknown signals."""
 
     def marked(found: re.Match[str]) -> str:
         identifier = int(found[2])
@@ -152,10 +152,10 @@ def _lines_of(text: str) -> str:
 
 
 def _format_of(path: Path) -> str:
-    """The format of a database by what is in it, or else by its suffix.
+    """The format of a database by its content, otherwise by its suffix.
 
     Raises:
-        DbcError: it cannot be read, or a length in it is beyond any frame.
+        DbcError: an unreadable file, or a length beyond any frame.
     """
     try:
         text = path.read_bytes()

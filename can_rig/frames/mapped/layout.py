@@ -1,8 +1,8 @@
-"""A frame of any layout: cantools packs and unpacks it, whatever its signals look like.
+"""A frame of any layout: cantools packs and unpacks the signals.
 
-A signal counts steps k of its factor's size from the value 0, so that a record means the same
-whatever offset and sign: k = ±(raw + offset/factor), value = k · |factor|. Of a float k is the
-value itself.
+A signal counts steps k of its factor's size from the value 0, so that a record has the same meaning
+for every offset and sign: k = ±(raw + offset/factor), value = k · |factor|. For a float, k is the
+value.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from can_rig.frames.layout import Unpacked
 from firmware_model.target.status import Verdict
 
 FD_LENGTHS: Final[tuple[int, ...]] = (*range(9), 12, 16, 20, 24, 32, 48, 64)
-"""Data lengths that a CAN FD frame can have [bytes], by DLC."""
+"""Data lengths of CAN FD frames [bytes], by DLC."""
 FLOATS: Final = {16: "<e", 32: "<f", 64: "<d"}
 ON_GRID: Final = 1e-6  # of a step
 CODES: Final = {"mode": 3, "fault_state": 3, "verdict": max(Verdict)}
@@ -30,7 +30,7 @@ TICK_BITS: Final = 16
 
 @dataclass(frozen=True)
 class Places:
-    """The signals of a message that mean something to the rig."""
+    """The signals of a message with a meaning for the rig."""
 
     value: Signal
     tick: Signal | None = None
@@ -40,7 +40,7 @@ class Places:
 
     @property
     def codes(self) -> Iterator[tuple[str, Signal]]:
-        """The signals that say a code, by its name."""
+        """The code signals, with each code's name."""
         for name in CODES:
             signal: Signal | None = getattr(self, name)
             if signal is not None:
@@ -49,11 +49,11 @@ class Places:
 
 @dataclass(frozen=True)
 class Where:
-    """Where something is wrong.
+    """The place of an error.
 
     Attributes:
         message: its file and its name.
-        keys: of a scenario, by the name of the signal that it names.
+        keys: of a scenario, by signal name.
     """
 
     message: str
@@ -66,15 +66,15 @@ class Where:
 
 
 class AnyLayout:
-    """The layout of one message of a database.
+    """The layout of one message in a database.
 
     Args:
         message: of the database.
-        places: its signals; all others are sent with their initial value, or raw 0.
+        places: the message's mapped signals; all other signals send their initial value, or raw 0.
         where: begins the line of a refusal.
 
     Raises:
-        DbcError: a message that no frame holds, a signal that the rig cannot use.
+        DbcError: a message too long for a frame, a signal unusable for the rig.
     """
 
     def __init__(self, message: Message, places: Places, where: Where) -> None:
@@ -99,7 +99,7 @@ class AnyLayout:
                 )
 
     def pack(self, k: float, tick: int, mode: int, fault_state: int, verdict: int) -> bytearray:
-        """The bytes of a frame, with those of the signals that mean nothing to the rig."""
+        """The bytes of a frame, including the initial values of unmapped signals."""
         places, raw = self._places, self._rest
         if is_float(places.value):
             raw[places.value.name] = k
@@ -115,7 +115,7 @@ class AnyLayout:
         return data
 
     def unpack(self, data: bytes | bytearray) -> Unpacked:
-        """What a frame of the right length says."""
+        """The content of a frame of the right length."""
         raw: Any = self._message.decode(bytes(data), decode_choices=False, scaling=False)
         places = self._places
         k = raw[places.value.name]
@@ -128,7 +128,7 @@ class AnyLayout:
         )
 
     def tick(self, data: bytes | bytearray) -> int | None:
-        """The tick that a frame says, modulo 65536; None: it says none."""
+        """A frame's tick, modulo 65536; None for a frame without a tick."""
         if not self.has_tick:
             return None
         return self.unpack(data)[1] if len(data) == self.length else 0
@@ -136,20 +136,20 @@ class AnyLayout:
 
 @dataclass(frozen=True)
 class Scale:
-    """Steps of a signal, as the fields of ``MessageCodec`` that describe it."""
+    """A signal's steps, in the fields of ``MessageCodec``."""
 
     lsb: float
     raw_maximum: int | float
     not_available: int | float
-    """What not-a-number is sent as."""
+    """Raw value for not-a-number."""
     float_format: str = ""
 
 
 def scale_of(signal: Signal, where: Where) -> Scale:
-    """The steps of ``signal`` that reach as far down as up.
+    """The steps of ``signal``, in a range symmetric about 0.
 
     Raises:
-        DbcError: a range that has only one sign, a factor of 0.
+        DbcError: a range with a single sign, a factor of 0.
     """
     low, high = signal.minimum, signal.maximum
     if is_float(signal):
@@ -172,12 +172,12 @@ def scale_of(signal: Signal, where: Where) -> Scale:
     reach = min(last, -first)
     if reach < 1:
         raise DbcError(_one_sign(signal, f"{first * lsb:g}..{last * lsb:g}", where))
-    # 2^n values are an even number, and those from -reach to reach an odd one: one is left
+    # 2^n is even, the count from -reach to reach odd: one raw value remains
     return Scale(lsb, reach, lowest if lowest < -reach else highest)
 
 
 def is_float(signal: Signal) -> bool:
-    """Whether it is an IEEE 754 number."""
+    """Whether the signal is an IEEE 754 number."""
     return bool(signal.is_float)
 
 
@@ -186,7 +186,7 @@ def _one_sign(signal: Signal, carries: str, where: Where) -> str:
 
 
 def _steps_to_zero(signal: Signal, where: Where) -> int:
-    """Steps of the factor from raw 0 to the value 0, negative: what is added to a raw value."""
+    """Steps of the factor from raw 0 to the value 0, negative: the addend of a raw value."""
     if not signal.scale:
         raise DbcError(f"{where.of(signal)}: factor {signal.scale}: must not be 0")
     steps = float(signal.offset) / float(signal.scale)
@@ -226,7 +226,7 @@ def _require_counter(signal: Signal, where: Where) -> None:
 
 
 def _initial(message: Message, signal: Signal) -> int | float:
-    """What is sent of a signal that means nothing to the rig."""
+    """The sent value of an unmapped signal."""
     if signal.is_multiplexer:
         for other in message.signals:
             if other.multiplexer_signal == signal.name and other.multiplexer_ids:

@@ -1,7 +1,7 @@
 """The five frames of a tick in anybody's database, by the signal of each role.
 
-cantools reads the database, whatever its format, and packs and unpacks the frames; nothing is asked
-of their layout but that each role has a message of its own and that 0 can be sent.
+cantools reads the database in any format, and packs and unpacks the frames. Each role needs a
+separate message and a representable 0; the layout is free.
 """
 
 from __future__ import annotations
@@ -32,13 +32,13 @@ WORDS = {
 
 @dataclass(frozen=True)
 class Roles:
-    """Which signal plays which role.
+    """The signal of each role.
 
     Attributes:
         signals: ``Message.Signal`` of reference, feedback, command_1, command_2, fault_estimate
-            and, where there are such, mode, fault_state and verdict.
-        tick: the signal of that name counts the ticks in each message; "": none does. Or its name
-            by role.
+            and, if present, mode, fault_state and verdict.
+        tick: the name of the tick-counting signal in every message; "": no tick signal.
+            Alternatively the names by role.
         data_ids: E2E data identifier of each protected message, by role.
     """
 
@@ -48,11 +48,11 @@ class Roles:
 
 
 def map_network(path: str | Path, mapping: Roles) -> Network:
-    """The frames of the database at ``path`` that ``mapping`` names.
+    """The frames named by ``mapping`` in the database at ``path``.
 
     Raises:
-        DbcError: no such database, message or signal, two roles in one message or of one signal, a
-            signal that cannot say what it should.
+        DbcError: an unknown database, message or signal, two roles for one message or signal, a
+            signal too small for its role.
     """
     used = {name.partition(".")[0] for name in mapping.signals.values()}
     database = load_for(path, used)
@@ -138,7 +138,7 @@ def _signal(database: Database, path: str | Path, key: str, name: str) -> tuple[
 
 
 def _keys_by_signal(message: Message, played: Mapping[str, Signal]) -> dict[str, str]:
-    """The key of each signal of ``message`` that has a role, by its name."""
+    """Map each signal with a role in ``message`` to its key."""
     keys: dict[str, str] = {}
     for key, signal in played.items():
         other = keys.setdefault(signal.name, key)
@@ -153,7 +153,7 @@ def _keys_by_signal(message: Message, played: Mapping[str, Signal]) -> dict[str,
 def _tick(
     message: Message, role: str, names: str | Mapping[str, str], path: str | Path
 ) -> Signal | None:
-    """The signal that counts the ticks in ``message``, which has this role."""
+    """The tick-counting signal of ``message``, the message of ``role``."""
     if not names:
         return None
     signals = {signal.name: signal for signal in message.signals}
@@ -173,7 +173,7 @@ def _tick(
 
 
 def _require_room(message: Message, signals: tuple[Signal | None, ...], where: Where) -> None:
-    """Refuse a protected message whose signals lie where profile 1 has its CRC and counter."""
+    """Refuse a protected message with signals at the place of profile 1's CRC and counter."""
     taken = (1 << 12) - 1  # byte 0 and the low nibble of byte 1
     for signal in signals:
         if signal is not None and taken & _bits(message, signal):
@@ -186,7 +186,7 @@ def _require_room(message: Message, signals: tuple[Signal | None, ...], where: W
 
 
 def _bits(message: Message, signal: Signal) -> int:
-    """The bits of a frame that a signal sets, bit 0 the lowest of byte 0."""
+    """The frame bits of a signal, bit 0 the lowest of byte 0."""
     raw: dict[str, int | float] = {each.name: 0 for each in message.signals}
     before = message.encode(raw, scaling=False, strict=False)
     raw[signal.name] = -1 if signal.is_signed else (1 << signal.length) - 1

@@ -1,6 +1,6 @@
-"""What the scheduled faults of a scenario do: in the plant, and to frames on their way.
+"""The effects of a scenario's scheduled faults: in the plant, and on frames in transit.
 
-Each is a small object or function of its own; faults that overlap act one after the other, in the
-order of the scenario. ``delivery`` says what becomes of the frames without sending one. May import
-``scenario`` and ``frames``.
+Each effect is a small object or function; overlapping faults act in the scenario's order.
+``delivery`` computes the fate of frames without sending any frame. May import ``scenario`` and
+``frames``.
 """

@@ -1,7 +1,7 @@
-"""Which frames of a run are sent, and what their receivers make of them.
+"""The sent frames of a run, and their receivers' verdicts.
 
-Not what they say but that they were sent and when decides it: the receivers themselves are asked,
-for the alive counter has its say when frames come again.
+Values play no part; sending and timing decide. The module asks the receivers themselves, because
+their alive counters also reject frames right after an outage.
 """
 
 from __future__ import annotations
@@ -23,21 +23,21 @@ from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.trace import BoolArray
 
 SETTLED: Final = 20
-"""Ticks after which a receiver that has heard every frame again uses every frame."""
+"""Ticks until a receiver with uninterrupted frames again uses every frame."""
 
 
 @dataclass(frozen=True)
 class Delivery:
-    """What becomes of the frames that can fail.
+    """The fate of the frames that can fail.
 
     Attributes:
         sent: (ticks, 2), whether a command frame of a tick is on the bus.
-        used: (ticks, 2), whether it tells its actuator something.
-        damage: (n, 4), of each command frame that is damaged its tick, its channel, the byte, and
-            the exclusive or of that.
-        replaced: of a tick and a place, 0 or 1 for a command and 2 for D*, the value that is used
-            in place of the one that was sent; nan: none at all.
-        rejected: of each command by name, how many frames were not used, by reason.
+        used: (ticks, 2), whether the actuator uses the command.
+        damage: (n, 4), a row for each damaged command frame: tick, channel, byte, exclusive or of
+            the byte.
+        replaced: by tick and place (0 or 1: command, 2: D*), the used value in place of the sent
+            value; nan: no value.
+        rejected: by command name, the number of rejected frames for each reason.
     """
 
     sent: BoolArray
@@ -48,7 +48,7 @@ class Delivery:
 
 
 def delivery(scenario: Scenario, network: Network, ticks: int | None = None) -> Delivery:
-    """What becomes of the frames of the first ``ticks`` ticks; None: of the whole run."""
+    """The fate of the frames of the first ``ticks`` ticks; None: the whole run."""
     ticks = scenario.ticks if ticks is None else ticks
     sent, used = np.ones((2, ticks, 2), dtype=np.bool_)
     damage: list[tuple[int, int, int, int]] = []
@@ -65,7 +65,8 @@ def delivery(scenario: Scenario, network: Network, ticks: int | None = None) -> 
             records = [receiver.accept(frame, tick) for frame in frames]
             used[tick, channel] = any(record is not None for record in records)
             for record in records:
-                if record is not None and math.isfinite(record.value):  # our own say nothing
+                # the rig's own frames carry no data here
+                if record is not None and math.isfinite(record.value):
                     replaced[tick, channel] = record.value
             receiver.end_tick()
         rejected[codec.name] = receiver.rejected
@@ -76,7 +77,7 @@ def delivery(scenario: Scenario, network: Network, ticks: int | None = None) -> 
 
 
 def _feedback(faults: FrameFaults, codec: MessageCodec, ticks: int) -> dict[tuple[int, int], float]:
-    """Which values the controller has in place of D*: the first usable frame of a tick counts."""
+    """The controller's values in place of D*: the first usable frame of a tick counts."""
     replaced: dict[tuple[int, int], float] = {}
     transmitter, nothing, receiver = Transmitter(codec), Transmitter(codec), Receiver(codec)
     for tick in _watched(faults, SENSOR_PLACE, ticks):
@@ -92,17 +93,17 @@ def _feedback(faults: FrameFaults, codec: MessageCodec, ticks: int) -> dict[tupl
 
 
 def _watched(faults: FrameFaults, place: int, ticks: int) -> range:
-    """The ticks that have to be looked at one by one."""
+    """The ticks that need a look at every frame."""
     spans = [span for span in faults.ticks[place] if span]
     if not spans:
         return range(0)
-    # One tick before it the receiver has heard one frame, which is as good as having heard all.
+    # One tick earlier the receiver has heard one frame; more earlier frames change nothing.
     first = max(min(span.start for span in spans) - 1, 0)
     return range(first, min(max(span.stop for span in spans) + SETTLED, ticks))
 
 
 def _changes(own: bytearray, frames: list[Message]) -> Iterator[tuple[int, int]]:
-    """Each byte in which the frame that is sent differs, and its exclusive or."""
+    """Each changed byte of the sent frame, with its exclusive or."""
     for frame in frames[:1]:
         pairs = zip(own, frame.data, strict=True)
         yield from ((at, a ^ b) for at, (a, b) in enumerate(pairs) if a != b)

@@ -1,4 +1,4 @@
-"""What scheduled faults make of a frame on its way: lost, damaged, repeated, late, forged."""
+"""The effects of scheduled faults on a frame in transit: lost, damaged, repeated, late, forged."""
 
 from __future__ import annotations
 
@@ -18,21 +18,21 @@ from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.fault import PLACES, FaultSettings
 
 SENSOR_PLACE: Final = 2
-"""The number of the frame of D*, behind those of both commands."""
+"""Place number of the D* frame, behind both commands."""
 
 
 class FrameFault(Protocol):
-    """What becomes of the frames of one sender; it is asked at every tick."""
+    """The effect on one sender's frames, called at every tick."""
 
     def pass_on(self, frames: list[Message], tick: int, there: bool) -> list[Message]:
-        """The frames that go on, of those of ``tick`` that have come so far.
+        """Return the frames that continue, given the frames of ``tick`` so far.
 
-        ``there`` says whether the fault is there at this tick.
+        ``there`` says whether the fault acts at this tick.
         """
 
 
 class Missing:
-    """No frame goes on."""
+    """No frame continues."""
 
     def pass_on(self, frames: list[Message], tick: int, there: bool) -> list[Message]:
         """See ``FrameFault``."""
@@ -40,10 +40,10 @@ class Missing:
 
 
 class Corrupted:
-    """One byte of each frame is changed after protection.
+    """Protected frames with one byte changed.
 
-    That is a burst of at most 8 bits, which a CRC-8 always detects, so a corrupted frame is never
-    taken for a good one by luck.
+    The change is a burst of at most 8 bits. A CRC-8 detects every such burst, so luck never makes a
+    corrupted frame valid.
     """
 
     def __init__(self, seed: int) -> None:
@@ -61,9 +61,9 @@ class Corrupted:
 
 
 class Repeated:
-    """The last frame before the fault goes on again and again; none where there was none.
+    """The last frame before the fault repeats; without an earlier frame, no frame repeats.
 
-    ``last`` is that of the tick before the first at which it is asked.
+    ``last`` belongs to the tick before the first call.
     """
 
     def __init__(self, last: list[Message]) -> None:
@@ -78,7 +78,7 @@ class Repeated:
 
 
 class Late:
-    """Each frame goes on so many ticks later, before that of the tick."""
+    """Each frame continues this many ticks later, before the frame of the current tick."""
 
     def __init__(self, late_ticks: int) -> None:
         self._late_ticks = late_ticks
@@ -96,9 +96,9 @@ class Late:
 
 
 class Forged:
-    """An intruder's frame with a value of its own comes first, with the right CRC and counter.
+    """An intruder's frame with a chosen value, a right CRC and a right counter comes first.
 
-    ``before`` says how many frames were sent before the first tick at which it is asked.
+    ``before`` counts the frames sent before the first call.
     """
 
     def __init__(self, codec: MessageCodec, value: float, before: int) -> None:
@@ -109,34 +109,34 @@ class Forged:
 
     def pass_on(self, frames: list[Message], tick: int, there: bool) -> list[Message]:
         """See ``FrameFault``."""
-        forged = self._intruder.frame(self._value, tick)  # at every tick, so that it counts along
+        forged = self._intruder.frame(self._value, tick)  # at every tick, to advance the counter
         return [forged, *frames] if there else frames
 
 
 class Scheduled(NamedTuple):
-    """A fault, and when it is there."""
+    """A fault's effect, and its active ticks."""
 
     settings: FaultSettings
-    """As if it were there for good."""
+    """The effect of an endless fault."""
     fault: FrameFault
     ticks: list[range]
 
     def at(self, tick: int) -> bool:
-        """Whether it is there at ``tick``."""
+        """Whether the fault acts at ``tick``."""
         return any(tick in ticks for ticks in self.ticks)
 
 
 class FrameFaults:
-    """The faults of a scenario that concern its commands and the frame of D*.
+    """The faults of a scenario's command frames and D* frame.
 
-    A place is 0 or 1 for a command, ``SENSOR_PLACE`` for D*. Faults that overlap act one after the
-    other, in the order of the scenario; but all that corrupt a place's frames are one, so that no
-    frame is changed twice.
+    A place is 0 or 1 for a command, ``SENSOR_PLACE`` for D*. Overlapping faults act in the
+    scenario's order. All faults that corrupt a place's frames act as one fault, so each frame
+    changes at most once.
 
     Args:
-        scenario: whose faults they are.
+        scenario: the scenario with the faults.
         network: its frames.
-        changing: whether they may change while the run goes on.
+        changing: whether the faults may change during the run.
     """
 
     def __init__(self, scenario: Scenario, network: Network, changing: bool = False) -> None:
@@ -144,18 +144,18 @@ class FrameFaults:
         self._changing = changing
         self._damage = tuple(Corrupted(scenario.seed) for _ in self._codecs)
         self._faults: tuple[list[Scheduled], ...] = tuple([] for _ in self._codecs)
-        self._sent = [0] * len(self._codecs)  # frames of each place until now
-        self._last: list[list[Message]] = [[] for _ in self._codecs]  # that went on
+        self._sent = [0] * len(self._codecs)  # frames of each place so far
+        self._last: list[list[Message]] = [[] for _ in self._codecs]  # continued frames
         self.change(scenario)
 
     def change(self, scenario: Scenario) -> None:
-        """From the next frame on, the faults of ``scenario``.
+        """Take the faults of ``scenario`` from the next frame on.
 
-        One that was there before, for another time perhaps, goes on with what it remembers.
+        A fault from before the change, perhaps with other times, keeps its memory.
         """
         before, self._faults = self._faults, tuple([] for _ in self._codecs)
         self.ticks: tuple[list[range], ...] = tuple([] for _ in self._codecs)
-        """Of each place, from when to when a fault may change something."""
+        """For each place, the tick ranges with possible changes."""
         for settings in scenario.faults:
             if not settings.acts_on_frames:
                 continue
@@ -177,10 +177,10 @@ class FrameFaults:
     def on_the_wire(
         self, frame: Message, place: int, tick: int, otherwise: Message | None = None
     ) -> list[Message]:
-        """What goes on the bus where the node of ``place`` sends ``frame`` of ``tick``.
+        """The frames on the bus when the node of ``place`` sends ``frame`` of ``tick``.
 
-        Where that is not among it, ``otherwise`` comes last: the frame of D* starts a tick of the
-        controller, which a lockstep run cannot go on without.
+        Where ``frame`` itself is absent, ``otherwise`` comes last: the D* frame starts a controller
+        tick, and a lockstep run needs every start.
         """
         frames = [frame]
         for each in self._faults[place]:
@@ -192,7 +192,7 @@ class FrameFaults:
         return frames
 
     def concerns(self, place: int) -> bool:
-        """Whether frames of ``place`` are changed at some time, or may be."""
+        """Whether a fault changes, or may change, frames of ``place``."""
         return self._changing or bool(self._faults[place])
 
     def _new(self, settings: FaultSettings, place: int) -> FrameFault:

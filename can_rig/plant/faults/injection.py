@@ -1,4 +1,4 @@
-"""Faults that are injected and cleared while a run goes on."""
+"""Injecting and clearing faults during a run."""
 
 from __future__ import annotations
 
@@ -20,11 +20,11 @@ from can_rig.scenario.tables.fault import (
 )
 
 FAULT_ACTIONS: Final = ("INJECT", "CLEAR")
-"""What of a command concerns faults."""
+"""The actions of a fault command."""
 
 
 def injected(command: Command, tick: int, tick_ns: int) -> FaultSettings | None:
-    """The fault that ``command`` asks for, from ``tick`` on; None if there is none such."""
+    """The fault of ``command``, from ``tick`` on; None: an unknown or impossible fault."""
     try:
         return _fault(command, tick * tick_ns / 1e9)
     except (RigError, ValidationError):
@@ -32,10 +32,10 @@ def injected(command: Command, tick: int, tick_ns: int) -> FaultSettings | None:
 
 
 def require_possible(command: Command) -> None:
-    """Refuse what no plant node would do, or what the frame would carry as something else.
+    """Refuse a fault that plant nodes reject or that the frame cannot represent.
 
     Raises:
-        RigError: what, and what would be right.
+        RigError: the impossible part, and the allowed values.
     """
     value, (step, most) = command.value, value_limits()
     if value is not None and not abs(value) <= most:
@@ -67,11 +67,11 @@ def _require_fault(command: Command) -> None:
 
 
 def _fault(command: Command, at_s: float) -> FaultSettings:
-    """The fault that ``command`` asks for.
+    """The fault that ``command`` requests.
 
     Raises:
-        RigError: this does not fail in that way.
-        ValidationError: of its number.
+        RigError: the place never fails in this way.
+        ValidationError: a number out of bounds.
     """
     kind = command.kind or ""
     values: dict[str, object] = {"kind": kind, "at_s": at_s}
@@ -88,21 +88,21 @@ def _fault(command: Command, at_s: float) -> FaultSettings:
 
 
 class Injection:
-    """A scenario to whose faults some are added, and some of them ended, as the run goes on."""
+    """A scenario whose faults commands add or end during the run."""
 
     def __init__(self, scenario: Scenario) -> None:
         self.scenario = scenario
-        """With all faults until now; its ticks until now are not touched by any change."""
+        """With all faults so far; no change touches the past ticks."""
 
     def obey(self, command: Command, tick: int) -> bool:
-        """Do what one of ``FAULT_ACTIONS`` asks for, from ``tick`` on; whether it can be done."""
+        """Carry out one of ``FAULT_ACTIONS`` from ``tick`` on; return whether that succeeded."""
         if command.action == "INJECT":
             return self.inject(command, tick)
         self.clear(command.place, tick)
         return True
 
     def inject(self, command: Command, tick: int) -> bool:
-        """Add a fault from ``tick`` on; whether there is such a one, and room for it."""
+        """Add a fault from ``tick`` on; return False for an invalid fault or too many faults."""
         fault = injected(command, tick, self.scenario.tick_ns)
         if fault is None:
             return False
@@ -114,7 +114,7 @@ class Injection:
         return True
 
     def clear(self, place: str, tick: int) -> None:
-        """End the faults at ``place`` (or at all) that are there, or still to come, at ``tick``."""
+        """End every present and future fault at ``place`` (empty: everywhere) from ``tick`` on."""
         scenario = self.scenario
         now_ns = tick * scenario.tick_ns
         faults = []

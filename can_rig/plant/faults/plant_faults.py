@@ -1,7 +1,6 @@
-"""What scheduled faults make of the actuators and of the sensor, for any part of a run.
+"""The effects of scheduled faults on the actuators and the sensor, for any part of a run.
 
-Faults that overlap act one after the other, in the order of the scenario. Those of frames are in
-``frame_faults``.
+Overlapping faults act in the scenario's order. ``frame_faults`` has the faults of frames.
 """
 
 from __future__ import annotations
@@ -26,10 +25,10 @@ from firmware_model.analysis.hardware import (
 from firmware_model.target.structs import FloatArray
 
 BLOCK_TICKS: Final = 1024
-"""That are worked out at once where a run goes tick by tick."""
+"""Block length for effects computed ahead in a tick-by-tick run."""
 
 Added = Callable[[FaultSettings, FloatArray], FloatArray | float]
-"""What a fault adds at times since it began, in s."""
+"""A fault's addition at times since its begin, in s."""
 
 
 def _drift(fault: FaultSettings, since_s: FloatArray) -> FloatArray:
@@ -49,10 +48,10 @@ ADDING: Final[dict[str, Added]] = {
     "sensor-drift": _drift,
     "sensor-oscillating": _oscillation,
 }
-"""Kinds that add something; to what the sensor reads before its noise and its resolution."""
+"""Kinds that add to the sensor's input, before noise and resolution."""
 
 Distortion = Callable[[FaultSettings, FloatArray, float], None]
-"""Changes the rows of ``hardware`` at the ticks of a fault, in place, for a tick of so many s."""
+"""Changes the rows of ``hardware`` at a fault's ticks, in place; the last argument: the tick, s."""
 
 
 def _scaled(rows: FloatArray, gain: float, added: FloatArray | float = 0.0) -> None:
@@ -84,11 +83,11 @@ DISTORTING: Final[dict[str, Distortion]] = {
     "sensor-rate-limited": _rate_limited,
     "sensor-late": _late,
 }
-"""Kinds that do more than add something, and are no loss of an actuator."""
+"""Other distorting kinds, apart from losses of an actuator."""
 
 
 class PlantFaults:
-    """The faults of a scenario that are in its actuators or in its sensor."""
+    """The faults in a scenario's actuators or sensor."""
 
     def __init__(self, scenario: Scenario) -> None:
         self._tick_ns, self._tick_s = scenario.tick_ns, scenario.tick_s
@@ -102,25 +101,25 @@ class PlantFaults:
 
     @property
     def latest_ticks(self) -> int:
-        """The most by which they can make a command or a reading late."""
+        """The longest delay of a command or a reading by these faults, in ticks."""
         return sum(fault.late_ticks for fault in self._in_rows if fault.kind.endswith("-late"))
 
     def left(self, ticks: range) -> FloatArray:
-        """(ticks, 2), what is left of each actuator: 1 healthy, ``fault.left`` dead."""
+        """(ticks, 2), the remaining share of each actuator: 1 healthy, ``fault.left`` dead."""
         left = np.ones((len(ticks), 2))
         for fault in self._dead:
             left[self._at(fault, ticks), CHANNELS.index(fault.place)] *= fault.left
         return left
 
     def bias(self, ticks: range) -> FloatArray:
-        """(ticks,), what is added to D*, m/s²."""
+        """(ticks,), the addition to D*, m/s²."""
         bias = np.zeros(len(ticks))
         for fault in self._in_bias:
             bias[self._at(fault, ticks)] += ADDING[fault.kind](fault, self._since_s(fault, ticks))
         return bias
 
     def rows(self, ticks: range) -> FloatArray:
-        """(ticks, 3, ``DISTORTION``), what else is wrong; (0, ...) where nothing ever is."""
+        """(ticks, 3, ``DISTORTION``), the other distortions; (0, ...) in a run without any."""
         if not self._in_rows:
             return NO_FAULTS
         rows: FloatArray = np.tile(HEALTHY, (len(ticks), len(PLACES), 1))
@@ -134,7 +133,7 @@ class PlantFaults:
         return rows
 
     def _at(self, fault: FaultSettings, ticks: range) -> slice:
-        """Where the ticks of ``fault`` are among ``ticks``."""
+        """The slice of ``ticks`` during which ``fault`` acts."""
         its = fault.ticks(self._tick_ns, ticks)
         if not its:
             return slice(0)
@@ -147,23 +146,23 @@ class PlantFaults:
 
 
 class Now(NamedTuple):
-    """What the faults of one tick are; see ``PlantFaults``."""
+    """The effects of all faults in one tick; see ``PlantFaults``."""
 
     left: tuple[float, float]
     bias: float
     rows: FloatArray | None
-    """None where nothing is ever distorted."""
+    """None in a run without distortions."""
 
 
 HEALTHY_NOW: Final = Now((1.0, 1.0), 0.0, None)
 
 
 class FaultsByTick:
-    """``PlantFaults``, a tick at a time: worked out for many ticks at once.
+    """``PlantFaults`` tick by tick, computed for many ticks at once.
 
     Args:
-        scenario: whose faults they are.
-        changing: whether they may change while the run goes on.
+        scenario: the scenario with the faults.
+        changing: whether the faults may change during the run.
     """
 
     def __init__(self, scenario: Scenario, changing: bool = False) -> None:
@@ -176,12 +175,12 @@ class FaultsByTick:
         """See ``PlantFaults``."""
 
     def change(self, scenario: Scenario) -> None:
-        """From the next tick that is asked for on, the faults of ``scenario``."""
+        """Take the faults of ``scenario`` from the next requested tick on."""
         self._faults = PlantFaults(scenario)
         self._block = []
 
     def at(self, tick: int) -> Now:
-        """Those of ``tick``."""
+        """The effects at ``tick``."""
         if not self._any:
             return HEALTHY_NOW
         place = tick - self._first
@@ -189,7 +188,8 @@ class FaultsByTick:
             self._first, place = tick, 0
             ticks = range(tick, tick + BLOCK_TICKS)
             rows = self._faults.rows(ticks)
-            if self._changing and not len(rows):  # who may be late later on needs what was before
+            # a later delay fault needs the values before its begin
+            if self._changing and not len(rows):
                 rows = np.tile(HEALTHY, (len(ticks), len(PLACES), 1))
             self._block = [
                 Now(left, bias, row)

@@ -1,4 +1,4 @@
-"""What an FMU says about itself, and the variables and parameters that a scenario means by name."""
+"""An FMU's model description, and the variables and parameters that a scenario names."""
 
 from __future__ import annotations
 
@@ -21,7 +21,7 @@ from can_rig.scenario.plant_settings import FMU, SIGNALS, PlantSettings, flat_pa
 CO_SIMULATION: Final = "co-simulation"
 MODEL_EXCHANGE: Final = "model-exchange"
 BINARIES: Final = {"2": fmpy.platform, "3": fmpy.platform_tuple}
-"""By version of FMI, the folder of ``binaries/`` for this machine."""
+"""The folder of ``binaries/`` for this machine, by FMI version."""
 
 REAL: Final = ("Real", "Float64", "Float32")
 WHOLE: Final = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
@@ -34,21 +34,21 @@ class Variable(NamedTuple):
 
     reference: int
     access: str
-    """What FMPy's ``get…`` and ``set…`` call its type."""
+    """The type in the names of FMPy's ``get…`` and ``set…``."""
 
 
 @dataclass(frozen=True)
 class Description:
-    """What is needed of an FMU to run it.
+    """The facts about an FMU that a run needs.
 
     Attributes:
-        path: of the file.
+        path: the FMU file.
         model: FMPy's description of it.
-        co_simulation: whether it integrates itself.
+        co_simulation: whether the FMU integrates by its own solver.
         inputs: input 1 and input 2.
         output: D*.
-        signals: what else is recorded, by name of the column.
-        parameters: what is set before it starts, by its own names.
+        signals: the other recorded variables, by column name.
+        parameters: values set before the start, by the FMU's names.
     """
 
     path: Path
@@ -61,10 +61,10 @@ class Description:
 
 
 def describe(settings: PlantSettings) -> Description:
-    """The FMU of ``plant.kind``, with what ``plant.variables`` and ``plant.parameters`` name.
+    """The FMU of ``plant.kind``, with the variables and parameters of the settings.
 
     Raises:
-        ScenarioError: no FMU, none that runs here, or nothing of such a name in it.
+        ScenarioError: no FMU, an FMU without a binary for this machine, or an unknown name.
     """
     path = Path(settings.kind.removeprefix(FMU))
     if not path.is_file():
@@ -72,7 +72,7 @@ def describe(settings: PlantSettings) -> Description:
     try:
         refuse_large_description(path)
         model, files = _read(path), zipfile.ZipFile(path).namelist()
-    except Exception as error:  # FMPy raises whatever the reading of a wrong file meets
+    except Exception as error:  # FMPy raises any exception while reading a wrong file
         raise _refused(settings, f"must be an FMU: {_why_not(error)}") from None
     version = str(model.fmiVersion)[:1]
     if version not in BINARIES:
@@ -96,7 +96,7 @@ def describe(settings: PlantSettings) -> Description:
 
 
 def _read(path: Path) -> Any:
-    """FMPy's description; the schema is asked only for why there is none."""
+    """FMPy's model description; the schema serves only to explain a failure."""
     try:
         return read_model_description(str(path), validate=False)
     except (AttributeError, KeyError, TypeError, ValueError):
@@ -104,7 +104,7 @@ def _read(path: Path) -> Any:
 
 
 def _why_not(error: Exception) -> str:
-    if isinstance(error, AttributeError):  # the first thing that FMPy looks for
+    if isinstance(error, AttributeError):  # FMPy's first look-up
         return "modelDescription.xml does not say of which version of FMI it is"
     if isinstance(error, ValidationError):
         return f"modelDescription.xml: {one_line(Exception(error.problems[0]))}"
@@ -114,7 +114,7 @@ def _why_not(error: Exception) -> str:
 
 
 def _is_co_simulation(settings: PlantSettings, model: Any) -> bool:
-    """The type of FMI that is asked for, or co-simulation where the FMU has it."""
+    """Whether the FMU runs as co-simulation: by ``fmi_type``, or by preference if offered."""
     has = {
         CO_SIMULATION: model.coSimulation is not None,
         MODEL_EXCHANGE: model.modelExchange is not None,
@@ -144,7 +144,7 @@ def _refuse_other_machines(
 
 
 class _Names:
-    """The variables of an FMU by name, and what is refused about one."""
+    """The variables of an FMU by name, with the refusals of wrong names."""
 
     def __init__(self, settings: PlantSettings, model: Any) -> None:
         self._settings = settings
@@ -152,7 +152,7 @@ class _Names:
         self._variables = {variable.name: variable for variable in model.modelVariables}
 
     def number(self, key: str) -> Variable:
-        """What ``plant.variables.key`` names."""
+        """The variable in ``plant.variables.key``."""
         name = self._settings.variables[key]
         here = f"plant.variables.{key} = {name!r}"
         is_input, is_output = key in SIGNALS[:2], key == SIGNALS[2]
@@ -179,7 +179,7 @@ class _Names:
         return Variable(variable.valueReference, self._access(variable.type))
 
     def refuse_one_for_both(self) -> None:
-        """Two inputs that are one: the second command would take the place of the first."""
+        """Refuse one variable for both inputs: the second command would overwrite the first."""
         first, second = (self._settings.variables[key] for key in SIGNALS[:2])
         if first == second:
             raise ScenarioError(
@@ -188,7 +188,7 @@ class _Names:
             )
 
     def parameters(self) -> dict[str, bool | int | float | str]:
-        """``plant.parameters``, each of which can be set and has a value that fits."""
+        """``plant.parameters``, after checks of settability and type."""
         given = flat_parameters(self._settings.parameters)
         for name, value in given.items():
             here = f"plant.parameters.{name} = {value!r}"
@@ -215,7 +215,7 @@ class _Names:
         return self._variables[name]
 
     def _some(self, causality: str | None) -> str:
-        """What there is to choose from, in a few words."""
+        """The available names, in a few words."""
         names = [
             name
             for name, variable in self._variables.items()
@@ -230,7 +230,7 @@ class _Names:
 
 
 def _wanted(kind: str, value: object) -> str:
-    """What a parameter of this type must be; "" where ``value`` is that."""
+    """The expected type of a parameter; "" for a ``value`` of the right type."""
     is_number = isinstance(value, int | float) and not isinstance(value, bool)
     if kind in REAL:
         return "" if is_number else "a number"

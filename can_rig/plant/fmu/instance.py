@@ -1,4 +1,4 @@
-"""An FMU in this process: unpacked, loaded, at rest, and gone with the object that holds it."""
+"""An FMU in this process: unpacked, loaded, at rest, removed together with its ``Instance``."""
 
 from __future__ import annotations
 
@@ -26,23 +26,23 @@ if TYPE_CHECKING:
 
 
 class FmuError(Exception):
-    """An FMU that does not do as FMI says, or says itself that something is wrong."""
+    """An FMU that violates FMI, or reports an error."""
 
 
 class Instance:
     """An FMU at rest at 0 s, its inputs 0, its parameters set.
 
-    It has a folder and a library of its own, so no two share what an FMU keeps in static memory.
+    Each instance has a folder and a library, so two instances never share an FMU's static memory.
 
     Raises:
-        FmuError: it cannot be loaded, or does not start.
+        FmuError: a failure while loading or starting the FMU.
     """
 
     def __init__(self, description: Description) -> None:
         self._said = _Said()
         self.description = description
         folder = mkdtemp(prefix="can-rig-fmu-")
-        # Of multiprocessing, because a forked node leaves without Python's own atexit.
+        # multiprocessing's Finalize, because a forked node ends without running Python's atexit.
         Finalize(self, shutil.rmtree, (folder, True), exitpriority=0)
         with _working_directory(), self.explained(hidden=f"{folder}{os.sep}"):
             unpack(description.path, Path(folder))
@@ -71,12 +71,12 @@ class Instance:
             getattr(self.fmu, f"set{variable.access}")([variable.reference], [value])
 
     def read(self, variable: Variable) -> float:
-        """The value of now; inside ``explained``."""
+        """The present value; inside ``explained``."""
         return float(getattr(self.fmu, f"get{variable.access}")([variable.reference])[0])
 
     @contextmanager
     def explained(self, hidden: str = "") -> Iterator[None]:
-        """What fails in here is an ``FmuError``, with what the FMU itself says about it."""
+        """Turn every failure in this context into an ``FmuError`` with the FMU's last message."""
         try:
             yield
         except Exception as error:
@@ -92,20 +92,20 @@ class _Said:
         self.last = ""
 
     def hear(self, *arguments: Any) -> None:
-        """Of FMI 2 and 3, whose last argument is the message."""
+        """Callback of FMI 2 and 3; the last argument is the message."""
         message = arguments[-1]
         if isinstance(message, bytes):
             self.last = " ".join(message.decode(errors="replace").split())
 
 
 def _free(fmu: Any) -> None:
-    with suppress(Exception):  # it has nothing to say any more
+    with suppress(Exception):  # the FMU has no further message
         fmu.freeInstance()
 
 
 @contextmanager
 def _working_directory() -> Iterator[None]:
-    """FMPy goes to the folder of a library, and stays there if that cannot be loaded."""
+    """FMPy changes to a library's folder, and stays there after a failed load."""
     here = Path.cwd()
     try:
         yield

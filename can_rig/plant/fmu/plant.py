@@ -1,4 +1,4 @@
-"""An FMU as a plant of one's own."""
+"""An FMU as a plant class."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ def load_fmu(settings: PlantSettings) -> FmuPlant:
     """The FMU of ``plant.kind``, at rest.
 
     Raises:
-        ScenarioError: no FMU, one that does not start, or without what the scenario names in it.
+        ScenarioError: no FMU, a failing start, or a name unknown to the FMU.
     """
     description = describe(settings)
     try:
@@ -34,7 +34,7 @@ class FmuPlant:
         self.reset()
 
     def reset(self) -> None:
-        """Back to rest: the FMU anew, for not every one comes back from its own reset.
+        """Return to rest by a new instance, because the reset of some FMUs fails.
 
         Raises:
             FmuError: see ``Instance``.
@@ -44,17 +44,17 @@ class FmuPlant:
             self._stepping = stepping(self._instance)
 
     def advance(self, dt_s: float, torque_nm: float, force_difference_n: float) -> float:
-        """The output ``dt_s`` seconds later, both inputs held until then.
+        """The output ``dt_s`` seconds later; the inputs keep their values until then.
 
         Raises:
-            FmuError: the FMU, or CVODE with it, fails.
+            FmuError: the FMU or CVODE fails.
         """
         with self._instance.explained():
             self._stepping.step(dt_s, torque_nm, force_difference_n)
             return self._instance.read(self._description.output)
 
     def signals(self) -> dict[str, float]:
-        """What ``plant.variables`` names besides the inputs and the output.
+        """The variables in ``plant.variables`` besides the inputs and the output.
 
         Raises:
             FmuError: the FMU fails.

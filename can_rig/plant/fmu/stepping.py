@@ -1,4 +1,4 @@
-"""From one tick to the next, with both inputs held: the FMU integrates, or CVODE does for it."""
+"""Steps from tick to tick with both inputs held, by the FMU's own solver or by CVODE."""
 
 from __future__ import annotations
 
@@ -12,28 +12,28 @@ from can_rig.errors import one_line
 from can_rig.plant.fmu.instance import FmuError, Instance
 
 TOLERANCE: Final = 1e-10
-"""Relative, of a step of CVODE; the absolute one is that of each state's nominal value."""
+"""Relative tolerance of CVODE; each state's nominal value scales the absolute tolerance."""
 MOST_STEPS: Final = 10_000
-"""Of CVODE from one event or tick to the next."""
+"""Limit for CVODE between two events or ticks."""
 MOST_EVENTS: Final = 1_000
-"""From one tick to the next: more are no model, but one that chatters."""
+"""Limit per tick; a model with more events chatters."""
 CLOSE: Final = 1e-9
-"""Share of a step within which two moments are one."""
+"""Share of a step; two moments within this share count as equal."""
 
 
 class Stepping(Protocol):
-    """Takes an FMU on in time."""
+    """Advances an FMU in time."""
 
     def step(self, dt_s: float, first: float, second: float) -> None:
-        """``dt_s`` seconds on, with both inputs held.
+        """Advance by ``dt_s`` seconds, with both inputs held.
 
         Raises:
-            Exception: whatever FMPy and the FMU meet; see ``Instance.explained``.
+            Exception: any failure of FMPy or the FMU; see ``Instance.explained``.
         """
 
 
 def stepping(instance: Instance) -> Stepping:
-    """What suits the type of FMI."""
+    """Choose the stepping for the FMI type."""
     return CoSimulation(instance) if instance.description.co_simulation else ModelExchange(instance)
 
 
@@ -56,7 +56,7 @@ class CoSimulation:
             )
         self._instance.write_inputs(first, second)
         answer = self._instance.fmu.doStep(self._time_s, dt_s)
-        if answer is not None:  # of FMI 3
+        if answer is not None:  # only FMI 3
             _, ends, early, reached_s = answer
             if ends:
                 raise FmuError("the FMU ends the simulation")
@@ -66,9 +66,9 @@ class CoSimulation:
 
 
 class ModelExchange:
-    """CVODE integrates what the FMU gives as derivatives, from event to event.
+    """CVODE integrates the FMU's derivatives from event to event.
 
-    A tick begins with an event, for the inputs jump there.
+    A tick begins with an event, because the inputs jump there.
     """
 
     def __init__(self, instance: Instance) -> None:
@@ -79,7 +79,7 @@ class ModelExchange:
         self._is_fmi_2 = model.fmiVersion.startswith("2")
         self._time_s = 0.0
         self._next_event_s = math.inf
-        self._update_discrete_states()  # an FMU comes out of its initialisation in event mode
+        self._update_discrete_states()  # an FMU leaves initialisation in event mode
         self._fmu.enterContinuousTimeMode()
         self._solver = _Solver(
             nx=model.numberOfContinuousStates,
@@ -92,7 +92,7 @@ class ModelExchange:
             get_z=self._fmu.getEventIndicators,
             get_nominals=self._fmu.getNominalsOfContinuousStates,
             set_time=self._fmu.setTime,
-            input=SimpleNamespace(apply=lambda time_s: None),  # they are held
+            input=SimpleNamespace(apply=lambda time_s: None),  # held inputs
             startTime=0.0,
             relativeTolerance=TOLERANCE,
             maxNumSteps=MOST_STEPS,
@@ -118,7 +118,7 @@ class ModelExchange:
         self._time_s = end_s
 
     def _integrate(self, until_s: float) -> bool:
-        """On to ``until_s``, or to a state event before; whether one has to be handled."""
+        """Advance to ``until_s`` or an earlier state event; return whether an event occurred."""
         state_event, _, self._time_s = self._solver.step(self._time_s, until_s)
         self._fmu.setTime(self._time_s)
         step_event = ends = False
@@ -148,10 +148,10 @@ class ModelExchange:
 
 
 class _Solver(CVodeSolver):  # type: ignore[misc]  # FMPy has no types
-    """CVODE that tells what failed in the FMU; ctypes would print it and go on."""
+    """CVODE with the FMU's failure kept; ctypes would print the failure and continue."""
 
     def __init__(self, **arguments: Any) -> None:
-        self._failure = ""  # not the exception, whose traceback would keep the FMU
+        self._failure = ""  # the text only: an exception's traceback would keep the FMU alive
         super().__init__(**arguments)
 
     def f(self, t: float, y: Any, ydot: Any, user_data: Any) -> int:

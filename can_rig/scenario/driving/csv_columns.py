@@ -14,21 +14,21 @@ from firmware_model.target.structs import FloatArray
 
 TIME: Final = "time_s"
 NAME: Final = re.compile(r"[A-Za-z]+(_[A-Za-z0-9]+)+")
-"""Of a header: a name with its unit, as the rig has them; other words are anybody's."""
+"""A header's name with a unit, in the rig's style; other headers are free text."""
 OTHER_UNITS: Final = re.compile(r"km/?h|kph|mph|\bms\b", re.IGNORECASE)
 
 
 def over_time(file: str, where: str, column: str, end_s: float) -> tuple[FloatArray, FloatArray]:
-    """Times, s, and values of a CSV with these two columns; a header may lead.
+    """Times, s, and values of a CSV with these two columns; a header line is optional.
 
     Args:
         file: its path.
-        where: what begins a refusal.
+        where: the begin of a refusal.
         column: the name of the second column, with its unit.
-        end_s: of the run; a recording with times of its own begins later, and would be a constant.
+        end_s: end of the run; a recording that begins later would be a constant, and is refused.
 
     Raises:
-        ScenarioError: it cannot be read, has other columns, or its times do not increase.
+        ScenarioError: an unreadable file, other columns, or times that fail to increase.
     """
     try:
         lines = Path(file).read_text(encoding="utf-8-sig").splitlines()
@@ -76,13 +76,13 @@ def over_time(file: str, where: str, column: str, end_s: float) -> tuple[FloatAr
 
 
 def _says_another(said: str, name: str) -> bool:
-    """Whether a column's header says that it is not ``name``, or not in its unit."""
+    """Whether a column's header names another quantity or another unit than ``name``."""
     names_one = NAME.fullmatch(said) is not None and said.lower() != name
     return names_one or OTHER_UNITS.search(said) is not None
 
 
 def _number(text: str) -> float | None:
-    """What ``text`` says, finite or not; None if it is no number."""
+    """The number in ``text``, finite or not; None for other text."""
     try:
         return float(text)
     except ValueError:

@@ -1,14 +1,14 @@
-"""A driver who changes lanes: the lateral acceleration that one who looks ahead asks for.
+"""A driver who changes lanes: the lateral acceleration that a driver with preview requests.
 
-The driver looks at the lane where the car will be in ``preview_s``, and asks for the constant
-lateral acceleration that leads there from where the car is and how it moves across,
+The driver looks at the lane ``preview_s`` ahead, and requests the constant lateral acceleration
+from the car's present position and lateral speed to the lane:
 
     a = 2 (lane(t + T_p) - y - T_p ẏ)/T_p²,   |a| ≤ ``amplitude_mps2``,
 
-which the hands follow as a lag of first order, ``reaction_s``. It is the single-point preview of
-Kondo and Ajimine (SAE 680104, 1968), which MacAdam's optimal preview (IEEE Trans. SMC 11 (1981)
-393) is for one point and a car that does as it is told. The car here does: y is the double integral
-of the reference, so the reference does not depend on what the loop makes of it.
+The hands follow this acceleration as a lag of first order, ``reaction_s``. The rule is the
+single-point preview of Kondo and Ajimine (SAE 680104, 1968), to which MacAdam's optimal preview
+(IEEE Trans. SMC 11 (1981) 393) reduces for one point and an obedient car. The car here obeys: y is
+the double integral of the reference, so the reference is independent of the loop.
 """
 
 from __future__ import annotations
@@ -21,9 +21,9 @@ from firmware_model.target.structs import FloatArray
 
 
 def lane_changes(settings: ReferenceSettings, time_s: FloatArray, tick_s: float) -> FloatArray:
-    """The reference of a driver at ``time_s``, one tick apart, shape (ticks,), m/s².
+    """The reference of a driver at ``time_s``, spaced by one tick, shape (ticks,), m/s².
 
-    The first of ``lane_changes_s`` goes to the other lane, the second back, and so on.
+    The first of ``lane_changes_s`` leads to the other lane, the second back, alternating.
     """
     changes = np.sort(np.array(settings.lane_changes_s or (), dtype=np.float64))
     changed = np.searchsorted(changes, time_s + settings.preview_s, side="right")
@@ -35,7 +35,7 @@ def lane_changes(settings: ReferenceSettings, time_s: FloatArray, tick_s: float)
 def _driven(
     seen: FloatArray, tick_s: float, preview_s: float, reaction_s: float, largest: float
 ) -> FloatArray:
-    """The acceleration at every tick; ``seen`` is where the lane is that the driver looks at."""
+    """The acceleration at every tick; ``seen`` is the lane's position at the preview point."""
     asked = np.zeros(len(seen))
     y, speed, acceleration = 0.0, 0.0, 0.0
     follows = 1.0 - np.exp(-tick_s / reaction_s)

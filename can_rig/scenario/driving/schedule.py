@@ -1,4 +1,4 @@
-"""What the controller of a scenario runs from: one table, or designs at the speeds of its drive."""
+"""The controller of a scenario: a single table, or designs at the speeds of the drive."""
 
 from __future__ import annotations
 
@@ -26,14 +26,14 @@ from firmware_model.discretisation.schedules import AtSpeed, Scheduled, schedule
 from firmware_model.errors import DesignError
 from firmware_model.target.schedule import MAX_SPEEDS
 
-RATIO = 1.12  # of neighbouring speeds: between them a blend is far closer than another car
+RATIO = 1.12  # of neighbouring speeds: a blend is far closer to the right design than another car
 
 
 def controls(scenario: Scenario, network: Network | None) -> Scheduled:
     """The controller of ``scenario`` on ``network`` (None: without frames).
 
     Raises:
-        ScenarioError: a design that cannot be made or discretised, a drive that is none.
+        ScenarioError: a failing design or discretisation, an invalid drive.
     """
     if not scenario.drive.is_given:
         return Scheduled(None, controller_table(scenario, network))
@@ -44,7 +44,7 @@ def controls(scenario: Scenario, network: Network | None) -> Scheduled:
 
 
 def design_speeds(scenario: Scenario) -> tuple[float, ...]:
-    """The speeds that the controller is designed for, ascending.
+    """The design speeds of the controller, ascending.
 
     Raises:
         ScenarioError: see ``speed_profile``.
@@ -57,7 +57,7 @@ def design_speeds(scenario: Scenario) -> tuple[float, ...]:
 
 
 def frozen(scenario: Scenario, speed_mps: float) -> Scenario:
-    """The scenario with a car, and a design, that keeps one speed."""
+    """The scenario with car and design at one constant speed."""
     return replace(
         scenario,
         drive=DriveSettings(),
@@ -68,7 +68,7 @@ def frozen(scenario: Scenario, speed_mps: float) -> Scenario:
 
 
 def at_speed_of(scenario: Scenario, fault: FaultSettings) -> Scenario:
-    """The scenario with the car that it has when ``fault`` begins, for figures of one speed.
+    """The scenario with the car's speed at the begin of ``fault``, for figures of a single speed.
 
     Raises:
         ScenarioError: see ``speed_profile``.
@@ -80,7 +80,7 @@ def at_speed_of(scenario: Scenario, fault: FaultSettings) -> Scenario:
 
 
 def _without_run(scenario: Scenario, speeds: tuple[float, ...]) -> Scenario:
-    """What the schedule follows from, and nothing else, so that it is computed once."""
+    """Only the parts that determine the schedule, so that equal parts share one computation."""
     usual = Scenario(name=scenario.name)
     return replace(
         scenario,
@@ -104,7 +104,7 @@ def _scheduled(scenario: Scenario, network: Network | None) -> Scheduled:
 
 
 def _at(scenario: Scenario, network: Network | None, middle: Mismatch) -> AtSpeed:
-    """The design for one speed; other cars lie in the same directions at all of them."""
+    """The design for one speed; the directions of other cars are common to all speeds."""
     others = tuple(other_plants(scenario)(place) for place in middle.places)
     cars = Mismatch(tuple((plant.g1, plant.g2) for plant in others))
     return AtSpeed(

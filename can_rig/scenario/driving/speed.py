@@ -1,4 +1,4 @@
-"""The speed of the car over time, as a scenario gives it."""
+"""The speed of a scenario's car over time."""
 
 from __future__ import annotations
 
@@ -12,12 +12,12 @@ from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.drive import FASTEST_MPS, SLOWEST_MPS
 from firmware_model.target.structs import FloatArray
 
-ROUNDING = 1e-9  # relative, of a rate that is the fastest one
+ROUNDING = 1e-9  # relative, against refusing the fastest allowed rate
 
 
 @dataclass(frozen=True)
 class SpeedProfile:
-    """Straight lines between (``time_s``, ``speed_mps``), shape (n,) each; its ends are held."""
+    """Straight lines between (``time_s``, ``speed_mps``), shape (n,) each; end values hold."""
 
     time_s: FloatArray
     speed_mps: FloatArray
@@ -39,11 +39,10 @@ class SpeedProfile:
 
 
 def speed_profile(scenario: Scenario) -> SpeedProfile:
-    """The speed of the car in a scenario that has a drive.
+    """The car's speed in a scenario with a drive.
 
     Raises:
-        ScenarioError: a CSV that cannot be read, a speed out of bounds or one that changes too
-            fast.
+        ScenarioError: an unreadable CSV, a speed out of bounds, or a speed that changes too fast.
     """
     drive = scenario.drive
     where = f"scenario {scenario.name}: drive"

@@ -1,5 +1,5 @@
 """The keys of tables within tables: a plant by numbers, anybody's network, a fault.
 
-``changes`` knows keys with dots, which name what is within a table. It imports what its own keys
-describe in `firmware_model`; `scenario` puts them together.
+``changes`` reads and writes keys with dots, which name values within tables. This room imports the
+parts of `firmware_model` that its keys describe; `scenario` combines the tables.
 """

@@ -1,7 +1,7 @@
-"""Keys with dots: ``KEY=VALUE`` put into the tables of a scenario, and read from them.
+"""Keys with dots: writing ``KEY=VALUE`` into a scenario's tables, and reading from the tables.
 
-``fault`` is a table, or a list of tables: ``fault.1.at_s`` is of the second, and ``fault.at_s`` of
-the only one, which is ``fault.0`` as well.
+``fault`` is a table or a list of tables: ``fault.1.at_s`` belongs to the second fault;
+``fault.at_s`` and ``fault.0.at_s`` belong to a single fault.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from can_rig.scenario.tables.fault import NUMBER, FaultSettings
 FAULT: Final = "fault"
 
 UNSET: Final = {key for key in NUMBER.values() if getattr(FaultSettings, key) is None}
-"""Keys of faults that nothing sets but whoever means them."""
+"""Keys of faults without a default value."""
 
 Changes = Mapping[str, Any]
 """Key → value; keys with dots, or tables within tables."""
 
 
 def change(values: dict[str, Any], setting: str) -> None:
-    """Apply one ``KEY=VALUE``; a value that is not TOML is a string, so quotes are optional."""
+    """Apply one ``KEY=VALUE``; a value that is invalid TOML is a string, so quotes are optional."""
     key, equals, text = setting.partition("=")
     parts = key.strip().split(".")
     if not equals or not all(parts):
@@ -37,7 +37,7 @@ def change(values: dict[str, Any], setting: str) -> None:
         value = tomllib.loads(f"value = {text}")["value"]
     except tomllib.TOMLDecodeError:
         value = text.strip()
-    except ValueError:  # Python reads no more digits than that
+    except ValueError:  # Python's limit on digits
         most = sys.get_int_max_str_digits()
         raise ScenarioError(f"--set {setting[:40]}...: must have at most {most} digits") from None
     table = values
@@ -53,9 +53,9 @@ def change(values: dict[str, Any], setting: str) -> None:
 def _fault(
     values: dict[str, Any], setting: str, parts: list[str]
 ) -> tuple[dict[str, Any], list[str]]:
-    """The table of the fault that ``parts`` name, by number where there are several.
+    """The table of the fault in ``parts``, by number if several faults exist.
 
-    A number that is the next one makes another fault.
+    The next free number appends a fault.
     """
     listed = values.get(FAULT, {})
     faults = listed if isinstance(listed, list) else [listed]
@@ -76,7 +76,7 @@ def as_settings(changes: Changes) -> list[str]:
     """``KEY=VALUE`` for each change, exact.
 
     Raises:
-        ScenarioError: no mapping, or a value that TOML does not know.
+        ScenarioError: not a mapping, or a value unknown to TOML.
     """
     if not isinstance(changes, Mapping):
         raise ScenarioError(
@@ -86,7 +86,7 @@ def as_settings(changes: Changes) -> list[str]:
 
 
 def flat(changes: Changes, prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Keys with dots, also of tables within tables."""
+    """Keys with dots, also from tables within tables."""
     for key, value in changes.items():
         if isinstance(value, Mapping):
             yield from flat(value, f"{prefix}{key}.")
@@ -95,7 +95,7 @@ def flat(changes: Changes, prefix: str = "") -> Iterator[tuple[str, Any]]:
 
 
 def toml_text(key: str, value: Any) -> str:
-    """A value as TOML has it."""
+    """A value in TOML's notation."""
     plain = value.item() if hasattr(value, "item") else value  # a number of numpy's
     if isinstance(plain, bool):
         return str(plain).lower()
@@ -112,7 +112,7 @@ def toml_text(key: str, value: Any) -> str:
 
 
 def value_in(values: Mapping[str, Any], key: str) -> Any:
-    """What ``key`` is in the tables of a scenario; None where it is not there."""
+    """The value of ``key`` in a scenario's tables; None for a missing key."""
     value: Any = values
     for at, part in enumerate(key.split(".")):
         if at == 1 and part.isdecimal() and key.startswith(f"{FAULT}."):
@@ -124,13 +124,13 @@ def value_in(values: Mapping[str, Any], key: str) -> Any:
 
 
 def require_kinds(name: str, values: Mapping[str, Any]) -> None:
-    """Refuse keys in the scenario ``name`` that would do nothing, unsaid.
+    """Refuse keys in the scenario ``name`` without any effect.
 
-    They are those of a fault without a kind, and a reference's file without its kind. Not of a
-    campaign, where an axis may say what is missing.
+    Such keys are keys of a fault without a kind, and a reference's file without its kind. Campaigns
+    skip this check, because an axis may supply the missing key.
 
     Raises:
-        ScenarioError: which key, and what would be right.
+        ScenarioError: the wrong key, and the right setting.
     """
     faults = values.get(FAULT)
     for number, fault in enumerate(faults if isinstance(faults, list) else [faults]):
@@ -152,10 +152,10 @@ def require_kinds(name: str, values: Mapping[str, Any]) -> None:
 
 
 def require_own_numbers(name: str, faults: Any) -> None:
-    """Refuse the number of another kind in place of a fault's own, as the file ``name`` has it.
+    """Refuse another kind's number in a fault, as written in the file ``name``.
 
     Raises:
-        ScenarioError: which key, and what would be right.
+        ScenarioError: the wrong key, and the right setting.
     """
     for number, fault in enumerate(faults if isinstance(faults, list) else [faults]):
         kind = fault.get("kind") if isinstance(fault, Mapping) else None

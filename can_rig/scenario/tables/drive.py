@@ -1,4 +1,4 @@
-"""The keys of a drive: how fast the car goes, and how fast that may change."""
+"""The keys of a drive: the car's speed, and its largest rate of change."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pydantic.dataclasses import dataclass
 from can_rig.scenario.stage_settings import STRICT
 from can_rig.scenario.tables.fault import Moment
 
-SLOWEST_MPS: Final = 1.0  # below that a tire rolls as no slip angle of ours says
+SLOWEST_MPS: Final = 1.0  # at lower speeds our slip angles fail to describe a rolling tire
 FASTEST_MPS: Final = 100.0
 
 Speed = Annotated[float, Field(ge=SLOWEST_MPS, le=FASTEST_MPS)]
@@ -19,11 +19,11 @@ Speed = Annotated[float, Field(ge=SLOWEST_MPS, le=FASTEST_MPS)]
 
 @dataclass(frozen=True, config=STRICT)
 class DriveSettings:
-    """How fast the car goes, at most one of three ways; the controller hears it on the bus.
+    """The car's speed, by at most one of three keys; the controller hears the speed on the bus.
 
-    ``speed_mps`` is constant; ``ramps`` has pairs of time in s and speed in m/s, with straight
-    lines between them; ``file`` is a CSV of these two columns. Before the first and after the last
-    pair the speed stays. Without any, it is ``plant.speed_mps``, and no frame says it.
+    ``speed_mps`` is constant; ``ramps`` has pairs of time in s and speed in m/s, joined by straight
+    lines; ``file`` is a CSV of these two columns. Before the first and after the last pair the
+    speed stays. Without any key, the speed is ``plant.speed_mps``, and no frame carries the speed.
     """
 
     speed_mps: Speed | None = None
@@ -42,5 +42,5 @@ class DriveSettings:
 
     @property
     def is_given(self) -> bool:
-        """Whether the scenario has one."""
+        """Whether the scenario has a drive."""
         return bool(self.speed_mps or self.ramps or self.file)

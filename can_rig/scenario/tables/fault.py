@@ -1,7 +1,7 @@
-"""The keys of a fault: what fails, how, when, and for how long.
+"""The keys of a fault: place, kind, begin and duration.
 
-The first word of a kind says where it acts: in an actuator, in the sensor, or on a frame on its
-way. A scenario has any number of faults, which may overlap.
+The first word of a kind names the place: an actuator, the sensor, or a frame in transit. A scenario
+has any number of faults; faults may overlap.
 """
 
 from __future__ import annotations
@@ -37,18 +37,18 @@ FaultKind = Literal[
 ]
 Channel = Literal["torque", "force-difference"]
 CHANNELS: Final[tuple[Channel, Channel]] = get_args(Channel)
-"""The words for input 1 and input 2, of any plant."""
+"""Names of input 1 and input 2, for any plant."""
 SENSOR: Final = "sensor"
-"""In place of a channel, for the frame of the measured output."""
+"""The place of the measured output's frame."""
 PLACES: Final = (*CHANNELS, SENSOR)
-"""What can fail; the place of each is its number."""
+"""Places of faults; the index is the place's number."""
 
 MAX_DURATION_S: Final = 1e6
 FOR_GOOD_NS: Final = 1 << 62  # later than any run
 MAX_LATE_TICKS: Final = 1000
 
 Moment = Annotated[float, Field(ge=0.0, le=MAX_DURATION_S)]
-"""In a run, or a length of time that may be none, s."""
+"""A moment of a run, or a duration of zero or more, s."""
 
 NUMBER: Final = {
     "actuator-dead": "left",
@@ -68,18 +68,19 @@ NUMBER: Final = {
     "frames-late": "late_ticks",
     "frames-forged": "value",
 }
-"""Of each kind that has one, the key of its one number."""
+"""The key of each kind's number, for kinds with a number."""
 
 WHERE_IT_IS: Final = ("actuator-stuck", "sensor-stuck")
-"""Kinds that mean something without their number too."""
+"""Kinds with an optional number."""
 
 
 @dataclass(frozen=True, config=STRICT)
 class FaultSettings:
-    """One fault from ``at_s`` on, for good or for ``for_s`` seconds, at every ``every``-th tick.
+    """One fault from ``at_s`` on, endless or for ``for_s`` seconds, at every ``every``-th tick.
 
-    ``channel`` is what an actuator's fault or a fault of frames concerns. ``value``, ``offset``,
-    ``drift_per_s``, ``amplitude`` and ``rate_per_s`` are in the unit of what fails: N m, N or m/s².
+    ``channel`` names the place of an actuator fault or a frame fault. ``value``, ``offset``,
+    ``drift_per_s``, ``amplitude`` and ``rate_per_s`` have the unit of the failing signal: N m, N or
+    m/s².
     """
 
     kind: FaultKind = "none"
@@ -108,28 +109,28 @@ class FaultSettings:
 
     @property
     def place(self) -> str:
-        """What fails: one of ``PLACES``."""
+        """The failing place: one of ``PLACES``."""
         return SENSOR if self.kind.startswith("sensor-") else self.channel
 
     @property
     def acts_on_frames(self) -> bool:
-        """Whether it is a fault of the bus and of who sends on it."""
+        """Whether the fault acts on the bus or on a sender."""
         return self.kind.startswith("frames-")
 
     @property
     def adds_frames(self) -> bool:
-        """Whether it puts frames on the bus that are not, damaged or not, those of their tick."""
+        """Whether the fault sends other frames than the tick's regular, perhaps damaged frames."""
         alone = "frames-missing" if self.place == SENSOR else "frames-corrupted"
         return self.acts_on_frames and self.kind not in {"frames-missing", alone}
 
     @property
     def loses_a_channel(self) -> bool:
-        """Whether an actuator does not do what it is told, in full or in part."""
+        """Whether an actuator ignores its command, in full or in part."""
         return self.kind != "none" and self.place != SENSOR
 
     @property
     def span_ns(self) -> tuple[int, int]:
-        """When it begins, and when it is over; whole nanoseconds, so no tick by rounding."""
+        """Begin and end; whole nanoseconds, so that rounding never shifts a tick."""
         if self.kind == "none":
             return FOR_GOOD_NS, FOR_GOOD_NS
         begin_ns = round(self.at_s * 1e9)
@@ -138,7 +139,7 @@ class FaultSettings:
         return begin_ns, begin_ns + round(self.for_s * 1e9)
 
     def ticks(self, tick_ns: int, run: range) -> range:
-        """The ticks of ``run`` at which it is there."""
+        """The ticks of ``run`` with the fault active."""
         begin, end = (-(-time_ns // tick_ns) for time_ns in self.span_ns)
         steps = -(-max(run.start - begin, 0) // self.every)
         return range(begin + steps * self.every, min(end, run.stop), self.every)

@@ -1,4 +1,4 @@
-"""The network of a scenario: anybody's database, and which of its signals play which role."""
+"""The network of a scenario: the user's database, and the roles of its signals."""
 
 from __future__ import annotations
 
@@ -16,13 +16,13 @@ OPTIONAL: Final = ("mode", "fault_state", "verdict")
 
 
 class _Names:
-    """Names by key: all but those in ``OPTIONAL``, or none."""
+    """Names by key: all except those in ``OPTIONAL``, or an empty table."""
 
     def _given(self) -> dict[str, str]:
         return vars(self)
 
     def __bool__(self) -> bool:
-        """Whether any is given."""
+        """Whether any name is given."""
         return any(self._given().values())
 
     def _require_all(self, others: str) -> None:
@@ -35,7 +35,7 @@ class _Names:
 
 @dataclass(frozen=True, config=STRICT)
 class SignalNames(_Names):
-    """The signal of each role, as ``Message.Signal``; all but the last three are needed."""
+    """The signal of each role, as ``Message.Signal``; all except the last three are required."""
 
     reference: str = ""
     feedback: str = ""
@@ -56,7 +56,7 @@ class SignalNames(_Names):
 
 @dataclass(frozen=True, config=STRICT)
 class TickNames(_Names):
-    """The signal that counts the ticks in the message of each role: all of them, or none."""
+    """The tick-counting signal in each role's message: for all roles or no role."""
 
     reference: str = ""
     feedback: str = ""
@@ -70,7 +70,7 @@ class TickNames(_Names):
 
 @dataclass(frozen=True, config=STRICT)
 class DataIds:
-    """E2E data identifiers of the messages that are protected by profile 1, by role."""
+    """E2E data identifiers of messages with profile 1 protection, by role."""
 
     reference: DataId | None = None
     feedback: DataId | None = None
@@ -81,12 +81,12 @@ class DataIds:
 
 @dataclass(frozen=True, config=STRICT)
 class NetworkSettings:
-    """Frames of one's own in place of the rig's.
+    """The user's frames in place of the rig's.
 
-    ``dbc`` is any database that cantools reads. With ``signals`` its frames are as they are;
-    without them it must be one of the rig's, with RigRole and its layout. ``tick`` is the signal
-    that counts the ticks where it has the same name in all five messages, ``ticks`` where it has
-    not; neither for none.
+    ``dbc`` is any database that cantools reads. With ``signals``, the database's frames are used
+    unchanged; without ``signals``, the database must have RigRole and the rig's layout. ``tick``
+    names the tick-counting signal common to all five messages; ``ticks`` gives a name for each
+    message; without both, no message counts ticks.
     """
 
     dbc: str = ""

@@ -1,4 +1,4 @@
-"""A plant by numbers: the keys of a transfer function, and of what a signal is called."""
+"""A plant by numbers: the keys of a transfer function, and the names of signals."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from pydantic.dataclasses import dataclass
 from can_rig.scenario.stage_settings import STRICT
 from firmware_model.design.zpk import Roots, ZeroPoleGain
 
-LARGEST = 1e100  # of a number that is given: what is multiplied with another is still a number
+LARGEST = 1e100  # largest given number: products of two given numbers remain finite
 PAIR = 2  # parts of a complex root
 LONGEST = 40  # letters of a name
 FACTORED: Final = ("zeros", "poles", "gain")
@@ -24,8 +24,8 @@ Row = tuple[float, ...]
 class TransferFunction:
     """``num`` and ``den``, highest power first, or ``zeros``, ``poles`` [rad/s] and ``gain``.
 
-    A root is a number, or ``[real, imaginary]`` for a pair of conjugates. The gain is that of
-    k Π(s - zero) / Π(s - pole).
+    A root is a number, or ``[real, imaginary]`` for a pair of conjugates. The gain is k in k Π(s -
+    zero) / Π(s - pole).
     """
 
     num: Row | None = None
@@ -63,17 +63,17 @@ class TransferFunction:
 
     @property
     def factored(self) -> ZeroPoleGain:
-        """It, with the roots of its polynomials.
+        """The transfer function with its polynomials' roots.
 
         Raises:
-            DesignError: coefficients whose ratio leaves the floats.
+            DesignError: coefficients with a ratio beyond the floats.
         """
         if self.num is not None and self.den is not None:
             return ZeroPoleGain.from_coefficients(self.num, self.den)
         return ZeroPoleGain(_roots(self.zeros), _roots(self.poles), self.gain or 0.0)
 
     def scaled(self, gain: float, speed: float) -> Self:
-        """``gain`` times as strong, its poles and zeros ``speed`` times as fast: k G(s/v)."""
+        """``gain`` times as strong, with poles and zeros ``speed`` times as fast: k G(s/v)."""
         if self.num is not None and self.den is not None:
             return replace(
                 self, num=_faster(self.num, speed, gain), den=_faster(self.den, speed, 1.0)
@@ -90,7 +90,7 @@ class TransferFunction:
 
 @dataclass(frozen=True, config=STRICT)
 class SignalSettings:
-    """What a signal of the plant is called, and its unit; not set: as the kind of plant has it."""
+    """The name of a plant's signal, and its unit; unset: the kind's default."""
 
     name: str | None = None
     unit: str | None = None
@@ -104,7 +104,7 @@ class SignalSettings:
 
 
 def refuse_large(key: str, values: Row) -> None:
-    """Refuse a number that leaves the floats when it is multiplied with another."""
+    """Refuse a number whose product with another given number is infinite."""
     for value in values:
         if abs(value) > LARGEST:
             raise ValueError(f"{key} = {value:g}: must be at most {LARGEST:g} in magnitude")
