@@ -54,6 +54,7 @@ class Execution:
 
     folder: Path
     scenario: Scenario
+    """As the folder says it."""
     network: Network
     outcome: Outcome
     metrics: Metrics
@@ -198,7 +199,7 @@ def execute(
     out = out or default_folder("runs", scenario.name)
     with NewFolder.create(out, RUN_FOLDER, force) as folder:
         try:
-            made_here, final = _with_reference(scenario, folder, reference_csv)
+            made_here, said = _with_reference(scenario, folder, reference_csv)
             on_the_bus(made_here, network)
         except RigError:
             folder.give_up()
@@ -227,13 +228,13 @@ def execute(
             if interaction.injectable:
                 own = folder.making / REFERENCE
                 made_here = happened(folder.making / LOG, made_here, network, own)
-            values = finish(folder.making, made_here, network, outcome, final, report, columns)
+            values = finish(folder.making, made_here, network, outcome, said, report, columns)
             folder.publish()
         except RigError:
             if failure is not None:  # came first, and may be why: a disk that was full already
                 raise failure from None
             raise
-    return Execution(folder.path, final, network, outcome, values, made_here, failure)
+    return Execution(folder.path, said, network, outcome, values, made_here, failure)
 
 
 def _needs_no_bus(scenario: Scenario, network: Network, controller: Controller) -> bool:
@@ -258,7 +259,7 @@ def _require_shared(bus: str) -> None:
 def _with_reference(
     scenario: Scenario, folder: NewFolder, csv: str | None
 ) -> tuple[Scenario, Scenario]:
-    """The scenario as it runs while the folder is being made, and as it is recorded.
+    """The scenario as it runs while the folder is being made, and as the folder says it.
 
     Raises:
         LogError: the reference cannot be written.
@@ -268,11 +269,11 @@ def _with_reference(
     file = folder.making / REFERENCE
     with atomic(file, force=False) as part:
         part.write_text(csv, encoding="utf-8")
-    made_here, final = (
-        replace(scenario, reference=ReferenceSettings(kind="csv", file=str(path / REFERENCE)))
-        for path in (folder.making, folder.path)
+    made_here, said = (
+        replace(scenario, reference=ReferenceSettings(kind="csv", file=str(path)))
+        for path in (file, REFERENCE)
     )
-    return made_here, final
+    return made_here, said
 
 
 def _run(
