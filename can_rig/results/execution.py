@@ -5,7 +5,6 @@ An existing folder stands until the new one is whole, and nothing that was recor
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -20,6 +19,7 @@ from can_rig.files import atomic
 from can_rig.folders.new_folder import NewFolder
 from can_rig.folders.replacing import default_folder
 from can_rig.frames.network import Network
+from can_rig.nodes.agreement import is_shared, own_bus, require_alone
 from can_rig.nodes.lockstep.plant_node import require_ticks
 from can_rig.nodes.lockstep.without_bus import run_without_bus
 from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
@@ -189,7 +189,7 @@ def execute(
         and interaction == UNTOUCHED
         and _needs_no_bus(scenario, network, controller)
     )
-    bus = bus or (NO_BUS if without else f"local:run-{os.getpid()}")
+    bus = bus or (NO_BUS if without else own_bus())
     if runner is real_time:
         require_causal(scenario)
     else:
@@ -197,6 +197,8 @@ def execute(
     if runner is not in_process:
         _require_shared(bus)
     out = out or default_folder("runs", scenario.name)
+    if bus != NO_BUS and is_shared(bus):
+        require_alone(scenario, bus, network.fd)
     with NewFolder.create(out, RUN_FOLDER, force) as folder:
         try:
             made_here, said = _with_reference(scenario, folder, reference_csv)

@@ -160,9 +160,9 @@ def recorded_scenario(folder: Path) -> tuple[dict[str, Any], bool]:
         values = summary["scenario"]
         if isinstance(values, dict):
             reference = values.get("reference")
-            own = isinstance(reference, dict) and reference.get("file") == REFERENCE
-            if own and (folder / REFERENCE).is_file():
-                values["reference"] = {**reference, "file": str(folder / REFERENCE)}
+            own = (folder / REFERENCE).is_file()
+            if own and isinstance(reference, dict) and reference.get("file") == REFERENCE:
+                reference["file"] = str(folder / REFERENCE)
             return values, summary.get("realtime") is not None
     except (OSError, ValueError, KeyError, TypeError, AttributeError):
         pass
