@@ -33,8 +33,11 @@ _UNITS: Final = (  # suffix of a column, longest first
     ("_rad_per_s", "rad/s"),
     ("_mps2", "m/s²"),
     ("_rad", "rad"),
+    ("_per_hour", "1/h"),
+    ("_mps", "m/s"),
     ("_nm", "N m"),
     ("_n", "N"),
+    ("_s", "s"),
 )
 
 
