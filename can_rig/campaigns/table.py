@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final
 
 from can_rig.campaigns.plan import Plan, value_at
 from can_rig.files import atomic
+from can_rig.views.signal_table import unit
 
 if TYPE_CHECKING:
     import pyarrow as pa
@@ -78,7 +80,23 @@ def schema(plan: Plan) -> pa.Schema:
     for name in plan.settings.requirements:
         columns[f"margin.{name}"] = pa.float64()
     columns |= {"margin": pa.float64(), "failure": pa.string(), "command": pa.string()}
-    return pa.schema(list(columns.items()))
+    fields = pa.schema(list(columns.items()))
+    return fields.with_metadata(_for_pandas(fields))
+
+
+def _for_pandas(columns: pa.Schema) -> dict[str, str]:
+    """What ``pandas.read_parquet`` makes of it: ``attrs["units"]``, and booleans with unknowns."""
+    import pyarrow as pa  # noqa: PLC0415 (an extra)
+
+    truths = [
+        {"name": field.name, "field_name": field.name, "pandas_type": "bool",
+         "numpy_type": "boolean", "metadata": None}
+        for field in columns
+        if pa.types.is_boolean(field.type)
+    ]  # fmt: skip
+    units = {name: unit(name) for name in columns.names if unit(name)}
+    described = {"columns": truths, "index_columns": [], "column_indexes": []}
+    return {"pandas": json.dumps(described), "PANDAS_ATTRS": json.dumps({"units": units})}
 
 
 def write_block(path: Path, rows: Iterable[dict[str, Any]], columns: pa.Schema) -> None:

@@ -1,4 +1,4 @@
-"""Whether two nodes that were started by hand run the same scenario.
+"""Whether two nodes that were started by hand run the same scenario, and are the only two.
 
 Each node announces a digest of its scenario: the plant with its first offer and as often as it
 repeats that, the controller when it begins to listen. Whoever hears another digest than its own
@@ -6,13 +6,20 @@ sends the digests of all its keys, one by one. Whoever hears another digest of a
 of that key and ends, with a line that names it; so both end. A plant node that has completed a tick
 goes on: a controller that joins late and has another scenario is told, and ends by itself.
 
+Each announcement also asks for nodes of the same kind: a bus has one plant and one controller. A
+node that hears such a question answers; before its first tick the node then ends, as does the node
+that asked. A rig on a bus that others can join asks before the rig starts, and answers while it
+runs. A random number tells a question of another node from the own one that the bus brings back.
+
 A partner that announces nothing, such as a log that is played, is taken as it is. None of these
 frames is recorded, as repeated offers are not; nodes that one process has started have one scenario
-and send none.
+and do not compare theirs.
 """
 
 from __future__ import annotations
 
+import os
+import secrets
 from collections.abc import Iterator, Mapping
 from contextlib import suppress
 from pathlib import Path
@@ -20,10 +27,18 @@ from typing import Any, Final
 
 import can
 
-from can_rig.errors import ScenarioError
-from can_rig.frames.beside.agreement import SENDERS, Comparison, ComparisonFrame, digest
+from can_rig.buses.bus import in_one_process, open_for_node
+from can_rig.errors import BusError, ScenarioError
+from can_rig.frames.beside.agreement import (
+    ASKED,
+    PRESENT,
+    SENDERS,
+    Comparison,
+    ComparisonFrame,
+    digest,
+)
 from can_rig.nodes.bus_access import NodeBus, PersistentSender
-from can_rig.nodes.clock import NS_PER_S, Clock
+from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock
 from can_rig.scenario.plant_settings import FMU
 from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.changes import FAULT
@@ -32,6 +47,9 @@ from can_rig.scenario.tables.fault import FaultSettings
 WHOLE: Final = 0
 UNSETTLED_S: Final = 5.0
 """How long a node waits for the key when it knows that the scenarios are not the same."""
+
+ANSWERED_S: Final = 0.25
+"""How long a rig waits, before its start, for an answer of another rig on the bus."""
 
 OWN: Final = ("name", "description", "reference.file", "drive.file", "network.dbc")
 """Keys that say nothing about the run: what it is called, and where one node finds a file."""
@@ -71,11 +89,13 @@ class Agreement:
     """
 
     def __init__(self, scenario: Scenario, name: str, bus: NodeBus, clock: Clock) -> None:
+        self._name = name
         (self._other,) = set(SENDERS) - {name}
         self._keys = list(keys_of(scenario.as_dict()))
         digests = [digest(key, value) for key, value in self._keys]
         self._digests = [digest("", digests), *digests]
         self._bus = bus
+        self._number = secrets.randbits(32)
         self._send = PersistentSender(bus, UNSETTLED_S, clock)
         self._clock = clock
         self._own_frame, self._other_frame = ComparisonFrame(name), ComparisonFrame(self._other)
@@ -92,8 +112,13 @@ class Agreement:
         return int(getattr(self._bus, "lost_frames", 0))
 
     def announce(self) -> None:
-        """Say which scenario this node has."""
+        """Say which scenario this node has, and ask for another node of its kind."""
         self._say(WHOLE)
+        self.ask()
+
+    def ask(self) -> None:
+        """Ask for another node of the same kind."""
+        self._put(Comparison(ASKED, self._number))
 
     def send(self, msg: can.Message) -> None:
         """As the bus."""
@@ -104,6 +129,7 @@ class Agreement:
 
         Raises:
             ScenarioError: the other node has another scenario.
+            BusError: another node of the same kind is on the bus.
         """
         end_ns = self._clock.now_ns() + round((timeout or 0.0) * NS_PER_S)
         while True:
@@ -111,6 +137,8 @@ class Agreement:
             message = self._bus.recv(left_s)
             if message is not None and message.arbitration_id == self._other_frame.frame_id:
                 self._hear(self._other_frame.read(message))
+            elif message is not None and message.arbitration_id == self._own_frame.frame_id:
+                self._hear_own_kind(self._own_frame.read(message))
             elif self._differs_ns is None:
                 return message
             elif self._clock.now_ns() - self._differs_ns > UNSETTLED_S * NS_PER_S:
@@ -119,12 +147,26 @@ class Agreement:
                 return None
 
     def _say(self, key: int) -> None:
-        message = self._own_frame.message(Comparison(key, self._digests[key]))
+        self._put(Comparison(key, self._digests[key]))
+
+    def _put(self, said: Comparison) -> None:
+        message = self._own_frame.message(said)
         if self.settled:
             with suppress(can.CanError):  # the run comes first
                 self._bus.send(message)
         else:
             self._send(message)
+
+    def _hear_own_kind(self, said: Comparison | None) -> None:
+        if said is None or said.key not in {ASKED, PRESENT} or said.digest == self._number:
+            return
+        if said.key == ASKED:  # an answer to an answer would never end
+            self._put(Comparison(PRESENT, self._number))
+        if not self.settled:
+            raise BusError(
+                f"another {self._name} node is on {self.channel_info or 'this bus'}; "
+                f"a bus has one, so end the other or name another bus with --bus"
+            )
 
     def _hear(self, said: Comparison | None) -> None:
         if said is None or said.key >= len(self._digests):
@@ -160,3 +202,38 @@ class Agreement:
             f"{what} is not what the {self._other} node on this bus has; "
             "both nodes must be given the same scenario"
         )
+
+
+def is_shared(bus_name: str) -> bool:
+    """Whether nodes of other processes can join the bus of a run.
+
+    Raises:
+        BusError: the name is malformed.
+    """
+    return not in_one_process(bus_name) and bus_name != own_bus()
+
+
+def own_bus() -> str:
+    """The bus of a run of this process for which no bus was named."""
+    return f"local:run-{os.getpid()}"
+
+
+def require_alone(scenario: Scenario, bus_name: str, fd: bool) -> None:
+    """Refuse to start a rig where another rig or node is.
+
+    Args:
+        scenario: the rig's.
+        bus_name: the bus that others can join.
+        fd: the bus carries CAN FD.
+
+    Raises:
+        BusError: another plant or controller node has answered, or there is no such bus.
+    """
+    identifiers = [ComparisonFrame(each).frame_id for each in SENDERS]
+    with open_for_node(bus_name, identifiers, False, fd) as bus:
+        for name in SENDERS:
+            asking = Agreement(scenario, name, bus, SYSTEM_CLOCK)
+            asking.ask()
+            end_ns = SYSTEM_CLOCK.now_ns() + round(ANSWERED_S / len(SENDERS) * NS_PER_S)
+            while (left_ns := end_ns - SYSTEM_CLOCK.now_ns()) > 0:
+                asking.recv(left_ns / NS_PER_S)

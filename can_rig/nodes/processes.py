@@ -24,6 +24,7 @@ from typing import Any, Final
 
 from can_rig.errors import RigError, SilentNodeError, one_line
 from can_rig.export.running.controllers import PYTHON, Controller
+from can_rig.nodes.agreement import is_shared
 from can_rig.nodes.lockstep.one_core import one_core
 from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.progress import OnTick, Progress, Throttled, no_progress
@@ -176,7 +177,9 @@ def run_processes(
             processes.append(first)  # first: a plant that waits repeats its offer on the bus
             _watch(processes, stop, until=lambda: "ready" in first.said)
             if "ready" in first.said and not stop.wanted:
-                plant_node = partial(_plant, scenario, bus, real_time, timeouts, log, interaction)
+                plant_node = partial(
+                    _plant, scenario, bus, real_time, timeouts, log, interaction, is_shared(bus)
+                )
                 processes.append(NodeProcess.fork("plant", plant_node, processes))
         with progress() as on_tick:
             _watch(processes, stop, on_tick=on_tick)
@@ -209,12 +212,21 @@ def _plant(
     timeouts: Timeouts,
     log: Path,
     interaction: Interaction,
+    shared: bool,
     stop: StopRequest,
     report: Report,
 ) -> NodeSummary:
     on_tick = Throttled(lambda tick: report(ticks=tick))
     return run_plant(
-        scenario, bus, log, timeouts, stop, on_tick, real_time=real_time, interaction=interaction
+        scenario,
+        bus,
+        log,
+        timeouts,
+        stop,
+        on_tick,
+        real_time=real_time,
+        shared=shared,
+        interaction=interaction,
     )
 
 

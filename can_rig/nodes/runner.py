@@ -13,7 +13,7 @@ from can_rig.buses.bus import open_for_node
 from can_rig.export.running.controllers import PYTHON, Controller
 from can_rig.frames.beside import control
 from can_rig.frames.beside.agreement import SENDERS, ComparisonFrame
-from can_rig.nodes.agreement import Agreement
+from can_rig.nodes.agreement import Agreement, is_shared
 from can_rig.nodes.bus_access import NodeBus, PersistentSender, Send, TolerantBus, bus_events
 from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock
 from can_rig.nodes.lockstep.chosen import in_real_time, lockstep_controller
@@ -49,6 +49,7 @@ def run_plant(
     *,
     real_time: bool = False,
     by_hand: bool = False,
+    shared: bool = False,
     interaction: Interaction = UNTOUCHED,
 ) -> NodeSummary:
     """The plant node from start to end.
@@ -62,6 +63,7 @@ def run_plant(
         on_tick: called with the number of ticks completed.
         real_time: by the wall clock; otherwise in lockstep.
         by_hand: the other node was given its scenario by somebody else, so both compare theirs.
+        shared: of a rig on a bus that others can join, whose questions are answered.
         interaction: how far a run in lockstep can be touched.
 
     Raises:
@@ -71,7 +73,7 @@ def run_plant(
     """
     network, clock = network_of(scenario), SYSTEM_CLOCK
     with (
-        _open(bus_name, scenario, "plant", by_hand, log is not None) as opened,
+        _open(bus_name, scenario, "plant", by_hand, log is not None, shared) as opened,
         ExitStack() as stack,
     ):
         access = _access(opened, real_time, timeouts, clock)
@@ -90,7 +92,7 @@ def run_plant(
             node = PlantNode(scenario, network, access.send, recorder, reports, interaction)
 
         def while_alone() -> None:
-            if isinstance(opened, Agreement):
+            if by_hand and isinstance(opened, Agreement):
                 opened.announce()
             node.repeat()
 
@@ -161,7 +163,7 @@ def run_in_process(
     network, clock = network_of(scenario), SYSTEM_CLOCK
     timeouts = Timeouts(first_s=Timeouts.silence_s)  # the other node is there already
     with (
-        open_for_node(bus_name, network.identifiers, True, network.fd) as plant_bus,
+        _open(bus_name, scenario, "plant", False, True, is_shared(bus_name)) as plant_bus,
         open_for_node(
             bus_name, (*network.identifiers, control.identifiers().taken), False, network.fd
         ) as controller_bus,
@@ -223,18 +225,25 @@ def _access(opened: NodeBus, real_time: bool, timeouts: Timeouts, clock: Clock) 
 
 @contextmanager
 def _open(
-    bus_name: str, scenario: Scenario, node: NodeName, by_hand: bool, overhear: bool
+    bus_name: str,
+    scenario: Scenario,
+    node: NodeName,
+    by_hand: bool,
+    overhear: bool,
+    shared: bool = False,
 ) -> Iterator[NodeBus]:
-    """The bus, and for a node that was started by hand the comparison of scenarios on it."""
+    """The bus, with the comparison on it for a node that others can join."""
     network = network_of(scenario)
     beside = [control.identifiers().taken] if node == "controller" else []
-    beside += [ComparisonFrame(each).frame_id for each in SENDERS] if by_hand else []
+    beside += [ComparisonFrame(each).frame_id for each in SENDERS] if by_hand or shared else []
     with open_for_node(bus_name, (*network.identifiers, *beside), overhear, network.fd) as bus:
-        if not by_hand:
+        if not (by_hand or shared):
             yield bus
             return
         agreement = Agreement(scenario, node, bus, SYSTEM_CLOCK)
-        agreement.announce()
+        if by_hand:
+            agreement.announce()
+        agreement.settled = not by_hand  # a rig has asked before, and does not end any more
         yield agreement
 
 

@@ -78,6 +78,7 @@ class OpenLoop:
         """Frames before the first reference and feedback that belong together."""
         self.left_out = 0
         """Intact feedback of ticks far from the one that was due, as those of another run."""
+        self._left_out_tick: int | None = None  # on the wire, of the last of these
         self._contact: list[RigFrame] = []  # what the node has got before it answers
         self._past = 0  # ticks that the 16 bits on the wire do not tell
         self._open = 0  # the first tick that is not compared yet
@@ -178,11 +179,24 @@ class OpenLoop:
         distance = ticks_ahead(frame.tick, due)
         if not frame.intact:
             self.account.take(frame, self._row(under_way, frame), under_way)
+        elif self._goes_on_with_left_out(frame, distance):
+            self._leave_out(frame, under_way)
         elif -NEAR <= distance <= (0 if is_input(frame.role) else NEAR):
             self.account.take(frame, self._row(due + distance, frame), due + distance)
         else:
-            self.account.take(frame, None, under_way)
-            self.left_out += frame.role == INPUTS - 1
+            self._leave_out(frame, under_way)
+
+    def _goes_on_with_left_out(self, frame: RigFrame, distance: int) -> bool:
+        """Whether feedback is of another run, whose ticks have come near those of this one."""
+        last = self._left_out_tick
+        is_past = frame.role == INPUTS - 1 and distance < 0
+        return is_past and last is not None and ticks_ahead(frame.tick, last) == 1
+
+    def _leave_out(self, frame: RigFrame, under_way: int) -> None:
+        self.account.take(frame, None, under_way)
+        if frame.role == INPUTS - 1:
+            self.left_out += 1
+            self._left_out_tick = frame.tick
 
     def _row(self, tick: int, frame: RigFrame) -> Row | None:
         """The row of a tick that is still open."""

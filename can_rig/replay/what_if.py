@@ -139,7 +139,7 @@ def what_if(
         signals = replace(signals, plant={})
     before = table_of(asked.logged, asked.label, asked.recorded.scenario)
     same_reference = replace(scenario, reference=asked.recorded.scenario.reference)
-    after = table_of(signals, str(execution.folder), same_reference)  # the log's, as a file
+    after = table_of(signals, LABELS[1], same_reference)  # the log's, as a file
     difference = compare(before, after, {})
     with atomic(execution.folder / WHAT_IF, force=True) as part:
         draw_difference(part, before, after, difference)

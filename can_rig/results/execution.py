@@ -5,7 +5,6 @@ An existing folder stands until the new one is whole, and nothing that was recor
 
 from __future__ import annotations
 
-import os
 import time
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -20,6 +19,7 @@ from can_rig.files import atomic
 from can_rig.folders.new_folder import NewFolder
 from can_rig.folders.replacing import default_folder
 from can_rig.frames.network import Network
+from can_rig.nodes.agreement import is_shared, own_bus, require_alone
 from can_rig.nodes.lockstep.plant_node import require_ticks
 from can_rig.nodes.lockstep.without_bus import run_without_bus
 from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
@@ -54,6 +54,7 @@ class Execution:
 
     folder: Path
     scenario: Scenario
+    """As the folder says it."""
     network: Network
     outcome: Outcome
     metrics: Metrics
@@ -188,7 +189,7 @@ def execute(
         and interaction == UNTOUCHED
         and _needs_no_bus(scenario, network, controller)
     )
-    bus = bus or (NO_BUS if without else f"local:run-{os.getpid()}")
+    bus = bus or (NO_BUS if without else own_bus())
     if runner is real_time:
         require_causal(scenario)
     else:
@@ -196,9 +197,11 @@ def execute(
     if runner is not in_process:
         _require_shared(bus)
     out = out or default_folder("runs", scenario.name)
+    if bus != NO_BUS and is_shared(bus):
+        require_alone(scenario, bus, network.fd)
     with NewFolder.create(out, RUN_FOLDER, force) as folder:
         try:
-            made_here, final = _with_reference(scenario, folder, reference_csv)
+            made_here, said = _with_reference(scenario, folder, reference_csv)
             on_the_bus(made_here, network)
         except RigError:
             folder.give_up()
@@ -227,13 +230,13 @@ def execute(
             if interaction.injectable:
                 own = folder.making / REFERENCE
                 made_here = happened(folder.making / LOG, made_here, network, own)
-            values = finish(folder.making, made_here, network, outcome, final, report, columns)
+            values = finish(folder.making, made_here, network, outcome, said, report, columns)
             folder.publish()
         except RigError:
             if failure is not None:  # came first, and may be why: a disk that was full already
                 raise failure from None
             raise
-    return Execution(folder.path, final, network, outcome, values, made_here, failure)
+    return Execution(folder.path, said, network, outcome, values, made_here, failure)
 
 
 def _needs_no_bus(scenario: Scenario, network: Network, controller: Controller) -> bool:
@@ -258,7 +261,7 @@ def _require_shared(bus: str) -> None:
 def _with_reference(
     scenario: Scenario, folder: NewFolder, csv: str | None
 ) -> tuple[Scenario, Scenario]:
-    """The scenario as it runs while the folder is being made, and as it is recorded.
+    """The scenario as it runs while the folder is being made, and as the folder says it.
 
     Raises:
         LogError: the reference cannot be written.
@@ -268,11 +271,11 @@ def _with_reference(
     file = folder.making / REFERENCE
     with atomic(file, force=False) as part:
         part.write_text(csv, encoding="utf-8")
-    made_here, final = (
-        replace(scenario, reference=ReferenceSettings(kind="csv", file=str(path / REFERENCE)))
-        for path in (folder.making, folder.path)
+    made_here, said = (
+        replace(scenario, reference=ReferenceSettings(kind="csv", file=str(path)))
+        for path in (file, REFERENCE)
     )
-    return made_here, final
+    return made_here, said
 
 
 def _run(

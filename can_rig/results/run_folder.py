@@ -10,7 +10,7 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
 
-from can_rig.errors import LogError, RunFolderError
+from can_rig.errors import LogError, RunFolderError, ScenarioError
 from can_rig.files import atomic
 from can_rig.folders.replacing import Kind
 from can_rig.frames.network import Network
@@ -92,7 +92,7 @@ def finish(
         scenario: what ran.
         network: its frames.
         outcome: how it went.
-        recorded: the scenario for ``run.json``, where its paths will be others; None: what ran.
+        recorded: the scenario as the folder says it, where a path in it is another; None: what ran.
         report: draw ``report.png`` and ``report.html``.
         columns: what the log says, of a run without a bus; None: it is read.
 
@@ -105,11 +105,12 @@ def finish(
     else:
         signals = signals_of_columns(columns, network, scenario.tick_s, folder / LOG)
     values = metrics(scenario, signals)
+    said = recorded or scenario
     outcome.faults = fault_metrics(scenario, signals)
     signals = with_verdict(scenario, network, signals)
     outcome.whose_fault = whose_fault(scenario, signals)
     summary: dict[str, Any] = {
-        "scenario": (recorded or scenario).as_dict(),
+        "scenario": said.as_dict(),
         "seed": scenario.seed,
         "metrics": values,
         **asdict(outcome),
@@ -138,11 +139,34 @@ def finish(
             with atomic(folder / REPORT, force=True) as part:
                 draw_report(part, scenario, network, signals, outcome.realtime)
             with atomic(folder / PAGE, force=True) as part:
-                text = web_page(scenario, network, signals, values, outcome.faults)
+                text = web_page(scenario, network, signals, values, outcome.faults, said)
                 part.write_text(text, encoding="utf-8")
     except LogError as error:
         raise RunFolderError(f"{error}; what was recorded is in {folder / LOG}") from None
     return values
+
+
+def recorded_scenario(folder: Path) -> tuple[dict[str, Any], bool]:
+    """The scenario of a run folder, as plain values, and whether it ran in real time.
+
+    The path of a reference that the folder keeps itself leads into the folder, wherever that lies.
+
+    Raises:
+        ScenarioError: there is no scenario that can be read.
+    """
+    file = folder / SUMMARY
+    try:
+        summary = json.loads(file.read_text("utf-8"))
+        values = summary["scenario"]
+        if isinstance(values, dict):
+            reference = values.get("reference")
+            own = (folder / REFERENCE).is_file()
+            if own and isinstance(reference, dict) and reference.get("file") == REFERENCE:
+                reference["file"] = str(folder / REFERENCE)
+            return values, summary.get("realtime") is not None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError):
+        pass
+    raise ScenarioError(f"{file}: has no scenario that can be read; name it with --scenario NAME")
 
 
 def signals_of_log(

@@ -2,11 +2,9 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,7 +16,7 @@ from can_rig.logs.frames import Frames
 from can_rig.logs.log import ALL, Log, Window
 from can_rig.logs.reading import read_log
 from can_rig.nodes.operator.control_frames import done, touches
-from can_rig.results.run_folder import LOG, SUMMARY
+from can_rig.results.run_folder import LOG, recorded_scenario
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.settings import ReferenceSettings, Scenario
 
@@ -102,7 +100,7 @@ def source_of(
             f"{path}: a log file does not say which scenario it is of; name it with "
             "--scenario NAME (a run folder brings its own)"
         )
-    values, realtime = _recorded(path)
+    values, realtime = recorded_scenario(path)
     scenario = load_run(values, settings)
     return Source(log, scenario, channel, realtime)
 
@@ -120,19 +118,6 @@ def log_path(path: Path) -> Path:
     if not path.exists():
         raise LogError(f"{path}: there is no such file")
     return path
-
-
-def _recorded(folder: Path) -> tuple[dict[str, Any], bool]:
-    """The scenario of a run folder, and whether it ran in real time."""
-    file = folder / SUMMARY
-    try:
-        summary = json.loads(file.read_text("utf-8"))
-        values = summary["scenario"]
-        if isinstance(values, dict):
-            return values, summary.get("realtime") is not None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError):
-        pass
-    raise ScenarioError(f"{file}: has no scenario that can be read; name it with --scenario NAME")
 
 
 def happened(log: Path, scenario: Scenario, network: Network, own_reference: Path) -> Scenario:

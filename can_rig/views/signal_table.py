@@ -3,10 +3,9 @@
 from __future__ import annotations
 
 import csv
-import json
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,7 +19,7 @@ from can_rig.logs.formats import content_format
 from can_rig.logs.frames import NS_PER_S
 from can_rig.logs.log import Window
 from can_rig.logs.reading import read_log
-from can_rig.results.run_folder import SIGNALS, SUMMARY
+from can_rig.results.run_folder import SIGNALS, recorded_scenario
 from can_rig.results.signals import Signals, cell, signals_of, with_plant_signals
 from can_rig.results.source import log_path
 from can_rig.scenario.build import network_of
@@ -34,8 +33,11 @@ _UNITS: Final = (  # suffix of a column, longest first
     ("_rad_per_s", "rad/s"),
     ("_mps2", "m/s²"),
     ("_rad", "rad"),
+    ("_per_hour", "1/h"),
+    ("_mps", "m/s"),
     ("_nm", "N m"),
     ("_n", "N"),
+    ("_s", "s"),
 )
 
 
@@ -177,9 +179,8 @@ def table_of(signals: Signals, label: str, scenario: Scenario) -> SignalTable:
 def scenario_of(folder: Path) -> Scenario | None:
     """What a run folder says was run; None where it does not say so."""
     try:
-        values: Any = json.loads((folder / SUMMARY).read_text("utf-8"))["scenario"]
-        return load_run(values)
-    except (OSError, ValueError, KeyError, TypeError, ScenarioError):
+        return load_run(recorded_scenario(folder)[0])
+    except ScenarioError:
         return None
 
 

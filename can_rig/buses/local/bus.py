@@ -79,6 +79,10 @@ class LocalBus(BusABC):
         tx_backlog: int = 200_000,
         **kwargs: Any,
     ) -> None:
+        if unknown := set(kwargs) - {"can_filters"}:
+            known = "receive_own_messages, preserve_timestamps, fd, tx_backlog, can_filters"
+            message = f"unknown option {', '.join(sorted(unknown))}; must be of {known}"
+            raise CanInitializationError(message)
         if not isinstance(tx_backlog, int):
             raise CanInitializationError(f"tx_backlog = {tx_backlog!r}: must be a whole number")
         self.channel = str(channel)

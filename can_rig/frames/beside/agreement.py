@@ -16,6 +16,11 @@ from can_rig.frames.protection import FRAME_BYTES, Checker, CheckStatus, Protect
 DBC: Final = "agreement.dbc"
 SENDERS: Final = {"plant": "PLANT", "controller": "CONTROLLER"}
 
+ASKED: Final = 0xFFFF
+"""Key of a node that asks whether a node of the same kind is there."""
+PRESENT: Final = 0xFFFE
+"""Key of the answer."""
+
 _FRAME: Final = Struct("<BBHI")  # checksum; counter; key; digest
 _PLACES: Final = {"Checksum": (0, 8), "AliveCounter": (8, 4), "Key": (16, 16), "Digest": (32, 32)}
 _DAMAGED: Final = (CheckStatus.WRONG_CRC, CheckStatus.WRONG_LENGTH)
@@ -25,9 +30,9 @@ class Comparison(NamedTuple):
     """The content of one frame."""
 
     key: int
-    """0: the whole scenario; n: its n-th key."""
+    """0: the whole scenario; n: its n-th key; `ASKED` or `PRESENT`."""
     digest: int
-    """See `digest`."""
+    """See `digest`; with `ASKED` and `PRESENT` a number that tells the sender from others."""
 
 
 def digest(key: str, value: object) -> int:

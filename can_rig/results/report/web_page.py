@@ -40,6 +40,7 @@ def web_page(
     signals: Signals,
     values: Metrics,
     faults: list[dict[str, Any]],
+    said: Scenario,
 ) -> str:
     """The page as text.
 
@@ -49,6 +50,7 @@ def web_page(
         signals: what was recorded.
         values: the metrics of the run.
         faults: of each fault; see ``fault_metrics``.
+        said: the scenario as ``run.json`` has it.
     """
     names = names_of(scenario.plant)
     title, *lines = page_title(scenario, names, signals).split("\n")
@@ -76,7 +78,7 @@ def web_page(
         table(("time in s", ""), happened[:MOST_EVENTS]),
         f"<p>and {more} more</p>" if more > 0 else "",
         "<details><summary>Scenario</summary>",
-        table(("key", "value"), _leaves(scenario.as_dict())),
+        table(("key", "value"), _leaves(said.as_dict())),
         "</details>",
         f'<script type="application/json" id="run">{_in_a_script(drawn)}</script>',
         f"<script>{uplot.script()}</script>",

@@ -1,6 +1,8 @@
 """Two nodes that were started by hand: the same scenario, or one line each that names the key."""
 
+import signal
 import threading
+import time
 from contextlib import nullcontext
 from dataclasses import replace
 
@@ -9,8 +11,8 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
-from can_rig.errors import RigError, ScenarioError, SilentNodeError
-from can_rig.frames.beside.agreement import Comparison, ComparisonFrame, digest
+from can_rig.errors import BusError, RigError, ScenarioError, SilentNodeError
+from can_rig.frames.beside.agreement import ASKED, PRESENT, Comparison, ComparisonFrame, digest
 from can_rig.nodes import runner
 from can_rig.nodes.agreement import UNSETTLED_S, Agreement, keys_of
 from can_rig.nodes.runner import run_controller, run_plant
@@ -162,6 +164,7 @@ class End:
         self.wire = Wire(self.clock)
         self.scenario = load("thesis-step", settings)
         self.agreement = Agreement(self.scenario, name, self.wire, self.clock)
+        self.agreement_name = name
         (self.other,) = {"plant", "controller"} - {name}
         self.own_frame, self.partner = ComparisonFrame(name), ComparisonFrame(self.other)
 
@@ -171,7 +174,12 @@ class End:
     def said(self):
         found = [self.own_frame.read(message) for message in self.wire.sent]
         self.wire.sent.clear()
-        return found
+        return [said for said in found if said.key != ASKED]
+
+    def hear_another(self, key, number=None):
+        """A frame of another node of this kind; without a number the last own one comes back."""
+        frame = ComparisonFrame(self.agreement_name).message(Comparison(key, number or 0))
+        self.wire.waiting.append(frame if number is not None else self.wire.sent[-1])
 
 
 DATA = can.Message(arbitration_id=0x110, is_extended_id=False, data=bytes(8))
@@ -225,6 +233,61 @@ def test_a_controller_that_has_its_plant_does_not_end_because_of_another():
     end.wire.waiting.append(DATA)
     assert end.agreement.recv(0.05) is DATA
     assert end.said() == []
+
+
+@pytest.mark.parametrize("name", ["plant", "controller"])
+@pytest.mark.parametrize("key", [ASKED, PRESENT])
+def test_before_its_first_tick_a_node_ends_beside_another_of_its_kind(name, key):
+    end = End(name)
+    end.hear_another(key, 7)
+    with pytest.raises(BusError, match=f"another {name} node is on this bus; a bus has one"):
+        end.agreement.recv(0.05)
+    assert [said.key for said in end.said()] == [PRESENT] * (key == ASKED)
+
+
+def test_a_node_that_runs_answers_a_question_and_no_answer_and_goes_on():
+    end = End()
+    end.agreement.settled = True
+    for key in (ASKED, PRESENT):
+        end.hear_another(key, 7)
+    end.wire.waiting.append(DATA)
+    assert end.agreement.recv(0.05) is DATA
+    assert [said.key for said in end.said()] == [PRESENT]
+
+
+def test_a_bus_that_brings_back_what_a_node_sends_is_no_other_node():
+    end = End()
+    end.agreement.announce()
+    end.hear_another(ASKED)
+    assert end.agreement.recv(0.05) is None
+
+
+@pytest.mark.parametrize("name", ["plant", "controller"])
+def test_two_nodes_of_a_kind_on_one_bus_name_each_other(name, tmp_path):
+    words = [name, "ideal", "--bus", f"local:{tmp_path / 'bus'}", "--wait", "60"]
+    for process in [start(*words) for _ in range(2)]:
+        _, errors = process.communicate(timeout=120)
+        assert process.returncode == 2, errors
+        assert f"another {name} node is on local bus" in one_line(errors)
+
+
+@pytest.mark.parametrize("second", [[], ["--in-process"]])
+def test_a_rig_on_the_bus_of_another_is_refused_and_the_first_goes_on(second, tmp_path):
+    bus = ["--bus", f"local:{tmp_path / 'bus'}", "--set", "duration_s=20", "--set", "fault.at_s=1"]
+    first = start(
+        "run", "thesis-step", *bus, "--injectable", "--pace", "1", "--out", tmp_path / "1"
+    )
+    while first.poll() is None and not list(tmp_path.rglob("bus.log")):
+        time.sleep(0.05)
+    refused = start("run", "thesis-step", *bus, *second, "--out", tmp_path / "2")
+    _, errors = refused.communicate(timeout=120)
+    assert refused.returncode == 2, errors
+    assert "another plant node is on local bus" in one_line(errors)
+    assert first.poll() is None
+    first.send_signal(signal.SIGINT)
+    first.communicate(timeout=60)
+    assert not (tmp_path / "2").exists()
+    assert (tmp_path / "1" / "run.json").is_file()
 
 
 @pytest.mark.parametrize("key", [0, 1, 200])

@@ -69,6 +69,15 @@ def test_what_is_before_is_replayed_but_not_compared(
     assert "could be compared" in beyond.stderr
 
 
+def test_of_a_log_with_two_runs_every_tick_counts(frames: list[Message], tmp_path: Path) -> None:
+    log = tmp_path / "two.log"
+    write_log_of(frames, log)
+    log.write_bytes(2 * log.read_bytes())
+    done = asked("replay", log, "--scenario", "thesis-step", *SETTINGS)
+    assert done.returncode == 0, done.stderr
+    assert "identical, bit for bit: 400 of 800 ticks" in done.stdout
+
+
 def test_a_part_onto_a_bus(run: Path) -> None:
     done = asked("replay", run, "--bus", "virtual:part", "--speed", "max", *PART, "--json")
     assert json.loads(done.stdout)["sent"] == 250

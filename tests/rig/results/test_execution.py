@@ -21,6 +21,7 @@ from can_rig.nodes.summary import NodeSummary
 from can_rig.nodes.watchdog import StopRequest
 from can_rig.results import execution
 from can_rig.results.execution import execute
+from can_rig.results.run_folder import recorded_scenario
 from tests.helpers import asked, record
 
 FILES = {"bus.log", "bus.plant.csv", "report.html", "report.png", "run.json", "signals.csv"}
@@ -200,7 +201,26 @@ def test_a_what_if_has_its_bus_events_and_a_reference_that_can_be_read_again(
     done = what_if(log, there, "--force")
     assert done.returncode == 0, done.stderr
     assert summary_of(there)["bus_events"] == {"plant": {"no buffer space": 2}}
-    assert summary_of(there)["scenario"]["reference"]["file"] == str(there / "reference.csv")
+    assert summary_of(there)["scenario"]["reference"]["file"] == "reference.csv"
     assert (there / "bus.log").read_bytes() == log.read_bytes()
     again = asked("replay", there, "--json")  # by the scenario of the folder
     assert again.returncode == 0, again.stderr
+    moved = there.rename(tmp_path / "moved")
+    (values, _) = recorded_scenario(moved)
+    assert values["reference"]["file"] == str(moved / "reference.csv")
+
+
+def test_the_same_what_if_twice_gives_the_same_bytes_but_for_the_times(
+    there: Path, tmp_path: Path
+) -> None:
+    answers = []
+    for out in (tmp_path / "one", tmp_path / "another" / "folder"):
+        done = asked("replay", there, "--what-if", "--set", "plant.mass_kg=1500", "--out", out)
+        assert done.returncode == 0, done.stderr
+        files = contents(out)
+        summary = json.loads(files.pop("run.json"))
+        for measured in ("wall_s", "ticks_per_s", "real_time_factor"):
+            assert summary.pop(measured) > 0.0
+        answers.append((files, json.dumps(summary)))
+    assert answers[0] == answers[1]
+    assert set(answers[0][0]) == {*FILES, "reference.csv", "what-if.png"} - {"run.json"}

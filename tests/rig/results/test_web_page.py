@@ -33,7 +33,8 @@ def ran() -> tuple[Scenario, Signals, str]:
     scenario = load("default", SHORT)
     signals = signals_without_log(scenario)
     values, faults = metrics(scenario, signals), fault_metrics(scenario, signals)
-    return scenario, signals, web_page(scenario, network_of(scenario), signals, values, faults)
+    page = web_page(scenario, network_of(scenario), signals, values, faults, scenario)
+    return scenario, signals, page
 
 
 def numbers(run: dict[str, Any]) -> tuple[np.ndarray, list[np.ndarray]]:
@@ -111,5 +112,5 @@ def test_a_long_run_has_few_points_and_every_peak(monkeypatch: pytest.MonkeyPatc
 def test_a_run_without_a_tick_has_a_page() -> None:
     scenario = load("ideal", ["duration_s=0.1"])
     empty = Signals(*(np.empty(0) for _ in range(8)))
-    page = web_page(scenario, network_of(scenario), empty, metrics(scenario, empty), [])
+    page = web_page(scenario, network_of(scenario), empty, metrics(scenario, empty), [], scenario)
     assert "Metrics" in page
