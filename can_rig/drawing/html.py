@@ -27,7 +27,7 @@ def page(title: str, parts: Iterable[str], style: str = "") -> str:
 
 
 class Code(str):
-    """Text that is set as code."""
+    """Text set in code style."""
 
     __slots__ = ()
 
