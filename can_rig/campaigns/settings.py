@@ -36,7 +36,7 @@ from can_rig.scenario.tables.changes import change
 SHIPPED: Final = Path(__file__).parent / "shipped"
 MOST_RUNS: Final = 10_000_000
 ALL: Final = "all"
-"""Of the requirements: the least of their margins."""
+"""The name that stands for the least margin of all requirements."""
 
 Sampling = Literal["grid", "random", "latin-hypercube", "sobol"]
 Scalar = bool | int | float | str

@@ -43,7 +43,7 @@ METRICS: Final = (
     "force_difference_available_n",
     "dstar_carried_mps2",
 )
-"""Those of ``run.json``, in their order."""
+"""Metrics in the order of ``run.json``."""
 
 TRUTHS: Final = {"missed_detection"}
 """Metrics with a truth value."""

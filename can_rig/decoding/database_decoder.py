@@ -71,7 +71,7 @@ class DatabaseDecoder:
         return any(self._groups)
 
     def name_of(self, identifier: int, is_extended: bool) -> str | None:
-        """What the message of an identifier is called, J1939 by its parameter group."""
+        """The name of an identifier's message; J1939 by parameter group."""
         extended = np.array([identifier | is_extended << _EXTENDED_BIT], np.uint32)
         place = int(self._find(extended)[0]) if self._names else 0
         if place == len(self._names) and is_extended and self.has_groups:

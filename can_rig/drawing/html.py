@@ -1,4 +1,4 @@
-"""What every page for a browser shares: its head, tables, a look that fits the pictures."""
+"""Common parts of the HTML pages: head, tables, a look that fits the pictures."""
 
 from __future__ import annotations
 

@@ -12,7 +12,7 @@ from can_rig.drawing.names import printed
 from firmware_model.target.structs import FloatArray
 
 FAR: Final = 3.0
-"""What reaches so many times further than the rest of a panel does not set its scale."""
+"""Curves that reach this many times further than the panel do not set its scale."""
 
 
 def include_zero(axis: Axes, values: FloatArray) -> None:

@@ -19,7 +19,7 @@ ENTRIES: Final = ("start_up", "step", "reset")
 """Entry points called by a node: each function takes table and state, then real numbers."""
 
 CHANGE_SPEED: Final = "change_speed"
-"""What a node calls too, before a step, where the speed of the car changes; see ``schedule``."""
+"""Entry point called before a step if the speed of the car changes; see ``schedule``."""
 
 
 def support(name: str) -> str:

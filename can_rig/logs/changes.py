@@ -134,7 +134,7 @@ class Changes:
             yield frames if self.keeps.bus_names else self._numbered(frames)
 
     def lines(self) -> list[str]:
-        """What the file has otherwise than the log, a line each."""
+        """The differences between file and log, a line each."""
         name, lost = self.keeps.name, self._lost
         found = []
         if any(bus != str(number) for bus, number in self.buses.items()):

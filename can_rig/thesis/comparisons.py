@@ -52,7 +52,7 @@ class Comparison:
     """The curves of a figure and their run."""
 
     figure: str
-    """Of the thesis, or the name of a picture of a scenario."""
+    """Number in the thesis, or the name of a scenario's picture."""
     caption: str
     unit: str
     scenario: Scenario

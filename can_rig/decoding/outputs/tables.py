@@ -117,7 +117,7 @@ class _Table:
 def time_column(
     is_csv: bool, start_ns: int
 ) -> tuple[Callable[[NDArray[np.int64]], Any], tuple[str, Any]]:
-    """What makes the cells of (n,) times [ns], and name and type of their column."""
+    """A function from (n,) times [ns] to cells, and name and type of the column."""
     if start_ns < _EXACT_NS:
         return _seconds, (TIME_S, pa.float64())
     return (_decimals, (TIME_S, _DATE)) if is_csv else (_stamps, ("time", _STAMP))

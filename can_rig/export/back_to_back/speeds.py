@@ -19,7 +19,7 @@ SLOWEST, FASTEST = 1.0, 100.0  # m/s
 
 @dataclass(frozen=True)
 class Drive:
-    """What blends a table, and the speed before each tick.
+    """The blending of a table, and the speed before each tick.
 
     Attributes:
         schedules: the designs, shape (1,).

@@ -31,7 +31,7 @@ class Application:
 
 
 Controller = Law | Application
-"""What runs as the control law in a node of ours, or a node of its own."""
+"""A control law for a node in Python, or a complete node."""
 
 PYTHON: Final = PYTHON_LAW
 

@@ -37,7 +37,7 @@ class Ecu(Protocol):
 
 
 def harness(application: Mapping[str, str]) -> dict[str, str]:
-    """What a test bench needs beside the application: text by file name.
+    """The files of a test bench, without the application: text by file name.
 
     Args:
         application: of `can_rig.export.application`.
@@ -47,7 +47,7 @@ def harness(application: Mapping[str, str]) -> dict[str, str]:
 
 
 def bench(application: Mapping[str, str]) -> dict[str, str]:
-    """What answers a bench over a link: text by file name.
+    """The files of a node that answers a bench over a link: text by file name.
 
     Args:
         application: of `can_rig.export.application`.

@@ -172,7 +172,7 @@ class CFunction:
         self._line(f"{place} = {self._expressions.address(value)};", remark)
 
     def _place(self, node: ast.stmt, target: ast.expr) -> str:
-        """What stands on the left of an assignment, a declaration where the name is new."""
+        """The left side of an assignment; a declaration if the name is new."""
         if isinstance(target, ast.Name) and target.id in self._declared.at.get(node, set()):
             kind = self._typed.names[target.id]
             once = target.id in self._declared.once
