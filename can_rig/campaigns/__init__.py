@@ -1,5 +1,5 @@
-"""Thousands of runs of one scenario: what differs between them, what is required of each, a report.
+"""Thousands of runs of one scenario: the variations, the requirements, and a report.
 
-Imported by `cli`; it imports `results` and what lies below. No bus and no frame: the loop runs
-compiled, and every run can be repeated with frames by the command that stands in its row.
+Imported by `cli`; the package imports `results` and lower rooms. Runs have neither bus nor frames:
+the loop runs compiled, and the command in a row of the table repeats a run with frames.
 """

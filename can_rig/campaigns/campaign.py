@@ -1,4 +1,4 @@
-"""The folder of a campaign: new or gone on with, and what of it is done."""
+"""The folder of a campaign, new or resumed, and the progress of its runs."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ SUMMARY, PICTURE, PAGE = "summary.json", "report.png", "report.html"
 BLOCK: Final = re.compile(r"\d{8}\.parquet")
 MOST_IN_A_BLOCK: Final = 256
 BLOCKS_WANTED: Final = 16
-"""So that little is lost where few runs are interrupted; a file costs as much as several runs."""
+"""Enough blocks that an interruption loses little; writing a file costs as much as several runs."""
 
 
 def _blocks(folder: Path) -> Iterator[str]:
@@ -48,11 +48,12 @@ CAMPAIGN_FOLDER: Final = Kind("the folder of a campaign", PLAN, _own, _recorded)
 
 @dataclass(frozen=True)
 class CampaignFolder:
-    """Where a campaign stands.
+    """The progress of a campaign.
 
     Attributes:
-        made: the folder in the making; it replaces an earlier one when the report is written.
-        plan: what is run.
+        made: the folder in the making; the report, when written, lets this folder replace an
+            earlier one.
+        plan: the campaign's plan.
     """
 
     made: NewFolder
@@ -60,7 +61,7 @@ class CampaignFolder:
 
     @property
     def path(self) -> Path:
-        """The folder as it is now."""
+        """The folder's present place."""
         return self.made.making
 
     @property
@@ -70,7 +71,7 @@ class CampaignFolder:
 
     @property
     def table(self) -> Path:
-        """All runs, once they are done."""
+        """All runs, after the last run is done."""
         return self.path / TABLE
 
     @cached_property
@@ -94,12 +95,12 @@ def _tasks(begin: int, end: int, size: int) -> list[Task]:
 
 
 def open_folder(path: Path | None, plan: Plan, *, resume: bool, force: bool) -> CampaignFolder:
-    """The folder of a campaign, new or gone on with.
+    """The folder of a campaign, new or resumed.
 
     Raises:
         MissingExtraError: a search, and cma is not installed.
-        ScenarioError: a requirement that is none.
-        RunFolderError: it is there already, is not that of this campaign, or cannot be made.
+        ScenarioError: a requirement is invalid.
+        RunFolderError: the folder already exists, belongs to another campaign, or cannot be made.
     """
     requirements_of(plan)
     if plan.searched:
@@ -125,7 +126,7 @@ def open_folder(path: Path | None, plan: Plan, *, resume: bool, force: bool) -> 
 
 
 def _said(plan: Plan) -> dict[str, Any]:
-    """Everything that the runs follow from."""
+    """Everything that determines the runs."""
     return {
         "campaign": plan.settings.as_dict(),
         "scenario": plan.base.as_dict(),

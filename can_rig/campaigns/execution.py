@@ -20,7 +20,7 @@ Stopped = Callable[[], bool]
 OnRun = Callable[[int], None]
 
 PART: Final = 16
-"""Runs that a worker is given at once: a part of a block that is lost with it is soon made good."""
+"""Runs given to a worker at once: little work is lost with a block."""
 
 
 def execute(
@@ -29,13 +29,13 @@ def execute(
     stopped: Stopped,
     on_done: OnRun,
 ) -> bool:
-    """Compute what is not there yet; whether all is.
+    """Compute the missing blocks; returns whether all blocks are done.
 
     Args:
         folder: of the campaign.
-        workers: who computes.
-        stopped: asked before a block is begun; those under way are finished.
-        on_done: called with the number of runs that are done.
+        workers: computes the runs.
+        stopped: asked before a block is begun; blocks under way are finished.
+        on_done: receives the number of finished runs.
 
     Raises:
         RigError: workers die again and again.
@@ -61,7 +61,10 @@ def execute(
 
 
 def search(folder: CampaignFolder, compute: Compute, stopped: Stopped, on_done: OnRun) -> bool:
-    """Go through the generations, those that are there already too; whether it got to the end."""
+    """Compute all generations, or read finished generations.
+
+    Returns whether the last generation is done.
+    """
     settings, columns = folder.plan.settings, schema(folder.plan)
     searcher = Search(len(settings.axes), settings.seed)
     margin = margin_column(folder.plan)
@@ -83,7 +86,7 @@ def search(folder: CampaignFolder, compute: Compute, stopped: Stopped, on_done: 
 def computed(
     blocks: Iterable[Task], compute: Compute, most: int
 ) -> Iterator[tuple[Task, list[Row]]]:
-    """Blocks that are whole, in parts of ``most`` runs that workers compute in whatever order."""
+    """Complete blocks; workers compute parts of at most ``most`` runs in any order."""
     wholes: dict[Task, Task] = {}
     rows: dict[Task, dict[int, Row]] = {}
 

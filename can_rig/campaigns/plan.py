@@ -23,22 +23,22 @@ from can_rig.scenario.tables.changes import as_settings, toml_text, value_in
 from firmware_model.target.structs import FloatArray
 
 DIGITS: Final = 9
-"""Significant ones of a value that is drawn: as a person can read it, it is used."""
+"""Significant digits of a drawn value: the run uses exactly the printed number."""
 
 LAGS: Final = ("lag_s", "natural_frequency_rad_per_s")
-"""Of an actuator, which has one of them."""
+"""Alternative keys of an actuator; each actuator has one key of the two."""
 
 NOT_BELIEVED: Final = ("kind", "variant", "parameters", "friction")
-"""Keys of the plant that ``model`` need not keep, or has not."""
+"""Keys of ``plant`` that ``model`` lacks or need not keep."""
 
 
 @dataclass(frozen=True)
 class Plan:
-    """A campaign that can run.
+    """A campaign ready to run.
 
     Attributes:
         settings: its keys.
-        file: the scenario as it is written.
+        file: the scenario file.
     """
 
     settings: CampaignSettings
@@ -51,18 +51,21 @@ class Plan:
 
     @cached_property
     def runs(self) -> int:
-        """How many there are."""
+        """Number of runs."""
         if self.settings.sampling != "grid":
             return self.searched + (self.settings.runs or 0)
         return math.prod(self._shape) * self.settings.repeats
 
     @property
     def searched(self) -> int:
-        """How many of them, the first, a search looks for; it alone knows their values."""
+        """Number of runs that belong to a search; searched runs come first.
+
+        Only the search knows their values.
+        """
         return 0 if self.settings.search is None else self.settings.runs or 0
 
     def values_of(self, run: int) -> dict[str, Scalar]:
-        """What every axis has in ``run``, which is none of a search."""
+        """The value of every axis in ``run``, which must not belong to a search."""
         axes = self.settings.axes
         if self.settings.sampling == "grid":
             places = np.unravel_index(run // self.settings.repeats, self._shape)
@@ -71,7 +74,7 @@ class Plan:
         return self.values_at(self._unit_points[run - self.searched].tolist())
 
     def values_at(self, point: Sequence[float]) -> dict[str, Scalar]:
-        """What every axis has at a place in [0, 1] of each."""
+        """The value of every axis at a point of the unit cube."""
         return {key: self._drawn(key, u) for key, u in zip(self.settings.axes, point, strict=True)}
 
     def seed_of(self, run: int) -> int:
@@ -80,9 +83,9 @@ class Plan:
         return int(word[0])
 
     def changes_of(self, run: int, values: dict[str, Scalar] | None = None) -> list[str]:
-        """``KEY=VALUE`` of everything in which ``run`` is not as every other.
+        """``KEY=VALUE`` for every setting specific to ``run``.
 
-        ``values`` are those of its axes, where a search has chosen them.
+        A search passes ``values``, the chosen values of the axes.
         """
         values = self.values_of(run) if values is None else values
         seed = [] if self._has_seed else [f"seed={self.seed_of(run)}"]
@@ -90,26 +93,26 @@ class Plan:
         return [*own, *seed]
 
     def scenario_of(self, run: int) -> Scenario:
-        """The scenario of ``run``, which is none of a search; see ``scenario_with``."""
+        """The scenario of ``run``, which must not belong to a search; see ``scenario_with``."""
         return self.scenario_with(self.changes_of(run))
 
     def scenario_with(self, changes: list[str]) -> Scenario:
-        """The scenario of a run with these changes beside what all runs have.
+        """The scenario of a run: the common settings, then these changes.
 
         Raises:
-            ScenarioError: its values do not make one.
+            ScenarioError: the values are invalid.
         """
         return resolve(changed(self._file_of_all, changes))
 
     def command_with(self, changes: list[str]) -> str:
-        """What repeats the run with these changes, with all its frames."""
+        """The command that repeats a run with these changes, frames included."""
         words = ["can-rig", "run", self.file.given, "--in-process", "--allow-unstable"]
         for change in [*self._of_all, *changes]:
             words += ["--set", change]
         return shlex.join(words)
 
     def __getstate__(self) -> dict[str, Any]:
-        """What it follows from, and nothing that it has worked out."""
+        """Fields only, without cached properties."""
         return {"settings": self.settings, "file": self.file}
 
     @cached_property
@@ -118,7 +121,7 @@ class Plan:
 
     @cached_property
     def _of_all(self) -> list[str]:
-        """What is changed in every run, before what its axes say."""
+        """Changes common to all runs, applied before the axes."""
         return [*self._common, *self._kept_beliefs]
 
     @cached_property
@@ -181,7 +184,7 @@ class Plan:
             return draw.random((runs, axes))
         if self.settings.sampling == "latin-hypercube":
             return np.asarray(qmc.LatinHypercube(axes, seed=draw).random(runs))
-        with warnings.catch_warnings(action="ignore"):  # of a number that is no power of two
+        with warnings.catch_warnings(action="ignore"):  # about a number that is no power of two
             return np.asarray(qmc.Sobol(axes, seed=draw).random(runs))
 
     @cached_property
@@ -190,7 +193,7 @@ class Plan:
         return self.base.as_dict()
 
     def _drawn(self, key: str, unit: float) -> Scalar:
-        """The value of an axis at a place in [0, 1] of it."""
+        """The value of an axis at a position in [0, 1]."""
         axis = self.settings.axes[key]
         if axis.values is not None:
             return axis.values[min(int(unit * len(axis.values)), len(axis.values) - 1)]
@@ -204,7 +207,7 @@ class Plan:
                 return round(value)
             return min(math.floor(low + unit * (high + 1.0 - low)), math.floor(high))
         value = float(f"{value:.{DIGITS}g}")
-        if key.endswith(".lag_s") and 0.0 < value < SHORTEST_LAG_S:  # no lag is that short
+        if key.endswith(".lag_s") and 0.0 < value < SHORTEST_LAG_S:  # shorter lags do not exist
             return 0.0 if value < 0.5 * SHORTEST_LAG_S else SHORTEST_LAG_S
         return value
 
@@ -213,7 +216,7 @@ class Plan:
             return axis.range
         own = value_at(self.base_values, key)
         if not has_key(self.base_values, key):
-            resolve(changed(self.file, [*self._common, f"{key}=1"]))  # says which keys there are
+            resolve(changed(self.file, [*self._common, f"{key}=1"]))  # error lists valid keys
         if isinstance(own, bool) or not isinstance(own, int | float) or own == 0.0:
             raise ScenarioError(
                 f"campaign {self.settings.name}: axes.{key}.share = {axis.share}: {key} = {own!r} "
@@ -225,22 +228,21 @@ class Plan:
 
 
 def value_at(scenario: dict[str, Any], key: str) -> Any:
-    """What ``key`` is in a scenario's values; None where it is not set, or there is no such key."""
+    """The value of ``key`` in a scenario; None: not set, or unknown."""
     return value_in(scenario, key)
 
 
 def has_key(scenario: dict[str, Any], key: str) -> bool:
-    """Whether there is such a key, set or not."""
+    """Whether the key exists, set or not."""
     table = value_at(scenario, key.rpartition(".")[0])
     return isinstance(table, dict) and key.rpartition(".")[2] in table
 
 
 def plan(settings: CampaignSettings) -> Plan:
-    """A campaign with its scenario, its first run tried as far as its settings.
+    """A campaign with its scenario; the settings of the first run are checked.
 
     Raises:
-        ScenarioError: no such scenario, an axis or a setting that is no key of it, or too many
-            runs.
+        ScenarioError: unknown scenario, unknown key of an axis or setting, or too many runs.
     """
     made = Plan(settings, written(settings.scenario))
     if made.runs > MOST_RUNS:

@@ -1,11 +1,11 @@
 """Requirements: expressions over metrics, read by ``ast`` and computed here, never by ``eval``.
 
-Numbers, metrics, ``+ - * /``, comparisons, ``and``, ``or``, ``not``, parentheses; nothing else. A
-metric that a run does not have (no such moment) makes what depends on it neither true nor false, as
-in Kleene's logic: ``false and unknown`` is false, ``true and unknown`` unknown.
+Numbers, metrics, ``+ - * /``, comparisons, ``and``, ``or``, ``not``, parentheses; no other syntax.
+A missing metric (no such moment in the run) makes dependent expressions unknown, as in Kleene's
+logic: ``false and unknown`` is false, ``true and unknown`` unknown.
 
-Each expression has a margin too: positive where it holds, the more the better, in parts of what it
-is compared with, so that margins of different units can be put in one order.
+Each expression has a margin too: positive if the expression holds, larger for a safer run, and
+relative to the bound, so that margins of different units compare.
 """
 
 from __future__ import annotations
@@ -37,15 +37,15 @@ COMPARISONS: Final[dict[type[ast.cmpop], Callable[[float, float], bool]]] = {
     ast.NotEq: operator.ne,
 }
 LONGEST: Final = 500
-"""Characters of an expression, so that none is nested too deeply to be read."""
+"""Limit on the characters of an expression; bounds the depth of nesting."""
 
 
 @dataclass(frozen=True)
 class Verdict:
-    """What became of a requirement in a run.
+    """Result of a requirement in a run.
 
     Attributes:
-        passed: None where the run does not have what it is about.
+        passed: None if the run lacks a necessary metric.
         margin: above zero where it passed, in parts of the bound; None likewise.
     """
 
@@ -57,15 +57,15 @@ UNKNOWN: Final = Verdict(None, None)
 
 
 class Requirement:
-    """One expression, checked when it is made.
+    """One expression, checked on construction.
 
     Args:
         name: of the requirement.
         text: the expression.
-        known: names that may stand in it.
+        known: permitted names.
 
     Raises:
-        ScenarioError: it is no such expression, or has an unknown name.
+        ScenarioError: invalid syntax, or an unknown name.
     """
 
     def __init__(self, name: str, text: str, known: Collection[str]) -> None:
@@ -88,11 +88,11 @@ class Requirement:
         self._check(self._tree, truth=True)
 
     def of(self, values: Values) -> Verdict:
-        """The verdict on a run with these values."""
+        """The verdict on a run with the given values."""
         return self._truth(self._tree, values)
 
     def _check(self, node: ast.expr, *, truth: bool) -> None:
-        """Refuse what is no expression over metrics; ``truth``: where a verdict must stand."""
+        """Refuse any syntax except expressions over metrics; ``truth``: require a verdict."""
         match node:
             case ast.BoolOp(values=parts) if truth:
                 self._check_all(parts, truth=True)
@@ -175,7 +175,7 @@ def _not(verdict: Verdict) -> Verdict:
 
 
 def _all(verdicts: list[Verdict]) -> Verdict:
-    """Kleene's ``and``: what is false decides, what is unknown comes second."""
+    """Kleene's ``and``: false decides, unknown comes second."""
     known = [verdict.margin for verdict in verdicts if verdict.margin is not None]
     if any(verdict.passed is False for verdict in verdicts):
         return Verdict(False, min(known))
@@ -185,6 +185,6 @@ def _all(verdicts: list[Verdict]) -> Verdict:
 
 
 def margin(verdicts: Collection[Verdict]) -> float | None:
-    """The least of them; None where no requirement says anything of the run."""
+    """The least margin; None if no requirement yields a margin."""
     known: list[Any] = [each.margin for each in verdicts if each.margin is not None]
     return min(known) if known else None

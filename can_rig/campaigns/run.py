@@ -1,4 +1,4 @@
-"""One run of a campaign as a row: what it was, what came of it, and the command that repeats it."""
+"""One run of a campaign as a row: its settings, its results, and the command to repeat the run."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ Row = dict[str, Any]
 
 
 class Task(NamedTuple):
-    """Runs that are computed at once.
+    """Runs computed as a unit.
 
     Attributes:
-        begin: the first. end: the one behind the last.
+        begin: the first. end: the run after the last run.
         points: of a search, the place of each in [0, 1] on every axis.
     """
 
@@ -28,7 +28,7 @@ class Task(NamedTuple):
     points: tuple[tuple[float, ...], ...] | None = None
 
     def parts(self, most: int) -> Iterator[Task]:
-        """The same in tasks of at most so many runs."""
+        """Split the task into tasks of at most ``most`` runs."""
         for begin in range(self.begin, self.end, most):
             end = min(begin + most, self.end)
             points = self.points and self.points[begin - self.begin : end - self.begin]
@@ -51,13 +51,13 @@ def requirements_of(plan: Plan) -> list[Requirement]:
     """The campaign's requirements.
 
     Raises:
-        ScenarioError: one is no expression over metrics.
+        ScenarioError: a requirement is no expression over metrics.
     """
     return [Requirement(name, text, METRICS) for name, text in plan.settings.requirements.items()]
 
 
 def run_row(plan: Plan, required: list[Requirement], run: int, values: dict[str, Scalar]) -> Row:
-    """The row of one run; one that fails has its reason in ``failure``, and no metrics."""
+    """The row of one run; after a failure, the reason in ``failure`` and no metrics."""
     changes = plan.changes_of(run, values)
     row: Row = {"run": run, **values, "command": plan.command_with(changes)}
     row["method"] = SEARCH if run < plan.searched else RANDOM

@@ -1,8 +1,8 @@
 """The search for the worst run: CMA-ES over the unit cube of the axes, generation by generation.
 
-Asked for points and told their margins in the order of their runs, so that it goes the same way on
-any number of workers, and again after an interruption (Hansen, The CMA Evolution Strategy: A
-Tutorial, 2016). Where it has settled it begins anew, somewhere else.
+The search proposes points and receives margins in the order of the runs; so the path is the same
+for any number of workers, and after an interruption (Hansen, The CMA Evolution Strategy: A
+Tutorial, 2016). After convergence the search restarts from another point.
 """
 
 from __future__ import annotations
@@ -15,22 +15,22 @@ import numpy as np
 from can_rig.errors import require
 
 GENERATION: Final = 16
-"""Points that are asked for at once, whoever computes them."""
+"""Points requested at once, independent of the workers."""
 SPREAD: Final = 0.3
 """Standard deviation of the first generation, in parts of each axis."""
 LEAST_DIMENSIONS: Final = 2
-"""Of cma; an axis that is alone gets one beside it that does nothing."""
+"""Least dimension for cma; a single axis gets a second axis without effect."""
 
 Point = tuple[float, ...]
 """A place in [0, 1] on each axis."""
 
 
 class Search:
-    """Points whose margins ``tell`` has heard of make those that ``ask`` names.
+    """Ask-and-tell search: ``tell`` takes the margins of the points from ``ask``.
 
     Args:
-        axes: how many there are.
-        seed: decides what is drawn.
+        axes: number of axes.
+        seed: of the random numbers.
 
     Raises:
         MissingExtraError: cma is not installed.
@@ -51,7 +51,10 @@ class Search:
         return [tuple(point[: self._axes].tolist()) for point in self._asked]
 
     def tell(self, margins: Sequence[float | None]) -> None:
-        """The margins of that generation; a run that has none is no worse than any other."""
+        """Take the margins of the last generation.
+
+        A run without a margin gets the largest margin of the generation.
+        """
         known = [margin for margin in margins if margin is not None]
         none = max(known, default=0.0)
         self._strategy.tell(self._asked, [none if each is None else each for each in margins])

@@ -36,7 +36,7 @@ from can_rig.scenario.tables.changes import change
 SHIPPED: Final = Path(__file__).parent / "shipped"
 MOST_RUNS: Final = 10_000_000
 ALL: Final = "all"
-"""Of the requirements: the least of their margins."""
+"""The name that stands for the least margin of all requirements."""
 
 Sampling = Literal["grid", "random", "latin-hypercube", "sobol"]
 Scalar = bool | int | float | str
@@ -44,9 +44,10 @@ Scalar = bool | int | float | str
 
 @dataclass(frozen=True, config=STRICT)
 class AxisSettings:
-    """Which values a key takes: ``values``, or a ``range``, or a ``share`` of the scenario's own.
+    """The values of a key: ``values``, or a ``range``, or a ``share`` of the scenario's own.
 
-    ``points`` are those of a grid on a range, its ends included; ``scale`` is that of the range.
+    ``points`` counts the grid points on a range, ends included; ``scale`` is the scale of the
+    range.
     """
 
     values: list[Scalar] | None = None
@@ -73,12 +74,12 @@ class AxisSettings:
 
 @dataclass(frozen=True, config=STRICT)
 class CampaignSettings:
-    """One campaign, whole. ``name`` is the file's own and no key of it.
+    """The settings of a campaign. ``name`` comes from the file's name.
 
-    ``seed`` and a run's number decide what is drawn for it, nothing else does. Without ``redesign``
-    an axis over ``plant`` changes the car and not what the controller believes of it. ``search``
-    names a requirement, or ``ALL``, whose margin is made as small as can be in ``runs`` runs; as
-    many random ones are run beside them.
+    ``seed`` and a run's number alone determine the random values of the run. Without ``redesign``,
+    an axis over ``plant`` changes the car but not the controller's model of the car. ``search``
+    names a requirement, or ``ALL``, whose margin is minimised in ``runs`` runs; as many random runs
+    are added for comparison.
     """
 
     name: str
@@ -148,8 +149,8 @@ def read_campaign(name: str, settings: Iterable[str] = (), **keys: Any) -> Campa
 
     Args:
         name: of the campaign.
-        settings: ``KEY=VALUE`` of its scenario, in every run.
-        keys: of the campaign in place of the file's own; None: the file's.
+        settings: ``KEY=VALUE`` settings of the scenario, for every run.
+        keys: keys of the campaign that replace the file's; None: the file's.
 
     Raises:
         ScenarioError: no such campaign, not TOML, an unknown key, a bad value.

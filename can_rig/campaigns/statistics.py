@@ -1,4 +1,4 @@
-"""What a campaign's table says: how often each requirement holds, the worst runs, what matters."""
+"""Statistics of a campaign: pass rates, worst runs, and the influence of the axes."""
 
 from __future__ import annotations
 
@@ -29,14 +29,14 @@ Columns = dict[str, list[Any]]
 
 @dataclass(frozen=True)
 class Rate:
-    """How often something holds, of the runs in which it means something.
+    """Share of runs that pass, among runs with a verdict.
 
     Attributes:
         name: of the requirement. text: its expression.
         passed, failed, unknown: numbers of runs.
-        share: of ``passed`` in both; None where there is none.
-        low, high: the exact (Clopper-Pearson) interval of ``CONFIDENCE``; for a grid, whose runs
-            are not drawn, it says what as many drawn ones would tell.
+        share: ``passed`` among ``passed`` and ``failed``; None without any.
+        low, high: the exact (Clopper-Pearson) interval of ``CONFIDENCE``; a grid's runs are not
+            random, so its interval tells the precision of as many random runs.
     """
 
     name: str
@@ -51,7 +51,7 @@ class Rate:
 
 @dataclass(frozen=True)
 class Spread:
-    """A metric over all runs that have it."""
+    """Distribution of a metric over the runs with a value."""
 
     name: str
     runs: int
@@ -63,14 +63,14 @@ class Spread:
 
 @dataclass(frozen=True)
 class Found:
-    """What a way to choose the runs has found of one requirement's margin.
+    """Result of one sampling method for one requirement's margin.
 
     Attributes:
         method: search or random.
-        runs: how many it had.
-        least: the least margin of them; None where no run has one.
-        failed: how many are below zero.
-        first_failed: the number of runs until the first of them.
+        runs: number of runs.
+        least: the least margin; None if no run has a margin.
+        failed: number of runs with a margin below zero.
+        first_failed: number of runs up to the first failure.
     """
 
     method: str
@@ -82,18 +82,19 @@ class Found:
 
 @dataclass(frozen=True)
 class Summary:
-    """A campaign in numbers; where some runs were searched, rates and spreads are of the others.
+    """A campaign in numbers; after a search, rates and spreads cover the random runs only.
 
     Attributes:
-        runs, failed: how many there are, and how many gave no metrics.
-        reasons: why those did not, the most frequent first.
+        runs, failed: number of runs, and number of runs without metrics.
+        reasons: reasons of failed runs, the most frequent first.
         hours: simulated.
-        false_alarms: in them, and per hour with the exact (Poisson) interval of ``CONFIDENCE``.
-        rates: of the requirements, and of all of them at once.
-        spreads: of the metrics that the requirements are about.
+        false_alarms: number in ``hours``, and per hour with the exact (Poisson) interval of
+            ``CONFIDENCE``.
+        rates: for each requirement, and for all together.
+        spreads: for each metric used by a requirement.
         worst: rows of the runs with the least margin, searched or not.
-        sensitivities: of each metric, the share of its variance that each axis explains alone.
-        found: by the search and by the random runs beside it; empty without a search.
+        sensitivities: for each metric, the share of variance explained by each axis alone.
+        found: results of the search and of the random runs beside it; empty without a search.
     """
 
     runs: int
@@ -146,7 +147,7 @@ def summarise(plan: Plan, required: Sequence[Requirement], columns: Columns) -> 
 
 
 def found_by(plan: Plan, columns: Columns) -> list[Found]:
-    """What the search and the random runs have found; nothing without a search."""
+    """The results of the search and of the random runs; empty without a search."""
     if not plan.searched:
         return []
     margins = columns[margin_column(plan)]
@@ -157,12 +158,12 @@ def found_by(plan: Plan, columns: Columns) -> list[Found]:
 
 
 def margin_column(plan: Plan) -> str:
-    """The column that a search makes as small as can be."""
+    """The column that the search minimises."""
     return "margin" if plan.settings.search in (None, ALL) else f"margin.{plan.settings.search}"
 
 
 def found(method: str, margins: Sequence[float | None]) -> Found:
-    """What ``margins``, in the order of the runs, amount to."""
+    """The result for ``margins``, ordered by run."""
     values, so_far = numbers(margins), least_so_far(margins)
     failed = np.flatnonzero(values < 0.0)
     return Found(
@@ -206,7 +207,7 @@ def poisson_interval(events: int) -> tuple[float, float]:
 
 
 def spread(name: str, values: Sequence[float | None]) -> Spread | None:
-    """None where no run has the metric."""
+    """The distribution of a metric; None without a value."""
     found = numbers(values)
     found = found[np.isfinite(found)]
     if not len(found):
@@ -216,7 +217,7 @@ def spread(name: str, values: Sequence[float | None]) -> Spread | None:
 
 
 def worst(columns: Columns, axes: Sequence[str]) -> list[dict[str, Any]]:
-    """The rows of least margin, the worst first; of equal ones the first runs."""
+    """The rows of least margin, the worst first; ties keep the order of the runs."""
     margins = numbers(columns["margin"])
     order = np.argsort(np.where(np.isnan(margins), np.inf, margins), kind="stable")[:WORST]
     shown = ["run", *axes, "margin", "command"]
@@ -227,7 +228,7 @@ def worst(columns: Columns, axes: Sequence[str]) -> list[dict[str, Any]]:
 def explained(axis: Sequence[Any], metric: FloatArray) -> float | None:
     """The share of the metric's variance between parts of the axis, η², less that of chance.
 
-    None where there is nothing to explain: the metric does not vary, or the axis does not.
+    None if the metric or the axis is constant.
     """
     known = np.isfinite(metric)
     parts, values = parts_of(axis)[known], metric[known]
@@ -241,7 +242,10 @@ def explained(axis: Sequence[Any], metric: FloatArray) -> float | None:
 
 
 def parts_of(axis: Sequence[Any]) -> NDArray[np.int64]:
-    """Which part of the axis each run is in: each value one, or quantiles of many values."""
+    """The part of the axis for each run.
+
+    A few values are one part each; many values are cut into quantiles.
+    """
     distinct = sorted(set(axis), key=lambda value: (str(type(value)), value))
     if len(distinct) <= BINS or isinstance(distinct[0], str):
         return np.array([distinct.index(value) for value in axis], dtype=np.int64)
@@ -251,12 +255,12 @@ def parts_of(axis: Sequence[Any]) -> NDArray[np.int64]:
 
 
 def numbers(values: Sequence[float | bool | None]) -> FloatArray:
-    """As floats; not a number where there is none."""
+    """As floats; nan for missing values."""
     return np.array([np.nan if value is None else float(value) for value in values])
 
 
 def _together(verdicts: Sequence[Sequence[bool | None]]) -> list[bool | None]:
-    """Whether all hold, run by run: one that does not decides."""
+    """Whether all requirements hold, run by run: any false decides."""
     return [
         False if False in row else None if None in row else True
         for row in zip(*verdicts, strict=True)

@@ -1,4 +1,4 @@
-"""The table of a campaign: a row a run, as Parquet, in blocks that are whole or not there."""
+"""The table of a campaign: a row for each run, as Parquet, in blocks written atomically."""
 
 from __future__ import annotations
 
@@ -45,10 +45,10 @@ METRICS: Final = (
     "force_difference_available_n",
     "dstar_carried_mps2",
 )
-"""Those of ``run.json``, in their order."""
+"""Metrics in the order of ``run.json``."""
 
 TRUTHS: Final = {"missed_detection"}
-"""Which of them are true or false."""
+"""Metrics with a truth value."""
 
 SEARCH, RANDOM = "search", "random"
 """How the values of a run came about, where some were searched."""
@@ -100,10 +100,10 @@ def _for_pandas(columns: pa.Schema) -> dict[str, str]:
 
 
 def write_block(path: Path, rows: Iterable[dict[str, Any]], columns: pa.Schema) -> None:
-    """The rows of a block; ``path`` exists, complete, when this returns, and not before.
+    """Write the rows of a block; ``path`` exists, complete, when this returns, and not before.
 
     Raises:
-        LogError: it cannot be written.
+        LogError: writing fails.
     """
     import pyarrow as pa  # noqa: PLC0415 (an extra)
     from pyarrow import parquet  # noqa: PLC0415
@@ -118,7 +118,7 @@ def write_block(path: Path, rows: Iterable[dict[str, Any]], columns: pa.Schema) 
 
 
 def _cells(values: list[Any], kind: pa.DataType) -> list[Any]:
-    """Values as their column has them."""
+    """Values in the type of their column."""
     import pyarrow as pa  # noqa: PLC0415 (an extra)
 
     if pa.types.is_string(kind):
@@ -131,10 +131,12 @@ def _cells(values: list[Any], kind: pa.DataType) -> list[Any]:
 
 
 def put_together(blocks: Sequence[Path], path: Path) -> None:
-    """All blocks, in the order of their runs, as one file; no more of it is held than a row group.
+    """Join all blocks, in the order of their runs, into one file.
+
+    Memory holds one row group at a time.
 
     Raises:
-        LogError: it cannot be written.
+        LogError: writing fails.
     """
     import pyarrow as pa  # noqa: PLC0415 (an extra)
     from pyarrow import parquet  # noqa: PLC0415

@@ -1,7 +1,7 @@
-"""Decodes the frames that one database knows: by identifier or, for J1939, by parameter group.
+"""Decodes the frames known to one database: by identifier or, for J1939, by parameter group.
 
-A database has one J1939 message for the group, whoever sends it. Its frames get one more signal,
-``SourceAddress``.
+A database has a single J1939 message for a parameter group, whatever the sender. The message gets
+an additional signal, ``SourceAddress``.
 """
 
 from __future__ import annotations
@@ -30,7 +30,7 @@ _EXTENDED_BIT: Final = 31  # above the identifier, as in a DBC
 
 
 def named(database: Database) -> dict[str, DbcMessage]:
-    """The messages by name; where several have the same one, with their identifiers after it."""
+    """The messages by name; messages of equal name get their identifiers as suffix."""
     every = Counter(message.name for message in database.messages)
     return {
         message.name
@@ -63,15 +63,15 @@ class DatabaseDecoder:
         self._groups: Final = [bool(key & GROUP_BIT and not key >> _EXTENDED_BIT) for key in keys]
         self._names: Final = [by_key[key] for key in keys]
         self.not_wanted = 0
-        """Number of frames of messages that were not asked for."""
+        """Number of frames of messages outside the selection."""
 
     @property
     def has_groups(self) -> bool:
-        """Whether there are J1939 messages in the database."""
+        """Whether the database has J1939 messages."""
         return any(self._groups)
 
     def name_of(self, identifier: int, is_extended: bool) -> str | None:
-        """What the message of an identifier is called, J1939 by its parameter group."""
+        """The name of an identifier's message; J1939 by parameter group."""
         extended = np.array([identifier | is_extended << _EXTENDED_BIT], np.uint32)
         place = int(self._find(extended)[0]) if self._names else 0
         if place == len(self._names) and is_extended and self.has_groups:
@@ -109,20 +109,23 @@ class DatabaseDecoder:
         return found, known
 
     def _by_name(self, places: NDArray[np.int16]) -> dict[str, NDArray[np.int64]]:
-        """The frames of each message that occurs, in order."""
+        """Row numbers of the frames, by message, in order."""
         order = np.argsort(places, kind="stable")
         ends = np.cumsum(np.bincount(places, minlength=len(self._names) + 1))
         chosen: dict[str, NDArray[np.int64]] = {}
         for place, name in enumerate(self._names):
             here = order[ends[place - 1] if place else 0 : ends[place]]
-            if len(here) and name in chosen:  # by its identifier, and by its group
+            if len(here) and name in chosen:  # known by identifier, and by group
                 here = np.sort(np.concatenate([chosen[name], here]))
             if len(here):
                 chosen[name] = here
         return chosen
 
     def _places(self, frames: Frames) -> NDArray[np.int16]:
-        """(n,) index of each frame's message in the sorted ones; their number for none of them."""
+        """(n,) index of each frame's message in the sorted messages.
+
+        An unknown message has the number of messages as index.
+        """
         if not len(self._keys):
             return np.zeros(len(frames), dtype=np.int16)
         extended = frames.has(EXTENDED)
@@ -131,7 +134,7 @@ class DatabaseDecoder:
         if self.has_groups:
             left = np.flatnonzero(extended & (places == len(self._keys)))
             places[left] = self._find(group_keys(frames.arbitration_id[left]))
-        return places.astype(np.int16)  # of 16 bits, which sort by radix
+        return places.astype(np.int16)  # NumPy sorts 16 bits by radix
 
     def _find(self, keys: NDArray[np.uint32]) -> NDArray[np.int64]:
         places = np.searchsorted(self._keys, keys)
@@ -155,10 +158,10 @@ def message_decoders(
     messages: Collection[str] | None,
     signals: Collection[str] | None,
 ) -> dict[str, MessageDecoder]:
-    """A decoder for each message that is asked for, by name without the prefix.
+    """A decoder for each selected message, by name without the prefix.
 
     Raises:
-        DbcError: one of the messages cannot be decoded.
+        DbcError: a message cannot be decoded.
     """
     found = {}
     for name, message in named(database).items():
@@ -180,10 +183,10 @@ def require_names(
     messages: Collection[str] | None,
     signals: Collection[str] | None,
 ) -> None:
-    """Refuse the names of messages and signals that no database (prefix, database) has.
+    """Refuse names of messages and signals unknown to every database (prefix, database).
 
     Raises:
-        DbcError: the first one.
+        DbcError: the first unknown name.
     """
     known: list[str] = []
     inside: list[str] = []

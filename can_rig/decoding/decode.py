@@ -6,9 +6,8 @@
     messages["DSTAR_FEEDBACK"].signals["DStar"]     # numpy
     messages["DSTAR_FEEDBACK"].to_pandas()
 
-No frame is lost silently: `Decoder.counts` says for every message how many frames there are and why
-some of them give no row, `Decoder.unknown` how many frames have an identifier that is not in the
-database.
+No frame is lost silently: `Decoder.counts` has for every message the number of frames and the
+reasons for missing rows, `Decoder.unknown` the number of frames with an unknown identifier.
 """
 
 from __future__ import annotations
@@ -31,23 +30,23 @@ from can_rig.logs.log import window_of
 from can_rig.logs.reading import read_log
 
 Databases = Database | Sequence[tuple[str | None, Database]]
-"""One for all buses; or several, each for the bus of this name or, where it is None, for all."""
+"""One database for all buses; or several, each for the named bus or, with None, for all buses."""
 
 
 class Decoder:
     """Decodes chunk after chunk of a log.
 
     Args:
-        databases: cantools CAN databases. Messages of one that is for a bus have its name before
-            theirs, as in ``can0.MESSAGE``.
-        messages: names of the messages to decode; None: all. Where several have the same name,
-            each has its identifier after it, as in ``NAME_1A0``; the name alone means all of them.
+        databases: cantools CAN databases. Messages of a bus's own database have the bus name as
+            prefix, as in ``can0.MESSAGE``.
+        messages: names of the messages to decode; None: all. Messages of equal name have the
+            identifier as suffix, as in ``NAME_1A0``; the plain name selects all namesakes.
         signals: the signals to decode, as ``Signal`` or ``Message.Signal``; None: all. Messages
-            without any of them are not decoded.
+            without a selected signal are not decoded.
         channel: the only bus to decode; None: all.
 
     Raises:
-        DbcError: a name is not in the database, or one of its messages cannot be decoded.
+        DbcError: a name is unknown, or a message cannot be decoded.
     """
 
     def __init__(
@@ -73,30 +72,31 @@ class Decoder:
         """Number of all frames so far."""
         self.error_frames = 0
         self.unknown: Counter[str] = Counter()
-        """Number of frames by identifier, ``123`` or ``12345678``, that is not in the database."""
+        """Number of frames by identifier, ``123`` or ``12345678``, for identifiers unknown to the
+        databases."""
         self.transport: Final = Transport()
-        """J1939 messages of several frames; nothing without a database of J1939."""
+        """J1939 messages of several frames; empty unless a database has J1939 messages."""
         self._other_buses = 0
         self._channels: dict[str, None] = {}  # an ordered set
 
     @property
     def not_wanted(self) -> int:
-        """Number of frames of messages and buses that were not asked for."""
+        """Number of frames of messages and buses outside the selection."""
         return self._other_buses + sum(part.not_wanted for _, part in self._parts)
 
     @property
     def counts(self) -> dict[str, Counts]:
-        """What became of the frames of each message that was asked for."""
+        """Outcome of the frames of each selected message."""
         return {name: decoder.counts for name, decoder in self.messages.items()}
 
     @property
     def left_out(self) -> list[str]:
-        """Signals that do not lie within their messages, as ``Message.Signal``."""
+        """Signals that exceed their messages, as ``Message.Signal``."""
         return [name for decoder in self.messages.values() for name in decoder.left_out]
 
     @property
     def nothing_on_channel(self) -> str | None:
-        """One line if a bus that was asked for is not in the log."""
+        """One line if the log lacks the selected bus."""
         asked = [self._channel, *(bus for bus, _ in self._parts)]
         missing = [bus for bus in asked if bus is not None and bus not in self._channels]
         if not missing:
@@ -104,19 +104,19 @@ class Decoder:
         return f"no frame on bus {missing[0]}; the log has {', '.join(self._channels)}"
 
     def names(self) -> dict[tuple[int, bool], str]:
-        """The names of the messages by identifier, and whether that is an extended one."""
+        """The names of the messages by (identifier, extended)."""
         return {
             (decoder.message.frame_id, decoder.message.is_extended_frame): name
             for name, decoder in self.messages.items()
         }
 
     def name_of(self, identifier: int, is_extended: bool, bus: str) -> str | None:
-        """What the message of an identifier on a bus is called; None: no database has it."""
+        """The name of the message with the identifier on a bus; None: unknown."""
         found = (p.name_of(identifier, is_extended) for on, p in self._parts if on in (None, bus))
         return next((name for name in found if name is not None), None)
 
     def decode(self, frames: Frames) -> dict[str, MessageColumns]:
-        """The columns of a chunk, by message; only messages with a frame in it."""
+        """The columns of a chunk, by message; only messages with frames."""
         rows = np.arange(self.frames, self.frames + len(frames))
         self.frames += len(frames)
         self._channels.update(dict.fromkeys(frames.channels))
@@ -159,14 +159,14 @@ def _count(unknown: Counter[str], frames: Frames) -> None:
 
 
 def _on(frames: Frames, bus: str | None) -> Any:
-    """Which frames are of this bus, as a mask (n,); all of them: a slice."""
+    """The frames of the bus, as a mask (n,); for all buses: a slice."""
     if bus is None or not len(frames):
         return slice(None)
     return np.array([name == bus for name in frames.channels])[frames.channel]
 
 
 class DecodedLog(dict[str, MessageColumns]):
-    """The columns of a whole log, by message that occurs; and what was not decoded."""
+    """The columns of a whole log, by message; and the counts of other frames."""
 
     def __init__(
         self, columns: dict[str, MessageColumns], decoder: Decoder, notice: str | None
@@ -193,17 +193,17 @@ def decode_log(
     """Decode a log, or a part of it, in memory.
 
     Args:
-        path: a log of any format that `read_log` reads.
-        database: a cantools database, a file of one, or several as `Decoder` has them.
+        path: a log in a format of `read_log`.
+        database: a cantools database, a database file, or several databases as in `Decoder`.
         messages: see `Decoder`.
         signals: see `Decoder`.
         channel: see `Decoder`.
         from_s: only frames from so many seconds after the start of the recording on.
-        to_s: only frames before so many seconds after it.
+        to_s: only frames before this time after the start of the recording.
 
     Raises:
         LogError: the log cannot be read.
-        DbcError: the database cannot be read, or has no such message or signal.
+        DbcError: the database cannot be read, or lacks a selected message or signal.
     """
     if isinstance(database, str | Path):
         database = load_database(database)

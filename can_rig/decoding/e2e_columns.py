@@ -1,4 +1,4 @@
-"""The check of AUTOSAR E2E profile 1 for many frames at once: what `frames.protection` judges."""
+"""The check of AUTOSAR E2E profile 1 for many frames at once: a vectorised `frames.protection`."""
 
 from __future__ import annotations
 
@@ -30,11 +30,11 @@ def counters(data: UInt8s) -> UInt8s:
 
 
 def steps(counter: UInt8s, before: int | None) -> NDArray[np.int64]:
-    """(n,) difference of each counter to the one before it, 0..14; 1 is in sequence.
+    """(n,) increments of the counter, 0..14; 1 is in sequence.
 
     Args:
         counter: (n,) of intact frames, in their order.
-        before: the last counter before them; None: the first frame starts the sequence.
+        before: the last preceding counter; None: the first frame starts the sequence.
     """
     numbers = counter.astype(np.int64)
     first = (numbers[:1] - 1) if before is None else np.array([before])

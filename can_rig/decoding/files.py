@@ -21,25 +21,25 @@ _CELLS: Final = 1 << 22  # of a chunk, if all its frames are of the widest messa
 _LEAST_ROWS: Final = 1 << 10
 
 Reading = Callable[[Log, str], Iterator[Frames]]
-"""The chunks of a log, and for whoever waits what is being done with them."""
+"""Yields the chunks of a log; the text describes the activity for a progress display."""
 
 
 @dataclass(frozen=True)
 class Selection:
-    """What of a log is decoded; None: all."""
+    """The part of a log to decode; None: all."""
 
     messages: Collection[str] | None = None
     signals: Collection[str] | None = None
     channel: str | None = None
 
     def decoder(self, databases: Databases) -> Decoder:
-        """A new one."""
+        """A new decoder for the selection."""
         return Decoder(databases, self.messages, self.signals, self.channel)
 
 
 @dataclass(frozen=True)
 class Form:
-    """How it is written."""
+    """The form of the output."""
 
     relative: bool = False
     """Time counts from the start of the recording."""
@@ -57,14 +57,14 @@ def decode_to_files(
     form: Form,
     reading: Reading,
 ) -> Decoder:
-    """Decode ``log`` into every one of ``outputs``; what became of the frames.
+    """Decode ``log`` into every one of ``outputs``; returns the counts of the frames.
 
-    The outputs are there, whole, when this returns, and none of them before.
+    All outputs appear at the end, complete.
 
     Raises:
-        LogError: the log cannot be read, has no frame of the wanted bus, or is none; an output
-            cannot be written.
-        DbcError: the database has no such message or signal.
+        LogError: the log cannot be read, lacks the selected bus, or is no log; an output cannot be
+            written.
+        DbcError: the database lacks a selected message or signal.
     """
     decoder = selection.decoder(databases)
     widest = max((len(message.signals) for message in decoder.messages.values()), default=0)
@@ -89,7 +89,7 @@ def decode_to_files(
             for writer in writers:
                 writer.write(chunk)
         if writers is None:
-            if log.format == ".log":  # without a header, nothing says that it is a log
+            if log.format == ".log":  # without a header, any text could be a log
                 raise LogError(
                     f"{log.path}: has no frame in it; must be a log as candump -L writes it"
                 )
@@ -100,7 +100,10 @@ def decode_to_files(
 
 
 def _survey(log: Log, decoder: Decoder, reading: Reading) -> dict[str, MessageColumns]:
-    """By message that occurs, its columns without rows; of a pipe, which is read once, of all."""
+    """Columns without rows for each message in the log.
+
+    For a pipe, readable only once, for every message.
+    """
     if log.path.is_file():
         for frames in reading(log, "looking through"):
             decoder.decode(frames)

@@ -21,17 +21,17 @@ from can_rig.logs.frames import Frames
 SOURCE_ADDRESS: Final = "SourceAddress"
 
 GROUP_BIT: Final = 1 << 30
-"""Of a key that is a parameter group."""
+"""Marks the key of a parameter group."""
 
 PEER_TO_PEER: Final = 0xF0
-"""PDU format below which a destination address follows it."""
+"""A smaller PDU format means that a destination address follows."""
 
 GLOBAL: Final = 0xFF
-"""The destination address of what is meant for all."""
+"""Destination address of broadcasts."""
 
 
 def group_key(identifier: int) -> int:
-    """What identifies a parameter group: the PGN, without addresses and priority."""
+    """The key of a parameter group: the PGN, without addresses and priority."""
     return int(group_keys(np.array([identifier], np.uint32))[0])
 
 
@@ -44,7 +44,7 @@ def group_keys(identifier: NDArray[np.uint32]) -> NDArray[np.uint32]:
 
 
 def identifier_of(priority: int, group: int, source: int, destination: int) -> int:
-    """The identifier that a message of a parameter group would have if it fitted into one frame."""
+    """The identifier of a parameter group's message, if the message fitted into one frame."""
     if group >> 8 & 0xFF < PEER_TO_PEER:
         group = group & 0x3FF00 | destination
     return priority << 26 | (group & 0x3FFFF) << 8 | source
@@ -54,8 +54,8 @@ def with_source(columns: MessageColumns, frames: Frames, rows: NDArray[np.int64]
     """Columns with the address of each sender.
 
     Args:
-        columns: of some of ``frames``.
-        frames: of one message.
+        columns: columns of some ``frames``.
+        frames: frames of one message.
         rows: (n,) their numbers in the log.
     """
     source = (frames.arbitration_id & np.uint32(0xFF)).astype(np.int64)

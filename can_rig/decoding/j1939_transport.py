@@ -1,8 +1,8 @@
 """J1939's transport protocol: messages of 9 to 1785 bytes, put together from frames of 7 each.
 
-A sender announces a message in a frame of TP.CM (connection management), to all (BAM) or to one
-address (RTS, which answers with CTS when and which packets it takes), and sends it in frames of
-TP.DT (data transfer). Source: SAE J1939-21, sections 5.4.7 and 5.10.
+A sender announces a message in a TP.CM frame (connection management), and sends the data in TP.DT
+frames (data transfer). The message goes to all addresses (BAM), or to one address (RTS); the
+address answers with CTS, a request for packets. Source: SAE J1939-21, sections 5.4.7 and 5.10.
 
     TP.CM  EC00  control | size, 2 bytes | packets | most at once | PGN, 3 bytes
     TP.DT  EB00  number of the packet, from 1 | 7 bytes
@@ -32,7 +32,7 @@ _Ends = tuple[str, int, int]  # bus, from, to
 
 @dataclass
 class _Session:
-    """A message that is being sent."""
+    """A message in transmission."""
 
     priority: int
     group: int
@@ -44,10 +44,10 @@ class _Session:
 
 
 class Message(NamedTuple):
-    """One that is complete."""
+    """A complete message."""
 
     row: int
-    """Of its last frame, among those of the chunk."""
+    """Row of the last frame within the chunk."""
     identifier: int
     data: bytes
 
@@ -57,23 +57,23 @@ class Transport:
     """Puts messages together, chunk after chunk of a log."""
 
     messages: int = 0
-    """Number of those that were complete."""
+    """Number of complete messages."""
     unknown: Counter[str] = field(default_factory=Counter)
-    """Number of complete ones by identifier, where no database has their parameter group."""
+    """Number of complete messages by identifier, for parameter groups unknown to every database."""
     _lost: int = 0
     _open: dict[_Ends, _Session] = field(default_factory=dict)
 
     @property
     def incomplete(self) -> int:
-        """Number of messages that were announced, of which a packet is missing so far."""
+        """Number of announced messages that still lack a packet."""
         return self._lost + len(self._open)
 
     def put_together(
         self, frames: Frames, rows: NDArray[np.int64]
     ) -> tuple[Frames, NDArray[np.int64]]:
-        """The messages that are complete with this chunk, as frames of more than 8 bytes.
+        """The messages completed by the chunk, as frames of more than 8 bytes.
 
-        Each has time and number of its last frame.
+        A message has time and row of its last frame.
         """
         chosen = is_transport(frames)
         mine, rows = frames[chosen], rows[chosen]
@@ -125,7 +125,7 @@ class Transport:
                 return
             self._open[ends] = _Session(priority, group, size, [None] * packets, time_ns)
             return
-        there = (bus, destination, source)  # whoever receives says this of what the other one sends
+        there = (bus, destination, source)  # the receiver answers the sender
         for key in (there, ends) if data[0] == _ABORT else (there,):
             session = self._open.get(key)
             if session is None or session.group != group:
@@ -136,7 +136,7 @@ class Transport:
                 self._drop(key)
 
     def _take(self, ends: _Ends, session: _Session, data: bytes, time_ns: int) -> bool:
-        """Put a packet where it belongs; whether that was the last one that was missing."""
+        """Store a packet at its position; returns whether the message is complete."""
         number = data[0] - 1
         in_order = number == session.next or ends[2] != GLOBAL  # to one address: again, if asked
         pause_ns = time_ns - session.last_ns

@@ -1,4 +1,4 @@
-"""The decoded frames of one message as columns: one row a frame, one column a signal."""
+"""The decoded frames of one message as columns: a row for each frame, a column for each signal."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class MessageColumns:
-    """The decoded frames of one message, one in each row, in the order of the log."""
+    """The decoded frames of one message, in the order of the log."""
 
     name: str
     time_ns: NDArray[np.int64]
@@ -27,7 +27,8 @@ class MessageColumns:
     """(n,) number of the frame in the log, from 0."""
     signals: dict[str, Column]
     """(n,) physical values by signal name, in the order of the database; a numpy masked array for a
-    signal that is not in every frame: it is multiplexed, or some frames are too short for it."""
+    signal that is not in every frame: multiplexed signals, and signals beyond the end of short
+    frames."""
     codes: dict[str, Column]
     """(n,) raw values of the signals with a value table."""
     layout: Mapping[str, SignalColumn] = field(repr=False)
@@ -42,7 +43,7 @@ class MessageColumns:
         return self.time_ns / NS_PER_S
 
     def words(self, signal: str) -> NDArray[np.object_]:
-        """(n,) words of a signal's value table; None without a word, or without the signal."""
+        """(n,) words of a signal's value table; None: no word, or no signal."""
         words = self.layout[signal].words(np.ma.getdata(self.codes[signal]))
         words[np.ma.getmaskarray(self.codes[signal])] = None
         return words
@@ -71,7 +72,7 @@ def _series(column: Column) -> Any:
 
 
 def joined(parts: Sequence[MessageColumns]) -> MessageColumns:
-    """Columns of the same message in a row; at least one part."""
+    """Columns of the same message, concatenated; needs at least one part."""
 
     def together(columns: list[Column]) -> Column:
         masked = any(isinstance(column, np.ma.MaskedArray) for column in columns)

@@ -1,4 +1,4 @@
-"""Decodes one message of a DBC: all its frames at once → columns, and why some give no row."""
+"""Decodes all frames of a DBC message at once into columns, and counts frames without a row."""
 
 from __future__ import annotations
 
@@ -22,32 +22,33 @@ Rows = NDArray[np.bool_]
 
 @dataclass
 class Counts:
-    """What became of the frames of one message.
+    """Outcome of the frames of one message.
 
     ``frames`` is the sum of ``decoded`` and of the five reasons after it.
     """
 
     frames: int = 0
     decoded: int = 0
-    """One row each."""
+    """Frames with a row."""
     too_short: int = 0
     """No signal fits into so few bytes; with E2E, any other number than in the database."""
     remote: int = 0
-    """Remote frames, which have no payload."""
+    """Remote frames (no payload)."""
     unknown_multiplexer: int = 0
     """The multiplexer has a value for which the database has no signals."""
     wrong_crc: int = 0
-    """E2E: damaged, another sender's, or the counter 15, which no sender uses."""
+    """E2E: damaged, from a wrong sender, or with the invalid counter 15."""
     repeated: int = 0
     """E2E: the same counter as the frame before; 15 lost frames look the same."""
     shorter: int = 0
-    """Decoded, but with fewer bytes than in the database: without the signals that do not fit."""
+    """Decoded, but shorter than in the database: signals beyond the end are missing."""
     longer: int = 0
     """Decoded, but with more bytes than in the database."""
     gaps: int = 0
-    """E2E: decoded, but by the counter some frames before it are missing."""
+    """E2E: decoded, but the counter shows missing frames."""
     lost: int = 0
-    """E2E: number of frames missing in all those gaps, or a multiple of 15 more."""
+    """E2E: number of missing frames in all gaps; the true number may exceed the count by a multiple
+    of 15."""
 
     def as_dict(self) -> dict[str, int]:
         """Every count, by name."""
@@ -60,7 +61,7 @@ class MessageDecoder:
     Args:
         message: from any cantools database.
         wanted: the signals to decode; None: all.
-        name: what the message is called in the result; None: as in the database.
+        name: name of the message in the result; None: as in the database.
 
     Raises:
         DbcError: a signal is a float of an odd length.
@@ -86,7 +87,7 @@ class MessageDecoder:
         if any(signal.is_multiplexer for signal in outside):
             outside, self._wanted, self._tree = message.signals, [], []
         self.left_out = [f"{self._name}.{signal.name}" for signal in outside]
-        """Signals that do not lie within the message, or whose multiplexer does not."""
+        """Signals outside the message, or with a multiplexer outside."""
         # The signals in every frame: those at the root of the tree, including multiplexers.
         self._always = {n if isinstance(n, str) else next(iter(n)) for n in self._tree}
         self._data_id = protected_by(message)
@@ -94,11 +95,11 @@ class MessageDecoder:
 
     @property
     def signals(self) -> list[str]:
-        """Names of the signals that are decoded."""
+        """Names of the decoded signals."""
         return self._wanted
 
     def decode(self, frames: Frames, row: NDArray[np.int64]) -> MessageColumns:
-        """The columns of the usable ``frames``; all have the identifier of this message."""
+        """The columns of the usable ``frames``; all ``frames`` have the message's identifier."""
         self.counts.frames += len(frames)
         usable = self._usable(frames)
         if not usable.all():
@@ -158,28 +159,28 @@ class MessageDecoder:
         rows: Rows,
         present: dict[str, Rows],
     ) -> Rows:
-        """Note in ``present`` which of ``rows`` have each signal of ``tree``.
+        """Set ``present`` for the ``rows`` that contain each signal of ``tree``.
 
         Args:
             tree: signals, and signals below values of a multiplexer.
             data: (n, bytes) payloads.
-            bits: (n,) lengths of the payloads; None: there is room for every signal.
+            bits: (n,) lengths of the payloads; None: every signal fits.
             rows: (n,) the frames to look at.
             present: gets (n,) for each signal.
 
-        Returns (n,) where every multiplexer has a value that is in the database.
+        Returns (n,) whether every multiplexer has a value known to the database.
         """
         known, nowhere = np.ones(len(rows), dtype=bool), np.zeros(len(rows), dtype=bool)
         for node in tree:
             name, branches = (node, None) if isinstance(node, str) else next(iter(node.items()))
             column = self._layout.get(name)
-            if column is None:  # it does not lie within the message
+            if column is None:  # the signal exceeds the message
                 continue
             here = rows if bits is None else rows & (bits >= column.first_bit + column.length)
             present[name] = present.get(name, nowhere) | here
             if branches is None:
                 continue
-            number = column.physical(column.raw(data))  # as cantools has it: scaled, then truncated
+            number = column.physical(column.raw(data))  # as in cantools: scaled, then truncated
             number = np.trunc(number) if number.dtype.kind == "f" else number
             for value in np.unique(number[here]).tolist():
                 chosen = here & (number == value)
@@ -211,7 +212,7 @@ def _at_least(data: UInt8s, width: int) -> UInt8s:
 
 
 def protected_by(message: DbcMessage) -> int | None:
-    """The E2E data identifier of a message of the rig; None for any other message."""
+    """The E2E data identifier of a message of the rig; None for foreign messages."""
     data_id = attribute(message, "E2EDataId")
     if attribute(message, "RigRole") not in (*ROLES, SPEED) or not isinstance(data_id, int):
         return None

@@ -1,4 +1,4 @@
-"""One signal of a database, in many frames at once: bits → raw values → physical values.
+"""One signal of a database, in many frames: bits → raw values → physical values.
 
 Every value equals that of cantools for the same frame, to the bit: the same order of operations
 (raw · factor + offset), and integers where cantools has integers, of any length.
@@ -31,7 +31,7 @@ _FLOATS: Final = {16: "2", 32: "4", 64: "8"}  # bits: bytes
 
 @dataclass(frozen=True)
 class SignalColumn:
-    """Where one signal lies in its frame, and what its raw value means."""
+    """Position of a signal in its frame, and meaning of the raw value."""
 
     name: str
     unit: str
@@ -95,7 +95,7 @@ class SignalColumn:
         return numbers
 
     def words(self, raw: Column) -> NDArray[np.object_]:
-        """(n,) words of the value table; None for a raw value without a word."""
+        """(n,) words of the value table; None for unlisted raw values."""
         get = self.choices.get
         return np.array([get(int(value)) for value in raw.tolist()], dtype=object)
 
@@ -140,7 +140,7 @@ class SignalColumn:
         return word
 
     def _long(self, data: UInt8s) -> NDArray[np.object_]:
-        """Signals of more than 64 bits, one by one."""
+        """Decode signals of more than 64 bits, one value at a time."""
         size = data.shape[1]
         order = "big" if self.motorola else "little"
         behind = size * 8 - self.first_bit - self.length if self.motorola else self.first_bit
@@ -153,7 +153,7 @@ class SignalColumn:
 
 
 def _window(data: UInt8s, byte: int, kind: str) -> tuple[NDArray[np.uint64], int]:
-    """Eight bytes of every payload as one word, and their first byte: ``byte`` or one before it."""
+    """Eight bytes of every payload as one word, and their first byte: ``byte`` or the previous."""
     begin = max(min(byte, data.shape[1] - _WORD_BYTES), 0)
     eight = data[:, begin : begin + _WORD_BYTES]
     if eight.shape[1] < _WORD_BYTES:

@@ -1,5 +1,5 @@
-"""What every picture shares: palette, line styles, page, shading of a loss, names and units.
+"""Common parts of all pictures: palette, line styles, page, shading of a loss, names and units.
 
-Imported by the rooms that draw or print (`results`, `views`, `assessment`, `thesis`, `cli`); it
-imports `scenario`, `frames` and what lies below. Only `style` loads matplotlib.
+Imported by the rooms that draw or print (`results`, `views`, `assessment`, `thesis`, `cli`); the
+package imports `scenario`, `frames` and lower rooms. Only `style` loads matplotlib.
 """

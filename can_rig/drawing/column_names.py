@@ -1,8 +1,8 @@
-"""What the columns of ``signals.csv`` are called: by the signals of the plant, and their units.
+"""Names of the columns of ``signals.csv``, derived from the plant's signals and units.
 
-Within the rig every plant has the columns of the car (``logs.columns``). In the file a column that
-says ``torque_nm`` has to be a torque in N m, so there the signals of any other plant have the names
-and the units that its scenario gives them.
+Within the rig every plant has the columns of the car (``logs.columns``). In the file, ``torque_nm``
+must be a torque in N m, so for any other plant the columns have the names and units of the
+scenario's signals.
 """
 
 from __future__ import annotations
@@ -23,17 +23,17 @@ OF_CAR: Final = {
 """Stem and ending of the columns of the car's signals."""
 
 ROLES: Final = ("output", "input_1", "input_2")
-"""Stems where the names are no good: without a letter of ASCII, or two columns of one name."""
+"""Stems where the names are no good: no ASCII letter, or a duplicate column name."""
 
 UNIT_WORDS: Final = {"%": "percent", "°": "deg", "²": "2", "³": "3", "µ": "u", "Ω": "ohm"}
 
 
 def column_names(plant: PlantSettings, further: Container[str] = ()) -> dict[str, str]:
-    """The name in the file of each column that has a signal of ``plant``, by that of the car.
+    """The name in the file of each column with a signal of ``plant``, by the car's name.
 
     Args:
-        plant: whose signals they are.
-        further: names that are taken, as a plant of one's own reports what it likes.
+        plant: the plant.
+        further: further names in use: a user's plant may report any signal.
     """
     signals = names_of(plant)
     endings = [OF_CAR[each][1] if each in OF_CAR else _ending(each.unit) for each in signals]
@@ -63,14 +63,14 @@ def _columns(stems: Sequence[str], endings: Sequence[str]) -> dict[str, str]:
 
 
 def _evidence(column: str, stems: Sequence[str]) -> str:
-    """The evidence that an actuator has failed, by its name; of the car as it is."""
+    """The evidence for the failure of an actuator, by its name; for the car, unchanged."""
     of, _, failed = column.removeprefix(EVIDENCE_OF).partition("_")
     stem = {"torque": stems[1], "force": stems[2]}.get(of, of)
     return f"{EVIDENCE_OF}{'force' if stem == OF_CAR[CAR.command_2][0] else stem}_{failed}"
 
 
 def _ending(unit: str) -> str:
-    """``mol/s`` as ``_mol_per_s``, ``N m`` as ``_nm``; nothing without a unit."""
+    """``mol/s`` as ``_mol_per_s``, ``N m`` as ``_nm``; empty without a unit."""
     for sign, word in UNIT_WORDS.items():
         unit = unit.replace(sign, word)
     parts = [_word(part).replace("_", "") for part in unit.split("/")]

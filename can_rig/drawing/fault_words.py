@@ -16,18 +16,18 @@ HOW: Final = {
     "actuator-drift": "drifting",
     "sensor-drift": "drifting",
 }
-"""Where that is not the last part of the kind."""
+"""Exceptions to the last part of the kind."""
 
 
 def fault_label(fault: FaultSettings, names: Names) -> str:
-    """What is wrong while ``fault`` is active."""
+    """Short description of ``fault``."""
     share = f"{100.0 * (1.0 - fault.left):g} % of " if fault.left and "dead" in fault.kind else ""
     how = HOW.get(fault.kind) or fault.kind.partition("-")[2].replace("-", " ")
     return f"{share}{names.hit_by(fault).name} {how}"
 
 
 def fault_in_words(fault: FaultSettings, names: Names, end_s: float) -> str:
-    """What is wrong, by how much, when, and by which kind of fault, of a run that ends then."""
+    """Description of ``fault``: kind, size and time, for a run that ends at ``end_s``."""
     when = f"at {fault.at_s:g} s"
     if fault.for_s is not None:
         when = f"from {fault.at_s:g} s to {fault.at_s + fault.for_s:g} s"

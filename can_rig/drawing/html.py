@@ -1,4 +1,4 @@
-"""What every page for a browser shares: its head, tables, a look that fits the pictures."""
+"""Common parts of the HTML pages: head, tables, a look that fits the pictures."""
 
 from __future__ import annotations
 
@@ -27,7 +27,7 @@ def page(title: str, parts: Iterable[str], style: str = "") -> str:
 
 
 class Code(str):
-    """Text that is set as code."""
+    """Text set in code style."""
 
     __slots__ = ()
 

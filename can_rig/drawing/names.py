@@ -1,4 +1,4 @@
-"""What people call the signals of a plant, and units as print has them."""
+"""Printed names and units of a plant's signals."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class Signal(NamedTuple):
 
     name: str
     unit: str = ""
-    """As print has it; empty where dimensionless."""
+    """In print; empty if dimensionless."""
     short: str = ""
     """In the heading of a column."""
     said: str = ""
@@ -39,11 +39,11 @@ CAR: Final = Names(
     Signal("rear force difference", "N", "X_diff", "X_diff"),
 )
 BY_NUMBERS: Final = ("output y", "input 1", "input 2")
-"""What signals are called that the scenario gives no name."""
+"""Names of signals that the scenario leaves unnamed."""
 
 
 def names_of(plant: PlantSettings) -> Names:
-    """The signals of ``plant``: those of the car, or what the scenario calls them."""
+    """The signals of ``plant``: the car's signals, or the scenario's names."""
     own = CAR if plant.is_car else Names(*(Signal(name, "", name, name) for name in BY_NUMBERS))
     given = (plant.output, plant.input_1, plant.input_2)
     return Names(*(_called(*pair) for pair in zip(own, given, strict=True)))
@@ -57,12 +57,12 @@ def _called(own: Signal, given: SignalSettings) -> Signal:
 
 
 def with_unit(text: str, unit: str) -> str:
-    """``text``, and the unit where there is one."""
+    """``text`` with the unit, if any."""
     return f"{text} {unit}".rstrip()
 
 
 def printed(unit: str) -> str:
-    """``unit`` as a DBC has it (``m/s^2``, ``N.m``), as print has it (``m/s²``, ``N m``)."""
+    """A DBC unit (``m/s^2``, ``N.m``) in print (``m/s²``, ``N m``)."""
     return unit.replace("^2", "²").replace("N.m", "N m")
 
 

@@ -1,4 +1,4 @@
-"""Scales that show what lasts, whatever single samples do."""
+"""Axis scales that show lasting values and tolerate single outliers."""
 
 from __future__ import annotations
 
@@ -12,7 +12,7 @@ from can_rig.drawing.names import printed
 from firmware_model.target.structs import FloatArray
 
 FAR: Final = 3.0
-"""What reaches so many times further than the rest of a panel does not set its scale."""
+"""Curves that reach this many times further than the panel do not set its scale."""
 
 
 def include_zero(axis: Axes, values: FloatArray) -> None:
@@ -23,7 +23,7 @@ def include_zero(axis: Axes, values: FloatArray) -> None:
 
 
 def reach_for(axis: Axes, values: FloatArray) -> None:
-    """Widen the limits so that they show ``values`` too, unless those are far away."""
+    """Widen the limits for ``values``, except for remote values."""
     low, high = axis.get_ylim()
     finite, span = values[np.isfinite(values)], high - low
     if len(finite) and np.ptp(finite) <= FAR * span:

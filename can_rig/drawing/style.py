@@ -15,9 +15,9 @@ from can_rig.scenario.tables.fault import FaultSettings
 INK: Final = "#1b1b1b"
 BLUE, ORANGE, GREEN = "#0b4f8a", "#b8461a", "#2f7d4f"
 PALE_BLUE, PALE_ORANGE = "#a9bccd", "#e3b49c"
-"""Wide and beneath a dark curve that may cover them."""
+"""Wide curves below dark curves."""
 SHADE: Final = "#efe9e2"
-"""Of the time in which something is lost."""
+"""Shade of a fault's time."""
 
 DASHED: Final = (0, (4, 3))
 DOTTED: Final = (0, (1, 2))
@@ -29,7 +29,7 @@ SERIES: Final[tuple[dict[str, Any], ...]] = (
     {"color": GREEN, "lw": 1.2, "ls": DOTTED},
     {"color": INK, "lw": 1.0, "ls": DASH_DOTTED},
 )
-"""Of curves that share a panel and are of equal rank."""
+"""Styles of curves with equal rank in a panel."""
 
 A4_WIDTH_IN: Final = 8.27
 COLUMN_WIDTH_IN: Final = 6.9
@@ -56,14 +56,17 @@ def ruled(axis: Axes) -> None:
 
 
 def labelled(name: str, unit: str) -> str:
-    """The label of an axis: the name, and below it the unit where there is one."""
+    """The label of an axis: the name, and the unit below."""
     return f"{name}\nin {printed(unit)}" if unit else name
 
 
 def legend_above(
     axis: Axes, side: Literal["left", "right"] = "right", raised: float = 0.0, columns: int = 4
 ) -> None:
-    """The legend above the panel, where no curve can be; ``raised`` by that share of its height."""
+    """The legend above the panel, clear of curves.
+
+    ``raised`` is a share of the panel's height.
+    """
     axis.legend(
         loc="lower left" if side == "left" else "lower right",
         bbox_to_anchor=(0.0 if side == "left" else 1.0, 1.0 + raised),
@@ -86,7 +89,7 @@ def shade_fault(axis: Axes, fault: FaultSettings) -> float | None:
     """Shade the time of ``fault`` as far as the axis shows it, with a line where it begins.
 
     Returns:
-        Where the shade begins, in s; None where the axis shows nothing of the fault.
+        Where the shade begins, in s; None if the fault lies outside the axis.
     """
     low, high = axis.get_xlim()
     end_s = high if fault.for_s is None else fault.at_s + fault.for_s

@@ -1,4 +1,4 @@
 """The control law as C99: the lines of `firmware_model.target`, translated, compiled, and run.
 
-Imported by `cli` and `nodes`; it imports `scenario` and what lies below.
+Imported by `cli` and `nodes`; the package imports `scenario` and lower rooms.
 """

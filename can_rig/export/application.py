@@ -18,18 +18,18 @@ from can_rig.scenario.driving.schedule import controls
 from can_rig.scenario.settings import Scenario
 
 POWERS: Final = str.maketrans({"²": "^2", "³": "^3"})
-"""Of units, as compilers read them that know ASCII alone."""
+"""Units in ASCII, for compilers without Unicode."""
 
 BY_HAND: Final = ("e2e.h", "e2e.c", "frames.h", "frames.c", "ecu.h", "ecu.c")
 
 
 def application(scenario: Scenario) -> dict[str, str]:
-    """Text by file name: everything but a CAN driver, which provides ``ecu_send``.
+    """Text by file name: everything except the CAN driver, which provides ``ecu_send``.
 
     Raises:
-        ScenarioError: a design that cannot be made.
-        ExportError: the law is outside the subset that becomes C, or the frames are those of
-            another database.
+        ScenarioError: the design fails.
+        ExportError: the law uses syntax outside the C subset, or the frames come from another
+            database.
     """
     network = network_of(scenario)
     if not network.is_the_rigs:
@@ -66,7 +66,7 @@ def application(scenario: Scenario) -> dict[str, str]:
 
 
 def _network_source(network: Network, scenario: Scenario) -> str:
-    """``network.c``: what the DBC says of each frame, and the time between them."""
+    """``network.c``: the DBC's properties of each frame, and the period."""
     lines = [*comment(f"The frames of {dbc_of(scenario).name}."), '#include "ecu.h"', ""]
     lines.append(f"const uint32_t ecu_tick_us = {round(scenario.tick_s * 1e6)};")
     for codec in network.by_role:
@@ -88,9 +88,9 @@ def _network_source(network: Network, scenario: Scenario) -> str:
 
 
 def _signal(codec: MessageCodec, signal: Signal | None = None, limit: float | None = None) -> str:
-    """Unit, meaning and range of the one signal of a frame, as the plant has it.
+    """Unit, meaning and range of a frame's only signal, for the plant.
 
-    A ``limit`` is what a command is never beyond, though its frame could say more.
+    ``limit`` bounds a command, though the frame could express more.
     """
     unit, name = codec.unit, codec.signal_name
     if signal is not None:

@@ -1,4 +1,7 @@
-"""What can run as the controller, by the names that a command gives it; imports nothing heavy."""
+"""The controllers of a run, by their names on the command line.
+
+The module has no heavy imports.
+"""
 
 from typing import Final
 

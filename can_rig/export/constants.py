@@ -14,11 +14,11 @@ from firmware_model.target.structs import Field, Precision, Record, Struct
 
 
 def constants_source(table: Record, title: str, speeds: Record | None = None) -> str:
-    """``constants.c``: the table, every number exactly as it is stored.
+    """``constants.c``: the table, with exact numbers.
 
     Args:
         table: of ``tables.build``.
-        title: what it is the table of.
+        title: the description of the table.
         speeds: of ``schedules.schedule``, where the speed of the car changes.
     """
     lines = [
@@ -34,7 +34,7 @@ def constants_source(table: Record, title: str, speeds: Record | None = None) ->
 
 
 def constants_header(title: str, speeds: Record | None = None) -> str:
-    """``constants.h``, which declares it."""
+    """``constants.h``, which declares the table."""
     more = [] if speeds is None else ["extern const struct schedule_constants controller_schedule;"]
     lines = [
         *comment(title), "#ifndef CONSTANTS_H", "#define CONSTANTS_H", "", '#include "layout.h"',
@@ -46,7 +46,7 @@ def constants_header(title: str, speeds: Record | None = None) -> str:
 
 
 def _members(struct: Struct, record: Any, precision: Precision, indent: str) -> Iterator[str]:
-    """Every member that is not zero; C makes the rest zero."""
+    """Every member except zeros; C initialises missing members with zero."""
     zeros = []
     for field in struct:
         value = record[field.name]
@@ -89,5 +89,5 @@ def _initialiser(field: Field, value: Any, precision: Precision) -> str:
 
 
 def _is_zero(value: Any) -> bool:
-    """Whether all of it is what C initialises with: -0.0 is not."""
+    """Whether all elements equal C's default initialisation: -0.0 does not."""
     return not np.any(value) and not np.any(np.signbit(value))

@@ -1,4 +1,4 @@
-"""A folder of C: a scenario's controller, and what builds it."""
+"""A folder of C: a scenario's controller, and its build files."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import Precision
 
 HEADER: Final = "firmware.h"
-"""Of every export: what an application includes."""
+"""Public header of every export, for inclusion by an application."""
 
 BUILD_FILES: Final = ("Makefile", "CMakeLists.txt", "main.c", "bench_main.c")
 
@@ -24,11 +24,11 @@ def exported(scenario: Scenario, precision: Precision | None = None) -> dict[str
     """The whole of a scenario's controller as text by file name.
 
     Args:
-        scenario: whose controller it is.
+        scenario: the scenario.
         precision: of its real numbers; None: the scenario's.
 
     Raises:
-        ScenarioError: a design that cannot be made.
+        ScenarioError: the design fails.
         ExportError: the law is outside the subset that becomes C.
     """
     chosen = scenario if precision is None else in_precision(scenario, precision)
@@ -50,14 +50,14 @@ def exported(scenario: Scenario, precision: Precision | None = None) -> dict[str
 
 
 def in_precision(scenario: Scenario, precision: Precision) -> Scenario:
-    """The scenario with a controller of that precision."""
+    """The scenario with another precision of the controller."""
     return replace(scenario, design=replace(scenario.design, precision=precision))
 
 
 def write(files: dict[str, str], folder: Path, force: bool) -> None:
-    """Write all of them, or none; with ``force`` over those of an earlier export.
+    """Write all files, or none; ``force`` replaces files of an earlier export.
 
-    What else is in that folder, a driver or what make has built, stays.
+    Foreign files in the folder, such as a driver or build products, stay.
 
     Raises:
         RunFolderError: the folder exists and is not to be written to, or cannot be written.

@@ -1,4 +1,4 @@
-"""The control law as files of C: those of `firmware_model.target` that its entry points need."""
+"""The control law as files of C: the functions that its entry points need."""
 
 from __future__ import annotations
 
@@ -16,19 +16,19 @@ from firmware_model.target import controller, layout, schedule
 from firmware_model.target.structs import Precision, Struct
 
 ENTRIES: Final = ("start_up", "step", "reset")
-"""What a node calls: each gets table and state first, then real numbers."""
+"""Entry points called by a node: each function takes table and state, then real numbers."""
 
 CHANGE_SPEED: Final = "change_speed"
-"""What a node calls too, before a step, where the speed of the car changes; see ``schedule``."""
+"""Entry point called before a step if the speed of the car changes; see ``schedule``."""
 
 
 def support(name: str) -> str:
-    """The text of a file that is written by hand, with ``{words}`` to be filled in."""
+    """The text of a handwritten file, with placeholders ``{word}``."""
     return (files("can_rig.export") / "support" / name).read_text(encoding="utf-8")
 
 
 def real_header(precision: Precision) -> str:
-    """``real.h``: what a real number is."""
+    """``real.h``: the definition of a real number."""
     single = precision == "float32"
     return filled(
         support("real.h"),
@@ -40,7 +40,7 @@ def real_header(precision: Precision) -> str:
 
 
 def filled(text: str, **values: str) -> str:
-    """``text`` with ``{name}`` replaced; other braces, of which C is full, stay."""
+    """``text`` with ``{name}`` replaced; other braces, frequent in C, stay."""
     return re.sub(r"\{(\w+)\}", lambda found: values.get(found[1], found[0]), text)
 
 
@@ -62,7 +62,7 @@ def record(sources: Sources, struct: Struct) -> Record:
 
 
 def law_program() -> Program:
-    """The control law with the types of everything in it.
+    """The typed program of the control law.
 
     Raises:
         ExportError: something is outside the subset.
@@ -78,9 +78,9 @@ def law_program() -> Program:
 
 
 def speed_program() -> Program:
-    """What blends tables by the speed of the car, with the types of everything in it.
+    """The typed program that blends tables by the speed of the car.
 
-    It is a program of its own, for it writes the table, which is constant to the law.
+    A separate program, because the program writes the table; for the law the table is constant.
 
     Raises:
         ExportError: something is outside the subset.
@@ -114,7 +114,7 @@ def law_files(precision: Precision, blends: bool = False) -> dict[str, str]:
 
     Args:
         precision: of real numbers.
-        blends: with what blends designs by the speed of the car.
+        blends: adds the code that blends designs by the speed of the car.
 
     Raises:
         ExportError: something is outside the subset.

@@ -1,4 +1,4 @@
-"""What stands in the C of a node for a car whose speed is said, and nowhere else."""
+"""Parts of a node's C code that depend on receiving the car's speed."""
 
 from __future__ import annotations
 
@@ -50,7 +50,7 @@ HEARING: Final = {
 extern const struct frame frame_speed;""",
     "speed_counted": ", &ecu->speed",
 }
-"""The same of a node that hears the speed; what it makes of it is ``speed_function``."""
+"""Parts for a node with speed; ``speed_function`` uses the received speed."""
 
 ONE_DESIGN: Final = {
     "memory": "layout_state",
@@ -75,7 +75,7 @@ static void take_speed(struct ecu *ecu, uint8_t length, const uint8_t *data)
     "trial_cases": "",
     "trial_answer": "",
 }
-"""Words of a law that has one design."""
+"""Parts for a law with a single design."""
 
 BLENDED: Final = {
     "memory": "firmware_memory",
@@ -125,16 +125,16 @@ static struct schedule_state blending;
            bench_write((const uint8_t *)&table, sizeof table) &&
            bench_write((const uint8_t *)&blending, sizeof blending)""",
 }
-"""The same of one whose designs are blended by the speed."""
+"""Parts for designs blended by speed."""
 
 
 def words(hears: bool, blends: bool) -> dict[str, str]:
-    """For a node that hears the speed or not, and a law that blends designs by it or not."""
+    """Parts for a node with or without speed, and for a law with or without blended designs."""
     chosen = HEARING if hears else DEAF
     of_law = BLENDED if blends else ONE_DESIGN
     return {**of_law, **chosen}
 
 
 def words_of(files: Mapping[str, str]) -> dict[str, str]:
-    """The same, as the files of an application, or of a law alone, have it."""
+    """Parts used in the files of an application, or of a law alone."""
     return words("frame_speed" in files.get("frames.h", ""), "schedule.c" in files)

@@ -2,5 +2,5 @@
 
 `reading.read_log` and `writing.write_log` are the interface; `readers` and `writers` hold a module
 for each format. The room imports `errors`, `files`, and `compiled` of `firmware_model`; every room
-above it may import it.
+above may import it.
 """

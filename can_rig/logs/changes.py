@@ -1,6 +1,6 @@
-"""Frames made ready for a file of another format, and what that file does not keep of the log.
+"""Frames prepared for a file of another format, and the losses of the conversion.
 
-Frames of a kind that the format does not have are refused. Every other loss is counted.
+A frame of a kind that the format lacks is refused. Every other loss is counted.
 """
 
 from __future__ import annotations
@@ -27,21 +27,21 @@ _KINDS: Final = {ERROR: "error", REMOTE: "remote", FD: "CAN FD"}
 
 @dataclass(frozen=True)
 class Keeps:
-    """What a format keeps of a log; what is not said here, every format keeps."""
+    """The properties of a log that a format keeps; the defaults stand for "everything"."""
 
     name: str
     time_ns: int
     """Resolution of its time stamps."""
     start_ns: int | None
-    """Resolution of the start of the recording; None: the first frame is the start."""
+    """Resolution of the start of the recording; None: the start is the first frame's time."""
     since_ns: int | None = None
-    """The earliest start that it can say, before which it says 0."""
+    """The earliest start that the format can express; an earlier start is written as 0."""
     before_start: bool = True
     """Whether a frame may have a time before the start."""
     bus_names: bool = False
     """Whether buses have names; else numbers."""
     lacks: int = 0
-    """Flags of frames that it does not have."""
+    """Frame flags that the format lacks."""
     error_direction: bool = True
     """Whether it says if an error frame was sent or received."""
     error_content: bool = True
@@ -50,7 +50,7 @@ class Keeps:
     """Whether frames of several kinds stay in the order of the log where the time does not tell."""
 
     def starts(self, start_ns: int) -> int:
-        """The start of a recording that it can say, instead of ``start_ns`` [ns]."""
+        """The start of a recording [ns], rounded to the format's resolution."""
         if self.start_ns is None or (self.since_ns is not None and start_ns < self.since_ns):
             return 0
         return start_ns // self.start_ns * self.start_ns
@@ -81,11 +81,11 @@ class Changes:
     log: Log
     suffix: str
     file: Path
-    """What the file will be called."""
+    """Final name of the file."""
     first: Frames | None
     """The first chunk of the log."""
     buses: dict[str, int] = field(default_factory=dict, init=False)
-    """The number of each bus by its name, where the format has numbers; they are distinct."""
+    """The number of each bus by its name, where the format has numbers; numbers are distinct."""
     frames: int = field(default=0, init=False)
     """Number of frames so far."""
     _lost: Counter[str] = field(default_factory=Counter, init=False)
@@ -96,7 +96,7 @@ class Changes:
 
     @property
     def keeps(self) -> Keeps:
-        """What the format keeps."""
+        """The properties that the format keeps."""
         return KEEPS[self.suffix]
 
     @property
@@ -108,10 +108,10 @@ class Changes:
         return self.keeps.starts(start_ns)
 
     def prepare(self, chunks: Iterable[Frames]) -> Iterable[Frames]:
-        """The frames as the file has them: buses by their numbers.
+        """The frames in the file's form: buses by their numbers.
 
         Raises:
-            LogError: the format cannot hold some of the frames, with the number of all of those.
+            LogError: the format cannot hold some frames; the message counts them all.
         """
         chunks = iter(chunks)
         for frames in chunks:
@@ -134,7 +134,7 @@ class Changes:
             yield frames if self.keeps.bus_names else self._numbered(frames)
 
     def lines(self) -> list[str]:
-        """What the file has otherwise than the log, a line each."""
+        """The differences between file and log, a line each."""
         name, lost = self.keeps.name, self._lost
         found = []
         if any(bus != str(number) for bus, number in self.buses.items()):
@@ -158,7 +158,7 @@ class Changes:
         return found
 
     def _moved(self) -> list[str]:
-        """How the start of the recording moves, if it does."""
+        """How far the start of the recording moves."""
         keeps = self.keeps
         start_ns, why = self.start_ns, "has its start in whole milliseconds"
         if keeps.start_ns is None:
@@ -202,7 +202,10 @@ class Changes:
             lost["payloads"] += int((error & (frames.length != 0)).sum())
 
     def _numbered(self, frames: Frames) -> Frames:
-        """Names of buses that are numbers: their own, where it is free, or else the lowest one."""
+        """Replace bus names by numbers.
+
+        A bus keeps its own number while the number is free, or else gets the lowest free number.
+        """
         names = [frames.channels[index] for index in np.unique(frames.channel)]
         new = [name for name in names if name not in self.buses]
         taken = set(self.buses.values())

@@ -1,4 +1,4 @@
-"""Names of the columns of ``signals.csv``, so that no plant of one's own takes one of them."""
+"""Names of the columns of ``signals.csv``, which a user's plant may not take."""
 
 from __future__ import annotations
 
@@ -17,16 +17,16 @@ ON_THE_BUS: Final = (
     "fault_estimate_mps2",
     "mode",
 )
-"""What frames carry."""
+"""Columns from the frames."""
 
 TRUE_OUTPUT: Final = "true_dstar_mps2"
 APPLIED: Final = ("applied_torque_nm", "applied_force_difference_n")
 SPEED: Final = "speed_mps"
-"""Of the car, where it has a drive."""
+"""Speed of the car, if the plant has a drive."""
 VERDICT: Final = "verdict"
 EVIDENCE_OF: Final = "evidence_"
 EVIDENCE: Final = tuple(EVIDENCE_OF + fault.name.lower() for fault in list(Verdict)[1:HYPOTHESES])
-"""Of each hypothesis on whose fault it is, by the number of its verdict, from 1 on."""
+"""Evidence for each fault hypothesis, ordered by the number of the verdict, from 1 on."""
 
 TAKEN: Final = (*ON_THE_BUS, TRUE_OUTPUT, *APPLIED, SPEED, VERDICT, *EVIDENCE)
-"""What every plant reports, or the frames, or what is worked out from them."""
+"""Columns from plants, from frames, and from later computation."""

@@ -1,4 +1,4 @@
-"""The formats of logs: by the suffix of what is written, by the content of what is read."""
+"""The formats of logs: the suffix decides for a file to write, the content for a file to read."""
 
 from __future__ import annotations
 
@@ -11,11 +11,11 @@ from can_rig.errors import LogError
 
 SUFFIXES: Final = (".log", ".asc", ".blf", ".trc", ".mf4", ".csv")
 COMPRESSED: Final = (".log", ".asc", ".trc", ".csv")
-"""The formats that may also be gzipped, with ``.gz`` after their suffix."""
+"""Formats that gzip may compress; ``.gz`` follows the suffix."""
 
 BUSMASTER: Final = "BUSMASTER"
 MICROCHIP: Final = "Microchip"
-"""Formats that are only read, and that have the suffix of another one."""
+"""Read-only formats that share the suffix of another format."""
 
 _HEAD_BYTES: Final = 1 << 14
 _GZIP: Final = 16 + zlib.MAX_WBITS
@@ -36,7 +36,7 @@ def format_of(path: Path) -> str:
     """The format of ``path`` by its name: its suffix in lower case, without ``.gz``.
 
     Raises:
-        LogError: the suffix is not one of a log.
+        LogError: the suffix belongs to no log format.
     """
     suffixes = [suffix.lower() for suffix in path.suffixes[-2:]]
     compressed = bool(suffixes) and suffixes[-1] == ".gz"
@@ -52,10 +52,10 @@ def format_of(path: Path) -> str:
 
 
 def format_in(path: Path) -> str:
-    """The format of a log by what it begins with, or else by its name.
+    """The format of a log by its first bytes, or else by its name.
 
     Raises:
-        LogError: neither tells, or there is no such file.
+        LogError: neither tells, or the file is missing.
     """
     found = content_format(path)
     if found is None and not path.exists():
@@ -64,7 +64,7 @@ def format_in(path: Path) -> str:
 
 
 def content_format(path: Path) -> str | None:
-    """The format of a log by what it begins with; None: by that it is none."""
+    """The format of a log by its first bytes; None: the bytes fit no format."""
     if not path.is_file():  # a pipe is read once
         return None
     try:
@@ -73,6 +73,6 @@ def content_format(path: Path) -> str | None:
         if head[:2] == b"\x1f\x8b":
             head = zlib.decompressobj(_GZIP).decompress(head, _HEAD_BYTES)
     except (OSError, zlib.error):
-        return None  # which whoever reads it says
+        return None  # the reader reports the error
     binary = next((kind for mark, kind in _BINARY.items() if head.startswith(mark)), None)
     return binary or next((kind for kind, mark in _TEXT.items() if mark.match(head)), None)

@@ -33,13 +33,13 @@ class Frames:
     time_ns: NDArray[np.int64]
     """(n,) time stamps as the source has them [ns]: see `can_rig.logs.reading.Log.start_ns`."""
     arbitration_id: NDArray[np.uint32]
-    """(n,) identifiers, of 11 or 29 bits; those of error frames are Linux's error classes."""
+    """(n,) identifiers, of 11 or 29 bits; an error frame has Linux's error class."""
     flags: UInt8s
     """(n,) EXTENDED, REMOTE, ERROR, FD, BITRATE_SWITCH, ERROR_STATE, SENT (else received)."""
     channel: UInt8s
     """(n,) indices into ``channels``."""
     length: NDArray[Any]
-    """(n,) payload lengths [byte], uint8; of a remote frame, the length that it asks for."""
+    """(n,) payload lengths [byte], uint8; for a remote frame, the requested length."""
     data: UInt8s
     """(n, 8) or, where a frame is longer, (n, 64) payloads; zero behind their ends."""
     channels: tuple[str, ...]
@@ -49,7 +49,7 @@ class Frames:
         return len(self.time_ns)
 
     def __getitem__(self, rows: slice | NDArray[Any]) -> Frames:
-        """Some of the frames: a slice, a mask, or row numbers."""
+        """Selected frames: a slice, a mask, or row numbers."""
         return Frames(
             self.time_ns[rows],
             self.arbitration_id[rows],
@@ -61,12 +61,12 @@ class Frames:
         )
 
     def has(self, flag: int) -> NDArray[np.bool_]:
-        """(n,) whether a frame has any of these flags."""
+        """(n,) whether a frame has at least one of the flags."""
         found: NDArray[np.bool_] = (self.flags & flag) != 0
         return found
 
     def messages(self) -> Iterator[Message]:
-        """The frames one by one, as python-can has them: time stamps become float seconds."""
+        """Yield each frame as a python-can message; time stamps become float seconds."""
         columns = (self.time_ns, self.arbitration_id, self.flags, self.channel, self.length)
         rows = zip(*(column.tolist() for column in columns), self.data, strict=True)
         for time_ns, arbitration_id, flags, channel, length, data in rows:
@@ -126,7 +126,7 @@ def _flags(message: Message) -> int:
 
 
 def concatenate(parts: Iterable[Frames]) -> Frames:
-    """Frames behind one another; payloads as wide as the widest, channels by their names."""
+    """The parts joined in order; payloads as wide as the widest, channels by their names."""
     parts = list(parts)
     names = list(dict.fromkeys(name for part in parts for name in part.channels))
     width = max((part.data.shape[1] for part in parts), default=CLASSIC_BYTES)

@@ -1,4 +1,4 @@
-"""One log file: where it is, who reads it, and what is known of it while it is read."""
+"""One log file: its path, its reader, and facts that reading reveals."""
 
 from __future__ import annotations
 
@@ -23,10 +23,10 @@ _MOST_S: Final = 9e9
 
 
 def window_of(from_s: float | None, to_s: float | None) -> Window:
-    """The part of a recording from ``from_s`` to ``to_s`` after its start; None: as far as it goes.
+    """The part of a recording from ``from_s`` to ``to_s`` after its start; None: up to the end.
 
     Raises:
-        LogError: it is none.
+        LogError: the window is empty or out of range.
     """
     begin_ns, end_ns = (
         default if value is None else round(value * NS_PER_S) if abs(value) < _MOST_S else None
@@ -39,11 +39,11 @@ def window_of(from_s: float | None, to_s: float | None) -> Window:
 
 @dataclass
 class Log:
-    """A log that can be iterated over any number of times; each chunk is a `Frames`.
+    """A log; iteration may be repeated; each chunk is a `Frames`.
 
     Raises (during iteration):
-        LogError: the file cannot be read, or its content is not of its format; one line that names
-            the file and the place.
+        LogError: the file cannot be read, or its content is not of its format; the one-line message
+            names the file and the place.
     """
 
     path: Path
@@ -52,9 +52,9 @@ class Log:
     chunk_frames: int
     """Largest number of frames in a chunk."""
     format: str
-    """As a suffix: what the file is, whatever it is called."""
+    """As a suffix: the format by content, whatever the file's name."""
     window: Window = ALL
-    """The part of the recording that is read."""
+    """The part of the recording to read."""
     start_ns: int = field(default=0, init=False)
     """Start of the recording on the clock of ``Frames.time_ns`` [ns]: since 1970 (UTC) if the file
     gives a date, else 0. Known once the first chunk is. For a candump log, which has no header, the
@@ -63,7 +63,7 @@ class Log:
     """One line if the end of the log is missing, known after the last chunk; every complete frame
     has been read nevertheless."""
     fraction: float = field(default=0.0, init=False)
-    """Share of the file that has been read, 0..1."""
+    """Share of the file that the reader has consumed, 0..1."""
 
     def __iter__(self) -> Iterator[Frames]:
         self.start_ns, self.notice, self.fraction = 0, None, 0.0

@@ -19,12 +19,12 @@ def plant_signals_path(log: Path) -> Path:
 
 
 def read_plant_signals(log: Path, first_tick: int, ticks: int) -> PlantSignals:
-    """The plant's signals by name, (ticks,) each, from ``first_tick`` on; nan where there is none.
+    """The plant's signals by name, (ticks,) each, from ``first_tick`` on; nan for missing values.
 
-    A log alone has none. A last line that a killed run left unfinished is not read.
+    A log alone has no plant signals. A last line that a killed run left unfinished is not read.
 
     Raises:
-        LogError: the file is there and cannot be read.
+        LogError: the file exists but cannot be read.
     """
     path = plant_signals_path(log)
     if not path.is_file():

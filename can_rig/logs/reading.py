@@ -47,16 +47,16 @@ _READERS: Final[Mapping[str, Callable[[Log], Iterator[Frames]]]] = {
 
 
 def read_log(path: str | Path, chunk_frames: int = 1 << 18, window: Window = ALL) -> Log:
-    """The log at ``path``; iterating over it reads the file.
+    """The log at ``path``; every iteration reads the file.
 
     Args:
-        path: a log of any of these formats, text also gzipped. What it begins with says which, or
-            else its suffix.
+        path: a log of a supported format; text may be gzipped. The first bytes decide the format,
+            or else the suffix.
         chunk_frames: largest number of frames in a chunk, which bounds the memory.
-        window: the part of the recording that is read.
+        window: the part of the recording to read.
 
     Raises:
-        LogError: neither its beginning nor its suffix is one of a log.
+        LogError: neither the first bytes nor the suffix belong to a log.
     """
     path = Path(path)
     kind = format_in(path)

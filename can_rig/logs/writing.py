@@ -2,8 +2,8 @@
 
     write_log(read_log("runs/demo/bus.log"), Path("demo.blf"))
 
-What each format keeps, and which frames it refuses, is in `can_rig.logs.changes`. The number of a
-bus is the one at the end of its name, as in python-can, unless another bus has that number already.
+`can_rig.logs.changes` tells, for each format, the losses and the refused frames. A bus gets the
+number at the end of its name, as in python-can, unless another bus already has the number.
 """
 
 from __future__ import annotations
@@ -29,12 +29,12 @@ Reading = Callable[[Log], Iterable[Frames]]
 
 
 def refuse_log(path: Path, force: bool, option: str = "--log") -> None:
-    """Refuse a log that exists already, or whose format cannot be written.
+    """Refuse an existing log, or a suffix without a writer.
 
     Args:
         path: the log.
-        force: replace it.
-        option: the one that named it.
+        force: replace an existing log.
+        option: the command-line option with the path.
 
     Raises:
         LogError: the reason.
@@ -45,19 +45,19 @@ def refuse_log(path: Path, force: bool, option: str = "--log") -> None:
 
 
 def write_log(log: Log, path: Path, reading: Reading = iter, *, force: bool = False) -> Changes:
-    """Write the frames of ``log`` to ``path``, in the format of its suffix; what that changed.
+    """Write the frames of ``log`` to ``path``, in the format of its suffix; returns the losses.
 
     ``path`` exists, complete, when this returns, and not before.
 
     Args:
-        log: what is written.
+        log: the log to read.
         path: the log to write.
-        reading: goes through the frames, to choose among them or to show how far it is.
-        force: replace a log that is there.
+        reading: iterates over the frames, for example to filter frames or to show progress.
+        force: replace an existing log.
 
     Raises:
-        LogError: the format is unknown or cannot hold a frame; a file cannot be read or written,
-            or is there already.
+        LogError: the format is unknown or cannot hold a frame; a file cannot be read or written, or
+            already exists.
     """
     refuse_log(path, force)
     suffix = format_of(path)

@@ -1,7 +1,7 @@
 """The curves of the thesis's Figs. 2.2-2.4, 3.5 and 3.6, by the firmware and in continuous time.
 
-Those of Figs. 2.2-2.4, the fault estimate and what compensation makes of the loss, are there for
-any other scenario with a linear plant too.
+For any other scenario with a linear plant, Figs. 2.2-2.4 show the fault estimate and the
+compensated loss.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ from firmware_model.target.structs import FloatArray
 
 START_S = 0.02  # of a closed loop, shown enlarged
 OPEN_LOOP = "chapter-2"  # the shipped scenario of Fig. 2.4
-#: keys that may change without making it another figure
+# : keys that keep the figure's identity
 SETTINGS = ("tick_s", "duration_s", "latency_ticks", "design.", "limits.", "plant.", "fault.at_s")
 
 
@@ -49,10 +49,10 @@ class Curve:
 
 @dataclass(frozen=True)
 class Comparison:
-    """The curves of one figure and the run that they come from."""
+    """The curves of a figure and their run."""
 
     figure: str
-    """Of the thesis, or the name of a picture of a scenario."""
+    """Number in the thesis, or the name of a scenario's picture."""
     caption: str
     unit: str
     scenario: Scenario
@@ -71,16 +71,16 @@ class Comparison:
         return float(np.abs(curve.difference).max())
 
     def distance_after_loss(self, curve: Curve) -> float | None:
-        """The same from the loss on; None where nothing is lost."""
+        """The same after the loss; None without a loss."""
         after = np.abs(curve.difference[self.time_s >= self.scenario.loss.at_s])
         return float(after.max()) if self.scenario.faults and len(after) else None
 
 
 def compare(settings: Sequence[str] = ()) -> list[Comparison]:
-    """Every figure's curves; ``settings`` as ``--set`` has them.
+    """Every figure's curves; ``settings`` as in ``--set``.
 
     Raises:
-        ScenarioError: a bad setting, or one that would make it another figure.
+        ScenarioError: a bad setting, or a setting that changes the figure's identity.
     """
     for setting in settings:
         key = setting.partition("=")[0].strip()
@@ -94,7 +94,7 @@ def compare(settings: Sequence[str] = ()) -> list[Comparison]:
 
 @dataclass(frozen=True)
 class _Loop:
-    """One run of the firmware and the continuous loop beside it."""
+    """One run of the firmware, and the continuous loop for comparison."""
 
     scenario: Scenario
     sampled: Solution
@@ -135,7 +135,7 @@ def both(scenario: Scenario) -> _Loop:
 
 
 def _response(plant: SampledPlant, u1: FloatArray, u2: FloatArray) -> FloatArray:
-    """The response to commands that are held from tick to tick."""
+    """The response to commands held between ticks."""
     x, after, y = plant.rest, plant.rest, np.empty(len(u1))
     for k in range(len(y)):
         y[k] = measure_plant(plant.c, x)
@@ -204,7 +204,7 @@ def _lost_from_the_start(figure: str, scenario: Scenario) -> Comparison:
 
 
 def _estimated(figure: str, when: str, loop: _Loop) -> Comparison:
-    """d̂ beside what channel 1 is to give: G1 u1, of a plant that is not stable N1 u1."""
+    """d̂ beside the demand on channel 1: G1 u1, or N1 u1 for an unstable plant."""
     factor = "N" if unstable(continuous_plant(loop.scenario.model).g1) else "G"
     caption = f"$\\hat d$ and ${factor}_1 u_1$, {when}"
     estimate = loop.curve("d̂", lambda s: s.fault_estimate)
@@ -214,7 +214,7 @@ def _estimated(figure: str, when: str, loop: _Loop) -> Comparison:
 
 
 def _compensated(figure: str, scenario: Scenario) -> Comparison:
-    """The error of a closed loop; an open one follows nothing and has y beside G2 u2."""
+    """The error of a closed loop; an open loop shows y beside G2 u2."""
     loop = both(scenario)
     losses = [
         f"channel {1 + CHANNELS.index(fault.place)} lost at {fault.at_s:g} s"

@@ -24,15 +24,15 @@ from can_rig.drawing.names import ticks_text
 from can_rig.thesis.comparisons import MAKERS, START_S, Comparison, Curve
 
 DASHES: tuple[Any, ...] = ("-", style.DASHED)  # of the first and the second curve
-MAX_MARKERS = 50  # up to so many samples are marked one by one
+MAX_MARKERS = 50  # largest number of samples with a marker each
 LEGEND: dict[str, Any] = {"frameon": False, "fontsize": 9, "handlelength": 3.2}
 
 
 def draw_figures(folder: Path, comparisons: Sequence[Comparison], force: bool) -> list[Path]:
-    """``fig-2.2.png`` and so on in ``folder``, for print.
+    """Write ``fig-2.2.png`` and the other figures to ``folder``, for print.
 
     Raises:
-        LogError: one is there already and ``force`` is not given, or cannot be written.
+        LogError: a figure exists without ``force``, or cannot be written.
     """
     refuse_existing(folder, force, [comparison.figure for comparison in comparisons])
     paths = [folder / f"fig-{comparison.figure}.png" for comparison in comparisons]
@@ -43,10 +43,10 @@ def draw_figures(folder: Path, comparisons: Sequence[Comparison], force: bool) -
 
 
 def refuse_existing(folder: Path, force: bool, names: Iterable[str] = MAKERS) -> None:
-    """Refuse a folder that has one of the figures already, unless it may be replaced.
+    """Refuse a folder with an existing figure, unless ``force`` is set.
 
     Raises:
-        LogError: the first that is there.
+        LogError: names the first existing figure.
     """
     for figure in names:
         path = folder / f"fig-{figure}.png"

@@ -1,4 +1,4 @@
-"""How two runs differ, on one page: each signal that does, in full and around the first place."""
+"""The differences of two runs on one page, in full and around the first difference."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from can_rig.views.run_diff import Difference, SignalDifference
 from can_rig.views.signal_table import SignalTable, titles
 
 BEFORE, AFTER = 15, 45  # rows around the first difference
-MAX_SETTINGS: Final = 4  # in the heading; the table has them all
+MAX_SETTINGS: Final = 4  # in the heading; the table lists all settings
 CURVES: Final[tuple[dict[str, Any], ...]] = (
     {"color": style.BLUE, "lw": 1.9},
     {"color": style.ORANGE, "lw": 1.2, "ls": style.DASHED},
@@ -27,10 +27,11 @@ def draw_difference(path: Path, a: SignalTable, b: SignalTable, difference: Diff
 
 
 def difference_page(a: SignalTable, b: SignalTable, difference: Difference) -> Figure:
-    """A row for each signal that differs (for all if none does): left in full, right the place.
+    """A row for each differing signal, or for all signals if none differs.
 
-    The runs are named by folder and scenario, with the settings that differ. The time in which
-    ``b`` had a channel lost is shaded.
+    The left panel shows the signal in full, the right panel the first difference. The runs are
+    named by folder and scenario, with the settings that differ. The time in which ``b`` had a
+    channel lost is shaded.
     """
     shown = [signal for signal in difference.signals if signal.beyond] or difference.signals
     figure = style.page(1.2 + 1.75 * max(len(shown), 1))

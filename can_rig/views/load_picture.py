@@ -10,14 +10,14 @@ from can_rig.views.log_statistics import LogStatistics
 
 
 def load_page(statistics: LogStatistics) -> Figure:
-    """A panel for each bus: the share of each second in which it was busy at most."""
+    """A panel for each bus: the upper bound of its busy share in each second."""
     buses = statistics.buses
     figure = style.page(0.8 + 1.6 * max(len(buses), 1))
     grid = figure.subplots(max(len(buses), 1), 1, sharex=True, squeeze=False)
     for (axis,), bus in zip(grid, buses, strict=False):
         second, share = statistics.load(bus)
         edges = np.stack([second, second, second + 1, second + 1], axis=1).ravel()
-        begins = np.diff(second, prepend=-np.inf) > 1  # nothing in the second before
+        begins = np.diff(second, prepend=-np.inf) > 1  # no frame in the second before
         ends = np.diff(second, append=np.inf) > 1
         first, last = np.where(begins, 0.0, share), np.where(ends, 0.0, share)
         heights = np.stack([first, share, share, last], axis=1).ravel()

@@ -1,4 +1,4 @@
-"""What is in a log: frames of each identifier, their cycles and gaps, and the load of each bus.
+"""Statistics of a log: frames of each identifier, their cycles and gaps, and the load of each bus.
 
 Everything is counted chunk by chunk; memory grows with the identifiers and with the seconds of the
 recording, not with its frames.
@@ -29,15 +29,15 @@ from can_rig.logs.frames import (
 )
 
 CYCLE_SAMPLES: Final = 4096
-"""Intervals of an identifier whose median is its cycle."""
+"""Number of intervals whose median is the cycle of an identifier."""
 
 GAP_CYCLES: Final = 1.5
-"""An interval of more cycles than these is a gap: at least one frame is missing."""
+"""Longest interval without a gap, in cycles; beyond, at least one frame is missing."""
 
 
 @dataclass
 class Identifier:
-    """The frames of one identifier on one bus."""
+    """Lengths, cycle and gaps of an identifier on a bus."""
 
     bus: str
     identifier: int
@@ -58,7 +58,7 @@ class Identifier:
     _early: list[NDArray[np.int64]] = field(default_factory=list)
 
     def add(self, time_ns: NDArray[np.int64], length: NDArray[np.uint8]) -> None:
-        """Count frames behind those so far."""
+        """Count later frames."""
         self.frames += len(time_ns)
         self.shortest = min(self.shortest, int(length.min()))
         self.longest = max(self.longest, int(length.max()))
@@ -97,7 +97,7 @@ class Identifier:
         return math.sqrt(self._squares / self.intervals) if self.intervals else math.nan
 
     def as_dict(self) -> dict[str, Any]:
-        """Every figure by its name; None for one that there is not."""
+        """Every figure by its name; None for missing figures."""
         known = bool(self.intervals)
         ms = {
             "cycle_ms": self.cycle_ns,
@@ -120,10 +120,10 @@ class LogStatistics:
 
     Args:
         bitrate: nominal bit rate of every bus [bit/s].
-        data_bitrate: of the data phase of frames that switch it [bit/s].
+        data_bitrate: bit rate of the data phase, for frames with bit rate switch [bit/s].
 
     Raises:
-        FrameError: bit rates that no bus has.
+        FrameError: the bit rates are impossible.
     """
 
     def __init__(self, bitrate: int, data_bitrate: int) -> None:
@@ -162,7 +162,7 @@ class LogStatistics:
         self._add_load(frames)
 
     def finish(self) -> None:
-        """Settle what needs all frames."""
+        """Complete the figures that need all frames."""
         for found in self.identifiers.values():
             found.settle()
 
@@ -172,16 +172,16 @@ class LogStatistics:
         return 0.0 if self.first_ns is None else (self.last_ns - self.first_ns) / NS_PER_S
 
     def load(self, bus: str) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
-        """Seconds since the first frame, and the share of each in which the bus was busy at most.
+        """Seconds since the first frame, and the upper bound of the busy share in each second.
 
-        Seconds without a frame are not among them.
+        Seconds without frames are left out.
         """
         busy = sorted(self._busy[bus].items())
         return np.array([s for s, _ in busy], np.int64), np.array([share for _, share in busy])
 
     @property
     def buses(self) -> list[str]:
-        """Those with a frame, in the order in which they occur."""
+        """Buses with frames, in the order of first appearance."""
         return list(self._busy)
 
     def duration_s(self, flags: int, length: int) -> float:
@@ -218,7 +218,7 @@ class LogStatistics:
 
 
 def _fd_length(kind: int) -> int:
-    """The payload length of a kind; of FD the next one that a frame can have."""
+    """The payload length of a kind; for CAN FD the next possible length."""
     length = int(kind & 0xFF)
     if not kind >> 8 & FD:
         return length

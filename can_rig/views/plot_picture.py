@@ -1,4 +1,4 @@
-"""Signals of a log on one page: a panel for each unit, words where the DBC has value tables."""
+"""Signals of a log on one page: a panel for each unit, words for signals with value tables."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ def plot_page(
     Args:
         messages: decoded columns by name.
         signals: message and signal of each curve.
-        start_ns: when the recording began; if that is a date, time is counted from there.
+        start_ns: when the recording began; if the start is a date, the axis counts from the date.
         faults: their times are shaded.
     """
     panels: dict[tuple[str, str], list[Pair]] = {}
@@ -85,7 +85,7 @@ def curve(columns: MessageColumns, signal: str, zero_ns: int) -> tuple[FloatArra
 
 
 def thinned(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A curve of at most ``MAX_POINTS`` that has every peak of the given one."""
+    """A curve of at most ``MAX_POINTS`` points that keeps every peak."""
     slices = MAX_POINTS // 2
     if len(values) <= MAX_POINTS:
         return time_s, values

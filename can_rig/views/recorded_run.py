@@ -31,19 +31,19 @@ PICTURE_DPI: Final = 80
 
 
 class RecordedRun:
-    """A run in its folder, which is a temporary one until ``save``.
+    """A run in its folder; the folder is temporary until ``save``.
 
     Attributes:
-        folder: ``bus.log``, ``signals.csv`` and ``run.json`` are there.
-        scenario: what was run, every default filled in.
-        summary: everything that ``run.json`` says.
+        folder: with ``bus.log``, ``signals.csv`` and ``run.json``.
+        scenario: the executed scenario, with all defaults.
+        summary: the content of ``run.json``.
     """
 
     def __init__(self, folder: Path, scenario: Scenario, temporary: Path | None = None) -> None:
         self.folder = folder
         self.scenario = scenario
         self.summary: dict[str, Any] = json.loads((folder / SUMMARY).read_text("utf-8"))
-        if temporary is not None:  # taken away with this object
+        if temporary is not None:  # removed with this object
             weakref.finalize(self, shutil.rmtree, temporary, ignore_errors=True)
 
     @classmethod
@@ -51,8 +51,8 @@ class RecordedRun:
         """The run of a finished run folder.
 
         Raises:
-            LogError: it is none.
-            ScenarioError: it has no scenario that can be read.
+            LogError: not a finished run.
+            ScenarioError: the folder lacks a readable scenario.
         """
         if not (folder / SUMMARY).is_file():
             raise LogError(f"{folder}: not a finished run folder, it has no {SUMMARY}")
@@ -63,7 +63,10 @@ class RecordedRun:
 
     @property
     def metrics(self) -> Metrics:
-        """Errors in m/s², times in s, commands in N m and N; None where there is no such moment."""
+        """Errors in m/s², times in s, commands in N m and N.
+
+        None: the run lacks the moment in question.
+        """
         values: Metrics = self.summary["metrics"]
         return values
 
@@ -71,7 +74,7 @@ class RecordedRun:
     def signals(self) -> pd.DataFrame:
         """The columns of ``signals.csv``, a row a tick; the index is ``time_s``.
 
-        ``attrs["units"]`` has the unit of each column, ``attrs["names"]`` what print calls it.
+        ``attrs["units"]`` has the unit of each column, ``attrs["names"]`` the printed name.
         """
         import pandas as pd  # noqa: PLC0415 (slow to import)
 
@@ -97,10 +100,10 @@ class RecordedRun:
 
         Args:
             folder: where; its parents are made.
-            force: replace the run that is there.
+            force: replace an existing run.
 
         Raises:
-            RunFolderError: it is there already, or cannot be written.
+            RunFolderError: the folder already exists, or cannot be written.
         """
         with NewFolder.create(Path(folder), RUN_FOLDER, force) as made:
             try:
@@ -114,7 +117,7 @@ class RecordedRun:
         return made.path
 
     def __repr__(self) -> str:
-        """Scenario, ticks, how it ended."""
+        """Scenario, ticks, end of the run."""
         return f"<run of {self.scenario.name}: {self.summary['ticks']} ticks, {self._outcome}>"
 
     @property
@@ -140,8 +143,8 @@ def record(scenario: Scenario, *, allow_unstable: bool = False) -> RecordedRun:
     """Run a scenario in this process, in lockstep, into a temporary folder.
 
     Raises:
-        ScenarioError: what ``execution.refuse`` refuses.
-        RigError: it ended before its last tick.
+        ScenarioError: see ``execution.refuse``.
+        RigError: the run ended early.
     """
     refuse(scenario, allow_unstable)
     temporary = Path(mkdtemp(prefix="can-rig-"))

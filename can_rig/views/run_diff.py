@@ -1,4 +1,4 @@
-"""Two runs compared signal by signal: how far they differ, where, and from when on."""
+"""Two runs compared signal by signal: the size, place and first time of each difference."""
 
 from __future__ import annotations
 
@@ -17,22 +17,22 @@ from firmware_model.target.structs import FloatArray
 
 @dataclass(frozen=True)
 class SignalDifference:
-    """One signal of two runs at the times that both have."""
+    """Difference of one signal between two runs, at common times."""
 
     signal: str
     tolerance: float
-    """Largest difference that counts as none, in the signal's unit."""
+    """Largest accepted difference, in the signal's unit."""
     largest: float
     """Largest difference where both have a value."""
     largest_at_s: float | None
     beyond: int
-    """Rows in which they differ by more than the tolerance, or only one has a value."""
+    """Rows with a difference beyond the tolerance, or with a value in one run only."""
     only_one: int
-    """Of these, rows in which only one has a value."""
+    """Rows with a value in one run only, included in ``beyond``."""
     first_at_s: float | None
-    """Time of the first of these rows."""
+    """Time of the first row counted in ``beyond``."""
     first_a: float | None
-    """The values there; None: it has none."""
+    """The values at that time; None: missing."""
     first_b: float | None
 
 
@@ -42,15 +42,15 @@ class Difference:
 
     signals: list[SignalDifference]
     rows: int
-    """At times that both have."""
+    """Rows at common times."""
     only_a: int
-    """Rows at times that only this run has."""
+    """Rows at times in ``a`` only."""
     only_b: int
     columns_a: list[str]
-    """Columns that only this run has."""
+    """Columns in ``a`` only."""
     columns_b: list[str]
     settings: list[SettingDifference] | None = None
-    """Keys of the scenarios that differ; None where one of the scenarios is not known."""
+    """Keys of the scenarios that differ; None if a scenario is unknown."""
 
     @property
     def same(self) -> bool:
@@ -72,7 +72,7 @@ def compare(a: SignalTable, b: SignalTable, tolerances: Mapping[str, float]) -> 
     """Compare the recorded signals in the rows of the same time.
 
     Raises:
-        LogError: a tolerance for a signal that they do not share, or no row of the same time.
+        LogError: a tolerance names a signal that the runs do not share, or the runs share no time.
     """
     names = [name for name in a.recorded if name in b.recorded]
     for name in tolerances:
@@ -100,10 +100,10 @@ def compare(a: SignalTable, b: SignalTable, tolerances: Mapping[str, float]) -> 
 
 
 def tolerances_of(texts: Iterable[str]) -> dict[str, float]:
-    """``SIGNAL=VALUE`` each.
+    """Parse ``SIGNAL=VALUE`` texts.
 
     Raises:
-        LogError: one is not of that form, or the value is below zero or no number.
+        LogError: a text has another form, or its value is negative or not a number.
     """
     tolerances = {}
     for text in texts:

@@ -1,4 +1,4 @@
-"""What two runs were asked to do, key by key."""
+"""Differences in the settings of two runs, key by key."""
 
 from __future__ import annotations
 
@@ -10,12 +10,12 @@ from can_rig.scenario.settings import Scenario
 from can_rig.scenario.tables.changes import FAULT
 
 ABOUT_THE_FILE: Final = ("name", "description")
-"""Keys that change nothing in a run."""
+"""Keys without effect on a run."""
 
 
 @dataclass(frozen=True)
 class SettingDifference:
-    """One key of a scenario that has another value in each of two runs."""
+    """One scenario key with different values in two runs."""
 
     key: str
     a: Any
@@ -32,7 +32,7 @@ def differing_settings(a: Scenario, b: Scenario) -> list[SettingDifference]:
     """
     values_a, values_b = _flat(a), _flat(b)
     found = []
-    for key in {**values_a, **values_b}:  # a plant's own parameters may be named in one run only
+    for key in {**values_a, **values_b}:  # a plant's own parameters may occur in one run only
         value, other = values_a.get(key), values_b.get(key)
         plant_key = key.replace("model.", "plant.", 1)
         follows = key.startswith("model.") and (
@@ -44,7 +44,7 @@ def differing_settings(a: Scenario, b: Scenario) -> list[SettingDifference]:
 
 
 def written(value: Any) -> str:
-    """A value as a person reads it; "none" where there is none."""
+    """A value in print; "none" for None."""
     if value is None:
         return "none"
     return f"{value:g}" if isinstance(value, float) else str(value)
@@ -58,7 +58,7 @@ def _leaves(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]
     for key, value in values.items():
         if isinstance(value, Mapping):
             yield from _leaves(f"{prefix}{key}.", value)
-        elif key == FAULT:  # a list of them
+        elif key == FAULT:  # a list of faults
             numbered = {str(number): fault for number, fault in enumerate(value)}
             yield from _leaves(f"{prefix}{key}.", numbered)
         else:

@@ -43,20 +43,20 @@ _UNITS: Final = (  # suffix of a column, longest first
 
 @dataclass(frozen=True)
 class SignalTable:
-    """Signals over one time axis."""
+    """Signals over a common time axis."""
 
     label: str
-    """The file or folder that they come from."""
+    """The file or folder of the signals."""
     time_ns: NDArray[np.int64]
     """(n,) increasing."""
     columns: dict[str, FloatArray]
     """(n,) by name, as in ``signals.csv``; nan in an empty cell."""
     scenario: Scenario | None = None
-    """What was run, if that is known."""
+    """The executed scenario, if known."""
 
     @property
     def faults(self) -> tuple[FaultSettings, ...]:
-        """What was wrong, as far as that is known."""
+        """The injected faults, if known."""
         return () if self.scenario is None else self.scenario.faults
 
     @property
@@ -66,7 +66,7 @@ class SignalTable:
 
     @property
     def recorded(self) -> dict[str, FloatArray]:
-        """The columns without the verdict and its evidence, which follow from them."""
+        """The columns without the verdict and its evidence, which are derived columns."""
         return {
             name: column
             for name, column in self.columns.items()
@@ -77,7 +77,7 @@ class SignalTable:
         """The rows of a part of the recording, which began with the first row.
 
         Raises:
-            LogError: there are none.
+            LogError: the part has no rows.
         """
         since_ns = self.time_ns - self.time_ns[:1]
         rows = (since_ns >= window.begin_ns) & (since_ns < window.end_ns)
@@ -88,7 +88,7 @@ class SignalTable:
         return replace(self, time_ns=self.time_ns[rows], columns=columns)
 
     def name_and_unit(self, column: str) -> tuple[str, str]:
-        """What a column is called in print, and its unit there; "" without one."""
+        """Printed name and unit of a column; "" without a unit."""
         other = column.replace("_", " "), unit(column)
         if self.scenario is None:
             return COLUMNS_OF_CAR.get(column, other)
@@ -100,12 +100,12 @@ class SignalTable:
 
 
 def unit(column: str) -> str:
-    """The unit of a column by the suffix of its name; "" without one."""
+    """The unit of a column by the suffix of its name; "" without a unit."""
     return next((text for suffix, text in _UNITS if column.endswith(suffix)), "")
 
 
 def _columns(names: Names) -> dict[str, tuple[str, str]]:
-    """Name and unit in print of each column that has a signal of the plant."""
+    """Printed name and unit of each column with a signal of the plant."""
     output, command_1, command_2 = names
     applied = {
         column: (f"{command.name} as applied", command.unit)
@@ -127,7 +127,7 @@ COLUMNS_OF_CAR: Final = _columns(CAR)
 
 
 def titles(a: SignalTable, b: SignalTable) -> tuple[str, str]:
-    """A name for each of two runs: as much of its path as tells them apart, and its scenario."""
+    """A name for each of two runs: the shortest distinct end of its path, and its scenario."""
     parts_a, parts_b = Path(a.label).parts, Path(b.label).parts
     tail = 1
     while parts_a[-tail:] == parts_b[-tail:] and tail < max(len(parts_a), len(parts_b)):
@@ -144,11 +144,11 @@ def read_table(path: Path, scenario: Scenario) -> SignalTable:
     """A run folder, its ``signals.csv``, or a log.
 
     Args:
-        path: which one.
-        scenario: gives the frames and the tick of a log.
+        path: the path.
+        scenario: describes the frames and the tick of a log.
 
     Raises:
-        LogError: it is none of these, or cannot be read.
+        LogError: the path is none of the three, or cannot be read.
     """
     if path.is_dir():
         if not (path / SIGNALS).is_file():
@@ -166,7 +166,7 @@ def read_table(path: Path, scenario: Scenario) -> SignalTable:
 
 
 def table_of(signals: Signals, label: str, scenario: Scenario) -> SignalTable:
-    """The columns of a log that has been read, called and rounded as in ``signals.csv``."""
+    """The columns of a decoded log, named and rounded as in ``signals.csv``."""
     names = column_names(scenario.plant, signals.plant)
     columns = {name: getattr(signals, name) for name in ON_THE_BUS if name != TIME} | signals.plant
     columns = {
@@ -177,7 +177,7 @@ def table_of(signals: Signals, label: str, scenario: Scenario) -> SignalTable:
 
 
 def scenario_of(folder: Path) -> Scenario | None:
-    """What a run folder says was run; None where it does not say so."""
+    """The scenario recorded in a run folder; None without a record."""
     try:
         return load_run(recorded_scenario(folder)[0])
     except ScenarioError:
@@ -204,5 +204,5 @@ def _from_csv(path: Path, label: str, scenario: Scenario | None) -> SignalTable:
 
 
 def _whole_ns(time_s: FloatArray) -> NDArray[np.int64]:
-    """Times in whole ns, which are the same in two runs of the same tick."""
+    """Times in whole ns; equal ticks give equal times in two runs."""
     return np.rint(time_s * 1e9).astype(np.int64)

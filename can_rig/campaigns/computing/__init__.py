@@ -1,1 +1,1 @@
-"""Who computes the runs of a campaign: this process, several, or a cluster."""
+"""Computing a campaign's runs: this process, several, or a cluster."""

@@ -1,8 +1,8 @@
-"""A Dask cluster as who computes a campaign; its workers need this package and nothing else.
+"""Computing a campaign on a Dask cluster; workers need only this package.
 
-A task and its campaign are all that a worker is told, and its rows all that it answers: the files
-are written here. So nothing is lost or counted twice, whichever worker dies, is slow or is asked
-again. A scheduler that goes away ends the command; what is done is kept.
+A worker receives a task and its campaign, and returns rows: the files are written here. So no run
+is lost or counted twice if a worker dies, is slow, or repeats a task. A lost scheduler ends the
+command; finished blocks are kept.
 """
 
 from __future__ import annotations
@@ -29,17 +29,17 @@ ABSENCE_S: Final = 120.0
 """For workers to come back when all have gone."""
 
 _ONE_AT_A_TIME: Final = Lock()
-"""Threads of a worker share what is remembered of a scenario, and one core's worth of Python."""
+"""Threads of a worker share the cache of a scenario, and one core's worth of Python."""
 
 
 @contextmanager
 def on_cluster(plan: Plan, scheduler: str) -> Iterator[Compute]:
-    """The cluster whose scheduler listens at that address.
+    """The cluster of the scheduler at that address.
 
     Raises:
         MissingExtraError: distributed is not installed.
-        RigError: no scheduler, or one without workers; to compute raises it where the scheduler
-            goes away, workers die again and again, or have other versions of packages.
+        RigError: no scheduler answers, or no worker is connected; computing raises RigError if the
+            scheduler goes away, workers die again and again, or packages differ in version.
     """
     require("distributed", extra="cluster")
     from distributed import Client  # noqa: PLC0415 (an extra)
@@ -54,7 +54,7 @@ def on_cluster(plan: Plan, scheduler: str) -> Iterator[Compute]:
     except TimeoutError:
         raise RigError(f"--scheduler {scheduler}: has no workers") from None
     finally:
-        with suppress(OSError, CancelledError):  # of a scheduler that has gone
+        with suppress(OSError, CancelledError):  # the scheduler may have gone
             client.close(timeout=PATIENCE_S)
 
 
@@ -68,7 +68,7 @@ class _Cluster:
         """See ``Compute``.
 
         Raises:
-            WorkersLostError: the scheduler goes away, whatever is being asked of it.
+            WorkersLostError: the scheduler goes away, at whatever moment.
         """
         try:
             yield from self._computed(tasks)
@@ -103,7 +103,7 @@ class _Cluster:
                 yield task, rows
 
     def _wait_for(self, completed: Any, running: Iterable[Any]) -> None:
-        """Until one of ``running`` is completed.
+        """Wait until a future of ``running`` is completed.
 
         Raises:
             RigError: see ``_require_workers``.
@@ -118,10 +118,10 @@ class _Cluster:
                 self._require_workers()
 
     def _result(self, future: Any) -> list[Row]:
-        """The rows of a task, computed again where the worker that had them has gone.
+        """The rows of a task; computed again if their worker has gone.
 
         Raises:
-            RigError: see ``_require_workers``. Whatever the task has raised.
+            RigError: see ``_require_workers``. An exception of the task is raised here.
         """
         while True:
             try:
@@ -144,7 +144,7 @@ class _Cluster:
             )
 
     def _wanted(self) -> int:
-        """Tasks that are given out at once; workers come and go."""
+        """Number of tasks given out at once; workers come and go."""
         threads: dict[str, int] = self._client.nthreads()
         return AHEAD * max(1, sum(threads.values()))
 
@@ -160,7 +160,7 @@ def rows_of(plan: bytes, task: Task, wanted: dict[str, str]) -> list[Row]:
     """On a worker: the rows of a task.
 
     Raises:
-        RigError: packages are not those of who asks.
+        RigError: the worker's packages differ in version from the client's.
     """
     found = versions()
     for package, version in wanted.items():

@@ -8,6 +8,6 @@ from importlib.metadata import version
 
 @cache
 def versions() -> dict[str, str]:
-    """Version by package, of this process."""
+    """Versions of this process, by package."""
     packages = ("fault-tolerant-steering", "numpy", "scipy", "numba")
     return {package: version(package) for package in packages}

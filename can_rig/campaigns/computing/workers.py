@@ -1,7 +1,7 @@
-"""Who computes the runs of a campaign: this process, several, or a cluster (``cluster``).
+"""Computing a campaign's runs: this process, several, or a cluster (``cluster``).
 
-A task is decided by what it says and by the campaign, so it does not matter who computes it, when,
-or how often.
+The task and the campaign alone determine the rows, so a task may be computed anywhere, at any time,
+and repeatedly.
 """
 
 from __future__ import annotations
@@ -23,20 +23,20 @@ from can_rig.errors import WorkersLostError
 
 Done = Iterator[tuple[Task, list[Row]]]
 Compute = Callable[[Iterable[Task]], Done]
-"""Tasks, taken as they are wanted, and the rows of each, in whatever order."""
+"""Takes tasks on demand, and yields the rows of each task in any order."""
 
 DEATHS: Final = 5
-"""Times in a row that workers may die before anything is done; then it is not by chance."""
+"""Successive deaths of workers without progress that rule out chance."""
 
 AHEAD: Final = 2
-"""Tasks for each worker that are given out at once."""
+"""Tasks given out at once, for each worker."""
 
 _plan: Plan | None = None
 
 
 @contextmanager
 def serially(plan: Plan) -> Iterator[Compute]:
-    """No other than this process."""
+    """Compute in this process."""
 
     def compute(tasks: Iterable[Task]) -> Done:
         for task in tasks:
@@ -47,9 +47,9 @@ def serially(plan: Plan) -> Iterator[Compute]:
 
 @contextmanager
 def in_processes(plan: Plan, workers: int) -> Iterator[Compute]:
-    """So many processes; one that dies is replaced.
+    """Compute in ``workers`` processes; a process that dies is replaced.
 
-    To compute raises WorkersLostError where workers die again and again.
+    Computing raises WorkersLostError if workers die again and again.
     """
     processes = _Processes(plan, workers)
     try:
@@ -59,7 +59,7 @@ def in_processes(plan: Plan, workers: int) -> Iterator[Compute]:
 
 
 class _Processes:
-    """A pool, and another where that has broken."""
+    """A process pool, replaced after a breakdown."""
 
     def __init__(self, plan: Plan, workers: int) -> None:
         self._plan, self._workers = plan, workers
@@ -80,14 +80,14 @@ class _Processes:
                     rows = future.result()
                     deaths = 0
                     yield running.pop(future), rows
-            except (BrokenProcessPool, EOFError, ConnectionError):  # a worker, or who forks them
+            except (BrokenProcessPool, EOFError, ConnectionError):  # worker or fork server died
                 self.end()
                 todo.put_back(running.values())
                 deaths = deaths_after(deaths, todo.first)
                 running = {}
 
     def end(self) -> None:
-        """What is under way is given up."""
+        """Cancel the running tasks."""
         if self._pool is not None:
             self._pool.shutdown(wait=False, cancel_futures=True)
             self._pool = None
@@ -99,7 +99,7 @@ class _Processes:
 
 
 class Todo:
-    """Tasks that nobody computes yet, in the order in which they are wanted."""
+    """Queue of tasks that no worker has taken, in the order of their runs."""
 
     def __init__(self, tasks: Iterable[Task]) -> None:
         self._tasks = iter(tasks)
@@ -112,23 +112,23 @@ class Todo:
 
     @property
     def first(self) -> Task:
-        """The one that is wanted first; only where there is one."""
+        """The next task; the queue must not be empty."""
         return self._next[0]
 
     def take(self) -> Task:
-        """The same, which somebody computes from now on."""
+        """Remove and return the next task."""
         return self._next.pop(0)
 
     def put_back(self, tasks: Iterable[Task]) -> None:
-        """Tasks that were not computed in the end."""
+        """Return tasks to the queue that were not completed."""
         self._next = sorted([*self._next, *tasks])
 
 
 def deaths_after(before: int, first: Task) -> int:
-    """One more death of a worker.
+    """Count one more death of a worker.
 
     Raises:
-        WorkersLostError: it is one too many.
+        WorkersLostError: the count reaches ``DEATHS``.
     """
     if before + 1 == DEATHS:
         raise WorkersLostError(
@@ -139,8 +139,8 @@ def deaths_after(before: int, first: Task) -> int:
 
 
 def _begin(plan: Plan) -> None:
-    """In a new worker: Ctrl-C is its parent's affair, and it does not outlive that."""
-    global _plan  # noqa: PLW0603 (one a process)
+    """Initialise a new worker: the parent handles Ctrl-C, and the worker ends with the parent."""
+    global _plan  # noqa: PLW0603 (set once per process)
     _plan = plan
     signal.signal(signal.SIGINT, signal.SIG_IGN)
     Thread(target=_end_with, args=(parent_process(),), daemon=True).start()

@@ -1,4 +1,4 @@
-"""``report.html``, ``report.png`` and ``summary.json`` of a campaign that is done."""
+"""``report.html``, ``report.png`` and ``summary.json`` of a finished campaign."""
 
 from can_rig.campaigns.report.write import write_report
 

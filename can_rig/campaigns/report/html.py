@@ -1,4 +1,4 @@
-"""``report.html``: one file with everything in it, for whoever has no Python."""
+"""``report.html``: a single self-contained file, readable without Python."""
 
 from __future__ import annotations
 

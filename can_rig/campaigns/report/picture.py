@@ -1,4 +1,4 @@
-"""``report.png``: pass rates with their intervals, spreads of metrics, what each axis does."""
+"""``report.png``: pass rates with their intervals, spreads of metrics, the effect of each axis."""
 
 from __future__ import annotations
 
@@ -29,13 +29,13 @@ MOST_DOTS: Final = 4000
 PANEL_IN, RATE_IN = 1.9, 0.26
 """Heights of a row of panels, and of a requirement."""
 LINE: Final = 24
-"""Characters of a label, so that it is no longer than its panel."""
+"""Characters of a label; longer labels would exceed the panel."""
 
 
 def draw(plan: Plan, required: Sequence[Requirement], columns: Columns, summary: Summary) -> Figure:
-    """The page; metrics that are the same in every run that has them are left out.
+    """The page; constant metrics are left out.
 
-    Where some runs were searched, the metrics are those of the others.
+    After a search, the metrics come from the random runs only.
     """
     drawn = {name: values[plan.searched :] for name, values in columns.items()}
     metrics = [name for name in metrics_shown(required) if len({*drawn[name]} - {None}) > 1]

@@ -18,10 +18,10 @@ PICTURE_DPI: Final = 110
 
 
 def write_report(folder: CampaignFolder) -> Summary:
-    """Write the three files; what they say.
+    """Write the three files; returns the summary.
 
     Raises:
-        LogError: one cannot be written.
+        LogError: a file cannot be written.
     """
     plan, required = folder.plan, requirements_of(folder.plan)
     names = [

@@ -24,8 +24,8 @@ _TYPES = {"i": "integer", "u": "integer", "f": "number", "O": "integer"}
 class DecodedMcap:
     """Writes ``path`` chunk by chunk, in the order of the log.
 
-    A multiplexed signal that is not in a frame is not in its message, and neither is a value that
-    JSON cannot say (infinite, or not a number).
+    A message lacks multiplexed signals absent from the frame, and values unknown to JSON (infinite,
+    or not a number).
     """
 
     def __init__(self, path: Path, names: bool) -> None:
@@ -38,7 +38,7 @@ class DecodedMcap:
         """Add the messages of a chunk.
 
         Raises:
-            LogError: one is from before 1970, which MCAP has no time for.
+            LogError: a time is before 1970; MCAP cannot express such times.
         """
         rows: list[tuple[int, int, int, str]] = []
         for name, columns in chunk.items():
@@ -88,7 +88,7 @@ def _objects(columns: MessageColumns, names: bool) -> Iterator[str]:
 
 
 def _cells(columns: MessageColumns, signal: str, names: bool) -> list[str]:
-    """``"Signal":value`` in each row; nothing where there is no value."""
+    """``"Signal":value`` in each row; empty for missing values."""
     values = columns.signals[signal]
     missing: NDArray[np.bool_] = np.ma.getmaskarray(values)
     plain = np.ma.getdata(values)

@@ -1,4 +1,7 @@
-"""Decoded messages into files, by the name of the output; nothing incomplete is left behind."""
+"""Writes decoded messages to files, in the format of the output's name.
+
+Incomplete files are removed.
+"""
 
 from __future__ import annotations
 
@@ -14,11 +17,11 @@ from can_rig.files import atomic, refuse_existing
 from can_rig.folders.replacing import Kind, refuse_folder, whole_folder
 
 CSV: Final = ".csv"
-"""The format with one table of all messages."""
+"""Format with one table of all messages."""
 
 _PARQUET: Final = ".parquet"
 _OF_FILES: Final = {"": CSV, _PARQUET: _PARQUET}
-"""Suffix of a folder with one file a message, and of those files."""
+"""Suffix of a folder with a file for each message, and suffix of the files."""
 _MF4: Final = ".mf4"
 _MCAP: Final = ".mcap"
 
@@ -39,7 +42,7 @@ DECODED: Final = Kind("a folder of decoded messages", INDEX, _own, lambda _: Tru
 
 
 class Output(Protocol):
-    """One or several files that decoded chunks are written to."""
+    """One or several files that receive decoded chunks."""
 
     def write(self, chunk: Mapping[str, MessageColumns]) -> None:
         """Add the messages of a chunk of the log."""
@@ -49,7 +52,7 @@ class Output(Protocol):
 
 
 def refuse_output(path: Path, force: bool) -> None:
-    """Refuse an output of an unknown format, or one that exists and must not be replaced.
+    """Refuse an unknown format, or an existing output without ``force``.
 
     Raises:
         LogError, RunFolderError: the reason.
@@ -73,13 +76,13 @@ def output(
 
     Args:
         path: ``.csv``, ``.mf4``, ``.mcap``, or a folder: ``.parquet``, or without a suffix.
-        layout: for `CSV`, the messages that can occur, without rows.
+        layout: for `CSV`, the possible messages, without rows.
         start_ns: start of the recording, on the clock of the columns [ns].
         names: whether to write words of value tables instead of numbers.
         force: replace an earlier output.
 
     Raises:
-        LogError, RunFolderError: it cannot be written.
+        LogError, RunFolderError: the output cannot be written.
     """
     folder = path.suffix in _OF_FILES
     whole = whole_folder(path, DECODED, force=force) if folder else atomic(path, force=force)

@@ -1,10 +1,10 @@
 """Decoded messages as tables in files: CSV and Parquet, written piece by piece with pyarrow.
 
-In a folder each message has a table of its own, with a column for each signal. One table of all
-messages exists as CSV alone (`wide_csv`): in Parquet an empty cell takes time and memory too.
+In a folder each message has a table of its own, with a column for each signal. A single table of
+all messages exists only as CSV (`wide_csv`): in Parquet an empty cell takes time and memory too.
 
 Time is exact, in ``time_s``. Only a date in Parquet is ``time``, a time stamp in UTC to the
-nanosecond: PlotJuggler takes it for seconds, pandas for a date. In CSV it has nine decimal places.
+nanosecond: PlotJuggler takes it for seconds, pandas for a date. CSV has nine decimal places.
 """
 
 from __future__ import annotations
@@ -29,7 +29,7 @@ _TYPES: Final = {"i": pa.int64(), "u": pa.uint64(), "f": pa.float64(), "O": pa.s
 _DATE: Final = pa.decimal128(28, 9)  # [s]
 _STAMP: Final = pa.timestamp("ns", tz="UTC")
 _EXACT_NS: Final = 1 << 53  # up to here (104 days) float64 seconds tell every nanosecond
-_CELLS: Final = 1 << 23  # held in memory, so that row groups are long even of 1,000 messages
+_CELLS: Final = 1 << 23  # held in memory, for long row groups even with 1,000 messages
 
 
 class FolderOfTables:
@@ -40,7 +40,7 @@ class FolderOfTables:
         suffix: ``.csv`` or ``.parquet``, of the files.
         start_ns: time of about the first frame [ns].
         names: whether to write words of value tables instead of codes.
-        index: name of the JSON file that says which file has which message.
+        index: name of the JSON file that maps messages to files.
     """
 
     def __init__(self, folder: Path, suffix: str, start_ns: int, names: bool, index: str) -> None:
@@ -95,7 +95,7 @@ class _Table:
         )
         self._held: list[Any] = []
         self.cells = 0
-        """Number of cells that are held in memory."""
+        """Number of cells in memory."""
 
     def add(self, time_ns: NDArray[np.int64], cells: list[Any]) -> None:
         """Add rows, which are held in memory until `flush`."""
@@ -103,7 +103,7 @@ class _Table:
         self.cells += len(time_ns) * len(self._schema)
 
     def flush(self) -> None:
-        """Write the rows that are held: in Parquet, a row group."""
+        """Write the rows in memory: in Parquet, a row group."""
         if self._held:
             self._writer.write_table(pa.concat_tables(self._held))
         self._held, self.cells = [], 0
@@ -117,7 +117,7 @@ class _Table:
 def time_column(
     is_csv: bool, start_ns: int
 ) -> tuple[Callable[[NDArray[np.int64]], Any], tuple[str, Any]]:
-    """What makes the cells of (n,) times [ns], and name and type of their column."""
+    """A function from (n,) times [ns] to cells, and name and type of the column."""
     if start_ns < _EXACT_NS:
         return _seconds, (TIME_S, pa.float64())
     return (_decimals, (TIME_S, _DATE)) if is_csv else (_stamps, ("time", _STAMP))

@@ -1,4 +1,4 @@
-"""One CSV table of all messages: a row for each frame, in the order of the log.
+"""A single CSV table of all messages: a row for each frame, in the order of the log.
 
 A row has the name of its message, and a column ``Message.Signal`` for each signal of the log. The
 columns of other messages are empty, so a row is the text of its own cells between two runs of
@@ -26,7 +26,7 @@ class WideCsv:
 
     Args:
         path: the file.
-        layout: for every message that can occur, its columns without rows.
+        layout: columns without rows, for every possible message.
         start_ns: time of about the first frame [ns].
         names: whether to write words of value tables instead of codes.
     """
@@ -91,6 +91,6 @@ def _quoted(text: str) -> str:
 
 
 def _quoted_cells(texts: Any) -> Any:
-    """(n,) `_quoted` of each text, null where there is none."""
+    """(n,) `_quoted` of each text, null for a missing text."""
     doubled = pc.replace_substring(texts, '"', '""')
     return pc.binary_join_element_wise('"', doubled, '"', "")

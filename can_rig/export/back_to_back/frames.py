@@ -13,7 +13,7 @@ from can_rig.frames.network import Network
 
 TICKS = 60
 VALUES = (-2.0, 2.0)
-SPEEDS = (-5.0, 50.0)  # m/s: of designs, and slower and faster ones
+SPEEDS = (-5.0, 50.0)  # m/s: within the designs' range and outside
 LAST_TICKS = 65530  # the 16 bits of the tick end soon
 
 
@@ -25,7 +25,7 @@ def random_frames(network: Network, seed: int) -> list[list[can.Message]]:
     for tick in range(first, first + TICKS):
         frames: list[can.Message] = []
         for transmitter in transmitters:
-            if choose.random() < 0.03:  # so many are lost one after the other
+            if choose.random() < 0.03:  # lose a few frames in a row
                 for _ in range(choose.randrange(1, 9)):
                     transmitter.frame(0.0, tick)
             size = choose.choice([1.0, 1.0, 1.0, 1.0, 1e3, math.inf, math.nan])
@@ -44,9 +44,11 @@ def random_frames(network: Network, seed: int) -> list[list[can.Message]]:
 
 
 def as_orders(network: Network, seeds: range, tick_us: int) -> bytes:
-    """Such frames by the clock as orders of `support/bench.h`, each seed's from a start of its own.
+    """Random frames with clock times, as orders of `support/bench.h`.
 
-    The clock wraps; it is looked at before half a tick has passed and after that.
+    Each seed has its own start time.
+
+    The clock wraps; the node reads the clock before and after half a tick.
     """
     orders = []
     for seed in seeds:

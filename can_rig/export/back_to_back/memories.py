@@ -1,4 +1,4 @@
-"""Tables and states of arbitrary numbers, with indices that exist."""
+"""Random tables and states with valid indices."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ TICKS = (0, 0, 1, 2, 7, MAX_LATENCY_TICKS)
 def reals(
     random: np.random.Generator, shape: tuple[int, ...], precision: Precision, even: bool = False
 ) -> Any:
-    """Mostly of ordinary size, some of every kind that there is; ``even``: many are equal."""
+    """Mostly ordinary magnitudes, mixed with all special values; ``even``: values repeat."""
     if even:
         return random.choice([-1.0, -0.0, 0.0, 0.5, 1.0, 2.0], shape).astype(precision)
     limits = np.finfo(precision)
@@ -37,7 +37,7 @@ def reals(
 
 
 def fill(random: np.random.Generator, record: Any, precision: Precision, even: bool) -> None:
-    """Every real number of ``record``, nested ones too."""
+    """Randomise every real number of ``record``, nested records included."""
     for name in record.dtype.names:
         kind = record.dtype[name]
         if kind.names:
@@ -49,15 +49,15 @@ def fill(random: np.random.Generator, record: Any, precision: Precision, even: b
 def random_table(
     random: np.random.Generator, precision: Precision, even: bool = False
 ) -> RecordArray:
-    """A table, shape (1,), in which counts and indices are in range and some numbers make sense."""
+    """A table, shape (1,), with valid counts and indices, and some plausible numbers."""
     tables = np.zeros(1, table_type(precision))
     table: Record = tables[0]
     fill(random, tables[0], precision, even)
-    if random.random() < 0.8:  # limits that are limits
+    if random.random() < 0.8:  # plausible limits
         for actuator in (table.actuator_1, table.actuator_2):
             actuator.limit, actuator.slew = abs(actuator.limit), abs(actuator.slew)
             actuator.lsb = random.choice([0.0, 1e-3])
-    if random.random() < 0.8 and not even:  # thresholds that something passes
+    if random.random() < 0.8 and not even:  # thresholds within reach
         table.decision.suspect, table.decision.confirm = np.sort(random.exponential(2.0, 2))
         table.decision.recover = random.exponential(3.0)
         table.mismatch.noise = random.exponential(1.0)
@@ -76,7 +76,7 @@ def random_table(
     ):  # fmt: skip
         filter.n = random.integers(0, MAX_SECTIONS + 1) if random.random() < 0.3 else 2
         filter.coefficients[:, 3:] *= random.choice([1.0, 0.01])
-    for filter in (  # of a plant that is not stable
+    for filter in (  # filters of an unstable plant
         table.estimator.measurement, table.tracking.stabiliser, *(
             car.measurement for car in (cars.car_1, cars.car_2, cars.car_3, cars.car_4)
         ),
@@ -112,12 +112,12 @@ def random_state(
         ("shown_index_2", constants.shown_ticks_2),
     ):  # fmt: skip
         setattr(estimator, index, random.integers(0, max(size, 1)))
-    if random.random() < 0.5:  # a candidate that may have grown old
+    if random.random() < 0.5:  # a candidate near its age limit
         test = state.sequential_test
         test.half_age, test.evidence = random.integers(2, 9), random.exponential()
         test.age = 2.0 * test.half_age + random.integers(-2, 3)
         test.half_information, test.information = np.sort(random.exponential(1.0, 2))
-        if random.random() < 0.4:  # because it has nothing to show
+        if random.random() < 0.4:  # without evidence
             test.delay[:], test.explained[:], test.previous_shown = 0.0, 0.0, 0.0
     if random.random() < 0.3:
         state.bumpless_transfer.carried_speed = random.choice([np.inf, np.nan])

@@ -1,4 +1,4 @@
-"""`support/trial.c` compiled and run: on this machine, or on an emulated board."""
+"""`support/trial.c` compiled and run: on this machine or on an emulated board."""
 
 from __future__ import annotations
 
@@ -19,17 +19,19 @@ LONGEST_S: Final = 600.0
 
 
 def trial_files(law: Mapping[str, str]) -> dict[str, str]:
-    """The files of the law, and those that run it on any memory; ``main`` is another's.
+    """The files of the law, and the trial that runs the law on any memory.
+
+    The caller adds ``main``.
 
     Args:
-        law: text by file name; with `schedule.c` the speed may change.
+        law: text by file name; `schedule.c` enables changes of speed.
     """
     chosen = words_of(law)
     return {**law, **{name: filled(support(name), **chosen) for name in ("bench.h", "trial.c")}}
 
 
 def host_program(law: Mapping[str, str], compiler: Sequence[str], flags: Sequence[str]) -> Path:
-    """The program of this machine.
+    """The program for this machine.
 
     Raises:
         ExportError: the compiler refuses.
@@ -39,10 +41,11 @@ def host_program(law: Mapping[str, str], compiler: Sequence[str], flags: Sequenc
 
 
 def on_host(program: Path, orders: bytes) -> bytes:
-    """What it answers.
+    """The program's answers.
 
     Raises:
-        ExportError: it ends otherwise than with its orders; with the first line that it says.
+        ExportError: the program fails, or ignores orders; the message has the first line of its
+            output.
     """
     try:
         done = subprocess.run(
@@ -58,7 +61,7 @@ def on_host(program: Path, orders: bytes) -> bytes:
 
 
 def on_board(law: Mapping[str, str], board: str, orders: bytes) -> bytes:
-    """What a board answers.
+    """The answers of a board.
 
     Raises:
         ExportError: a tool is missing, or refuses.

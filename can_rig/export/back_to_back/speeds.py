@@ -1,7 +1,7 @@
-"""Designs over speed, the place between them and the speeds of a car: any numbers that make sense.
+"""Random designs over speed, blending states and speeds of a car: plausible numbers.
 
-What the designs say is of any size and kind. Their speeds ascend, as those of a schedule must, and
-the speeds that a car has may be anything.
+The values of the designs are arbitrary. The design speeds ascend, as a schedule requires; the car's
+speeds are arbitrary.
 """
 
 from __future__ import annotations
@@ -19,7 +19,7 @@ SLOWEST, FASTEST = 1.0, 100.0  # m/s
 
 @dataclass(frozen=True)
 class Drive:
-    """What blends a table, and the speed before each tick.
+    """The blending of a table, and the speed before each tick.
 
     Attributes:
         schedules: the designs, shape (1,).

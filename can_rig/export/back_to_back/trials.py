@@ -1,6 +1,6 @@
 """Steps and resets of the law on random memory: as orders for `support/trial.c`, and in Python.
 
-Where designs are blended by the speed, a change of it comes before each of them.
+If speed blends the designs, a change of speed precedes each step and reset.
 """
 
 from __future__ import annotations
@@ -19,14 +19,14 @@ from firmware_model.target.structs import FloatArray, Precision, RecordArray
 
 @dataclass(frozen=True)
 class Trial:
-    """One memory and what comes in.
+    """One memory with its inputs.
 
     Attributes:
         tables: the constant table, shape (1,).
         states: the state before the first tick, shape (1,).
         inputs: reference and measurement of each tick, shape (ticks, 2); the tick in the middle is
             a reset to its reference.
-        drive: what blends the table before each tick; None: nothing does.
+        drive: blends the table before each tick; None: no blending.
     """
 
     tables: RecordArray
@@ -36,12 +36,12 @@ class Trial:
 
     @property
     def answers(self) -> int:
-        """How many there are."""
+        """Number of answers."""
         return len(self.inputs) * (1 if self.drive is None else 2) + 1
 
     @property
     def answer_bytes(self) -> int:
-        """Of each of them."""
+        """Size of an answer."""
         blended = () if self.drive is None else (self.tables, self.drive.blendings)
         return sum(each.itemsize for each in (self.states, *blended))
 
@@ -60,7 +60,7 @@ def random_trials(
     """
     random, trials = np.random.default_rng(seed), []
     for _ in range(memories):
-        even = random.random() < 0.2  # where one number is compared with another that it equals
+        even = random.random() < 0.2  # equal operands for comparisons
         tables = random_table(random, precision, even)
         states = random_state(random, tables[0], precision, even)
         inputs = reals(random, (ticks, 2), precision, even)
@@ -87,7 +87,7 @@ def encoded(trials: list[Trial]) -> bytes:
 
 
 def states_of(law: Law, trials: list[Trial]) -> Iterator[bytes]:
-    """What the law makes of them, a state for each answer, and what is blended behind it."""
+    """The law's answers to the trials: each state, followed by the blended table, if any."""
     for trial in trials:
         tables, states = copied(trial.tables), copied(trial.states)
         kept, change_speed = [states], None
@@ -110,7 +110,7 @@ def states_of(law: Law, trials: list[Trial]) -> Iterator[bytes]:
 
 
 def copied(memory: RecordArray) -> RecordArray:
-    """A copy with what is between the fields."""
+    """A copy that includes the padding between fields."""
     copy = memory.copy()
     copy.view(np.uint8)[:] = memory.view(np.uint8)
     return copy
@@ -122,9 +122,9 @@ def in_python(trials: list[Trial]) -> bytes:
 
 
 def different(one: bytes, other: bytes, trials: list[Trial]) -> int:
-    """Of two rows of answers, how many states differ in a bit, or what is blended.
+    """Number of states (with blended tables) that differ in a bit between two rows of answers.
 
-    Any not-a-number is like any other: which one comes out is the processor's.
+    All not-a-numbers count as equal: their bits depend on the processor.
     """
     dtype, size = precision_of(trials[0].tables[0]), trials[0].answer_bytes
     expected = sum(trial.answers for trial in trials)

@@ -1,1 +1,1 @@
-"""What an exported controller costs, and what tools find in it."""
+"""Costs of an exported controller, and findings of analysis tools."""

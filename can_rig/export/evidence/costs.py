@@ -1,9 +1,9 @@
-"""What the exported controller costs: memory and instructions on emulated boards.
+"""The costs of the exported controller: memory and instructions on emulated boards.
 
 Instructions are counted on the inputs of the scenario itself, in Python's run of it; where designs
 are blended by the speed, a tick takes in the speed of the scenario's drive before its step. Sizes
-are those of objects that the compiler has made. A stack is the deepest chain of calls, each with
-what the compiler says that it needs.
+come from compiled objects. The stack is the deepest chain of calls, by the compiler's stack usage
+of each function.
 """
 
 from __future__ import annotations
@@ -51,17 +51,17 @@ NO_LAW: Final = ("network.c", "constants.c", "e2e.c", "ecu.c", "frames.c")
 
 @dataclass(frozen=True)
 class Cost:
-    """What the law costs on one board."""
+    """The cost of the law on a board."""
 
     board: str
     precision: Precision
     code_bytes: int
     constant_bytes: int
     state_bytes: int
-    """What an application must keep: the blended table too, where there is one."""
+    """Memory kept by an application: the state, and the blended table, if any."""
     stack_bytes: int
     counts: FloatArray | None
-    """Instructions of each tick, shape (ticks,); None: they were not counted."""
+    """Instructions of each tick, shape (ticks,); None: not counted."""
 
     @property
     def median(self) -> float:
@@ -77,7 +77,7 @@ class Cost:
 
     @property
     def worst_tick(self) -> int:
-        """In which these are."""
+        """The tick of ``worst``."""
         assert self.counts is not None
         return int(np.argmax(self.counts))
 
@@ -85,11 +85,11 @@ class Cost:
 def inputs_of_run(scenario: Scenario) -> FloatArray:
     """Reference and measurement of each tick of the scenario's run, shape (ticks, 2).
 
-    Where designs are blended by the speed of the car, that is a third column; each as its frame
-    has it.
+    For designs blended by speed, the speed is a third column; each value is rounded as in its
+    frame.
 
     Raises:
-        ScenarioError: a scenario that cannot run.
+        ScenarioError: the scenario cannot run.
     """
     network = network_of(scenario)
     of, inputs = controls(scenario, network), inputs_of(scenario, network)
@@ -105,10 +105,10 @@ def cost(scenario: Scenario, board: str, precision: Precision, inputs: FloatArra
     """The cost of a scenario's law.
 
     Args:
-        scenario: whose controller it is.
+        scenario: the scenario.
         board: a key of ``BOARDS``.
         precision: of its real numbers.
-        inputs: of ``inputs_of_run``; None: sizes alone, which take no emulator.
+        inputs: from ``inputs_of_run``; None: sizes only, without an emulator.
 
     Raises:
         ExportError: a tool is missing, or refuses.
@@ -140,7 +140,7 @@ def instructions(files: Mapping[str, str], board: str, inputs: FloatArray) -> Fl
 
 
 def sizes(files: Mapping[str, str], board: str) -> tuple[int, int, int, int]:
-    """Bytes of code, of constants, of what an application must keep, and of stack.
+    """Bytes of code, constants, kept memory and stack.
 
     Args:
         files: the law and its constants, text by file name.
@@ -169,13 +169,13 @@ def _stack(folder: Path, blends: bool) -> int:
     own: dict[str, int] = {}
     for path in folder.glob("*.su"):
         said = path.read_text(encoding="utf-8")
-        for function, size in re.findall(r":(\w+)[\w.]*\t(\d+)\t", said):  # or a clone of it
+        for function, size in re.findall(r":(\w+)[\w.]*\t(\d+)\t", said):  # clones too
             own[function] = max(own.get(function, 0), int(size))
 
     def from_(entry: str, program: Program, called: str) -> int:
         @cache
         def deepest(function: str) -> int:
-            """With what it calls; what was inlined has none of its own."""
+            """Stack of a function and its callees; inlined functions have no entry."""
             calls = program.functions[function].calls.values()
             below = {callee.function.c_name for callee in calls}
             return own.get(function, 0) + max(map(deepest, below), default=0)

@@ -1,4 +1,4 @@
-"""How much of the C the back-to-back trials run: gcov, by line and by branch; and what differs."""
+"""Coverage of the C code by the back-to-back trials: gcov's lines and branches, and differences."""
 
 from __future__ import annotations
 
@@ -28,17 +28,17 @@ NODES: Final = range(20)
 
 @dataclass(frozen=True)
 class Coverage:
-    """What was run, of the lines and the branches that there are."""
+    """Coverage of lines and branches."""
 
     compared: int
-    """States of the law, of which so many differ from Python's:"""
+    """Compared states of the law; ``different`` counts differences from Python."""
     different: int
     lines: int
     lines_run: int
     branches: int
     branches_taken: int
     missed: tuple[str, ...]
-    """Lines that were not run, as ``file:line``."""
+    """Lines without coverage, as ``file:line``."""
 
 
 def coverage(scenario: Scenario) -> Coverage:
@@ -78,7 +78,7 @@ def coverage(scenario: Scenario) -> Coverage:
 def _measured(
     files: Mapping[str, str], orders: bytes, wanted: set[str]
 ) -> tuple[bytes, list[tuple[str, dict[str, Any]]]]:
-    """What a program answers, and every line of the ``wanted`` files as gcov describes it."""
+    """A program's answers, and gcov's record of every line of the ``wanted`` files."""
     with tempfile.TemporaryDirectory(prefix="can-rig-") as place:
         folder = Path(place)
         for name, text in {**files, "bench_main.c": support("bench_main.c")}.items():

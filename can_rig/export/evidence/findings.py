@@ -1,4 +1,4 @@
-"""What compilers and analysers find in exported files; each tool where it is installed."""
+"""Findings of compilers and analysers in exported files; missing tools are skipped."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from can_rig.export.running.compiler import WARNINGS, run
 
 STRICT: Final = ("-std=c99", *WARNINGS, "-O2", "-c")
 BENCH: Final = ("main.c", "bench_main.c", "bench.c", "bench.h", "harness.c", "harness.h")
-"""What is no part of the application: examples and the bench."""
+"""Files outside the application: examples and the bench."""
 
 EVA: Final = (
     "-eva", "-eva-precision", "1", "-eva-no-print", "-warn-special-float", "none", "-machdep",
@@ -35,12 +35,12 @@ DEVIATIONS: Final = {
     "15.7": "the last else if of the Python lines has no else",
     "17.8": "a parameter goes on as the value that it becomes, as in the Python lines",
 }
-"""MISRA C:2012 rules from which the export deviates, and why. All but 9.3 and 10.4 are advisory or
-of readability; none of them is mandatory."""
+"""MISRA C:2012 rules from which the export deviates, and why. Except 9.3 and 10.4, the rules are
+advisory or concern readability; no rule is mandatory."""
 
 
 def findings(files: Mapping[str, str]) -> dict[str, int | str]:
-    """By tool, how many warnings it has on exported files, or that it is not installed.
+    """By tool, the number of warnings on exported files, or a note on a missing tool.
 
     Args:
         files: text by file name.
@@ -71,7 +71,7 @@ def misra(files: Mapping[str, str]) -> Counter[str] | None:
     """How often each rule of MISRA C:2012 is broken; None without cppcheck.
 
     Args:
-        files: text by file name; those of a bench are left out.
+        files: text by file name; bench files are left out.
 
     Raises:
         ExportError: cppcheck refuses.
@@ -85,7 +85,9 @@ def misra(files: Mapping[str, str]) -> Counter[str] | None:
 
 
 def eva(files: Mapping[str, str]) -> list[str] | None:
-    """Alarms of Frama-C's Eva on a node that gets any frames for ever; None without Frama-C.
+    """Alarms of Frama-C's Eva for a node that receives arbitrary frames for ever.
+
+    None without Frama-C.
 
     Args:
         files: a whole export, text by file name.
@@ -114,7 +116,7 @@ def alarms(files: Mapping[str, str]) -> list[str]:
 
 
 def _application(files: Mapping[str, str]) -> dict[str, str]:
-    """Those that run on a target."""
+    """The files that run on a target."""
     return {
         name: text
         for name, text in files.items()

@@ -1,1 +1,1 @@
-"""What was exported, compiled and run: the law in this process, the node here or on a board."""
+"""Exported code, compiled and run: the law in this process, the node here or on a board."""

@@ -11,7 +11,7 @@ ORDER_BYTES: Final = 12
 
 
 def order(letter: bytes, *parts: bytes) -> bytes:
-    """An order with what belongs to it."""
+    """An order with its operands."""
     return b"".join((letter, *parts)).ljust(ORDER_BYTES, b"\0")
 
 
@@ -21,7 +21,7 @@ def frame_order(frame_id: int, data: bytes) -> bytes:
 
 
 def time_order(now_us: int) -> bytes:
-    """The order to let it be that time, modulo 2^32."""
+    """The order that sets the clock, modulo 2^32."""
     return order(b"T", (now_us & 0xFFFFFFFF).to_bytes(4, "little"))
 
 
@@ -33,25 +33,25 @@ class Link(Protocol):
     """Bytes to and from a program, in order."""
 
     def write(self, data: bytes) -> None:
-        """Send all of them."""
+        """Send all bytes."""
 
     def read(self, size: int) -> bytes:
         """The next ``size`` bytes.
 
         Raises:
-            ExportError: they do not come.
+            ExportError: the bytes do not arrive.
         """
 
     def close(self) -> None:
-        """End it."""
+        """Close the link."""
 
 
 class BenchEcu:
     """The program at the other end of ``link``; see ``Ecu``.
 
     Args:
-        link: leads to it.
-        receivers: how many frames it receives: 2, or 3 with the speed.
+        link: the link to the program.
+        receivers: number of received frames: 2, or 3 with the speed.
     """
 
     def __init__(self, link: Link, receivers: int = 2) -> None:
@@ -59,7 +59,7 @@ class BenchEcu:
         self._receivers = receivers
 
     def restart(self) -> bytes:
-        """Start it again, as after power-up; which controller it is, 8 bytes."""
+        """Restart the node, as after power-up; returns the controller's identity, 8 bytes."""
         return self._ask(RESTART, IDENTITY_BYTES)
 
     def take(self, frame_id: int, data: bytes) -> Sent:

@@ -25,11 +25,11 @@ class CompiledLaw:
 
     Args:
         precision: of its real numbers.
-        library: compiled from ``law_files(precision, changes_speed)``; None: compiled here.
+        library: compiled from ``law_files(precision, changes_speed)``; None: compile here.
         changes_speed: whether ``change_speed_of`` is called.
 
     Raises:
-        ExportError: it cannot be compiled or loaded.
+        ExportError: compiling or loading fails.
     """
 
     def __init__(
@@ -55,7 +55,7 @@ class CompiledLaw:
             self._change_speed = change
 
     def init(self, table: Record) -> RecordArray:
-        """One state at rest, shape (1,)."""
+        """A state at rest, shape (1,)."""
         if precision_of(table) != self._precision:
             raise ExportError(
                 f"a table of {precision_of(table)}: must be {self._precision}, as the law is"
@@ -65,7 +65,7 @@ class CompiledLaw:
         return states
 
     def step_of(self, tables: RecordArray, states: RecordArray) -> Step:
-        """``controller.step`` for this table and this state."""
+        """``controller.step``, bound to the table and the state."""
         step, memory = self._step, (_address(tables), _address(states))
         one, other = states["command_1"], states["command_2"]
         estimate, mode, fault_state = (
@@ -93,7 +93,7 @@ class CompiledLaw:
         self._reset(_address(table), _address(state), reference)
 
     def change_speed_of(self, memories: Memories) -> ChangeSpeed:
-        """As ``schedule.change_first_speed`` for these arrays, which must be kept."""
+        """``schedule.change_first_speed``, bound to the arrays; the caller must keep the arrays."""
         assert self._change_speed is not None
         return partial(self._change_speed, *map(_address, memories))
 

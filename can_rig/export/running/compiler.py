@@ -1,4 +1,4 @@
-"""The C compiler of this machine."""
+"""The host's C compiler."""
 
 from __future__ import annotations
 
@@ -22,10 +22,10 @@ WARNINGS: Final = (
 
 
 def host_compiler() -> list[str]:
-    """The command that compiles: what CC says, or cc.
+    """The compile command: CC, or cc.
 
     Raises:
-        ExportError: there is none, or CC is no command.
+        ExportError: no compiler, or CC is not a command.
     """
     said = os.environ.get("CC", "")
     try:
@@ -41,14 +41,14 @@ def host_compiler() -> list[str]:
 
 
 def shared_library(sources: Mapping[str, str], flags: Sequence[str] = FLAGS) -> Path:
-    """The files compiled to a library that this process can load.
+    """Compile the files to a library for this process.
 
     Args:
         sources: text by file name.
-        flags: what the compiler gets.
+        flags: compiler options.
 
     Raises:
-        ExportError: there is no compiler, or it refuses; its first line says why.
+        ExportError: no compiler, or a compiler error; the message has the error's first line.
     """
     return built(host_compiler(), flags, sources, ".so")
 
@@ -56,16 +56,16 @@ def shared_library(sources: Mapping[str, str], flags: Sequence[str] = FLAGS) -> 
 def built(
     compiler: Sequence[str], flags: Sequence[str], sources: Mapping[str, str], suffix: str
 ) -> Path:
-    """What a compiler makes of the files, kept for the next time.
+    """The product of a compiler, cached.
 
     Args:
         compiler: the command.
-        flags: what it gets.
-        sources: text by file name; what ends in .c is compiled.
-        suffix: of the file that it makes.
+        flags: compiler options.
+        sources: text by file name; files with suffix .c are compiled.
+        suffix: suffix of the product.
 
     Raises:
-        ExportError: it refuses; its first line says why.
+        ExportError: a compiler error; the message has the error's first line.
     """
     said = repr([compiler, flags, sorted(sources.items())]).encode()
     folder = _cache()
@@ -82,7 +82,7 @@ def built(
             raise ExportError(f"{compiler[0]}: must be a C compiler: it has compiled nothing")
         try:
             folder.mkdir(parents=True, exist_ok=True)
-            with atomic(result, force=True) as part:  # another process may be making the same one
+            with atomic(result, force=True) as part:  # another process may build the same file
                 shutil.copy(made, part)
         except OSError as error:
             raise ExportError(f"{folder}: cannot be written: {error.strerror}") from None
@@ -92,10 +92,10 @@ def built(
 
 
 def run(command: Sequence[str], folder: Path) -> str:
-    """What a tool says that compiles.
+    """The output of a build tool.
 
     Raises:
-        ExportError: it fails; with the first line that names an error.
+        ExportError: the tool fails; the message has the first error line.
     """
     done = subprocess.run(command, cwd=folder, capture_output=True, text=True, check=False)
     if done.returncode:

@@ -1,4 +1,4 @@
-"""What can run as the controller, by the name that a command gives it."""
+"""The controllers of a run, selected by name."""
 
 from __future__ import annotations
 
@@ -24,27 +24,27 @@ class Application:
     """A whole controller node in C.
 
     Attributes:
-        start: starts it.
+        start: creates the node.
     """
 
     start: Callable[[], Ecu]
 
 
 Controller = Law | Application
-"""What runs as the control law in a node of ours, or a node of its own."""
+"""A control law for a node in Python, or a complete node."""
 
 PYTHON: Final = PYTHON_LAW
 
 
 def controller_of(name: str, scenario: Scenario) -> Controller:
-    """What runs as the controller of ``scenario``.
+    """The controller of ``scenario``.
 
     Args:
-        name: one of ``choices.CONTROLLERS``, or ``choices.SERIAL`` and the device of a port.
+        name: a name of ``choices.CONTROLLERS``, or ``choices.SERIAL`` with the device of a port.
         scenario: the run.
 
     Raises:
-        ExportError: there is no compiler, or it refuses.
+        ExportError: no compiler, or a compiler error.
         MissingExtraError: a serial port without pyserial.
     """
     if name == "python":

@@ -1,4 +1,4 @@
-"""A controller node that is no Python, as the rig talks to it: frames in, frames out."""
+"""Interface between the rig and a controller node outside Python: frames in, frames out."""
 
 from __future__ import annotations
 
@@ -16,28 +16,28 @@ COUNTS: Final = len(CheckStatus)
 IDENTITY_BYTES: Final = 8
 
 Sent = list[tuple[int, bytes]]
-"""Identifier and data of each frame, in the order in which they were sent."""
+"""Identifier and data of each frame, in sending order."""
 
 
 class Ecu(Protocol):
     """A controller node in C."""
 
     def take(self, frame_id: int, data: bytes) -> Sent:
-        """Hand it a frame; what it sends, which is nothing unless the frame completes a tick.
+        """Deliver a frame; returns the sent frames: none unless the frame completes a tick.
 
         Raises:
-            ExportError: it has ended.
+            ExportError: the node has ended.
         """
 
     def counts(self) -> list[int]:
-        """Frames by ``CheckStatus``: of reference, feedback, and speed where it hears one."""
+        """Frames by ``CheckStatus``: for reference, feedback and, if received, speed."""
 
     def close(self) -> None:
-        """End it."""
+        """Stop the node."""
 
 
 def harness(application: Mapping[str, str]) -> dict[str, str]:
-    """What a test bench needs beside the application: text by file name.
+    """The files of a test bench, without the application: text by file name.
 
     Args:
         application: of `can_rig.export.application`.
@@ -47,7 +47,7 @@ def harness(application: Mapping[str, str]) -> dict[str, str]:
 
 
 def bench(application: Mapping[str, str]) -> dict[str, str]:
-    """What answers a bench over a link: text by file name.
+    """The files of a node that answers a bench over a link: text by file name.
 
     Args:
         application: of `can_rig.export.application`.
@@ -61,7 +61,7 @@ def bench(application: Mapping[str, str]) -> dict[str, str]:
 
 
 def identity(application: Mapping[str, str]) -> bytes:
-    """Which controller it is: 8 bytes that depend on every letter of its files."""
+    """Identity of a controller: 8 bytes, a hash of its files."""
     said = repr(sorted(application.items())).encode()
     return hashlib.sha256(said).digest()[:IDENTITY_BYTES]
 
@@ -73,6 +73,6 @@ def sent(memory: bytes, n: int) -> Sent:
 
 
 def rejected(counts: list[int]) -> dict[str, int]:
-    """Frames that were not used, by reason, if there are any."""
+    """Rejected frames by reason; reasons without frames are left out."""
     named = zip(CheckStatus, counts, strict=True)
     return {status.name.lower(): n for status, n in named if n and status not in USABLE}

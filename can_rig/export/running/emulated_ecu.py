@@ -27,7 +27,7 @@ DEBIAN: Final = "apt install gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-syst
 
 @dataclass(frozen=True)
 class Board:
-    """A microcontroller: the emulated machine, and what its compiler is told."""
+    """A microcontroller: the emulated machine, and its compiler options."""
 
     machine: str
     flags: tuple[str, ...]
@@ -51,7 +51,7 @@ def require_tools() -> None:
     """Refuse where the compiler or the emulator is missing.
 
     Raises:
-        ExportError: one is.
+        ExportError: a tool is missing.
     """
     for tool in (COMPILER, EMULATOR):
         if shutil.which(tool) is None:
@@ -69,7 +69,7 @@ def firmware_image(scenario: Scenario, board: str) -> Path:
 
 
 def image_of(files: Mapping[str, str], program: str, board: str) -> Path:
-    """A program for ``board`` from ``files`` and ``program``, which has its ``main``.
+    """A program for ``board`` from ``files`` and ``program``, the source of ``main``.
 
     Raises:
         ExportError: a tool is missing, or refuses.
@@ -112,7 +112,7 @@ class EmulatedBoard:
             stdout=subprocess.DEVNULL,
             stderr=subprocess.PIPE,
         )
-        # Opened for both directions, so that neither side waits for the other to open its end.
+        # Open for both directions: opening then never waits for the other side.
         self._orders = os.open(Path(self._folder) / "orders", os.O_RDWR)
         self._answers = os.open(Path(self._folder) / "answers", os.O_RDWR | os.O_NONBLOCK)
         self._waiting = b""

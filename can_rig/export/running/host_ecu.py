@@ -1,4 +1,4 @@
-"""The whole controller node in C, compiled for this machine and run in this process."""
+"""The complete controller node in C, compiled for this machine and run in this process."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ def host_library(scenario: Scenario) -> Path:
     """The controller node of ``scenario`` as a library.
 
     Raises:
-        ExportError: there is no compiler, or it refuses.
+        ExportError: no compiler, or a compiler error.
     """
     files = application(scenario)
     return shared_library(files | harness(files))
@@ -29,7 +29,7 @@ class HostEcu:
         library: of ``host_library``.
 
     Raises:
-        ExportError: it cannot be loaded.
+        ExportError: loading fails.
     """
 
     def __init__(self, library: Path) -> None:
@@ -57,4 +57,4 @@ class HostEcu:
         return list(found)
 
     def close(self) -> None:
-        """Nothing: it ends with the process."""
+        """Nothing to do: the node ends with the process."""

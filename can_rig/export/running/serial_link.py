@@ -19,7 +19,7 @@ class SerialLink:
         port: its device.
 
     Raises:
-        ExportError: it cannot be opened.
+        ExportError: opening fails.
         MissingExtraError: pyserial is not installed.
     """
 
@@ -36,7 +36,7 @@ class SerialLink:
         self.forget()
 
     def forget(self) -> None:
-        """End an order that was cut short, and drop what still comes as answer to the last one."""
+        """End an interrupted order, and discard the rest of the last answer."""
         self.write(bytes(ORDER_BYTES))
         self._port.timeout = QUIET_S
         while self._port.read(1 << 12):
@@ -73,12 +73,12 @@ def serial_ecu(port: str, identity: bytes, scenario: str, receivers: int = 2) ->
 
     Args:
         port: device of the serial port.
-        identity: of the controller that must run there.
+        identity: of the required controller.
         scenario: its name.
         receivers: see ``BenchEcu``.
 
     Raises:
-        ExportError: there is no such port, nothing answers, or another controller does.
+        ExportError: no such port, no answer, or another controller on the board.
         MissingExtraError: pyserial is not installed.
     """
     ecu = BenchEcu(SerialLink(port), receivers)

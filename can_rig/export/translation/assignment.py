@@ -7,20 +7,20 @@ import ast
 from can_rig.export.translation.source import Function
 
 Known = set[str] | None
-"""Names that have a value; None where nothing gets to."""
+"""Names with a value; None for unreachable code."""
 
 
 def check_assigned(function: Function) -> None:
-    """Go all ways through ``function``.
+    """Check all paths through ``function``.
 
     Raises:
-        ExportError: a name is read that need not have a value.
+        ExportError: a name may be read without a value.
     """
     _Ways(function).block(function.body, set(function.parameters))
 
 
 class _Ways:
-    """The ways through one function."""
+    """The paths through one function."""
 
     def __init__(self, function: Function) -> None:
         self._module = function.module
@@ -33,7 +33,7 @@ class _Ways:
         }
 
     def block(self, body: list[ast.stmt], known: Known) -> Known:
-        """What has a value behind ``body``, with ``known`` before it."""
+        """Names with a value after ``body``; ``known`` had values before."""
         for node in body:
             if known is None:
                 raise self._module.refuse(node, "is never reached: must not be there")
@@ -50,7 +50,7 @@ class _Ways:
             case ast.For(target=ast.Name(id=counter)):
                 self._read(node.iter, known)
                 self.block(node.body, known | {counter})
-                return known  # there may be no turn
+                return known  # the loop may have no turn
             case ast.Return() | ast.Break() | ast.Continue():
                 self._read(node, known)
                 return None

@@ -1,4 +1,4 @@
-"""What a call calls: another function of the target, or arithmetic that is exact everywhere."""
+"""The callee of a call: a function of the target, or exactly rounded arithmetic."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from firmware_model.target.precision import real
 ROUNDED_EXACTLY: Final[Mapping[Any, str]] = {
     np.sqrt: "sqrt", np.ceil: "ceil", np.rint: "rint", np.copysign: "copysign", abs: "fabs",
 }  # fmt: skip
-"""Functions of real numbers that have the same bits everywhere, and their names in C."""
+"""Functions of real numbers with equal bits on every machine, and their names in C."""
 
 EXTREMES: Final[Mapping[Any, str]] = {min: "min", max: "max"}
 
@@ -28,7 +28,7 @@ WORDS: Final = (
 
 
 def called(module: Module, node: ast.Call) -> Any:
-    """What ``node`` calls, as the imported ``module`` knows it; None if that is nothing."""
+    """The callee of ``node``, resolved in the imported ``module``; None if unknown."""
     match node.func:
         case ast.Name(id=name):
             return module.lookup(name) or {"min": min, "max": max, "abs": abs, "int": int}.get(name)
@@ -38,10 +38,10 @@ def called(module: Module, node: ast.Call) -> Any:
 
 
 def type_of_arithmetic(module: Module, node: ast.Call, expressions: Expressions) -> Type:
-    """The type of a call of something that is no function of the target.
+    """The type of a call to a function outside the target.
 
     Raises:
-        ExportError: it is outside the subset.
+        ExportError: the call is outside the subset.
     """
     callee = called(module, node)
     if node.keywords:

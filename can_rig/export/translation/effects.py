@@ -1,8 +1,8 @@
-"""What each function changes, and where C might compute in another order than Python does.
+"""Side effects of functions, and refusal of expressions whose order C may change.
 
 Python computes operands and arguments from left to right, C in any order. So in an expression a
-function that changes something stands beside names, literals and constants of the table only; a
-name of this function cannot change under it, and a struct that nothing writes cannot at all.
+function that changes something stands beside names, literals and constants of the table only; local
+names cannot change during the expression, and structs without writers never change.
 """
 
 from __future__ import annotations
@@ -15,13 +15,13 @@ from can_rig.export.translation.types import Array, CStruct, Record
 
 
 class Effects:
-    """What the functions of a program change.
+    """The side effects of a program's functions.
 
     Args:
-        program: all of it.
+        program: the whole program.
 
     Raises:
-        ExportError: an expression whose value depends on the order in which C computes it.
+        ExportError: the value of an expression depends on C's order of evaluation.
     """
 
     def __init__(self, program: Program) -> None:
@@ -34,19 +34,19 @@ class Effects:
             _Order(self, typed).check()
 
     def written(self, typed: Typed) -> set[str]:
-        """Names of parameters, and of what is part of them, through which it writes."""
+        """Names of the parameters that ``typed`` writes, directly or through members."""
         return self._written[typed]
 
     def pure(self, typed: Typed) -> bool:
-        """Whether it changes nothing."""
+        """Whether the function has no side effect."""
         return not self._written[typed]
 
     def changes(self, struct: CStruct) -> bool:
-        """Whether any function writes to such a struct."""
+        """Whether any function writes to the struct."""
         return struct in self._changing
 
     def _writes(self, typed: Typed) -> Iterator[str]:
-        """The names through which ``typed`` writes, those of its aliases included."""
+        """The names that ``typed`` writes, aliases included."""
         aliases = dict(_aliases(typed))
         for node in _walk(typed):
             targets: list[ast.expr] = []
@@ -90,7 +90,7 @@ class _Order:
         self._module = typed.function.module
 
     def check(self) -> None:
-        """Refuse the first that there is."""
+        """Refuse the first offence."""
         for node in _walk(self._typed):
             match node:
                 case ast.BinOp(left=left, right=right):
@@ -137,7 +137,7 @@ class _Order:
             self._unordered(node, [*indices, value])
 
     def _untouched(self, target: ast.expr, later: ast.expr) -> bool:
-        """Whether ``later`` does not see what was assigned to ``target``."""
+        """Whether ``later`` is independent of the assignment to ``target``."""
         if isinstance(target, ast.Name):
             return all(node.id != target.id for node in _names(later))
         return self._stable(later) or self._typed.expressions.get(later).__class__ in (
@@ -197,14 +197,14 @@ class _Order:
 
 
 def root(node: ast.expr) -> str | None:
-    """The name that ``node`` is a part of; None where it is not a part of any."""
+    """The variable that contains ``node``; None if ``node`` is no part of a variable."""
     while isinstance(node, ast.Attribute | ast.Subscript):
         node = node.value
     return node.id if isinstance(node, ast.Name) else None
 
 
 def _aliases(typed: Typed) -> Iterator[tuple[str, str]]:
-    """Names that stand for a part of something else, and what that is."""
+    """Aliases of a part of another object, with the object's expression."""
     for node in _walk(typed):
         if not isinstance(node, ast.Assign):
             continue
@@ -221,7 +221,7 @@ def _aliases(typed: Typed) -> Iterator[tuple[str, str]]:
 
 
 def _indices(target: ast.expr) -> list[ast.expr]:
-    """What has to be computed to know where ``target`` is."""
+    """Index expressions that locate ``target``."""
     if isinstance(target, ast.Tuple):
         return [index for each in target.elts for index in _indices(each)]
     found = []

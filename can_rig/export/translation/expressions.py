@@ -1,4 +1,4 @@
-"""The type of every expression of a function; what is outside the subset is refused."""
+"""The type of every expression of a function; expressions outside the subset are refused."""
 
 from __future__ import annotations
 
@@ -33,7 +33,7 @@ class Expressions:
     Args:
         sources: every module of the target.
         function: the function.
-        names: types of its names, as far as they are known; read when a name occurs.
+        names: known types of the function's names; read when a name occurs.
         call: types a call.
     """
 
@@ -50,7 +50,7 @@ class Expressions:
         """The type of ``node``.
 
         Raises:
-            ExportError: it is outside the subset.
+            ExportError: the expression is outside the subset.
         """
         if isinstance(node, ast.Call):
             self.types[node] = self._call(node)
@@ -76,7 +76,7 @@ class Expressions:
         return found
 
     def require(self, node: ast.expr, *wanted: Scalar) -> Scalar:
-        """The type of an operand that must be one of ``wanted``."""
+        """The type of an operand, which must be in ``wanted``."""
         found = self.value(node)
         if found not in wanted:
             words = " or ".join(in_words(each) for each in wanted)
@@ -86,7 +86,7 @@ class Expressions:
         return found
 
     def condition(self, node: ast.expr) -> None:
-        """Type ``node`` where only whether it holds matters: an integer holds if it is not 0."""
+        """Type ``node`` as a condition: a nonzero integer is true."""
         if isinstance(node, ast.BoolOp):
             for each in node.values:
                 self.condition(each)
@@ -95,7 +95,7 @@ class Expressions:
             self.require(node, BOOL, INT)
 
     def constant(self, node: ast.expr) -> int | float | None:
-        """The number that ``node`` is, if that is written in the source; otherwise None."""
+        """The value of ``node``, if the source has a literal; else None."""
         value: Any = None
         if isinstance(node, ast.Constant):
             value = node.value
@@ -116,7 +116,7 @@ class Expressions:
         raise self._module.refuse(node, f"{node.value!r}: must be a number")
 
     def _integer(self, node: ast.expr, value: int) -> Type:
-        """An integer of the source, which must be one of the target too."""
+        """An integer literal, which must fit the target's integer."""
         if value not in INT32:
             raise self._module.refuse(
                 node, f"{ast.unparse(node)}: must be an integer from -2**31 to 2**31 - 1"
@@ -182,7 +182,7 @@ class Expressions:
         return Array(array.element, tuple(stop - start for start, stop in ranges))
 
     def extent(self, index: ast.expr, size: int) -> tuple[int, int]:
-        """First and last but one of a slice, both written in the source."""
+        """First index and end of a slice, both literals."""
         if not isinstance(index, ast.Slice) or index.step is not None:
             raise self._module.refuse(index, "must be a slice without a step in every dimension")
         start = 0 if index.lower is None else self.constant(index.lower)
@@ -253,7 +253,7 @@ class Expressions:
 
 
 def indices_of(node: ast.Subscript, dimensions: int) -> list[ast.expr]:
-    """An index for each dimension; a[:] means all of every one."""
+    """An index for each dimension; a[:] selects every dimension."""
     indices = node.slice.elts if isinstance(node.slice, ast.Tuple) else [node.slice]
     if all(isinstance(index, ast.Slice) for index in indices):
         return [*indices, *(ast.Slice() for _ in range(dimensions - len(indices)))]

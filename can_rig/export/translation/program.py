@@ -1,4 +1,4 @@
-"""A program: entry points and all that they call, each function with one signature."""
+"""A program: entry points and their callees, each function with a single signature."""
 
 from __future__ import annotations
 
@@ -28,14 +28,14 @@ ANNOTATED = {"float": REAL, "int": INT, "bool": BOOL}
 
 @dataclass(eq=False)
 class Typed:
-    """A function with the type of everything in it.
+    """A function with its types.
 
     Attributes:
         function: the function.
-        names: types of all its names: parameters, then what it assigns.
-        result: type of what it returns.
+        names: types of all its names: parameters, then assigned names.
+        result: type of the result.
         expressions: types of its expressions.
-        calls: the functions of the target that it calls, by the node that does.
+        calls: the called functions of the target, by call node.
     """
 
     function: Function
@@ -54,22 +54,22 @@ class Program:
     """Every function of the target that the entry points need.
 
     Attributes:
-        sources: the modules that they are in.
-        functions: by name in C, what is called before what calls it.
+        sources: the modules of the functions.
+        functions: by name in C, callees before callers.
     """
 
     def __init__(self, sources: Sources) -> None:
         self.sources = sources
         self.functions: dict[str, Typed] = {}
-        self._open: list[Function] = []  # being typed: none of them may be called again
+        self._open: list[Function] = []  # in progress: a call of them is recursion
 
     @property
     def modules(self) -> list[Module]:
-        """The modules that have functions here, what is called first."""
+        """The modules with functions of the program, callees first."""
         return list(dict.fromkeys(typed.function.module for typed in self.functions.values()))
 
     def add(self, function: Function, arguments: Sequence[Type]) -> Typed:
-        """``function``, and what it calls, for arguments of these types.
+        """Add ``function`` and its callees, for arguments of the given types.
 
         Raises:
             ExportError: something is outside the subset.
@@ -114,7 +114,7 @@ class Program:
 
     @staticmethod
     def _check_signature(function: Function, names: dict[str, Type]) -> None:
-        """What the annotations say must be what the callers give."""
+        """Check that the annotations agree with the callers."""
         arguments = function.tree.args
         if arguments.vararg or arguments.kwarg or arguments.kwonlyargs or arguments.defaults:
             raise function.module.refuse(

@@ -20,7 +20,7 @@ from firmware_model.target.structs import Field
 
 @dataclass(frozen=True)
 class Comment:
-    """A comment of the source; ``alone`` where nothing else stands on its line."""
+    """A comment of the source; ``alone`` for a comment without code on its line."""
 
     text: str
     alone: bool
@@ -50,7 +50,7 @@ class Function:
 
     @property
     def docstring(self) -> str:
-        """What it says of itself."""
+        """The docstring."""
         return ast.get_docstring(self.tree) or ""
 
     @property
@@ -60,10 +60,10 @@ class Function:
 
 
 class Module:
-    """One module of the target.
+    """A module of the target.
 
     Args:
-        namespace: the module as it was imported.
+        namespace: the imported module.
     """
 
     def __init__(self, namespace: ModuleType) -> None:
@@ -76,7 +76,7 @@ class Module:
 
     @property
     def docstring(self) -> str:
-        """What it says of itself."""
+        """The docstring."""
         return ast.get_docstring(self.tree) or ""
 
     @cached_property
@@ -87,7 +87,7 @@ class Module:
 
     @cached_property
     def assignments(self) -> dict[str, ast.expr]:
-        """What is assigned to each name of the module itself, by name."""
+        """Values assigned to the module's names, by name."""
         found: dict[str, ast.expr] = {}
         for node in self.tree.body:
             if not isinstance(node, ast.Assign):
@@ -102,7 +102,7 @@ class Module:
 
     @cached_property
     def structs(self) -> dict[int, CStruct]:
-        """The structs that it declares, by the identity of their fields."""
+        """The module's structs, by the identity of their fields."""
         found = {}
         for name, value in self.assignments.items():
             fields = getattr(self.namespace, name)
@@ -113,7 +113,7 @@ class Module:
 
     @cached_property
     def enums(self) -> dict[str, type[IntEnum]]:
-        """The enumerations that it declares, by name."""
+        """The module's enumerations, by name."""
         names = (node.name for node in self.tree.body if isinstance(node, ast.ClassDef))
         found = {name: getattr(self.namespace, name) for name in names}
         return {name: each for name, each in found.items() if issubclass(each, IntEnum)}
@@ -130,16 +130,16 @@ class Module:
         return found
 
     def lookup(self, name: str) -> Any:
-        """What ``name`` stands for in this module; None where it stands for nothing."""
+        """The object called ``name`` in this module; None if undefined."""
         return getattr(self.namespace, name, None)
 
     def refuse(self, node: ast.AST, what: str) -> ExportError:
-        """The error for ``node``: where it is, what is wrong there and what to write instead."""
+        """An error for ``node``: place, reason and remedy."""
         return ExportError(f"{self.path}:{getattr(node, 'lineno', 1)}: {what}")
 
 
 class Sources:
-    """Every module that has been asked for, read once."""
+    """Every requested module, read once."""
 
     def __init__(self) -> None:
         self.modules: dict[str, Module] = {}
@@ -151,7 +151,7 @@ class Sources:
         return self.modules[name]
 
     def function(self, value: object) -> Function | None:
-        """The function of the target that ``value`` is, compiled or not; None if it is none."""
+        """The target's function behind ``value``, compiled or not; None for other objects."""
         plain = getattr(value, "py_func", value)
         if not isinstance(plain, FunctionType):
             return None

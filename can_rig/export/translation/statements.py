@@ -19,15 +19,15 @@ from can_rig.export.translation.types import (
 
 
 class Statements:
-    """Types the statements of one function.
+    """Assigns types to the statements of one function.
 
     Args:
         function: the function.
-        names: types of its names; those that it assigns are added.
+        names: types of its names; assigned names are added.
         expressions: types its expressions.
 
     Attributes:
-        result: type of what it returns.
+        result: type of the result.
     """
 
     def __init__(
@@ -89,7 +89,7 @@ class Statements:
                 )  # fmt: skip
 
     def _assign(self, node: ast.Assign) -> None:
-        """One value to one name or more, or several values to as many."""
+        """Type an assignment: one value to several names, or several values to as many names."""
         first = node.targets[0]
         if isinstance(first, ast.Tuple) and len(node.targets) == 1:
             if isinstance(node.value, ast.Tuple):
@@ -120,7 +120,7 @@ class Statements:
         return kind
 
     def _store(self, target: ast.expr, kind: Type) -> None:
-        """Check that ``target`` can hold what it gets."""
+        """Check that ``target`` can hold a value of type ``kind``."""
         if isinstance(target, ast.Name):
             self._bind(target, kind)
             return
@@ -134,7 +134,7 @@ class Statements:
             )
 
     def _bind(self, target: ast.Name, kind: Type) -> None:
-        """A name has one type everywhere."""
+        """Bind a name to its only type."""
         if target.id == "_":
             return
         if kind is LITERAL:
@@ -171,7 +171,7 @@ class Statements:
         self._loops.pop()
 
     def _count(self, target: ast.Name) -> None:
-        """A name that counts a loop does nothing else, for in C it ends with the loop."""
+        """Check that a loop counter has no other use, because C ends the counter with the loop."""
         taken = target.id in self._names and target.id not in self._counters
         if taken or (target.id in self._loops and target.id != "_"):
             raise self._module.refuse(

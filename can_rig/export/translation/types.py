@@ -1,7 +1,7 @@
 """The types of the subset: real numbers, integers, truth values, structs and arrays of fixed size.
 
-A real number has the precision of the constant table. A literal has none until ``real`` gives it
-one: numba would take it for double precision.
+A real number has the precision of the constant table. A literal lacks a precision until ``real``
+sets it: numba would assume double precision.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from firmware_model.target.structs import Struct
 
 @dataclass(frozen=True)
 class Scalar:
-    """A type of one value; ``c`` is its name in C."""
+    """A scalar type; ``c`` is its name in C."""
 
     name: str
     c: str
@@ -31,10 +31,10 @@ class CStruct:
     """A struct of the target's memory.
 
     Attributes:
-        module: the module that declares it.
+        module: the declaring module.
         tag: its name in C.
         fields: its members.
-        line: where it is declared.
+        line: line of the declaration.
     """
 
     module: str
@@ -45,7 +45,7 @@ class CStruct:
 
 @dataclass(frozen=True)
 class Record:
-    """One struct, which functions get by its address."""
+    """A struct, passed by address."""
 
     struct: CStruct
 
@@ -67,7 +67,7 @@ class Answers:
 
 
 Type = Scalar | Record | Array | Answers | None
-"""None: a function that returns nothing."""
+"""None: no result."""
 
 
 def in_words(type_: Type) -> str:

@@ -23,7 +23,7 @@ BINARY: Final = {
 
 
 class CExpressions:
-    """Writes the expressions of one function.
+    """Writes the expressions of a function.
 
     Args:
         typed: the function.
@@ -35,7 +35,7 @@ class CExpressions:
         self._precision: Precision = precision
 
     def text(self, node: ast.expr, least: int = CHOICE) -> str:
-        """``node`` in C, in brackets where it binds less than ``least``."""
+        """``node`` in C; with brackets if its precedence is below ``least``."""
         text, binds = self._write(node)
         return text if binds >= least else f"({text})"
 
@@ -81,7 +81,7 @@ class CExpressions:
                 return f"{test_text} ? {self.text(body, OR)} : {self.text(orelse, OR)}", CHOICE
             case ast.Call():
                 return self._call(node)
-        raise NotImplementedError(ast.dump(node))  # the types have been found, so it is known
+        raise NotImplementedError(ast.dump(node))  # typing has already refused other nodes
 
     def _attribute(self, node: ast.Attribute) -> str:
         if isinstance(node.value, ast.Name):

@@ -19,8 +19,9 @@ class CFiles:
 
     Args:
         program: the program.
-        structs: its memory: each struct that other programs name, which need not be used.
-        entries: names in C of what other programs call.
+        structs: its memory: structs named by other programs; the functions need not use every
+            struct.
+        entries: C names of the functions called by other programs.
         precision: of its real numbers.
     """
 
@@ -49,7 +50,7 @@ class CFiles:
         return found
 
     def _modules(self) -> list[Module]:
-        """Those with something in C."""
+        """Modules with C code."""
         by_name = {module.name: module for module in self._program.sources.modules.values()}
         wanted = {module.name for module in self._program.modules}
         wanted |= {struct.module for struct in self._structs}
@@ -59,7 +60,7 @@ class CFiles:
         return [module for name, module in by_name.items() if name in wanted]
 
     def _with_members(self, structs: list[CStruct]) -> Iterator[CStruct]:
-        """``structs``, each after what it is made of, once."""
+        """Each struct once, after the structs of its members."""
         seen: set[CStruct] = set()
 
         def visit(struct: CStruct) -> Iterator[CStruct]:

@@ -16,7 +16,7 @@ from firmware_model.target.structs import Precision
 
 
 def declarator(kind: Type, c_name: str, constant: bool) -> str:
-    """The declaration of a name, of what it points to where it stands for a struct or an array."""
+    """The declaration of a name; structs and arrays become pointers."""
     const = "const " if constant else ""
     match kind:
         case Record():
@@ -53,11 +53,11 @@ def signature(typed: Typed, effects: Effects) -> str:
 
 
 class CFunction:
-    """Writes one function.
+    """Writes a function.
 
     Args:
         typed: the function.
-        effects: of the program that it is in.
+        effects: of the whole program.
         precision: of its real numbers.
     """
 
@@ -94,7 +94,7 @@ class CFunction:
         self._indent = self._indent.removesuffix(INDENT)
 
     def _blank_line_before(self, node: ast.stmt) -> None:
-        """One where the source has one."""
+        """Keep the source's blank line."""
         first = min([node.lineno, *(line for line, _ in self._comments[:1])])
         text = self._typed.function.module.lines
         if not text[first - 2].strip() and not self._lines[-1].endswith("{"):
@@ -105,7 +105,7 @@ class CFunction:
             self._lines += comment(self._comments.pop(0)[1].text, self._indent)
 
     def _take_comment(self, last_line: int) -> str | None:
-        """The comments down to ``last_line``, those of the statement that is being written."""
+        """Take the comments down to ``last_line``, which belong to the current statement."""
         taken = []
         while self._comments and self._comments[0][0] <= last_line:
             taken.append(self._comments.pop(0)[1].text)
@@ -172,7 +172,7 @@ class CFunction:
         self._line(f"{place} = {self._expressions.address(value)};", remark)
 
     def _place(self, node: ast.stmt, target: ast.expr) -> str:
-        """What stands on the left of an assignment, a declaration where the name is new."""
+        """The left side of an assignment; a declaration if the name is new."""
         if isinstance(target, ast.Name) and target.id in self._declared.at.get(node, set()):
             kind = self._typed.names[target.id]
             once = target.id in self._declared.once
@@ -200,7 +200,7 @@ class CFunction:
             self._line("}")
 
     def _free(self, wanted: str) -> str:
-        """A name that the function does not use."""
+        """A name unused in the function."""
         while wanted in self._taken:
             wanted += "_"
         return wanted

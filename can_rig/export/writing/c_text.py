@@ -14,7 +14,7 @@ from firmware_model.target.structs import Precision
 
 WIDTH: Final = 100
 INDENT: Final = "    "
-LAST_RESORT: Final = 99  # as deep as nothing is
+LAST_RESORT: Final = 99  # deeper than any nesting
 
 WORDS: Final = f"""
     {KEYWORDS}
@@ -35,7 +35,7 @@ def name(python: str) -> str:
 
 
 def number(value: float, precision: Precision) -> str:
-    """A literal of exactly this value in ``precision``."""
+    """A literal with the exact value in ``precision``."""
     if math.isnan(value):
         return "NAN" if precision == "float32" else "(double)NAN"
     if math.isinf(value):
@@ -53,7 +53,7 @@ def plain(text: str) -> str:
 
 
 def comment(text: str, indent: str = "") -> list[str]:
-    """A block comment, as the text has its lines; none without a text."""
+    """A block comment, as the text has its lines; no comment for an empty text."""
     lines = [line.rstrip() for line in plain(text).splitlines()]
     if not lines:
         return []
@@ -66,7 +66,7 @@ def comment(text: str, indent: str = "") -> list[str]:
 
 
 def with_comment(line: str, text: str, indent: str) -> list[str]:
-    """``line`` with a comment behind it, or before it where it does not fit."""
+    """``line`` with a comment behind, or before if space is short."""
     one = f"{line} /* {plain(text)} */"
     if "\n" not in line and len(one) <= WIDTH:
         return [one]
@@ -74,7 +74,10 @@ def with_comment(line: str, text: str, indent: str) -> list[str]:
 
 
 def wrapped(line: str, indent: str, inner: str | None = None) -> list[str]:
-    """``line`` broken where its outermost operands or arguments begin; what follows is deeper."""
+    """``line`` broken where its outermost operands or arguments begin.
+
+    Continuation lines are indented.
+    """
     if len(indent) + len(line) <= WIDTH:
         return [indent + line]
     places = [
@@ -92,7 +95,7 @@ def wrapped(line: str, indent: str, inner: str | None = None) -> list[str]:
 
 
 def _breaks(line: str) -> list[tuple[tuple[int, int], int]]:
-    """Where a line may be broken: how deep in brackets, how tightly it binds there, and where."""
+    """Where a line may be broken: nesting depth in brackets, precedence, and position."""
     depth, found = 0, []
     for at, letter in enumerate(line):
         if letter in "([{":

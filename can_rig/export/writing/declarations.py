@@ -1,4 +1,4 @@
-"""Where C declares each local name: in the innermost block that has all of its uses."""
+"""Where C declares each local name: in the innermost block around all uses."""
 
 from __future__ import annotations
 
@@ -9,17 +9,17 @@ from dataclasses import dataclass
 from can_rig.export.translation.program import Typed
 
 Place = tuple[tuple[int, int], ...]
-"""Of a use: each block around it, the outermost first, and the statement of that block it is in."""
+"""Place of a use: the blocks around the use, outermost first, each with the statement's index."""
 
 
 @dataclass(frozen=True)
 class Declarations:
-    """The names that a function declares.
+    """The declarations of a function.
 
     Attributes:
         before: names declared before a statement, without a value.
-        at: names declared by the statement that first assigns to them.
-        once: names that are assigned to once.
+        at: names declared by their first assignment.
+        once: names with a single assignment.
     """
 
     before: dict[ast.stmt, list[str]]
@@ -58,7 +58,7 @@ def declarations(typed: Typed) -> Declarations:
 
 
 def _common(places: list[Place]) -> int:
-    """How many blocks all of these are in."""
+    """Number of blocks that the places share."""
     depth = 0
     for level in zip(*places, strict=False):
         if len({block for block, _ in level}) != 1:
@@ -70,7 +70,7 @@ def _common(places: list[Place]) -> int:
 
 
 def _assigns(node: ast.stmt, name: str) -> bool:
-    """Whether ``node`` gives ``name`` its value and does not read it."""
+    """Whether ``node`` assigns ``name`` without reading it."""
     if isinstance(node, ast.AnnAssign):
         return isinstance(node.target, ast.Name) and node.target.id == name
     if not isinstance(node, ast.Assign):

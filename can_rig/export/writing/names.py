@@ -18,20 +18,20 @@ _ELSEWHERE: Final = "is a number or a function of the exported C too: must be an
 
 
 class Names:
-    """The named numbers that a program uses, each where its module defines it.
+    """The named numbers of a program, each in its defining module.
 
     Args:
         program: the program.
         precision: of its real numbers.
 
     Raises:
-        ExportError: another name would be hidden by one of these, or by that of a function.
+        ExportError: a number's name or a function's name would hide another name.
     """
 
     def __init__(self, program: Program, precision: Precision) -> None:
         self._sources = program.sources
         self._precision: Precision = precision
-        self._used: dict[tuple[str, str], set[str]] = {}  # (module, name) → modules that use it
+        self._used: dict[tuple[str, str], set[str]] = {}  # (module, name) → using modules
         self._homes: dict[str, Module] = {}
         for typed in program.functions.values():
             user = typed.function.module
@@ -46,7 +46,7 @@ class Names:
         self._check(program)
 
     def headers(self, user: Module) -> set[str]:
-        """The other modules whose names ``user`` uses, and those of enumerations."""
+        """Modules whose names or enumerations ``user`` uses."""
         used = [(home, name) for (home, name), users in self._used.items() if user.name in users]
         homes = {home for home, _ in used}
         for home, name in used:
@@ -54,12 +54,12 @@ class Names:
         return homes - {user.name}
 
     def public(self, home: Module) -> list[str]:
-        """The definitions that other modules use too."""
+        """Definitions with users in other modules."""
         names = [name for name in self._of(home) if self._used[home.name, name] != {home.name}]
         return self._definitions(home, names)
 
     def private(self, home: Module) -> list[str]:
-        """The definitions that only this module uses."""
+        """Definitions without users in other modules."""
         names = [name for name in self._of(home) if self._used[home.name, name] == {home.name}]
         return self._definitions(home, names)
 
@@ -99,7 +99,7 @@ class Names:
         return lines
 
     def _enumerator(self, home: Module, name: str) -> Iterator[tuple[Module, str]]:
-        """The enumerator that ``name`` stands for, if it does."""
+        """The enumerator called ``name``, if any."""
         match home.assignments[name]:
             case ast.Call(
                 func=ast.Name(id="int"),
@@ -111,7 +111,7 @@ class Names:
 
 
 def _locals(typed: Typed) -> dict[str, ast.AST]:
-    """What C declares in a function: its names, and one for several answers of a call."""
+    """Names declared in a C function: local names, and names for calls with several results."""
     calls = typed.calls.items()
     found: dict[str, ast.AST] = {
         each.function.name: call for call, each in calls if isinstance(each.result, Answers)
@@ -124,7 +124,7 @@ def _locals(typed: Typed) -> dict[str, ast.AST]:
 
 
 def origin(sources: Sources, user: Module, name: str) -> Module:
-    """The module that defines what ``user`` calls ``name``."""
+    """The module that defines ``name`` as used in ``user``."""
     for node in user.tree.body:
         names = [alias.name for alias in node.names] if isinstance(node, ast.ImportFrom) else []
         if isinstance(node, ast.ImportFrom) and node.module and name in names:
@@ -143,7 +143,7 @@ def snake(words: str) -> str:
 
 
 def enumerations(module: Module) -> list[str]:
-    """Every enumeration that ``module`` declares, with what its docstrings say."""
+    """C code of every enumeration in ``module``, with comments from the docstrings."""
     lines: list[str] = []
     for node in module.tree.body:
         if not isinstance(node, ast.ClassDef) or node.name not in module.enums:

@@ -1,4 +1,4 @@
-"""One reader for each format: a `Log` → its frames, chunk by chunk, and what its end lacks.
+"""One reader for each format: a `Log` → its frames in chunks, and a notice if the end is missing.
 
-`text` and `binary` hold them. Imported by `can_rig.logs.reading` alone.
+`text` and `binary` hold the readers. Imported by `can_rig.logs.reading` alone.
 """

@@ -14,14 +14,14 @@ MAX_CHANNELS: Final = 255
 
 
 def numbered(frames: Frames, first: int = 0) -> Frames:
-    """Frames whose ``channel`` is the number of a bus, with indices of the buses that occur.
+    """Frames with the bus number as ``channel``, indexed over the buses present.
 
     Args:
-        frames: at least one.
-        first: what the format calls the first bus; it is called 0 here, as in python-can.
+        frames: at least one frame.
+        first: the format's number of the first bus; the result counts from 0, as python-can does.
 
     Raises:
-        LogError: there are more buses than an index can tell.
+        LogError: more buses than an index can hold.
     """
     found = np.flatnonzero(np.bincount(frames.channel))
     if len(found) > MAX_CHANNELS:

@@ -1,4 +1,4 @@
-"""One writer for each format: the frames of a `Log` → a file.
+"""A writer for each format: the frames of a `Log` → a file.
 
 Imported by `can_rig.logs.writing` alone.
 """

@@ -55,7 +55,7 @@ def write_mf4(chunks: Iterable[Frames], path: Path, start_ns: int) -> None:
 
 
 def _kinds(frames: Frames) -> dict[tuple[str, int], Frames]:
-    """The frames of each kind; those with more than 8 bytes by themselves."""
+    """The frames of each kind; frames longer than 8 bytes are separate."""
     error, remote = frames.has(ERROR), frames.has(REMOTE)
     long = frames.length > CLASSIC_BYTES
     rows = {

@@ -1,7 +1,7 @@
 """Logs of Vector, through python-can's writers.
 
-Time stamps are passed to both in seconds since the start of the recording, not of a date: so they
-stay exact in float64.
+Both writers get time stamps in seconds since the start of the recording, not since 1970: float64
+keeps them exact.
 """
 
 from __future__ import annotations
@@ -47,7 +47,7 @@ def write_blf(chunks: Iterable[Frames], path: Path, start_ns: int) -> None:
 
 
 def _since(chunks: Iterable[Frames], start_ns: int) -> Iterator[Message]:
-    """The frames one by one, with time stamps since ``start_ns``."""
+    """Each frame as a message, with time stamps since ``start_ns``."""
     for frames in chunks:
         for message, time_ns in zip(frames.messages(), frames.time_ns.tolist(), strict=True):
             message.timestamp = (time_ns - start_ns) / NS_PER_S

@@ -33,7 +33,7 @@ _TYPES: Final = {
 
 
 def write_trc(chunks: Iterable[Frames], path: Path, start_ns: int, final: Path) -> None:
-    """Write a PEAK trace that says in its header that it is called ``final``."""
+    """Write a PEAK trace; its header names the file ``final``."""
     with path.open("w", encoding="utf-8", newline="\r\n") as file:
         file.write(_header(start_ns, final))
         number = 0

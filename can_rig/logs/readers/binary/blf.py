@@ -1,4 +1,4 @@
-"""Vector binary logs: containers of objects, most of them compressed."""
+"""Vector binary logs: containers of objects, usually compressed."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ SIGNATURE: Final = b"LOGG"
 _HEADER: Final = struct.Struct("<4sL8BQQLL8H8H")  # signature, size, …, file size, …, start, stop
 _FILE_SIZE, _OBJECTS, _START = 10, 12, slice(14, 22)
 _OBJECT: Final = struct.Struct("<4sHHLL")
-_CONTAINER: Final = struct.Struct("<H6xL4x")  # compression, size of what is in it
+_CONTAINER: Final = struct.Struct("<H6xL4x")  # compression, size of the content
 _CONTAINER_TYPE: Final = 10
 _STORED, _ZLIB = 0, 2
 _BLOCK_BYTES: Final = 1 << 22
@@ -36,7 +36,7 @@ def read_blf(log: Log) -> Iterator[Frames]:
     """Chunks of a Vector binary log.
 
     Raises:
-        LogError: it is not such a log, or is damaged.
+        LogError: not a Vector binary log, or damaged.
     """
     try:
         with log.path.open("rb") as file:
@@ -77,7 +77,7 @@ class _Reader:
             )
 
     def _blocks(self) -> Iterator[bytes]:
-        """What is in the containers, some of them at a time."""
+        """The contents of the containers, several containers at a time."""
         held: list[bytes] = []
         begin = self._at
         while content := self._object():
@@ -92,7 +92,7 @@ class _Reader:
         yield b"".join(held)
 
     def _object(self) -> bytes:
-        """What the next container holds, or an object that is in none; empty at the end."""
+        """The content of the next container, or an object outside containers; empty at the end."""
         while True:
             self._skip_zeros()
             self._at = self._file.tell()
@@ -132,7 +132,7 @@ class _Reader:
             self._refuse(str(error))
 
     def _objects(self, data: bytes) -> Generator[Frames, None, int]:
-        """The frames of all objects that are whole; returns where the first other one begins."""
+        """The frames of all complete objects; returns the position of the first incomplete one."""
         codes = np.frombuffer(data, np.uint8)
         at = 0
         while True:
@@ -174,7 +174,7 @@ class _Reader:
 
 
 def _start_ns(systemtime: tuple[int, ...]) -> int:
-    """A Windows SYSTEMTIME (year, month, weekday, day, …, ms) [ns]; 0 if it is no date."""
+    """A Windows SYSTEMTIME (year, month, weekday, day, …, ms) [ns]; 0 for an invalid date."""
     year, month, _, day, hour, minute, second, ms = systemtime
     try:
         start = datetime(year, month, day, hour, minute, second, ms * 1000, UTC)

@@ -1,8 +1,8 @@
 """The objects of a Vector binary log → columns, compiled: one pass over the bytes.
 
 An object: "LOBJ", size of its header, version of it, size of the object, type (16 bytes); then
-flags, which tell the unit of time, and a time stamp. Of the types those of CAN frames are read, any
-other is passed over. Source: Vector, "binlog" API, `binlog_objects.h`.
+flags, which tell the unit of time, and a time stamp. Only CAN frame types are read; other types are
+skipped. Source: Vector, "binlog" API, `binlog_objects.h`.
 """
 
 from __future__ import annotations
@@ -26,13 +26,13 @@ from can_rig.logs.readers.text.scanning import BYTES_OF_DLC
 from firmware_model.compiled import compiled
 
 MORE: Final = 0
-"""Why `parse` returned: the next object is not whole yet, or there is no room left."""
+"""Why `parse` returned: the next object is incomplete, or the columns are full."""
 NO_OBJECT: Final = 1
-"""What follows is no object, or one that is shorter than what it holds."""
+"""The bytes are no object, or the object is shorter than its payload."""
 BAD_TIME: Final = 2
 """A time stamp beyond the year 2116."""
 WIDER: Final = 3
-"""A payload that is longer than the rows of ``data``."""
+"""A payload longer than the rows of ``data``."""
 
 BASE_BYTES: Final = 16
 _PADDING = 8  # bytes at most between two objects
@@ -100,7 +100,7 @@ def parse(
 
 @compiled
 def _least_bytes(kind: int) -> int:
-    """Bytes behind the header that an object must have; 0 for one that is no frame."""
+    """Bytes behind the header that an object must have; 0 for objects without a frame."""
     if kind in (_MESSAGE, _MESSAGE_2):
         return 16
     if kind == _ERROR_EXT:
@@ -137,7 +137,7 @@ def _frame(
             there = min(there, _u8(data, at + 35) - header - 40)
     bits = SENT * sent | REMOTE * remote
     size = min(dlc, CLASSIC_BYTES)
-    if fd & FD and not remote:  # a remote frame is never one of CAN FD
+    if fd & FD and not remote:  # remote frames are always classic CAN
         bits |= fd
         size = _u8(BYTES_OF_DLC, min(dlc, len(BYTES_OF_DLC) - 1))
     if not remote:

@@ -8,20 +8,20 @@ import deflate
 
 
 class InflateError(ValueError):
-    """What is wrong with the compressed bytes."""
+    """The compressed bytes are damaged."""
 
 
 def inflated(packed: bytes, size: int) -> bytes:
     """At most ``size`` bytes; fewer where ``packed`` is cut off.
 
     Raises:
-        InflateError: it is not what zlib compressed, or damaged.
+        InflateError: the bytes are not zlib's, or damaged.
     """
-    if size > 0:  # of nothing libdeflate does not even read the header
+    if size > 0:  # for size 0, libdeflate skips even the header
         try:
             return bytes(deflate.zlib_decompress(packed, size))
         except (deflate.DeflateError, ValueError):
-            pass  # cut off, or longer than it says: zlib gives what there is
+            pass  # cut off, or longer than announced: zlib returns the rest
     try:
         return zlib.decompressobj().decompress(packed, max(size, 1))[:size]
     except zlib.error as error:

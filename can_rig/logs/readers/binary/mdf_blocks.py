@@ -1,8 +1,8 @@
 """The blocks of an MDF 4 file: header, data groups, channel groups, channels, conversions.
 
 Every block begins with "##", two letters, its length, and links to other blocks. A link that leads
-nowhere, or in a circle, is an error; so nothing here can go on for ever or read beyond the file.
-Source: ASAM MDF 4.1, and the layouts as asammdf writes them.
+nowhere, or in a circle, is an error; so reading never loops for ever or leaves the file. Source:
+ASAM MDF 4.1, and the layouts as asammdf writes them.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from typing import Final
 
 FINISHED: Final = b"MDF     4"
 UNFINISHED: Final = b"UnFinMF 4"
-"""How a file begins: as its recorder closed it, or left it."""
+"""How a file begins: finished or unfinished by the recorder."""
 
 LAST_DATA_OPEN: Final = 1 << 2
 """Of the flags of an unfinished file: the length of the last data block is not written."""
@@ -23,7 +23,7 @@ LAST_DATA_OPEN: Final = 1 << 2
 _HEADER: Final = struct.Struct("<4s4xQQ")
 _HEAD_AT: Final = 64
 _MOST_BYTES: Final = 1 << 28
-"""Of a block that is read whole."""
+"""Largest block that is read whole."""
 _MOST_BLOCKS: Final = 1 << 20
 
 UNSIGNED, UNSIGNED_BIG, SIGNED, SIGNED_BIG, FLOAT, FLOAT_BIG, _LATIN_1, _UTF_8 = range(8)
@@ -34,7 +34,7 @@ FIXED, VARIABLE, MASTER, VIRTUAL_MASTER, _SYNCHRONISED, MAXIMUM, VIRTUAL = range
 
 
 class MdfError(ValueError):
-    """What is wrong with the file, and where."""
+    """The message names the defect and its place in the file."""
 
 
 class MdfCutError(MdfError):
@@ -43,7 +43,7 @@ class MdfCutError(MdfError):
 
 @dataclass(frozen=True)
 class Block:
-    """One block: where it is, its links, and what follows them."""
+    """One block: its position, its links, and the bytes behind them."""
 
     at: int
     kind: bytes
@@ -61,7 +61,7 @@ class Conversion:
     at: int = 0
     """Its block."""
     is_nested: bool = False
-    """Whether some values are converted by another conversion."""
+    """Whether another conversion converts some values."""
 
 
 @dataclass(frozen=True)
@@ -83,37 +83,37 @@ class Channel:
 
 @dataclass(frozen=True)
 class ChannelGroup:
-    """Records of one kind."""
+    """Records of a single kind."""
 
     at: int
     record_id: int
     records: int
-    """By the file; 0 in an unfinished one."""
+    """Number in the file; 0 in an unfinished file."""
     is_variable: bool
-    """Each record is the length and the bytes of one value of another group."""
+    """Each record holds the length and the bytes of one value of another group."""
     record_bytes: int
     channels: tuple[Channel, ...] = field(repr=False)
 
 
 @dataclass(frozen=True)
 class DataGroup:
-    """Records of several groups behind one another."""
+    """Interleaved records of several groups."""
 
     id_bytes: int
-    """Of the number before each record; 0: there is one group."""
+    """Size of the group number before each record; 0: a single group."""
     data_at: int
     groups: tuple[ChannelGroup, ...]
 
 
 class MdfFile:
-    """What an open file holds.
+    """The structure of an open file.
 
     Args:
         file: of MDF 4.
         size: its length [byte].
 
     Raises:
-        MdfError: it is damaged, or ends before its header does.
+        MdfError: the file is damaged, or ends within its header.
     """
 
     def __init__(self, file: BufferedReader, size: int) -> None:
@@ -129,7 +129,7 @@ class MdfFile:
         self.is_cut = False
         """Whether the file has turned out to end too early, so far."""
         self.groups: list[DataGroup] = []
-        """Those that are described before the file ends."""
+        """Groups described before the file ends."""
         try:
             for block in self._chain(head.links[0], b"DG", 4, 1):
                 self.groups.append(self._data_group(block))
@@ -137,10 +137,10 @@ class MdfFile:
             self.is_cut = True
 
     def block(self, at: int, kind: bytes, links: int = 0, least: int = 0) -> Block:
-        """The block at ``at``, which must be of this kind and have as many links and bytes.
+        """The block at ``at``; kind, least number of links and least size are checked.
 
         Raises:
-            MdfError: it is not.
+            MdfError: a check fails.
         """
         found, length, count = self.header(at)
         if found != kind or length > _MOST_BYTES or not links <= count <= (length - 24) // 8:
@@ -155,7 +155,7 @@ class MdfFile:
         """Kind, length and number of links of the block at ``at``.
 
         Raises:
-            MdfError: there is none.
+            MdfError: no block begins there.
         """
         mark, length, links = _HEADER.unpack(self._read(at, _HEADER.size))
         if not mark.startswith(b"##") or length < _HEADER.size:
@@ -174,7 +174,7 @@ class MdfFile:
         return found
 
     def _chain(self, at: int, kind: bytes, links: int, least: int) -> Iterator[Block]:
-        """A block and those that its first link leads to, one after another."""
+        """A block and its successors along the first link."""
         seen: set[int] = set()
         while at:
             if at in seen or len(seen) == _MOST_BLOCKS:
@@ -201,7 +201,7 @@ class MdfFile:
         )
 
     def _channels(self, at: int, found: list[Channel], depth: int) -> None:
-        """The channels of a chain, and those that they are composed of."""
+        """The channels of a chain, with the components of composed channels."""
         if depth > 8:
             raise MdfError(f"byte {at}: channels within channels without end")
         for block in self._chain(at, b"CN", 8, 16):

@@ -45,10 +45,10 @@ def raw(channel: Channel, records: UInt8s, first: int) -> NDArray[Any]:
     Args:
         channel: of 64 bits or fewer.
         records: (n, bytes).
-        first: the number of the first one.
+        first: the number of the first record.
 
     Raises:
-        MdfError: it does not lie within the records.
+        MdfError: the channel does not lie within the records.
     """
     count, size = records.shape
     if channel.kind in (VIRTUAL, VIRTUAL_MASTER):
@@ -72,7 +72,7 @@ def raw(channel: Channel, records: UInt8s, first: int) -> NDArray[Any]:
 
 
 def numbers(file: MdfFile, channel: Channel, records: UInt8s, first: int) -> NDArray[Any]:
-    """(n,) whole physical values of 32 bits; for words, 1 for "Tx" and others that say yes, else 0.
+    """(n,) whole physical values of 32 bits; words become 1 for "Tx" and the like, else 0.
 
     Raises:
         MdfError: see `physical`; or a value is not between 0 and 2**32 - 1.
@@ -86,10 +86,10 @@ def numbers(file: MdfFile, channel: Channel, records: UInt8s, first: int) -> NDA
 
 
 def physical(file: MdfFile, channel: Channel, records: UInt8s, first: int) -> NDArray[Any]:
-    """(n,) physical values; for words, 1 for "Tx" and others that say yes, else 0.
+    """(n,) physical values; words become 1 for "Tx" and the like, else 0.
 
     Raises:
-        MdfError: see `raw`; or the conversion is none that asammdf can apply.
+        MdfError: see `raw`; or asammdf cannot apply the conversion.
     """
     values = raw(channel, records, first)
     conversion = channel.conversion
@@ -102,7 +102,7 @@ def physical(file: MdfFile, channel: Channel, records: UInt8s, first: int) -> ND
         return _nearest(conversion, values)
     if conversion.kind in (_VALUE_TO_TEXT, _RANGE_TO_TEXT) and not conversion.is_nested:
         if channel.kind != VIRTUAL:
-            return values  # codes: 1 for Tx, whatever they are called
+            return values  # codes: 1 for Tx, whatever the words
         return np.array([_says_yes(conversion, float(value)) for value in values], np.uint8)
     found = _by_asammdf(file, channel, values)
     if found.dtype.kind in "iufb":
@@ -127,7 +127,7 @@ def _nearest(conversion: Conversion, values: NDArray[Any]) -> NDArray[np.float64
 
 
 def _by_asammdf(file: MdfFile, channel: Channel, values: NDArray[Any]) -> NDArray[Any]:
-    """What asammdf makes of raw values by a conversion that loggers rarely have."""
+    """Raw values converted by asammdf, for conversions that loggers rarely use."""
     conversion = channel.conversion
     if conversion.kind == _FORMULA and not _ARITHMETIC.fullmatch("".join(conversion.words)):
         raise MdfError(f"channel {channel.name} has a formula that is not read: {conversion.words}")
@@ -157,7 +157,7 @@ def time_ns(file: MdfFile, channel: Channel, records: UInt8s, first: int) -> NDA
     """(n,) time stamps since the start of the recording, to the nearest nanosecond.
 
     Raises:
-        MdfError: see `physical`; or one is not within 146 years.
+        MdfError: see `physical`; or a time stamp exceeds 146 years.
     """
     conversion = channel.conversion
     if channel.kind == VIRTUAL_MASTER or conversion.kind == _LINEAR:
@@ -182,7 +182,7 @@ def payloads(channel: Channel, records: UInt8s, length: UInt8s) -> UInt8s:
     """(n, 8) or (n, 64) bytes of a channel of fixed size; zero behind the lengths.
 
     Raises:
-        MdfError: it does not lie within the records.
+        MdfError: the channel does not lie within the records.
     """
     width = channel.elements if channel.elements > 1 else channel.bit_count // 8
     if channel.byte_offset + width > records.shape[1]:
@@ -194,7 +194,7 @@ def payloads(channel: Channel, records: UInt8s, length: UInt8s) -> UInt8s:
 
 @compiled
 def copy_fixed(records: UInt8s, at: int, width: int, length: UInt8s, rows: UInt8s) -> None:
-    """Fill ``rows`` with as many bytes of each record as there are."""
+    """Fill ``rows`` with the payload bytes of each record, up to the record's end."""
     for row in range(len(rows)):
         size = min(width, np.int64(length[row]), rows.shape[1])
         for byte in range(size):

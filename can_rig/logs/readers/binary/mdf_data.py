@@ -1,4 +1,4 @@
-"""The data of an MDF 4 file: blocks of it, plain or compressed, and records among other records."""
+"""The data of an MDF 4 file: plain or compressed blocks, whose records may be interleaved."""
 
 from __future__ import annotations
 
@@ -25,16 +25,16 @@ _MOST_BYTES: Final = 1 << 28
 _DATA: Final = (b"DT", b"SD", b"RD", b"DV")
 _DEFLATE, _TRANSPOSED = 0, 1
 _HEADER_BYTES: Final = 24
-_VARIABLE: Final = -1  # in place of a record's size: four bytes say it
+_VARIABLE: Final = -1  # replaces a record's size: four bytes hold the size
 
 
 def stream(file: MdfFile, at: int) -> Iterator[bytes]:
-    """The data that a link leads to, whatever lists and compression there are between.
+    """The data behind a link, through all lists and compressed blocks.
 
-    Ends where the file ends, which is then known to be cut off.
+    Ends at the end of the file, which then counts as cut off.
 
     Raises:
-        MdfError: a block is damaged, or of a kind that is not read.
+        MdfError: a block is damaged, or its kind is not supported.
     """
     try:
         yield from _pieces(file, at)
@@ -71,7 +71,7 @@ def _listed(file: MdfFile, at: int, kind: bytes) -> list[int]:
     block = file.block(at, kind, 1, 8)
     flags = block.data[0] if kind == b"DL" else struct.unpack_from("<I", block.data)[0]
     blocks = list(block.links[1:])
-    if kind == b"LD" and flags >> 31:  # every second one holds invalidation bits
+    if kind == b"LD" and flags >> 31:  # every second block holds invalidation bits
         blocks = blocks[::2]
     return [*blocks, block.links[0]]
 
@@ -117,8 +117,8 @@ def records(
         file: the file.
         data: where the group's records are, perhaps among others.
         group: the group.
-        values: the group among them that has its values of varying length; None: there is none.
-        held: gets those values before the records that need them are given.
+        values: the interleaved group with the values of varying length; None: no such group.
+        held: receives the values before the records that refer to them.
 
     Raises:
         MdfError: the data are damaged.
@@ -151,7 +151,7 @@ def _split(
     values: ChannelGroup | None,
     held: Values,
 ) -> tuple[UInt8s, int]:
-    """One group's records among others; and how much of ``data`` is used."""
+    """The records of one group among interleaved records; and the bytes used of ``data``."""
     groups = among.groups
     numbers = np.array([one.record_id for one in groups], np.uint64)
     sizes = np.array([_VARIABLE if g.is_variable else g.record_bytes for g in groups], np.int64)

@@ -12,24 +12,24 @@ from can_rig.logs.frames import CLASSIC_BYTES, FD_BYTES, UInt8s
 from firmware_model.compiled import compiled
 
 _KEPT_BYTES: Final = 1 << 24
-"""Before the last one that was asked for: records of the same moment may ask in any order."""
+"""Bytes kept before the last requested value: simultaneous records may ask in any order."""
 _LENGTH_BYTES: Final = 4
 
 
 class Values:
-    """Values one after another: for each its length in four bytes, then its bytes.
+    """A sequence of values: each length in four bytes, then the bytes.
 
     Args:
-        source: gives them as they are needed; they may also be added by hand.
+        source: yields the values on demand; `add` appends further values.
     """
 
     def __init__(self, source: Iterator[bytes]) -> None:
         self._source = source
         self._held = bytearray()
-        self._begin = 0  # of what is held, among all
+        self._begin = 0  # position of ``held`` in the sequence
 
     def add(self, more: bytes) -> None:
-        """Add values behind those that there are."""
+        """Append values."""
         self._held += more
 
     def rows(self, offsets: Any, length: UInt8s) -> tuple[UInt8s, NDArray[np.bool_]]:
@@ -64,7 +64,7 @@ def empty_rows(length: UInt8s) -> UInt8s:
 
 @compiled
 def _copy(values: UInt8s, places: Any, length: UInt8s, rows: UInt8s, found: Any) -> None:
-    """Fill ``rows`` from values with their lengths before them, as far as they are ``found``."""
+    """Fill ``rows`` from values with length prefixes, where ``found`` is true."""
     for row in range(len(rows)):
         at = places[row]
         size = np.int64(0)

@@ -1,8 +1,7 @@
 """Bus logging in ASAM MDF 4 files → columns.
 
-A file has one channel group for the data frames of a bus, one for its error frames, one for its
-remote frames; their channels have the names of ASAM's "MDF Bus Logging". Groups are read in pieces
-and merged by time.
+A file has separate channel groups for data frames, error frames and remote frames of a bus; their
+channels have the names of ASAM's "MDF Bus Logging". Groups are read in pieces and merged by time.
 """
 
 from __future__ import annotations
@@ -67,7 +66,7 @@ def read_mf4(log: Log) -> Iterator[Frames]:
     """Chunks of the CAN frames of an MDF 4 file.
 
     Raises:
-        LogError: it is not such a file, it is damaged, or it has no CAN bus logging.
+        LogError: the file is not MDF 4, is damaged, or lacks CAN bus logging.
     """
     try:
         with log.path.open("rb") as opened:
@@ -107,7 +106,7 @@ def read_mf4(log: Log) -> Iterator[Frames]:
 
 
 def _start_ns(file: MdfFile) -> int:
-    """Start of the recording [ns]; a local time is one of this machine's time zone."""
+    """Start of the recording [ns]; a local time is taken in this machine's time zone."""
     if file.start_ns >= 1 << 62:
         raise MdfError("a start after the year 2116")
     if not file.is_local_time:
@@ -185,7 +184,7 @@ class _Group:
                 flags |= np.where(member(name) != 0, np.uint8(flag), np.uint8(0))
         flags |= np.where(identifier & np.uint32(_EXTENDED_BIT), np.uint8(EXTENDED), np.uint8(0))
         remote = (flags & REMOTE) != 0
-        if remote.any():  # CAN FD has none
+        if remote.any():  # CAN FD lacks remote frames
             flags[remote] &= np.uint8(~(FD | BITRATE_SWITCH | ERROR_STATE) & 0xFF)
         has_length = "DataLength" in self._members and self._kind != "CAN_RemoteFrame"
         length = np.minimum(member("DataLength" if has_length else "DLC"), 64).astype(np.uint8)

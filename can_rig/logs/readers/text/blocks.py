@@ -11,14 +11,14 @@ from can_rig.errors import LogError
 from can_rig.logs.log import Log
 
 BLOCK_BYTES: Final = 1 << 22
-_MAGIC: Final = b"\x1f\x8b"  # which every gzipped file begins with
+_MAGIC: Final = b"\x1f\x8b"  # first bytes of every gzipped file
 _GZIP: Final = 16 + zlib.MAX_WBITS
 
 
 def blocks(log: Log) -> Iterator[bytes]:
-    """The text of ``log``, decompressed if it is gzipped; keeps ``log.fraction``.
+    """The text of ``log``, decompressed if necessary; keeps ``log.fraction``.
 
-    A gzipped file that is cut off gives all that it holds, and a notice.
+    A truncated gzipped file yields its intact text, and a notice.
 
     Raises:
         LogError: the file cannot be read or decompressed.
@@ -47,7 +47,7 @@ def _decompressed(log: Log, packed: Iterator[bytes]) -> Iterator[bytes]:
     """All members of a gzip file in a row, as ``gunzip`` gives them."""
     member = zlib.decompressobj(_GZIP)
     begun = False
-    offset = 0  # of this block in the file
+    offset = 0  # position of the block in the file
     for block in packed:
         rest = block
         while rest:

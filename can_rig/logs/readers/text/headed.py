@@ -18,15 +18,15 @@ _WHOLE: Final = re.compile(rb"(\s|\s[0-9A-Fa-f]{2})\Z")
 
 
 class HeadedReader(LineReader):
-    """What Vector's and PEAK's logs have in common."""
+    """Common base for the logs of Vector and PEAK."""
 
     first_bus = 0
     """The number of the first bus in the columns."""
     has_own_clock = False
-    """Whether there is no date: then the log starts with its first frame."""
+    """Whether the date is missing: then the log starts with its first frame."""
 
     def ended(self, line: bytes, frame: Frames) -> bool:
-        """All the bytes that the length announces, the last one with both digits."""
+        """Whether all announced bytes are present, the last byte with both digits."""
         data = frame.length[-1] > 0 and not frame.flags[-1] & REMOTE
         return bool(_WHOLE.search(line)) and bool(data or line[-1:].isspace())
 

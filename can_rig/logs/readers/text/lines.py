@@ -16,7 +16,7 @@ from can_rig.logs.readers.text.scanning import BAD_LINE, HEADING, NEW_CHANNEL, W
 
 _MAX_LINE_BYTES: Final = 1 << 16
 _SHORTEST_FRAME: Final = len(b"(0) c 1#\n")
-_END_BYTES: Final = 1 << 10  # of a block in which its last lines are looked for
+_END_BYTES: Final = 1 << 10  # size of the block at the end, searched for the last lines
 _SHOWN: Final = 60  # characters of a bad line
 
 Parse = Callable[[UInt8s, int, Frames], tuple[int, int, int, int]]
@@ -24,28 +24,29 @@ Parse = Callable[[UInt8s, int, Frames], tuple[int, int, int, int]]
 
 
 class LineReader:
-    """What the readers of text logs do alike; a reader of one format fills in what differs.
+    """Common part of the text readers; a subclass adds the details of its format.
 
     Args:
         log: the log.
         parse: fills columns from lines; text that has not the form of a frame is passed over.
-        wanted: what a bad line must be, as in "a valid frame".
+        wanted: description of a correct line, as in "a valid frame".
     """
 
     first_frame: re.Pattern[bytes] | None = None
-    """Matches the line of a frame; what is before the first one is the header. None: no header."""
+    """Matches the line of a frame; the lines before the first match are the header. None: no
+    header."""
 
     def __init__(self, log: Log, parse: Parse, wanted: str = "a valid frame") -> None:
         self.log = log
         self.header: list[str] = []
         """Lines before the first frame, without blank ones."""
         self.last = self.before = b""
-        """The last line that is not blank, and the one before it."""
+        """The last two lines that are not blank, the last line first."""
         self.frames = 0
         """Frames so far."""
         self._parse = parse
         self._wanted = wanted
-        self._lines = 0  # before the one being read
+        self._lines = 0  # lines before the current line
         self._in_header = self.first_frame is not None
         self._width = CLASSIC_BYTES
 
@@ -53,17 +54,17 @@ class LineReader:
         """Make use of the header: called once, before the first frame or at the end."""
 
     def add_channel(self, line: bytes) -> None:
-        """Make a bus known that the parser did not know: the one of this line."""
+        """Make a new bus known to the parser: the bus of the line."""
 
     def heading(self, line: bytes) -> None:
-        """Make use of a line that says how those after it are read."""
+        """Interpret a heading, which may change how later lines are read."""
 
     def ended(self, line: bytes, frame: Frames) -> bool:
-        """Whether nothing is missing of a last line without its newline."""
+        """Whether a last line without its newline is complete."""
         raise NotImplementedError
 
     def ignorable(self, line: bytes) -> bool:
-        """Whether a last line that is no frame is whole all the same."""
+        """Whether a last line without a frame is complete."""
         return False
 
     def blocks(self) -> Iterator[bytes]:
@@ -74,7 +75,7 @@ class LineReader:
         """Chunks of the log.
 
         Raises:
-            LogError: a line has the form of a frame and is none; file and line number.
+            LogError: a line looks like a frame but is not valid; file and line number.
         """
         tail = b""
         for block in self.blocks():
@@ -157,7 +158,7 @@ class LineReader:
             return
         if not before and not self.header and b"#" not in tail and len(tail) > _SHOWN:
             self._lines = 0
-            self.refuse(tail)  # it has never been a log
+            self.refuse(tail)  # the text was never a log
         self.log.notice = (
             f"{place}: the file ends within this line, which is ignored: {shown(tail)}"
         )
@@ -176,7 +177,7 @@ class LineReader:
         )
 
     def channels(self) -> tuple[str, ...]:
-        """The names of the known buses, if they have names."""
+        """The names of the known buses; empty if the format uses numbers."""
         return ()
 
 

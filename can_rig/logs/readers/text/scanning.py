@@ -1,7 +1,7 @@
-"""What the compiled parsers of text logs share: blanks, words, numbers, payloads.
+"""Common functions of the compiled text parsers: blanks, words, numbers, payloads.
 
-Every function gets the text and a position; the text ends with a newline, which is where each of
-them stops. A position of -1 says that what was wanted is not there.
+Every function gets the text and a position; the text ends with a newline, which stops every
+function. Position -1 means "not found".
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ NEW_CHANNEL: Final = 2
 WIDER: Final = 3
 """The next line has a payload that is longer than the rows of ``data``."""
 HEADING: Final = 4
-"""The next line is no frame, but says how those after it are read."""
+"""The next line is a heading, which may change how later lines are read."""
 
 DECIMAL: Final = 10
 HEXADECIMAL: Final = 16
@@ -68,7 +68,7 @@ def word_end(text: UInt8s, at: int) -> int:
 
 @compiled
 def next_word(text: UInt8s, at: int) -> int:
-    """Where the word after blanks begins; -1: there are no blanks, or the line ends."""
+    """Where the word after blanks begins; -1: no blanks, or the line ends."""
     if at < 0 or not is_blank(text[at]):
         return -1
     at = blanks(text, at)
@@ -87,7 +87,7 @@ def next_line(text: UInt8s, at: int) -> int:
 def fixed_point(text: UInt8s, at: int, places: int) -> tuple[int, int]:
     """``digits[.digits]`` · 10**places, finer digits cut off, and the position after it.
 
-    The value is -1 where it does not fit into 63 bits, the position -1 where there is no digit.
+    Value -1: the number exceeds 63 bits. Position -1: no digit.
     """
     scale = 1
     for _ in range(places):
@@ -117,7 +117,7 @@ def fixed_point(text: UInt8s, at: int, places: int) -> tuple[int, int]:
 
 @compiled
 def number(text: UInt8s, at: int, base: int, most: int) -> tuple[int, int]:
-    """A whole number up to ``most``, and the position after it; -1: no digit, or more than that."""
+    """A whole number up to ``most``, and position after it; -1: no digit, or a larger number."""
     if at < 0:
         return 0, -1
     first = at
@@ -132,7 +132,7 @@ def number(text: UInt8s, at: int, base: int, most: int) -> tuple[int, int]:
 
 @compiled
 def payload(text: UInt8s, at: int, base: int, size: int, row: UInt8s) -> int:
-    """``size`` bytes, each after blanks, into ``row``; the position after them, or -1."""
+    """``size`` bytes, each after blanks, into ``row``; returns the position after them, or -1."""
     for byte in range(size):
         at = next_word(text, at)
         value, at = number(text, at, base, 255)
@@ -148,5 +148,5 @@ def same_word(text: UInt8s, at: int, word: UInt8s) -> bool:
     """Whether the text at ``at`` begins with ``word``, which is in small letters."""
     offset = 0
     while offset < len(word) and text[at + offset] | LOWER == word[offset]:
-        offset += 1  # a newline is no letter, so that this stays within the text
+        offset += 1  # a newline is no letter, so the offset stays within the text
     return offset == len(word)

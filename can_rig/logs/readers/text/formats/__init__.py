@@ -1,4 +1,4 @@
-"""A module for the header of each text format, and one for its lines, which is compiled.
+"""Each text format has a module for the header, and a compiled module for the lines.
 
 Imported by `can_rig.logs.reading` alone.
 """

@@ -18,7 +18,7 @@ from can_rig.logs.readers.text.scanning import DECIMAL, HEXADECIMAL
 _HEADER: Final = re.compile(r"date\s|base\s|//|begin\s+triggerblock|(no\s+)?internal\s", re.I)
 _BASE: Final = re.compile(r"base\s+(hex|dec)(\s+timestamps\s+(absolute|relative))?", re.I)
 _DATE: Final = re.compile(r"(?:date|begin\s+triggerblock)\s+\w+\s+(.+)", re.I)
-_MOST_NS: Final = 1 << 62  # in the year 2116: as int64 it leaves room for time stamps
+_MOST_NS: Final = 1 << 62  # in the year 2116: int64 keeps room for time stamps
 _BEGIN: Final = re.compile(r"begin\s+triggerblock", re.I)
 _END: Final = re.compile(rb"\s*end\s+triggerblock\s*", re.I)
 
@@ -26,10 +26,10 @@ _END: Final = re.compile(rb"\s*end\s+triggerblock\s*", re.I)
 def read_asc(log: Log) -> Iterator[Frames]:
     """Chunks of a Vector ASCII log; its date is in the time zone of this machine.
 
-    The file marks its own end, so that one that is cut off is noticed.
+    The file marks its own end, so truncation is noticed.
 
     Raises:
-        LogError: it is not such a log, or one of its lines is not a frame.
+        LogError: not a Vector ASCII log, or a line is not a frame.
     """
     reader = _Reader(log)
     yield from reader.started()
@@ -54,7 +54,7 @@ class _Reader(HeadedReader):
         """The base of numbers, and the date.
 
         Raises:
-            LogError: time stamps are those that this reader does not have.
+            LogError: the reader does not support the kind of time stamps.
         """
         for line in self.header:
             found = _BASE.match(line)
@@ -69,7 +69,7 @@ class _Reader(HeadedReader):
         self.log.start_ns = _start_ns(self.header)
 
     def ignorable(self, line: bytes) -> bool:
-        """The line that marks the end."""
+        """Whether the line is the end mark."""
         return bool(_END.fullmatch(line))
 
     def _parsed(self, text: UInt8s, at: int, room: Frames) -> tuple[int, int, int, int]:
@@ -87,7 +87,7 @@ class _Reader(HeadedReader):
 
 
 def _start_ns(header: Sequence[str]) -> int:
-    """Start of the recording [ns]: the last date; 0 without one that python-can understands."""
+    """Start of the recording [ns]: the last date; 0 without a date that python-can understands."""
     start_ns = 0
     for line in header:
         found = _DATE.match(line)

@@ -7,8 +7,8 @@
                                BRS ESI DLC length bytes, duration, bits, flags, …
 
 The symbolic name is optional. Of the flags bit 4 marks a remote frame, and bit 12 is set in frames
-of CAN FD only; what lacks it is a classic frame that was received by a controller for CAN FD.
-Anything else (statistics, chip status, J1939 transport) is passed over.
+of CAN FD only; without bit 12, a CAN FD controller received a classic frame. Anything else
+(statistics, chip status, J1939 transport) is passed over.
 
 Source: Vector, "CAN ASCII Logging Files Format Specification".
 """
@@ -61,7 +61,7 @@ _TX, _RX = np.frombuffer(b"tx", np.uint8), np.frombuffer(b"rx", np.uint8)
 _EDL_FLAG, _REMOTE_FLAG = 1 << 12, 1 << 4
 _MOST = (1 << 32) - 1
 
-_FRAME, _OTHER, _BAD, _WIDE = 0, 1, 2, 3  # what a line is
+_FRAME, _OTHER, _BAD, _WIDE = 0, 1, 2, 3  # kinds of lines
 
 
 @compiled
@@ -78,7 +78,7 @@ def parse(
 ) -> tuple[int, int, int, int]:
     """Fill the columns from the lines that begin at ``at``; a line ends with a newline.
 
-    ``base`` is that of identifiers, DLCs and bytes; ``channel`` gets numbers of buses, from 0.
+    ``base`` applies to identifiers, DLCs and bytes; ``channel`` gets numbers of buses, from 0.
     Returns the number of frames, of lines, where the next line begins, and why it stopped there.
     """
     frames = lines = 0
@@ -100,7 +100,7 @@ def parse(
 
 @compiled
 def _line(text: UInt8s, at: int, base: int, row: UInt8s) -> tuple[int, int, int, int, int, int]:
-    """What a line is, and if it is a frame: time in ns, bus, identifier, flags, length."""
+    """The kind of a line, and for a frame: time in ns, bus, identifier, flags, length."""
     at = blanks(text, at)
     stamp, at = fixed_point(text, at, _NS_DIGITS)
     at = next_word(text, at)
@@ -143,7 +143,7 @@ def _line(text: UInt8s, at: int, base: int, row: UInt8s) -> tuple[int, int, int,
 def _fd_frame(
     text: UInt8s, at: int, base: int, stamp: int, row: UInt8s
 ) -> tuple[int, int, int, int, int, int]:
-    """What follows the word CANFD."""
+    """The words after CANFD."""
     bus, at = number(text, next_word(text, at), DECIMAL, 256)
     at = next_word(text, at)
     direction = _direction(text, at)
@@ -156,7 +156,7 @@ def _fd_frame(
     identifier, bits, end = _identifier(text, at, base)
     at = next_word(text, end)
     if at >= 0 and number(text, at, DECIMAL, _MOST)[1] != word_end(text, at):
-        at = next_word(text, word_end(text, at))  # it was a symbolic name
+        at = next_word(text, word_end(text, at))  # past the symbolic name
     switch, at = number(text, at, DECIMAL, 1)
     state, at = number(text, next_word(text, at), DECIMAL, 1)
     dlc, at = number(text, next_word(text, at), base, len(BYTES_OF_DLC) - 1)
@@ -181,7 +181,7 @@ def _fd_frame(
 
 @compiled
 def _flags(text: UInt8s, at: int) -> int:
-    """The third number after the payload, hexadecimal; -1: the line does not have it."""
+    """The third number after the payload, hexadecimal; -1: missing."""
     for _ in range(2):
         at = next_word(text, at)
         if at < 0:
@@ -193,7 +193,7 @@ def _flags(text: UInt8s, at: int) -> int:
 
 @compiled
 def _direction(text: UInt8s, at: int) -> int:
-    """SENT or 0 for the word Tx or Rx; -1: it is neither."""
+    """SENT or 0 for the word Tx or Rx; -1: neither word."""
     if at < 0 or word_end(text, at) != at + 2:
         return -1
     if same_word(text, at, _TX):
@@ -203,7 +203,7 @@ def _direction(text: UInt8s, at: int) -> int:
 
 @compiled
 def _identifier(text: UInt8s, at: int, base: int) -> tuple[int, int, int]:
-    """``123`` or ``12345678x``: identifier, flags, and the position after it; -1: not one."""
+    """``123`` or ``12345678x``: identifier, flags, and the position after it; -1: no identifier."""
     value, end = number(text, at, base, _EXTENDED_ID)
     if end < 0:
         return 0, 0, -1

@@ -28,16 +28,16 @@ _BASE: Final = re.compile(rb"\*+(HEX|DEC)\*+", re.I)
 def read_busmaster(log: Log) -> Iterator[Frames]:
     """Chunks of a BUSMASTER log; its date is in the time zone of this machine.
 
-    A file to which several sessions were appended is one log, and begins when the first one did.
+    Several sessions appended to one file make a single log, which begins with the first session.
 
     Raises:
-        LogError: it is not such a log, or one of its lines is not a frame.
+        LogError: not a BUSMASTER log, or a line is not a frame.
     """
     yield from _Reader(log).sessions()
 
 
 class _Reader(HeadedReader):
-    first_frame = None  # what begins with *** is read wherever it is
+    first_frame = None  # lines with *** are headings at any place
 
     def __init__(self, log: Log) -> None:
         super().__init__(log, self._parsed)
@@ -61,7 +61,7 @@ class _Reader(HeadedReader):
         """Protocol, date, what time stamps count from, and the base of numbers.
 
         Raises:
-            LogError: it is a log of something else, or of times that cannot be added up.
+            LogError: the log has another protocol, or its time stamps cannot be added up.
         """
         if found := _PROTOCOL.match(line):
             if found[1].strip().upper() != b"CAN":

@@ -54,7 +54,7 @@ def parse(
 ) -> tuple[int, int, int, int]:
     """Fill the columns from the lines that begin at ``at``; a line ends with a newline.
 
-    ``base`` is that of identifiers without ``0x`` and of bytes; ``channel`` gets numbers of buses.
+    ``base`` applies to bytes and to identifiers without ``0x``; ``channel`` gets numbers of buses.
     Returns the number of frames, of lines, where the next line begins, and why it stopped there.
     """
     frames = lines = 0
@@ -87,7 +87,7 @@ def parse(
 
 @compiled
 def _time(text: UInt8s, at: int) -> tuple[int, int]:
-    """``hours:minutes:seconds:decimals`` in ns, and the position after it; -1: it is not one."""
+    """``hours:minutes:seconds:decimals`` in ns, and the position after it; -1: no time."""
     hours, at = number(text, at, DECIMAL, _MOST_HOURS)
     if at < 0 or text[at] != _COLON:
         return 0, -1
@@ -110,7 +110,7 @@ def _time(text: UInt8s, at: int) -> tuple[int, int]:
 
 @compiled
 def _head(text: UInt8s, at: int, base: int) -> tuple[int, int, int, int, int]:
-    """What is before the data: flags, bus, identifier, length, and where it ends; -1: no frame."""
+    """The fields before the data: flags, bus, identifier, length, and the end; -1: no frame."""
     at = next_word(text, at)
     if at < 0 or word_end(text, at) != at + 2 or text[at + 1] | LOWER != _X:
         return 0, 0, 0, 0, -1

@@ -15,14 +15,14 @@ from can_rig.logs.readers.numbering import MAX_CHANNELS
 from can_rig.logs.readers.text.formats.candump_lines import parse
 from can_rig.logs.readers.text.lines import LineReader, word
 
-_DIRECTION: Final = re.compile(rb"[ \t][RrTt][ \t\r]*$")  # nothing follows it
+_DIRECTION: Final = re.compile(rb"[ \t][RrTt][ \t\r]*$")  # at the end of the line
 
 
 def read_candump(log: Log) -> Iterator[Frames]:
     """Chunks of a candump log. An unfinished last line is ignored, and noted.
 
     Raises:
-        LogError: a line is not one of candump's; file and line number.
+        LogError: a line is not candump's; file and line number.
     """
     begun = False
     for frames in _Reader(log).read():
@@ -65,7 +65,7 @@ class _Reader(LineReader):
         """The second word of the line.
 
         Raises:
-            LogError: there are too many.
+            LogError: too many channels.
         """
         if len(self._channels) == MAX_CHANNELS:
             raise LogError(
@@ -75,5 +75,5 @@ class _Reader(LineReader):
         self._channels.append(line.split()[1])
 
     def channels(self) -> tuple[str, ...]:
-        """In the order in which they occur."""
+        """In the order of first appearance."""
         return tuple(map(word, self._channels))

@@ -112,7 +112,7 @@ def parse(
 
 @compiled
 def _stamp(text: UInt8s, at: int) -> tuple[int, int]:
-    """``(seconds.fraction)`` in ns, finer digits cut off, and the position after it; -1: none."""
+    """``(seconds.fraction)`` in ns, finer digits cut off, and position after it; -1: none."""
     if text[at] != _OPEN:
         return 0, -1
     value, at = fixed_point(text, at + 1, _NS_DIGITS)
@@ -133,7 +133,7 @@ def _word(text: UInt8s, at: int) -> tuple[int, int]:
 
 @compiled
 def _find(text: UInt8s, start: int, stop: int, names: UInt8s, name_ends: Any) -> int:
-    """Index of ``text[start:stop]`` among the names; -1: none of them."""
+    """Index of ``text[start:stop]`` among the names; -1: no match."""
     begin = 0
     for index in range(len(name_ends)):
         end = name_ends[index]
@@ -149,7 +149,7 @@ def _find(text: UInt8s, start: int, stop: int, names: UInt8s, name_ends: Any) ->
 
 @compiled
 def _identifier(text: UInt8s, at: int) -> tuple[int, int, int]:
-    """``123#`` or ``12345678#``: flags, identifier, and the position after it; -1: not one."""
+    """``123#`` or ``12345678#``: flags, identifier, position after it; -1: no identifier."""
     first = at
     value = 0
     while DIGIT[text[at]] != NOT_A_DIGIT and at - first < 9:
@@ -170,7 +170,7 @@ def _identifier(text: UInt8s, at: int) -> tuple[int, int, int]:
 
 @compiled
 def _payload(text: UInt8s, at: int, bits: int, row: UInt8s) -> tuple[int, int, int]:
-    """What follows the first ``#``, into ``row``: flags, length, and the position after it.
+    """The text behind the first ``#``, into ``row``: flags, length, and the position after it.
 
     The position is -1 where it is not a payload, or where ``row`` is shorter than the length.
     """

@@ -18,10 +18,10 @@ _WHOLE: Final = re.compile(rb",([0-9A-Fa-f]{2})?\s*\Z")
 
 
 def read_gvret(log: Log) -> Iterator[Frames]:
-    """Chunks of a SavvyCAN log, which has no date: its time stamps are on a clock of its own.
+    """Chunks of a SavvyCAN log, without a date: time stamps come from the recorder's clock.
 
     Raises:
-        LogError: it is not such a log, or one of its lines is not a frame.
+        LogError: not a SavvyCAN log, or a line is not a frame.
     """
     begun = False
     for frames in _Reader(log).read():
@@ -42,7 +42,7 @@ class _Reader(LineReader):
         """The columns.
 
         Raises:
-            LogError: they are not those of SavvyCAN.
+            LogError: the columns are not SavvyCAN's.
         """
         found = _COLUMNS.fullmatch(self.header[-1].replace(" ,", ",")) if self.header else None
         if found is None:

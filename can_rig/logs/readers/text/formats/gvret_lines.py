@@ -4,9 +4,8 @@
     39747828,000005EB,false,Rx,0,8,E8,45,85,4B,4A,28,36,69,       time in µs
     166064000,0000027A,false,0,3,30,30,0D,00,00,00,00,00,         without Dir, as of old
 
-An identifier above 7FF is extended whatever the line says, as in SavvyCAN: some recorders get that
-wrong. Neither CAN FD nor remote frames have a mark; only a frame of more than 8 bytes is one of
-CAN FD.
+An identifier above 7FF is extended whatever the line says, as in SavvyCAN: some recorders write a
+wrong mark. Neither CAN FD nor remote frames have a mark; more than 8 bytes mean CAN FD.
 
 Source: SavvyCAN, `framefileio.cpp` (loadNativeCSVFile, saveNativeCSVFile).
 """
@@ -88,9 +87,9 @@ def parse(
 
 @compiled
 def _head(text: UInt8s, at: int, has_direction: bool) -> tuple[int, int, int, int, int, int]:
-    """What is before the data: time in ns, identifier, flags, bus, length, and where it ends.
+    """The fields before the data: time in ns, identifier, flags, bus, length, and where it ends.
 
-    The end is -1 where it is not a frame.
+    An end of -1: not a frame.
     """
     stamp, at = fixed_point(text, at, _NS_DIGITS_OF_US)
     identifier, at = number(text, _next_cell(text, at), HEXADECIMAL, _EXTENDED_ID)
@@ -118,7 +117,7 @@ def _head(text: UInt8s, at: int, has_direction: bool) -> tuple[int, int, int, in
 
 @compiled
 def _next_cell(text: UInt8s, at: int) -> int:
-    """Where the cell after the comma at ``at`` begins, blanks aside; -1: there is no comma."""
+    """Where the cell after the comma at ``at`` begins, blanks aside; -1: no comma."""
     if at < 0:
         return -1
     at = blanks(text, at)

@@ -34,16 +34,16 @@ _BLANKS: Final = bytes.maketrans(b";", b" ")
 _WHOLE: Final = re.compile(rb";(0[xX][0-9A-Fa-f]{2})?\s*\Z")
 _NEEDED: Final = frozenset("OTID")
 _DAYS_TO_1970: Final = 25569
-"""From 30 December 1899, on which PEAK's days begin."""
+"""PEAK counts days from 30 December 1899."""
 _US_PER_DAY: Final = 86_400_000_000
 _MOST_DAYS: Final = 53_000  # in the year 2115
 
 
 def read_trc(log: Log) -> Iterator[Frames]:
-    """Chunks of a PEAK trace, or of one of CARBUS Analyzer, which has no date.
+    """Chunks of a PEAK trace or of a CARBUS Analyzer trace; the latter has no date.
 
     Raises:
-        LogError: it is not such a trace, or one of its lines is not a frame.
+        LogError: neither kind of trace, or a line is not a frame.
     """
     reader = _Reader(log)
     yield from reader.started()
@@ -55,13 +55,13 @@ def read_microchip(log: Log) -> Iterator[Frames]:
     """Chunks of a Microchip log, whose time stamps are on a clock of its own.
 
     Raises:
-        LogError: one of its lines is not a frame.
+        LogError: a line is not a frame.
     """
     yield from _MicrochipReader(log).started()
 
 
 class _Reader(HeadedReader):
-    """Lines whose columns are named by letters, as in `parse`."""
+    """Lines with columns named by letters; see `parse`."""
 
     first_bus = 1
     first_frame = re.compile(rb"[ \t]*\d+(\)?[ \t]|,\d+\t)")
@@ -86,7 +86,7 @@ class _Reader(HeadedReader):
         """Columns and start.
 
         Raises:
-            LogError: the header does not say what columns there are, or its start is no date.
+            LogError: the header lacks the columns, or the start is no date.
         """
         if self.header and self.header[0].startswith(_CARBUS):
             self.first_bus = 0
@@ -106,7 +106,7 @@ class _Reader(HeadedReader):
         self.log.start_ns = self._start_ns(said.get("STARTTIME", str(_DAYS_TO_1970)))
 
     def use(self, columns: str) -> None:
-        """Read the columns that these letters name."""
+        """Set the columns named by the letters."""
         self._columns = np.frombuffer(columns.encode("ascii", "replace"), np.uint8)
 
     def _start_ns(self, days: str) -> int:
@@ -144,10 +144,10 @@ class _MicrochipReader(_Reader):
         self.use("OTilD")
 
     def ended(self, line: bytes, frame: Frames) -> bool:
-        """A byte with both its digits, or what follows one."""
+        """A byte with both digits, or the text behind a byte."""
         return bool(_WHOLE.search(line))
 
     def _whole_lines(self, text: bytes) -> Iterator[Frames]:
-        """As a trace has them: parted by blanks, hexadecimal without a mark."""
+        """The lines in a trace's form: parted by blanks, hexadecimal without a mark."""
         plain = text.translate(_BLANKS).replace(b"0x", b"").replace(b"0X", b"")
         yield from super()._whole_lines(plain)

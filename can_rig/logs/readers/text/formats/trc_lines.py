@@ -13,10 +13,10 @@ that are no frames (ST, EC, Warng, …) are passed over.
     46,016 1  0004  45A  8  5A 04 00 …                     CARBUS Analyzer 2: s B F i l D
     15,321000 1  00000005  1B000067  8  67 00 …            CARBUS Analyzer 3: S B F i l D
 
-Its columns are parted by tabs; where no data follow a length, the frame is a remote one. Letters:
-s and S are seconds and a number of ms or µs, F flags, of which the lowest marks an extended
-identifier, i an identifier that is extended if it has more than 11 bits. With i a frame of more
-than 8 bytes is one of CAN FD.
+Its columns are parted by tabs; where no data follow a length, the frame is a remote one. Letters: s
+and S are seconds and a number of ms or µs, F flags, of which the lowest marks an extended
+identifier, i an identifier that is extended if it has more than 11 bits. With i, more than 8 bytes
+mean CAN FD.
 
 Source: PEAK-System, "PEAK CAN TRC File Format"; SavvyCAN, `framefileio.cpp`.
 """
@@ -70,7 +70,7 @@ _SECONDS_MS, _SECONDS_US, _FLAGS, _UNMARKED = ord("s"), ord("S"), ord("F"), ord(
 _NS_PER_S, _NS_PER_MS, _NS_PER_US = 1_000_000_000, 1_000_000, 1_000
 _MOST_SECONDS = 1 << 32
 _COMMA = ord(",")
-_UNTYPED = ord("n")  # the number in version 1.0, which has no types
+_UNTYPED = ord("n")  # the number in version 1.0, without types
 _RTR = np.frombuffer(b"rtr", np.uint8)
 _OTHER = -1
 
@@ -136,9 +136,9 @@ def parse(
 
 @compiled
 def _head(text: UInt8s, at: int, columns: UInt8s) -> tuple[int, int, int, int, int, int]:
-    """What is before the data: flags, time in ns, bus, identifier, length, and where it ends.
+    """The fields before the data: flags, time in ns, bus, identifier, length, and where it ends.
 
-    The flags are _OTHER for a line that is no frame, the end is -1 for a frame that is a bad one.
+    Flags _OTHER: the line holds no frame. End -1: the frame is malformed.
     """
     at = blanks(text, at)
     bits = _OTHER  # until the type is known
@@ -182,7 +182,7 @@ def _head(text: UInt8s, at: int, columns: UInt8s) -> tuple[int, int, int, int, i
             is_dlc = column == _DLC
         bad |= after != end
         at = end
-    if bits == _OTHER or identifier == _NO_ID:  # which 1.0 has for the state of the bus
+    if bits == _OTHER or identifier == _NO_ID:  # in version 1.0: bus state
         return _OTHER, 0, 0, 0, 0, 0
     if is_dlc:
         bad |= size >= len(BYTES_OF_DLC)
@@ -198,7 +198,7 @@ def _head(text: UInt8s, at: int, columns: UInt8s) -> tuple[int, int, int, int, i
 
 @compiled
 def _seconds(text: UInt8s, at: int, unit: int) -> tuple[int, int]:
-    """``seconds,parts`` in ns and the position after it; the parts may lack leading zeros."""
+    """``seconds,parts`` in ns and the position after it; the fraction may lack leading zeros."""
     seconds, at = number(text, at, DECIMAL, _MOST_SECONDS)
     if at < 0 or text[at] != _COMMA:
         return 0, -1
@@ -208,7 +208,7 @@ def _seconds(text: UInt8s, at: int, unit: int) -> tuple[int, int]:
 
 @compiled
 def _is_empty(text: UInt8s, at: int) -> bool:
-    """Whether there is nothing but spaces between two tabs."""
+    """Whether two tabs enclose only spaces."""
     if text[at] != TAB:
         return False
     at += 1
@@ -219,7 +219,7 @@ def _is_empty(text: UInt8s, at: int) -> bool:
 
 @compiled
 def _type(text: UInt8s, at: int, end: int) -> int:
-    """The flags of a type, _OTHER for one that is no frame."""
+    """The flags of a type; _OTHER for types without a frame."""
     if end == at + 2:
         name = int(text[at] & _CAPITAL) << 8 | int(text[at + 1] & _CAPITAL)
         for known in range(len(_NAMES)):
