@@ -1,4 +1,4 @@
-"""The control law is compiled once on every machine: who waits for it most of a minute is told."""
+"""A note before the control law compiles: most of a minute, once on every machine."""
 
 from __future__ import annotations
 
@@ -6,7 +6,7 @@ import sys
 
 
 def announce_compilation() -> None:
-    """From here on a note says when it is compiled, if the command has anything to do with it."""
+    """From here on print a note before the control law compiles."""
     if "firmware_model.compiled" in sys.modules:
         from firmware_model.compiled import tell_when_compiling  # noqa: PLC0415 (is there already)
 

@@ -1,7 +1,7 @@
-"""No search for garbage among what a command imports: hundreds of thousands of objects that stay.
+"""Garbage collection off during imports: hundreds of thousands of imported objects stay alive.
 
-Python would look through them again and again while their number grows, and once more when the
-process ends; that is a third of the time of a short command.
+Python would search the growing heap again and again, and a last time at process exit; the searches
+take a third of the time of a short command.
 """
 
 from __future__ import annotations
@@ -11,13 +11,13 @@ import gc
 
 
 def collect_nothing() -> None:
-    """From here on no garbage is looked for, nor when the process ends."""
+    """Switch garbage collection off from here on, at process exit too."""
     gc.disable()
     atexit.register(gc.freeze)
 
 
 def collect_again() -> None:
-    """From here on there may be some, but none in what has been imported."""
+    """Switch garbage collection on again, except for imported objects."""
     if not gc.isenabled():
         gc.freeze()
         gc.enable()

@@ -1,4 +1,4 @@
-"""Libraries as the command line wants them: without others that it has no use for, and silent."""
+"""Libraries for the command line: without unused optional dependencies, and without output."""
 
 import logging
 import sys
@@ -16,11 +16,11 @@ it itself. Coverage would be told which lines numba compiles.
 
 
 class _WithoutThem:
-    """Hides each from the module that would import it, and from nothing else."""
+    """Hides optional dependencies from a single importing module."""
 
     @staticmethod
     def find_spec(name: str, _path: object, _target: object = None) -> None:
-        """Refuse what is not wanted while the module that asks for it is being imported."""
+        """Refuse a hidden dependency while the importing module is being imported."""
         if name not in _NOT_WANTED:
             return
         asking, has = _NOT_WANTED[name]
@@ -30,12 +30,12 @@ class _WithoutThem:
 
 
 def silence() -> None:
-    """What a library has to say about bad input is in the command's own line, or of no use."""
+    """Silence a library's remarks on bad input; the command's own error line names the fault."""
     logging.getLogger().addHandler(logging.NullHandler())
     if not sys.warnoptions:
         warnings.simplefilter("ignore")
 
 
 def leave_out() -> None:
-    """Of this process alone; a program that imports ``can_rig`` has its libraries as they are."""
+    """Hide dependencies in this process alone; programs that import ``can_rig`` see them all."""
     sys.meta_path.insert(0, _WithoutThem)

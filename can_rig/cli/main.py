@@ -1,4 +1,4 @@
-"""``can-rig``: the commands by name, each imported only when it is called."""
+"""``can-rig``: the commands by name, each imported on its first call."""
 
 from __future__ import annotations
 
@@ -40,10 +40,10 @@ COMMANDS: Final = {
 
 
 class Commands(click.Group):
-    """Imports a command when it is called; shows the rig's own errors as one line."""
+    """Imports a command on its first call; prints the rig's own errors as one line."""
 
     def list_commands(self, ctx: click.Context) -> list[str]:
-        """The names, in the order in which they are needed."""
+        """The names of the commands, in the usual order of work."""
         return list(COMMANDS)
 
     def get_command(self, ctx: click.Context, cmd_name: str) -> click.Command | None:
@@ -58,7 +58,7 @@ class Commands(click.Group):
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:
-        """The names and their lines, without importing one."""
+        """Write names and summaries without importing any command."""
         with formatter.section("Commands"):
             formatter.write_dl([(name, line) for name, (_, line) in COMMANDS.items()])
 
@@ -79,7 +79,7 @@ class Commands(click.Group):
             sys.exit(INTERRUPTED)
 
     def make_context(self, *arguments: Any, **keywords: Any) -> click.Context:
-        """The context, with wrong options of ``can-rig`` itself on one line too."""
+        """The context; reports bad options of ``can-rig`` itself on one line, too."""
         with _usage_on_one_line():
             return super().make_context(*arguments, **keywords)
 

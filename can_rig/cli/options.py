@@ -18,12 +18,12 @@ Function = TypeVar("Function", bound=Callable[..., Any])
 
 
 def scenario_options(function: Function) -> Function:
-    """SCENARIO and --set, of every command that looks at a scenario or runs one."""
+    """SCENARIO and --set, for every command that examines or runs a scenario."""
     return scenario_argument(set_option("Change one key of the scenario")(function))
 
 
 def _scenarios(_context: click.Context, _argument: click.Parameter, begun: str) -> Completions:
-    """The shipped ones for a shell, and files."""
+    """Shell completion: shipped scenarios and files."""
     names = [CompletionItem(name) for name in shipped() if name.startswith(begun)]
     return [CompletionItem(begun, type="file"), *names]
 
@@ -45,7 +45,7 @@ def set_option(what: str) -> Callable[[Function], Function]:
 def above_zero(
     _context: click.Context, option: click.Parameter, value: float | None
 ) -> float | None:
-    """Refuse a number, or a time in seconds, that is not above 0."""
+    """Refuse a number or a time in seconds unless above 0."""
     if value is not None and not value > 0.0:  # nan too
         unit = " s" if option.metavar == "S" else ""
         raise click.BadParameter(f"{value:g}{unit}: must be above 0")
@@ -53,7 +53,7 @@ def above_zero(
 
 
 def bus_name(_context: click.Context, _option: click.Parameter, value: str | None) -> str | None:
-    """Refuse a bus without a name, which a variable that is not set makes of --bus "$BUS"."""
+    """Refuse a bus without a name: an unset variable turns --bus "$BUS" into an empty name."""
     if value is not None and not value.strip():
         raise click.BadParameter("must name a bus, such as local or socketcan:vcan0")
     return value
@@ -81,7 +81,7 @@ realtime_option = click.option(
 
 
 def controller_name(context: click.Context, parameter: click.Parameter, value: str) -> str:
-    """One of ``CONTROLLERS``, or a serial port."""
+    """A name of ``CONTROLLERS``, or a serial port."""
     if value in CONTROLLERS or (value.startswith(SERIAL) and value != SERIAL):
         return value
     known = ", ".join([*CONTROLLERS, f"{SERIAL}PORT"])
@@ -101,7 +101,7 @@ controller_option = click.option(
 
 
 def interaction_options(function: Function) -> Function:
-    """--pace and --injectable, of the commands that run a plant node."""
+    """--pace and --injectable, for the commands that run a plant node."""
     for decorate in (
         click.option(
             "--injectable",
@@ -122,7 +122,7 @@ def interaction_options(function: Function) -> Function:
 
 
 def interaction_of(pace: float | None, injectable: bool, real_time: bool) -> Interaction:
-    """What these options ask for.
+    """The interaction of these options.
 
     Raises:
         click.UsageError: a run in real time, which cannot be held or paused.
@@ -140,7 +140,7 @@ channel_option = click.option(
 
 
 def window_options(function: Function) -> Function:
-    """--from and --to, of every command that reads a log."""
+    """--from and --to, for every command that reads a log."""
     for name, what in (("to", "before"), ("from", "from")):
         function = click.option(
             f"--{name}",
@@ -162,7 +162,7 @@ def json_option(what: str = "The result as one JSON object.") -> Callable[[Funct
 
 
 def dbc_options(function: Function) -> Function:
-    """--dbc and --no-strict, of every command that decodes."""
+    """--dbc and --no-strict, for every command that decodes frames."""
     for decorate in (
         click.option("--no-strict", is_flag=True, help="Accept a DBC whose signals overlap."),
         click.option(
@@ -178,7 +178,7 @@ def dbc_options(function: Function) -> Function:
 
 
 def silence_option(default: str) -> Callable[[Function], Function]:
-    """--silence, with what it is by ``default``."""
+    """--silence, with the ``default`` in the help text."""
     return click.option(
         "--silence",
         "silence_s",

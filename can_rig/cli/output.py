@@ -57,14 +57,14 @@ def show_pairs(rows: list[tuple[str, str]]) -> None:
 
 
 def wide() -> Console:
-    """Standard output for tables that keep their columns wherever it goes."""
+    """Standard output for tables, with full column widths for terminals, files and pipes."""
     console = Console(soft_wrap=True, highlight=False, emoji=False)
     console.width = max(console.width, WIDTH)
     return console
 
 
 def say(*lines: str) -> None:
-    """Lines on standard output as they are: never cut short, no markup in them."""
+    """Print lines on standard output verbatim: no truncation, no markup."""
     _print(Console(), lines)
 
 
@@ -80,17 +80,17 @@ def tell(*lines: str) -> None:
 
 
 def note(*texts: str | None) -> None:
-    """What a person should know besides, on standard error; None is nothing."""
+    """Print additional information for the user on standard error; None prints no line."""
     _print(Console(stderr=True), [f"note: {text}" for text in texts if text], "yellow")
 
 
 def complain(text: str) -> None:
-    """One line for what went wrong, on standard error."""
+    """Print an error as one line on standard error."""
     _print(Console(stderr=True), [f"error: {text}"], "red")
 
 
 def json_line(**values: object) -> None:
-    """One line of JSON on standard output, at once."""
+    """Print one line of JSON on standard output, without buffering."""
     plain = sys.stdout is None or "utf" not in sys.stdout.encoding.lower()
     print(json.dumps(values, ensure_ascii=plain), flush=True)
 

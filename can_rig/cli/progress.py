@@ -1,7 +1,7 @@
-"""How far something is, for a person who waits: one bar, on standard error.
+"""Progress for a waiting user: one bar on standard error.
 
-Where standard error is no terminal there is none. It is drawn when it is told something and by no
-thread of its own, so a process with a bar can fork.
+Without a terminal on standard error no bar appears. Only calls redraw the bar, never a thread, so a
+process with a bar can fork.
 """
 
 from __future__ import annotations
@@ -24,9 +24,9 @@ LONG_S = 1.0
 
 
 class Bar:
-    """A bar with what is done, the rate and the time left.
+    """A bar with completed count, rate and remaining time.
 
-    ``appear`` is called once, when ``after_s`` seconds have passed.
+    ``appear`` is called once, after ``after_s`` seconds.
     """
 
     def __init__(
@@ -41,11 +41,11 @@ class Bar:
         self._appear_in_time(self._start_s)
 
     def count(self, done: int, of: int) -> None:
-        """``done`` of a known number are done."""
+        """Set the count to ``done`` of a known total."""
         self._show(done, f"{done:,}/{of:,}", done / of)
 
     def share(self, done: int, share: float) -> None:
-        """``done`` are done of nobody knows how many, which is this share of it all."""
+        """Set the count to ``done``, about ``share`` of an unknown total."""
         self._show(done, f"{done:,}", share)
 
     def _show(self, done: int, count: str, share: float) -> None:
@@ -66,7 +66,7 @@ class Bar:
 
 @contextmanager
 def progress(what: str, unit: str, after_s: float = 0.0) -> Iterator[Bar]:
-    """A bar called ``what`` that counts ``unit``, as in "ticks"; none before ``after_s``."""
+    """A bar named ``what``, counting ``unit`` such as "ticks"; hidden before ``after_s``."""
     console = Console(stderr=True)
     columns = (
         TextColumn("{task.description}"),
@@ -82,14 +82,14 @@ def progress(what: str, unit: str, after_s: float = 0.0) -> Iterator[Bar]:
 
 @contextmanager
 def counting(what: str, unit: str, of: int) -> Iterator[Callable[[int], None]]:
-    """A bar of a known number; yields what is told how many are done."""
+    """A bar with a known total; yields a function that sets the count."""
     with progress(what, unit) as bar:
         yield lambda done: bar.count(done, of)
 
 
 @contextmanager
 def car_bar() -> Iterator[Callable[[int, int], None]]:
-    """A bar for drives of many cars, where they take long; yields what is told of each."""
+    """A bar for slow sets of drives; yields a function to call after each car."""
     with progress("drives", "cars", LONG_S) as bar:
         yield bar.count
 

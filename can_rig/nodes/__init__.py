@@ -1,4 +1,5 @@
 """The plant node and the controller node: lockstep, real time, starting and watching them.
 
-It imports `plant`, `scenario`, `logs`, `buses` and `frames`; `results`, `replay` and `cli` use it.
+This room imports `plant`, `scenario`, `logs`, `buses` and `frames`; `results`, `replay` and `cli`
+use the room.
 """

@@ -1,19 +1,20 @@
-"""Whether two nodes that were started by hand run the same scenario, and are the only two.
+"""Comparison of the scenarios of two nodes that were started by hand, and a search for a third node.
 
-Each node announces a digest of its scenario: the plant with its first offer and as often as it
-repeats that, the controller when it begins to listen. Whoever hears another digest than its own
-sends the digests of all its keys, one by one. Whoever hears another digest of a key sends its own
-of that key and ends, with a line that names it; so both end. A plant node that has completed a tick
-goes on: a controller that joins late and has another scenario is told, and ends by itself.
+Each node announces a digest of its scenario: the plant node with the first offer and every repeated
+offer, the controller node when listening begins. A node that hears a foreign digest sends the
+digests of all scenario keys, one by one. A node that hears a foreign digest of a key answers with
+its own digest of the key and ends, with an error line that names the key; so both nodes end. A
+plant node that has completed a tick goes on: a late controller with another scenario receives the
+digests and ends alone.
 
 Each announcement also asks for nodes of the same kind: a bus has one plant and one controller. A
 node that hears such a question answers; before its first tick the node then ends, as does the node
 that asked. A rig on a bus that others can join asks before the rig starts, and answers while it
 runs. A random number tells a question of another node from the own one that the bus brings back.
 
-A partner that announces nothing, such as a log that is played, is taken as it is. None of these
-frames is recorded, as repeated offers are not; nodes that one process has started have one scenario
-and do not compare theirs.
+A partner that announces no digest, such as a replayed log, is accepted. Neither these
+frames nor repeated offers are recorded; nodes started by one process share a scenario and send no
+digests.
 """
 
 from __future__ import annotations
@@ -56,11 +57,11 @@ OWN: Final = ("name", "description", "reference.file", "drive.file", "network.db
 
 
 def keys_of(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, Any]]:
-    """Keys and values of a scenario in their order, with a dot between table and key.
+    """Keys and values of a scenario in order, with a dot between table and key.
 
-    They are the same keys in every scenario: a plant's own parameters count as one, and so do the
-    variables of an FMU; a key of the faults has the values of all of them. Where a node finds the
-    FMU says nothing about the run.
+    Every scenario yields the same keys: the parameters of a user's plant count as one key, likewise
+    the variables of an FMU; a key of the fault table has the values of all faults. The path of the
+    FMU is excluded, because the path does not change the run.
     """
     for key, value in values.items():
         path = f"{prefix}{key}"
@@ -79,12 +80,12 @@ def keys_of(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
 
 
 class Agreement:
-    """A bus behind which the scenarios are compared: to a node it is a bus without those frames.
+    """A bus that compares scenarios: the wrapped bus without the digest frames.
 
     Args:
-        scenario: this node's.
-        name: this node, ``plant`` or ``controller``.
-        bus: what lies behind.
+        scenario: the scenario of this node.
+        name: the name of this node, ``plant`` or ``controller``.
+        bus: the wrapped bus.
         clock: the time.
     """
 
@@ -100,7 +101,7 @@ class Agreement:
         self._clock = clock
         self._own_frame, self._other_frame = ComparisonFrame(name), ComparisonFrame(self._other)
         self._differs_ns: int | None = None  # since when the scenarios are known to differ
-        self._told = False  # a late controller, by a plant node that goes on
+        self._told = False  # a continuing plant node has informed a late controller
         self.settled = False
         """Whether the other node's scenario ends this one no more."""
         self.channel = getattr(bus, "channel", "")
@@ -172,7 +173,7 @@ class Agreement:
         if said is None or said.key >= len(self._digests):
             return
         if said.digest == self._digests[said.key]:
-            # From now on this controller has its plant; a plant first wants its tick answered.
+            # From now on this controller has its plant; a plant first needs an answered tick.
             self.settled |= said.key == WHOLE and self._other == "plant"
         elif self.settled:
             self._tell(said.key)
@@ -186,7 +187,7 @@ class Agreement:
                 self._say(key)
 
     def _tell(self, key: int) -> None:
-        """Let a controller that joins late know what differs; a settled controller tells nobody."""
+        """Send a late controller the differing keys; a settled controller sends no digests."""
         if self._other == "plant":
             return
         if key == WHOLE:

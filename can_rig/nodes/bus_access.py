@@ -1,4 +1,4 @@
-"""What a node needs of a bus, and what it does when the bus refuses."""
+"""The bus operations of a node, and the handling of a refusing bus."""
 
 from __future__ import annotations
 
@@ -19,13 +19,13 @@ Send = Callable[[can.Message], None]
 
 
 class NodeBus(Protocol):
-    """A bus as a node uses it; every python-can bus is one."""
+    """The bus interface of a node; every python-can bus conforms."""
 
     def send(self, msg: can.Message) -> None:
         """Send a frame, or raise ``can.CanError``."""
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """The next frame, or None when ``timeout`` seconds have passed without one."""
+        """The next frame; returns None after ``timeout`` seconds without a frame."""
 
 
 def pause(clock: Clock, seconds: float) -> None:
@@ -34,14 +34,14 @@ def pause(clock: Clock, seconds: float) -> None:
 
 
 class PersistentSender:
-    """Sends on ``bus``, again and again for a bounded time where the bus refuses.
+    """Sends on ``bus``, and retries a refused frame for a bounded time.
 
-    A full transmit queue has room again as soon as the controller has sent; an interface that is
-    down may come back. Both ends wait, in virtual time, so nothing is lost meanwhile.
+    A full transmit queue drains as soon as the controller has sent; an interface that is down may
+    recover. Both ends wait, in virtual time, so no frame is lost during retries.
 
     Args:
-        bus: where to send.
-        within_s: how long a frame may be refused.
+        bus: the sending bus.
+        within_s: the longest time of refusals before an error.
         clock: the time.
     """
 
@@ -56,7 +56,7 @@ class PersistentSender:
         """Send one frame.
 
         Raises:
-            BusLostError: the bus has refused it for too long.
+            BusLostError: the bus has refused the frame for ``within_s``.
         """
         try:
             self._bus.send(message)
@@ -78,10 +78,10 @@ class PersistentSender:
 
 
 class TolerantBus:
-    """A bus that is never waited for: what it refuses is not sent, and counted in ``errors``.
+    """A bus without retries: refused frames are lost, and counted in ``errors``.
 
-    For real time: a frame that is sent again later belongs to a tick that is over, and an interface
-    that is down may come back; a node that hears nothing meanwhile ends by its own watchdog.
+    For real time: a delayed frame would belong to a past tick, and an interface that is down may
+    recover; the watchdog ends a node that hears no frame during the outage.
     """
 
     def __init__(self, bus: NodeBus, clock: Clock) -> None:
@@ -98,7 +98,7 @@ class TolerantBus:
             self.errors[one_line(error)] += 1
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
-        """The next frame; None where none came or the bus failed."""
+        """The next frame; returns None after a timeout or a bus failure."""
         try:
             return self._bus.recv(timeout)
         except can.CanError as error:
@@ -108,7 +108,7 @@ class TolerantBus:
 
 
 def bus_events(node: str, bus: NodeBus, *errors: Counter[str]) -> dict[str, dict[str, int]]:
-    """What the bus of one node did beside carrying frames; only what occurred."""
+    """Counts of bus errors and other events on one node's bus; zero counts are left out."""
     counts: Counter[str] = Counter()
     for each in errors:
         counts.update(each)

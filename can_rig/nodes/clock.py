@@ -1,4 +1,4 @@
-"""Where the rig takes time from: one clock, passed in, so that tests turn it themselves."""
+"""The rig's source of time: one clock, passed as an argument, so tests control the time."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class Clock(Protocol):
         """Return at ``at_ns`` or later."""
 
     def stamp_s(self) -> float:
-        """Seconds of the clock that buses stamp received frames with; it may be set at any time."""
+        """Time in seconds on the clock of the buses' time stamps; the date may jump at any time."""
 
 
 class SystemClock:
@@ -29,7 +29,7 @@ class SystemClock:
         return time.monotonic_ns()
 
     def sleep_until(self, at_ns: int) -> None:
-        """Sleep; a signal handler that runs meanwhile does not cut it short."""
+        """Sleep until ``at_ns``; a signal handler does not shorten the sleep."""
         left_ns = at_ns - time.monotonic_ns()
         if left_ns > 0:
             time.sleep(left_ns / NS_PER_S)

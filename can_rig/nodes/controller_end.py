@@ -1,4 +1,4 @@
-"""The controller's end of the frames of a tick: it receives the plant's and sends three."""
+"""The controller's end of a tick's frames: receives the plant's frames and sends three."""
 
 from __future__ import annotations
 
@@ -23,8 +23,8 @@ class ControllerEnd:
     """The receivers of reference, feedback and speed, and the senders of the answer.
 
     Args:
-        scenario: the run, whose faults of frames are those of the answer.
-        network: its frames.
+        scenario: the run; its frame faults act on the answer.
+        network: the frames of the run.
         send: sends a frame.
     """
 
@@ -39,7 +39,7 @@ class ControllerEnd:
         """Those of the answer."""
 
     def send_commands(self, tick: int, command_1: float, command_2: float) -> None:
-        """Both commands of ``tick``, as far as the scheduled faults leave them."""
+        """Send both commands of ``tick``, after the scheduled frame faults."""
         frames = [
             self.faults.on_the_wire(transmitter.frame(command, tick), channel, tick)
             for channel, (transmitter, command) in enumerate(
@@ -56,7 +56,7 @@ class ControllerEnd:
         self._send(self._status.frame(estimate, tick, mode, fault_state, verdict))
 
     def is_speed(self, message: can.Message) -> bool:
-        """Whether it is the frame of the speed, if there is such a frame."""
+        """Whether ``message`` is a speed frame; False on a network without speed frames."""
         return self.speed is not None and message.arbitration_id == self.speed.codec.frame_id
 
     def speed_of(self, message: can.Message, tick: int | None) -> Record | None:
@@ -80,12 +80,12 @@ class ControllerEnd:
 
 
 def started(scenario: Scenario, network: Network, law: Law = PYTHON_LAW) -> tuple[Memory, Firmware]:
-    """The controller's table and the firmware at rest, compiled before the first tick needs it.
+    """The controller's table and the firmware at rest, compiled before the first tick.
 
-    ``law`` is what runs as the control law.
+    ``law`` is the implementation of the control law.
 
     Raises:
-        ScenarioError: a design that cannot be made.
+        ScenarioError: the design fails.
     """
     of = controls(scenario, network)
     firmware = Firmware(of.table, law, of.schedule)

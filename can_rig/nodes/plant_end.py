@@ -1,4 +1,4 @@
-"""The plant's end of the frames of a tick: it sends its own and judges the three of the answer."""
+"""The plant's end of a tick's frames: sends its own and judges the three answer frames."""
 
 from __future__ import annotations
 
@@ -25,19 +25,19 @@ COMMANDS: Final = 2
 
 
 class PlantEnd:
-    """Samples the plant, sends it with the reference, and judges commands and status.
+    """Samples the plant, sends D* with the reference, and judges commands and status.
 
     Args:
-        scenario: the run, whose faults of frames are those of D*; ``latency_ticks`` is the delay of
-            the simulated plant's commands.
-        network: its frames.
+        scenario: the run; its frame faults act on D*; ``latency_ticks`` is the delay of the
+            simulated plant's commands.
+        network: the frames of the run.
         send: sends a frame.
-        log: gets every frame that is sent; None records nothing.
-        reports: gets what the plant reports of every tick; None records nothing.
-        changing: whether the faults may change while the run goes on.
+        log: gets every sent frame; None records nothing.
+        reports: gets the plant's report of every tick; None records nothing.
+        changing: whether the faults may change during the run.
 
     Raises:
-        ScenarioError: a reference that does not fit its frame, a plant that is none.
+        ScenarioError: a reference beyond the range of its frame, an invalid plant.
     """
 
     def __init__(
@@ -94,12 +94,12 @@ class PlantEnd:
                 self._log.record(message, sent=True)
 
     def repeat(self) -> None:
-        """Send it again, to a controller that was not there yet; the log has it once."""
+        """Send the offer again, for a controller that starts late; the log has one copy."""
         for message in self._offered:
             self._send(message)
 
     def judge(self, message: can.Message, tick: int) -> tuple[int, Record] | None:
-        """Number and content of a frame of ``tick`` that may be used; None for any other."""
+        """Number and content of a valid frame of ``tick``; returns None for every other frame."""
         at = self._by_id.get(message.arbitration_id)
         if at is None:
             return None
@@ -113,7 +113,7 @@ class PlantEnd:
         return 0 if says is None else -ticks_ahead(says, tick)
 
     def advance(self, tick: int, command_1: float | None, command_2: float | None) -> None:
-        """The plant one tick on, with the valid commands of ``tick`` (None: there was none)."""
+        """Advance the plant by one tick with the valid commands of ``tick`` (None: missing)."""
         reported = self.plant.advance(tick, command_1, command_2)
         if self._reports is not None:
             self._reports.record(tick, reported)

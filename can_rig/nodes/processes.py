@@ -1,7 +1,7 @@
-"""Both nodes as processes of their own: forked from this one, watched, and what became of each.
+"""Both nodes as separate processes: forked from this process, watched, and their exits judged.
 
-A node is forked, not started anew: it begins with everything imported and compiled that this
-process has. Nothing here runs a thread when it forks, so no lock is copied in the hands of one.
+Forking gives a node every imported module and all compiled code of this process. This process runs
+no thread at the time of a fork, so a child never inherits a locked lock.
 """
 
 from __future__ import annotations
@@ -46,7 +46,7 @@ Node = Callable[[StopRequest, Report], NodeSummary]
 
 @dataclass
 class NodeProcess:
-    """One node's process and what it has said so far."""
+    """The process of one node, and its messages so far."""
 
     name: NodeName
     process: ForkProcess
@@ -56,10 +56,10 @@ class NodeProcess:
 
     @classmethod
     def fork(cls, name: NodeName, node: Node, others: list[NodeProcess]) -> NodeProcess:
-        """Fork ``node``; ``others`` are the processes that there are already."""
+        """Fork ``node``; ``others`` are the processes forked before."""
         here, there = multiprocessing.Pipe(duplex=False)
         readers = [here, *(other.connection for other in others)]
-        # Until the node has a session and signal handlers of its own, it is sent none.
+        # Block signals until the node has a session and signal handlers of its own.
         before = signal.pthread_sigmask(signal.SIG_BLOCK, STOPPING)
         arguments = (name, node, there, readers, before)
         process = multiprocessing.get_context("fork").Process(
@@ -74,7 +74,7 @@ class NodeProcess:
         return cls(name, process, here)
 
     def listen(self) -> bool:
-        """Take in one thing that it has said; False at the end."""
+        """Receive one message of the node; returns False at the end."""
         try:
             self.said.update(self.connection.recv())
         except (EOFError, OSError):
@@ -83,7 +83,7 @@ class NodeProcess:
 
     @property
     def ticks(self) -> int:
-        """How many it says that it has completed."""
+        """The number of completed ticks in the node's reports."""
         summary: NodeSummary | None = self.said.get("summary")
         return int(self.said.get("ticks", 0)) if summary is None else summary.ticks
 
@@ -106,14 +106,15 @@ def _node_main(
     readers: list[Connection],
     signals: set[signal.Signals],
 ) -> None:
-    """What the forked process does: a session of its own, so that Ctrl-C reaches the parent only.
+    """Run the forked process in a new session, so that Ctrl-C reaches the parent only.
 
     Args:
         name: shown as the name of the process.
         node: runs the node.
         connection: to the parent.
-        readers: the parent's ends of pipes: who kept them open would not see the parent's death.
-        signals: what is blocked from now on.
+        readers: the parent's pipe ends; a child that kept the ends open would miss the parent's
+            death.
+        signals: the blocked signals from now on.
     """
     os.setsid()
     with suppress(OSError):  # Linux alone has it
@@ -152,29 +153,29 @@ def run_processes(
 
     Args:
         scenario: the run.
-        bus: the name of a bus that two processes can share.
-        log: where the plant records.
+        bus: name of a bus that two processes can share.
+        log: path of the plant node's log.
         stop: ends the run after a tick.
-        progress: entered when both nodes have been forked.
-        real_time: by the wall clock, each on a core of its own where possible.
-        timeouts: how long each may be silent for the other.
-        controller: what runs as the controller.
-        interaction: how far the run can be touched.
+        progress: entered after both forks.
+        real_time: by the wall clock, with a separate core for each node if possible.
+        timeouts: longest permitted silence of each node.
+        controller: the implementation of the controller.
+        interaction: permitted commands during the run.
 
     Returns:
-        The summary; fewer ticks than the scenario's where the run was stopped.
+        The summary; a stopped run has fewer ticks than the scenario.
 
     Raises:
-        SilentNodeError: a node died or said nothing for too long; the message names it.
-        RigError: a node refused to start; its own line says why.
+        SilentNodeError: a node died or stayed silent for too long; the message names the node.
+        RigError: a node refused to start; the node's error line gives the reason.
     """
     processes: list[NodeProcess] = []
     try:
-        # Nor is any garbage looked for in a forked process among what it shares with this one.
+        # Forked processes search no garbage among the objects of this process either.
         with nullcontext() if real_time else one_core(), without_garbage_pauses():
             controller_node = partial(_controller, scenario, bus, real_time, timeouts, controller)
             first = NodeProcess.fork("controller", controller_node, processes)
-            processes.append(first)  # first: a plant that waits repeats its offer on the bus
+            processes.append(first)  # first: a waiting plant repeats its offer on the bus
             _watch(processes, stop, until=lambda: "ready" in first.said)
             if "ready" in first.said and not stop.wanted:
                 plant_node = partial(
@@ -236,10 +237,10 @@ def _watch(
     until: Callable[[], bool] = lambda: False,
     on_tick: OnTick = lambda tick: None,
 ) -> None:
-    """Take in what the nodes say until ``until()`` or all have ended.
+    """Receive the nodes' messages until ``until()`` is true or all nodes have ended.
 
-    A stop request ends the plant after its tick, then the controller. When one node has ended, the
-    other gets as long as its own watchdog needs.
+    A stop request ends the plant after its tick, then the controller. After the end of one node,
+    the other node gets the time of its own watchdog to end.
     """
     deadline_s = math.inf
     asked = False
@@ -262,7 +263,7 @@ def _watch(
 
 
 def _conclude(processes: list[NodeProcess]) -> NodeSummary:
-    """The summary of a run whose nodes have ended, or the error of the first that ended badly."""
+    """The summary of a run after all nodes ended, or the error of the first node that failed."""
     for each in sorted(processes, key=lambda each: each.ended_s):
         status = each.process.exitcode
         if status is None:

@@ -1,4 +1,4 @@
-"""How a run says how far it is: to whoever shows it, and not more often than is worth it."""
+"""Progress reports of a run, at a limited rate."""
 
 from __future__ import annotations
 
@@ -46,7 +46,7 @@ class Throttled:
 
 
 class Pace:
-    """Ticks a second from the first one on: a node may wait long for it, or join late."""
+    """Ticks a second from the first tick on; a node may wait long for tick 1 or join late."""
 
     def __init__(self, clock: Clock, on_tick: OnTick) -> None:
         self._clock = clock
@@ -55,7 +55,7 @@ class Pace:
         self._last_tick = 0
 
     def __call__(self, tick: int) -> None:
-        """Note that ``tick`` is reached, and hand it on."""
+        """Record the arrival at ``tick``, and pass ``tick`` on."""
         if self._first is None:
             self._first = tick, self._clock.now_ns()
         self._last_tick = tick

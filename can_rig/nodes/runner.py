@@ -1,4 +1,4 @@
-"""A node from start to end: its bus, its log, its watchdog, and what it says when it is done."""
+"""A node from start to end: bus, log, watchdog, and final summary."""
 
 from __future__ import annotations
 
@@ -56,19 +56,19 @@ def run_plant(
 
     Args:
         scenario: the run.
-        bus_name: as ``open_bus`` takes it.
-        log: where to record; None records nothing.
-        timeouts: how long the controller node may be silent.
+        bus_name: a name for ``open_bus``.
+        log: path of the log; None records nothing.
+        timeouts: longest permitted silence of the controller node.
         stop: ends the node after a tick.
         on_tick: called with the number of ticks completed.
-        real_time: by the wall clock; otherwise in lockstep.
-        by_hand: the other node was given its scenario by somebody else, so both compare theirs.
+        real_time: by the wall clock instead of lockstep.
+        by_hand: another process started the other node, so both nodes compare scenarios.
         shared: of a rig on a bus that others can join, whose questions are answered.
-        interaction: how far a run in lockstep can be touched.
+        interaction: permitted commands during a lockstep run.
 
     Raises:
-        ScenarioError: a scenario that cannot run, or another than the controller node's.
-        SilentNodeError, BusLostError: the other node, or the bus, has fallen silent.
+        ScenarioError: an impossible scenario, or a scenario different from the controller node's.
+        SilentNodeError, BusLostError: the other node or the bus is silent.
         RunFolderError: the log cannot be written.
     """
     network, clock = network_of(scenario), SYSTEM_CLOCK
@@ -123,9 +123,9 @@ def run_controller(
     by_hand: bool = False,
     controller: Controller = PYTHON,
 ) -> NodeSummary:
-    """The controller node from start to end; ``on_ready`` is called once it listens.
+    """The controller node from start to end; ``on_ready`` is called when listening begins.
 
-    ``controller`` is what runs; the rest, and what it raises, is as in ``run_plant``.
+    ``controller`` is the implementation; other arguments and errors are as in ``run_plant``.
     """
     network, clock = network_of(scenario), SYSTEM_CLOCK
     if real_time:
@@ -159,7 +159,7 @@ def run_in_process(
     controller: Controller = PYTHON,
     interaction: Interaction = UNTOUCHED,
 ) -> NodeSummary:
-    """Both nodes on one thread, turn by turn; the log is that of two processes, byte for byte."""
+    """Run both nodes in turns on one thread; the log equals two processes' log, byte for byte."""
     network, clock = network_of(scenario), SYSTEM_CLOCK
     timeouts = Timeouts(first_s=Timeouts.silence_s)  # the other node is there already
     with (
@@ -181,7 +181,7 @@ def run_in_process(
         controller_node = stack.enter_context(
             lockstep_controller(scenario, network, controller_access.send, controller)
         )
-        never = StopRequest()  # a stop is read between ticks here, so that none is cut short
+        never = StopRequest()  # a stop is read between ticks here, so every tick completes
         to_plant = Watchdog(heard, "controller", timeouts, never, clock=clock)
         to_controller = Watchdog(controller_bus, "plant", timeouts, never, clock=clock)
         with without_garbage_pauses():
@@ -205,7 +205,7 @@ def run_in_process(
 
 
 class Access(NamedTuple):
-    """A bus as a node uses it."""
+    """The bus interface of a node."""
 
     bus: NodeBus
     send: Send
@@ -215,7 +215,7 @@ class Access(NamedTuple):
 
 
 def _access(opened: NodeBus, real_time: bool, timeouts: Timeouts, clock: Clock) -> Access:
-    """In lockstep frames are sent again until the bus takes them, in real time they are lost."""
+    """Lockstep retries refused frames until the bus accepts; real time drops refused frames."""
     if real_time:
         tolerant = TolerantBus(opened, clock)
         return Access(tolerant, tolerant.send, tolerant.errors, real_time)
@@ -266,7 +266,7 @@ def _run(
     core: int,
     clock: Clock,
 ) -> NodeSummary:
-    """The node's loop, in the surroundings that it needs."""
+    """Run the node's loop with the required process settings."""
     pace, realtime = Pace(clock, on_tick), None
     if access.real_time:
         realtime = {"scheduling": {name: prefer(core)}}
@@ -280,10 +280,10 @@ def _run(
 
 @contextmanager
 def without_garbage_pauses() -> Iterator[None]:
-    """Keep the collector away from what was set up before the loop.
+    """Exclude objects from before the loop from garbage collection.
 
-    It stays so where a command has frozen what it imported, which takes as long to search as to
-    import: all that is frozen can only be given back together.
+    Objects stay excluded if a command has frozen its imports: unfreezing covers all frozen objects
+    at once, and a search of the imports takes as long as the import.
     """
     before = gc.get_freeze_count()
     gc.freeze()

@@ -1,4 +1,4 @@
-"""What a node says when it ends."""
+"""The summary that a node returns at its end."""
 
 from __future__ import annotations
 
@@ -12,13 +12,13 @@ from firmware_model.target.structs import FloatArray
 
 @dataclass(frozen=True)
 class RunColumns:
-    """What a run without a bus carried, for whoever need not read it from its log.
+    """The recorded data of a run without a bus, for callers that skip the log file.
 
     Attributes:
-        ticks: how many of the trace were done.
+        ticks: number of completed ticks in the trace.
         trace: the loop's signals.
-        delivery: what became of the commands.
-        plant: what the plant reported, by name; None: read it from the file beside the log.
+        delivery: the fate of the commands.
+        plant: the plant's report, by name; None: read the file beside the log.
     """
 
     ticks: int
@@ -29,7 +29,7 @@ class RunColumns:
 
 @dataclass
 class NodeSummary:
-    """What a node says when it ends."""
+    """The summary that a node returns at its end."""
 
     ticks: int
     """The tick that it has reached: all of them, unless it was started later or stopped."""

@@ -27,14 +27,14 @@ AWAKE_NS: Final = round(2 * POLL_S * NS_PER_S)
 
 
 class Interrupted(Exception):  # noqa: N818 (not an error)
-    """The node was asked to stop while it waited."""
+    """A stop was requested during a wait."""
 
 
 @dataclass(frozen=True)
 class Timeouts:
-    """Seconds of silence that are allowed, through which the waiting node itself was awake.
+    """Permitted silence in seconds; only time with the waiting node awake counts.
 
-    ``first_s`` for the other node to appear, ``silence_s`` for its next frame after that.
+    ``first_s`` until the first frame of the other node, ``silence_s`` until each later frame.
     """
 
     first_s: float = 60.0
@@ -65,11 +65,11 @@ class Watchdog:
     """Receives from ``bus`` and gives up on a silent node.
 
     Args:
-        bus: where to receive.
-        other: what the node on the other end is called.
-        timeouts: how long it may be silent.
-        stop: read while waiting.
-        while_alone: called now and then until the other node is first heard.
+        bus: the receiving bus.
+        other: name of the node on the other end.
+        timeouts: longest permitted silence of the other node.
+        stop: read during waits.
+        while_alone: called now and then until the other node's first frame.
         clock: the time.
     """
 
@@ -96,7 +96,7 @@ class Watchdog:
         """What the bus said, and how often."""
 
     def hear(self) -> None:
-        """Note that the other node has spoken: from now on only a short silence is allowed."""
+        """Record a frame of the other node: from now on only a short silence is permitted."""
         self._allowed_s = self.silence_s
         self._while_alone = None
         self._looked_ns = None
@@ -107,11 +107,11 @@ class Watchdog:
         """The next frame of any kind.
 
         Args:
-            tick: the one under way, for the message of the error.
+            tick: the current tick, for the error message.
 
         Raises:
-            SilentNodeError: nothing came for as long as allowed.
-            BusLostError: likewise, and the bus itself had said why.
+            SilentNodeError: no frame came within the permitted silence.
+            BusLostError: likewise, after an error message of the bus.
             Interrupted: a stop was requested.
         """
         while True:
@@ -141,10 +141,10 @@ class Watchdog:
             return None
 
     def go_on_waiting(self, tick: int) -> None:
-        """Note that nothing came, or a frame that the other node did not send.
+        """Record a timeout, or a frame of a foreign sender.
 
-        Only time through which this node was awake counts as silence: a machine that was suspended
-        wakes both nodes. Frames of others do not make the other node any less silent.
+        Only time with this node awake counts as silence: the end of a machine's suspension
+        wakes both nodes. Foreign frames do not shorten the other node's silence.
 
         Raises:
             SilentNodeError, BusLostError, Interrupted: as ``receive``.

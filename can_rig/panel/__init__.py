@@ -1,5 +1,5 @@
 """A live view of a run, in a browser on this machine.
 
-It listens on the bus as any other node, and what it sends is what ``can-rig inject`` sends. The
-server knows nothing of control, the page nothing of CAN. May import every room but ``cli``.
+The panel listens on the bus like any other node, and sends the same frames as ``can-rig inject``.
+The server knows nothing of control, the page nothing of CAN. May import every room but ``cli``.
 """

@@ -1,8 +1,8 @@
-"""Who may look and who may touch: a token for each, and the exact names of this server.
+"""Access to the panel: tokens for viewing and control, and the exact names of this server.
 
-A page elsewhere reaches the loopback interface too, through the browser of whoever looks at it. It
-does not know the token; it cannot give another Origin than its own; and where it lets its own name
-point to 127.0.0.1 (DNS rebinding), the Host is that name.
+The browser of a viewer lets pages of foreign sites reach the loopback interface too. A foreign page
+does not know the token and cannot forge the Origin header. If a foreign site points a domain name
+of its own to 127.0.0.1 (DNS rebinding), the Host header carries the foreign name.
 """
 
 from __future__ import annotations
@@ -25,7 +25,7 @@ def _token() -> str:
 class Access:
     """The tokens of one start of the panel.
 
-    ``control`` is for who may touch, ``view`` for who may look only.
+    ``control`` permits viewing and commands, ``view`` permits viewing only.
     """
 
     port: int
@@ -33,7 +33,7 @@ class Access:
     view: str = field(default_factory=_token)
 
     def url(self, token: str) -> str:
-        """Where the page is for who has ``token``."""
+        """The address of the page with ``token``."""
         return f"http://{NAMES[0]}:{self.port}/{token}/"
 
     def may_touch(self, token: str) -> bool | None:
@@ -45,14 +45,14 @@ class Access:
         return None
 
     def is_own_host(self, host: str | None) -> bool:
-        """Whether a request's Host is this server under one of its own names."""
+        """Whether a request's Host header names this server."""
         return host in self._names()
 
     def is_own_origin(self, origin: str | None) -> bool:
-        """Whether a request comes from a page of this server; a socket always says its Origin."""
+        """Whether a request's Origin is a page of this server; web sockets always send Origin."""
         return origin in {f"http://{name}" for name in self._names()}
 
     def _names(self) -> set[str]:
-        """Of this server, as a browser says them: without the port that http has anyway."""
+        """The server's names in a browser's spelling: without port 80, the default of http."""
         port = "" if self.port == HTTP_PORT else f":{self.port}"
         return {f"{name}{port}" for name in NAMES}

@@ -13,11 +13,11 @@ BUCKET_S: Final = 0.02
 
 
 class Decimator:
-    """Two rows of every ``bucket`` rows: least and greatest of each column, in their order.
+    """Reduces every ``bucket`` rows to two: minimum and maximum of each column, in order of time.
 
     Args:
-        bucket: how many rows, 1 or above; 1 leaves everything as it is.
-        columns: how many columns a row has; the first is the time.
+        bucket: number of rows, 1 or above; 1 keeps every row.
+        columns: number of columns of a row; the first column is the time.
     """
 
     def __init__(self, bucket: int, columns: int) -> None:
@@ -25,7 +25,10 @@ class Decimator:
         self._waiting: FloatArray = np.empty((0, columns))
 
     def take(self, rows: FloatArray) -> FloatArray:
-        """What ``rows`` (n, columns) complete, (m, columns); the rest waits for the next call."""
+        """The reduced rows (m, columns) of the buckets that ``rows`` (n, columns) complete.
+
+        Rows of an incomplete bucket wait for the next call.
+        """
         if self._bucket == 1:
             return rows
         waiting = np.concatenate([self._waiting, rows])
@@ -36,10 +39,10 @@ class Decimator:
 
 
 def extremes(buckets: FloatArray) -> FloatArray:
-    """Least and greatest of each bucket, (2 * buckets, columns), in the order of their rows.
+    """Minimum and maximum of each bucket, (2 * buckets, columns), in the order of their rows.
 
-    ``buckets`` is (buckets, rows, columns), two rows at least. The time (column 0) is that of the
-    first row, and that of the row in the middle. A column that is nan in a whole bucket stays nan.
+    ``buckets`` is (buckets, rows, columns) with at least two rows. The times (column 0) are the
+    times of the first row and of the middle row. A column with nan in a whole bucket stays nan.
     """
     count, rows, columns = buckets.shape
     least = np.where(np.isnan(buckets), np.inf, buckets)

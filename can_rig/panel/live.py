@@ -1,4 +1,4 @@
-"""What a bus says at the moment: frames in, rows and lamps for the screen out."""
+"""The live state of a bus: frames in, rows and lamps for the screen out."""
 
 from __future__ import annotations
 
@@ -60,7 +60,7 @@ OUTPUT, COMMAND_1, COMMAND_2, MODE, FAULT_STATE, VERDICT = (
 
 @dataclass
 class Lamps:
-    """What can be seen at a glance."""
+    """The states that the page shows at a glance."""
 
     time_s: float = 0.0
     mode: str = ""
@@ -90,10 +90,10 @@ class Lamps:
 
 
 class Frames(can.Listener):
-    """What python-can's thread hands over, and what the bus says beside frames.
+    """Frames from python-can's thread, and the bus's own error messages.
 
     Args:
-        at_once: identifier of frames that are not put in order with the others.
+        at_once: identifier of frames that are delivered without sorting.
     """
 
     def __init__(self, at_once: int) -> None:
@@ -112,7 +112,8 @@ class Frames(can.Listener):
     def in_order(self) -> list[can.Message]:
         """The frames until the newest of ``HOLD`` calls ago, in the order of their time stamps.
 
-        A listener that lags gets those of one node late, behind newer ones of the other.
+        A lagging listener receives the frames of one node late, behind newer frames of the other
+        node.
         """
         until_s = self._newest_s[0]
         for _ in range(len(self._waiting)):
@@ -124,19 +125,19 @@ class Frames(can.Listener):
         return ready
 
     def on_error(self, exc: Exception) -> None:
-        """Count what the bus said; without this python-can ends its thread with a traceback."""
+        """Count a bus error; without this method python-can ends its thread with a traceback."""
         self.errors[one_line(exc)] += 1
 
 
 class LiveSignals:
-    """A bus that is listened to, and what the screen has not had yet.
+    """A bus under observation, and the rows that the screen has not received yet.
 
     Args:
-        scenario: what runs there.
-        network: its frames.
+        scenario: the scenario of the nodes on the bus.
+        network: the frames of the bus.
 
     Raises:
-        ScenarioError: a design that cannot be made.
+        ScenarioError: the design fails.
     """
 
     def __init__(self, scenario: Scenario, network: Network) -> None:
@@ -187,7 +188,7 @@ class LiveSignals:
         return self._decimator.take(rows)
 
     def taken_commands(self) -> list[tuple[float, control.Command]]:
-        """What the plant node was told since the last call, and from what time of the run on."""
+        """Commands to the plant node since the last call, each with its first time of effect."""
         taken, self._taken = self._taken, []
         return taken
 
@@ -207,8 +208,8 @@ class LiveSignals:
         elif message.arbitration_id == self._taken_id:
             numbered = control.read_taken(message)
             if numbered is None or (numbered[1].kind and injected(numbered[1], 0, 1) is None):
-                return  # damaged, or a fault that there is not
-            # it comes before the frames of the tick in which it acts
+                return  # a damaged frame or an unknown fault
+            # the command's frame precedes the frames of the tick in which the command takes effect
             self._taken.append(((self._rows.tick + 1) * self._scenario.tick_s, numbered[1]))
 
     def _hear_state(self, message: can.Message) -> None:
@@ -227,10 +228,10 @@ class LiveSignals:
     def _evidence(
         self, tick: int, reference: float, measured: float, *sent: float
     ) -> Sequence[float]:
-        """Of each hypothesis, by a control law of our own that is given what has been heard.
+        """The evidence for each hypothesis, from a second control law fed with the received frames.
 
-        As long as that is what the controller gets: from the first tick of a run on, and with the
-        same commands.
+        The copy equals the controller's law only from the first tick of a run on, with the same
+        commands.
         """
         if self._reasoning is None or tick != self._next_tick:
             self._reasoning = None
@@ -256,7 +257,7 @@ class LiveSignals:
         return self._bits[kind]
 
     def _note(self, rows: FloatArray, bits: int, now_s: float) -> None:
-        """Let the lamps say what these rows do."""
+        """Update the lamps from these rows."""
         lamps, elapsed_s = self.lamps, max(now_s - self._looked_s, 1e-3)
         self._looked_s = now_s
         self._smooth("ticks_per_s", len(rows) / elapsed_s)

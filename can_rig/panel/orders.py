@@ -1,4 +1,4 @@
-"""What a page may ask for, as JSON; whatever else it sends is refused."""
+"""The JSON requests that a page may send; every other message is refused."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What was done in a run, as a scenario that does it again."""
+"""Saving a run, with every fault and reference change from the panel, as a repeatable scenario."""
 
 from __future__ import annotations
 
@@ -28,10 +28,10 @@ NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 def save(session: Session, name: str) -> Path:
     """Write the scenario that repeats the last run, ``NAME.toml`` in the working directory.
 
-    A reference that was moved is kept beside it, tick by tick.
+    A changed reference goes into a file beside the scenario, tick by tick.
 
     Raises:
-        RigError: no run has ended, the name is none, the file exists or cannot be written.
+        RigError: no run has ended, the name is invalid, the file exists or cannot be written.
     """
     if session.running or session.folder is None:
         raise RigError("no run has ended yet; what was done is saved afterwards")
@@ -51,7 +51,7 @@ def save(session: Session, name: str) -> Path:
     reference = path.with_suffix(".csv")
     if what.moved:
         values["reference"] = {"kind": "csv", "file": reference.name}
-    with ExitStack() as both:  # neither is there if one cannot be written
+    with ExitStack() as both:  # both files or neither
         part = both.enter_context(atomic(path, force=False))
         part.write_text(f"# What was done in {folder}.\n\n{tomli_w.dumps(values)}", "utf-8")
         if what.moved:
@@ -62,7 +62,7 @@ def save(session: Session, name: str) -> Path:
 
 
 def _keys(fault: FaultSettings) -> dict[str, Any]:
-    """What a scenario must say of ``fault``."""
+    """The scenario keys of ``fault``."""
     usual = asdict(FaultSettings())
     its = {key: value for key, value in asdict(fault).items() if value != usual[key]}
     return {"kind": fault.kind, "at_s": fault.at_s, **its}

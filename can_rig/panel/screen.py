@@ -1,4 +1,4 @@
-"""What is on the screen of every browser: one run, its rows, its lamps and what was done."""
+"""The screen of every browser: one run, its rows, its lamps and its list of commands."""
 
 from __future__ import annotations
 
@@ -28,16 +28,16 @@ HISTORY: Final = 20_000
 
 
 def batch(rows: FloatArray) -> bytes:
-    """Rows (n, columns) as the page gets them: n, columns, then every column as float64."""
+    """Rows (n, columns) in the page's format: n, columns, then every column as float64."""
     return struct.pack("<II", *rows.shape) + rows.T.astype("<f8").tobytes()
 
 
 class Screen:
-    """The run that is shown, and who looks.
+    """The displayed run and its viewers.
 
     Args:
-        session: the run; replaced when another scenario is chosen.
-        scenarios: names to choose from; none where the nodes are not the panel's.
+        session: the run; replaced when the user chooses another scenario.
+        scenarios: names of the offered scenarios; empty if the panel did not start the nodes.
         open_session: makes the session of another scenario.
     """
 
@@ -59,7 +59,7 @@ class Screen:
         """What the plant node was told, with the time of the run from which it acts."""
 
     def welcome(self, viewer: Viewer) -> None:
-        """Show a browser what there is until now."""
+        """Send a browser the history of the run."""
         viewer.offer(self._hello(viewer.may_touch))
         if self._history:
             viewer.offer(batch(np.concatenate(list(self._history))))
@@ -82,7 +82,7 @@ class Screen:
         self.viewers.offer(self._hello(None))
 
     def _hello(self, may_touch: bool | None) -> str:
-        """What a page must know before the first row; None: what it may has not changed."""
+        """The page's setup before the first row; None for unchanged viewer permissions."""
         session = self.session
         names = names_of(session.scenario.plant)
         return json.dumps(
@@ -108,14 +108,14 @@ class Screen:
         )
 
     async def close(self) -> None:
-        """End the run that was started here, and leave the bus."""
+        """End a run that the panel started, and leave the bus."""
         await self.session.stop()
         if self._end is not None:
             await self._end
         self.session.close()
 
     def update(self) -> None:
-        """Offer every browser the rows that are new, and now and then the lamps."""
+        """Offer every browser the new rows, and the lamps at a lower rate."""
         live = self.session.live
         rows = live.update()
         for time_s, command in live.taken_commands():

@@ -1,4 +1,4 @@
-"""The page and its socket, on 127.0.0.1 only."""
+"""The page and its web socket, on 127.0.0.1 only."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ class Server:
         request: web.Request,
         handler: Callable[[web.Request], Awaitable[web.StreamResponse]],
     ) -> web.StreamResponse:
-        """Refuse whoever has no token, another Host, or another Origin."""
+        """Refuse a request without a token or with a foreign Host or Origin."""
         origin = request.headers.get("Origin")
         if not self._access.is_own_host(request.headers.get("Host")):
             raise web.HTTPForbidden(text="another Host than this panel's")
@@ -97,7 +97,7 @@ class Server:
         return socket
 
     async def _order(self, viewer: Viewer, text: str) -> None:
-        """Do what a page asks for, or tell it why not."""
+        """Execute a page's request, or answer with the reason for refusal."""
         try:
             if not viewer.may_touch:
                 raise RigError("this address may look only")

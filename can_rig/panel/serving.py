@@ -41,10 +41,10 @@ class Shown:
 
 
 def serve(shown: Shown, say: Callable[..., None]) -> None:
-    """Serve until Ctrl-C or SIGTERM, which ends the run that was started here too.
+    """Serve until Ctrl-C or SIGTERM; either signal also ends a run that the panel started.
 
     Args:
-        shown: what is asked for.
+        shown: scenario and bus of the command line.
         say: gets the addresses.
 
     Raises:

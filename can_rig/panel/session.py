@@ -1,4 +1,4 @@
-"""The run that the panel shows: one that it starts itself, or nodes that run already."""
+"""The displayed run: started by the panel, or already running on the named bus."""
 
 from __future__ import annotations
 
@@ -30,14 +30,14 @@ MOST_LINES: Final = 12
 
 @dataclass
 class Session:
-    """A bus, who is on it, and the run that this process has started there.
+    """A bus, its nodes, and this process's run on the bus.
 
     Args:
-        bus: its name.
-        scenario: what runs there.
-        settings: the ``KEY=VALUE`` changes that made it.
-        name: the scenario as a person calls it: a shipped one or a file.
-        sends: whether commands may be sent.
+        bus: name of the bus.
+        scenario: scenario of the nodes.
+        settings: the ``KEY=VALUE`` changes behind ``scenario``.
+        name: name of the scenario for the user: a shipped scenario or a file.
+        sends: whether the panel may send commands.
     """
 
     bus: str
@@ -57,7 +57,7 @@ class Session:
         self._notifier = can.Notifier(self._opened, [self.live.frames], timeout=0.2)
 
     def _new(self) -> LiveSignals:
-        """Signals of a run that has not begun."""
+        """Signals of a run before its first tick."""
         return LiveSignals(self.scenario, network_of(self.scenario))
 
     def close(self) -> None:
@@ -67,11 +67,11 @@ class Session:
 
     @property
     def running(self) -> bool:
-        """Whether a run that was started here goes on."""
+        """Whether a run that the panel started still runs."""
         return self._process is not None and self._process.returncode is None
 
     async def start(self) -> None:
-        """Start a run of the scenario, in real time's pace, on this bus."""
+        """Start a run of the scenario on this bus, paced at real time."""
         if self.running:
             return
         self.said, self.folder = [], None
@@ -89,7 +89,7 @@ class Session:
         )  # fmt: skip
 
     async def ended(self) -> None:
-        """Wait for the end of the run that was started, and note what it said."""
+        """Wait for the end of the panel's run, and note folder and messages."""
         if self._process is None:
             return
         out, err = await self._process.communicate()
@@ -99,7 +99,7 @@ class Session:
         self.said = err.decode(errors="replace").splitlines()[-MOST_LINES:]
 
     async def stop(self) -> None:
-        """End the run, which completes its folder."""
+        """End the run and complete the run folder."""
         if not self.running or self._process is None:
             return
         self._process.send_signal(signal.SIGTERM)  # SIGINT is ignored under a shell's &
@@ -113,7 +113,8 @@ class Session:
         """Send ``command`` to the plant node.
 
         Raises:
-            RigError: nothing may be sent, or no plant node has said that it obeys.
+            RigError: the panel may not send, or no plant node has announced that the node obeys
+                commands.
         """
         state = self.live.state
         if not self.sends:

@@ -1,4 +1,4 @@
-"""The browsers that look: each with a queue of its own, so that a slow one costs nothing."""
+"""The connected browsers: each has a separate queue, so a slow browser delays no other."""
 
 from __future__ import annotations
 
@@ -34,12 +34,12 @@ class Viewer:
         self._some = asyncio.Event()
 
     def offer(self, message: bytes | str) -> None:
-        """Let it have ``message`` as soon as it can take it."""
+        """Queue ``message`` for this browser."""
         self._waiting.append(message)
         self._some.set()
 
     async def send_on(self) -> None:
-        """Send what is offered, until the connection ends or takes nothing for too long."""
+        """Send queued messages until the connection ends or stalls for too long."""
         with suppress(ConnectionError, TimeoutError):
             while not self.socket.closed:
                 await self._some.wait()
@@ -70,7 +70,7 @@ class Viewers:
         return len(self._all)
 
     def add(self, viewer: Viewer) -> None:
-        """From now on it gets what is offered."""
+        """Add a browser, which from now on gets every offered message."""
         self._all.add(viewer)
 
     def remove(self, viewer: Viewer) -> None:

@@ -1,1 +1,1 @@
-"""The commands that look at a scenario before it is run, and the thesis's figures."""
+"""The commands that examine a scenario before a run, and the thesis's figures."""

@@ -52,9 +52,9 @@ def command(
 ) -> None:
     """Say when the frames arrive at worst, and the latency in ticks that follows.
 
-    Exit status: 0 if every frame is sure to be sent in time, 1 if not.
+    Exit status: 0 if every frame meets its deadline, 1 if a frame may miss the deadline.
     """
-    chosen = read(scenario, settings).scenario  # its latency is what is asked for
+    chosen = read(scenario, settings).scenario  # the answer needs the scenario's latency
     bitrate = bitrate or chosen.bus.bitrate
     notes: list[str] = []
     if dbc is not None:
@@ -75,7 +75,7 @@ def command(
 
 
 def as_dict(timing: BusTiming) -> dict[str, Any]:
-    """For JSON: seconds as numbers, null where there is no bound."""
+    """The table as JSON: seconds as numbers, null without a bound."""
     return {
         "bitrate": timing.bitrate,
         "schedulable": timing.schedulable,
@@ -101,7 +101,7 @@ def as_dict(timing: BusTiming) -> dict[str, Any]:
 
 
 def table_rows(timing: BusTiming) -> Iterator[tuple[str, ...]]:
-    """One row a frame, of the columns of `COLUMNS`; times in µs."""
+    """One row a frame, with the columns of `COLUMNS`; times in µs."""
     for frame in timing.frames:
         times = (frame.transmission_s, frame.release_s, frame.response_s, frame.arrival_s)
         row = [NO_BOUND if t is None else f"{float(t) * 1e6:.1f}" for t in (*times, frame.slack_s)]

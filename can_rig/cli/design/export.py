@@ -46,10 +46,10 @@ def command(
     report: bool,
     force: bool,
 ) -> None:
-    """Write SCENARIO's controller as C99, with its constants and what builds it.
+    """Write SCENARIO's controller as C99, with its constants and a makefile.
 
-    The C is translated from the lines that `can-rig run` runs, and has the same bits in every
-    tick. FOLDER/firmware.h is what an application calls; `make -C FOLDER` builds an example.
+    The C code is a translation of the Python code behind `can-rig run`, with the same bits in every
+    tick. Applications call FOLDER/firmware.h; `make -C FOLDER` builds an example.
     """
     chosen = load(scenario, settings)
     files = exported(chosen, precision)
@@ -68,7 +68,7 @@ def _report(scenario: Scenario, files: dict[str, str]) -> None:
 
 
 def _costs(scenario: Scenario) -> None:
-    """On each board, as far as its compiler and the emulator are installed."""
+    """The costs on each board with an installed compiler and emulator."""
     from can_rig.export.evidence.costs import VARIANTS, cost, inputs_of_run  # noqa: PLC0415
     from can_rig.export.evidence.findings import NOT_INSTALLED  # noqa: PLC0415
 
@@ -95,7 +95,7 @@ def _costs(scenario: Scenario) -> None:
 
 
 def _trials(scenario: Scenario) -> None:
-    """Random memory and frames through the C: what differs from Python, and what was not run."""
+    """Random memory and frames through the C code: differences from Python, unexecuted lines."""
     from can_rig.export.evidence.coverage import TOOLS, coverage  # noqa: PLC0415
     from can_rig.export.evidence.findings import NOT_INSTALLED  # noqa: PLC0415
 

@@ -26,8 +26,8 @@ from can_rig.thesis.comparisons import compare, compare_scenario
 def command(own: str | None, out: Path, settings: tuple[str, ...], force: bool) -> None:
     """Draw Figs. 2.2-2.4, 3.5, 3.6 of the thesis: the firmware over the continuous loop.
 
-    With SCENARIO, the like of Figs. 2.2-2.4 for its own plant: the fault estimate healthy and with
-    channel 1 lost from the start, and what compensation makes of the loss.
+    With SCENARIO, draw the counterparts of Figs. 2.2-2.4 for SCENARIO's plant: the fault estimate
+    without a fault and with channel 1 lost from the start, and the effect of compensation.
     """
     if own is None:
         figures.refuse_existing(out, force)

@@ -89,8 +89,9 @@ def command(
 ) -> None:
     """Choose tau, tau_q, alpha and alpha_q for SCENARIO: least peak after the loss of the torque.
 
-    Every choice is stable with ticks to spare, healthy and faulted, for a box of cars around the
-    one that it is designed for.  Exit status: 0 found, 1 none, or none within --noise-limit.
+    Every candidate is stable with spare ticks of delay, healthy and faulted, for a box of cars
+    around the nominal car.  Exit status: 0 found, 1 no stable candidate, or none within
+    --noise-limit.
     """
     picture = out / PICTURE
     refuse_existing(picture, force, "--out", new_folder=True)

@@ -1,4 +1,4 @@
-"""What ``can-rig replay`` prints of an open-loop replay, for a person and as JSON."""
+"""The output of an open-loop ``can-rig replay``, as text and as JSON."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def _counts(loop: OpenLoop) -> dict[str, dict[str, int]]:
 
 
 def print_comparison(source: Source, loop: OpenLoop, listed: list[Gap], gaps: Path | None) -> None:
-    """Tables of signals and gaps, and a verdict; ``gaps`` is the file that has all of them."""
+    """Print tables of signals and gaps, and a verdict; the file ``gaps`` lists every gap."""
     console = wide()
     console.print(_signal_table(loop.comparison.signals))
     if loop.account.counts:
@@ -109,7 +109,7 @@ def _count_table(loop: OpenLoop) -> Table:
 
 
 def _no_wrap(rows: Table) -> Table:
-    """Every column as wide as it needs."""
+    """Set every column to the width of the longest cell."""
     for column in rows.columns:
         column.no_wrap = True
     return rows

@@ -39,8 +39,8 @@ def command(
 ) -> None:
     """Write LOG, a log of any format or a run folder, as OUT in the format of its suffix.
 
-    What OUT does not keep of LOG, or has otherwise, is said in a line each. Frames of a kind that
-    the format does not have are refused.
+    One line names each detail that OUT drops or changes. Frames of a kind unknown to the format of
+    OUT are refused.
     """
     source = read_log(log_path(log), window=window_of(from_s, to_s))
     refuse_log(out, force, "OUT")

@@ -1,4 +1,4 @@
-"""``can-rig decode``: a log through a DBC, into files, with an account of what was not decoded."""
+"""``can-rig decode``: a log through a DBC, into files, with an account of the undecoded frames."""
 
 from __future__ import annotations
 
@@ -75,8 +75,8 @@ def command(
 ) -> None:
     """Decode LOG, a log of any format or a run folder, through a DBC.
 
-    Prints for every message how many frames there were and what became of them: too short,
-    repeated, damaged, unknown.
+    Prints for every message the number of frames, decoded and undecoded: too short, repeated,
+    damaged, unknown.
     """
     source = read_log(log / LOG if log.is_dir() else log, window=window_of(from_s, to_s))
     databases = databases_of(log, dbc, not no_strict)
@@ -111,7 +111,7 @@ def _summary(log: Log, decoder: Decoder, outputs: Sequence[Path]) -> dict[str, A
 
 
 def _print(decoder: Decoder, outputs: Sequence[Path]) -> None:
-    """One row for each message that occurs; only the columns in which there is something."""
+    """Print one row for each received message, without empty columns."""
     counts = {name: c.as_dict() for name, c in decoder.counts.items() if c.frames}
     headings = ["frames", "decoded"]
     if counts:

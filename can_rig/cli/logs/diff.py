@@ -1,4 +1,4 @@
-"""``can-rig diff``: a table, a picture and an exit status of what two runs differ in."""
+"""``can-rig diff``: the differences of two runs as a table, a picture and an exit status."""
 
 from __future__ import annotations
 
@@ -82,7 +82,7 @@ def command(
 
 
 def print_difference(difference: Difference, labels: tuple[str, str], a: SignalTable) -> None:
-    """The table, and what it cannot say."""
+    """Print the table, and the limits of the comparison."""
     headings = ("signal", "largest difference", "at s", "tolerance", "rows beyond", "first at s")
     signals = table(*headings, *labels)
     for column in signals.columns:
@@ -104,7 +104,7 @@ def print_difference(difference: Difference, labels: tuple[str, str], a: SignalT
 
 
 def _settings_table(settings: Sequence[SettingDifference], labels: tuple[str, str]) -> Table:
-    """What the two runs were asked to do differently."""
+    """A table of the settings in which the two runs differ."""
     rows = table("setting", *labels)
     for setting in settings:
         rows.add_row(setting.key, written(setting.a), written(setting.b))

@@ -1,4 +1,4 @@
-"""The databases of a log: those that are named, or its own."""
+"""The databases for a log: the ``--dbc`` options, or the log's own database."""
 
 from __future__ import annotations
 
@@ -44,5 +44,5 @@ def own_dbc(source: Path) -> Path:
     folder = source if source.is_dir() else source.parent
     try:
         return dbc_of(source_of(folder, None, ()).scenario)
-    except RigError:  # a run that was killed before its run.json
+    except RigError:  # a run killed before run.json was written
         return shipped_dbc(CAR)

@@ -45,11 +45,11 @@ def pace(
     window: Window,
     as_json: bool,
 ) -> int:
-    """Put every frame of the log on the bus: the exit status.
+    """Put every frame of the log on the bus; returns the exit status.
 
     Raises:
         LogError: the log cannot be read.
-        BusError: the bus is not there, or does not take frames.
+        BusError: the bus is absent, or refuses frames.
     """
     log = read_log(log_path(path), CHUNK_FRAMES, window)
     stop = StopRequest().on_signals()

@@ -55,7 +55,7 @@ def command(
     out: Path | None,
     force: bool,
 ) -> None:
-    """Draw SIGNALs of LOG: MESSAGE.Signal, or Signal where only one message has it."""
+    """Draw SIGNALs of LOG: MESSAGE.Signal, or Signal if a single message has it."""
     out = out or Path(f"{_bare(log)}.png")
     refuse_picture(out, force)
     databases = databases_of(log, dbc, not no_strict)
@@ -82,10 +82,10 @@ def command(
 
 
 def resolve(messages: Mapping[str, MessageDecoder], name: str) -> tuple[str, str]:
-    """Message and signal of ``MESSAGE.Signal``, or of ``Signal`` where only one message has it.
+    """Message and signal for ``MESSAGE.Signal``, or for ``Signal`` of a single message.
 
     Raises:
-        DbcError: there is none, or more than one.
+        DbcError: no message or several messages have the signal.
     """
     every = [(message, signal) for message in messages for signal in messages[message].signals]
     found = [pair for pair in every if name in (pair[1], ".".join(pair))]
@@ -110,6 +110,6 @@ def resolve(messages: Mapping[str, MessageDecoder], name: str) -> tuple[str, str
 
 
 def _bare(path: Path) -> str:
-    """The name of a log without what says its format."""
+    """The name of a log without the suffixes of its format."""
     name = path.resolve().name.removesuffix(".gz")
     return name if path.is_dir() else Path(name).stem

@@ -100,11 +100,11 @@ def command(
     """Drive today's controller with LOG, a log of any format or a run folder.
 
     Open loop (the default): the logged reference and feedback go through the controller's receive
-    rules and firmware, frame by frame; what it answers is compared with the log, as on the wire.
-    --bus puts the log on a bus instead, --what-if asks what another scenario would have done.
-    What is before --from goes through the controller too, but is not compared.
+    rules and firmware, frame by frame; the answers are compared with the log, as on the wire.
+    --bus puts the log on a bus instead, --what-if runs the closed loop of a changed scenario.
+    Frames before --from go through the controller without comparison.
 
-    Exit status: 0 nothing that can be compared differs, 1 something does.
+    Exit status: 0 no comparable signal differs, 1 a signal differs.
     """
     window = window_of(from_s, to_s)
     if bus is not None:
@@ -135,18 +135,18 @@ def _refuse_together(option: str, **others: object) -> None:
 
 
 def _open_loop(source: Source, begin_ns: int, gaps: Path | None, force: bool, as_json: bool) -> int:
-    """A log through today's controller: 0 if nothing differs, else 1.
+    """Run a log through today's controller; returns 0 without a difference, else 1.
 
     Args:
-        source: the log, from its start on.
-        begin_ns: where in the recording comparing begins.
+        source: the log, from its first frame on.
+        begin_ns: start of the comparison within the recording.
         gaps: the file of the gaps.
-        force: replace it.
+        force: replace the file of the gaps.
         as_json: print an object.
 
     Raises:
-        LogError: the log cannot be read, or nothing of it can be compared.
-        ScenarioError: a design that cannot be made.
+        LogError: the log cannot be read, or has no comparable frame.
+        ScenarioError: the design fails.
     """
     if gaps is not None:
         refuse_existing(gaps, force, "--gaps")
@@ -173,7 +173,7 @@ def _open_loop(source: Source, begin_ns: int, gaps: Path | None, force: bool, as
 
 
 def _compared_from(begin_ns: int, source: Source, loop: OpenLoop) -> Iterator[Frames]:
-    """The chunks of the log; what the time stamps count from is known with the first one."""
+    """The chunks of the log; the first chunk fixes the zero of the time stamps."""
     for frames in source.frames(lambda log: reading(log, "replaying")):
         if begin_ns != ALL.begin_ns:
             loop.compare_from_ns = source.log.start_ns + begin_ns
@@ -182,7 +182,7 @@ def _compared_from(begin_ns: int, source: Source, loop: OpenLoop) -> Iterator[Fr
 
 @contextmanager
 def _all_gaps(path: Path | None, force: bool) -> Iterator[Callable[[list[Gap]], None]]:
-    """Writes the list, or does not; what cannot be written is refused before the replay."""
+    """Writes the list, or nothing; an unwritable file is refused before the replay."""
     if path is None:
         yield lambda gaps: None
         return

@@ -62,9 +62,9 @@ def command(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Say what is in LOG: identifiers, rates, cycle times and jitter, gaps, bus load, E2E errors.
+    """Say what LOG contains: identifiers, rates, cycle times, jitter, gaps, bus load, E2E errors.
 
-    The load is an upper bound: every frame with the most stuff bits that it can have.
+    The load is an upper bound: every frame counts with the largest possible number of stuff bits.
     """
     if out is not None:
         refuse_picture(out, force)
@@ -95,7 +95,7 @@ def command(
 
 
 def _bitrate_of(log: Path) -> int:
-    """That of the scenario of a run folder, where there is one."""
+    """The bit rate of a run folder's scenario; for other logs ``USUAL_BITRATE``."""
     try:
         return source_of(log, None, ()).scenario.bus.bitrate
     except RigError:

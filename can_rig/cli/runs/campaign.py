@@ -63,9 +63,9 @@ def command(
 ) -> None:
     """Run CAMPAIGN, a TOML file or a shipped one: cars, faults, hours, latency, losses.
 
-    Every run is a row of runs.parquet with the command that repeats it; report.html says how often
-    the requirements hold, which runs are the worst, and which axis matters. Ctrl-C keeps what is
-    done.
+    Every run becomes a row of runs.parquet with the command that repeats the run; report.html gives
+    the pass rate of each requirement, the worst runs, and the influence of each axis. Ctrl-C keeps
+    completed runs.
     """
     if resume and (out is None or force):
         raise click.UsageError("--resume: must come with --out, and not with --force")
@@ -110,7 +110,7 @@ def computing(
 
 @contextmanager
 def _told(folder: CampaignFolder) -> Iterator[None]:
-    """Say where the campaign is, whatever ends it; one without a run is taken away."""
+    """Print the campaign's folder at any end of the campaign; remove a folder without runs."""
     try:
         yield
     except BaseException:

@@ -1,4 +1,4 @@
-"""The last lines of a run: its metrics, its rate, what was not used, where it is."""
+"""The last lines of a run: metrics, rate, unused frames, folder."""
 
 from __future__ import annotations
 
@@ -15,9 +15,9 @@ from can_rig.scenario.settings import Scenario
 
 
 def closing_table(scenario: Scenario, values: Metrics, outcome: Outcome, folder: Path) -> None:
-    """Metrics, rate, frames not used and the folder of a run that has ended.
+    """Metrics, rate, unused frames and folder of a finished run.
 
-    No metrics and no rate where no command was recorded, and so no whole tick.
+    Without a recorded command no tick is complete, so the table has no metrics and no rate.
     """
     closing: list[tuple[str, str]] = []
     if values.get("torque_peak_nm") is not None:

@@ -32,8 +32,8 @@ def command(
 ) -> None:
     """Run the controller node: the firmware, in lockstep with a plant node or in real time.
 
-    In real time it may be started, or started again, while the car drives: it listens for 50 ms,
-    then takes over without a bump.
+    In real time a controller may start, or restart, while the car drives: the controller listens
+    for 50 ms, then takes over without a bump.
     """
     timeouts = Timeouts(first_s, Timeouts.silence_s if silence_s is None else silence_s)
     chosen = load(scenario, settings)

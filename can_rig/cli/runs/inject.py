@@ -1,4 +1,4 @@
-"""``can-rig inject``: one command to a plant node that was started with --injectable."""
+"""``can-rig inject``: one command to a plant node started with --injectable."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ def _kinds(place: str) -> dict[str, str]:
 
 
 class _WithNegatives(click.Command):
-    """A command whose arguments may be negative numbers, which look like options."""
+    """A command with negative numbers as arguments, although such numbers look like options."""
 
     def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
         """Take negative numbers for arguments where no option asks for its value."""
@@ -62,13 +62,13 @@ class _WithNegatives(click.Command):
 )
 @click.option("--value", type=float, help="The fault's one number, in the unit of what fails.")
 def command(what: str, how: str | None, bus: str, for_s: float | None, value: float | None) -> None:
-    """Touch a run that goes on: inject torque dead --for 2, inject clear.
+    """Touch a running simulation: inject torque dead --for 2, inject clear.
 
-    WHAT is torque, force-difference or sensor, with HOW it fails: dead (--value: what is left),
-    stuck, offset, drift, oscillating, rate-limited, late; a sensor is biased rather than offset.
-    The frames of each can fail too: missing, corrupted, repeated, late or forged, as in
-    frames-late. Or WHAT is clear [all or one of them], reference MPS2 (added to the scenario's),
-    pace TIMES-REAL-TIME (which ends a pause), pause, or step TICKS (of a paused run).
+    WHAT is torque, force-difference or sensor, with a failure HOW: dead (--value: the remaining
+    share), stuck, offset, drift, oscillating, rate-limited, late; a sensor is biased rather than
+    offset. The frames of each can fail too: missing, corrupted, repeated, late or forged, as in
+    frames-late. Or WHAT is clear [all or one target], reference MPS2 (added to the scenario's
+    reference), pace TIMES-REAL-TIME (also ends a pause), pause, or step TICKS (of a paused run).
     """
     asked = _command(what, how, for_s, value)
     with open_bus(bus) as opened:

@@ -1,4 +1,4 @@
-"""What the commands ``plant`` and ``controller`` share: options, progress and the last lines."""
+"""Shared parts of the commands ``plant`` and ``controller``: options, progress, last lines."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from can_rig.scenario.settings import Scenario
 
 
 def node_options(function: Function) -> Function:
-    """What both nodes take beside the scenario."""
+    """The options of both nodes, beyond SCENARIO and --set."""
     for decorate in (
         bus_option("local", "local"),
         json_option("Progress and summary as JSON lines."),

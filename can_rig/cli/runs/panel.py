@@ -1,4 +1,4 @@
-"""``can-rig panel``: a page on this machine that shows a run, and lets one touch it."""
+"""``can-rig panel``: a web page on this machine to watch and touch a run."""
 
 from __future__ import annotations
 
@@ -27,8 +27,8 @@ def command(
 ) -> None:
     """Watch SCENARIO while it runs, and touch it, in a browser on this machine.
 
-    Two addresses are printed, each with a token of this start: one for whoever may touch the run,
-    one for whoever may only look.
+    The command prints two addresses, each with a token of this start: an address for watching and
+    touching the run, and an address for watching only.
     """
     from can_rig.panel.serving import Shown, serve  # noqa: PLC0415 (aiohttp is slow to import)
 

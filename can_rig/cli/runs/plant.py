@@ -49,7 +49,7 @@ def command(
 ) -> None:
     """Run the plant node: the simulated car, in lockstep with a controller node or in real time.
 
-    In real time it goes on without the controller node: actuators hold, then drop to zero.
+    In real time the plant node survives the controller node: actuators hold, then drop to zero.
     """
     if log is not None and log.suffix.lower() in OTHER_FORMATS:
         raise LogError(

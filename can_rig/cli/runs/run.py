@@ -1,4 +1,4 @@
-"""``can-rig run``: refuse what cannot run, run it, leave a complete folder."""
+"""``can-rig run``: refuse a bad scenario, run both nodes, leave a complete folder."""
 
 from __future__ import annotations
 
@@ -77,7 +77,7 @@ def command(
 ) -> None:
     """Run both nodes through SCENARIO and collect the run folder.
 
-    In lockstep, which is exact and the same on every run, or with --realtime by the wall clock.
+    Default: lockstep, exact and identical on every run. --realtime: the wall clock.
     """
     if in_process and real_time:
         raise click.UsageError("--in-process and --realtime: real time needs two processes")
@@ -118,7 +118,7 @@ def command(
 
 
 def _timeouts(silence_s: float | None, interaction: Interaction) -> Timeouts:
-    """A node whose other half is held or paused hears nothing for as long as that lasts."""
+    """Unlimited silence for a run with pauses: the partner of a paused node hears no frame."""
     if silence_s is None and interaction != UNTOUCHED:
         return Timeouts(silence_s=math.inf)
     return DEFAULT_TIMEOUTS if silence_s is None else Timeouts(silence_s=silence_s)

@@ -1,4 +1,4 @@
-"""What every controller node in lockstep does: wait for a tick's feedback, and answer it."""
+"""The common loop of controller nodes in lockstep: wait for a tick's feedback, and answer."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ class AnsweringNode(ABC):
     """A node that answers each tick's frames.
 
     Attributes:
-        ticks: of the whole run.
+        ticks: the number of ticks of the whole run.
     """
 
     ticks: int
@@ -26,7 +26,7 @@ class AnsweringNode(ABC):
 
     @abstractmethod
     def take(self, message: can.Message) -> bool:
-        """Take in a frame, and answer the tick that it completes; whether it did."""
+        """Receive a frame; returns True if the frame completed a tick, which is then answered."""
 
     def run(self, watchdog: Watchdog, on_tick: Callable[[int], None]) -> int:
         """Answer ticks to the end of the run or to a stop request; the number answered.
@@ -44,7 +44,7 @@ class AnsweringNode(ABC):
         return self.tick
 
     def serve(self, watchdog: Watchdog) -> None:
-        """Wait for one tick's feedback and answer it.
+        """Wait for one tick's feedback and answer the tick.
 
         Raises:
             SilentNodeError, BusLostError, Interrupted: see ``Watchdog.receive``.

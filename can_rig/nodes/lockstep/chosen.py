@@ -1,4 +1,4 @@
-"""The controller node that runs what was chosen: a law of ours, or an application in C."""
+"""The controller node of the ``--controller`` option: a law of the rig, or an application in C."""
 
 from __future__ import annotations
 
@@ -31,10 +31,10 @@ def lockstep_controller(
 
 
 def in_real_time(controller: Controller) -> Law:
-    """The law that a node runs by the wall clock.
+    """The control law for a node by the wall clock.
 
     Raises:
-        ExportError: an application, which has the receive rules of lockstep only.
+        ExportError: an application, whose receive rules support lockstep only.
     """
     if isinstance(controller, Application):
         raise ExportError("real time: the controller must be python or c")

@@ -20,10 +20,10 @@ from firmware_model.firmware import PYTHON_LAW, Firmware, Law
 
 
 class Actuation(Protocol):
-    """What a replay knows of the commands that were recorded."""
+    """The recorded timing of commands, for replay."""
 
     def begin(self, tick: int, firmware: Firmware) -> bool:
-        """Tell the firmware what acts from ``tick`` on; whether its sample was answered."""
+        """Tell the firmware the active commands from ``tick`` on; True for an answered sample."""
 
     def send(self, tick: int, commands: tuple[float, float]) -> None:
         """Note the commands of a tick."""
@@ -34,13 +34,13 @@ class ControllerNode(AnsweringNode):
 
     Args:
         scenario: the run.
-        network: its frames.
+        network: the frames of the run.
         send: sends a frame.
-        actuation: of a run in real time that is replayed; None: every answer is in time.
-        law: what runs as the control law.
+        actuation: command timing of a recorded real-time run; None: every answer is in time.
+        law: the implementation of the control law.
 
     Raises:
-        ScenarioError: a design that cannot be made.
+        ScenarioError: the design fails.
     """
 
     def __init__(
@@ -58,7 +58,7 @@ class ControllerNode(AnsweringNode):
         _, self._firmware = started(scenario, network, law)
         self._reference_now = Record(math.nan, -1)
         self._tick = 0  # the next one
-        self._expected: int | None = None  # the first contact says which tick it is
+        self._expected: int | None = None  # the first contact sets the tick
         self._first_reference: can.Message | None = None
         self._first_speed: can.Message | None = None
 
@@ -68,7 +68,7 @@ class ControllerNode(AnsweringNode):
         return self._tick
 
     def take(self, message: can.Message) -> bool:
-        """Take in a frame, and answer the tick that it completes; whether it did."""
+        """Receive a frame; returns True if the frame completed a tick, which is then answered."""
         if self._followed.take(message, self._tick):
             return False
         if self._expected is None and not self._first_contact(message):
@@ -88,8 +88,9 @@ class ControllerNode(AnsweringNode):
     def _first_contact(self, message: can.Message) -> bool:
         """Whether ``message`` is the first feedback: intact, and of the tick of the reference.
 
-        One frame of 256 that another sender makes up has the right CRC, and would do where the tick
-        is still anybody's guess. So two are wanted that agree; until then no checker sees any.
+        A forged frame has the right CRC with probability 1/256, and no expected tick exists yet to
+        reject the frame. First contact therefore needs two consistent frames; before first contact
+        no protection checker sees any frame.
         """
         reference, feedback = self._end.reference, self._end.feedback
         if message.arbitration_id == reference.codec.frame_id:
@@ -108,21 +109,21 @@ class ControllerNode(AnsweringNode):
         return False
 
     def _take_speed(self, message: can.Message) -> None:
-        """Without one, the firmware goes on with the last."""
+        """Pass the speed to the firmware; without a frame, the firmware keeps the last speed."""
         record = self._end.speed_of(message, self._expected)
         if record is not None:
             self._firmware.change_speed(record.value)
 
     @property
     def expected(self) -> int | None:
-        """The tick whose frames are wanted next; None before the first contact."""
+        """The tick of the next expected frames; None before the first contact."""
         return self._expected
 
     def miss(self) -> None:
-        """Let the expected tick pass without its feedback: the firmware holds, and says so.
+        """Skip the expected tick without feedback: the firmware holds, and reports the miss.
 
-        In lockstep time stands still until the feedback comes; who knows that it went on, says so
-        by this.
+        In lockstep, time stands still until the feedback arrives; callers that know about passed
+        ticks report each with this method.
         """
         assert self._expected is not None
         self._answer(self._expected % WIRE_TICKS, math.nan)

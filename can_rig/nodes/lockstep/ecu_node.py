@@ -1,7 +1,7 @@
-"""The controller node in lockstep as a program of its own in C, on this machine or another.
+"""The controller node in lockstep as a separate C program, on this machine or another.
 
-What is done here is the bus: frames go in, and what the program sends goes out, with the scheduled
-faults of frames.
+This module handles the bus: received frames go to the program, and the program's frames go to the
+bus after the scheduled frame faults.
 """
 
 from __future__ import annotations
@@ -18,7 +18,7 @@ from can_rig.scenario.settings import Scenario
 
 
 class EcuNode(AnsweringNode):
-    """As ``ControllerNode``, with ``ecu`` in place of what that does with a frame."""
+    """Like ``ControllerNode``, but ``ecu`` processes the frames."""
 
     def __init__(self, scenario: Scenario, network: Network, send: Send, ecu: Ecu) -> None:
         self.ticks = scenario.ticks
@@ -39,7 +39,7 @@ class EcuNode(AnsweringNode):
         return self._tick
 
     def take(self, message: can.Message) -> bool:
-        """Hand on a frame, and send the answer to the tick that it completes; whether it did."""
+        """Pass a frame to the program, send a completed tick's answer; True after an answer."""
         if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
             return False
         if message.arbitration_id not in self._wanted:

@@ -1,4 +1,4 @@
-"""The processor of nodes in lockstep, which alternate."""
+"""One processor core for alternating lockstep nodes."""
 
 from __future__ import annotations
 
@@ -9,11 +9,11 @@ from contextlib import contextmanager
 
 @contextmanager
 def one_core() -> Iterator[None]:
-    """Let processes forked inside share one core and leave it only when they wait.
+    """Make processes forked inside share one core, with switches only on waits.
 
     Nodes in lockstep alternate, and waking another core costs more than the tick. Under SCHED_BATCH
-    a frame does not preempt its sender, so a tick is two switches and not up to five. Runs side by
-    side get different cores, as far as there are.
+    a frame does not preempt its sender, so a tick needs two switches instead of up to five.
+    Parallel runs get different cores while cores last.
     """
     if not hasattr(os, "sched_setaffinity"):  # Linux alone has it
         yield

@@ -1,4 +1,4 @@
-"""The plant node in lockstep: it owns virtual time, and writes the log."""
+"""The plant node in lockstep: owns virtual time, and writes the log."""
 
 from __future__ import annotations
 
@@ -34,19 +34,19 @@ UNREAD_S: Final = 10.0
 
 
 class PlantNode:
-    """Sends reference and feedback, waits for the status, applies the commands that came.
+    """Sends reference and feedback, waits for the status, applies the received commands.
 
     Args:
         scenario: the run.
-        network: its frames.
+        network: the frames of the run.
         send: sends a frame.
-        recorder: gets every frame sent or seen; None records nothing.
-        reports: gets what the plant reports of every tick; None records nothing.
-        interaction: how far the run can be touched.
-        clock: the time, of a run that can be touched.
+        recorder: gets every frame sent or received; None records nothing.
+        reports: gets the plant's report of every tick; None records nothing.
+        interaction: permitted commands during the run.
+        clock: the time, for a run with interaction.
 
     Raises:
-        ScenarioError: a reference that does not fit its frame, a plant that is none, frames
+        ScenarioError: a reference beyond the range of its frame, an invalid plant, frames
             without a tick.
     """
 
@@ -102,7 +102,7 @@ class PlantNode:
         self._end.send_sample()
 
     def repeat(self) -> None:
-        """Send the offer again, to a controller that was not there yet; the log has it once."""
+        """Send the offer again, for a controller that starts late; the log has one copy."""
         self._end.repeat()
 
     def collect(self, tick: int, watchdog: Watchdog) -> None:
@@ -140,7 +140,7 @@ class PlantNode:
         self._control.take(message)
 
     def record_the_rest(self, bus: NodeBus, clock: Clock) -> None:
-        """Put in the log what others had sent by the end and was not read yet."""
+        """Record unread frames of other senders at the end of the run."""
         if self._recorder is None:
             return
         quiet_s = QUIET_AMONG_OTHERS_S if self._others_send else QUIET_S
@@ -159,10 +159,10 @@ class PlantNode:
 
 
 def require_ticks(scenario: Scenario, network: Network) -> None:
-    """Refuse frames that do not say which tick they are of.
+    """Refuse frames without a tick signal.
 
     Raises:
-        ScenarioError: one of them has no such signal.
+        ScenarioError: a frame without a tick signal.
     """
     if not network.has_ticks:
         raise ScenarioError(

@@ -1,4 +1,4 @@
-"""A run that is touched while it goes on, from both ends: who obeys, and who asks.
+"""Commands during a run, from both ends: the obeying plant node and the operator.
 
-The nodes of a run import it; it imports what both ends of the bus share.
+The nodes of a run import `operator`; `operator` imports modules common to both ends of the bus.
 """

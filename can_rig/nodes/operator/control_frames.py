@@ -1,4 +1,4 @@
-"""What was done to a run while it went on, as its log has it."""
+"""Commands to a running simulation, read from the log of the run."""
 
 from __future__ import annotations
 
@@ -28,7 +28,7 @@ class Touches:
         self._frames = self._tick = 0
 
     def watching(self, chunks: Iterable[Frames]) -> Iterator[Frames]:
-        """The same chunks, so that a log is read once for everything that is asked of it."""
+        """The same chunks, so one pass over a log serves every reader."""
         for chunk in chunks:
             self._add(chunk)
             yield chunk
@@ -48,7 +48,7 @@ class Touches:
 
 
 def touches(chunks: Iterable[Frames], network: Network) -> list[Touch]:
-    """The commands in a log that nothing else is asked of."""
+    """The commands in a log, for callers without other use for the log."""
     reader = Touches(network)
     deque(reader.watching(chunks), maxlen=0)
     return reader.found
@@ -56,9 +56,9 @@ def touches(chunks: Iterable[Frames], network: Network) -> list[Touch]:
 
 @dataclass(frozen=True)
 class Done:
-    """A scenario with what was done to a run of it.
+    """A scenario with the commands of a run.
 
-    ``moved`` says whether the reference was moved, which no fault of a scenario does.
+    ``moved`` says whether a command moved the reference, which no scenario fault can express.
     """
 
     scenario: Scenario
@@ -66,7 +66,7 @@ class Done:
 
 
 def done(scenario: Scenario, told: Iterable[Touch]) -> Done:
-    """The scenario whose scheduled faults are its own and those that were injected."""
+    """The scenario, with the injected faults after the scheduled faults."""
     injection, moved, sequence = Injection(scenario), False, 0
     for touch in told:
         command = control.read_command(touch.message, sequence)

@@ -13,14 +13,14 @@ from can_rig.scenario.settings import Scenario
 
 
 class FollowedFaults:
-    """Faults of frames that are injected and cleared as the plant node does it.
+    """Frame faults, injected and cleared in step with the plant node.
 
-    It says each command that it takes, in their order and before the frames of the first tick in
-    which it acts. A frame that is damaged, or not the next one, changes nothing.
+    The plant node announces each obeyed command, in order and before the frames of the command's
+    first tick. A damaged frame, or a frame out of sequence, has no effect.
 
     Args:
         scenario: the run.
-        faults: what is changed.
+        faults: the faults to update.
     """
 
     def __init__(self, scenario: Scenario, faults: FrameFaults) -> None:
@@ -30,7 +30,7 @@ class FollowedFaults:
         self._next: int | None = None  # the first may have any number
 
     def take(self, message: can.Message, tick: int) -> bool:
-        """Follow a frame that says a command of ``tick``; whether it is such a one."""
+        """Follow a frame that announces a command of ``tick``; returns False for other frames."""
         if message.arbitration_id != self._frame_id:
             return False
         numbered = control.read_taken(message)

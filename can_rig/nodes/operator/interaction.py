@@ -1,4 +1,4 @@
-"""How far a run in lockstep can be touched while it goes on."""
+"""The permitted commands to a lockstep run."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ class Interaction:
 
     @property
     def replayed(self) -> bool:
-        """Whether the commands are those of a log."""
+        """Whether the commands come from a log."""
         return bool(self.told)
 
 

@@ -23,11 +23,11 @@ class Touch(NamedTuple):
 
 
 class OperatedBus:
-    """A bus on which the commands of a log come where they came.
+    """A bus that delivers the commands of a log at their recorded places.
 
     Args:
-        bus: the plant node's.
-        network: its frames.
+        bus: the plant node's bus.
+        network: the frames of the run.
         told: the commands.
     """
 

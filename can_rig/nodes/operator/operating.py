@@ -16,10 +16,10 @@ WITHIN_S: Final = 1.0
 
 
 def operate(bus: can.BusABC, name: str, command: control.Command) -> None:
-    """Send ``command`` on the bus called ``name``, and wait until it is obeyed.
+    """Send ``command`` on the bus called ``name``, and wait until the plant node obeys.
 
     Raises:
-        RigError: no plant node there obeys commands, or not this one.
+        RigError: no plant node there obeys commands, or the plant node refuses ``command``.
     """
     require_possible(command)
     state, is_silent = _state(bus)
@@ -52,7 +52,7 @@ def operate(bus: can.BusABC, name: str, command: control.Command) -> None:
 
 
 def _state(bus: can.BusABC) -> tuple[control.State | None, bool]:
-    """The next that a plant node says of itself (None: nothing), and whether nobody says a word."""
+    """The next state of a plant node (None after a timeout), and whether the bus is silent."""
     frame_id, is_silent = control.identifiers().state, True
     end_s = time.monotonic() + WITHIN_S
     while (left_s := end_s - time.monotonic()) > 0.0:

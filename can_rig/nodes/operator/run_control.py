@@ -1,4 +1,4 @@
-"""A run that is touched while it goes on: commands obeyed or refused, pace, pause and steps."""
+"""Commands to a running simulation: obedience or refusal, pace, pause and steps."""
 
 from __future__ import annotations
 
@@ -27,13 +27,14 @@ PAUSE_S: Final = 0.02
 class RunControl:
     """The plant node's side of ``RIG_CONTROL``.
 
-    What arrives in a tick acts from the next one on, so that a log says when.
+    A command received in a tick acts from the next tick on, so the log fixes the time of the
+    command.
 
     Args:
-        interaction: what is permitted.
+        interaction: permitted commands.
         scenario: the run.
-        end: what samples the plant, whose faults and reference are changed.
-        send: sends a frame; what is sent here is in no log.
+        end: the plant's end, whose faults and reference the commands change.
+        send: sends a frame; no log records these frames.
         clock: the time.
     """
 
@@ -65,7 +66,7 @@ class RunControl:
         """Commands that were not obeyed."""
 
     def take(self, message: can.Message) -> None:
-        """Note a frame that is none of the network's, and may be a command."""
+        """Keep a frame outside the network, which may be a command."""
         if message.is_extended_id or message.arbitration_id != control.identifiers().control:
             return
         command = control.read_command(message, self._next)
@@ -77,9 +78,9 @@ class RunControl:
         self._last_checksum = message.data[0]
 
     def begin(self, tick: int, watchdog: Watchdog, hear: Callable[[can.Message], None]) -> None:
-        """Wait until ``tick`` may begin, then let what was asked for act from it on.
+        """Wait until ``tick`` may begin, then apply the pending commands from ``tick`` on.
 
-        ``hear`` gets the frames that come meanwhile.
+        ``hear`` gets the frames received during the wait.
 
         Raises:
             Interrupted: a stop was requested.
@@ -92,7 +93,7 @@ class RunControl:
         self._tell()
 
     def applied(self) -> None:
-        """Tell whoever looks what the actuators have applied in this tick."""
+        """Report the actuators' applied commands of this tick to viewers."""
         if self._interaction.injectable and not self._interaction.replayed:
             self._send(control.applied_message(*self._end.plant.applied))
 
@@ -112,7 +113,7 @@ class RunControl:
         self._steps = max(self._steps - 1, 0)
 
     def _obey(self, tick: int) -> None:
-        """Do what was asked for before ``tick``."""
+        """Obey the pending commands before ``tick``."""
         asked, self._asked = self._asked, []
         for number, command in asked:
             self._send(control.taken_message(command, number))  # the controller's frames fail too

@@ -1,16 +1,16 @@
-"""The controller node in real time: it answers what can still be in time, and can join late.
+"""The controller node in real time: answers every sample that can be in time, and can join late.
 
-A sample whose answer would come too late (a newer one, ``latency_ticks`` on, is already here) is
-not answered. Whether commands that were sent came too late shows in the time stamp of the frame
-that the plant node sent next, right after it had looked for them. Either way the node knows what
-the actuators did without them, hold and then drop to zero, and tells F1, so that F1 goes on with
-what the car got and d̂ shows no fault that is none.
+A sample whose answer would come too late (a newer sample, ``latency_ticks`` on, is already here)
+stays unanswered. The plant node looks for commands and sends its next frame right afterwards, so
+the time stamp of this frame shows which sent commands came too late. After an unanswered sample and
+after a late command the node computes the actuators' reaction, hold and then drop to zero, and
+passes the commands to F1. F1 then works on the car's actual inputs, and d̂ shows no false fault.
 
-A controller that comes late, because it was started again or stood still for longer than the
-actuators hold a command and ``restart`` listens, takes over as ``restart`` says. The first tick
-that it hears says whether it is late: a run begins with tick 0. The wire carries 16 bits of the
-tick; started again after more than 65536 ticks the node takes them modulo that, so its
-``frames-…`` faults come at the wrong time, and the run ends when the plant node falls silent.
+A controller comes late after a restart, or after standing still for longer than the actuators hold
+a command while ``restart`` listens, and takes over as described in ``restart``. The first received
+tick shows a late start: a run begins with tick 0. The wire carries 16 bits of the tick; after a
+restart past tick 65536 the node counts ticks modulo 65536, so its ``frames-…`` faults come at the
+wrong time, and the run ends when the plant node falls silent.
 """
 
 from __future__ import annotations
@@ -57,7 +57,7 @@ class Sample(NamedTuple):
 
 
 class Sent(NamedTuple):
-    """The commands of one tick and when they were sent, by the clock of the bus's time stamps."""
+    """The commands of one tick and their send time, on the clock of the bus's time stamps."""
 
     commands: tuple[float, float]
     at_s: float
@@ -78,17 +78,18 @@ def warm_up(scenario: Scenario, network: Network) -> None:
 
 
 class RealTimeControllerNode:
-    """Answers each feedback frame that is not too old, and takes over where it comes late.
+    """Answers each feedback frame that is not too old, and takes over after a late start.
 
     Args:
         scenario: the run.
-        network: its frames.
-        bus: where to send, and to look for what waits behind the frame that was received; it never
-            raises ``can.CanError``.
-        clock: the time; where its time stamps are not those of the bus, they say nothing.
+        network: the frames of the run.
+        bus: for sending, and for a look at frames queued behind the received frame; never raises
+            ``can.CanError``.
+        clock: the time; a clock other than the clock of the bus's time stamps makes the stamps
+            meaningless.
 
     Raises:
-        ScenarioError: a latency of zero, a design that cannot be made.
+        ScenarioError: a latency of zero, or the design fails.
     """
 
     def __init__(
@@ -113,7 +114,7 @@ class RealTimeControllerNode:
         self._most_missed = hold_ticks + round(LISTEN_S / scenario.tick_s)
         self._missed = self._too_late = 0  # in a row: samples, commands
         self._tick = 0  # the next one
-        self._expected: int | None = None  # the first contact says which tick it is
+        self._expected: int | None = None  # the first contact sets the tick
         self._reference_now = Record(math.nan, -1)
         self._speed_now = Record(math.nan, -1)
         self._offered_s = 0.0  # the last reference's time stamp
@@ -123,10 +124,10 @@ class RealTimeControllerNode:
         self._waiting: list[Sample] = []
 
     def run(self, watchdog: Watchdog, on_tick: Callable[[int], None]) -> int:
-        """Answer ticks to the end of the run or to a stop request; the tick that it has reached.
+        """Answer ticks to the end of the run or to a stop request; returns the last tick.
 
-        Frames without a tick do not say how many of them were missed, nor so which is the last:
-        there the run is over once the plant node is silent.
+        Frames without a tick hide the number of missed frames and therefore the last tick: such a
+        run ends with the silence of the plant node.
 
         Raises:
             SilentNodeError: the plant node is silent.
@@ -214,7 +215,7 @@ class RealTimeControllerNode:
         self._waiting.append(Sample(tick, reference, record.value, speed, self._offered_s))
 
     def _miss(self, ticks: range, offered_s: float = -math.inf) -> None:
-        """Let ``ticks`` pass for which no command can be in time."""
+        """Skip ``ticks`` ticks whose commands would all be too late."""
         for tick in ticks[: max(0, self._most_missed - self._missed)]:
             if self._listens:
                 self._listen(math.nan)
@@ -228,7 +229,7 @@ class RealTimeControllerNode:
             self._begin_restart()
 
     def _look_back(self, tick: int, offered_s: float) -> None:
-        """What acts from ``tick`` on: the commands that were sent in time, or what actuators do."""
+        """Active commands from ``tick`` on: commands sent in time, or actuators' substitutes."""
         at = tick % self._latency_ticks
         sent, self._sent[at] = self._sent[at], NOTHING
         if sent is None:

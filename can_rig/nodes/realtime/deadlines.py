@@ -1,12 +1,12 @@
-"""The deadlines of a real-time run: absolute, each of its own.
+"""Absolute deadlines of a real-time run.
 
-Deadline k is start + k·T in whole nanoseconds of CLOCK_MONOTONIC. None is computed from the one
-before, so a tick that is late makes no other late and the mean period is the clock's own.
+Deadline k is start + k·T in whole nanoseconds of CLOCK_MONOTONIC. No deadline depends on the
+previous tick, so a late tick delays no other tick, and the mean period equals the clock's period.
 
 The wait is an ordinary sleep (``time.sleep`` is clock_nanosleep since Python 3.11) with a timer
 slack of 1 ns. Spinning for the last 60 µs would bring the median lateness from some 20 µs to below
-1 µs; the tail, which misses deadlines, is other processes' and stays, and a spinning node takes
-from the other one where they share cores.
+1 µs. Missed deadlines come from the tail of the distribution, which other processes cause and
+spinning leaves unchanged; and on a shared core a spinning node takes time from the other node.
 """
 
 from __future__ import annotations
@@ -34,12 +34,12 @@ class Schedule:
         return self.start_ns + tick * self.tick_ns
 
     def newest(self, now_ns: int) -> int:
-        """The last tick whose deadline is not after ``now_ns``."""
+        """The last tick with a deadline at or before ``now_ns``."""
         return (now_ns - self.start_ns) // self.tick_ns
 
 
 def require_causal(scenario: Scenario) -> None:
-    """Refuse a run that no wall clock can have.
+    """Refuse a run without a causal order in wall-clock time.
 
     Raises:
         ScenarioError: a latency of zero ticks.

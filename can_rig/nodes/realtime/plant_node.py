@@ -1,20 +1,20 @@
-"""The plant node in real time: it owns the wall clock, and what comes too late was not sent.
+"""The plant node in real time: owns the wall clock, and treats late frames as lost.
 
-At deadline k the node latches what has arrived, sends the reference and D* of tick k, and then, in
-the slack, computes D* of tick k + 1 and packs its frames, receives, and records.
+At deadline k the node latches the received commands, sends the reference and D* of tick k, and
+then, in the slack, computes D* of tick k + 1 and packs its frames, receives, and records.
 
-**Latency.** The way over the real bus and the time that the controller takes are the latency: a
-command computed from the sample of tick k acts from deadline k + ``latency_ticks`` on, however
-early it comes, and counts as lost when it is not there by then (logical execution time: Henzinger,
-Horowitz, Kirsch, "Giotto", Proc. IEEE 91 (2003) 84). The actuator then does what it does without
-a command. So a run in which nothing is late is the lockstep run, command for command, and
-what a late frame does is what a lost one does there. A latency of zero is refused: it would have
-commands act before they are computed.
+**Latency.** The latency is the transit time over the real bus plus the controller's computing time:
+a command computed from the sample of tick k acts from deadline k + ``latency_ticks`` on, even after
+an early arrival, and counts as lost if absent at this deadline (logical execution time: Henzinger,
+Horowitz, Kirsch, "Giotto", Proc. IEEE 91 (2003) 84). The actuator then reacts as to a missing
+command. A run without late frames therefore equals the lockstep run, command for command, and a
+late frame has the effect of a lost frame in lockstep. A latency of zero is refused: commands would
+act before their computation.
 
 **Missed deadlines.** A node that wakes up to ``CATCH_UP_TICKS`` late runs the missed ticks at once,
-one after the other; deadlines stay where they were. After a longer sleep (SIGSTOP, a debugger)
-those ticks are skipped: the car drives through them without commands, nothing of them is
-sent, and they are counted. Time on the bus is wall-clock time, always.
+in sequence; deadlines stay unchanged. After a longer sleep (SIGSTOP, a debugger) the node skips and
+counts the missed ticks: the car drives without commands, and no frames are sent. Time on the bus is
+always wall-clock time.
 """
 
 from __future__ import annotations
@@ -46,18 +46,18 @@ MOST_AT_ONCE: Final = 100
 
 
 class RealTimePlantNode:
-    """Sends reference and feedback at each deadline, applies the commands that are in time.
+    """Sends reference and feedback at each deadline, applies timely commands.
 
     Args:
         scenario: the run.
-        network: its frames.
-        bus: where to send and receive; it never raises ``can.CanError``.
-        recorder: gets every frame sent or seen; None records nothing.
-        reports: gets what the plant reports of every tick; None records nothing.
+        network: the frames of the run.
+        bus: for sending and receiving; never raises ``can.CanError``.
+        recorder: gets every frame sent or received; None records nothing.
+        reports: gets the plant's report of every tick; None records nothing.
         clock: the time.
 
     Raises:
-        ScenarioError: a latency of zero, a reference that does not fit its frame.
+        ScenarioError: a latency of zero, a reference beyond the range of its frame.
     """
 
     def __init__(
@@ -72,7 +72,7 @@ class RealTimePlantNode:
         require_causal(scenario)
         self.ticks: Final = scenario.ticks
         self.timing = Timing(scenario.tick_ns)
-        # Commands wait in _inbox until their tick, so the simulated bus has nothing to delay.
+        # Commands wait in _inbox until their tick, so the simulated bus adds no delay.
         undelayed = replace(scenario, latency_ticks=0)
         self._end = PlantEnd(undelayed, network, bus.send, recorder, reports)
         self._commands = (network.command_1.name, network.command_2.name)
@@ -89,12 +89,13 @@ class RealTimePlantNode:
         self._heard_ns = 0
 
     def run(self, watchdog: Watchdog, on_tick: Callable[[int], None]) -> int:
-        """Run to the end or to a stop request; the number of ticks completed.
+        """Run to the end or to a stop request; returns the number of completed ticks.
 
-        The clock starts when the controller node has answered tick 0, which is offered until then.
+        The clock starts with the controller node's answer to tick 0; until then the node repeats
+        the offer of tick 0.
 
         Raises:
-            SilentNodeError: no controller node came, or it is silent for longer than allowed.
+            SilentNodeError: no controller node came, or the controller is silent for too long.
         """
         try:
             self._meet(watchdog)
@@ -115,7 +116,7 @@ class RealTimePlantNode:
             due, tick = tick + 1, self._skip(tick + 1, now_ns)
             if self._recorder is not None:
                 self._recorder.at(now_ns - self._schedule.start_ns)
-            # Right after the last look at the bus: the time stamp tells who was late.
+            # Right after the last look at the bus: the time stamp shows late commands.
             self._end.send_sample()
             self.timing.woke(due, now_ns - deadline_ns)
             self.timing.skipped(tick - due)
@@ -126,7 +127,7 @@ class RealTimePlantNode:
             on_tick(tick)
 
     def repeat(self) -> None:
-        """Send the offer of tick 0 again, to a controller that was not there yet."""
+        """Send the offer of tick 0 again, for a controller that starts late."""
         self._end.repeat()
 
     def rejected(self) -> dict[str, dict[str, int]]:
@@ -185,7 +186,7 @@ class RealTimePlantNode:
         self._answered = True
 
     def _skip(self, tick: int, now_ns: int) -> int:
-        """The tick to go on with: ``tick``, or after a long sleep the newest one that is due."""
+        """The next tick: ``tick``, or after a long sleep the newest due tick."""
         newest = min(self._schedule.newest(now_ns), self.ticks - 1)  # the last one ends the run
         if newest - tick <= CATCH_UP_TICKS:
             return tick

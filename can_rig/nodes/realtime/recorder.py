@@ -1,4 +1,4 @@
-"""``bus.log`` in real time: written by a thread, so that a slow disk holds up no tick."""
+"""``bus.log`` in real time: written by a thread, so that a slow disk delays no tick."""
 
 from __future__ import annotations
 
@@ -13,10 +13,10 @@ from can_rig.nodes.recording.recorder import CandumpLines, LogFile
 
 
 class RealTimeRecorder:
-    """Writes candump lines at the time since the start of the run.
+    """Writes candump lines with the time since the start of the run.
 
-    ``at`` says when the next frame was sent or read, and ``flush`` gives the thread what there is;
-    it is on disk some 0.1 ms later.
+    ``at`` sets the time of the next frame, sent or read. ``flush`` gives the thread all recorded
+    lines, which reach the disk some 0.1 ms later.
 
     Raises:
         RunFolderError: the file cannot be opened or written.
@@ -31,11 +31,11 @@ class RealTimeRecorder:
         self._failure: RunFolderError | None = None
 
     def at(self, time_ns: int) -> None:
-        """The next frame's time since the start; no frame is earlier than the one before it."""
+        """Set the next frame's time since the start; times never decrease."""
         self._lines.at(time_ns // 1000)
 
     def flush(self) -> None:
-        """Give what was recorded to the thread, which inherits the scheduling of this one.
+        """Give the recorded lines to the thread, which inherits this thread's scheduling.
 
         Raises:
             RunFolderError: writing has failed since the last call.

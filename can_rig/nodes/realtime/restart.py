@@ -1,32 +1,32 @@
 """How a controller that starts while the car drives takes over without a bump.
 
-A controller that was started again, or slept for long, finds a car whose actuators have dropped to
-zero, a reference that may be far from D*, and memories that fit neither. Started from rest, C would
-answer that error with a raw step, and what is left of the car's motion would look to F1 like a lost
-channel. So it
+After a restart or a long sleep, a controller finds actuators at zero, a reference that may be far
+from D*, and filter memories that match neither car nor reference. Started from rest, C would answer
+the control error with a raw step, and F1 would take the car's remaining motion for a lost channel.
+The controller therefore
 
-1. listens for ``LISTEN_S`` and sends no command. Nothing drives the car meanwhile, so D* is the
-   free response of F1's own model of the car. Of all states that explain what was heard the one of
-   least energy is taken (least squares, regularised in the norm of the observability Gramian by
-   the noise that is to be expected), and F1 starts from it: d̂ starts at zero. Behind noise so few
-   samples leave open where the motion goes, so the decision is told how far off it may be, and
-   takes none of that for a fault.
-2. starts C at rest, which is what acts, and lets it follow, from where D* goes by itself,
+1. listens for ``LISTEN_S`` and sends no command. No command drives the car during listening, so D*
+is the free response of F1's own model of the car. F1 starts from the state of least energy that
+explains the received samples (least squares, regularised in the norm of the observability Gramian
+by the expected noise): d̂ starts at zero. Under noise, few samples leave the further motion
+uncertain, so the decision gets the variance of the predicted motion, and takes no error within this
+variance for a fault.
+2. starts C at rest, like the actuators, and makes C follow, from the free motion of D*,
 
        r' = y_free + w (r - y_free),    w = s³(10 - 15 s + 6 s²),  s = t / RETURN_S
 
-   F1 has the motion y_free already, so C, which works on r' - y + G1 u1, is given r' - y_free: it
-   starts at zero, with zero slope and curvature, so the torque starts smoothly at zero; w is the
-   polynomial of least jerk (Flash and Hogan, J. Neurosci. 5 (1985) 1688). r' is r once w is 1 and
-   the motion has faded.
+   F1 contains the motion y_free already, so C, which works on r' - y + G1 u1, receives r' - y_free.
+   The difference starts at zero, with zero slope and curvature, so the torque starts smoothly at
+   zero; w is the polynomial of least jerk (Flash and Hogan, J. Neurosci. 5 (1985) 1688). r' is r
+   once w is 1 and the motion has faded.
 
-A motor that died before the outage still is dead afterwards: d̂ then shows it within a few ticks, at
-the first small torques, and X_diff takes over as after any loss.
+If the motor died before the outage, d̂ shows the loss within a few ticks, at the first small
+torques, and X_diff takes over as after any loss.
 
-Actuators that hold a command for longer than half of the listening may still act by its end. What
-they do is not known then, so the loop is put where D* would have settled, and all of D* may be off.
-So it is where the plant is unstable: F1's models are stable, and no motion of theirs is the
-plant's.
+Actuators that hold a command for longer than half of the listening may still act at the end of
+listening. The actuator state is then unknown, so the loop starts at the settled state for D*, with
+a variance as large as D*. An unstable plant gets the same start: F1's models are stable, so no
+model motion matches the plant's.
 """
 
 from __future__ import annotations
@@ -48,12 +48,12 @@ FEWEST_SAMPLES: Final = 10  # of the free response, however long a tick is
 
 
 class BumplessRestart:
-    """One take-over, from the first sample that is heard to the last with r' in place of r.
+    """One take-over, from the first received sample to the last tick with r' in place of r.
 
     Args:
-        scenario: what the actuators hold, what noise D* has.
-        table: the controller's.
-        lsb: of D* on the wire, m/s².
+        scenario: gives the actuators' hold time and the noise of D*.
+        table: the controller's constant table.
+        lsb: resolution of D* on the wire, m/s².
     """
 
     def __init__(self, scenario: Scenario, table: Record, lsb: float) -> None:
@@ -70,7 +70,7 @@ class BumplessRestart:
 
     @property
     def listens(self) -> bool:
-        """Whether no command may be sent yet."""
+        """Whether the controller still listens and may send no command."""
         return len(self._heard) < self._listen_ticks
 
     @property
@@ -81,7 +81,7 @@ class BumplessRestart:
 
     @property
     def heard_enough(self) -> bool:
-        """Whether at most half of what was listened to is missing."""
+        """Whether at most half of the samples of the listening time are missing."""
         return sum(map(math.isfinite, self._heard)) * 2 >= self._listen_ticks
 
     def hear(self, measurement: float) -> None:
@@ -105,7 +105,7 @@ class BumplessRestart:
         self._motion.advance()
 
     def reference(self, reference: float) -> float:
-        """r' of the next tick, less what F1 has of the motion already."""
+        """r' of the next tick, minus the motion in F1's states."""
         s = min(self._since / self._return_ticks, 1.0)
         w = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
         self._since += 1
@@ -113,14 +113,14 @@ class BumplessRestart:
 
 
 class FreeMotion:
-    """What D* does by itself, in the states of F1's first model.
+    """The free motion of D*, in the states of F1's first model.
 
-    x⁺ = Φx, y = cx over those states of the sections that their input reaches: the second one of a
-    first-order section is none.
+    x⁺ = Φx, y = cx over the section states that the section's input reaches: the second state of a
+    first-order section is unreachable.
 
     Args:
-        table: the controller's.
-        ticks: as far as it is looked back and ahead.
+        table: the controller's constant table.
+        ticks: the length of the fit and of the prediction.
     """
 
     def __init__(self, table: Record, ticks: int) -> None:
@@ -150,14 +150,14 @@ class FreeMotion:
             row = row @ self._phi
 
     def fit(self, heard: FloatArray, variance: float) -> float:
-        """Go to the state after ``heard``, shape (ticks,): D* of successive ticks, nan for none.
+        """Go to the state after ``heard``, shape (ticks,): D* of successive ticks, nan for a gap.
 
-        Of the states x that it may have started from, the one that minimises
-        Σ(y - cΦᵏx)² + λ xᵀWx, with xᵀWx the energy of all that follows and λ from the ``variance``
-        of a sample and the energy that was heard: the mean of a Gaussian x with that energy.
+        The estimated initial state x minimises Σ(y - cΦᵏx)² + λ xᵀWx, with xᵀWx the energy of the
+        whole later motion and λ from the ``variance`` of a sample and the received energy: the mean
+        of a Gaussian x with that energy.
 
         Returns:
-            how far off that may leave D* at most within ``ticks``: a variance.
+            the largest variance of the error of D* within ``ticks``.
         """
         there = np.isfinite(heard)
         energy = float(heard[there] @ heard[there])
@@ -178,7 +178,7 @@ class FreeMotion:
         return float(self._c @ self._x)
 
     def advance(self) -> float:
-        """D* of this tick, without anything that drives it."""
+        """D* of this tick, without any driving input."""
         y = self.output
         self._x = self._phi @ self._x
         return y

@@ -1,4 +1,4 @@
-"""What an operating system can do for a real-time node, as far as it permits."""
+"""Real-time services of the operating system, within this process's permissions."""
 
 from __future__ import annotations
 
@@ -15,15 +15,15 @@ from typing import Final
 PRIORITY: Final = 50  # of SCHED_FIFO, 1 to 99: above everything ordinary, as the kernel's own IRQs
 SWITCH_INTERVAL_S: Final = 2e-5  # Python's own 5 ms would let a progress bar hold up five ticks
 _MCL_CURRENT, _MCL_FUTURE = 1, 2
-_MCL_ONFAULT = 4  # what is in use: all that is mapped would be three times as much
+_MCL_ONFAULT = 4  # in use: locking all mapped memory would take three times as much
 _SLACK = Path("/proc/self/timerslack_ns")
 
 
 def prefer(core: int) -> str:
-    """Ask for all that keeps this thread, and those that it starts, on time; what was granted.
+    """Ask for real-time scheduling of this thread and its future threads; returns the result.
 
-    SCHED_FIFO and with it core number ``core`` of those permitted (counted from the last), memory
-    that is never paged out, timers without slack. One line, which says why not where it was not.
+    SCHED_FIFO with core number ``core`` of the permitted cores (counted from the last), memory
+    that is never paged out, timers without slack. The result is one line with reasons for refusals.
     """
     return "; ".join((*_first_on_its_core(core), _locked(), *_no_slack()))
 
@@ -32,7 +32,7 @@ def _first_on_its_core(core: int) -> Iterator[str]:
     try:
         os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(PRIORITY))
     except (AttributeError, OSError):
-        # Bound to a core all the same, it would wait for whoever is there instead of moving away.
+        # Without SCHED_FIFO, a thread bound to a core would wait for others instead of moving away.
         yield "no SCHED_FIFO and no core of its own (ulimit -r, or CAP_SYS_NICE, permits them)"
         return
     yield f"SCHED_FIFO {PRIORITY}"
@@ -40,7 +40,7 @@ def _first_on_its_core(core: int) -> Iterator[str]:
 
 
 def _locked() -> str:
-    # MCL_FUTURE only without a limit: with one, a later allocation would fail instead of waiting.
+    # MCL_FUTURE only without a limit: otherwise a later allocation would fail instead of waiting.
     unlimited = resource.getrlimit(resource.RLIMIT_MEMLOCK)[0] == resource.RLIM_INFINITY
     try:
         failed = ctypes.CDLL(None).mlockall(
@@ -71,9 +71,9 @@ def _no_slack() -> Iterator[str]:
 
 @contextmanager
 def undisturbed() -> Iterator[None]:
-    """No garbage collector in the loop, and no other thread that keeps the interpreter for long.
+    """Switch off garbage collection in the loop, and shorten other threads' turns.
 
-    A tick makes no reference cycles, so nothing is left to the collector.
+    A tick makes no reference cycles, so the collector has no work.
     """
     interval_s = sys.getswitchinterval()
     sys.setswitchinterval(SWITCH_INTERVAL_S)

@@ -8,12 +8,12 @@ from typing import Any, Final
 
 import numpy as np
 
-LONGEST_US: Final = 100_000  # of a histogram; what took longer counts in its last bin
+LONGEST_US: Final = 100_000  # of a histogram; longer durations count in the last bin
 EDGES_US: Final = (10, 20, 50, 100, 200, 500, 1000, 2000, 5000, 10_000, 20_000, 50_000)
 
 
 class Histogram:
-    """Durations in bins of 1 µs, so that a run of any length takes the same memory."""
+    """Durations in bins of 1 µs, so the memory does not depend on the length of the run."""
 
     def __init__(self) -> None:
         self._counts = np.zeros(LONGEST_US + 1, np.int64)
@@ -26,7 +26,7 @@ class Histogram:
         self._longest_ns = max(self._longest_ns, duration_ns)
 
     def percentile_us(self, percent: float) -> float:
-        """What ``percent`` of the durations stay below, to 1 µs, rounded up; 0 of none."""
+        """Upper bound of ``percent`` of the durations, to 1 µs, rounded up; 0 without data."""
         total = int(self._counts.sum())
         if total == 0:
             return 0.0
@@ -54,10 +54,11 @@ class Histogram:
 
 @dataclass
 class Timing:
-    """How the deadlines of one run were met; nothing in it grows with the run.
+    """Deadline statistics of one run, in constant memory.
 
-    ``missed_deadlines`` were met a tick or more late, or, ``skipped_ticks``, not at all: more than
-    ``CATCH_UP_TICKS`` late. ``unanswered_ticks`` had not both commands when they should have acted.
+    ``missed_deadlines`` counts ticks begun a tick or more late; ``skipped_ticks`` counts ticks
+    never begun, more than ``CATCH_UP_TICKS`` late. ``unanswered_ticks`` lacked a command at the
+    time of effect.
     """
 
     tick_ns: int
@@ -72,7 +73,7 @@ class Timing:
     _sums: list[int] = field(default_factory=lambda: [0, 0, 0, 0])
 
     def woke(self, tick: int, late_ns: int) -> None:
-        """Note that ``tick`` was begun ``late_ns`` after its deadline."""
+        """Record the start of ``tick``, ``late_ns`` after its deadline."""
         self.wake_up.add(late_ns)
         if late_ns >= self.tick_ns:
             self.missed_deadlines += 1
@@ -84,7 +85,7 @@ class Timing:
             self._sums[at] += term
 
     def skipped(self, ticks: int) -> None:
-        """Note that after the last wake-up so many ticks were not sent at all."""
+        """Record the number of unsent ticks after the last wake-up."""
         self.missed_deadlines += max(0, ticks - 1)  # the first one counted when the node woke
         self.skipped_ticks += ticks
 
@@ -106,7 +107,7 @@ class Timing:
         return (n * products - ticks * late) / (spread * self.tick_ns) * 1e6
 
     def as_dict(self) -> dict[str, Any]:
-        """What the section ``realtime`` of ``run.json`` says of them."""
+        """The section ``realtime`` of ``run.json``."""
         return {
             "period_error_ppm": self.period_error_ppm,
             "drift_ppm": self.drift_ppm,
@@ -141,5 +142,5 @@ def rows(realtime: dict[str, Any]) -> list[tuple[str, str]]:
 
 
 def scheduling_lines(realtime: dict[str, Any]) -> list[str]:
-    """What the operating system granted each node, one line a node."""
+    """The services granted to each node by the operating system, one line a node."""
     return [f"{node} node: {text}" for node, text in realtime.get("scheduling", {}).items()]
