@@ -266,21 +266,16 @@ def _reason(scenario: Scenario, state: str, radius: float) -> str:
 
 
 def _isolation(scenario: Scenario) -> str:
-    probe, (output, lost, _) = scenario.design.probe_nm, names_of(scenario.plant)
+    (output, lost, _), probe = names_of(scenario.plant), scenario.design.probe_nm
     if probe > 0.0:
-        size = with_unit(f"{probe:g}", lost.unit)
-        return (
-            f"isolation: a loss is confirmed only when a {lost.short} probe of {size} goes "
-            f"unanswered; a bias of {output.said} stays suspected"
-        )
+        asked = f"{lost.short} probe of {with_unit(f'{probe:g}', lost.unit)} goes unanswered"
+        biased = f"a bias of {output.said} stays suspected"
+        return f"isolation: a loss is confirmed only when a {asked}; {biased}"
     if scenario.design.estimator == "kalman":
         return "isolation: none: where a share is followed nothing decides whose fault it is"
-    return (
-        "isolation: the evidence says whether either actuator, the sensor or another car is to "
-        f"blame; from {output.said} alone a steady offset of the {lost.short} or a slow drift of "
-        "the sensor may look like a partial loss; a "
-        f"{lost.short} probe, design.probe_nm, tells a loss"
-    )
+    told = "the evidence tells either actuator, the sensor and another car apart"
+    alike = f"a steady {lost.short} offset or a slow drift of the sensor may look like"
+    return f"isolation: {told}; {alike} a partial loss, which design.probe_nm tells from both"
 
 
 def _channel(scenario: Scenario) -> str:

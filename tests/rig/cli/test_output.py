@@ -52,7 +52,7 @@ def test_what_isolates_whose_fault_it_is_is_said(monkeypatch: pytest.MonkeyPatch
             ("default", "--set", "design.estimator=kalman"),
         )
     )
-    assert "the evidence says whether either actuator, the sensor or another car" in own
+    assert "the evidence tells either actuator, the sensor and another car apart" in own
     assert "probe of 5 N m goes unanswered" in probed
     assert followed.startswith("isolation: none")
 
