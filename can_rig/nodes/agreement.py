@@ -1,4 +1,4 @@
-"""Comparison of the scenarios of two nodes that were started by hand, and a search for a third node.
+"""Comparison of the scenarios of two nodes started by hand, and a search for a third node.
 
 Each node announces a digest of its scenario: the plant node with the first offer and every repeated
 offer, the controller node when listening begins. A node that hears a foreign digest sends the

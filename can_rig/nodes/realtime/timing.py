@@ -56,9 +56,9 @@ class Histogram:
 class Timing:
     """Deadline statistics of one run, in constant memory.
 
-    ``missed_deadlines`` counts ticks begun a tick or more late; ``skipped_ticks`` counts ticks
-    never begun, more than ``CATCH_UP_TICKS`` late. ``unanswered_ticks`` lacked a command at the
-    time of effect.
+    ``missed_deadlines`` counts ticks begun a tick or more late, and all skipped ticks;
+    ``skipped_ticks`` counts ticks never begun, more than ``CATCH_UP_TICKS`` late.
+    ``unanswered_ticks`` lacked a command at the time of effect.
     """
 
     tick_ns: int
