@@ -34,7 +34,6 @@ TORQUE_DEAD = (0.0, 1.0)  # the thesis's fault
 
 MOST_GAIN = 1e3
 SEEN = 0.05  # of |L| at a hundredth of the slowest pole, an imaginary part that an integrator has
-NOISE_DOUBLINGS = 32  # 2^32 ticks, far beyond 1/OPEN_INTEGRATOR
 
 
 @dataclass(frozen=True)
@@ -197,11 +196,12 @@ def noise_gain(loop: SampledLoop, answer: int) -> float:
     scale = np.diag(scaling)
     noise, h = loop.b[heard, 0] / scale, h[heard] * scale
     covariance = np.outer(noise, noise)
-    for _ in range(NOISE_DOUBLINGS):
+    before = np.zeros_like(covariance)
+    while not np.array_equal(
+        covariance, before, equal_nan=True
+    ):  # until the rest is below rounding
         before = covariance
         covariance = covariance + power @ covariance @ power.T
-        if np.array_equal(covariance, before):  # the remaining noise is below rounding
-            break
         power = power @ power
     return math.sqrt(float(h @ covariance @ h) + float(loop.d[answer, 0]) ** 2)
 

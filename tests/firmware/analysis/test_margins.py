@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
+from firmware_model.analysis.lumping import lumped
 from firmware_model.analysis.margins import (
     HEALTHY,
     TORQUE_DEAD,
@@ -76,10 +77,10 @@ def test_gain_margins_are_where_the_dense_eigenvalues_cross(
 def test_equal_states_as_one_leave_the_loop_as_it_is(left: tuple[float, float]) -> None:
     """The same poles but for those at 0, and the same L; each waiting command is one state."""
     loop = loop_of(SLOW, Target(1e-3, 12, "zoh"), left)
-    lumped = loop.lumped
-    assert len(loop.a) - len(lumped.a) == 2 * 12  # the estimator's rings, which the bus has too
+    few = loop.lumped
+    assert len(loop.a) - len(few.a) == 2 * 12  # the estimator's rings, which the bus has too
     dense = np.linalg.eigvals(loop.closed())
-    one = np.linalg.eigvals(lumped.closed())
+    one = np.linalg.eigvals(few.closed())
     for pole in one[np.abs(one) > 0.5]:  # rounding spreads those at 0, the longer a chain
         assert np.abs(dense - pole).min() < 1e-6
     assert np.sum(np.abs(dense) > 0.5) == np.sum(np.abs(one) > 0.5)
@@ -211,3 +212,18 @@ def test_only_a_confirmed_loss_lets_compensation_on_confirmation_act() -> None:
     assert not np.any(reached)
     assert lost.c[1].any()
     assert len(lost.a) == len(linear_controller(build(PUBLISHED, Target(1e-3, 1, "zoh"))).a) + 4
+
+
+def test_lumps_answer_as_all_their_states_do_even_where_states_copy_in_a_circle() -> None:
+    """States 0 and 1 copy each other, 2 and 3 both copy state 1, and 4 has dynamics and input."""
+    a = np.zeros((5, 5))
+    a[[0, 1, 2, 3], [1, 0, 1, 1]] = 1.0
+    a[4] = (0.3, 0.0, 0.5, -0.2, 0.4)
+    b = np.array([[0.0], [0.0], [0.0], [0.0], [1.0]])
+    rows = np.array([[1.0, 2.0, 3.0, 4.0, 5.0]])
+    few_a, few_b, few_rows = lumped(a, b, rows)
+    assert len(few_a) == 4  # 0, 1, 4, and one for both 2 and 3
+    state, few = np.zeros(5), np.zeros(4)
+    for tick in range(20):
+        assert few_rows @ few == pytest.approx(rows @ state, rel=1e-12)
+        state, few = a @ state + b[:, 0] * (tick + 1), few_a @ few + few_b[:, 0] * (tick + 1)
