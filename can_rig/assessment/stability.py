@@ -31,8 +31,8 @@ from can_rig.scenario.build import (
     network_of,
     target,
 )
+from can_rig.scenario.fault_settings import CHANNELS
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import CHANNELS
 from firmware_model.analysis.margins import (
     HEALTHY,
     Margins,

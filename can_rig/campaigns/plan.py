@@ -16,10 +16,18 @@ from scipy.stats import qmc
 from can_rig.assessment.resolve import resolve
 from can_rig.campaigns.settings import MOST_RUNS, AxisSettings, CampaignSettings, Scalar
 from can_rig.errors import ScenarioError
-from can_rig.scenario.loading import LIMITS, Written, changed, with_changes, written
+from can_rig.scenario.loading import (
+    LIMITS,
+    Written,
+    as_settings,
+    changed,
+    toml_text,
+    value_in,
+    with_changes,
+    written,
+)
+from can_rig.scenario.plant_settings import SHORTEST_LAG_S
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.stage_settings import SHORTEST_LAG_S
-from can_rig.scenario.tables.changes import as_settings, toml_text, value_in
 from firmware_model.target.structs import FloatArray
 
 DIGITS: Final = 9

@@ -29,9 +29,9 @@ from pydantic import Field, NonNegativeInt, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from can_rig.errors import ScenarioError
+from can_rig.scenario.loading import change
+from can_rig.scenario.plant_settings import STRICT
 from can_rig.scenario.refusal import refusal
-from can_rig.scenario.stage_settings import STRICT
-from can_rig.scenario.tables.changes import change
 
 SHIPPED: Final = Path(__file__).parent / "shipped"
 MOST_RUNS: Final = 10_000_000

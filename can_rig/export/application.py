@@ -14,7 +14,7 @@ from can_rig.frames.codec import MessageCodec
 from can_rig.frames.layout import RigLayout
 from can_rig.frames.network import Network
 from can_rig.scenario.build import dbc_of, network_of
-from can_rig.scenario.driving.schedule import controls
+from can_rig.scenario.driving import controls
 from can_rig.scenario.settings import Scenario
 
 POWERS: Final = str.maketrans({"²": "^2", "³": "^3"})

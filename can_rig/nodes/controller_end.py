@@ -13,7 +13,7 @@ from can_rig.frames.endpoints import Receiver, Transmitter
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import Send
 from can_rig.plant.faults.frame_faults import FrameFaults
-from can_rig.scenario.driving.schedule import controls
+from can_rig.scenario.driving import controls
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, Firmware, Law
 from firmware_model.target.structs import Record as Memory

@@ -16,7 +16,7 @@ from can_rig.nodes.recording.plant_recorder import PlantRecorder
 from can_rig.nodes.recording.recorder import Log
 from can_rig.plant.faults.frame_faults import SENSOR_PLACE, FrameFaults
 from can_rig.plant.simulated import SimulatedPlant
-from can_rig.scenario.driving.speed import speeds_at_ticks
+from can_rig.scenario.driving import speeds_at_ticks
 from can_rig.scenario.reference import on_the_bus
 from can_rig.scenario.settings import Scenario
 

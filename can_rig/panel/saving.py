@@ -19,8 +19,8 @@ from can_rig.results.run_folder import LOG
 from can_rig.results.signals import read_signals
 from can_rig.results.source import reference_csv, source_of
 from can_rig.scenario.build import network_of
+from can_rig.scenario.fault_settings import FaultSettings
 from can_rig.scenario.loading import with_changes, written
-from can_rig.scenario.tables.fault import FaultSettings
 
 NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 

@@ -13,9 +13,9 @@ from can_rig.plant.changing_car import plant_of
 from can_rig.plant.faults.plant_faults import DISTORTING, PlantFaults
 from can_rig.plant.frameless import UntilItFails, common, with_files
 from can_rig.results.signals import Signals
+from can_rig.scenario.fault_settings import SENSOR
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import SENSOR
 from firmware_model.analysis.simulation import Simulation
 from firmware_model.target.structs import FloatArray
 

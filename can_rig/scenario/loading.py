@@ -9,8 +9,9 @@ from __future__ import annotations
 
 import difflib
 import json
+import sys
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from itertools import product
@@ -20,20 +21,183 @@ from typing import Any, Final, get_type_hints
 from pydantic import TypeAdapter, ValidationError
 
 from can_rig.errors import ScenarioError
-from can_rig.scenario.catalogue import shipped
+from can_rig.scenario.fault_settings import NUMBER, FaultSettings
 from can_rig.scenario.plant_settings import (
     CAR,
+    FACTORED,
     FMU,
     NUMBERS,
     OWN,
+    POLYNOMIAL,
     SIGNALS,
     STATE_SPACE,
     TRANSFER_FUNCTIONS,
 )
 from can_rig.scenario.refusal import refusal
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.changes import FAULT, change, require_kinds, require_own_numbers
-from can_rig.scenario.tables.numbers import FACTORED, POLYNOMIAL
+
+FOLDER = Path(__file__).parent / "shipped"
+
+
+def shipped() -> dict[str, Path]:
+    """Name → file, sorted."""
+    files = {path.stem: path for path in FOLDER.glob("*.toml")}
+    return dict(sorted(files.items()))  # by name: "a-b.toml" comes before "a.toml"
+
+
+FAULT: Final = "fault"
+
+UNSET: Final = {key for key in NUMBER.values() if getattr(FaultSettings, key) is None}
+"""Keys of faults without a default value."""
+
+Changes = Mapping[str, Any]
+"""Key → value; keys with dots, or tables within tables."""
+
+
+def change(values: dict[str, Any], setting: str) -> None:
+    """Apply one ``KEY=VALUE``; a value that is invalid TOML is a string, so quotes are optional."""
+    key, equals, text = setting.partition("=")
+    parts = key.strip().split(".")
+    if not equals or not all(parts):
+        raise ScenarioError(f"--set {setting}: must be KEY=VALUE, as in plant.speed_mps=20")
+    if any("\ud800" <= letter <= "\udfff" for letter in setting):
+        raise ScenarioError(f"--set {setting!a}: must be text of this terminal's encoding")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text.strip()
+    except ValueError:  # Python's limit on digits
+        most = sys.get_int_max_str_digits()
+        raise ScenarioError(f"--set {setting[:40]}...: must have at most {most} digits") from None
+    table = values
+    if parts[0] == FAULT and len(parts) > 1:
+        table, parts = _fault(values, setting, parts[1:])
+    for part in parts[:-1]:
+        table = table.setdefault(part, {})
+        if not isinstance(table, dict):
+            raise ScenarioError(f"--set {setting}: {part} is a value and has no keys")
+    table[parts[-1]] = value
+
+
+def _fault(
+    values: dict[str, Any], setting: str, parts: list[str]
+) -> tuple[dict[str, Any], list[str]]:
+    """The table of the fault in ``parts``, by number if several faults exist.
+
+    The next free number appends a fault.
+    """
+    listed = values.get(FAULT, {})
+    faults = listed if isinstance(listed, list) else [listed]
+    at, own = (int(parts[0]), parts[1:]) if parts[0].isdecimal() else (None, parts)
+    if at is None and len(faults) == 1:
+        at = 0
+    known = ", ".join(f"{FAULT}.{number}" for number in range(len(faults)))
+    if at is None or at > len(faults) or not own:
+        raise ScenarioError(f"--set {setting}: must be a key of {known} or {FAULT}.{len(faults)}")
+    faults = [*faults, {}] if at == len(faults) else faults
+    if not isinstance(faults[at], dict):
+        raise ScenarioError(f"--set {setting}: {FAULT} is a value and has no keys")
+    values[FAULT] = faults if len(faults) > 1 else faults[0]
+    return faults[at], own
+
+
+def as_settings(changes: Changes) -> list[str]:
+    """``KEY=VALUE`` for each change, exact.
+
+    Raises:
+        ScenarioError: not a mapping, or a value unknown to TOML.
+    """
+    if not isinstance(changes, Mapping):
+        raise ScenarioError(
+            f"changes = {changes!r}: must be a mapping of keys, as in {{'plant.speed_mps': 20.0}}"
+        )
+    return [f"{key}={toml_text(key, value)}" for key, value in flat(changes)]
+
+
+def flat(changes: Changes, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Keys with dots, also from tables within tables."""
+    for key, value in changes.items():
+        if isinstance(value, Mapping):
+            yield from flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def toml_text(key: str, value: Any) -> str:
+    """A value in TOML's notation."""
+    plain = value.item() if hasattr(value, "item") else value  # a number of numpy's
+    if isinstance(plain, bool):
+        return str(plain).lower()
+    if isinstance(plain, int | float):
+        return repr(plain)
+    if isinstance(plain, str | Path):
+        return json.dumps(str(plain))
+    if isinstance(plain, list | tuple):
+        return f"[{', '.join(toml_text(key, each) for each in plain)}]"
+    if isinstance(plain, Mapping):
+        pairs = (f"{json.dumps(name)} = {toml_text(key, each)}" for name, each in plain.items())
+        return f"{{{', '.join(pairs)}}}"
+    raise ScenarioError(f"{key} = {value!r}: must be a number, a string, true or false, or a list")
+
+
+def value_in(values: Mapping[str, Any], key: str) -> Any:
+    """The value of ``key`` in a scenario's tables; None for a missing key."""
+    value: Any = values
+    for at, part in enumerate(key.split(".")):
+        if at == 1 and part.isdecimal() and key.startswith(f"{FAULT}."):
+            listed = value if isinstance(value, list) else [value]
+            value = listed[int(part)] if int(part) < len(listed) else None
+        else:
+            value = value.get(part) if isinstance(value, Mapping) else None
+    return value
+
+
+def require_kinds(name: str, values: Mapping[str, Any]) -> None:
+    """Refuse keys in the scenario ``name`` without any effect.
+
+    Such keys are keys of a fault without a kind, and a reference's file without its kind. Campaigns
+    skip this check, because an axis may supply the missing key.
+
+    Raises:
+        ScenarioError: the wrong key, and the right setting.
+    """
+    faults = values.get(FAULT)
+    for number, fault in enumerate(faults if isinstance(faults, list) else [faults]):
+        if not isinstance(fault, Mapping) or not fault:
+            continue
+        where = f"{FAULT}.{number}" if isinstance(faults, list) else FAULT
+        if "kind" not in fault:
+            raise ScenarioError(
+                f"scenario {name}: {where}.kind: must be set where {where}.{next(iter(fault))} is: "
+                "'actuator-dead', 'frames-missing', 'sensor-biased', ..., or 'none'"
+            )
+    reference = values.get("reference")
+    if isinstance(reference, Mapping) and "kind" not in reference:
+        for key, kind in (("file", "csv"), ("lane_changes_s", "driver")):
+            if reference.get(key):
+                raise ScenarioError(
+                    f"scenario {name}: reference.kind: must be {kind!r} where reference.{key} is"
+                )
+
+
+def require_own_numbers(name: str, faults: Any) -> None:
+    """Refuse another kind's number in a fault, as written in the file ``name``.
+
+    Raises:
+        ScenarioError: the wrong key, and the right setting.
+    """
+    for number, fault in enumerate(faults if isinstance(faults, list) else [faults]):
+        kind = fault.get("kind") if isinstance(fault, Mapping) else None
+        own = NUMBER.get(kind) if isinstance(kind, str) else None
+        if own is None or own in fault:
+            continue
+        for key in sorted(UNSET & fault.keys()):
+            where = f"{FAULT}.{number}" if isinstance(faults, list) else FAULT
+            raise ScenarioError(
+                f"scenario {name}: {where}.{key} = {fault[key]!r}: says nothing of "
+                f"{kind!r}; must be {where}.{own}"
+            )
+
 
 FROM_BUS: Final = ("latency_ticks", "from-bus")
 """A key, and the allowed word in place of its number."""

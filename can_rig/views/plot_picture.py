@@ -15,7 +15,7 @@ from can_rig.decoding.message_columns import MessageColumns
 from can_rig.drawing import style
 from can_rig.drawing.names import printed
 from can_rig.logs.frames import NS_PER_S
-from can_rig.scenario.tables.fault import FaultSettings
+from can_rig.scenario.fault_settings import FaultSettings
 from firmware_model.target.structs import FloatArray
 
 MAX_POINTS: Final = 20_000

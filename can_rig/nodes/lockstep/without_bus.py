@@ -25,7 +25,7 @@ from can_rig.plant.changing_car import plant_of
 from can_rig.plant.faults.delivery import delivery
 from can_rig.plant.frameless import inputs_of, simulation
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving.schedule import controls
+from can_rig.scenario.driving import controls
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.simulation import Simulation
 from firmware_model.target.structs import FloatArray

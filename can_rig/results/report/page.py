@@ -21,9 +21,9 @@ from can_rig.results.metrics import windows
 from can_rig.results.report.timing import draw_timing
 from can_rig.results.report.title import page_title
 from can_rig.results.signals import Signals
-from can_rig.scenario.driving.schedule import at_speed_of
+from can_rig.scenario.driving import at_speed_of
+from can_rig.scenario.fault_settings import SENSOR
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import SENSOR
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray
 

@@ -12,7 +12,7 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.campaigns.plan import plan
-from can_rig.campaigns.run import requirements_of
+from can_rig.campaigns.rows import requirements_of
 from can_rig.campaigns.settings import campaign_of, read_campaign, shipped
 from can_rig.errors import ScenarioError
 

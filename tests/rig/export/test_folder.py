@@ -22,7 +22,7 @@ from can_rig.export.law import law_files
 from can_rig.export.running.compiler import WARNINGS
 from can_rig.export.writing.c_text import WIDTH
 from can_rig.scenario.build import controller_table, network_of
-from can_rig.scenario.driving.schedule import controls
+from can_rig.scenario.driving import controls
 from firmware_model.firmware import Firmware
 from firmware_model.target.structs import Precision
 from tests.rig.export.test_bits import PRECISIONS

@@ -24,7 +24,7 @@ from can_rig.results.report.curves import panels
 from can_rig.results.report.page import page
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving.speed import speeds_at_ticks
+from can_rig.scenario.driving import speeds_at_ticks
 from tests.helpers import asked, decoded, rig
 
 DRIVE = (

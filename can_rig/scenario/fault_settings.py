@@ -11,7 +11,7 @@ from typing import Annotated, Final, Literal, get_args
 from pydantic import Field, PositiveFloat
 from pydantic.dataclasses import dataclass
 
-from can_rig.scenario.stage_settings import STRICT
+from can_rig.scenario.plant_settings import STRICT
 
 FaultKind = Literal[
     "none",

@@ -1,9 +1,9 @@
-"""The controller of a scenario: a single table, or designs at the speeds of the drive."""
+"""The inputs of a drive: the speed over time, and the designs at the speeds."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -16,15 +16,80 @@ from can_rig.scenario.build import (
     other_plants,
     target,
 )
-from can_rig.scenario.driving.speed import speed_profile
+from can_rig.scenario.fault_settings import FaultSettings
+from can_rig.scenario.reference import over_time
 from can_rig.scenario.remembered import remembered
-from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.drive import DriveSettings
-from can_rig.scenario.tables.fault import FaultSettings
+from can_rig.scenario.settings import FASTEST_MPS, SLOWEST_MPS, DriveSettings, Scenario
 from firmware_model.design.mismatch import Mismatch
 from firmware_model.discretisation.schedules import AtSpeed, Scheduled, schedule
 from firmware_model.errors import DesignError
 from firmware_model.target.schedule import MAX_SPEEDS
+from firmware_model.target.structs import FloatArray
+
+ROUNDING = 1e-9  # relative, against refusing the fastest allowed rate
+
+
+@dataclass(frozen=True)
+class SpeedProfile:
+    """Straight lines between (``time_s``, ``speed_mps``), shape (n,) each; end values hold."""
+
+    time_s: FloatArray
+    speed_mps: FloatArray
+
+    def __call__(self, time_s: FloatArray) -> FloatArray:
+        """The speed at ``time_s``, of any shape, m/s."""
+        return np.interp(time_s, self.time_s, self.speed_mps)
+
+    @property
+    def range_mps(self) -> tuple[float, float]:
+        """The lowest and the highest speed."""
+        return float(self.speed_mps.min()), float(self.speed_mps.max())
+
+    @property
+    def fastest_change_mps2(self) -> float:
+        """The largest rate of the speed, up or down."""
+        rates = np.diff(self.speed_mps) / np.diff(self.time_s)
+        return float(np.abs(rates).max(initial=0.0))
+
+
+def speed_profile(scenario: Scenario) -> SpeedProfile:
+    """The car's speed in a scenario with a drive.
+
+    Raises:
+        ScenarioError: an unreadable CSV, a speed out of bounds, or a speed that changes too fast.
+    """
+    drive = scenario.drive
+    where = f"scenario {scenario.name}: drive"
+    if drive.speed_mps is not None:
+        return SpeedProfile(np.zeros(1), np.array([drive.speed_mps]))
+    if drive.ramps:
+        profile = SpeedProfile(*np.array(drive.ramps, dtype=np.float64).T)
+    else:
+        where += f".file = {drive.file!r}"
+        profile = SpeedProfile(*over_time(drive.file, where, "speed_mps", scenario.duration_s))
+        for speed in profile.range_mps:
+            if not SLOWEST_MPS <= speed <= FASTEST_MPS:
+                raise ScenarioError(
+                    f"{where}: speed_mps = {speed:g}: must be {SLOWEST_MPS:g} to {FASTEST_MPS:g}"
+                )
+    fastest, most = profile.fastest_change_mps2, drive.speed_rate_max_mps2
+    if fastest > most * (1.0 + ROUNDING):
+        raise ScenarioError(
+            f"{where}: the speed changes by {fastest:.4g} m/s²: must be at most "
+            f"drive.speed_rate_max_mps2 = {most:g}"
+        )
+    return profile
+
+
+def speeds_at_ticks(scenario: Scenario) -> FloatArray:
+    """The speed at the start of every tick, shape (ticks,), m/s.
+
+    Raises:
+        ScenarioError: as ``speed_profile``.
+    """
+    time_s = np.arange(scenario.ticks, dtype=np.float64) * (scenario.tick_ns * 1e-9)
+    return speed_profile(scenario)(time_s)
+
 
 RATIO = 1.12  # of neighbouring speeds: a blend is far closer to the right design than another car
 

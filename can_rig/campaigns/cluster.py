@@ -16,10 +16,9 @@ from functools import lru_cache
 from threading import Lock
 from typing import Any, Final
 
-from can_rig.campaigns.computing.versions import versions
-from can_rig.campaigns.computing.workers import AHEAD, Compute, Done, Todo, deaths_after
 from can_rig.campaigns.plan import Plan
-from can_rig.campaigns.run import Row, Task, run_rows
+from can_rig.campaigns.rows import Row, Task, run_rows
+from can_rig.campaigns.workers import AHEAD, Compute, Done, Todo, deaths_after, versions
 from can_rig.errors import RigError, WorkersLostError, one_line, require
 
 PATIENCE_S: Final = 30.0

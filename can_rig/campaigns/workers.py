@@ -12,14 +12,24 @@ from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
 from contextlib import contextmanager
+from functools import cache
+from importlib.metadata import version
 from itertools import islice
 from multiprocessing import get_context, parent_process
 from threading import Thread
 from typing import Any, Final
 
 from can_rig.campaigns.plan import Plan
-from can_rig.campaigns.run import Row, Task, run_rows
+from can_rig.campaigns.rows import Row, Task, run_rows
 from can_rig.errors import WorkersLostError
+
+
+@cache
+def versions() -> dict[str, str]:
+    """Versions of this process, by package."""
+    packages = ("fault-tolerant-steering", "numpy", "scipy", "numba")
+    return {package: version(package) for package in packages}
+
 
 Done = Iterator[tuple[Task, list[Row]]]
 Compute = Callable[[Iterable[Task]], Done]
@@ -64,7 +74,7 @@ class _Processes:
     def __init__(self, plan: Plan, workers: int) -> None:
         self._plan, self._workers = plan, workers
         self._context = get_context("forkserver")
-        self._context.set_forkserver_preload(["can_rig.campaigns.run"])
+        self._context.set_forkserver_preload(["can_rig.campaigns.rows"])
         self._pool: ProcessPoolExecutor | None = None
 
     def compute(self, tasks: Iterable[Task]) -> Done:

@@ -1,8 +1,13 @@
-"""``report.png``: pass rates with their intervals, spreads of metrics, the effect of each axis."""
+"""``report.html``, ``report.png`` and ``summary.json`` of a finished campaign."""
 
 from __future__ import annotations
 
+import base64
+import html
+import io
+import json
 from collections.abc import Sequence
+from dataclasses import asdict
 from textwrap import fill
 from typing import Any, Final
 
@@ -10,8 +15,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from can_rig.campaigns.execution import PAGE, PICTURE, SUMMARY, CampaignFolder
 from can_rig.campaigns.plan import Plan
 from can_rig.campaigns.requirements import Requirement
+from can_rig.campaigns.rows import read_columns, requirements_of
 from can_rig.campaigns.statistics import (
     Columns,
     Summary,
@@ -19,9 +26,12 @@ from can_rig.campaigns.statistics import (
     margin_column,
     metrics_shown,
     numbers,
+    summarise,
 )
 from can_rig.drawing import style
+from can_rig.drawing.html import Code, page, table
 from can_rig.drawing.names import CAR, Names, names_of
+from can_rig.files import atomic
 
 MOST_METRICS: Final = 4
 MOST_AXES: Final = 6
@@ -172,3 +182,99 @@ def label_of(metric: str, names: Names) -> str:
     for signal, own in (("torque", command_1), ("force difference", command_2), ("dstar", output)):
         words = words.replace(signal, own.name if own not in CAR else signal)
     return fill(f"{words} in {unit}" if unit else words, LINE)
+
+
+PICTURE_DPI: Final = 110
+MOST_REASONS: Final = 10
+
+
+def html_page(plan: Plan, summary: Summary, figure: Figure) -> str:
+    """The page as text."""
+    settings = plan.settings
+    picture = io.BytesIO()
+    figure.savefig(picture, dpi=PICTURE_DPI, format="png")
+    encoded = base64.b64encode(picture.getvalue()).decode("ascii")
+    alarms = summary.false_alarms
+    parts = [
+        f"<h1>{html.escape(settings.name)}</h1><p>{html.escape(settings.description)}</p>",
+        f"<p>{summary.runs:,} runs of <code>{html.escape(plan.file.given)}</code>, "
+        f"{html.escape(settings.sampling)}, seed {settings.seed}; {summary.hours:.4g} h simulated; "
+        f"{summary.failed:,} gave no result.</p>",
+    ]
+    if summary.found:
+        parts += [f"<h2>Search: least margin of {html.escape(settings.search or '')}</h2>", table(
+            ("", "runs", "least margin", "failed", "first failed at run"),
+            ((each.method, each.runs, *("-" if value is None else value for value in
+              (each.least, each.failed, each.first_failed))) for each in summary.found),
+        ), "<p>What follows is of the random runs, but for the worst ones.</p>"]  # fmt: skip
+    if summary.rates:
+        parts += ["<h2>Requirements</h2>", table(
+            ("", "expression", "passed", "failed", "without", "rate", "95 %"),
+            ((rate.name, rate.text, rate.passed, rate.failed, rate.unknown, _percent(rate.share),
+              f"{_percent(rate.low)} to {_percent(rate.high)}") for rate in summary.rates),
+        )]  # fmt: skip
+    if alarms["per_hour"] is not None:
+        parts.append(
+            f"<p>{alarms['false_alarms']} false alarms: {alarms['per_hour']:.3g} an hour "
+            f"(95 %: {alarms['low']:.3g} to {alarms['high']:.3g}).</p>"
+        )
+    parts += [
+        "<h2>Metrics</h2>",
+        table(
+            ("", "runs", "least", "median", "99 %", "greatest"),
+            ((each.name, each.runs, each.least, each.median, each.percentile_99, each.greatest)
+             for each in summary.spreads),
+        ),
+        f'<img alt="pass rates, spread of the metrics, what each axis does to them" '
+        f'src="data:image/png;base64,{encoded}">',
+    ]  # fmt: skip
+    if settings.axes:
+        parts += ["<h2>What each axis explains</h2>",
+                  "<p>Share of the variance that the axis explains alone.</p>", table(
+            ("", *settings.axes),
+            ((name, *(_percent(by[key]) for key in settings.axes))
+             for name, by in summary.sensitivities.items()),
+        )]  # fmt: skip
+    if summary.worst:
+        parts += ["<h2>Worst runs</h2>", table(
+            ("run", "margin", *settings.axes, "again"),
+            ((row["run"], row["margin"], *(row[key] for key in settings.axes),
+              Code(row["command"])) for row in summary.worst),
+        )]  # fmt: skip
+    if summary.reasons:
+        parts += ["<h2>Runs without a result</h2>", table(
+            ("runs", "reason"),
+            ((n, reason) for reason, n in list(summary.reasons.items())[:MOST_REASONS]),
+        )]  # fmt: skip
+    return page(f"Campaign {settings.name}", parts)
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{share:.2%}"
+
+
+def write_report(folder: CampaignFolder) -> Summary:
+    """Write the three files; returns the summary.
+
+    Raises:
+        LogError: a file cannot be written.
+    """
+    plan, required = folder.plan, requirements_of(folder.plan)
+    names = [
+        "run", "simulated_s", "failure", "false_alarms", "margin", "command",
+        *plan.settings.axes,
+        *metrics_shown(required),
+        *(f"passed.{each.name}" for each in required),
+        margin_column(plan),
+    ]  # fmt: skip
+    columns = read_columns(folder.table, list(dict.fromkeys(names)))
+    summary = summarise(plan, required, columns)
+    with atomic(folder.path / SUMMARY, force=True) as part:
+        text = json.dumps(asdict(summary), indent=2, ensure_ascii=False, allow_nan=False)
+        part.write_text(text + "\n", encoding="utf-8")
+    figure = draw(plan, required, columns, summary)
+    with atomic(folder.path / PICTURE, force=True) as part:
+        figure.savefig(part, dpi=PICTURE_DPI, format="png")
+    with atomic(folder.path / PAGE, force=True) as part:
+        part.write_text(html_page(plan, summary, figure), encoding="utf-8")
+    return summary
