@@ -30,7 +30,7 @@ import can
 
 from can_rig.buses.bus import in_one_process, open_for_node
 from can_rig.errors import BusError, ScenarioError
-from can_rig.frames.beside.agreement import (
+from can_rig.frames.comparison_frames import (
     ASKED,
     PRESENT,
     SENDERS,

@@ -10,7 +10,7 @@ from typing import Final, NamedTuple
 from can import Message
 
 from can_rig.errors import DbcError
-from can_rig.frames.dbc import attribute, load_dbc, shipped_dbc
+from can_rig.frames.databases import attribute, load_dbc, shipped_dbc
 from can_rig.frames.protection import FRAME_BYTES, Checker, CheckStatus, Protector
 
 DBC: Final = "agreement.dbc"
