@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import Any
 
 from can_rig.plant.faults.delivery import Delivery
-from firmware_model.analysis.trace import Trace
+from firmware_model.analysis.simulation import Trace
 from firmware_model.target.structs import FloatArray
 
 

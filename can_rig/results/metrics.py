@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig.assessment.control_authority import control_authority
+from can_rig.assessment.limitations import control_authority
 from can_rig.drawing.names import names_of
 from can_rig.results.counterfactual import deviation_from, fault_free, noise_free, output_of_car
 from can_rig.results.loss_metrics import decision_metrics, unavoidable_deviation

@@ -10,7 +10,7 @@ from typing import Any
 
 import click
 
-from can_rig.assessment.bus_timing.timing import BusTiming, FrameTiming, dbc_timing, network_timing
+from can_rig.assessment.bus_timing import BusTiming, FrameTiming, dbc_timing, network_timing
 from can_rig.assessment.network_notes import frame_notes
 from can_rig.cli.options import json_option, scenario_options
 from can_rig.cli.output import json_line, say, show, table

@@ -8,7 +8,7 @@ import click
 
 from can_rig.assessment.resolve import load
 from can_rig.assessment.speeds import check
-from can_rig.assessment.stability_table import table_rows
+from can_rig.assessment.stability import table_rows
 from can_rig.cli.options import json_option, scenario_options
 from can_rig.cli.output import explain, json_line, say, show_beside
 from can_rig.cli.progress import car_bar

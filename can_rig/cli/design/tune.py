@@ -9,7 +9,7 @@ import click
 
 from can_rig.assessment.resolve import load
 from can_rig.assessment.tuning.box import cars_of
-from can_rig.assessment.tuning.refusals import NoTuningError, refusals_as_dict
+from can_rig.assessment.tuning.candidate import NoTuningError, refusals_as_dict
 from can_rig.assessment.tuning.report import (
     as_dict,
     headings,

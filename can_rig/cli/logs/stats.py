@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import click
 
-from can_rig.assessment.bus_timing.frame_length import FrameError
+from can_rig.assessment.frame_length import FrameError
 from can_rig.cli.logs.own_dbc import databases_of
 from can_rig.cli.options import (
     channel_option,

@@ -20,7 +20,7 @@ from can_rig.frames.endpoints import Receiver, Transmitter
 from can_rig.frames.network import Network
 from can_rig.plant.faults.frame_faults import SENSOR_PLACE, FrameFaults
 from can_rig.scenario.settings import Scenario
-from firmware_model.analysis.trace import BoolArray
+from firmware_model.analysis.simulation import BoolArray
 
 SETTLED: Final = 20
 """Ticks until a receiver with uninterrupted frames again uses every frame."""

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from can_rig.assessment.control_authority import control_authority
+from can_rig.assessment.limitations import control_authority
 from can_rig.drawing import scales, style
 from can_rig.drawing.fault_words import fault_label
 from can_rig.drawing.names import Names, names_of

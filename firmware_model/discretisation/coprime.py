@@ -14,7 +14,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from firmware_model.design.factors.coprime import image, unstable
+from firmware_model.design.factors import image, unstable
 from firmware_model.design.mismatch import Channels
 from firmware_model.design.zpk import Roots, ZeroPoleGain
 from firmware_model.discretisation.rules import Rule
