@@ -7,10 +7,11 @@ effects of limits, noise and other cars. Missing and corrupted frames come to th
 actuator: nothing is applied. For a plant class, the loop uses the linear car with the class's
 parameters.
 
-The decision on d̂ has figures too: the time to find a loss, and losses never found. The evidence for a loss grows with the square of the lost torque's effect, over the variance of the
-unknown: noise, rounding, and cars of ``budget.box`` (the firmware's ``fault_decision``). The
-evidence's mean, equal to a drive without noise, gives the usual time of confirmation: with noise,
-half of the losses take longer, one in a hundred about a fifth longer.
+The decision on d̂ has figures too: the time to find a loss, and losses never found. The evidence
+for a loss grows with the square of the lost torque's effect, over the variance of the unknown:
+noise, rounding, and cars of ``budget.box`` (the firmware's ``fault_decision``). The evidence's
+mean, equal to a drive without noise, gives the usual time of confirmation: with noise, half of the
+losses take longer, one in a hundred about a fifth longer.
 """
 
 from __future__ import annotations
