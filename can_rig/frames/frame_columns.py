@@ -8,7 +8,6 @@ contains the polynomial.
 from __future__ import annotations
 
 import math
-from functools import cache
 from typing import Any
 
 import numpy as np
@@ -26,23 +25,27 @@ UInt8s = NDArray[np.uint8]
 def crcs(data: UInt8s, data_id: int) -> UInt8s:
     """(n,) CRC for byte 0 of payloads (n, 8 or more)."""
     found: UInt8s = np.empty(len(data), dtype=np.uint8)
-    _crcs(data, np.uint8(_crc(bytearray(FRAME_BYTES), data_id)), _tables(), found)
+    _crcs(data, np.uint8(crc_of_id(data_id)), found)
     return found
 
 
 @compiled
-def _crcs(data: UInt8s, crc_of_id: Any, tables: Any, found: UInt8s) -> None:
+def _crcs(data: UInt8s, of_id: Any, found: UInt8s) -> None:
     for row in range(len(data)):
-        crc = crc_of_id
+        crc = of_id
         for byte in range(1, FRAME_BYTES):
-            crc ^= tables[byte - 1, data[row, byte]]
+            crc ^= CRC_TABLES[byte - 1, data[row, byte]]
         found[row] = crc
 
 
-@cache
+def crc_of_id(data_id: int) -> int:
+    """The CRC of a frame of zeros."""
+    return _crc(bytearray(FRAME_BYTES), data_id)
+
+
 def _tables() -> Any:
     """(7, 256) contribution of every value of bytes 1 to 7 to the CRC."""
-    nothing = _crc(bytearray(FRAME_BYTES), 0)
+    nothing = crc_of_id(0)
     tables = np.zeros((FRAME_BYTES - 1, 256), dtype=np.uint8)
     for byte in range(1, FRAME_BYTES):
         for value in range(256):
@@ -56,6 +59,8 @@ def _crc(frame: bytearray, data_id: int) -> int:
     e2e_p01_protect(frame, data_id, increment_counter=False)
     return frame[0]
 
+
+CRC_TABLES = _tables()
 
 Ints = NDArray[np.int64]
 
@@ -111,15 +116,31 @@ def _raw(
     raw_minimum, raw_maximum, not_available = ends
     raw = np.empty(len(values), np.int64)
     for k in range(len(values)):
-        if math.isnan(values[k]):
-            raw[k] = not_available
-        elif values[k] >= maximum:
-            raw[k] = raw_maximum
-        elif values[k] <= minimum:
-            raw[k] = raw_minimum
-        else:
-            raw[k] = int(np.rint(values[k] / lsb))
+        raw[k] = raw_value(
+            values[k], lsb, minimum, maximum, raw_minimum, raw_maximum, not_available
+        )
     return raw
+
+
+@compiled
+def raw_value(
+    value: float,
+    lsb: float,
+    minimum: float,
+    maximum: float,
+    raw_minimum: float,
+    raw_maximum: float,
+    not_available: float,
+) -> float:
+    """The raw value of ``value``; see `MessageCodec.to_raw`."""
+    if math.isnan(value):
+        return not_available
+    if value >= maximum:
+        return raw_maximum
+    if value <= minimum:
+        return raw_minimum
+    rounded: float = np.rint(value / lsb)
+    return rounded
 
 
 def quantised(codec: MessageCodec, values: FloatArray) -> FloatArray:

@@ -129,6 +129,19 @@ class Checker:
         self._counts = [0] * len(CheckStatus)
 
     @property
+    def expected(self) -> int | None:
+        """The counter of a next frame that is OK; None where another status is next."""
+        return self._next
+
+    def go_on(self, frames: int) -> None:
+        """Count frames that were found OK elsewhere, one in each of as many calls."""
+        if frames and self._next is not None:
+            self._last = (self._next + frames - 1) % COUNTERS
+            self._next = _AFTER[self._last]
+            self._window = self.max_delta_counter
+            self._counts[_OK] += frames
+
+    @property
     def counts(self) -> dict[CheckStatus, int]:
         """Number of frames with each status since the start."""
         return dict(zip(CheckStatus, self._counts, strict=True))

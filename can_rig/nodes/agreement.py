@@ -95,7 +95,8 @@ class Agreement:
         self._keys = list(keys_of(scenario.as_dict()))
         digests = [digest(key, value) for key, value in self._keys]
         self._digests = [digest("", digests), *digests]
-        self._bus = bus
+        self.bus: Final = bus
+        """The wrapped bus."""
         self._number = secrets.randbits(32)
         self._send = PersistentSender(bus, UNSETTLED_S, clock)
         self._clock = clock
@@ -110,7 +111,7 @@ class Agreement:
     @property
     def lost_frames(self) -> int:
         """Frames that the bus dropped unread."""
-        return int(getattr(self._bus, "lost_frames", 0))
+        return int(getattr(self.bus, "lost_frames", 0))
 
     def announce(self) -> None:
         """Say which scenario this node has, and ask for another node of its kind."""
@@ -123,7 +124,7 @@ class Agreement:
 
     def send(self, msg: can.Message) -> None:
         """As the bus."""
-        self._bus.send(msg)
+        self.bus.send(msg)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """As the bus, without the frames of the comparison; nothing once the scenarios differ.
@@ -135,7 +136,7 @@ class Agreement:
         end_ns = self._clock.now_ns() + round((timeout or 0.0) * NS_PER_S)
         while True:
             left_s = max(0.0, (end_ns - self._clock.now_ns()) / NS_PER_S)
-            message = self._bus.recv(left_s)
+            message = self.bus.recv(left_s)
             if message is not None and message.arbitration_id == self._other_frame.frame_id:
                 self._hear(self._other_frame.read(message))
             elif message is not None and message.arbitration_id == self._own_frame.frame_id:
@@ -154,7 +155,7 @@ class Agreement:
         message = self._own_frame.message(said)
         if self.settled:
             with suppress(can.CanError):  # the run comes first
-                self._bus.send(message)
+                self.bus.send(message)
         else:
             self._send(message)
 

@@ -7,16 +7,16 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Final
+from typing import Final, Self
 
 import numpy as np
 
 from can_rig.frames.frame_columns import payloads
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import StopRequest
-from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, OnTick
+from can_rig.nodes.clock import OnTick
 from can_rig.nodes.recording import LogFile, PlantRecorder, candump_bytes
-from can_rig.nodes.summary import NodeSummary, RunColumns
+from can_rig.nodes.ticks import NodeSummary, RunColumns, timed
 from can_rig.plant.behind import LinearBehind, PlantBehind
 from can_rig.plant.changing_car import plant_of
 from can_rig.plant.faults.delivery import delivery
@@ -34,11 +34,21 @@ BLOCK_TICKS: Final = 8192
 def run_without_bus(
     scenario: Scenario, log: Path, stop: StopRequest, on_tick: OnTick
 ) -> NodeSummary:
-    """Both nodes and no bus; the log is that of two processes, byte for byte."""
-    run = RunWithoutBus(scenario, log)
-    wall_s = run.run(stop, on_tick)
-    rate = run.ticks / wall_s
-    return NodeSummary(run.ticks, wall_s, run.rejected(), {}, None, run.columns, rate)
+    """Both nodes and no bus; the log is that of two processes, byte for byte.
+
+    Raises:
+        RigError: an exception in the user's plant class; the log has every sent frame.
+    """
+    with RunWithoutBus(scenario, log) as run:
+
+        def carry(_tick: int) -> int:
+            stop.require_none()
+            return run.carry()
+
+        summary = timed(carry, scenario.ticks, on_tick)
+    summary.rejected_frames, summary.columns = run.rejected(), run.columns
+    summary.ticks_per_s = summary.ticks / summary.wall_s if summary.wall_s else 0.0
+    return summary
 
 
 class RunWithoutBus:
@@ -76,22 +86,20 @@ class RunWithoutBus:
         )
         self._loop.run(0)  # compiles, or loads what was compiled, before the first tick
 
-    def run(self, stop: StopRequest, on_tick: OnTick) -> float:
-        """Go on to the end or to a stop request; how long that took, s.
+    def __enter__(self) -> Self:
+        return self
 
-        Raises:
-            RigError: a plant of one's own fails; what was sent by then is recorded.
-        """
-        start_ns = SYSTEM_CLOCK.now_ns()
-        with self._files:
-            while self._loop.done < self._scenario.ticks and not stop.wanted:
-                begin = self._loop.done
-                try:
-                    self._loop.run(begin + BLOCK_TICKS)
-                finally:
-                    self._record(begin, self._loop.done)
-                on_tick(self._loop.done)
-        return (SYSTEM_CLOCK.now_ns() - start_ns) / NS_PER_S
+    def __exit__(self, *_error: object) -> None:
+        self._files.close()
+
+    def carry(self) -> int:
+        """Carry a block of ticks; returns the number of ticks completed; see ``drive``."""
+        begin = self._loop.done
+        try:
+            self._loop.run(begin + BLOCK_TICKS)
+        finally:
+            self._record(begin, self._loop.done)
+        return self._loop.done
 
     @property
     def ticks(self) -> int:
@@ -144,7 +152,7 @@ class RunWithoutBus:
         there[:, own : own + 2] = self._delivery.sent[some]
         first_us = np.arange(begin, end, dtype=np.int64) * self._scenario.tick_ns // 1000
         lines = candump_bytes(data, there, first_us, network.identifiers, own)
-        self._log.write_bytes(lines)
+        self._log.write(lines)
         if self._linear is not None:
             self._reports.record_columns(begin, self._reported(begin, end))
 

@@ -26,8 +26,8 @@ from can_rig.nodes.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.lockstep import require_ticks
 from can_rig.nodes.processes import run_processes
 from can_rig.nodes.realtime.timing import require_causal
-from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.summary import NodeSummary, RunColumns
+from can_rig.nodes.runner import RunOptions, run_in_process
+from can_rig.nodes.ticks import NodeSummary, RunColumns
 from can_rig.nodes.without_bus import run_without_bus
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.results.metrics import Metrics
@@ -109,9 +109,7 @@ def two_processes(
         log,
         stop,
         progress,
-        timeouts=timeouts,
-        controller=controller,
-        interaction=interaction,
+        RunOptions(timeouts=timeouts, controller=controller, interaction=interaction),
     )
 
 
@@ -126,7 +124,8 @@ def real_time(
     _interaction: Interaction = UNTOUCHED,
 ) -> NodeSummary:
     """Each node in a process of its own, by the wall clock."""
-    return run_processes(scenario, bus, log, stop, progress, True, timeouts, controller)
+    options = RunOptions(real_time=True, timeouts=timeouts, controller=controller)
+    return run_processes(scenario, bus, log, stop, progress, options)
 
 
 def refuse(scenario: Scenario, allow_unstable: bool = False) -> None:

@@ -15,7 +15,7 @@ from can_rig.files import atomic
 from can_rig.folders.replacing import Kind
 from can_rig.frames.network import Network
 from can_rig.logs.plant_signals import plant_signals_path
-from can_rig.nodes.summary import RunColumns
+from can_rig.nodes.ticks import RunColumns
 from can_rig.results.fault_metrics import fault_metrics
 from can_rig.results.isolation.verdicts import with_verdict
 from can_rig.results.isolation.words import whose_fault

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import can
@@ -43,13 +44,14 @@ def two_nodes(scenario: Scenario, bus: str, log: Path) -> Iterator[None]:
     """A run that can be touched, on a bus; the block begins with it, and it ends by itself."""
     stop, ready = StopRequest(), threading.Event()
     interaction = Interaction(injectable=True, pace=0.05)  # until somebody pauses it
+    options = replace(PATIENT, interaction=interaction)
 
     def controller() -> None:
-        run_controller(scenario, bus, PATIENT, stop, ready.set, lambda _: None)
+        run_controller(scenario, bus, stop, ready.set, lambda _: None, options)
 
     def plant() -> None:
         ready.wait(TIMEOUT_S)
-        run_plant(scenario, bus, log, PATIENT, stop, lambda _: None, interaction=interaction)
+        run_plant(scenario, bus, log, stop, lambda _: None, options)
 
     threads = [threading.Thread(target=each) for each in (controller, plant)]
     for thread in threads:
