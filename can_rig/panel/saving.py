@@ -12,7 +12,7 @@ import tomli_w
 from can_rig.errors import RigError
 from can_rig.nodes.operator.control_frames import done, touches
 from can_rig.panel.session import Session
-from can_rig.results.run_folder import LOG
+from can_rig.results.run_folder import log_of
 from can_rig.results.signals import read_signals
 from can_rig.results.source import reference_csv, source_of
 from can_rig.scenario.build import network_of
@@ -48,7 +48,7 @@ def save(session: Session, name: str) -> Path:
     try:
         if what.moved:
             reference = path.with_suffix(".csv")
-            moved = read_signals(folder / LOG, network, session.scenario.tick_s)
+            moved = read_signals(log_of(folder), network, session.scenario.tick_s)
             with reference.open("x", encoding="utf-8", newline="\n") as file:
                 file.write(reference_csv(moved))
             values["reference"] = {"kind": "csv", "file": reference.name}

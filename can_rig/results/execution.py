@@ -32,7 +32,7 @@ from can_rig.results.run_folder import LOG, Outcome, RunFolder, finish
 from can_rig.results.source import happened
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving.schedule import controls
-from can_rig.scenario.reference import on_the_bus
+from can_rig.scenario.reference import refuse_saturation
 from can_rig.scenario.settings import ReferenceSettings, Scenario
 
 REFERENCE: Final = "reference.csv"
@@ -136,7 +136,7 @@ def refuse(scenario: Scenario, allow_unstable: bool = False) -> None:
     """
     network = network_of(scenario)
     controls(scenario, network)
-    on_the_bus(scenario, network)
+    refuse_saturation(scenario, network)
     SimulatedPlant(scenario)
     if not allow_unstable:
         refuse_unstable(scenario)
@@ -198,7 +198,7 @@ def execute(
     folder = RunFolder.create(out, scenario, force)
     try:
         made_here, final = _with_reference(scenario, folder, reference_csv)
-        on_the_bus(made_here, network)
+        refuse_saturation(made_here, network)
     except RigError:
         folder.give_up()
         raise

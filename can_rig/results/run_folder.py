@@ -10,11 +10,14 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
+from can_rig import paged
 from can_rig.errors import LogError, RunFolderError
 from can_rig.files import atomic
 from can_rig.frames.network import Network
+from can_rig.logs.compression import compress, stored
+from can_rig.logs.plant_signals import plant_signals_path
 from can_rig.nodes.summary import RunColumns
 from can_rig.results.fault_metrics import fault_metrics
 from can_rig.results.isolation.verdicts import with_verdict
@@ -24,6 +27,8 @@ from can_rig.results.signals import Signals, read_signals, signals_of_columns
 from can_rig.scenario.settings import Scenario
 
 LOG, SIGNALS, SUMMARY = "bus.log", "signals.csv", "run.json"
+LONG_TICKS: Final = paged.PAGED_ROWS
+"""The text of a longer run is gzipped when it has ended: 8 minutes at 1 kHz."""
 REPORT, PAGE = "report.png", "report.html"
 PACKAGES = (
     "fault-tolerant-steering",
@@ -125,7 +130,7 @@ def _refuse_to_replace(path: Path, making: Path, force: bool) -> None:
             f"{path}: there already, and no run is overwritten; "
             "choose another --out, or --force to replace it"
         )
-    if not (path / LOG).is_file():
+    if not log_of(path).is_file():
         raise RunFolderError(f"{path}: not a run folder, so --force does not replace it")
     if making.exists():
         raise RunFolderError(
@@ -161,7 +166,7 @@ def finish(
     if columns is None:
         signals = signals_of_log(folder, scenario, network, outcome.realtime)
     else:
-        signals = signals_of_columns(columns, network, scenario.tick_s, folder / LOG)
+        signals = signals_of_columns(columns, scenario.tick_s, folder / LOG)
     values = metrics(scenario, signals)
     outcome.faults = fault_metrics(scenario, signals)
     signals = with_verdict(scenario, network, signals)
@@ -196,9 +201,17 @@ def finish(
             with atomic(folder / PAGE) as part:
                 text = web_page(scenario, network, signals, values, outcome.faults)
                 part.write_text(text, encoding="utf-8")
+        if outcome.ticks > LONG_TICKS:
+            for name in (SIGNALS, plant_signals_path(folder / LOG).name, LOG):
+                compress(folder / name)
     except LogError as error:
         raise RunFolderError(f"{error}; what was recorded is in {folder / LOG}") from None
     return values
+
+
+def log_of(folder: Path) -> Path:
+    """The log of a run folder, which of a long run is gzipped; it need not be there."""
+    return stored(folder / LOG)
 
 
 def signals_of_log(
@@ -206,7 +219,7 @@ def signals_of_log(
 ) -> Signals:
     """What was on the bus of a run, read from its log; a real-time run has its own idea of late."""
     in_time_ticks = 1 if realtime is None else scenario.latency_ticks
-    return read_signals(folder / LOG, network, scenario.tick_s, in_time_ticks)
+    return read_signals(log_of(folder), network, scenario.tick_s, in_time_ticks)
 
 
 def _versions() -> dict[str, str]:

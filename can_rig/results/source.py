@@ -17,7 +17,7 @@ from can_rig.logs.frames import Frames
 from can_rig.logs.log import ALL, Log, Window
 from can_rig.logs.reading import read_log
 from can_rig.nodes.operator.control_frames import done, touches
-from can_rig.results.run_folder import LOG, SUMMARY
+from can_rig.results.run_folder import LOG, SUMMARY, log_of
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.settings import ReferenceSettings, Scenario
 
@@ -113,9 +113,9 @@ def log_path(path: Path) -> Path:
         LogError: there is none.
     """
     if path.is_dir():
-        if not (path / LOG).is_file():
+        if not log_of(path).is_file():
             raise LogError(f"{path}: not a run folder, it has no {LOG}")
-        return path / LOG
+        return log_of(path)
     if not path.exists():
         raise LogError(f"{path}: there is no such file")
     return path
