@@ -20,7 +20,7 @@ from can_rig.errors import RunFolderError
 PAGED_ROWS: Final = 500_000
 """A column of more rows is in a file; a run of more ticks is a long one."""
 
-BLOCK_ROWS: Final = 1 << 16
+BLOCK_ROWS: Final = 1 << 14
 """Rows of a long column that are worked on at once."""
 
 _MAPPED: Final[weakref.WeakSet[mmap.mmap]] = weakref.WeakSet()

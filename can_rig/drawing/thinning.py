@@ -20,15 +20,14 @@ def thinned(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatAr
         return time_s, values
     size = -(-2 * len(values) // MAX_POINTS)
     step = size * max(1, paged.BLOCK_ROWS // size)
-    chosen = np.concatenate(
-        [
-            begin + _extremes(values[begin : begin + step], size)
-            for begin in range(0, len(values), step)
-        ]
-    )
-    curve = time_s[chosen], values[chosen]
-    paged.let_go()
-    return curve
+    times, extremes = [], []
+    for begin in range(0, len(values), step):
+        block = values[begin : begin + step]
+        chosen = _extremes(block, size)
+        times.append(time_s[begin + chosen])
+        extremes.append(block[chosen])
+        paged.let_go()
+    return np.concatenate(times), np.concatenate(extremes)
 
 
 def _extremes(values: FloatArray, size: int) -> NDArray[np.intp]:

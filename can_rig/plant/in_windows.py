@@ -73,7 +73,7 @@ class LoopInWindows:
         if isinstance(plant, SampledPlant):  # what waits in a dead time is reported as it acts
             self._looks_back += max(plant.dead_ticks) + 1
         window = range(min(self.ticks, WINDOW_TICKS + self._looks_back))
-        self.inputs = inputs = self._inputs(window, len(window))
+        self.inputs = inputs = self._inputs(window, np.empty(0), 0)
         self.loop: Final[Simulation] = simulation(
             scenario, network, plant, controls(scenario, network), inputs, keeps_states
         )
@@ -93,10 +93,12 @@ class LoopInWindows:
         Raises:
             RigError: a plant of one's own fails; ``done`` says when.
         """
-        if self.loop.done == self.loop.ticks and self.done < self.ticks:
+        end = min(self.done + BLOCK_TICKS, self.ticks)
+        if end > self.first + self.loop.ticks:
+            drawn = self.inputs.noise[self.loop.done :]  # for ticks that are still to come
             self.first = self.done - self._looks_back
             window = range(self.first, self.first + self.loop.ticks)
-            self.inputs = inputs = self._inputs(window, len(window) - self._looks_back)
+            self.inputs = inputs = self._inputs(window, drawn, self._looks_back)
             self.loop.move_on(
                 self._looks_back,
                 (
@@ -108,13 +110,19 @@ class LoopInWindows:
             )  # fmt: skip
             paged.let_go()
         begin = self.done
-        self.loop.run(min(self.loop.done + BLOCK_TICKS, self.ticks - self.first))
+        self.loop.run(end - self.first)
         return range(begin, self.done)
 
-    def _inputs(self, window: range, fresh: int) -> Inputs:
-        """What happens in a window, of which the last ``fresh`` ticks are still to come."""
-        noise = np.zeros(len(window))
-        noise[len(window) - fresh :] = self._noise.next(fresh)
+    def _inputs(self, window: range, drawn: FloatArray, done: int) -> Inputs:
+        """What happens in a window.
+
+        Args:
+            window: its ticks.
+            drawn: the noise of those to come, as far as it has been drawn.
+            done: how many of them are, whose noise is of no use any more.
+        """
+        fresh = self._noise.next(len(window) - done - len(drawn))
+        noise = np.concatenate([np.zeros(done), drawn, fresh])
         of_run = self._delivery
         at = of_run.damage[:, 0]
         damage = of_run.damage[(at >= window.start) & (at < window.stop)]

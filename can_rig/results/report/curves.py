@@ -155,7 +155,7 @@ def extremes(values: FloatArray, ticks: int) -> FloatArray:
         both = np.stack([least, greatest], axis=1)
         both[~known.any(axis=1)] = np.nan
         found.append(both.ravel())
-    paged.let_go()
+        paged.let_go()
     return np.concatenate(found)
 
 
