@@ -50,7 +50,7 @@ def save(session: Session, name: str) -> Path:
             reference = path.with_suffix(".csv")
             moved = read_signals(log_of(folder), network, session.scenario.tick_s)
             with reference.open("x", encoding="utf-8", newline="\n") as file:
-                file.write(reference_csv(moved))
+                file.writelines(reference_csv(moved))
             values["reference"] = {"kind": "csv", "file": reference.name}
         with path.open("x", encoding="utf-8") as file:
             file.write(f"# What was done in {folder}.\n\n{tomli_w.dumps(values)}")

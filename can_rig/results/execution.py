@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import os
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -151,7 +151,7 @@ def execute(
     bus: str | None = None,
     runner: Runner = in_process,
     progress: Progress = no_progress,
-    reference_csv: str | None = None,
+    reference_csv: Iterable[str] | None = None,
     report: bool = True,
     timeouts: Timeouts = DEFAULT_TIMEOUTS,
     controller: Controller = PYTHON,
@@ -167,7 +167,8 @@ def execute(
         bus: name of the bus; None: in this process ``NO_BUS``, otherwise a local one of its own.
         runner: ``in_process``, ``two_processes`` or ``real_time``.
         progress: shows how far it is.
-        reference_csv: a reference in place of the scenario's, kept in the folder as ``REFERENCE``.
+        reference_csv: a reference in place of the scenario's, in lines, kept in the
+            folder as ``REFERENCE``.
         report: draw ``report.png`` too.
         timeouts: how long a node may be silent for the other.
         controller: what runs as the controller.
@@ -255,7 +256,7 @@ def _require_shared(bus: str) -> None:
 
 
 def _with_reference(
-    scenario: Scenario, folder: RunFolder, csv: str | None
+    scenario: Scenario, folder: RunFolder, csv: Iterable[str] | None
 ) -> tuple[Scenario, Scenario]:
     """The scenario as it runs while the folder is being made, and as it is recorded.
 
@@ -266,7 +267,8 @@ def _with_reference(
         return scenario, scenario
     file = folder.making / REFERENCE
     try:
-        file.write_text(csv, encoding="utf-8")
+        with file.open("w", encoding="utf-8") as lines:
+            lines.writelines(csv)
     except OSError as error:
         raise RunFolderError(f"{file}: cannot be written: {error.strerror}") from None
     made_here, final = (

@@ -10,7 +10,7 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
-from typing import Any, Final
+from typing import Any
 
 from can_rig import paged
 from can_rig.errors import LogError, RunFolderError
@@ -27,8 +27,6 @@ from can_rig.results.signals import Signals, read_signals, signals_of_columns
 from can_rig.scenario.settings import Scenario
 
 LOG, SIGNALS, SUMMARY = "bus.log", "signals.csv", "run.json"
-LONG_TICKS: Final = paged.PAGED_ROWS
-"""The text of a longer run is gzipped when it has ended: 8 minutes at 1 kHz."""
 REPORT, PAGE = "report.png", "report.html"
 PACKAGES = (
     "fault-tolerant-steering",
@@ -201,7 +199,7 @@ def finish(
             with atomic(folder / PAGE) as part:
                 text = web_page(scenario, network, signals, values, outcome.faults)
                 part.write_text(text, encoding="utf-8")
-        if outcome.ticks > LONG_TICKS:
+        if outcome.ticks > paged.PAGED_ROWS:  # 8 minutes at 1 kHz
             for name in (SIGNALS, plant_signals_path(folder / LOG).name, LOG):
                 compress(folder / name)
     except LogError as error:

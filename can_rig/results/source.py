@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 
+from can_rig import paged
 from can_rig.assessment.resolve import load, load_run
 from can_rig.errors import LogError, RunFolderError, ScenarioError
 from can_rig.frames.network import Network
@@ -150,17 +151,22 @@ def happened(log: Path, scenario: Scenario, network: Network, own_reference: Pat
     if not np.isfinite(signals.reference_mps2).any():
         return what.scenario
     try:
-        own_reference.write_text(reference_csv(signals), encoding="utf-8")
+        with own_reference.open("w", encoding="utf-8") as file:
+            file.writelines(reference_csv(signals))
     except OSError as error:
         raise RunFolderError(f"{own_reference}: cannot be written: {error.strerror}") from None
     own = ReferenceSettings(kind="csv", file=str(own_reference))
     return replace(what.scenario, reference=own)
 
 
-def reference_csv(logged: Signals) -> str:
-    """The logged reference as a scenario reads it; what is missing is held."""
+def reference_csv(logged: Signals) -> Iterator[str]:
+    """The logged reference as a scenario reads it, in lines; what is missing is held."""
     known = np.isfinite(logged.reference_mps2)
-    first = int(np.argmax(known))
-    held = np.maximum.accumulate(np.where(known, np.arange(len(known)), first))
-    rows = zip(logged.time_s.tolist(), logged.reference_mps2[held].tolist(), strict=True)
-    return "time_s,reference_mps2\n" + "".join(f"{time_s!r},{value!r}\n" for time_s, value in rows)
+    held = logged.reference_mps2[np.argmax(known)]
+    yield "time_s,reference_mps2\n"
+    for rows in paged.blocks(len(logged)):
+        last = np.maximum.accumulate(np.where(known[rows], np.arange(len(known[rows])), -1))
+        values = np.where(last >= 0, logged.reference_mps2[rows][last], held)
+        held = values[-1]
+        both = zip(logged.time_s[rows].tolist(), values.tolist(), strict=True)
+        yield from (f"{time_s!r},{value!r}\n" for time_s, value in both)

@@ -228,4 +228,7 @@ def _columns_of(path: Path) -> dict[str, FloatArray]:
 
 def _whole_ns(time_s: FloatArray) -> NDArray[np.int64]:
     """Times in whole ns, which are the same in two runs of the same tick."""
-    return np.rint(time_s * 1e9).astype(np.int64)
+    time_ns = paged.empty(len(time_s)).view(np.int64)
+    for rows in paged.blocks(len(time_s)):
+        time_ns[rows] = np.rint(time_s[rows] * 1e9)
+    return time_ns

@@ -152,7 +152,8 @@ def _output(
     other = counterpart(scenario, names, signals) if after.any() else None
     if other is not None:
         thin, label = other
-        from_then_on = thinned(time_s[after], thin[after])
+        first = int(np.argmax(after))
+        from_then_on = thinned(time_s[first:], thin[first:])
         scales.reach_for(axis, from_then_on[1])
         axis.plot(*from_then_on, color=style.BLUE, lw=0.9, label=label)
     style.legend_above(axis, "left", raised=0.1)
