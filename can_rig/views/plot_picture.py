@@ -10,6 +10,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from can_rig import paged
 from can_rig.decoding.message_columns import MessageColumns
 from can_rig.drawing import style
 from can_rig.drawing.names import printed
@@ -76,9 +77,14 @@ def curve(columns: MessageColumns, signal: str, zero_ns: int) -> tuple[FloatArra
     """
     enumeration = columns.layout[signal].is_enumeration
     column = columns.codes[signal] if enumeration else columns.signals[signal]
-    there = ~np.ma.getmaskarray(column)
-    time_s = np.divide(columns.time_ns[there] - zero_ns, NS_PER_S, dtype=np.float64)
-    return time_s, np.ma.getdata(column)[there].astype(np.float64)
+    time_ns, values = columns.time_ns, np.ma.getdata(column)
+    if np.ma.is_masked(column):
+        there = ~np.ma.getmaskarray(column)
+        time_ns, values = time_ns[there], values[there]
+    time_s = paged.column(
+        len(time_ns), lambda rows: np.divide(time_ns[rows] - zero_ns, NS_PER_S, dtype=np.float64)
+    )
+    return time_s, values.astype(np.float64, copy=False)
 
 
 def _words(axis: Axes, columns: MessageColumns, signal: str) -> None:

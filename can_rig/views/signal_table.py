@@ -84,8 +84,9 @@ class SignalTable:
             LogError: there are none.
         """
         since_ns = self.time_ns - self.time_ns[:1]
-        rows = (since_ns >= window.begin_ns) & (since_ns < window.end_ns)
-        if len(rows) and not rows.any():
+        first, end = np.searchsorted(since_ns, window)
+        rows = slice(int(first), int(end))
+        if len(since_ns) and first == end:
             last_s = since_ns[-1] / NS_PER_S
             raise LogError(f"{self.label}: has no row of that part, the last is at {last_s:g} s")
         columns = {name: column[rows] for name, column in self.columns.items()}
