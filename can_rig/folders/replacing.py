@@ -27,7 +27,7 @@ class Kind:
 
     Attributes:
         name: as in "not a run folder".
-        marker: the file by which such a folder is recognised.
+        marker: the file by which such a folder is recognised, plain or gzipped.
         own: the paths in a folder that are of this kind, those in a folder before itself; all
             others are foreign.
         recorded: whether anything would be lost with the folder.
@@ -37,6 +37,10 @@ class Kind:
     marker: str
     own: Callable[[Path], Iterable[str]]
     recorded: Callable[[Path], bool]
+
+    def is_in(self, folder: Path) -> bool:
+        """Whether ``folder`` holds the marker."""
+        return any((folder / name).is_file() for name in (self.marker, f"{self.marker}.gz"))
 
 
 @contextmanager
@@ -103,7 +107,7 @@ def refuse_to_replace(path: Path, kind: Kind, force: bool) -> None:
             f"{path}: there already, and nothing is overwritten; "
             "choose another --out, or --force to replace it"
         )
-    if not (path / kind.marker).is_file():
+    if not kind.is_in(path):
         raise RunFolderError(f"{path}: not {kind.name}, so --force does not replace it")
 
 

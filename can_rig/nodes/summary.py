@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from can_rig.plant.faults.delivery import Delivery
-from firmware_model.analysis.trace import Trace
 from firmware_model.target.structs import FloatArray
 
 
@@ -15,15 +13,11 @@ class RunColumns:
     """What a run without a bus carried, for whoever need not read it from its log.
 
     Attributes:
-        ticks: how many of the trace were done.
-        trace: the loop's signals.
-        delivery: what became of the commands.
+        frames: what its frames said, by the names of ``frameless.carried``, (ticks,) each.
         plant: what the plant reported, by name; None: read it from the file beside the log.
     """
 
-    ticks: int
-    trace: Trace
-    delivery: Delivery
+    frames: dict[str, FloatArray]
     plant: dict[str, FloatArray] | None
 
 

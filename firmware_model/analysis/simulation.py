@@ -152,6 +152,31 @@ class Simulation:
             own[...] = its
         self.done, self._output = other.done, other._output
 
+    def move_on(
+        self, keep: int, inputs: Vectors, faults: FloatArray, speed: FloatArray | None
+    ) -> None:
+        """Forget what is done but for the last ``keep`` ticks, which become the first ones.
+
+        Args:
+            keep: at least as many as a command or a reading can be late.
+            inputs: of the ticks from there on, as many as before, as ``self.inputs``.
+            faults: likewise, as ``speed``; see ``Simulation``.
+            speed: None where there is none.
+        """
+        gone = self.done - keep
+        self.done = keep
+        for own, its in zip(self.inputs, inputs, strict=True):
+            own[...] = its
+        _, _, _, _, (*_, own_faults), signals, states = self._loop
+        own_faults[...] = faults
+        for rows in (signals, states):
+            rows[:, :keep] = rows[:, gone : gone + keep]
+        signals[:, keep:] = np.nan
+        if self._speed is not None and speed is not None:
+            self._speed = speed.tolist()
+        for ring in self._memory[2:]:  # whose places count the ticks
+            ring[...] = np.roll(ring, -gone, axis=0)
+
     @property
     def _changing(self) -> tuple[Any, ...]:
         """Every array that a tick changes, but for the controller."""
