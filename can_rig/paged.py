@@ -9,7 +9,7 @@ import mmap
 import os
 import tempfile
 import weakref
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from typing import IO, Final
 
 import numpy as np
@@ -22,6 +22,8 @@ PAGED_ROWS: Final = 500_000
 
 BLOCK_ROWS: Final = 1 << 14
 """Rows of a long column that are worked on at once."""
+
+DISK: Final = "/var/tmp"
 
 _MAPPED: Final[weakref.WeakSet[mmap.mmap]] = weakref.WeakSet()
 
@@ -37,18 +39,30 @@ def empty(rows: int, *more: int) -> NDArray[np.float64]:
         return np.empty(shape)
     size = 8 * int(np.prod(shape))
     try:
-        with tempfile.TemporaryFile() as file:
+        with tempfile.TemporaryFile(dir=folder()) as file:
             os.posix_fallocate(
                 file.fileno(), 0, size
             )  # a full disk is said here, and not by SIGBUS
             mapped = mmap.mmap(file.fileno(), size)
     except OSError as error:
-        raise RunFolderError(
-            f"{tempfile.gettempdir()}: no room for {size >> 20} MB of signals: {error.strerror}; "
-            "TMPDIR names another folder for temporary files"
-        ) from None
+        raise no_room(error) from None
     _MAPPED.add(mapped)
     return np.frombuffer(mapped, dtype=np.float64).reshape(shape)
+
+
+def no_room(error: OSError) -> RunFolderError:
+    """What to say where a file cannot be made or written."""
+    return RunFolderError(
+        f"{folder()}: no room for the signals of a long run: {error.strerror}; "
+        "TMPDIR names another folder for temporary files"
+    )
+
+
+def folder() -> str:
+    """Where the files are: in ``TMPDIR``, or on the disk, as ``/tmp`` often is memory."""
+    return os.environ.get("TMPDIR") or (
+        DISK if os.access(DISK, os.W_OK | os.X_OK) else tempfile.gettempdir()
+    )
 
 
 def column(rows: int, part: Callable[[slice], NDArray[np.float64]]) -> NDArray[np.float64]:
@@ -67,6 +81,23 @@ def column(rows: int, part: Callable[[slice], NDArray[np.float64]]) -> NDArray[n
     for some in blocks(rows):
         values[some] = part(some)
     return values
+
+
+def rows_file(in_memory: int) -> IO[bytes]:
+    """For rows that become ``columns``; on the disk from so many bytes on."""
+    return tempfile.SpooledTemporaryFile(max_size=in_memory, dir=folder())
+
+
+def append(file: IO[bytes], rows: Sequence[Sequence[float]]) -> None:
+    """Add rows of the same length to a ``rows_file``.
+
+    Raises:
+        RunFolderError: there is no room.
+    """
+    try:
+        file.write(np.array(rows, dtype=np.float64).tobytes())
+    except OSError as error:
+        raise no_room(error) from None
 
 
 def columns(rows: IO[bytes], width: int) -> list[NDArray[np.float64]]:

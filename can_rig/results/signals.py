@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import tempfile
 from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
@@ -172,14 +171,14 @@ def signals_of(
     """The same from frames of any source, in their order, time stamps in s."""
     table = SignalRows(network, tick_s, in_time_ticks)
     width, first_tick = ROLE_COLUMNS + CODES, None
-    with tempfile.SpooledTemporaryFile(max_size=8 * width * paged.PAGED_ROWS) as file:
+    with paged.rows_file(8 * width * paged.PAGED_ROWS) as file:
         for count, message in enumerate(messages):
             table.take(message)
             if count % paged.BLOCK_ROWS == 0 and table.rows:
                 first_tick = table.first_tick if first_tick is None else first_tick
-                file.write(np.array(table.take_complete(), dtype=np.float64).tobytes())
+                paged.append(file, table.take_complete())
         first_tick = table.first_tick if first_tick is None else first_tick
-        file.write(np.array(table.rows, dtype=np.float64).tobytes())
+        paged.append(file, table.rows)
         columns: Any = paged.columns(file, width)
     ticks = len(columns[0])
     verdict = columns[-1] if network.status.verdicts else None

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from pathlib import Path
+
 import numpy as np
 
 from can_rig import paged
@@ -80,6 +83,15 @@ def lane_change(
     return np.where(out | back, amplitude_mps2 * np.sin(2.0 * np.pi * phase), 0.0)
 
 
+def _with_file(scenario: Scenario) -> Iterator[object]:
+    """What a reference from a CSV follows from; a file that has changed is another."""
+    yield from (scenario.reference, scenario.ticks, scenario.tick_ns)
+    file = Path(scenario.reference.file)
+    if file.is_file():
+        yield file.stat().st_mtime_ns, file.stat().st_size
+
+
+@remembered(1, by=_with_file)
 def _from_csv(scenario: Scenario) -> FloatArray:
     """Linear between the CSV's rows (time_s, reference_mps2), its ends held; a header may lead."""
     where = f"scenario {scenario.name}: reference.file = {scenario.reference.file!r}"

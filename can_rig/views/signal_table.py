@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import csv
 import json
-import tempfile
 import zlib
 from dataclasses import dataclass, replace
 from functools import partial
@@ -214,7 +213,7 @@ def _from_csv(path: Path, label: str, scenario: Scenario | None) -> SignalTable:
 
 def _columns_of(path: Path) -> dict[str, FloatArray]:
     """The columns of a table under one header, an empty cell as nan."""
-    with tempfile.SpooledTemporaryFile(max_size=8 * paged.PAGED_ROWS) as cells:
+    with paged.rows_file(8 * paged.PAGED_ROWS) as cells:
         with open_text(path, "utf-8-sig") as file:
             rows = (row for row in csv.reader(file) if row)
             header = next(rows, [])
@@ -222,8 +221,9 @@ def _columns_of(path: Path) -> dict[str, FloatArray]:
                 raise ValueError("it is empty")
             while block := list(islice(rows, paged.BLOCK_ROWS)):
                 part = [[float(cell) if cell else np.nan for cell in row] for row in block]
-                values = np.array(part, dtype=np.float64).reshape(len(part), len(header))
-                cells.write(values.tobytes())
+                if any(len(row) != len(header) for row in part):
+                    raise ValueError("its rows have different lengths")
+                paged.append(cells, part)
         return dict(zip(header, paged.columns(cells, len(header)), strict=True))
 
 
