@@ -6,6 +6,7 @@ import math
 from typing import Final
 
 import can
+import numpy as np
 
 from can_rig.frames.codec import Record
 from can_rig.frames.endpoints import Receiver, Transmitter
@@ -17,7 +18,7 @@ from can_rig.nodes.recording.recorder import Log
 from can_rig.plant.faults.frame_faults import SENSOR_PLACE, FrameFaults
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.driving.speed import speeds_at_ticks
-from can_rig.scenario.reference import on_the_bus
+from can_rig.scenario.reference import reference, refuse_saturation
 from can_rig.scenario.settings import Scenario
 
 COMMANDS: Final = 2
@@ -52,7 +53,8 @@ class PlantEnd:
         self.plant: Final = SimulatedPlant(scenario, changing)
         self.reference_offset = 0.0
         """Added to the scenario's reference, m/s²."""
-        self._reference = on_the_bus(scenario, network)
+        refuse_saturation(scenario, network)
+        self._reference = reference(scenario)
         self._send = send
         self._log = log
         self._reports = reports
@@ -60,7 +62,7 @@ class PlantEnd:
         self._send_feedback = Transmitter(network.feedback)
         self._send_nothing = Transmitter(network.feedback)  # with the counter of the other
         self._send_speed = None if network.speed is None else Transmitter(network.speed)
-        self._speeds = [] if network.speed is None else speeds_at_ticks(scenario).tolist()
+        self._speeds = np.empty(0) if network.speed is None else speeds_at_ticks(scenario)
         self._faults = FrameFaults(scenario, network, changing)
         self._receivers = tuple(
             Receiver(codec) for codec in (network.command_1, network.command_2, network.status)
@@ -75,7 +77,8 @@ class PlantEnd:
 
     def sample(self, tick: int) -> None:
         """Measure D* of ``tick`` and pack its frames."""
-        reference = self._send_reference.frame(self._reference[tick] + self.reference_offset, tick)
+        wanted = self._reference.item(tick) + self.reference_offset
+        reference = self._send_reference.frame(wanted, tick)
         own = self._send_feedback.frame(self.plant.measure(), tick)
         feedback = [own]
         if self._faults.concerns(SENSOR_PLACE):
@@ -84,7 +87,7 @@ class PlantEnd:
             )
         self._offered = (reference, *feedback)
         if self._send_speed is not None:
-            self._offered = (self._send_speed.frame(self._speeds[tick], tick), *self._offered)
+            self._offered = (self._send_speed.frame(self._speeds.item(tick), tick), *self._offered)
 
     def send_sample(self) -> None:
         """Send what was sampled."""

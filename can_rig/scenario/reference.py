@@ -2,8 +2,12 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from pathlib import Path
+
 import numpy as np
 
+from can_rig import paged
 from can_rig.errors import ScenarioError
 from can_rig.frames.network import Network
 from can_rig.scenario.driving.csv_columns import over_time
@@ -15,17 +19,6 @@ from firmware_model.target.structs import FloatArray
 LANE_CHANGE_S = 1.0  # when a lane change begins
 
 
-def on_the_bus(scenario: Scenario, network: Network) -> list[float]:
-    """The reference of every tick, refused where its frame would saturate.
-
-    Raises:
-        ScenarioError: as ``refuse_saturation``.
-    """
-    refuse_saturation(scenario, network)
-    fitting: list[float] = reference(scenario).tolist()
-    return fitting
-
-
 def refuse_saturation(scenario: Scenario, network: Network) -> None:
     """Refuse a reference beyond its frame's range.
 
@@ -33,7 +26,8 @@ def refuse_saturation(scenario: Scenario, network: Network) -> None:
         ScenarioError: values beyond the frame's range; refusals of ``reference``.
     """
     frame = network.reference
-    largest = float(np.abs(reference(scenario)).max())
+    values = reference(scenario)
+    largest = max(float(values.max()), -float(values.min()))
     if largest > frame.maximum:
         raise ScenarioError(
             f"scenario {scenario.name}: reference: reaches {largest:g} {frame.unit}; must be "
@@ -48,24 +42,29 @@ def reference(scenario: Scenario) -> FloatArray:
         ScenarioError: an unreadable CSV, or times that fail to increase.
     """
     if scenario.reference.kind == "csv":
-        return _from_csv(scenario, _times_s(scenario.ticks, scenario.tick_ns))
+        return _from_csv(scenario)
     return _computed(scenario.reference, scenario.ticks, scenario.tick_ns, scenario.tick_s)
 
 
 @remembered(1)
 def _computed(settings: ReferenceSettings, ticks: int, tick_ns: int, tick_s: float) -> FloatArray:
-    time_s = _times_s(ticks, tick_ns)
-    if settings.kind == "step":
-        return np.full(ticks, settings.amplitude_mps2)
-    if settings.kind == "sine":
-        return settings.amplitude_mps2 * np.sin(settings.frequency_rad_per_s * time_s)
-    if settings.kind == "lane-change":
-        return lane_change(settings.amplitude_mps2, settings.frequency_rad_per_s, time_s)
-    return lane_changes(settings, time_s, tick_s)
+    amplitude, frequency = settings.amplitude_mps2, settings.frequency_rad_per_s
+
+    def part(rows: slice) -> FloatArray:
+        time_s = _times_s(rows, tick_ns)
+        if settings.kind == "step":
+            return np.full(len(time_s), amplitude)
+        if settings.kind == "sine":
+            return amplitude * np.sin(frequency * time_s)
+        return lane_change(amplitude, frequency, time_s)
+
+    if settings.kind == "driver":
+        return lane_changes(settings, _times_s(slice(0, ticks), tick_ns), tick_s)
+    return paged.column(ticks, part)
 
 
-def _times_s(ticks: int, tick_ns: int) -> FloatArray:
-    return np.arange(ticks, dtype=np.float64) * (tick_ns * 1e-9)
+def _times_s(rows: slice, tick_ns: int) -> FloatArray:
+    return np.arange(rows.start, rows.stop, dtype=np.float64) * (tick_ns * 1e-9)
 
 
 def lane_change(
@@ -84,7 +83,16 @@ def lane_change(
     return np.where(out | back, amplitude_mps2 * np.sin(2.0 * np.pi * phase), 0.0)
 
 
-def _from_csv(scenario: Scenario, time_s: FloatArray) -> FloatArray:
+def _with_file(scenario: Scenario) -> Iterator[object]:
+    """The facts that determine a reference from a CSV, with the file's time stamp and size."""
+    yield from (scenario.reference, scenario.ticks, scenario.tick_ns)
+    file = Path(scenario.reference.file)
+    if file.is_file():
+        yield file.stat().st_mtime_ns, file.stat().st_size
+
+
+@remembered(1, by=_with_file)
+def _from_csv(scenario: Scenario) -> FloatArray:
     """Linear between the CSV's rows (time_s, reference_mps2), end values held; header optional."""
     where = f"scenario {scenario.name}: reference.file = {scenario.reference.file!r}"
     file, end_s = scenario.reference.file, scenario.duration_s
@@ -92,4 +100,7 @@ def _from_csv(scenario: Scenario, time_s: FloatArray) -> FloatArray:
     largest, most = float(np.abs(references).max()), MAX_REFERENCE_MPS2
     if largest > most:
         raise ScenarioError(f"{where}: |reference_mps2| = {largest:g}: must be at most {most:g}")
-    return np.interp(time_s, times, references)
+    return paged.column(
+        scenario.ticks,
+        lambda rows: np.interp(_times_s(rows, scenario.tick_ns), times, references),
+    )

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 import re
+from array import array
+from collections.abc import Iterable, Iterator
 from pathlib import Path
 from typing import Final
 
@@ -30,49 +32,53 @@ def over_time(file: str, where: str, column: str, end_s: float) -> tuple[FloatAr
     Raises:
         ScenarioError: an unreadable file, other columns, or times that fail to increase.
     """
+    times, values = array("d"), array("d")
     try:
-        lines = Path(file).read_text(encoding="utf-8-sig").splitlines()
+        with Path(file).open(encoding="utf-8-sig") as lines:
+            for number, cells in _rows(lines, where, column):
+                numbers = [value for cell in cells if (value := _number(cell)) is not None]
+                if len(numbers) != 2 or len(cells) != 2 or not all(map(math.isfinite, numbers)):
+                    raise ScenarioError(
+                        f"{where}: line {number}: {','.join(cells)!r}: must be two finite "
+                        f"numbers, {TIME},{column}"
+                    )
+                if times and not numbers[0] > times[-1]:
+                    raise ScenarioError(
+                        f"{where}: line {number}: {numbers[0]:.12g} s after {times[-1]:.12g} s: "
+                        "times must increase from row to row"
+                    )
+                times.append(numbers[0])
+                values.append(numbers[1])
     except OSError as error:
         raise ScenarioError(f"{where}: cannot be read: {error.strerror}") from None
     except UnicodeDecodeError:
         raise ScenarioError(f"{where}: must be text in UTF-8") from None
-    rows = [
-        (number, [cell.strip() for cell in content.split(",")])
-        for number, line in enumerate(lines, 1)
-        if (content := line.partition("#")[0].strip())
-    ]
-    if rows and all(_number(cell) is None for cell in rows[0][1]):
-        number, header = rows.pop(0)
-        if any(
-            _says_another(said, name) for said, name in zip(header, (TIME, column), strict=False)
-        ):
-            raise ScenarioError(
-                f"{where}: line {number}: {','.join(header)!r}: must be {TIME},{column}"
-            )
-    if not rows:
+    if not times:
         raise ScenarioError(f"{where}: has no rows; must have some of {TIME},{column}")
-    found: list[tuple[float, float]] = []
-    for number, cells in rows:
-        numbers = [value for cell in cells if (value := _number(cell)) is not None]
-        if len(numbers) != 2 or len(cells) != 2 or not all(map(math.isfinite, numbers)):
-            raise ScenarioError(
-                f"{where}: line {number}: {','.join(cells)!r}: must be two finite numbers, "
-                f"{TIME},{column}"
-            )
-        time_s, value = numbers
-        if found and not time_s > found[-1][0]:
-            raise ScenarioError(
-                f"{where}: line {number}: {time_s:.12g} s after {found[-1][0]:.12g} s: "
-                "times must increase from row to row"
-            )
-        found.append((time_s, value))
-    if found[0][0] >= end_s:
+    if times[0] >= end_s:
         raise ScenarioError(
-            f"{where}: begins at {found[0][0]:.12g} s, and the run ends at {end_s:g} s: "
+            f"{where}: begins at {times[0]:.12g} s, and the run ends at {end_s:g} s: "
             "times must be those of the run, from 0 on"
         )
-    times, values = np.array(found, dtype=np.float64).T
-    return times, values
+    return np.frombuffer(times), np.frombuffer(values)
+
+
+def _rows(lines: Iterable[str], where: str, column: str) -> Iterator[tuple[int, list[str]]]:
+    """Number and cells of each line that says something, behind the header."""
+    is_first = True
+    for number, line in enumerate(lines, 1):
+        if not (content := line.partition("#")[0].strip()):
+            continue
+        cells = [cell.strip() for cell in content.split(",")]
+        if is_first and all(_number(cell) is None for cell in cells):
+            named = zip(cells, (TIME, column), strict=False)
+            if any(_says_another(said, name) for said, name in named):
+                raise ScenarioError(
+                    f"{where}: line {number}: {','.join(cells)!r}: must be {TIME},{column}"
+                )
+        else:
+            yield number, cells
+        is_first = False
 
 
 def _says_another(said: str, name: str) -> bool:

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from can_rig import paged
 from can_rig.errors import ScenarioError
 from can_rig.scenario.driving.csv_columns import over_time
 from can_rig.scenario.settings import Scenario
@@ -73,5 +74,7 @@ def speeds_at_ticks(scenario: Scenario) -> FloatArray:
     Raises:
         ScenarioError: as ``speed_profile``.
     """
-    time_s = np.arange(scenario.ticks, dtype=np.float64) * (scenario.tick_ns * 1e-9)
-    return speed_profile(scenario)(time_s)
+    profile, tick_s = speed_profile(scenario), scenario.tick_ns * 1e-9
+    return paged.column(
+        scenario.ticks, lambda rows: profile(np.arange(rows.start, rows.stop) * tick_s)
+    )
