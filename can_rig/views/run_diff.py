@@ -12,7 +12,7 @@ import numpy as np
 from can_rig import paged
 from can_rig.errors import LogError
 from can_rig.views.settings_diff import SettingDifference, differing_settings
-from can_rig.views.signal_table import SignalTable
+from can_rig.views.signal_table import SignalTable, in_s
 from firmware_model.target.structs import FloatArray
 
 
@@ -88,7 +88,8 @@ def compare(a: SignalTable, b: SignalTable, tolerances: Mapping[str, float]) -> 
         time_ns, rows_a, rows_b = np.intersect1d(a.time_ns, b.time_ns, return_indices=True)
     if not len(time_ns):
         raise LogError(f"{a.label} and {b.label}: have no row of the same time")
-    time_s = np.multiply(time_ns, 1e-9, dtype=np.float64)
+    paged.let_go()
+    time_s = in_s(time_ns)
     signals = [
         _signal(n, time_s, a.columns[n][rows_a], b.columns[n][rows_b], tolerances.get(n, 0.0))
         for n in names

@@ -67,7 +67,7 @@ class SignalTable:
     @property
     def time_s(self) -> FloatArray:
         """(n,) the time axis in s."""
-        return np.multiply(self.time_ns, 1e-9, dtype=np.float64)
+        return in_s(self.time_ns)
 
     @property
     def recorded(self) -> dict[str, FloatArray]:
@@ -226,6 +226,13 @@ def _columns_of(path: Path) -> dict[str, FloatArray]:
                     raise ValueError("its rows have different lengths")
                 paged.append(cells, part)
         return dict(zip(header, paged.columns(cells, len(header)), strict=True))
+
+
+def in_s(time_ns: NDArray[np.int64]) -> FloatArray:
+    """(n,) times in s."""
+    return paged.column(
+        len(time_ns), lambda rows: np.multiply(time_ns[rows], 1e-9, dtype=np.float64)
+    )
 
 
 def _whole_ns(time_s: FloatArray) -> NDArray[np.int64]:

@@ -50,8 +50,10 @@ def run(folder: Path, *settings: str, bus: str | None = None) -> Execution:
     return done
 
 
-@pytest.mark.parametrize("bus", [None, "virtual:long"])
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize(
+    ("case", "bus"),
+    [*((case, None) for case in CASES), ("noise", "virtual:long"), ("frames", "virtual:long")],
+)
 def test_a_long_run_says_what_a_short_one_says(
     case: str, bus: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
