@@ -40,14 +40,17 @@ def ignore(_ticks: int) -> None:
 
 def in_process(scenario: Scenario, folder: Path) -> float:
     """Ticks a second of both nodes in this process."""
-    bus = f"local:bench-{uuid.uuid4().hex[:8]}"
-    summary = run_in_process(scenario, bus, folder / "in-process.log", StopRequest(), ignore)
+    name = uuid.uuid4().hex[:8]  # a log never replaces an earlier log
+    summary = run_in_process(
+        scenario, f"local:bench-{name}", folder / f"{name}.log", StopRequest(), ignore
+    )
     return summary.ticks / summary.wall_s
 
 
 def two_processes(scenario: Scenario, bus: str, folder: Path) -> float:
     """Ticks a second of two processes on ``bus``."""
-    summary = run_processes(scenario, bus, folder / "two.log", StopRequest())
+    log = folder / f"{uuid.uuid4().hex[:8]}.log"
+    summary = run_processes(scenario, bus, log, StopRequest())
     return summary.ticks / summary.wall_s
 
 

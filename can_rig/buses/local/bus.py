@@ -65,6 +65,8 @@ class LocalBus(BusABC):
             listener with more unread frames is cut off and cannot stop the other listeners: the
             sender logs a warning and continues; the listener gets every frame sent before the cut,
             followed by a `can.CanOperationError`. For flow control, call `send` with a timeout.
+        **kwargs: as of `can.BusABC`; like other buses, ignores what python-can's own programs give
+            to every bus.
 
     Raises:
         can.CanInitializationError: an unusable directory, or a path that is too long.
@@ -79,10 +81,6 @@ class LocalBus(BusABC):
         tx_backlog: int = 200_000,
         **kwargs: Any,
     ) -> None:
-        if unknown := set(kwargs) - {"can_filters"}:
-            known = "receive_own_messages, preserve_timestamps, fd, tx_backlog, can_filters"
-            message = f"unknown option {', '.join(sorted(unknown))}; must be of {known}"
-            raise CanInitializationError(message)
         if not isinstance(tx_backlog, int):
             raise CanInitializationError(f"tx_backlog = {tx_backlog!r}: must be a whole number")
         self.channel = str(channel)

@@ -79,7 +79,7 @@ OTHER = {
     "limits.force_difference_n": 200.0, "limits.torque_rate_nm_per_s": 300.0,
     "limits.force_difference_rate_n_per_s": 4e3, "actuator.hold_s": 0.03,
     "bus.bitrate": 500000, "bus.compute_s": 0.0001,
-    "description": "words",
+    "description": "words", "budget.peak_sensitivity": 4.0, "budget.spare_ticks": 1,
 }  # fmt: skip
 
 
