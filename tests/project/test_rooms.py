@@ -122,7 +122,7 @@ BROKEN = {
     "to a clock": ("firmware_model/firmware.py", "import time", "knows no rig"),
     "circle": (
         "can_rig/frames/protection.py",
-        "from can_rig.frames import layout",
+        "from can_rig.frames import endpoints",
         "in a circle BROKEN",
     ),
     "a room that no contract names": (
