@@ -13,10 +13,9 @@ import sys
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
 from itertools import product
 from pathlib import Path
-from typing import Any, Final, get_type_hints
+from typing import Any, Final
 
 from pydantic import TypeAdapter, ValidationError
 
@@ -220,14 +219,7 @@ FILES: Final = (
 LIMITS: Final = ("limit_", "rate_")
 """Prefixes of keys that actuators have and models of actuators lack."""
 
-MOST_TABLES: Final = 128
-"""Limit of the cache; runs of a campaign share most tables."""
-
-_ENCODER: Final = json.JSONEncoder(default=str)
 _ADAPTER: Final = TypeAdapter(Scenario)
-_TABLES: Final = {
-    key: TypeAdapter(kind) for key, kind in get_type_hints(Scenario, include_extras=True).items()
-}
 
 
 @dataclass(frozen=True)
@@ -372,38 +364,94 @@ def draft(name: str, values: Mapping[str, Any]) -> Draft:
     if isinstance(faults, Mapping):
         merged["fault"] = [faults]
     words = frozenset(pair for pair in (FROM_BUS,) if _take(merged, *pair))
-    try:
-        scenario = Scenario(name=name, **{key: _valid(key, each) for key, each in merged.items()})
-    except (ValidationError, KeyError):  # in one table; the whole scenario's finding has the key
-        try:
-            scenario = _ADAPTER.validate_json(_json({"name": name, **merged}))
-        except ValidationError as error:
-            said = refusal(error, Scenario)
-            if not several:  # a single table has no number
-                said = said.replace(f"{FAULT}.0", FAULT, 1)
-            raise ScenarioError(f"scenario {name}: {said}") from None
+    try:  # strict JSON accepts tables for dataclasses and whole numbers for floats
+        scenario = _ADAPTER.validate_json(json.dumps({"name": name, **merged}, default=str))
+    except ValidationError as error:
+        said = refusal(error, Scenario)
+        if not several:  # a single table has no number
+            said = said.replace(f"{FAULT}.0", FAULT, 1)
+        raise ScenarioError(f"scenario {name}: {said}") from None
     return Draft(scenario, words)
 
 
-def _valid(key: str, value: Any) -> Any:
-    """``value`` as a field of ``Scenario``: converted if a table or a list of tables."""
-    return _table(key, _json(value)) if isinstance(value, Mapping | list) else value
+def with_values(draft: Draft, values: Mapping[str, Any]) -> Draft:
+    """The draft with other values of known keys, with dots; ``KEY=VALUE`` changes do the same.
 
-
-@lru_cache(MOST_TABLES)
-def _table(key: str, text: str) -> Any:
-    """A validated table of a scenario; equal texts share one object.
+    No text is read: settings objects replace settings objects. ``model`` follows no key of the
+    plant.
 
     Raises:
-        KeyError: an unknown key.
-        ValidationError: a bad value.
+        ScenarioError: a bad value.
     """
-    return _TABLES[key].validate_json(text)
+    scenario, changes = draft.scenario, dict(values)
+    words = frozenset(pair for pair in draft.words if pair[0] not in changes)
+    words |= {pair for pair in (FROM_BUS,) if _take(changes, *pair)}
+    tables: dict[str, Any] = {}
+    for key, value in changes.items():
+        *path, last = key.split(".")
+        table = tables
+        for part in path:
+            table = table.setdefault(part, {})
+        table[last] = value
+    try:
+        if FAULT in tables:
+            tables[FAULT] = _with_faults(scenario.fault, tables[FAULT])
+        return Draft(_with(scenario, tables), words)
+    except ScenarioError as error:
+        raise ScenarioError(f"scenario {scenario.name}: {error}") from None
 
 
-def _json(value: Any) -> str:
-    """JSON text: strict JSON accepts tables for dataclasses and whole numbers for floats."""
-    return _ENCODER.encode(value)
+def _with_faults(
+    faults: tuple[FaultSettings, ...], changes: Mapping[str, Any]
+) -> tuple[FaultSettings, ...]:
+    """The faults with changes by number, or with the changes of a single fault."""
+    listed = dict(enumerate(faults))
+    numbered = {int(key): table for key, table in changes.items() if key.isdecimal()}
+    for at, table in sorted((numbered or {0: changes}).items()):
+        where = FAULT if len(listed) == 1 and at == 0 else f"{FAULT}.{at}"
+        listed[at] = _with(listed.get(at, FaultSettings()), table, where)
+    return tuple(listed.values())
+
+
+def _with(settings: Any, changes: Mapping[str, Any], where: str = "") -> Any:
+    """A copy of a settings object, or of a table of free keys, with these values."""
+    made = dict(changes)
+    for name, change in changes.items():
+        if isinstance(change, dict):
+            of = settings.get(name, {}) if isinstance(settings, dict) else getattr(settings, name)
+            made[name] = _with(of, change, f"{where}.{name}" if where else name)
+    if isinstance(settings, dict):
+        return {**settings, **made}
+    try:
+        return replace(settings, **made)
+    except ValidationError as error:
+        raise ScenarioError(refusal(error, type(settings), where)) from None
+
+
+def model_follows(values: Mapping[str, Any], key: str) -> bool:
+    """Whether ``model`` takes the value of a key of the plant, as it does without a key of its own.
+
+    Args:
+        values: of a scenario's file.
+        key: within the table ``plant``, with dots.
+    """
+    mark = object()
+    plant: dict[str, Any] = _copied(values.get("plant", {}))
+    *path, last = key.split(".")
+    table = plant
+    for part in path:
+        table = table.setdefault(part, {})
+    table[last] = mark
+    return value_in(_believed(plant, values.get("model", {})), key) is mark
+
+
+def linear_kind(plant: Mapping[str, Any]) -> str:
+    """The kind of linear plant that ``model`` has beside this table ``plant``."""
+    kind = str(plant.get("kind", CAR))
+    if ":" not in kind:
+        return kind
+    by_numbers = TRANSFER_FUNCTIONS if plant.get("g1") or plant.get("g2") else CAR
+    return STATE_SPACE if plant.get("a") else by_numbers
 
 
 def _believed(plant: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str, Any]:
@@ -415,8 +463,7 @@ def _believed(plant: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str, A
     """
     inherited = {k: v for k, v in plant.items() if k not in (*OWN, *SIGNALS)}
     if ":" in str(plant.get("kind")):
-        by_numbers = TRANSFER_FUNCTIONS if plant.get("g1") or plant.get("g2") else CAR
-        inherited["kind"] = STATE_SPACE if plant.get("a") else by_numbers
+        inherited["kind"] = linear_kind(plant)
     if model.get("kind", inherited.get("kind")) != inherited.get("kind"):
         inherited = {k: v for k, v in inherited.items() if k not in NUMBERS}
     for key in ACTUATORS:
