@@ -10,7 +10,7 @@ import click
 from click.shell_completion import CompletionItem
 
 from can_rig.export.choices import CONTROLLERS, SERIAL
-from can_rig.nodes.operator.interaction import Interaction
+from can_rig.nodes.interaction import Interaction
 from can_rig.scenario.loading import shipped
 
 Completions = list[CompletionItem]

@@ -10,8 +10,7 @@ from can_rig.export.constants import constants_header, constants_source
 from can_rig.export.law import filled, law_files, support
 from can_rig.export.speed_words import words
 from can_rig.export.writing.c_text import comment
-from can_rig.frames.codec import MessageCodec
-from can_rig.frames.layout import RigLayout
+from can_rig.frames.codec import MessageCodec, RigLayout
 from can_rig.frames.network import Network
 from can_rig.scenario.build import dbc_of, network_of
 from can_rig.scenario.driving import controls

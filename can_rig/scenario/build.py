@@ -9,8 +9,8 @@ from functools import cache
 from pathlib import Path
 
 from can_rig.errors import ScenarioError
-from can_rig.frames.dbc import shipped_dbc
-from can_rig.frames.mapped.network import Roles, map_network
+from can_rig.frames.databases import shipped_dbc
+from can_rig.frames.foreign_frames import Roles, map_network
 from can_rig.frames.network import Network, load_network
 from can_rig.scenario.box import in_box, uncertain, with_lags
 from can_rig.scenario.fault_settings import PLACES

@@ -22,7 +22,7 @@ from can_rig.cli.options import json_option, set_option
 from can_rig.cli.output import json_line, say, table, wide
 from can_rig.cli.progress import counting
 from can_rig.errors import INTERRUPTED
-from can_rig.nodes.watchdog import StopRequest
+from can_rig.nodes.bus_access import StopRequest
 
 
 @click.command("campaign")

@@ -39,7 +39,7 @@ def random_drive(
     schedules = np.zeros(1, record_type(CONSTANTS, precision))
     schedule: Record = schedules[0]
     fill(random, schedules[0], precision, even)
-    n = schedule.n = random.integers(1, MAX_SPEEDS + 1)
+    n = schedule.n = random.choice([1, 2, MAX_SPEEDS, *random.integers(1, MAX_SPEEDS + 1, 3)])
     schedule.speed[:] = np.sort(random.uniform(SLOWEST, FASTEST, MAX_SPEEDS))
     if random.random() < 0.8:  # turns that leave numbers of ordinary size
         for name in schedules.dtype.names or ():

@@ -8,7 +8,7 @@ from typing import Final
 from pydantic import ValidationError
 
 from can_rig.errors import RigError
-from can_rig.frames.beside.control import ALL, LONGEST_S, SHORTEST_S, Command, value_limits
+from can_rig.frames.operator_frames import ALL, LONGEST_S, SHORTEST_S, Command, value_limits
 from can_rig.scenario.fault_settings import (
     CHANNELS,
     MAX_LATE_TICKS,

@@ -25,8 +25,7 @@ from can_rig.export.running.emulated_ecu import (
     firmware_image,
 )
 from can_rig.export.running.host_ecu import HostEcu, host_library
-from can_rig.nodes.lockstep.controller_node import ControllerNode
-from can_rig.nodes.lockstep.ecu_node import EcuNode
+from can_rig.nodes.lockstep import ControllerNode, EcuNode
 from can_rig.scenario.build import network_of
 from tests.rig.export.test_controller_c import log_of
 

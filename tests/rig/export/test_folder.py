@@ -136,7 +136,7 @@ def test_it_reads_as_if_written_by_hand(folder: Path) -> None:
         assert max(map(len, text.splitlines())) <= WIDTH + 4, path
         assert not re.search(r"[ \t]\n|\n\n\n", text), path
     biquad = (folder / "biquad.h").read_text(encoding="utf-8")
-    assert "/* The answer to 'u' in this tick; the state stays as it is. */" in biquad
+    assert "/* Return the answer to 'u' in this tick; the state does not change. */" in biquad
     assert "real accumulators[8][2]; /* [output] s1, s2, a row a section */" in biquad
 
 

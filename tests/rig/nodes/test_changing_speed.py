@@ -13,9 +13,9 @@ from can_rig.assessment.resolve import load
 from can_rig.export.running.controllers import controller_of
 from can_rig.frames.endpoints import Transmitter
 from can_rig.logs.reading import read_log
-from can_rig.nodes.lockstep.controller_node import ControllerNode
+from can_rig.nodes.bus_access import StopRequest
+from can_rig.nodes.lockstep import ControllerNode
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.watchdog import StopRequest
 from can_rig.panel.live import HOLD, LiveSignals
 from can_rig.plant.frameless import frameless
 from can_rig.replay.gaps import Gap

@@ -17,10 +17,10 @@ from can_rig.errors import RigError
 from can_rig.frames.endpoints import Transmitter
 from can_rig.frames.frame_columns import payloads, quantised
 from can_rig.frames.protection import COUNTERS
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.lockstep import without_bus
-from can_rig.nodes.lockstep.without_bus import run_without_bus
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.watchdog import StopRequest
+from can_rig.nodes.without_bus import run_without_bus
 from can_rig.results.execution import NO_BUS, execute
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of

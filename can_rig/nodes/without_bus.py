@@ -13,13 +13,10 @@ import numpy as np
 
 from can_rig.frames.frame_columns import payloads
 from can_rig.frames.network import Network
-from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK
-from can_rig.nodes.progress import OnTick
-from can_rig.nodes.recording.candump_columns import candump_bytes
-from can_rig.nodes.recording.plant_recorder import PlantRecorder
-from can_rig.nodes.recording.recorder import LogFile
+from can_rig.nodes.bus_access import StopRequest
+from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, OnTick
+from can_rig.nodes.recording import LogFile, PlantRecorder, candump_bytes
 from can_rig.nodes.summary import NodeSummary, RunColumns
-from can_rig.nodes.watchdog import StopRequest
 from can_rig.plant.behind import LinearBehind, PlantBehind
 from can_rig.plant.changing_car import plant_of
 from can_rig.plant.faults.delivery import delivery

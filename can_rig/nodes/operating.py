@@ -8,14 +8,14 @@ from typing import Final
 import can
 
 from can_rig.errors import BusError, RigError, one_line
-from can_rig.frames.beside import control
+from can_rig.frames import operator_frames
 from can_rig.plant.faults.injection import require_possible
 
 WITHIN_S: Final = 1.0
 """A plant node says 20 times a second how it stands to commands."""
 
 
-def operate(bus: can.BusABC, name: str, command: control.Command) -> None:
+def operate(bus: can.BusABC, name: str, command: operator_frames.Command) -> None:
     """Send ``command`` on the bus called ``name``, and wait until the plant node obeys.
 
     Raises:
@@ -32,7 +32,7 @@ def operate(bus: can.BusABC, name: str, command: control.Command) -> None:
         )
     if command.action == "STEP" and not state.paused:
         raise RigError(f"bus {name}: nothing is paused; inject pause comes before step")
-    message = control.command_message(command, state.next_sequence)
+    message = operator_frames.command_message(command, state.next_sequence)
     try:
         bus.send(message)
     except can.CanError as error:
@@ -51,15 +51,15 @@ def operate(bus: can.BusABC, name: str, command: control.Command) -> None:
     raise RigError(f"bus {name}: the plant node did not answer within {WITHIN_S:g} s")
 
 
-def _state(bus: can.BusABC) -> tuple[control.State | None, bool]:
+def _state(bus: can.BusABC) -> tuple[operator_frames.State | None, bool]:
     """The next state of a plant node (None after a timeout), and whether the bus is silent."""
-    frame_id, is_silent = control.identifiers().state, True
+    frame_id, is_silent = operator_frames.identifiers().state, True
     end_s = time.monotonic() + WITHIN_S
     while (left_s := end_s - time.monotonic()) > 0.0:
         message = bus.recv(left_s)
         is_silent = is_silent and message is None
         if message is not None and message.arbitration_id == frame_id:
-            said = control.read_state(message)
+            said = operator_frames.read_state(message)
             if said is not None:
                 return said, False
     return None, is_silent

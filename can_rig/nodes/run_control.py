@@ -1,4 +1,4 @@
-"""Commands to a running simulation: obedience or refusal, pace, pause and steps."""
+"""Commands to a running simulation: the plant node obeys, the controller node follows."""
 
 from __future__ import annotations
 
@@ -7,12 +7,12 @@ from typing import Final
 
 import can
 
-from can_rig.frames.beside import control
-from can_rig.nodes.bus_access import Send
+from can_rig.frames import operator_frames
+from can_rig.nodes.bus_access import Send, Watchdog
 from can_rig.nodes.clock import NS_PER_S, Clock
-from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
-from can_rig.nodes.plant_end import PlantEnd
-from can_rig.nodes.watchdog import Watchdog
+from can_rig.nodes.ends import PlantEnd
+from can_rig.nodes.interaction import UNTOUCHED, Interaction
+from can_rig.plant.faults.frame_faults import FrameFaults
 from can_rig.plant.faults.injection import FAULT_ACTIONS, Injection
 from can_rig.scenario.settings import Scenario
 
@@ -53,7 +53,7 @@ class RunControl:
         self._send = send
         self._clock = clock
         self._touched = interaction != UNTOUCHED
-        self._asked: list[tuple[int, control.Command]] = []  # and not done yet
+        self._asked: list[tuple[int, operator_frames.Command]] = []  # and not done yet
         self._paused = False
         self._steps = 0
         self._pace = interaction.pace
@@ -67,14 +67,17 @@ class RunControl:
 
     def take(self, message: can.Message) -> None:
         """Keep a frame outside the network, which may be a command."""
-        if message.is_extended_id or message.arbitration_id != control.identifiers().control:
+        if (
+            message.is_extended_id
+            or message.arbitration_id != operator_frames.identifiers().control
+        ):
             return
-        command = control.read_command(message, self._next)
+        command = operator_frames.read_command(message, self._next)
         if command is None or not self._interaction.injectable:
             self.refused += 1
             return
         self._asked.append((self._next, command))
-        self._next = (self._next + 1) % control.SEQUENCES
+        self._next = (self._next + 1) % operator_frames.SEQUENCES
         self._last_checksum = message.data[0]
 
     def begin(self, tick: int, watchdog: Watchdog, hear: Callable[[can.Message], None]) -> None:
@@ -95,7 +98,7 @@ class RunControl:
     def applied(self) -> None:
         """Report the actuators' applied commands of this tick to viewers."""
         if self._interaction.injectable and not self._interaction.replayed:
-            self._send(control.applied_message(*self._end.plant.applied))
+            self._send(operator_frames.applied_message(*self._end.plant.applied))
 
     def _listen(self, watchdog: Watchdog, hear: Callable[[can.Message], None], tick: int) -> None:
         while True:
@@ -116,13 +119,15 @@ class RunControl:
         """Obey the pending commands before ``tick``."""
         asked, self._asked = self._asked, []
         for number, command in asked:
-            self._send(control.taken_message(command, number))  # the controller's frames fail too
+            self._send(
+                operator_frames.taken_message(command, number)
+            )  # the controller's frames fail too
             if not self._does(command, tick):
                 self.refused += 1
         if asked:
             self._told_ns = 0
 
-    def _does(self, command: control.Command, tick: int) -> bool:
+    def _does(self, command: operator_frames.Command, tick: int) -> bool:
         value = command.value
         if command.action in FAULT_ACTIONS:
             if not self._injection.obey(command, tick):
@@ -160,8 +165,39 @@ class RunControl:
         if now_ns - self._told_ns < TELL_EVERY_NS:
             return
         self._told_ns = now_ns
-        state = control.State(
+        state = operator_frames.State(
             True, self._paused, self._next, self._last_checksum, self.refused, self._pace
         )
-        self._send(control.state_message(state, self._counter))
+        self._send(operator_frames.state_message(state, self._counter))
         self._counter += 1
+
+
+class FollowedFaults:
+    """Frame faults, injected and cleared in step with the plant node.
+
+    The plant node announces each obeyed command, in order and before the frames of the command's
+    first tick. A damaged frame, or a frame out of sequence, has no effect.
+
+    Args:
+        scenario: the run.
+        faults: the faults to update.
+    """
+
+    def __init__(self, scenario: Scenario, faults: FrameFaults) -> None:
+        self._injection = Injection(scenario)
+        self._faults = faults
+        self._frame_id: Final = operator_frames.identifiers().taken
+        self._next: int | None = None  # the first may have any number
+
+    def take(self, message: can.Message, tick: int) -> bool:
+        """Follow a frame that announces a command of ``tick``; returns False for other frames."""
+        if message.arbitration_id != self._frame_id:
+            return False
+        numbered = operator_frames.read_taken(message)
+        if numbered is None or self._next not in (None, numbered[0]):
+            return True
+        number, command = numbered
+        self._next = (number + 1) % operator_frames.SEQUENCES
+        if command.action in FAULT_ACTIONS and self._injection.obey(command, tick):
+            self._faults.change(self._injection.scenario)
+        return True
