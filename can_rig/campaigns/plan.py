@@ -6,7 +6,7 @@ import math
 import shlex
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
 
@@ -18,14 +18,11 @@ from can_rig.campaigns.settings import MOST_RUNS, AxisSettings, CampaignSettings
 from can_rig.errors import ScenarioError
 from can_rig.scenario.loading import (
     LIMITS,
-    Draft,
     Written,
     as_settings,
-    changed,
     linear_kind,
     model_follows,
     value_in,
-    with_changes,
     with_values,
     written,
 )
@@ -58,7 +55,7 @@ class Plan:
     @cached_property
     def base(self) -> Scenario:
         """The scenario with the campaign's settings, before any axis changes it."""
-        return resolve(changed(self.file, self._common))
+        return resolve(self.file.with_changes(self._common).draft)
 
     @cached_property
     def runs(self) -> int:
@@ -115,7 +112,7 @@ class Plan:
         if "model.kind" in of_model:
             plant = self._file_of_all.values.get("plant", {})
             of_model["model.kind"] = linear_kind({**plant, "kind": changes["plant.kind"]})
-        return resolve(with_values(self._common_draft, {**of_model, **changes}))
+        return resolve(with_values(self._file_of_all.draft, {**of_model, **changes}))
 
     def command_with(self, changes: dict[str, Scalar]) -> str:
         """The command that repeats a run with these values, frames included."""
@@ -130,7 +127,7 @@ class Plan:
         Raises:
             ScenarioError: names the key.
         """
-        resolve(changed(self._file_of_all, as_settings(changes)))
+        resolve(self._file_of_all.with_changes(as_settings(changes)).draft)
 
     def __getstate__(self) -> dict[str, Any]:
         """Fields only, without cached properties."""
@@ -147,11 +144,7 @@ class Plan:
 
     @cached_property
     def _file_of_all(self) -> Written:
-        return replace(self.file, values=with_changes(self.file, self._of_all))
-
-    @cached_property
-    def _common_draft(self) -> Draft:
-        return changed(self._file_of_all)
+        return self.file.with_changes(self._of_all)
 
     @cached_property
     def _followed(self) -> list[str]:
@@ -248,7 +241,8 @@ class Plan:
             return axis.range
         own = value_in(self.base_values, key)
         if not has_key(self.base_values, key):
-            resolve(changed(self.file, [*self._common, f"{key}=1"]))  # error lists valid keys
+            wrong = self.file.with_changes([*self._common, f"{key}=1"])
+            resolve(wrong.draft)  # the error lists valid keys
         if isinstance(own, bool) or not isinstance(own, int | float) or own == 0.0:
             raise ScenarioError(
                 f"campaign {self.settings.name}: axes.{key}.share = {axis.share}: {key} = {own!r} "
