@@ -7,12 +7,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from can_rig.campaigns.plan import Plan, value_at
+from can_rig.campaigns.plan import Plan
 from can_rig.campaigns.requirements import Requirement, margin
 from can_rig.campaigns.settings import Scalar
 from can_rig.errors import RigError, one_line
 from can_rig.files import atomic
 from can_rig.results.without_log import metrics_of
+from can_rig.scenario.loading import value_in
 from can_rig.views.signal_table import unit
 
 if TYPE_CHECKING:
@@ -68,9 +69,9 @@ def schema(plan: Plan) -> pa.Schema:
     kinds = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}
     columns: dict[str, pa.DataType] = {"run": pa.int64(), "seed": pa.int64()}
     for key, axis in plan.settings.axes.items():
-        some: Sequence[Any] = [value_at(plan.base_values, key), *(axis.values or [])]
+        some: Sequence[Any] = [value_in(plan.base_values, key), *(axis.values or [])]
         found = {type(value) for value in some if value is not None} or {float}
-        if axis.values is None and value_at(plan.base_values, key) is None:
+        if axis.values is None and value_in(plan.base_values, key) is None:
             found = {float}
         kind = found.pop() if len(found) == 1 else float if found == {int, float} else str
         columns[key] = kinds[kind]

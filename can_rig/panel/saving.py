@@ -20,7 +20,7 @@ from can_rig.results.signals import read_signals
 from can_rig.results.source import reference_csv, source_of
 from can_rig.scenario.build import network_of
 from can_rig.scenario.fault_settings import FaultSettings
-from can_rig.scenario.loading import with_changes, written
+from can_rig.scenario.loading import written
 
 NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
@@ -46,7 +46,7 @@ def save(session: Session, name: str) -> Path:
     source = source_of(folder, None, ())
     network = network_of(source.scenario)
     what = done(source.scenario, touches(source.frames(), network))
-    values = with_changes(written(session.name), session.settings)
+    values = written(session.name).with_changes(session.settings).values
     values["fault"] = [_keys(fault) for fault in what.scenario.faults]
     reference = path.with_suffix(".csv")
     if what.moved:

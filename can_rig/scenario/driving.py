@@ -161,7 +161,11 @@ def _without_run(scenario: Scenario, speeds: tuple[float, ...]) -> Scenario:
     )
 
 
-@remembered(4)
+def _sources_of_schedule(scenario: Scenario, network: Network | None) -> tuple[object, ...]:
+    return scenario, target(scenario, network)
+
+
+@remembered(4, by=_sources_of_schedule)
 def _scheduled(scenario: Scenario, network: Network | None) -> Scheduled:
     speeds = scenario.design.speeds_mps or ()
     middle = mismatch(frozen(scenario, speeds[len(speeds) // 2]))
