@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from can_rig.errors import ExportError
-from can_rig.export.running.controllers import Application, Controller
+from can_rig.export.controllers import Application, Controller
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import Send
 from can_rig.nodes.lockstep.controller_node import ControllerNode

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import can
 
-from can_rig.export.running.ecu import COUNTS, Ecu, rejected
+from can_rig.export.ecus import COUNTS, Ecu, rejected
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import Send
 from can_rig.nodes.lockstep.answering import AnsweringNode

@@ -7,7 +7,7 @@ import can
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.export.running.controllers import controller_of
+from can_rig.export.controllers import controller_of
 from can_rig.frames.beside import control
 from can_rig.frames.beside.control import Command, command_message, taken_message
 from can_rig.frames.endpoints import Transmitter
