@@ -14,7 +14,7 @@ from typing import Final
 from can_rig.assessment.speeds import refuse as refuse_unstable
 from can_rig.buses.bus import in_one_process
 from can_rig.errors import INTERRUPTED, BusError, RigError
-from can_rig.export.running.controllers import PYTHON, Controller
+from can_rig.export.controllers import PYTHON, Controller
 from can_rig.files import atomic
 from can_rig.folders.new_folder import NewFolder
 from can_rig.folders.replacing import default_folder

@@ -10,7 +10,7 @@ from click.testing import CliRunner
 
 from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
-from can_rig.export.running.controllers import PYTHON, Controller, controller_of
+from can_rig.export.controllers import PYTHON, Controller, controller_of
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
 from can_rig.scenario.loading import shipped

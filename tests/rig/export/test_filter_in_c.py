@@ -11,9 +11,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from can_rig.export.back_to_back.memories import reals
+from can_rig.export.compiler import WARNINGS, shared_library
 from can_rig.export.law import law_files
-from can_rig.export.running.compiler import WARNINGS, shared_library
+from can_rig.export.trials import reals
 from firmware_model import Filter, discretise
 from firmware_model.errors import ParameterError
 from firmware_model.target.structs import Precision

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import os
 import shlex
@@ -53,6 +54,25 @@ def shared_library(sources: Mapping[str, str], flags: Sequence[str] = FLAGS) -> 
     return built(host_compiler(), flags, sources, ".so")
 
 
+def loaded(library: Path) -> ctypes.CDLL:
+    """A compiled library in this process.
+
+    Raises:
+        ExportError: loading fails.
+    """
+    try:
+        return ctypes.CDLL(str(library))
+    except OSError as error:
+        raise ExportError(f"{library}: cannot be loaded: {error}") from None
+
+
+def placed(folder: str | Path, texts: Mapping[str, str]) -> list[str]:
+    """Write files to ``folder``; returns the names of the .c files in order."""
+    for name, text in texts.items():
+        (Path(folder) / name).write_text(text, encoding="utf-8")
+    return sorted(name for name in texts if name.endswith(".c"))
+
+
 def built(
     compiler: Sequence[str], flags: Sequence[str], sources: Mapping[str, str], suffix: str
 ) -> Path:
@@ -73,10 +93,7 @@ def built(
     if result.is_file():
         return result
     with tempfile.TemporaryDirectory(prefix="can-rig-") as place:
-        for name, text in sources.items():
-            (Path(place) / name).write_text(text, encoding="utf-8")
-        made = Path(place) / result.name
-        units = [name for name in sources if name.endswith(".c")]
+        units, made = placed(place, sources), Path(place) / result.name
         run([*compiler, *flags, "-o", made.name, *units, "-lm"], Path(place))
         if not made.is_file():
             raise ExportError(f"{compiler[0]}: must be a C compiler: it has compiled nothing")

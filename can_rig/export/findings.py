@@ -1,17 +1,105 @@
-"""Findings of compilers and analysers in exported files; missing tools are skipped."""
+"""Findings in the exported files, and coverage of the C code by the back-to-back trials.
+
+Compilers and analysers give the findings; gcov gives lines and branches. Missing tools are skipped.
+"""
 
 from __future__ import annotations
 
+import json
 import re
 import shutil
+import subprocess
 import tempfile
 from collections import Counter
 from collections.abc import Mapping
+from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
-from can_rig.export.law import support
-from can_rig.export.running.compiler import WARNINGS, run
+from can_rig.export.application import application, bench
+from can_rig.export.compiler import WARNINGS, placed, run
+from can_rig.export.law import law_files, support
+from can_rig.export.programs import HOST_FLAGS, as_orders, on_host, trial_files
+from can_rig.export.trials import different, encoded, in_python, random_trials
+from can_rig.scenario.build import network_of
+from can_rig.scenario.settings import Scenario
+
+TOOLS: Final = ("gcc", "gcov")
+MEMORIES: Final = 100
+TICKS: Final = 12
+NODES: Final = range(20)
+
+
+@dataclass(frozen=True)
+class Coverage:
+    """Coverage of lines and branches."""
+
+    compared: int
+    """Compared states of the law; ``different`` counts differences from Python."""
+    different: int
+    lines: int
+    lines_run: int
+    branches: int
+    branches_taken: int
+    missed: tuple[str, ...]
+    """Lines without coverage, as ``file:line``."""
+
+
+def coverage(scenario: Scenario) -> Coverage:
+    """Of a scenario's controller: of the law by random memory, of the node by random frames.
+
+    Where designs are blended by the speed, both have random speeds too.
+
+    Raises:
+        ExportError: gcc refuses, or a program ends early.
+    """
+    precision, whole = scenario.design.precision, application(scenario)
+    blends = "schedule.c" in whole
+    law = law_files(precision, blends)
+    trials = random_trials(precision, 0, MEMORIES, TICKS, blends)
+    answers, parts = _measured(trial_files(law), encoded(trials), {*law})
+    _, others = _measured(
+        whole | bench(whole),
+        as_orders(network_of(scenario), NODES, round(scenario.tick_s * 1e6)),
+        {*whole} - {*law},
+    )
+    lines, branches = {}, []
+    for name, each in (*parts, *others):
+        lines[f"{name}:{each['line_number']}"] = each["count"]
+        branches += [branch["count"] for branch in each["branches"]]
+    missed = tuple(place for place, count in lines.items() if not count)
+    return Coverage(
+        sum(trial.answers for trial in trials),
+        different(in_python(trials), answers, trials),
+        len(lines),
+        len(lines) - len(missed),
+        len(branches),
+        sum(count > 0 for count in branches),
+        missed,
+    )
+
+
+def _measured(
+    files: Mapping[str, str], orders: bytes, wanted: set[str]
+) -> tuple[bytes, list[tuple[str, dict[str, Any]]]]:
+    """A program's answers, and gcov's record of every line of the ``wanted`` files."""
+    with tempfile.TemporaryDirectory(prefix="can-rig-") as place:
+        folder = Path(place)
+        units = placed(folder, {**files, "bench_main.c": support("bench_main.c")})
+        run(["gcc", *HOST_FLAGS, "-O0", "--coverage", "-o", "program", *units, "-lm"], folder)
+        answers = on_host(folder / "program", orders)
+        found = []
+        for data in sorted(folder.glob("*.gcda")):
+            said = subprocess.run(
+                ["gcov", "--json-format", "--stdout", "--branch-probabilities", data.name],
+                cwd=folder, capture_output=True, check=True, text=True,
+            ).stdout  # fmt: skip
+            for file in json.loads(said)["files"]:
+                name = Path(file["file"]).name
+                if name in wanted and name.endswith(".c"):
+                    found += [(name, line) for line in file["lines"]]
+    return answers, found
+
 
 STRICT: Final = ("-std=c99", *WARNINGS, "-O2", "-c")
 BENCH: Final = ("main.c", "bench_main.c", "bench.c", "bench.h", "harness.c", "harness.h")
@@ -50,8 +138,7 @@ def findings(files: Mapping[str, str]) -> dict[str, int | str]:
     """
     found: dict[str, int | str] = {}
     with tempfile.TemporaryDirectory(prefix="can-rig-") as place:
-        folder = _written(files, Path(place))
-        units = sorted(name for name in files if name.endswith(".c"))
+        units = placed(place, files)
         check = ["--quiet", "--std=c99", "--enable=warning,performance,portability", "."]
         for tool, command in {
             "gcc": ["gcc", *STRICT, *units],
@@ -62,7 +149,7 @@ def findings(files: Mapping[str, str]) -> dict[str, int | str]:
             if shutil.which(command[0]) is None:
                 found[tool] = NOT_INSTALLED
             else:
-                said = run(command, folder)
+                said = run(command, Path(place))
                 found[tool] = len(re.findall(r"\b(?:warning|error|performance|portability):", said))
     return found
 
@@ -79,8 +166,8 @@ def misra(files: Mapping[str, str]) -> Counter[str] | None:
     if shutil.which("cppcheck") is None:
         return None
     with tempfile.TemporaryDirectory(prefix="can-rig-") as place:
-        folder = _written(_application(files), Path(place))
-        said = run(["cppcheck", "--quiet", "--std=c99", "--addon=misra", "."], folder)
+        placed(place, _application(files))
+        said = run(["cppcheck", "--quiet", "--std=c99", "--addon=misra", "."], Path(place))
     return Counter(re.findall(r"\[misra-c2012-([\d.]+)\]", said))
 
 
@@ -108,9 +195,8 @@ def alarms(files: Mapping[str, str]) -> list[str]:
         ExportError: Frama-C refuses.
     """
     with tempfile.TemporaryDirectory(prefix="can-rig-") as place:
-        folder = _written(files, Path(place))
-        units = sorted(str(folder / name) for name in files if name.endswith(".c"))
-        said = run(["frama-c", *EVA, f"-cpp-extra-args=-I{folder}", *units], folder)
+        command = ["frama-c", *EVA, f"-cpp-extra-args=-I{place}", *placed(place, files)]
+        said = run(command, Path(place))
     found = re.findall(r"\[eva:alarm\] (\S+): Warning: ?\n? *([^.\n]+)", said)
     return [f"{Path(where).name}: {what}" for where, what in found]
 
@@ -122,9 +208,3 @@ def _application(files: Mapping[str, str]) -> dict[str, str]:
         for name, text in files.items()
         if name not in BENCH and name.endswith((".c", ".h"))
     }
-
-
-def _written(files: Mapping[str, str], folder: Path) -> Path:
-    for name, text in files.items():
-        (folder / name).write_text(text, encoding="utf-8")
-    return folder

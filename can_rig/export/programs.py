@@ -1,15 +1,32 @@
-"""Frames of any kind for the controller node: damaged, short, repeated, missing, of other ticks."""
+"""Programs that run a law on random memory, and random frames for a controller node."""
 
 from __future__ import annotations
 
 import math
 import random
+import subprocess
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Final
 
 import can
 
-from can_rig.export.running.bench_ecu import COUNT, RESTART, frame_order, time_order
+from can_rig.errors import ExportError
+from can_rig.export.compiler import built
+from can_rig.export.ecus import (
+    COUNT,
+    LONGEST_S,
+    RESTART,
+    emulated,
+    frame_order,
+    image_of,
+    time_order,
+)
+from can_rig.export.law import parts_of, support
 from can_rig.frames.endpoints import Transmitter
 from can_rig.frames.network import Network
+
+HOST_FLAGS: Final = ("-std=c99", "-ffp-contract=off")
 
 TICKS = 60
 VALUES = (-2.0, 2.0)
@@ -63,3 +80,54 @@ def as_orders(network: Network, seeds: range, tick_us: int) -> bytes:
             at_us += tick_us
         orders.append(COUNT)
     return b"".join(orders)
+
+
+def trial_files(law: Mapping[str, str]) -> dict[str, str]:
+    """The files of the law, and the trial that runs the law on any memory.
+
+    The caller adds ``main``.
+
+    Args:
+        law: text by file name; `schedule.c` enables changes of speed.
+    """
+    return {**law, **{name: support(name, parts_of(law)) for name in ("bench.h", "trial.c")}}
+
+
+def host_program(law: Mapping[str, str], compiler: Sequence[str], flags: Sequence[str]) -> Path:
+    """The program for this machine.
+
+    Raises:
+        ExportError: the compiler refuses.
+    """
+    files = trial_files(law) | {"bench_main.c": support("bench_main.c")}
+    return built(compiler, [*HOST_FLAGS, *flags], files, ".out")
+
+
+def on_host(program: Path, orders: bytes) -> bytes:
+    """The program's answers.
+
+    Raises:
+        ExportError: the program fails, or ignores orders; the message has the first line of its
+            output.
+    """
+    try:
+        done = subprocess.run(
+            [program], input=orders, capture_output=True, check=False, timeout=LONGEST_S
+        )
+    except subprocess.TimeoutExpired:
+        raise ExportError(f"the trial did not end within {LONGEST_S:g} s") from None
+    if done.returncode or done.stderr:
+        lines = done.stderr.decode(errors="replace").splitlines() or [f"{done.returncode}"]
+        said = next((line for line in lines if "error" in line.lower()), lines[0])
+        raise ExportError(f"the trial ended: {said}")
+    return done.stdout
+
+
+def on_board(law: Mapping[str, str], board: str, orders: bytes) -> bytes:
+    """The answers of a board.
+
+    Raises:
+        ExportError: a tool is missing, or refuses.
+    """
+    image = image_of(trial_files(law), "board_ecu.c", board)
+    return emulated(image, board, {"orders": orders}, "answers")

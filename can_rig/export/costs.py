@@ -9,7 +9,6 @@ of each function.
 from __future__ import annotations
 
 import re
-import subprocess
 import tempfile
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -19,20 +18,11 @@ from typing import Final
 
 import numpy as np
 
-from can_rig.errors import ExportError
-from can_rig.export.application import application
-from can_rig.export.folder import in_precision
-from can_rig.export.law import CHANGE_SPEED, law_program, speed_program
-from can_rig.export.running.compiler import run
-from can_rig.export.running.emulated_ecu import (
-    BOARDS,
-    COMPILER,
-    FLAGS,
-    emulation,
-    image_of,
-)
-from can_rig.export.speed_words import words_of
-from can_rig.export.translation.program import Program
+from can_rig.export.application import application, in_precision
+from can_rig.export.compiler import placed, run
+from can_rig.export.ecus import BOARDS, COMPILER, FLAGS, emulated, image_of
+from can_rig.export.law import CHANGE_SPEED, law_program, parts_of, speed_program
+from can_rig.export.subset import Program
 from can_rig.plant.frameless import frameless, inputs_of
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import controls
@@ -127,16 +117,9 @@ def instructions(files: Mapping[str, str], board: str, inputs: FloatArray) -> Fl
         ExportError: a tool is missing, or refuses.
     """
     image = image_of(files, "board_count.c", board)
-    with tempfile.TemporaryDirectory(prefix="can-rig-") as place:
-        ticks = len(inputs).to_bytes(4, "little")
-        (Path(place) / "inputs").write_bytes(ticks + inputs.astype("<f8").tobytes())
-        command = emulation(image, board, "-icount", "shift=6,sleep=off")
-        try:
-            subprocess.run(command, cwd=place, capture_output=True, check=True, timeout=600)
-        except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
-            raise ExportError(f"the emulator did not count: {error}") from None
-        counted = np.fromfile(Path(place) / "counts", "<u4")
-    return np.asarray(counted * (NS_PER_COUNT / NS_PER_INSTRUCTION))
+    data = {"inputs": len(inputs).to_bytes(4, "little") + inputs.astype("<f8").tobytes()}
+    counted = emulated(image, board, data, "counts", "-icount", "shift=6,sleep=off")
+    return np.asarray(np.frombuffer(counted, "<u4") * (NS_PER_COUNT / NS_PER_INSTRUCTION))
 
 
 def sizes(files: Mapping[str, str], board: str) -> tuple[int, int, int, int]:
@@ -149,13 +132,12 @@ def sizes(files: Mapping[str, str], board: str) -> tuple[int, int, int, int]:
     Raises:
         ExportError: a tool is missing, or refuses.
     """
-    kept = f'#include "firmware.h"\nstruct {words_of(files)["memory"]} kept;\n'
+    memory = "firmware_memory" if parts_of(files) else "layout_state"
+    kept = f'#include "firmware.h"\nstruct {memory} kept;\n'
     flags = [*FLAGS, *BOARDS[board].flags, "-fstack-usage", "-c"]
     with tempfile.TemporaryDirectory(prefix="can-rig-") as place:
         folder = Path(place)
-        for name, text in {**files, KEPT: kept}.items():
-            (folder / name).write_text(text, encoding="utf-8")
-        units = sorted(path.name for path in folder.glob("*.c"))
+        units = placed(folder, {**files, KEPT: kept})
         run([COMPILER, *flags, *units], folder)
         said = run([SIZE, *(f"{unit[:-2]}.o" for unit in units)], folder).splitlines()[1:]
         stack = _stack(folder, blends="schedule.c" in files)
