@@ -71,10 +71,12 @@ class ComparisonFrame:
         return Message(arbitration_id=self.frame_id, is_extended_id=False, data=data)
 
     def read(self, message: Message) -> Comparison | None:
-        """The content of a frame with this identifier; None for a damaged frame.
+        """The content of a frame; None for a damaged frame or another identifier.
 
         The counter has no influence: losing or repeating a frame causes no wrong comparison.
         """
+        if message.arbitration_id != self.frame_id:
+            return None
         if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
             return None
         if self._checker.check(message.data) in _DAMAGED:

@@ -12,6 +12,7 @@ from itertools import chain
 from typing import Final
 
 import can
+import numpy as np
 
 from can_rig.buses.local.bus import LocalBus
 from can_rig.frames.codec import MessageCodec, Record, ticks_ahead
@@ -22,9 +23,8 @@ from can_rig.nodes.bus_access import PersistentSender, Send
 from can_rig.nodes.recording import CandumpLines, Log, PlantRecorder
 from can_rig.plant.faults.frame_faults import SENSOR_PLACE, FrameFaults
 from can_rig.plant.simulated import SimulatedPlant
-from can_rig.scenario.driving.schedule import controls
-from can_rig.scenario.driving.speed import speeds_at_ticks
-from can_rig.scenario.reference import on_the_bus
+from can_rig.scenario.driving import controls, speeds_at_ticks
+from can_rig.scenario.reference import reference, refuse_saturation
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, Answer, Firmware, Law
 from firmware_model.target.structs import Record as Memory
@@ -82,7 +82,8 @@ class PlantEnd:
         self.plant: Final = SimulatedPlant(scenario, changing)
         self.reference_offset = 0.0
         """Added to the scenario's reference, m/s²."""
-        self._reference = on_the_bus(scenario, network)
+        refuse_saturation(scenario, network)
+        self._reference = reference(scenario)
         self._send = send
         self._log = log
         self._reports = reports
@@ -90,7 +91,7 @@ class PlantEnd:
         self._send_feedback = Transmitter(network.feedback)
         self._send_nothing = Transmitter(network.feedback)  # with the counter of the other
         self._send_speed = None if network.speed is None else Transmitter(network.speed)
-        self._speeds = [] if network.speed is None else speeds_at_ticks(scenario).tolist()
+        self._speeds = np.empty(0) if network.speed is None else speeds_at_ticks(scenario)
         self._faults = FrameFaults(scenario, network, changing)
         self._receivers = tuple(
             Receiver(codec) for codec in (network.command_1, network.command_2, network.status)
@@ -116,15 +117,12 @@ class PlantEnd:
     def sample(self, tick: int) -> None:
         """Measure D* of ``tick`` and pack its frames."""
         if self.bursts is not None:
-            reference_now, measured = self._reference[tick], self.plant.measure()
-            self._sampled = (
-                tick,
-                (self._speeds[tick], reference_now, measured)
-                if self._speeds
-                else (reference_now, measured, 0.0),
-            )
+            wanted, measured = self._reference.item(tick), self.plant.measure()
+            speed = (self._speeds[tick],) if self._speeds else ()
+            self._sampled = tick, (*speed, wanted, measured, 0.0)[:3]
             return
-        reference = self._send_reference.frame(self._reference[tick] + self.reference_offset, tick)
+        wanted = self._reference.item(tick) + self.reference_offset
+        reference = self._send_reference.frame(wanted, tick)
         own = self._send_feedback.frame(self.plant.measure(), tick)
         feedback = [own]
         if self._faults.concerns(SENSOR_PLACE):
@@ -133,7 +131,7 @@ class PlantEnd:
             )
         self._offered = (reference, *feedback)
         if self._send_speed is not None:
-            self._offered = (self._send_speed.frame(self._speeds[tick], tick), *self._offered)
+            self._offered = (self._send_speed.frame(self._speeds.item(tick), tick), *self._offered)
 
     def send_sample(self) -> None:
         """Send what was sampled."""

@@ -12,7 +12,7 @@ from typing import Final, Literal, NamedTuple
 
 from can_rig.buses.bus import open_for_node
 from can_rig.buses.local.bus import LocalBus
-from can_rig.export.running.controllers import PYTHON, Application, Controller
+from can_rig.export.controllers import PYTHON, Application, Controller
 from can_rig.frames import operator_frames
 from can_rig.frames.comparison_frames import SENDERS, ComparisonFrame
 from can_rig.nodes.agreement import Agreement, is_shared

@@ -215,6 +215,8 @@ class LocalBus(BusABC):
             followed by a `can.CanOperationError`. For flow control, call `send` with a timeout.
         bursts: join for bursts, which `recv_burst` reads whole and ``recv`` frame by frame; the
             descriptor then is not readable for the later frames of a burst.
+        **kwargs: as of `can.BusABC`; like other buses, ignores what python-can's own programs give
+            to every bus.
 
     Raises:
         can.CanInitializationError: an unusable directory, or a path that is too long.
@@ -230,10 +232,6 @@ class LocalBus(BusABC):
         bursts: bool = False,
         **kwargs: Any,
     ) -> None:
-        if unknown := set(kwargs) - {"can_filters"}:
-            known = "receive_own_messages, preserve_timestamps, fd, tx_backlog, bursts, can_filters"
-            message = f"unknown option {', '.join(sorted(unknown))}; must be of {known}"
-            raise CanInitializationError(message)
         if not isinstance(tx_backlog, int):
             raise CanInitializationError(f"tx_backlog = {tx_backlog!r}: must be a whole number")
         self.channel = str(channel)

@@ -8,7 +8,7 @@ from hypothesis import strategies as st
 
 from can_rig.frames import operator_frames
 from can_rig.plant.faults.injection import injected
-from can_rig.scenario.tables.fault import NUMBER, FaultKind
+from can_rig.scenario.fault_settings import NUMBER, FaultKind
 from tests.helpers import DBC
 
 DATABASE = cantools.database.load_file(DBC / "control.dbc", strict=True)

@@ -99,7 +99,7 @@ def test_the_tick_counts_on_where_its_sixteen_bits_wrap():
 
 def run_with_intruder(tmp_path, frames, settings=SHORT):
     """A run on whose bus a third node sends ``frames`` before every tick."""
-    scenario, log = load("thesis-step", settings), tmp_path / "bus.log"
+    scenario, log = load("thesis-step", settings), tmp_path / f"{len(frames)}.log"
     with open_bus("virtual:intruder") as intruder:
         for frame in frames:
             intruder.send(frame)

@@ -170,7 +170,7 @@ class NoBus:
     def recv(self, timeout: float) -> None: ...
 
 
-def run(node: RealTimeControllerNode, watchdog: Any) -> int:
+def driven(node: RealTimeControllerNode, watchdog: Any) -> int:
     return drive(partial(node.carry, watchdog), node.ticks, lambda _: None)
 
 
@@ -183,16 +183,16 @@ def test_where_frames_have_no_tick_silence_is_the_end(tick: str) -> None:
         return RealTimeControllerNode(scenario, network, NoBus(), SystemClock())  # type: ignore[arg-type]
 
     with pytest.raises(SilentNodeError):
-        run(node(), Heard([]))
+        driven(node(), Heard([]))
     feedback = network.feedback
     data = feedback.encode(0.0, 0)
     wide = feedback.extended
     frames = [can.Message(arbitration_id=feedback.frame_id, is_extended_id=wide, data=data)]
     if not tick:
-        assert run(node(), Heard(3 * frames)) == 3
+        assert driven(node(), Heard(3 * frames)) == 3
         return
     with pytest.raises(SilentNodeError):
-        run(node(), Heard(frames))
+        driven(node(), Heard(frames))
 
 
 def test_check_and_bus_say_what_the_frames_cannot(tmp_path: Path) -> None:

@@ -20,7 +20,7 @@ from can_rig.results.isolation.words import in_words, verdict_rows, whose_fault
 from can_rig.results.signals import Signals, read_signals
 from can_rig.results.without_log import metrics_of, signals_without_log
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving.schedule import controls
+from can_rig.scenario.driving import controls
 from can_rig.scenario.settings import Scenario
 from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.target.status import FaultState, Mode, Verdict
