@@ -118,7 +118,7 @@ class PlantEnd:
         """Measure D* of ``tick`` and pack its frames."""
         if self.bursts is not None:
             wanted, measured = self._reference.item(tick), self.plant.measure()
-            speed = (self._speeds[tick],) if self._speeds else ()
+            speed = () if self._send_speed is None else (self._speeds.item(tick),)
             self._sampled = tick, (*speed, wanted, measured, 0.0)[:3]
             return
         wanted = self._reference.item(tick) + self.reference_offset

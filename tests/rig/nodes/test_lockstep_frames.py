@@ -104,16 +104,6 @@ def test_only_two_intact_frames_of_their_own_identifiers_are_a_first_contact() -
     assert ends.sent_by_controller == []
 
 
-def test_the_tick_goes_on_where_its_sixteen_bits_wrap() -> None:
-    ends, inputs = Ends(), [Transmitter(NETWORK.reference), Transmitter(NETWORK.feedback)]
-    for tick in range(65_530, 65_545):
-        taken = [ends.controller.take(transmitter.frame(0.0, tick)) for transmitter in inputs]
-        assert taken == [False, True]
-    statuses = [m for m in ends.sent_by_controller if m.arbitration_id == ANSWER[-1]]
-    assert {NETWORK.status.modes[NETWORK.status.decode(m.data).mode] for m in statuses} == {"RUN"}
-    assert [tick_on(m.data) for m in statuses] == [*range(65_530, 65_536), *range(9)]
-
-
 class Recorded:
     """A replay in which one tick was not answered."""
 
