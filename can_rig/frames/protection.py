@@ -200,17 +200,13 @@ class Checker:
         return status
 
 
-class Unprotected:
+class Unprotected(Checker):
     """The receiving end of a frame without protection: only the length decides."""
 
-    def __init__(self, length: int) -> None:
-        self._length = length
-        self._counts = [0] * len(CheckStatus)
+    __slots__ = ()
 
-    @property
-    def counts(self) -> dict[CheckStatus, int]:
-        """As that of `Checker`."""
-        return dict(zip(CheckStatus, self._counts, strict=True))
+    def __init__(self, length: int) -> None:
+        super().__init__(0, length=length)
 
     def check(self, data: bytearray) -> CheckStatus:
         """As that of `Checker`."""
@@ -221,8 +217,3 @@ class Unprotected:
     def reject(self, data: bytearray) -> None:
         """As that of `Checker`."""
         self._counts[_WRONG_TICK if len(data) == self._length else _WRONG_LENGTH] += 1
-
-    def no_new_data(self) -> CheckStatus:
-        """As that of `Checker`."""
-        self._counts[CheckStatus.NO_NEW_DATA] += 1
-        return CheckStatus.NO_NEW_DATA

@@ -10,6 +10,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Sequence
+from functools import cache
 from typing import Any, Final
 
 import numpy as np
@@ -18,7 +19,7 @@ from can_rig.buses.local.bus import BURST_MOST, MAX_BYTES, PLAIN_BYTES, LocalBus
 from can_rig.frames.codec import MessageCodec, RigLayout
 from can_rig.frames.endpoints import Receiver
 from can_rig.frames.frame_columns import CRC_TABLES, crc_of_id, raw_value
-from can_rig.frames.protection import COUNTERS, FRAME_BYTES, Checker
+from can_rig.frames.protection import COUNTERS, FRAME_BYTES
 from can_rig.nodes.bus_access import POLL_S, PersistentSender
 from can_rig.nodes.recording import LINE_BYTES, CandumpLines, write_line
 from firmware_model.compiled import compiled
@@ -53,7 +54,7 @@ class Bursts:
         lines: CandumpLines | None,
     ) -> None:
         self._bus, self._send, self._lines = bus, send, lines
-        self._checkers = [each.checker for each in receivers if isinstance(each.checker, Checker)]
+        self._checkers = [receiver.checker for receiver in receivers]
         self._own, self._scales = _constants(codecs)
         self._frames = np.zeros((len(codecs), _WORDS), np.int64)
         self._frames[:, _HEADER] = self._own[:, _IDENTIFIER] | FRAME_BYTES << 40
@@ -69,6 +70,7 @@ class Bursts:
         self._characters = memoryview(self._text.data)
         self._ready = False  # whether the counters of _others are those of the receivers
         self._usual = 0  # ticks since the receivers knew the counters
+        warm_up()
 
     def send(
         self,
@@ -131,6 +133,15 @@ class Bursts:
             self._others[at, _COUNTER] = counter
         self._ready = True
         return True
+
+
+@cache
+def warm_up() -> None:
+    """Compile, or load from the cache, before the first tick and before a process is forked."""
+    whole, scales = np.zeros((1, 6), np.int64), np.ones((1, 6))
+    text, frames = np.zeros(LINE_BYTES, np.uint8), np.zeros((1, _WORDS), np.int64)
+    _pack(whole, scales, frames, text, 0.0, 0.0, 0.0, 0, 0, 0, 0, 0)
+    _check(whole, scales, frames.ravel(), np.zeros(1), text, 0, 0)
 
 
 def _constants(codecs: Sequence[MessageCodec]) -> tuple[Any, Any]:

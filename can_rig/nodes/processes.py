@@ -24,6 +24,7 @@ from typing import Any, Final
 
 from can_rig.errors import RigError, SilentNodeError, one_line
 from can_rig.nodes.agreement import is_shared
+from can_rig.nodes.bursts import warm_up
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.clock import OnTick, Progress, Throttled, no_progress
 from can_rig.nodes.runner import (
@@ -171,6 +172,8 @@ def run_processes(
     """
     processes: list[NodeProcess] = []
     options = replace(options, shared=is_shared(bus))
+    if options.bursts:
+        warm_up()
     try:
         # Forked processes search no garbage among the objects of this process either.
         with nullcontext() if options.real_time else one_core(), without_garbage_pauses():

@@ -36,9 +36,9 @@ from can_rig.nodes.lockstep import (
     in_real_time,
     lockstep_controller,
 )
+from can_rig.nodes.operating import OperatedBus
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode, warm_up
 from can_rig.nodes.realtime.plant_node import RealTimePlantNode
-from can_rig.nodes.recorded_commands import OperatedBus
 from can_rig.nodes.recording import PlantRecorder, RealTimeRecorder, Recorder, is_stream
 from can_rig.nodes.scheduling import prefer, undisturbed
 from can_rig.nodes.ticks import NodeSummary, timed

@@ -13,7 +13,7 @@ import tomli_w
 
 from can_rig.errors import RigError
 from can_rig.files import atomic
-from can_rig.nodes.recorded_commands import done, touches
+from can_rig.nodes.operating import done, touches
 from can_rig.panel.session import Session
 from can_rig.results.run_folder import log_of
 from can_rig.results.signals import read_signals

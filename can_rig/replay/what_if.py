@@ -16,7 +16,7 @@ from can_rig.logs.log import ALL, Window
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.clock import Progress, no_progress
 from can_rig.nodes.interaction import UNTOUCHED, Interaction
-from can_rig.nodes.recorded_commands import Touch, Touches
+from can_rig.nodes.operating import Touch, Touches
 from can_rig.results.execution import Execution, execute, refuse
 from can_rig.results.run_folder import WHAT_IF, log_of
 from can_rig.results.signals import Signals, read_signals, signals_of, with_plant_signals

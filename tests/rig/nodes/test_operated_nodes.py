@@ -20,8 +20,7 @@ from can_rig.frames.operator_frames import Command
 from can_rig.logs.reading import read_log
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.interaction import Interaction
-from can_rig.nodes.operating import operate
-from can_rig.nodes.recorded_commands import done, touches
+from can_rig.nodes.operating import done, operate, touches
 from can_rig.nodes.runner import run_controller, run_in_process, run_plant
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario

@@ -16,7 +16,7 @@ from can_rig.nodes.bus_access import DEFAULT_TIMEOUTS, StopRequest, Watchdog
 from can_rig.nodes.clock import SYSTEM_CLOCK, Clock
 from can_rig.nodes.ends import PlantEnd
 from can_rig.nodes.interaction import Interaction
-from can_rig.nodes.recorded_commands import Touch, done, touches
+from can_rig.nodes.operating import Touch, done, touches
 from can_rig.nodes.run_control import FollowedFaults, RunControl
 from can_rig.nodes.runner import run_in_process
 from can_rig.plant.faults.frame_faults import FrameFaults
