@@ -35,10 +35,6 @@ VALUES = (
 NETWORK = network_of(load("default"))
 SHORT = ["duration_s=0.5", "fault.at_s=0.3"]
 NONLINEAR = "plant.kind=can_rig.plant.nonlinear_car:NonlinearCar"
-LAG = [
-    "plant.torque_actuator.dead_time_s=0.0015",
-    "plant.force_difference_actuator.dead_time_s=0.0025",
-]
 CASES = [
     *((name, SHORT) for name in shipped() if not name.startswith("chassis")),
     *((name, ["duration_s=3", "fault.at_s=1.5"]) for name in ("chassis-can", "chassis-can-coarse")),
@@ -54,11 +50,6 @@ CASES = [
                  "plant.torque_actuator.limit_nm=50", "plant.sensor.dead_time_s=0.0012"]),
     ("thesis-step", ["tick_s=0.0004", "duration_s=2e-3", "fault.kind=none"]),
     ("ideal", ["duration_s=0.001", "fault.kind=none"]),
-    ("default", [*SHORT, "fault.kind=frames-missing", "fault.channel=force-difference"]),
-    ("default", [*SHORT, "fault.kind=actuator-dead", "fault.left=0.5", *LAG]),
-    ("default", [*SHORT, "plant.kind=tests.rig.plant.linear:LinearPlant", *LAG,
-                 "plant.torque_actuator.lag_s=0.005"]),
-    ("default", [*SHORT, "drive.ramps=[[0.0, 27.0], [0.5, 27.2]]", "design.speeds_mps=[27, 28]"]),
 ]  # fmt: skip
 FAILING = """
 class Failing:

@@ -32,6 +32,14 @@ LAG = [
     "plant.torque_actuator.dead_time_s=0.0015",
     "plant.force_difference_actuator.dead_time_s=0.0025",
 ]
+CASES = [
+    ["fault.kind=frames-missing", "fault.channel=force-difference"],
+    ["fault.kind=frames-corrupted", "fault.channel=force-difference", "seed=3"],
+    ["fault.kind=actuator-dead", "fault.left=0.5", *LAG, "plant.torque_actuator.lag_s=0"],
+    ["plant.kind=tests.rig.plant.linear:LinearPlant", "fault.kind=actuator-dead", *LAG],
+    ["tick_s=0.0007"],
+    ["drive.ramps=[[0.0, 27.0], [0.035, 27.2]]", "design.speeds_mps=[27, 28]"],
+]
 
 
 @pytest.fixture(autouse=True)
@@ -58,6 +66,17 @@ def both(scenario: Scenario, folder: Path, last: int = 10**6) -> list[NodeSummar
         assert left == right, suffix
         assert left.count(b"\n") >= ours.ticks
     return [ours, theirs]
+
+
+@pytest.mark.parametrize("settings", CASES, ids=lambda settings: settings[0])
+def test_every_block_goes_on_where_the_one_before_ended(
+    settings: list[str], tmp_path: Path
+) -> None:
+    scenario = load("default", [*RUN, *settings])
+    ours, theirs = both(scenario, tmp_path)
+    assert ours.ticks == theirs.ticks == scenario.ticks
+    assert ours.rejected_frames == theirs.rejected_frames
+    assert (ours.bus_events, ours.realtime) == ({}, None)
 
 
 @pytest.mark.parametrize("kind", ["frames-missing", "frames-corrupted"])
