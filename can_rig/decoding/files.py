@@ -89,7 +89,7 @@ def decode_to_files(
             for writer in writers:
                 writer.write(chunk)
         if writers is None:
-            if log.format == ".log":  # without a header, any text could be a log
+            if log.format.key == ".log":  # without a header, any text could be a log
                 raise LogError(
                     f"{log.path}: has no frame in it; must be a log as candump -L writes it"
                 )
