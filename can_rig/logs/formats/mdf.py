@@ -1,35 +1,27 @@
-"""Bus logging in ASAM MDF 4 files → columns.
+"""ASAM MDF 4 files of bus logging.
 
 A file has separate channel groups for data frames, error frames and remote frames of a bus; their
 channels have the names of ASAM's "MDF Bus Logging". Groups are read in pieces and merged by time.
+
+python-can's writer dates every file at the moment of writing and rounds time to 0.2 µs; a file from
+here starts when the log does, and its time stamps are exact to the nanosecond.
 """
 
 from __future__ import annotations
 
+import re
 import struct
-from collections.abc import Iterator, Sequence
-from datetime import datetime, timedelta
+from collections.abc import Iterable, Iterator, Sequence
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+from can.util import channel2int
 from numpy.typing import NDArray
 
 from can_rig.errors import LogError
-from can_rig.logs.frames import (
-    BITRATE_SWITCH,
-    CLASSIC_BYTES,
-    ERROR,
-    ERROR_STATE,
-    EXTENDED,
-    FD,
-    REMOTE,
-    SENT,
-    Frames,
-    UInt8s,
-    concatenate,
-)
-from can_rig.logs.log import Log
-from can_rig.logs.readers.binary.mdf_blocks import (
+from can_rig.logs.formats.mdf_blocks import (
     FINISHED,
     MASTER,
     UNFINISHED,
@@ -41,10 +33,25 @@ from can_rig.logs.readers.binary.mdf_blocks import (
     MdfError,
     MdfFile,
 )
-from can_rig.logs.readers.binary.mdf_channels import numbers, payloads, raw, time_ns
-from can_rig.logs.readers.binary.mdf_data import records, stream
-from can_rig.logs.readers.binary.mdf_values import Values
-from can_rig.logs.readers.numbering import numbered
+from can_rig.logs.formats.mdf_channels import numbers, payloads, raw, time_ns
+from can_rig.logs.formats.mdf_data import Values, records, stream
+from can_rig.logs.frames import (
+    BITRATE_SWITCH,
+    CLASSIC_BYTES,
+    ERROR,
+    ERROR_STATE,
+    EXTENDED,
+    FD,
+    FD_BYTES,
+    NS_PER_S,
+    REMOTE,
+    SENT,
+    Frames,
+    UInt8s,
+    concatenate,
+    numbered,
+)
+from can_rig.logs.log import Format, Log
 
 KINDS: Final = {"CAN_DataFrame": 0, "CAN_ErrorFrame": ERROR, "CAN_RemoteFrame": REMOTE}
 """Channel groups by name, and the flag of their frames."""
@@ -59,10 +66,11 @@ _MEMBER_FLAGS: Final = {
     "Dir": SENT,
     "RTR": REMOTE,
 }
-_NS_PER_S: Final = 1_000_000_000
+_DLC: Final = np.array([*range(9), *np.repeat(range(9, 16), [4, 4, 4, 4, 8, 16, 16])], np.uint8)
+"""DLC by payload length: 9 for 9 to 12 bytes, …, 15 for 49 to 64."""
 
 
-def read_mf4(log: Log) -> Iterator[Frames]:
+def _read(log: Log) -> Iterator[Frames]:
     """Chunks of the CAN frames of an MDF 4 file.
 
     Raises:
@@ -111,9 +119,9 @@ def _start_ns(file: MdfFile) -> int:
         raise MdfError("a start after the year 2116")
     if not file.is_local_time:
         return file.start_ns
-    seconds, rest_ns = divmod(file.start_ns, _NS_PER_S)
+    seconds, rest_ns = divmod(file.start_ns, NS_PER_S)
     local = datetime(1970, 1, 1) + timedelta(seconds=seconds)
-    return int(local.timestamp()) * _NS_PER_S + rest_ns
+    return int(local.timestamp()) * NS_PER_S + rest_ns
 
 
 class _Group:
@@ -238,3 +246,74 @@ def _merged(groups: Sequence[_Group]) -> Iterator[Frames]:
             if frames is not None:
                 left = frames[frames.time_ns > safe]
                 held[at] = left if len(left) else next(sources[at], None)
+
+
+def _write(chunks: Iterable[Frames], path: Path, start_ns: int, _final: Path) -> None:
+    """Write a log; a channel group for each kind of frame and width of payload that occurs."""
+    from asammdf import MDF, Signal, Source  # noqa: PLC0415 (slow to import)
+
+    source = Source("CAN", "", "", Source.SOURCE_BUS, Source.BUS_TYPE_CAN)
+    with MDF(version="4.10") as file:
+        file.header.start_time = datetime.fromtimestamp(start_ns // NS_PER_S, UTC)
+        file.header.abs_time = start_ns
+        groups: dict[tuple[str, int], int] = {}
+        for frames in chunks:
+            for (kind, width), part in _kinds(frames).items():
+                time_s = (part.time_ns - start_ns) / NS_PER_S
+                records = _records(kind, width, part)
+                if (kind, width) in groups:
+                    file.extend(groups[kind, width], [(time_s, None), (records, None)])
+                else:
+                    signal = Signal(records, time_s, name=kind, source=source)
+                    groups[kind, width] = file.append(signal, acq_source=source)
+        file.save(path, overwrite=True, compression=1)
+
+
+def _kinds(frames: Frames) -> dict[tuple[str, int], Frames]:
+    """The frames of each kind; frames longer than 8 bytes are separate."""
+    error, remote = frames.has(ERROR), frames.has(REMOTE)
+    long = frames.length > CLASSIC_BYTES
+    rows = {
+        ("CAN_DataFrame", CLASSIC_BYTES): ~(error | remote | long),
+        ("CAN_DataFrame", FD_BYTES): ~(error | remote) & long,
+        ("CAN_ErrorFrame", FD_BYTES): error,
+        ("CAN_RemoteFrame", 0): remote & ~error,
+    }
+    return {key: frames[chosen] for key, chosen in rows.items() if chosen.any()}
+
+
+def _records(kind: str, width: int, frames: Frames) -> NDArray[np.void]:
+    numbers = np.array([channel2int(name) or 0 for name in frames.channels] or [0], dtype=np.uint8)
+    data = np.pad(frames.data, ((0, 0), (0, max(0, width - frames.data.shape[1]))))[:, :width]
+    members: dict[str, NDArray[Any]] = {
+        "BusChannel": numbers[frames.channel],
+        "ID": frames.arbitration_id,
+        "IDE": frames.has(EXTENDED),
+        "DLC": np.where(frames.has(FD), _DLC[frames.length], frames.length),
+        "DataLength": frames.length,
+        "Dir": frames.has(SENT),
+        "EDL": frames.has(FD),
+        "BRS": frames.has(BITRATE_SWITCH),
+        "ESI": frames.has(ERROR_STATE),
+    }
+    if width:
+        members["DataBytes"] = data
+    shapes = {"ID": "<u4", "DataBytes": f"({width},)u1"}
+    kinds = [(f"{kind}.{name}", shapes.get(name, "<u1")) for name in members]
+    records = np.zeros(len(frames), dtype=kinds)
+    for name, values in members.items():
+        records[f"{kind}.{name}"] = values
+    return records
+
+
+MDF: Final = Format(
+    key=".mf4",
+    mark=re.compile(rb"MDF     |UnFinMF "),
+    read=_read,
+    gzipped=False,
+    write=_write,
+    name="an MDF log",
+    start_ns=1,
+    since_ns=0,
+    order=False,
+)

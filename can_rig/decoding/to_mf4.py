@@ -11,6 +11,7 @@ import numpy as np
 from asammdf import MDF, Signal, Source
 from numpy.typing import NDArray
 
+from can_rig.decoding.files import Contents
 from can_rig.decoding.message_columns import MessageColumns
 from can_rig.decoding.signal_columns import SignalColumn
 from can_rig.logs.frames import NS_PER_S
@@ -24,9 +25,9 @@ class DecodedMf4:
     float64.
     """
 
-    def __init__(self, path: Path, start_ns: int) -> None:
+    def __init__(self, path: Path, contents: Contents) -> None:
         self._path = path
-        self._start_ns = start_ns
+        self._start_ns = start_ns = contents.start_ns
         self._file: Any = MDF(version="4.10")
         self._file.header.start_time = datetime.fromtimestamp(start_ns // NS_PER_S, UTC)
         self._file.header.abs_time = start_ns
@@ -64,13 +65,12 @@ def _signal(
     samples: NDArray[Any],
     invalid: NDArray[np.bool_],
 ) -> Any:
-    table = ", ".join(f"{number} {word}" for number, word in sorted(layout.choices.items()))
     return Signal(
         samples,
         time_s,
         unit=layout.unit,
         name=layout.name,
-        comment=table,
+        comment=layout.value_table,
         invalidation_bits=invalid,
     )
 

@@ -9,8 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig.errors import one_line
-from can_rig.logs.frames import UInt8s
-from can_rig.logs.readers.binary.mdf_blocks import (
+from can_rig.logs.formats.mdf_blocks import (
     FLOAT,
     FLOAT_BIG,
     SIGNED,
@@ -24,7 +23,8 @@ from can_rig.logs.readers.binary.mdf_blocks import (
     MdfError,
     MdfFile,
 )
-from can_rig.logs.readers.binary.mdf_values import empty_rows
+from can_rig.logs.formats.mdf_data import empty_rows
+from can_rig.logs.frames import UInt8s
 from firmware_model.compiled import compiled
 
 _ONE_TO_ONE, _LINEAR, _FORMULA, _NEAREST, _VALUE_TO_TEXT, _RANGE_TO_TEXT = 0, 1, 3, 5, 7, 8

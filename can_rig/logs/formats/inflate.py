@@ -1,4 +1,7 @@
-"""Compressed blocks of known size, unpacked by libdeflate, which is twice as fast as zlib."""
+"""Compressed blocks of Vector binary logs and of MDF, unpacked by libdeflate.
+
+libdeflate is twice as fast as zlib.
+"""
 
 from __future__ import annotations
 

@@ -15,6 +15,7 @@ import numpy as np
 from mcap.writer import Writer
 from numpy.typing import NDArray
 
+from can_rig.decoding.files import Contents
 from can_rig.decoding.message_columns import MessageColumns
 from can_rig.errors import LogError
 
@@ -28,8 +29,8 @@ class DecodedMcap:
     or not a number).
     """
 
-    def __init__(self, path: Path, names: bool) -> None:
-        self._names = names
+    def __init__(self, path: Path, contents: Contents) -> None:
+        self._names = contents.names
         self._writer: Any = Writer(str(path))
         self._writer.start()
         self._channels: dict[str, int] = {}
@@ -72,9 +73,8 @@ def _schema(name: str, columns: MessageColumns, names: bool) -> dict[str, Any]:
         layout = columns.layout[signal]
         words = names and layout.is_enumeration
         about = {"type": "string" if words else _TYPES[values.dtype.kind]}
-        table = ", ".join(f"{number} {word}" for number, word in sorted(layout.choices.items()))
-        if layout.unit or table:
-            about["description"] = "; ".join(filter(None, (layout.unit, table)))
+        if layout.unit or layout.value_table:
+            about["description"] = "; ".join(filter(None, (layout.unit, layout.value_table)))
         properties[signal] = about
     return {"title": name, "type": "object", "properties": properties}
 
