@@ -114,7 +114,7 @@ class Agreement:
         return int(getattr(self.bus, "lost_frames", 0))
 
     def announce(self) -> None:
-        """Say which scenario this node has, and ask for another node of its kind."""
+        """Send the digest of this node's scenario, and ask for another node of the same kind."""
         self._say(WHOLE)
         self.ask()
 
@@ -217,7 +217,7 @@ def is_shared(bus_name: str) -> bool:
 
 
 def own_bus() -> str:
-    """The bus of a run of this process for which no bus was named."""
+    """The private bus of a run of this process, without ``--bus``."""
     return f"local:run-{os.getpid()}"
 
 
@@ -230,7 +230,7 @@ def require_alone(scenario: Scenario, bus_name: str, fd: bool) -> None:
         fd: the bus carries CAN FD.
 
     Raises:
-        BusError: another plant or controller node has answered, or there is no such bus.
+        BusError: an answer from another plant or controller node, or a missing bus.
     """
     identifiers = [ComparisonFrame(each).frame_id for each in SENDERS]
     with open_for_node(bus_name, identifiers, False, fd) as bus:

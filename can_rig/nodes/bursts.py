@@ -1,9 +1,9 @@
 """All frames of a node's tick in one datagram of the local bus, by one compiled call each way.
 
-A call packs and protects the frames that the node sends, or checks and reads the frames of the
-other node, and writes their log lines. Every other bus carries the same frames one by one; so does
-the local bus where a tick is not the usual one: the first frames, a damaged frame, a frame of a
-third node, a frame fault. The bytes on the bus and in the log are the same.
+A call packs and protects the node's frames, or checks and reads the other node's frames, and writes the
+log lines. Every other bus carries the frames one by one. The local bus does the same for the first
+tick, a damaged frame, a frame of a third node, and in a run with frame faults. The bytes on the bus
+and in the log are equal.
 """
 
 from __future__ import annotations
@@ -103,8 +103,8 @@ class Bursts:
         """The values of the other node's frames of ``tick``, nan for NOT_AVAILABLE.
 
         Returns:
-            None, if anything else has come, or nothing in time; the bus's ``recv`` then has every
-            frame, and the receivers are up to date.
+            None for any other datagram and after a timeout; the bus's ``recv`` then has every frame,
+            and the receivers know every counted frame.
         """
         if not self._ready and not self._follow():
             return None

@@ -46,7 +46,7 @@ class Log(Protocol):
 
 
 def is_stream(path: Path) -> bool:
-    """Whether what is written there goes to a pipe or a device, which have nothing to lose."""
+    """Whether ``path`` is a pipe or a device, where no earlier content can be lost."""
     return path.exists() and not path.is_file() and not path.is_dir()
 
 
@@ -74,13 +74,13 @@ class LogFile:
             raise RunFolderError(f"{self._path}: cannot be written: {error.strerror}") from None
 
     def close(self) -> None:
-        """Close it; what could not be written has been said by ``write``."""
+        """Close the file; ``write`` has reported every failure."""
         with suppress(OSError):
             self._file.close()
 
 
 class CandumpLines:
-    """Frames as lines of candump, in memory; no frame is earlier than the one before it.
+    """Frames as lines of candump, in memory; times never decrease.
 
     Frames of the recording node are marked T, all others R.
     """
@@ -309,7 +309,7 @@ class PlantRecorder:
     def _write_rows(self) -> None:
         """Rows of a tick and its signals, in as few digits as tell each value from all others."""
         rows, self._rows = self._rows, []
-        # A plant that runs interpreted has numbers of NumPy's, which are floats to all but orjson.
+        # An interpreted plant gives NumPy's numbers, which orjson does not take for floats.
         text = orjson.dumps(rows, default=float)[2:-2].replace(b"],[", b"\n")
         if b"null" in text:  # JSON has no inf and no nan
             lines = zip(text.split(b"\n"), rows, strict=True)
