@@ -1,9 +1,9 @@
 """All frames of a node's tick in one datagram of the local bus, by one compiled call each way.
 
-A call packs and protects the node's frames, or checks and reads the other node's frames, and writes the
-log lines. Every other bus carries the frames one by one. The local bus does the same for the first
-tick, a damaged frame, a frame of a third node, and in a run with frame faults. The bytes on the bus
-and in the log are equal.
+A call packs and protects the node's frames, or checks and reads the other node's frames, and writes
+the log lines. Every other bus carries the frames one by one. The local bus does the same for the
+first tick, a damaged frame, a frame of a third node, and in a run with frame faults. The bytes on
+the bus and in the log are equal.
 """
 
 from __future__ import annotations
@@ -103,8 +103,8 @@ class Bursts:
         """The values of the other node's frames of ``tick``, nan for NOT_AVAILABLE.
 
         Returns:
-            None for any other datagram and after a timeout; the bus's ``recv`` then has every frame,
-            and the receivers know every counted frame.
+            None for any other datagram and after a timeout; the bus's ``recv`` then has every
+            frame, and the receivers know every counted frame.
         """
         if not self._ready and not self._follow():
             return None
