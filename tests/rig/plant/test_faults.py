@@ -2,6 +2,7 @@
 
 import math
 
+import hypothesis
 import numpy as np
 import pytest
 from hypothesis import given
@@ -40,6 +41,7 @@ def test_a_dead_actuator_is_dead_in_its_window_and_the_other_lives(channel):
     tick_s=st.sampled_from([0.001, 0.0004, 0.0033]),
     first=st.integers(0, 30),
 )
+@hypothesis.settings(max_examples=25)
 def test_part_of_a_run_is_what_the_whole_has_there(kind, at, lasts, every, tick_s, first):
     settings = [f"fault.at_s={at!r}", f"fault.every={every}", "fault.drift_per_s=0.5"]
     settings += [] if lasts is None else [f"fault.for_s={lasts!r}"]
