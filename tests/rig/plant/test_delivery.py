@@ -1,4 +1,4 @@
-"""Which commands are sent, and which of them their receivers use."""
+"""The commands on the bus, and the commands that actuators use."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_after_a_gap_of_fourteen_the_counter_of_fifteen_stands_where_it_stood(fi
 
 @pytest.mark.parametrize("channel", [0, 1])
 def test_damaged_frames_are_sent_and_say_what_was_damaged(channel: int) -> None:
-    """As the node that sends them damages them, whatever their value is."""
+    """The sending node does the same damage, whatever the value."""
     scenario = scenario_of("frames-corrupted", 6, 9, channel)
     found = answered(scenario)
     assert found.sent.all()

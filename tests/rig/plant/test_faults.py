@@ -9,6 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
+from can_rig.errors import RigError
+from can_rig.frames.beside.control import Command
+from can_rig.plant.faults.injection import injected, require_possible
 from can_rig.plant.faults.plant_faults import HEALTHY_NOW, FaultsByTick, PlantFaults
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import continuous_plant
@@ -161,7 +164,7 @@ def test_an_offset_does_not_take_an_actuator_beyond_its_limit():
 
 
 def measured(*settings):
-    """What the sensor says of a car that is driven, and what it would say."""
+    """Readings of a driven car, with and without the fault."""
     scenario = load("thesis-step", [*TIMING, *settings])
     plant, healthy = SimulatedPlant(scenario), SimulatedPlant(scenario.healthy)
     said, car = [], []
@@ -250,3 +253,36 @@ def test_what_an_actuator_adds_is_no_bias_of_d():
 )
 def test_to_add_zero_changes_nothing(settings):
     assert applied(*(f"fault.{each}" for each in settings), commands=RAMP) == RAMP
+
+
+# --- injected during a run -----------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("command", "why"),
+    [
+        (Command("INJECT", "sensor-drift", "sensor"), "its value is drift_per_s; .* must be set"),
+        (Command("INJECT", "actuator-dead", "torque", 2.0), "left = 2.0: must be less than 1"),
+        (Command("INJECT", "frames-missing", "torque", 1.0), "has no value"),
+        (Command("INJECT", "actuator-late", "torque", 2.4), "must be a whole number of ticks"),
+        (Command("INJECT", "actuator-dead", "sensor"), "must be of torque or force-difference"),
+        (Command("INJECT", "actuator-dead", "torque", 0.0, 60.0), "must be 0.1 to 25.5 s"),
+        (Command("INJECT", "sensor-biased", "sensor", 0.0004), "must be 0 or at least 0.001"),
+        (Command("MOVE_REFERENCE", value=math.nan), "value nan: must be -8388.61 to 8388.61"),
+        (Command("MOVE_REFERENCE", value=1e9), "must be -8388.61 to 8388.61"),
+        (Command("PACE", value=-1.0), "must be above 0"),
+        (Command("STEP", value=0.0), "must be a whole number of ticks, 1 at least"),
+    ],
+)
+def test_what_no_frame_or_no_node_could_do_is_refused(command, why):
+    with pytest.raises(RigError, match=why):
+        require_possible(command)
+
+
+def test_what_is_possible_is_injected():
+    command = Command("INJECT", "actuator-late", "torque", 3.0, 25.5)
+    require_possible(command)
+    fault = injected(command, 7, 1_000_000)
+    assert (fault.late_ticks, fault.at_s, fault.for_s) == (3, 0.007, 25.5)
+    assert injected(command._replace(value=0.0), 7, 1_000_000) is None
+    assert injected(command._replace(place="sensor"), 7, 1_000_000) is None

@@ -100,8 +100,7 @@ def test_two_faults_that_corrupt_the_same_frame_change_one_byte():
 def sent(*settings, place=0, count=14, changes=()):
     """By tick: for each frame on the wire the tick that it says, its value, and whether it counts.
 
-    Whether it counts is what a receiver that hears all of them says. ``changes``: by tick, other
-    settings from then on.
+    A receiver of all frames says whether a frame counts. ``changes``: settings from a tick on.
     """
     first, changed = ["duration_s=1", f"fault.channel={PLACES[place]}"], dict(changes)
     wire = faults(*first, *settings)

@@ -304,8 +304,8 @@ def driven(*settings):
 def test_the_design_that_has_not_seen_it_survives_the_loss_of_its_motor():
     trace, error = driven()
     assert error[1900:2000].max() < 1e-4
-    # X_diff is at its limit for a while; what the model says that this cost is made up for, and is
-    # more than these tires would have done with it.
+    # X_diff is at its limit for a while; the compensation makes up for the model's estimate of the
+    # cost, and these tires would have cost less.
     assert 0.05 < error[2000:].max() < 0.12
     assert error[-300:].max() < 1e-3
     # another car, and no suspicion all the same
