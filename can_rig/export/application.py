@@ -14,11 +14,10 @@ from can_rig.export.c_files import constants_files
 from can_rig.export.c_text import comment
 from can_rig.export.law import HEARS, law_files, parts_of, support, zero
 from can_rig.folders.replacing import Kind, refuse_folder, whole_folder
-from can_rig.frames.codec import MessageCodec
-from can_rig.frames.layout import RigLayout
+from can_rig.frames.codec import MessageCodec, RigLayout
 from can_rig.frames.network import Network
 from can_rig.scenario.build import dbc_of, network_of
-from can_rig.scenario.driving.schedule import controls
+from can_rig.scenario.driving import controls
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import Precision
 

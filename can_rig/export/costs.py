@@ -25,7 +25,7 @@ from can_rig.export.law import CHANGE_SPEED, law_program, parts_of, speed_progra
 from can_rig.export.subset import Program
 from can_rig.plant.frameless import frameless, inputs_of
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving.schedule import controls
+from can_rig.scenario.driving import controls
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import FloatArray, Precision
 

@@ -15,8 +15,8 @@ from can_rig.assessment.resolve import load
 from can_rig.export.compiler import WARNINGS
 from can_rig.export.controllers import PYTHON, Controller
 from can_rig.export.ecus import COMPILER, EMULATOR
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.watchdog import StopRequest
 from firmware_model.target.structs import Precision
 
 PRECISIONS: tuple[Precision, ...] = get_args(Precision)
