@@ -26,14 +26,6 @@ TICKS = range(12)
 TIMING = ["tick_s=0.001", "duration_s=0.02", "fault.at_s=0.005", "fault.for_s=0.01"]
 
 
-@pytest.mark.parametrize("channel", CHANNELS)
-def test_a_dead_actuator_is_dead_in_its_window_and_the_other_lives(channel):
-    settings = [*SHORT, "fault.kind=actuator-dead", f"fault.channel={channel}"]
-    left = PlantFaults(load("thesis-step", settings)).left(TICKS)
-    dead = [0.0, 1.0] if channel == "torque" else [1.0, 0.0]
-    assert left.tolist() == [dead if tick in WINDOW else [1.0, 1.0] for tick in TICKS]
-
-
 @pytest.mark.parametrize(
     "kind", ["actuator-dead", "sensor-biased", "sensor-drift", "actuator-stuck"]
 )
@@ -60,22 +52,12 @@ def test_part_of_a_run_is_what_the_whole_has_there(kind, at, lasts, every, tick_
 
 @pytest.mark.parametrize("channel", CHANNELS)
 @given(left=st.floats(0, 1, exclude_max=True))
-def test_a_partial_loss_leaves_its_share_in_its_window(channel, left):
+@hypothesis.example(left=0.0)
+def test_a_loss_leaves_its_share_in_its_window(channel, left):
     settings = [*SHORT, "fault.kind=actuator-dead", f"fault.channel={channel}"]
     faults = PlantFaults(load("thesis-step", [*settings, f"fault.left={left!r}"]))
     lost = [left, 1.0] if channel == "torque" else [1.0, left]
     assert faults.left(TICKS).tolist() == [lost if t in WINDOW else [1.0, 1.0] for t in TICKS]
-
-
-def test_half_of_the_torque_moves_a_linear_car_half_as_far():
-    half = ["fault.kind=actuator-dead", "fault.at_s=0", "fault.left=0.5", "duration_s=1"]
-    outputs = []
-    for settings, torque in ((half, 100.0), (["fault.kind=none"], 50.0)):
-        plant = SimulatedPlant(load("thesis-step", settings))
-        for tick in range(50):
-            plant.advance(tick, torque, 0.0)
-        outputs.append(plant.measure())
-    assert outputs[0] == outputs[1] != 0.0
 
 
 @pytest.mark.parametrize("channel", CHANNELS)
@@ -142,11 +124,6 @@ def test_what_an_actuator_makes_of_its_commands(settings, expected):
 def test_a_fault_of_every_third_tick_lets_the_others_pass():
     found = applied("fault.kind=actuator-stuck", "fault.value=0", "fault.every=3", commands=RAMP)
     assert found == [0.0 if k in (5, 8, 11, 14) else u for k, u in enumerate(RAMP)]
-
-
-def test_a_late_actuator_is_late_beyond_the_latency_of_the_bus():
-    found = applied("fault.kind=actuator-late", "fault.late_ticks=3", commands=RAMP, latency=2)
-    assert found[5:15] == RAMP[:10]
 
 
 def test_faults_act_in_their_order():
