@@ -20,7 +20,7 @@ from can_rig.nodes.recording import LogFile, PlantRecorder, candump_bytes
 from can_rig.nodes.ticks import NodeSummary, RunColumns, timed
 from can_rig.plant.behind import LinearBehind, PlantBehind
 from can_rig.plant.changing_car import plant_of
-from can_rig.plant.faults.delivery import delivery
+from can_rig.plant.faults.frame_faults import delivery
 from can_rig.plant.frameless import carried
 from can_rig.plant.in_windows import LoopInWindows
 from can_rig.scenario.build import network_of
