@@ -1,4 +1,4 @@
-"""What runs of a campaign have in common is computed once, and none of them shows it."""
+"""Runs share computations, and every run equals the same run computed alone."""
 
 from __future__ import annotations
 
