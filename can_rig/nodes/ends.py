@@ -11,6 +11,7 @@ from itertools import chain
 from typing import Final
 
 import can
+import numpy as np
 
 from can_rig.frames.codec import Record, ticks_ahead
 from can_rig.frames.endpoints import Receiver, Transmitter
@@ -20,7 +21,7 @@ from can_rig.nodes.recording import Log, PlantRecorder
 from can_rig.plant.faults.frame_faults import SENSOR_PLACE, FrameFaults
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.driving import controls, speeds_at_ticks
-from can_rig.scenario.reference import on_the_bus
+from can_rig.scenario.reference import reference, refuse_saturation
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, Firmware, Law
 from firmware_model.target.structs import Record as Memory
@@ -57,7 +58,8 @@ class PlantEnd:
         self.plant: Final = SimulatedPlant(scenario, changing)
         self.reference_offset = 0.0
         """Added to the scenario's reference, m/s²."""
-        self._reference = on_the_bus(scenario, network)
+        refuse_saturation(scenario, network)
+        self._reference = reference(scenario)
         self._send = send
         self._log = log
         self._reports = reports
@@ -65,7 +67,7 @@ class PlantEnd:
         self._send_feedback = Transmitter(network.feedback)
         self._send_nothing = Transmitter(network.feedback)  # with the counter of the other
         self._send_speed = None if network.speed is None else Transmitter(network.speed)
-        self._speeds = [] if network.speed is None else speeds_at_ticks(scenario).tolist()
+        self._speeds = np.empty(0) if network.speed is None else speeds_at_ticks(scenario)
         self._faults = FrameFaults(scenario, network, changing)
         self._receivers = tuple(
             Receiver(codec) for codec in (network.command_1, network.command_2, network.status)
@@ -80,7 +82,8 @@ class PlantEnd:
 
     def sample(self, tick: int) -> None:
         """Measure D* of ``tick`` and pack its frames."""
-        reference = self._send_reference.frame(self._reference[tick] + self.reference_offset, tick)
+        wanted = self._reference.item(tick) + self.reference_offset
+        reference = self._send_reference.frame(wanted, tick)
         own = self._send_feedback.frame(self.plant.measure(), tick)
         feedback = [own]
         if self._faults.concerns(SENSOR_PLACE):
@@ -89,7 +92,7 @@ class PlantEnd:
             )
         self._offered = (reference, *feedback)
         if self._send_speed is not None:
-            self._offered = (self._send_speed.frame(self._speeds[tick], tick), *self._offered)
+            self._offered = (self._send_speed.frame(self._speeds.item(tick), tick), *self._offered)
 
     def send_sample(self) -> None:
         """Send what was sampled."""

@@ -17,8 +17,8 @@ from typing import Final, Protocol
 import can
 
 from can_rig.errors import ExportError, ScenarioError
-from can_rig.export.running.controllers import Application, Controller
-from can_rig.export.running.ecu import COUNTS, Ecu, rejected
+from can_rig.export.controllers import Application, Controller
+from can_rig.export.ecus import COUNTS, Ecu, rejected
 from can_rig.frames.codec import WIRE_TICKS, Record, tick_from
 from can_rig.frames.endpoints import Receiver
 from can_rig.frames.network import Network

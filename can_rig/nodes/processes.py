@@ -23,7 +23,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from can_rig.errors import RigError, SilentNodeError, one_line
-from can_rig.export.running.controllers import PYTHON, Controller
+from can_rig.export.controllers import PYTHON, Controller
 from can_rig.nodes.agreement import is_shared
 from can_rig.nodes.bus_access import DEFAULT_TIMEOUTS, StopRequest, Timeouts
 from can_rig.nodes.clock import OnTick, Progress, Throttled, no_progress

@@ -10,7 +10,7 @@ from pathlib import Path
 from typing import Literal, NamedTuple, Protocol
 
 from can_rig.buses.bus import open_for_node
-from can_rig.export.running.controllers import PYTHON, Controller
+from can_rig.export.controllers import PYTHON, Controller
 from can_rig.frames import operator_frames
 from can_rig.frames.comparison_frames import SENDERS, ComparisonFrame
 from can_rig.nodes.agreement import Agreement, is_shared

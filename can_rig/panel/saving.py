@@ -15,7 +15,7 @@ from can_rig.errors import RigError
 from can_rig.files import atomic
 from can_rig.nodes.recorded_commands import done, touches
 from can_rig.panel.session import Session
-from can_rig.results.run_folder import LOG
+from can_rig.results.run_folder import log_of
 from can_rig.results.signals import read_signals
 from can_rig.results.source import reference_csv, source_of
 from can_rig.scenario.build import network_of
@@ -56,8 +56,9 @@ def save(session: Session, name: str) -> Path:
         part.write_text(f"# What was done in {folder}.\n\n{tomli_w.dumps(values)}", "utf-8")
         if what.moved:
             part = both.enter_context(atomic(reference, force=False))
-            moved = read_signals(folder / LOG, network, session.scenario.tick_s)
-            part.write_text(reference_csv(moved), encoding="utf-8", newline="\n")
+            moved = read_signals(log_of(folder), network, session.scenario.tick_s)
+            with part.open("w", encoding="utf-8", newline="\n") as file:
+                file.writelines(reference_csv(moved))
     return path
 
 

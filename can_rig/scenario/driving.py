@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from can_rig import paged
 from can_rig.errors import ScenarioError
 from can_rig.frames.network import Network
 from can_rig.scenario.build import (
@@ -87,8 +88,10 @@ def speeds_at_ticks(scenario: Scenario) -> FloatArray:
     Raises:
         ScenarioError: as ``speed_profile``.
     """
-    time_s = np.arange(scenario.ticks, dtype=np.float64) * (scenario.tick_ns * 1e-9)
-    return speed_profile(scenario)(time_s)
+    profile, tick_s = speed_profile(scenario), scenario.tick_ns * 1e-9
+    return paged.column(
+        scenario.ticks, lambda rows: profile(np.arange(rows.start, rows.stop) * tick_s)
+    )
 
 
 RATIO = 1.12  # of neighbouring speeds: a blend is far closer to the right design than another car

@@ -38,7 +38,7 @@ def databases_of(source: Path, named: Sequence[str], strict: bool) -> Databases:
 
 def own_dbc(source: Path) -> Path:
     """The DBC of a run folder's scenario, also where its log is named; else that of the car."""
-    if not source.is_dir() and source.name != LOG:
+    if not source.is_dir() and source.name.removesuffix(".gz") != LOG:
         return shipped_dbc(CAR)
     folder = source if source.is_dir() else source.parent
     try:

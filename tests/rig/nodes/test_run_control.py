@@ -7,7 +7,7 @@ import can
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.export.running.controllers import controller_of
+from can_rig.export.controllers import controller_of
 from can_rig.frames import operator_frames
 from can_rig.frames.endpoints import Transmitter
 from can_rig.frames.operator_frames import Command, command_message, taken_message
