@@ -135,8 +135,9 @@ def test_settings_are_hashable_and_every_digit_counts() -> None:
 @pytest.mark.parametrize(
     ("setting", "same"),
     [("budget.box=0.1", False), ("design.tau_q_s=0.02", False), ("model.mass_kg=1500", False),
-     ("limits.torque_nm=5", False), ("latency_ticks=2", False), ("seed=3", True),
-     ("fault={kind='none', at_s=2}", True), ("reference.amplitude_mps2=2", True)],
+     ("model.torque_actuator.lag_s=0.01", False), ("limits.torque_nm=5", False),
+     ("latency_ticks=2", False), ("seed=3", True), ("fault={kind='none', at_s=2}", True),
+     ("reference.amplitude_mps2=2", True)],
 )  # fmt: skip
 def test_a_table_follows_from_every_setting_of_the_controller(setting: str, same: bool) -> None:
     usual, other = (load("default", settings) for settings in ((), (setting,)))
