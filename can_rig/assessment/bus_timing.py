@@ -52,8 +52,8 @@ from cantools.database.can import Message as DbcMessage
 from can_rig.assessment.frame_length import CLASSIC_BYTES, FrameBits, worst_case_bits
 from can_rig.errors import RigError
 from can_rig.frames.codec import MessageCodec
-from can_rig.frames.dbc import load_dbc
-from can_rig.frames.mapped.layout import FD_LENGTHS
+from can_rig.frames.databases import load_dbc
+from can_rig.frames.foreign_frames import FD_LENGTHS
 from can_rig.frames.network import Network
 
 ERROR_BITS: Final = 31

@@ -41,11 +41,11 @@ from can_rig.frames.network import Network
 from can_rig.plant.frameless import undisturbed_with_files
 from can_rig.plant.nonlinear_car import car_of
 from can_rig.scenario.build import continuous_plant, target
+from can_rig.scenario.fault_settings import CHANNELS, FaultSettings
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.reference import reference
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import CHANNELS, FaultSettings
 from firmware_model.analysis.sampled_plant import SampledPlant, sample
 from firmware_model.compiled import compiled
 from firmware_model.design.factors import Limitations, limitations, unstable

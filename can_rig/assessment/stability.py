@@ -45,9 +45,9 @@ from can_rig.scenario.build import (
     slowness,
     target,
 )
+from can_rig.scenario.fault_settings import CHANNELS
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import BudgetSettings, Scenario
-from can_rig.scenario.tables.fault import CHANNELS
 from firmware_model.analysis.margins import (
     HEALTHY,
     Margins,

@@ -10,10 +10,10 @@ from can_rig.assessment.resolve import load
 from can_rig.cli.options import controller_option, scenario_options
 from can_rig.cli.output import json_line
 from can_rig.cli.runs.node import end_of_node, node_options, node_progress
-from can_rig.export.running.controllers import controller_of
-from can_rig.nodes.progress import Throttled
-from can_rig.nodes.runner import run_controller
-from can_rig.nodes.watchdog import StopRequest, Timeouts
+from can_rig.export.controllers import controller_of
+from can_rig.nodes.bus_access import StopRequest, Timeouts
+from can_rig.nodes.clock import Throttled
+from can_rig.nodes.runner import RunOptions, run_controller
 
 
 @click.command("controller")
@@ -48,13 +48,10 @@ def command(
         summary = run_controller(
             chosen,
             bus,
-            timeouts,
             stop,
             on_ready,
             Throttled(on_tick),
-            real_time=real_time,
-            by_hand=True,
-            controller=running,
+            RunOptions(real_time, by_hand=True, timeouts=timeouts, controller=running),
         )
         on_tick(summary.ticks)
     sys.exit(end_of_node(chosen, summary, as_json))

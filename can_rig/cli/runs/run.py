@@ -24,14 +24,14 @@ from can_rig.cli.output import json_line
 from can_rig.cli.progress import counting
 from can_rig.cli.runs.closing import closing_table
 from can_rig.errors import INTERRUPTED
-from can_rig.export.running.controllers import controller_of
+from can_rig.export.controllers import controller_of
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import refuse_log, write_log
-from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
-from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Timeouts
+from can_rig.nodes.bus_access import DEFAULT_TIMEOUTS, StopRequest, Timeouts
+from can_rig.nodes.interaction import UNTOUCHED, Interaction
 from can_rig.results import execution
 from can_rig.results.execution import refuse
-from can_rig.results.run_folder import LOG
+from can_rig.results.run_folder import log_of
 
 
 @click.command("run")
@@ -111,7 +111,7 @@ def command(
     else:
         closing_table(done.happened, done.metrics, done.outcome, done.folder)
     for path in logs:
-        write_log(read_log(done.folder / LOG), path, force=force)
+        write_log(read_log(log_of(done.folder)), path, force=force)
     if done.failure is not None:
         raise done.failure
     sys.exit(done.exit_status)

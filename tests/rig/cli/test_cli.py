@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from can_rig.scenario.catalogue import shipped
+from can_rig.scenario.loading import shipped
 from tests.helpers import asked, rig, start
 
 RUN = ["run", "thesis-step", "--in-process", "--set", "duration_s=0.05"]
@@ -59,8 +59,8 @@ WRONG = {
     "no such interface": (["--bus", "socketcan:nosuch0"], "nosuch0|no CAN support"),
     "a bus nowhere": (["--bus", "local:/no/such/folder"], "local"),
     "out below a file": (["--out", "file/run"], "cannot be made"),
-    "out is a file": (["--out", "file"], "there already"),
-    "a forced file": (["--out", "file", "--force"], "not a run folder"),
+    "out is a file": (["--out", "file"], "is a file; must be a folder"),
+    "a forced file": (["--out", "file", "--force"], "is a file; must be a folder"),
     "out in /proc": (["--out", "/proc/run"], "cannot be made"),
     "unstable car": (
         ["--set", "plant.speed_mps=60", "--set", "plant.rear_cornering_stiffness_n_per_rad=1e3"],
@@ -115,7 +115,7 @@ def test_a_mistake_in_two_processes_is_one_line_and_leaves_no_folder(tmp_path):
     done = rig("run", "thesis-step", "--bus", "local:/no/such/folder", "--out", tmp_path / "run")
     assert done.returncode == 2
     (line,) = [line for line in done.stderr.splitlines() if "error:" in line]
-    assert line.startswith("error: controller node: cannot open bus")
+    assert line.startswith("error: cannot open bus 'local:/no/such/folder'")
     assert not (tmp_path / "run").exists()
 
 
