@@ -25,7 +25,7 @@ from can_rig.scenario.catalogue import shipped
 def command(
     scenario: str, settings: tuple[str, ...], bus: str | None, allow_control: bool, port: int
 ) -> None:
-    """Watch SCENARIO while it runs, and touch it, in a browser on this machine.
+    """Watch and control a run of SCENARIO in a browser on this machine.
 
     The command prints two addresses, each with a token of this start: an address for watching and
     touching the run, and an address for watching only.
