@@ -22,10 +22,10 @@ from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
 from can_rig.frames.endpoints import Receiver, Transmitter
 from can_rig.frames.network import Network
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.processes import run_processes
-from can_rig.nodes.recording.recorder import Recorder
+from can_rig.nodes.recording import Recorder
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.watchdog import StopRequest
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.settings import Scenario
@@ -40,14 +40,17 @@ def ignore(_ticks: int) -> None:
 
 def in_process(scenario: Scenario, folder: Path) -> float:
     """Ticks a second of both nodes in this process."""
-    bus = f"local:bench-{uuid.uuid4().hex[:8]}"
-    summary = run_in_process(scenario, bus, folder / "in-process.log", StopRequest(), ignore)
+    name = uuid.uuid4().hex[:8]  # a log never replaces an earlier log
+    summary = run_in_process(
+        scenario, f"local:bench-{name}", folder / f"{name}.log", StopRequest(), ignore
+    )
     return summary.ticks / summary.wall_s
 
 
 def two_processes(scenario: Scenario, bus: str, folder: Path) -> float:
     """Ticks a second of two processes on ``bus``."""
-    summary = run_processes(scenario, bus, folder / "two.log", StopRequest())
+    log = folder / f"{uuid.uuid4().hex[:8]}.log"
+    summary = run_processes(scenario, bus, log, StopRequest())
     return summary.ticks / summary.wall_s
 
 

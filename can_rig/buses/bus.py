@@ -23,6 +23,7 @@ from can_rig.buses.socketcan import NodeSocketcanBus
 from can_rig.errors import BusError, BusLostError, one_line
 
 _NETWORK: Final = Path("/sys/class/net")
+_LOCAL_OPTIONS: Final = {"fd", "preserve_timestamps", "receive_own_messages", "tx_backlog"}
 _IFF_UP: Final = 1
 _FD_MTU: Final = 72  # bytes of the kernel's frame of CAN FD
 _ALWAYS_FD = ("virtual", "udp_multicast")  # or without an argument for it
@@ -58,6 +59,9 @@ def open_bus(name: str, **kwargs: Any) -> can.BusABC:
     interface, channel, arguments = _parse(name)
     if interface not in VALID_INTERFACES:
         raise BusError(f"unknown bus interface {interface!r}; {_suggestion(interface)}")
+    if interface == "local" and (unknown := sorted(set(arguments) - _LOCAL_OPTIONS)):
+        known = ", ".join(sorted(_LOCAL_OPTIONS))
+        raise BusError(f"bus {name!r}: unknown option {', '.join(unknown)}; must be of {known}")
     if interface == "socketcan":
         if channel is None:
             raise BusError(f"bus {name!r}: must name a channel, as in socketcan:vcan0")

@@ -23,7 +23,7 @@ from can_rig.decoding.decode import Decoder
 from can_rig.decoding.files import Form, Selection, decode_to_files, refuse_output
 from can_rig.logs.log import Log, window_of
 from can_rig.logs.reading import read_log
-from can_rig.results.run_folder import LOG
+from can_rig.results.run_folder import log_of
 
 _SHOWN: Final = 5  # unknown identifiers in the table
 
@@ -77,7 +77,7 @@ def command(
     Prints for every message the number of frames, decoded and undecoded: too short, repeated,
     damaged, unknown.
     """
-    source = read_log(log / LOG if log.is_dir() else log, window=window_of(from_s, to_s))
+    source = read_log(log_of(log) if log.is_dir() else log, window=window_of(from_s, to_s))
     databases = databases_of(log, dbc, not no_strict)
     for path in outputs:
         refuse_output(path, force)

@@ -28,13 +28,13 @@ from can_rig.cli.options import (
 from can_rig.cli.output import json_line, tell
 from can_rig.cli.progress import counting
 from can_rig.errors import INTERRUPTED, LogError, RigError
-from can_rig.export.running.controllers import controller_of
-from can_rig.nodes.progress import OnTick, Throttled
+from can_rig.export.controllers import controller_of
+from can_rig.nodes.bus_access import StopRequest, Timeouts
+from can_rig.nodes.clock import OnTick, Throttled
 from can_rig.nodes.realtime import timing
-from can_rig.nodes.recording.replacing import recorded_log
+from can_rig.nodes.recording import recorded_log
 from can_rig.nodes.runner import run_controller, run_plant
 from can_rig.nodes.summary import NodeSummary
-from can_rig.nodes.watchdog import StopRequest, Timeouts
 from can_rig.scenario.settings import Scenario
 
 

@@ -9,6 +9,7 @@ from pathlib import Path
 
 import click
 
+from can_rig import paged
 from can_rig.cli.databases import databases_of
 from can_rig.cli.options import (
     channel_option,
@@ -66,7 +67,10 @@ def command(
     parts: dict[str, list[MessageColumns]] = {}
     for frames in reading(source, "reading"):
         for name, columns in decoder.decode(frames).items():
-            parts.setdefault(name, []).append(columns)
+            before = parts.setdefault(name, [])
+            before.append(columns)
+            if sum(map(len, before[1:])) > paged.PAGED_ROWS:
+                before[:] = [joined(before)]
     found = {name: joined(columns) for name, columns in parts.items()}
     drawn = [pair for pair in wanted if len(found.get(pair[0], ()))]
     absent = sorted({message for message, _ in wanted if not len(found.get(message, ()))})

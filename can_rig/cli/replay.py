@@ -34,7 +34,7 @@ from can_rig.files import atomic, refuse_existing
 from can_rig.logs.frames import NS_PER_S, Frames
 from can_rig.logs.log import ALL, Window, window_of
 from can_rig.logs.reading import read_log
-from can_rig.nodes.watchdog import StopRequest
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.replay.comparison import Place, SignalComparison
 from can_rig.replay.gaps import Gap, in_order, seconds, write_gaps
 from can_rig.replay.in_real_time import recorded

@@ -24,18 +24,18 @@ from can_rig.cli.options import (
 from can_rig.cli.output import json_line, say, show_pairs
 from can_rig.cli.progress import counting
 from can_rig.errors import INTERRUPTED
-from can_rig.export.running.controllers import controller_of
+from can_rig.export.controllers import controller_of
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import refuse_log, write_log
-from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
+from can_rig.nodes.bus_access import DEFAULT_TIMEOUTS, StopRequest, Timeouts
+from can_rig.nodes.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.realtime import timing
-from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Timeouts
 from can_rig.results import execution
 from can_rig.results.execution import refuse
 from can_rig.results.fault_metrics import fault_rows
 from can_rig.results.isolation.words import verdict_rows
 from can_rig.results.metrics import Metrics, rows
-from can_rig.results.run_folder import LOG, Outcome
+from can_rig.results.run_folder import Outcome, log_of
 from can_rig.scenario.settings import Scenario
 
 
@@ -143,7 +143,7 @@ def command(
     else:
         closing_table(done.happened, done.metrics, done.outcome, done.folder)
     for path in logs:
-        write_log(read_log(done.folder / LOG), path, force=force)
+        write_log(read_log(log_of(done.folder)), path, force=force)
     if done.failure is not None:
         raise done.failure
     sys.exit(done.exit_status)

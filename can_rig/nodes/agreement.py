@@ -30,7 +30,7 @@ import can
 
 from can_rig.buses.bus import in_one_process, open_for_node
 from can_rig.errors import BusError, ScenarioError
-from can_rig.frames.beside.agreement import (
+from can_rig.frames.comparison_frames import (
     ASKED,
     PRESENT,
     SENDERS,
@@ -40,10 +40,10 @@ from can_rig.frames.beside.agreement import (
 )
 from can_rig.nodes.bus_access import NodeBus, PersistentSender
 from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock
+from can_rig.scenario.fault_settings import FaultSettings
+from can_rig.scenario.loading import FAULT
 from can_rig.scenario.plant_settings import FMU
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.changes import FAULT
-from can_rig.scenario.tables.fault import FaultSettings
 
 WHOLE: Final = 0
 UNSETTLED_S: Final = 5.0
@@ -136,10 +136,11 @@ class Agreement:
         while True:
             left_s = max(0.0, (end_ns - self._clock.now_ns()) / NS_PER_S)
             message = self._bus.recv(left_s)
-            if message is not None and message.arbitration_id == self._other_frame.frame_id:
-                self._hear(self._other_frame.read(message))
-            elif message is not None and message.arbitration_id == self._own_frame.frame_id:
-                self._hear_own_kind(self._own_frame.read(message))
+            # a foreign frame with the same identifier fails the check, and belongs into the log
+            if message is not None and (said := self._other_frame.read(message)) is not None:
+                self._hear(said)
+            elif message is not None and (said := self._own_frame.read(message)) is not None:
+                self._hear_own_kind(said)
             elif self._differs_ns is None:
                 return message
             elif self._clock.now_ns() - self._differs_ns > UNSETTLED_S * NS_PER_S:
@@ -158,8 +159,8 @@ class Agreement:
         else:
             self._send(message)
 
-    def _hear_own_kind(self, said: Comparison | None) -> None:
-        if said is None or said.key not in {ASKED, PRESENT} or said.digest == self._number:
+    def _hear_own_kind(self, said: Comparison) -> None:
+        if said.key not in {ASKED, PRESENT} or said.digest == self._number:
             return
         if said.key == ASKED:  # an answer to an answer would never end
             self._put(Comparison(PRESENT, self._number))
@@ -169,8 +170,8 @@ class Agreement:
                 f"a bus has one, so end the other or name another bus with --bus"
             )
 
-    def _hear(self, said: Comparison | None) -> None:
-        if said is None or said.key >= len(self._digests):
+    def _hear(self, said: Comparison) -> None:
+        if said.key >= len(self._digests):
             return
         if said.digest == self._digests[said.key]:
             # From now on this controller has its plant; a plant first needs an answered tick.

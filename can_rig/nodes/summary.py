@@ -5,8 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Any
 
-from can_rig.plant.faults.delivery import Delivery
-from firmware_model.analysis.trace import Trace
 from firmware_model.target.structs import FloatArray
 
 
@@ -15,15 +13,11 @@ class RunColumns:
     """The recorded data of a run without a bus, for callers that skip the log file.
 
     Attributes:
-        ticks: number of completed ticks in the trace.
-        trace: the loop's signals.
-        delivery: the fate of the commands.
+        frames: contents of the frames by the names of ``frameless.carried``, (ticks,) each.
         plant: the plant's report, by name; None: read the file beside the log.
     """
 
-    ticks: int
-    trace: Trace
-    delivery: Delivery
+    frames: dict[str, FloatArray]
     plant: dict[str, FloatArray] | None
 
 

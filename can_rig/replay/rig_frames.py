@@ -8,11 +8,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from can_rig.decoding.message_decoder import counters, intact_rows
-from can_rig.frames.codec import MessageCodec
-from can_rig.frames.layout import ROLES
+from can_rig.frames.codec import ROLES, WIRE_TICKS, MessageCodec, ticks_on
 from can_rig.frames.network import Network
 from can_rig.frames.protection import COUNTERS, FRAME_BYTES, Checker, CheckStatus, Unprotected
-from can_rig.frames.wire_tick import WIRE_TICKS, ticks_on
 from can_rig.logs.frames import ERROR, EXTENDED, FD, REMOTE, Frames
 
 INPUTS: Final = 2

@@ -12,11 +12,12 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.nodes.lockstep import without_bus
-from can_rig.nodes.lockstep.without_bus import RunWithoutBus, run_without_bus
+from can_rig.nodes import without_bus
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.summary import NodeSummary
-from can_rig.nodes.watchdog import StopRequest
+from can_rig.nodes.without_bus import RunWithoutBus, run_without_bus
+from can_rig.plant import in_windows
 from can_rig.scenario.settings import Scenario
 from tests.clock import TurnedClock
 
@@ -42,7 +43,8 @@ CASES = [
 
 @pytest.fixture(autouse=True)
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(without_bus, "BLOCK_TICKS", BLOCK)
+    monkeypatch.setattr(in_windows, "BLOCK_TICKS", BLOCK)
+    monkeypatch.setattr(in_windows, "WINDOW_TICKS", BLOCK)
 
 
 def stopped_at(last: int) -> tuple[StopRequest, Callable[[int], None]]:
@@ -107,7 +109,6 @@ def test_its_columns_are_what_is_in_the_file_of_the_plant(tmp_path: Path) -> Non
     scenario = load("default", [*RUN, "fault.kind=actuator-dead", *LAG])
     columns = run_without_bus(scenario, tmp_path / "a.log", *stopped_at(20)).columns
     assert columns is not None
-    assert columns.ticks == 20
     assert columns.plant is not None
     with (tmp_path / "a.plant.csv").open() as file:
         names, *rows = csv.reader(file)
@@ -116,7 +117,7 @@ def test_its_columns_are_what_is_in_the_file_of_the_plant(tmp_path: Path) -> Non
     np.testing.assert_array_equal(found[0], np.arange(20))
     for row, values in zip(found[1:], columns.plant.values(), strict=True):
         np.testing.assert_array_equal(row, values)
-    assert columns.delivery.used.all()
+    assert all(len(values) == 20 for values in columns.frames.values())
 
 
 def test_a_plant_of_one_s_own_has_no_columns_but_its_file(tmp_path: Path) -> None:

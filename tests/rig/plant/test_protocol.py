@@ -22,7 +22,7 @@ from can_rig.scenario.plant_settings import PlantSettings
 from tests.helpers import record, rig
 
 SETTINGS = PlantSettings(mass_kg=1500.0)
-LAG = plant_protocol.__doc__.partition("``mycar.py`` beside a scenario is a plant:")[2]
+LAG = plant_protocol.__doc__.partition("``mycar.py`` beside a scenario defines a plant:")[2]
 GOOD = """
     class Car:
         made = []
