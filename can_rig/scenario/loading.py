@@ -21,6 +21,7 @@ from typing import Any, Final
 from pydantic import TypeAdapter, ValidationError
 
 from can_rig.errors import ScenarioError
+from can_rig.scenario import shipped
 from can_rig.scenario.fault_settings import NUMBER, FaultSettings
 from can_rig.scenario.plant_settings import (
     CAR,
@@ -35,15 +36,6 @@ from can_rig.scenario.plant_settings import (
 )
 from can_rig.scenario.refusal import refusal
 from can_rig.scenario.settings import Scenario
-
-SHIPPED: Final = Path(__file__).parent / "shipped"
-
-
-def shipped() -> dict[str, Path]:
-    """Name → file, sorted."""
-    files = {path.stem: path for path in SHIPPED.glob("*.toml")}
-    return dict(sorted(files.items()))  # by name: "a-b.toml" comes before "a.toml"
-
 
 FAULT: Final = "fault"
 

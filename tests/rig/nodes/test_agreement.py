@@ -17,7 +17,7 @@ from can_rig.nodes import runner
 from can_rig.nodes.agreement import UNSETTLED_S, Agreement, keys_of
 from can_rig.nodes.bus_access import StopRequest, Timeouts
 from can_rig.nodes.runner import RunOptions, run_controller, run_plant
-from can_rig.scenario.loading import shipped
+from can_rig.scenario import shipped
 from tests.clock import TurnedClock
 from tests.helpers import DBC, NAMES, record, start
 from tests.rig.nodes.running import one_line

@@ -10,7 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from can_rig.cli.logs.plot import resolve
+from can_rig.cli.plot import resolve
 from can_rig.decoding.decode import Decoder, decode_log
 from can_rig.drawing.thinning import MAX_POINTS, thinned
 from can_rig.errors import DbcError

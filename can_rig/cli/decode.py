@@ -8,7 +8,7 @@ from typing import Any, Final
 
 import click
 
-from can_rig.cli.logs.own_dbc import databases_of
+from can_rig.cli.databases import databases_of
 from can_rig.cli.options import (
     channel_option,
     dbc_options,

@@ -62,7 +62,7 @@ class _WithNegatives(click.Command):
 )
 @click.option("--value", type=float, help="The fault's one number, in the unit of what fails.")
 def command(what: str, how: str | None, bus: str, for_s: float | None, value: float | None) -> None:
-    """Touch a running simulation: inject torque dead --for 2, inject clear.
+    """Inject or clear a fault in a running simulation: inject torque dead --for 2, inject clear.
 
     WHAT is torque, force-difference or sensor, with a failure HOW: dead (--value: the remaining
     share), stuck, offset, drift, oscillating, rate-limited, late; a sensor is biased rather than

@@ -10,7 +10,7 @@ from pathlib import Path
 import click
 
 from can_rig import paged
-from can_rig.cli.logs.own_dbc import databases_of
+from can_rig.cli.databases import databases_of
 from can_rig.cli.options import (
     channel_option,
     dbc_options,

@@ -18,7 +18,7 @@ from can_rig.cli.progress import car_bar
 @scenario_options
 @json_option("The figures as one JSON object.")
 def command(scenario: str, settings: tuple[str, ...], as_json: bool) -> None:
-    """Say whether SCENARIO's loop is stable, healthy and faulted, and by how much.
+    """Check whether SCENARIO's loop is stable, healthy and faulted, and by which margins.
 
     Exit status: 0 stable; 1 not, or with a thin margin.
     """

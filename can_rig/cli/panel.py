@@ -7,7 +7,7 @@ import click
 from can_rig.assessment.resolve import load
 from can_rig.cli.options import bus_name, scenario_options
 from can_rig.cli.output import say
-from can_rig.scenario.loading import shipped
+from can_rig.scenario import shipped
 
 
 @click.command("panel")
@@ -25,7 +25,7 @@ from can_rig.scenario.loading import shipped
 def command(
     scenario: str, settings: tuple[str, ...], bus: str | None, allow_control: bool, port: int
 ) -> None:
-    """Watch SCENARIO while it runs, and touch it, in a browser on this machine.
+    """Watch and control a run of SCENARIO in a browser on this machine.
 
     The command prints two addresses, each with a token of this start: an address for watching and
     touching the run, and an address for watching only.

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import sys
+from collections import Counter
 from dataclasses import asdict
 from pathlib import Path
 
@@ -20,18 +21,49 @@ from can_rig.cli.options import (
     scenario_options,
     silence_option,
 )
-from can_rig.cli.output import json_line
+from can_rig.cli.output import json_line, say, show_pairs
 from can_rig.cli.progress import counting
-from can_rig.cli.runs.closing import closing_table
 from can_rig.errors import INTERRUPTED
 from can_rig.export.controllers import controller_of
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import refuse_log, write_log
 from can_rig.nodes.bus_access import DEFAULT_TIMEOUTS, StopRequest, Timeouts
 from can_rig.nodes.interaction import UNTOUCHED, Interaction
+from can_rig.nodes.realtime import timing
 from can_rig.results import execution
 from can_rig.results.execution import refuse
-from can_rig.results.run_folder import log_of
+from can_rig.results.fault_metrics import fault_rows
+from can_rig.results.isolation.words import verdict_rows
+from can_rig.results.metrics import Metrics, rows
+from can_rig.results.run_folder import Outcome, log_of
+from can_rig.scenario.settings import Scenario
+
+
+def closing_table(scenario: Scenario, values: Metrics, outcome: Outcome, folder: Path) -> None:
+    """Metrics, rate, unused frames and folder of a finished run.
+
+    Without a recorded command no tick is complete, so the table has no metrics and no rate.
+    """
+    closing: list[tuple[str, str]] = []
+    if values.get("torque_peak_nm") is not None:
+        closing += rows(values, scenario.plant)
+        closing += fault_rows(scenario, outcome.faults)
+        closing += verdict_rows(scenario, outcome.whose_fault)
+        factor = outcome.ticks_per_s * scenario.tick_s
+        closing.append(("rate", f"{outcome.ticks_per_s:.0f} ticks/s, {factor:.1f} x real time"))
+    closing += timing.rows(outcome.realtime or {})
+    rejected: Counter[str] = Counter()
+    for counts in outcome.rejected_frames.values():
+        rejected.update(counts)
+    if rejected:
+        closing.append(("frames not used", ", ".join(f"{n} {k}" for k, n in rejected.items())))
+    for node, events in outcome.bus_events.items():
+        closing.append((f"bus of the {node}", ", ".join(f"{n} {k}" for k, n in events.items())))
+    if closing:
+        show_pairs(closing)
+    say(*scenario.notes)
+    say(*timing.scheduling_lines(outcome.realtime or {}))
+    say(f"run folder  {folder}")
 
 
 @click.command("run")
@@ -75,7 +107,7 @@ def command(
     pace: float | None,
     injectable: bool,
 ) -> None:
-    """Run both nodes through SCENARIO and collect the run folder.
+    """Run both nodes through SCENARIO and write the run folder.
 
     Default: lockstep, exact and identical on every run. --realtime: the wall clock.
     """

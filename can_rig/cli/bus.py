@@ -50,7 +50,7 @@ def command(
     data_bitrate: int | None,
     as_json: bool,
 ) -> None:
-    """Say when the frames arrive at worst, and the latency in ticks that follows.
+    """Compute worst-case arrival times of the frames, and the resulting latency in ticks.
 
     Exit status: 0 if every frame meets its deadline, 1 if a frame may miss the deadline.
     """

@@ -9,7 +9,7 @@ from typing import Any, Final
 import click
 
 from can_rig.assessment.frame_length import FrameError
-from can_rig.cli.logs.own_dbc import databases_of
+from can_rig.cli.databases import databases_of
 from can_rig.cli.options import (
     channel_option,
     dbc_options,
@@ -62,7 +62,7 @@ def command(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Say what LOG contains: identifiers, rates, cycle times, jitter, gaps, bus load, E2E errors.
+    """Summarise LOG: identifiers, rates, cycle times, jitter, gaps, bus load, E2E errors.
 
     The load is an upper bound: every frame counts with the largest possible number of stuff bits.
     """
