@@ -7,12 +7,13 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, Final, NamedTuple
 
-from can_rig.campaigns.plan import Plan, value_at
+from can_rig.campaigns.plan import Plan
 from can_rig.campaigns.requirements import Requirement, margin
 from can_rig.campaigns.settings import Scalar
 from can_rig.errors import RigError, one_line
 from can_rig.files import atomic
 from can_rig.results.without_log import metrics_of
+from can_rig.scenario.loading import value_in
 from can_rig.views.signal_table import unit
 
 if TYPE_CHECKING:
@@ -63,14 +64,14 @@ ROW_GROUP: Final = 16384
 
 def schema(plan: Plan) -> pa.Schema:
     """Names and types of the columns; ``run`` is the number of the run."""
-    import pyarrow as pa  # noqa: PLC0415 (an extra)
+    import pyarrow as pa  # noqa: PLC0415 (slow to import)
 
     kinds = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}
     columns: dict[str, pa.DataType] = {"run": pa.int64(), "seed": pa.int64()}
     for key, axis in plan.settings.axes.items():
-        some: Sequence[Any] = [value_at(plan.base_values, key), *(axis.values or [])]
+        some: Sequence[Any] = [value_in(plan.base_values, key), *(axis.values or [])]
         found = {type(value) for value in some if value is not None} or {float}
-        if axis.values is None and value_at(plan.base_values, key) is None:
+        if axis.values is None and value_in(plan.base_values, key) is None:
             found = {float}
         kind = found.pop() if len(found) == 1 else float if found == {int, float} else str
         columns[key] = kinds[kind]
@@ -90,7 +91,7 @@ def schema(plan: Plan) -> pa.Schema:
 
 def _for_pandas(columns: pa.Schema) -> dict[str, str]:
     """What ``pandas.read_parquet`` makes of it: ``attrs["units"]``, and booleans with unknowns."""
-    import pyarrow as pa  # noqa: PLC0415 (an extra)
+    import pyarrow as pa  # noqa: PLC0415 (slow to import)
 
     truths = [
         {"name": field.name, "field_name": field.name, "pandas_type": "bool",
@@ -109,29 +110,16 @@ def write_block(path: Path, rows: Iterable[dict[str, Any]], columns: pa.Schema) 
     Raises:
         LogError: writing fails.
     """
-    import pyarrow as pa  # noqa: PLC0415 (an extra)
+    import pyarrow as pa  # noqa: PLC0415 (slow to import)
     from pyarrow import parquet  # noqa: PLC0415
 
-    rows = list(rows)
-    arrays = [
-        pa.array(_cells([row.get(field.name) for row in rows], field.type), field.type)
-        for field in columns
+    texts = [field.name for field in columns if pa.types.is_string(field.type)]
+    given = [
+        row | {name: repr(row[name]) for name in texts if not isinstance(row.get(name), str | None)}
+        for row in rows
     ]
     with atomic(path, force=True) as part:
-        parquet.write_table(pa.Table.from_arrays(arrays, schema=columns), part)
-
-
-def _cells(values: list[Any], kind: pa.DataType) -> list[Any]:
-    """Values in the type of their column."""
-    import pyarrow as pa  # noqa: PLC0415 (an extra)
-
-    if pa.types.is_string(kind):
-        return [
-            value if value is None or isinstance(value, str) else repr(value) for value in values
-        ]
-    if pa.types.is_floating(kind):
-        return [None if value is None else float(value) for value in values]
-    return values
+        parquet.write_table(pa.Table.from_pylist(given, schema=columns), part)
 
 
 def put_together(blocks: Sequence[Path], path: Path) -> None:
@@ -142,7 +130,7 @@ def put_together(blocks: Sequence[Path], path: Path) -> None:
     Raises:
         LogError: writing fails.
     """
-    import pyarrow as pa  # noqa: PLC0415 (an extra)
+    import pyarrow as pa  # noqa: PLC0415 (slow to import)
     from pyarrow import parquet  # noqa: PLC0415
 
     columns = parquet.read_schema(blocks[0])
@@ -159,7 +147,7 @@ def put_together(blocks: Sequence[Path], path: Path) -> None:
 
 def read_columns(path: Path, names: Sequence[str] | None = None) -> dict[str, list[Any]]:
     """Columns of a table by name; None: all."""
-    from pyarrow import parquet  # noqa: PLC0415 (an extra)
+    from pyarrow import parquet  # noqa: PLC0415 (slow to import)
 
     table = parquet.read_table(path, columns=None if names is None else list(names))
     return {str(name): table[name].to_pylist() for name in table.column_names}

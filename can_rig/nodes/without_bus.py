@@ -7,38 +7,45 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
-from typing import Final
+from typing import Self
 
 import numpy as np
 
+from can_rig import paged
 from can_rig.frames.frame_columns import payloads
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import StopRequest
-from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, OnTick
+from can_rig.nodes.clock import OnTick
 from can_rig.nodes.recording import LogFile, PlantRecorder, candump_bytes
-from can_rig.nodes.summary import NodeSummary, RunColumns
+from can_rig.nodes.ticks import NodeSummary, RunColumns, timed
 from can_rig.plant.behind import LinearBehind, PlantBehind
 from can_rig.plant.changing_car import plant_of
-from can_rig.plant.faults.delivery import delivery
-from can_rig.plant.frameless import inputs_of, simulation
+from can_rig.plant.faults.frame_faults import delivery
+from can_rig.plant.frameless import carried
+from can_rig.plant.in_windows import LoopInWindows
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving import controls
 from can_rig.scenario.settings import Scenario
-from firmware_model.analysis.simulation import Simulation
 from firmware_model.target.structs import FloatArray
-
-BLOCK_TICKS: Final = 8192
-"""Between two looks at whether to stop; what is done is on disk by then."""
 
 
 def run_without_bus(
     scenario: Scenario, log: Path, stop: StopRequest, on_tick: OnTick
 ) -> NodeSummary:
-    """Both nodes and no bus; the log is that of two processes, byte for byte."""
-    run = RunWithoutBus(scenario, log)
-    wall_s = run.run(stop, on_tick)
-    rate = run.ticks / wall_s
-    return NodeSummary(run.ticks, wall_s, run.rejected(), {}, None, run.columns, rate)
+    """Both nodes and no bus; the log is that of two processes, byte for byte.
+
+    Raises:
+        RigError: an exception in the user's plant class; the log has every sent frame.
+    """
+    with RunWithoutBus(scenario, log) as run:
+
+        def carry(_tick: int) -> int:
+            stop.require_none()
+            return run.carry()
+
+        summary = timed(carry, scenario.ticks, on_tick)
+    summary.rejected_frames, summary.columns = run.rejected(), run.columns
+    summary.ticks_per_s = summary.ticks / summary.wall_s if summary.wall_s else 0.0
+    return summary
 
 
 class RunWithoutBus:
@@ -56,53 +63,49 @@ class RunWithoutBus:
     def __init__(self, scenario: Scenario, log: Path) -> None:
         self._scenario = scenario
         self._network: Network = network_of(scenario)
-        inputs = inputs_of(scenario, self._network)
-        self._speed = inputs.speed
-        self._delivery = inputs.delivery
         self._files = ExitStack()
         self._log = LogFile(log)
         self._files.callback(self._log.close)
         self._reports = self._files.enter_context(PlantRecorder(log))
         plant = plant_of(scenario)
         self._linear = plant if isinstance(plant, LinearBehind) else None
+        self._frames: dict[str, FloatArray] = {}
         self._plant: dict[str, FloatArray] = {}
-        self._loop: Simulation = simulation(
+        self._run = LoopInWindows(
             scenario,
             self._network,
             plant.sampled if isinstance(plant, LinearBehind) else _Reporting(plant, self._reports),
-            controls(scenario, self._network),
-            inputs,
             keeps_states=True,
         )
-        self._loop.run(0)  # compiles, or loads what was compiled, before the first tick
+        self._run.loop.run(0)  # compiles, or loads what was compiled, before the first tick
 
-    def run(self, stop: StopRequest, on_tick: OnTick) -> float:
-        """Go on to the end or to a stop request; how long that took, s.
+    def __enter__(self) -> Self:
+        return self
 
-        Raises:
-            RigError: a plant of one's own fails; what was sent by then is recorded.
-        """
-        start_ns = SYSTEM_CLOCK.now_ns()
-        with self._files:
-            while self._loop.done < self._scenario.ticks and not stop.wanted:
-                begin = self._loop.done
-                try:
-                    self._loop.run(begin + BLOCK_TICKS)
-                finally:
-                    self._record(begin, self._loop.done)
-                on_tick(self._loop.done)
-        return (SYSTEM_CLOCK.now_ns() - start_ns) / NS_PER_S
+    def __exit__(self, *_error: object) -> None:
+        self._files.close()
+
+    def carry(self) -> int:
+        """Carry a block of ticks; returns the number of ticks completed; see ``drive``."""
+        begin = self.ticks
+        try:
+            self._run.run()
+        finally:
+            self._record(range(begin, self.ticks))
+        return self.ticks
 
     @property
     def ticks(self) -> int:
         """How many are done."""
-        return self._loop.done
+        return self._run.done
 
     @property
     def columns(self) -> RunColumns:
         """What the run carried."""
-        plant = None if self._linear is None else self._reported(0, self.ticks)
-        return RunColumns(self.ticks, self._loop.trace, self._delivery, plant)
+        done = slice(self.ticks)
+        frames = {name: column[done] for name, column in self._frames.items()}
+        plant = {name: column[done] for name, column in self._plant.items()}
+        return RunColumns(frames, None if self._linear is None else plant)
 
     def rejected(self) -> dict[str, dict[str, int]]:
         """Per message, how many frames were not used and why."""
@@ -111,9 +114,10 @@ class RunWithoutBus:
         always: dict[str, dict[str, int]] = {codec.name: {} for codec in (network.status, *own)}
         return delivery(self._scenario, network, self.ticks).rejected | always
 
-    def _record(self, begin: int, end: int) -> None:
-        """Frames and reports of the ticks from ``begin`` to ``end``."""
-        network, trace, some = self._network, self._loop.trace, slice(begin, end)
+    def _record(self, ticks: range) -> None:
+        """Frames and reports of some ticks."""
+        network, trace, some = self._network, self._run.loop.trace, self._run.here(ticks)
+        inputs, begin = self._run.inputs, ticks.start
         own = network.offered
         frames = [
             payloads(codec, values[some], begin)
@@ -134,30 +138,37 @@ class RunWithoutBus:
                 trace.verdict[some],
             )
         )
-        if network.speed is not None and self._speed is not None:
-            frames.insert(0, payloads(network.speed, self._speed[some], begin))
+        if network.speed is not None and inputs.speed is not None:
+            frames.insert(0, payloads(network.speed, inputs.speed[some], begin))
         data = np.stack(frames, axis=1)
-        damage = self._delivery.damage
-        ticks, channels, at, change = damage[(damage[:, 0] >= begin) & (damage[:, 0] < end)].T
-        data[ticks - begin, own + channels, at] ^= change.astype(np.uint8)
-        there = np.ones((end - begin, len(frames)), dtype=np.bool_)
-        there[:, own : own + 2] = self._delivery.sent[some]
-        first_us = np.arange(begin, end, dtype=np.int64) * self._scenario.tick_ns // 1000
+        damage = inputs.delivery.damage
+        rows, channels, at, change = damage[
+            (damage[:, 0] >= some.start) & (damage[:, 0] < some.stop)
+        ].T
+        data[rows - some.start, own + channels, at] ^= change.astype(np.uint8)
+        there = np.ones((len(ticks), len(frames)), dtype=np.bool_)
+        there[:, own : own + 2] = inputs.delivery.sent[some]
+        first_us = np.array(ticks, dtype=np.int64) * self._scenario.tick_ns // 1000
         lines = candump_bytes(data, there, first_us, network.identifiers, own)
-        self._log.write_bytes(lines)
+        self._log.write(lines)
+        self._keep(self._frames, ticks, carried(trace, inputs.delivery, some, network))
         if self._linear is not None:
-            self._reports.record_columns(begin, self._reported(begin, end))
+            loop = self._run.loop
+            reported = self._linear.report_columns(
+                trace.measurement, loop.plant_states, loop.reached, loop.inputs[3],
+                range(some.start, some.stop),
+            )  # fmt: skip
+            self._reports.record_columns(begin, reported)
+            self._keep(self._plant, ticks, reported)
 
-    def _reported(self, begin: int, end: int) -> dict[str, FloatArray]:
-        assert self._linear is not None
-        loop = self._loop
-        return self._linear.report_columns(
-            loop.trace.measurement,
-            loop.plant_states,
-            loop.reached,
-            loop.inputs[3],
-            range(begin, end),
-        )
+    def _keep(
+        self, columns: dict[str, FloatArray], ticks: range, said: dict[str, FloatArray]
+    ) -> None:
+        """Add some ticks to columns that have a place for every tick of the run."""
+        for name, values in said.items():
+            if name not in columns:
+                columns[name] = paged.empty(self._scenario.ticks)
+            columns[name][ticks.start : ticks.stop] = values
 
 
 class _Reporting:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from can_rig import paged
 from can_rig.errors import ScenarioError
 from can_rig.frames.network import Network
 from can_rig.scenario.build import (
@@ -14,6 +15,7 @@ from can_rig.scenario.build import (
     controller_table,
     mismatch,
     other_plants,
+    sources_of_table,
     target,
 )
 from can_rig.scenario.fault_settings import FaultSettings
@@ -87,8 +89,10 @@ def speeds_at_ticks(scenario: Scenario) -> FloatArray:
     Raises:
         ScenarioError: as ``speed_profile``.
     """
-    time_s = np.arange(scenario.ticks, dtype=np.float64) * (scenario.tick_ns * 1e-9)
-    return speed_profile(scenario)(time_s)
+    profile, tick_s = speed_profile(scenario), scenario.tick_ns * 1e-9
+    return paged.column(
+        scenario.ticks, lambda rows: profile(np.arange(rows.start, rows.stop) * tick_s)
+    )
 
 
 RATIO = 1.12  # of neighbouring speeds: a blend is far closer to the right design than another car
@@ -105,7 +109,8 @@ def controls(scenario: Scenario, network: Network | None) -> Scheduled:
     speeds = design_speeds(scenario)
     if len(speeds) == 1:
         return Scheduled(None, controller_table(frozen(scenario, speeds[0]), network))
-    return _scheduled(_without_run(scenario, speeds), network)
+    several = replace(scenario, design=replace(scenario.design, speeds_mps=speeds))
+    return _scheduled(several, network)
 
 
 def design_speeds(scenario: Scenario) -> tuple[float, ...]:
@@ -144,21 +149,7 @@ def at_speed_of(scenario: Scenario, fault: FaultSettings) -> Scenario:
     return frozen(scenario, float(speed[0]))
 
 
-def _without_run(scenario: Scenario, speeds: tuple[float, ...]) -> Scenario:
-    """Only the parts that determine the schedule, so that equal parts share one computation."""
-    usual = Scenario(name=scenario.name)
-    return replace(
-        scenario,
-        description="",
-        seed=0,
-        reference=usual.reference,
-        fault=(),
-        drive=DriveSettings(speed_mps=speeds[0]),
-        design=replace(scenario.design, speeds_mps=speeds),
-    )
-
-
-@remembered(4)
+@remembered(4, by=sources_of_table)
 def _scheduled(scenario: Scenario, network: Network | None) -> Scheduled:
     speeds = scenario.design.speeds_mps or ()
     middle = mismatch(frozen(scenario, speeds[len(speeds) // 2]))

@@ -9,7 +9,7 @@ from dataclasses import replace
 from functools import cached_property
 from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import ConfigDict, Field, PositiveFloat
+from pydantic import AfterValidator, ConfigDict, Field, PositiveFloat
 from pydantic.dataclasses import dataclass
 
 from firmware_model.design import plants
@@ -126,6 +126,17 @@ FACTORED: Final = ("zeros", "poles", "gain")
 POLYNOMIAL: Final = ("num", "den")
 
 Row = tuple[float, ...]
+Root = Annotated[
+    Any, AfterValidator(lambda given: tuple(given) if isinstance(given, list) else given)
+]
+"""A number, or a pair; ``TransferFunction`` refuses other values."""
+
+
+class Table(dict[str, Any]):
+    """Free keys within hashable settings; nobody changes the table. 1, 1.0 and true differ."""
+
+    def __hash__(self) -> int:  # type: ignore[override]
+        return hash(repr(self))
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -138,8 +149,8 @@ class TransferFunction:
 
     num: Row | None = None
     den: Row | None = None
-    zeros: tuple[Any, ...] | None = None
-    poles: tuple[Any, ...] | None = None
+    zeros: tuple[Root, ...] | None = None
+    poles: tuple[Root, ...] | None = None
     gain: float | None = None
 
     def __post_init__(self) -> None:
@@ -219,22 +230,22 @@ def refuse_large(key: str, values: Row) -> None:
 
 
 def _refuse_root(key: str, root: object) -> None:
-    parts: list[Any] = list(root) if isinstance(root, list | tuple) else [root]
+    given = list(root) if isinstance(root, tuple) else root
+    parts: list[Any] = given if isinstance(given, list) else [given]
     for part in parts:
         number = isinstance(part, int | float) and not isinstance(part, bool)
         if not (number and math.isfinite(part) and abs(part) <= LARGEST and len(parts) <= PAIR):
-            raise ValueError(
-                f"{key} = {root!r}: must be a number, or [real, imaginary] for a pair of conjugates"
-            )
+            pair = "[real, imaginary] for a pair of conjugates"
+            raise ValueError(f"{key} = {given!r}: must be a number, or {pair}")
     if len(parts) != 1 and not (len(parts) == PAIR and parts[1] > 0.0):
         raise ValueError(
-            f"{key} = {root!r}: must have an imaginary part above 0; it stands for both of the pair"
+            f"{key} = {given!r}: must have an imaginary part above 0, which stands for both roots"
         )
 
 
 def _roots(given: tuple[Any, ...] | None) -> Roots:
-    pairs = [complex(*root) for root in given or () if isinstance(root, list | tuple)]
-    real = [complex(root) for root in given or () if not isinstance(root, list | tuple)]
+    pairs = [complex(*root) for root in given or () if isinstance(root, tuple)]
+    real = [complex(root) for root in given or () if not isinstance(root, tuple)]
     return (*real, *pairs, *(root.conjugate() for root in pairs))
 
 
@@ -242,7 +253,7 @@ def _moved(given: tuple[Any, ...] | None, speed: float) -> tuple[Any, ...] | Non
     if given is None:
         return None
     return tuple(
-        tuple(part * speed for part in root) if isinstance(root, list | tuple) else root * speed
+        tuple(part * speed for part in root) if isinstance(root, tuple) else root * speed
         for root in given
     )
 
@@ -350,8 +361,12 @@ class PlantSettings(VehicleParameters):
         default_factory=ForceDifferenceActuator
     )
     sensor: SensorSettings = dataclasses.field(default_factory=SensorSettings)
-    parameters: dict[str, Any] = dataclasses.field(default_factory=dict)
-    variables: dict[str, str] = dataclasses.field(default_factory=dict)
+    parameters: Annotated[dict[str, Any], AfterValidator(Table)] = dataclasses.field(
+        default_factory=Table
+    )
+    variables: Annotated[dict[str, str], AfterValidator(Table)] = dataclasses.field(
+        default_factory=Table
+    )
     fmi_type: Literal["co-simulation", "model-exchange"] | None = None
 
     def __post_init__(self) -> None:

@@ -79,7 +79,7 @@ class RecordedRun:
         import pandas as pd  # noqa: PLC0415 (slow to import)
 
         table = read_table(self.folder, self.scenario)
-        frame = pd.DataFrame(table.columns, index=pd.Index(table.time_s, name="time_s"))
+        frame = pd.DataFrame(table.columns, index=pd.Index(table.time_s, name="time_s"), copy=False)
         printed = {column: table.name_and_unit(column) for column in table.columns}
         frame.attrs["names"] = {column: name for column, (name, _) in printed.items()}
         frame.attrs["units"] = {column: unit for column, (_, unit) in printed.items()}

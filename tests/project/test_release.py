@@ -7,6 +7,7 @@ import os
 import shutil
 import subprocess
 import sys
+import tomllib
 import zipfile
 from pathlib import Path
 
@@ -14,12 +15,14 @@ import pytest
 
 from tests.project.pages import ROOT
 
+VERSION = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["project"]["version"]
+
 pytestmark = pytest.mark.skipif(shutil.which("git") is None, reason="no git here")
 
 
 @pytest.fixture(scope="module")
 def released(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The files of this checkout, committed to a repository of their own."""
+    """The files of this checkout as a version of their own, committed to another repository."""
     folder = tmp_path_factory.mktemp("release") / "checkout"
     listed = ["git", "-c", "safe.directory=*", "ls-files", "-z", "--cached", "--others"]
     names = subprocess.run(
@@ -29,6 +32,13 @@ def released(tmp_path_factory: pytest.TempPathFactory) -> Path:
         if (ROOT / name).is_file():
             (folder / name).parent.mkdir(parents=True, exist_ok=True)
             shutil.copy2(ROOT / name, folder / name)
+    for name, old, new in (  # whatever is not released yet belongs to that version
+        ("CHANGELOG.md", "[Unreleased]\n", "[Unreleased]\n\n## [99.0.0] - 2099-01-01\n\n- All.\n"),
+        ("pyproject.toml", f'\nversion = "{VERSION}"', '\nversion = "99.0.0"'),
+    ):  # fmt: skip
+        text = (folder / name).read_text("utf-8")
+        assert old in text
+        (folder / name).write_text(text.replace(old, new, 1), "utf-8")
     for words in (["init", "-q"], ["add", "--all"], ["commit", "-q", "-m", "all"]):
         git(folder, *words)
     return folder

@@ -7,8 +7,7 @@ import pytest
 
 from firmware_model.analysis.hardware import EXACT_FRAMES, SENSOR, frame_of
 from firmware_model.analysis.sampled_plant import SampledPlant, follow_plant, sample
-from firmware_model.analysis.simulation import Simulation, simulate
-from firmware_model.analysis.trace import Trace
+from firmware_model.analysis.simulation import Simulation, Trace, simulate
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from tests.firmware.analysis.loops import CAR, SLOW

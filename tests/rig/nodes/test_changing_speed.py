@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.export.running.controllers import controller_of
+from can_rig.export.controllers import controller_of
 from can_rig.frames.endpoints import Transmitter
 from can_rig.logs.reading import read_log
 from can_rig.nodes.bus_access import StopRequest

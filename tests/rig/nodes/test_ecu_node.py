@@ -9,7 +9,7 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.errors import ExportError
-from can_rig.export.running.controllers import Application
+from can_rig.export.controllers import Application
 from can_rig.frames.network import Network
 from can_rig.frames.protection import CheckStatus
 from can_rig.nodes.lockstep import ControllerNode, EcuNode, in_real_time, lockstep_controller

@@ -10,7 +10,7 @@ from can_rig.assessment.resolve import load
 from can_rig.frames.operator_frames import Command, command_message, identifiers
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.interaction import Interaction
-from can_rig.nodes.recorded_commands import Touch
+from can_rig.nodes.operating import Touch
 from can_rig.nodes.run_control import RunControl
 from can_rig.results.execution import REFERENCE, execute
 
