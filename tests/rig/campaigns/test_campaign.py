@@ -239,7 +239,7 @@ def test_a_scheduler_that_is_killed_ends_it_in_a_line_and_here_it_goes_on(
         def killing(folder: CampaignFolder, workers: Any, stopped: Any, _: Any) -> bool:
             return execute(folder, workers, stopped, lambda done: far.kill())
 
-        monkeypatch.setattr("can_rig.cli.runs.campaign.execute", killing)
+        monkeypatch.setattr("can_rig.cli.campaign.execute", killing)
         words = ("campaign", written(tmp_path), "--out", tmp_path / "out")
         ended = asked(*words, "--scheduler", address)
     assert ended.returncode == 3
