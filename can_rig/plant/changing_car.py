@@ -3,16 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
 
 from can_rig.logs.columns import SPEED
 from can_rig.plant.behind import LinearBehind, PlantBehind, plant_behind, sampled_plant
-from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.driving.speed import speed_profile, speeds_at_ticks
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
-from firmware_model.analysis.changing_plant import ChangingPlant, changing_plant, follow_changing
+from firmware_model.analysis.changing_plant import (
+    NO_WORLD,
+    ChangingPlant,
+    changing_plant,
+    follow_changing,
+)
 from firmware_model.analysis.sampled_plant import SampledPlant
 
 
@@ -40,9 +43,7 @@ def linear_plant(scenario: Scenario) -> SampledPlant | None:
 
 @remembered(4)
 def _changing(settings: PlantSettings, fastest_mps: float, tick_s: float) -> ChangingPlant:
-    return changing_plant(
-        lambda speed: continuous_plant(replace(settings, speed_mps=speed)), fastest_mps, tick_s
-    )
+    return changing_plant(settings, settings.variant, settings.stages, fastest_mps, tick_s)
 
 
 class ChangingCar:
@@ -54,11 +55,11 @@ class ChangingCar:
         changing = _changing(scenario.plant, fastest, scenario.tick_s)
         self._car = LinearBehind(scenario.plant, scenario.tick_s)
         self._constants, self._work = changing.constants, changing.work
-        self._within = changing.speeds(profile, scenario.ticks)
+        self._within = changing.speeds(profile, range(scenario.ticks))
         self._at_ticks = speeds_at_ticks(scenario).tolist()
         self._tick = 0
-        spare = (self._car.sampled.memory, changing.work, self._within)
-        follow_changing(self._constants, *spare, 0, 0.0, 0.0, 1.0, 1.0)  # compiles
+        spare = (self._car.sampled.memory, changing.work, self._within[0])
+        follow_changing(self._constants, *spare, 0, 0.0, 0.0, 1.0, 1.0, NO_WORLD)  # compiles
 
     def report(
         self, command_1: float, command_2: float, left_1: float, left_2: float
@@ -75,12 +76,13 @@ class ChangingCar:
             self._constants,
             self._car.memory,
             self._work,
-            self._within,
+            self._within[self._tick],
             self._tick,
             command_1,
             command_2,
             left_1,
             left_2,
+            NO_WORLD,
         )
         self._tick += 1
         self._car.moved(output)
