@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import re
 import tomllib
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
@@ -32,7 +33,13 @@ from can_rig.scenario.plant_settings import (
 )
 from can_rig.scenario.refusal import refusal
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.changes import FAULT, change, require_kinds, require_own_numbers
+from can_rig.scenario.tables.changes import (
+    FAULT,
+    LISTS,
+    change,
+    require_kinds,
+    require_own_numbers,
+)
 from can_rig.scenario.tables.numbers import FACTORED, POLYNOMIAL
 
 FROM_BUS: Final = ("latency_ticks", "from-bus")
@@ -201,12 +208,12 @@ def draft(name: str, values: Mapping[str, Any]) -> Draft:
     plant, model = merged.get("plant", {}), merged.get("model", {})
     if isinstance(plant, Mapping) and isinstance(model, Mapping):
         merged["model"] = _believed(plant, model)
-    faults = merged.get("fault", [])
-    several = isinstance(faults, list)
-    if not isinstance(faults, list | Mapping):
-        raise ScenarioError(f"scenario {name}: fault = {faults!r}: must be a table, or several")
-    if isinstance(faults, Mapping):
-        merged["fault"] = [faults]
+    single = [key for key in LISTS if isinstance(merged.get(key), Mapping)]
+    for key in LISTS:
+        if not isinstance(given := merged.get(key, []), list | Mapping):
+            raise ScenarioError(f"scenario {name}: {key} = {given!r}: must be a table, or several")
+        if key in single:
+            merged[key] = [given]
     words = frozenset(pair for pair in (FROM_BUS,) if _take(merged, *pair))
     try:
         scenario = Scenario(name=name, **{key: _valid(key, each) for key, each in merged.items()})
@@ -215,8 +222,8 @@ def draft(name: str, values: Mapping[str, Any]) -> Draft:
             scenario = _ADAPTER.validate_json(_json({"name": name, **merged}))
         except ValidationError as error:
             said = refusal(error, Scenario)
-            if not several:  # a single table has no number
-                said = said.replace(f"{FAULT}.0", FAULT, 1)
+            for key in single:  # a single table has no number
+                said = re.sub(f"^{key}\\.0", key, said)
             raise ScenarioError(f"scenario {name}: {said}") from None
     return Draft(scenario, words)
 

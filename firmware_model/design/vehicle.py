@@ -43,11 +43,11 @@ WORLD: Final = ("side_force_n", "yaw_moment_nm", "bank_rad", "steering_kick_nm")
 """The world's inputs F, M, φ and K."""
 WITNESSES: Final = (
     "yaw_rate_rad_per_s",
-    "lateral_acceleration_mps2",
+    "specific_force_mps2",
     "steering_angle_rad",
     "steering_rate_rad_per_s",
 )
-"""What further sensors read: γ, the specific force a, δ and δ̇."""
+"""What further sensors read: γ, the lateral specific force a, δ and δ̇."""
 SPECIFIC_FORCE: Final = 1
 """The row of a."""
 

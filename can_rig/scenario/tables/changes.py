@@ -1,7 +1,7 @@
 """Keys with dots: writing ``KEY=VALUE`` into a scenario's tables, and reading from the tables.
 
 ``fault`` is a table or a list of tables: ``fault.1.at_s`` belongs to the second fault;
-``fault.at_s`` and ``fault.0.at_s`` belong to a single fault.
+``fault.at_s`` and ``fault.0.at_s`` belong to a single fault. Likewise ``disturbance``.
 """
 
 from __future__ import annotations
@@ -17,6 +17,9 @@ from can_rig.errors import ScenarioError
 from can_rig.scenario.tables.fault import NUMBER, FaultSettings
 
 FAULT: Final = "fault"
+DISTURBANCE: Final = "disturbance"
+LISTS: Final = (FAULT, DISTURBANCE)
+"""Keys with a table or a list of tables."""
 
 UNSET: Final = {key for key in NUMBER.values() if getattr(FaultSettings, key) is None}
 """Keys of faults without a default value."""
@@ -41,8 +44,8 @@ def change(values: dict[str, Any], setting: str) -> None:
         most = sys.get_int_max_str_digits()
         raise ScenarioError(f"--set {setting[:40]}...: must have at most {most} digits") from None
     table = values
-    if parts[0] == FAULT and len(parts) > 1:
-        table, parts = _fault(values, setting, parts[1:])
+    if parts[0] in LISTS and len(parts) > 1:
+        table, parts = _of_list(values, setting, parts[0], parts[1:])
     for part in parts[:-1]:
         table = table.setdefault(part, {})
         if not isinstance(table, dict):
@@ -50,25 +53,25 @@ def change(values: dict[str, Any], setting: str) -> None:
     table[parts[-1]] = value
 
 
-def _fault(
-    values: dict[str, Any], setting: str, parts: list[str]
+def _of_list(
+    values: dict[str, Any], setting: str, name: str, parts: list[str]
 ) -> tuple[dict[str, Any], list[str]]:
-    """The table of the fault in ``parts``, by number if several faults exist.
+    """The table of the fault or disturbance in ``parts``, by number if several exist.
 
-    The next free number appends a fault.
+    The next free number appends a table.
     """
-    listed = values.get(FAULT, {})
+    listed = values.get(name) or {}
     faults = listed if isinstance(listed, list) else [listed]
     at, own = (int(parts[0]), parts[1:]) if parts[0].isdecimal() else (None, parts)
     if at is None and len(faults) == 1:
         at = 0
-    known = ", ".join(f"{FAULT}.{number}" for number in range(len(faults)))
+    known = ", ".join(f"{name}.{number}" for number in range(len(faults)))
     if at is None or at > len(faults) or not own:
-        raise ScenarioError(f"--set {setting}: must be a key of {known} or {FAULT}.{len(faults)}")
+        raise ScenarioError(f"--set {setting}: must be a key of {known} or {name}.{len(faults)}")
     faults = [*faults, {}] if at == len(faults) else faults
     if not isinstance(faults[at], dict):
-        raise ScenarioError(f"--set {setting}: {FAULT} is a value and has no keys")
-    values[FAULT] = faults if len(faults) > 1 else faults[0]
+        raise ScenarioError(f"--set {setting}: {name} is a value and has no keys")
+    values[name] = faults if len(faults) > 1 else faults[0]
     return faults[at], own
 
 
@@ -115,7 +118,7 @@ def value_in(values: Mapping[str, Any], key: str) -> Any:
     """The value of ``key`` in a scenario's tables; None for a missing key."""
     value: Any = values
     for at, part in enumerate(key.split(".")):
-        if at == 1 and part.isdecimal() and key.startswith(f"{FAULT}."):
+        if at == 1 and part.isdecimal() and key.partition(".")[0] in LISTS:
             listed = value if isinstance(value, list) else [value]
             value = listed[int(part)] if int(part) < len(listed) else None
         else:
