@@ -4,11 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from can_rig import paged
 from can_rig.decoding.signal_columns import Column, SignalColumn
 from can_rig.logs.frames import NS_PER_S
 
@@ -71,13 +72,22 @@ def _series(column: Column) -> Any:
     return pd.arrays.IntegerArray(column.data, np.ma.getmaskarray(column))
 
 
+_PAGED: Final = ({np.dtype(np.float64)}, {np.dtype(np.int64)})
+"""Kinds of values that are in a file where there are many."""
+
+
 def joined(parts: Sequence[MessageColumns]) -> MessageColumns:
     """Columns of the same message, concatenated; needs at least one part."""
 
     def together(columns: list[Column]) -> Column:
         masked = any(isinstance(column, np.ma.MaskedArray) for column in columns)
-        whole: Column = (np.ma if masked else np).concatenate(columns)
-        return whole
+        kinds = {column.dtype for column in columns}
+        if masked or kinds not in _PAGED:
+            whole: Column = (np.ma if masked else np).concatenate(columns)
+            return whole
+        paged.let_go()
+        out = paged.empty(sum(map(len, columns))).view(*kinds)
+        return np.concatenate(columns, out=out)
 
     first = parts[0]
     return MessageColumns(

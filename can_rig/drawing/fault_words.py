@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Final
 
 from can_rig.drawing.names import Names, ticks_text, with_unit
-from can_rig.scenario.tables.fault import FaultSettings
+from can_rig.scenario.fault_settings import FaultSettings
 
 HOW: Final = {
     "actuator-dead": "lost",

@@ -10,7 +10,7 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from can_rig.drawing.names import printed
-from can_rig.scenario.tables.fault import FaultSettings
+from can_rig.scenario.fault_settings import FaultSettings
 
 INK: Final = "#1b1b1b"
 BLUE, ORANGE, GREEN = "#0b4f8a", "#b8461a", "#2f7d4f"

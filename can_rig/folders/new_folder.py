@@ -58,9 +58,9 @@ class NewFolder:
         """
         target = followed(path)
         made = cls(path, target, target.with_name(f"{target.name}.unfinished"), kind)
-        if not (made.making / kind.marker).is_file():
+        if not kind.is_in(made.making):
             made.making = target
-        if not (made.making / kind.marker).is_file():
+        if not kind.is_in(made.making):
             raise RunFolderError(f"{path}: not {kind.name}; --resume needs its --out")
         made._hold(made.making)
         tidy(made.making)

@@ -26,7 +26,7 @@ class Kind:
 
     Attributes:
         name: as in "not a run folder".
-        marker: the file that identifies such a folder.
+        marker: the file that identifies such a folder, plain or gzipped.
         own: the paths of this kind in a folder, contents before their folder; all other paths are
             foreign.
         recorded: whether the folder holds results that must survive.
@@ -36,6 +36,10 @@ class Kind:
     marker: str
     own: Callable[[Path], Iterable[str]]
     recorded: Callable[[Path], bool]
+
+    def is_in(self, folder: Path) -> bool:
+        """Whether ``folder`` holds the marker."""
+        return any((folder / name).is_file() for name in (self.marker, f"{self.marker}.gz"))
 
 
 @contextmanager
@@ -102,7 +106,7 @@ def refuse_to_replace(path: Path, kind: Kind, force: bool) -> None:
             f"{path}: there already, and nothing is overwritten; "
             "choose another --out, or --force to replace it"
         )
-    if not (path / kind.marker).is_file():
+    if not kind.is_in(path):
         raise RunFolderError(f"{path}: not {kind.name}, so --force does not replace it")
 
 

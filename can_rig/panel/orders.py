@@ -8,7 +8,7 @@ from collections.abc import Awaitable, Callable
 from typing import Any, Final
 
 from can_rig.errors import RigError
-from can_rig.frames.beside import control
+from can_rig.frames import operator_frames
 from can_rig.panel.saving import save
 from can_rig.panel.screen import Screen
 
@@ -48,33 +48,33 @@ async def _choose(screen: Screen, order: Order) -> None:
 
 async def _inject(screen: Screen, order: Order) -> None:
     kind, place = order["kind"], order["place"]
-    if kind not in control.kinds() or place not in control.places():
+    if kind not in operator_frames.kinds() or place not in operator_frames.places():
         raise ValueError
     value, duration_s = _number(order.get("value")), _number(order.get("for_s"))
-    screen.session.command(control.Command("INJECT", kind, place, value, duration_s))
+    screen.session.command(operator_frames.Command("INJECT", kind, place, value, duration_s))
 
 
 async def _clear(screen: Screen, order: Order) -> None:
-    place = order.get("place", control.ALL)
-    if place not in (control.ALL, *control.places()):
+    place = order.get("place", operator_frames.ALL)
+    if place not in (operator_frames.ALL, *operator_frames.places()):
         raise ValueError
-    screen.session.command(control.Command("CLEAR", place=place))
+    screen.session.command(operator_frames.Command("CLEAR", place=place))
 
 
 async def _reference(screen: Screen, order: Order) -> None:
-    screen.session.command(control.Command("MOVE_REFERENCE", value=_number(order["value"])))
+    screen.session.command(operator_frames.Command("MOVE_REFERENCE", value=_number(order["value"])))
 
 
 async def _pace(screen: Screen, order: Order) -> None:
-    screen.session.command(control.Command("PACE", value=_number(order["value"])))
+    screen.session.command(operator_frames.Command("PACE", value=_number(order["value"])))
 
 
 async def _pause(screen: Screen, _order: Order) -> None:
-    screen.session.command(control.Command("PAUSE"))
+    screen.session.command(operator_frames.Command("PAUSE"))
 
 
 async def _step(screen: Screen, order: Order) -> None:
-    screen.session.command(control.Command("STEP", value=_number(order.get("ticks", 1))))
+    screen.session.command(operator_frames.Command("STEP", value=_number(order.get("ticks", 1))))
 
 
 async def _save(screen: Screen, order: Order) -> None:

@@ -13,14 +13,14 @@ import tomli_w
 
 from can_rig.errors import RigError
 from can_rig.files import atomic
-from can_rig.nodes.operator.control_frames import done, touches
+from can_rig.nodes.operating import done, touches
 from can_rig.panel.session import Session
-from can_rig.results.run_folder import LOG
+from can_rig.results.run_folder import log_of
 from can_rig.results.signals import read_signals
 from can_rig.results.source import reference_csv, source_of
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import with_changes, written
-from can_rig.scenario.tables.fault import FaultSettings
+from can_rig.scenario.fault_settings import FaultSettings
+from can_rig.scenario.loading import written
 
 NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
 
@@ -46,7 +46,7 @@ def save(session: Session, name: str) -> Path:
     source = source_of(folder, None, ())
     network = network_of(source.scenario)
     what = done(source.scenario, touches(source.frames(), network))
-    values = with_changes(written(session.name), session.settings)
+    values = written(session.name).with_changes(session.settings).values
     values["fault"] = [_keys(fault) for fault in what.scenario.faults]
     reference = path.with_suffix(".csv")
     if what.moved:
@@ -56,8 +56,9 @@ def save(session: Session, name: str) -> Path:
         part.write_text(f"# What was done in {folder}.\n\n{tomli_w.dumps(values)}", "utf-8")
         if what.moved:
             part = both.enter_context(atomic(reference, force=False))
-            moved = read_signals(folder / LOG, network, session.scenario.tick_s)
-            part.write_text(reference_csv(moved), encoding="utf-8", newline="\n")
+            moved = read_signals(log_of(folder), network, session.scenario.tick_s)
+            with part.open("w", encoding="utf-8", newline="\n") as file:
+                file.writelines(reference_csv(moved))
     return path
 
 

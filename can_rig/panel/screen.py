@@ -12,7 +12,7 @@ from typing import Any, Final
 import numpy as np
 
 from can_rig.drawing.names import names_of
-from can_rig.frames.beside import control
+from can_rig.frames import operator_frames
 from can_rig.logs.columns import EVIDENCE
 from can_rig.panel.live import COLUMNS
 from can_rig.panel.session import Session
@@ -93,8 +93,8 @@ class Screen:
                     "tick_s": session.scenario.tick_s,
                     "duration_s": session.scenario.duration_s,
                     "columns": COLUMNS,
-                    "kinds": control.kinds(),
-                    "places": control.places(),
+                    "kinds": operator_frames.kinds(),
+                    "places": operator_frames.places(),
                     "signals": [{"name": each.name, "unit": each.unit} for each in names],
                     "hypotheses": [
                         [column, in_words(verdict, names)]

@@ -17,7 +17,7 @@ from can_rig.plant.behind import (
 )
 from can_rig.plant.disturbances import BANK, Disturbances
 from can_rig.scenario.build import continuous_plant
-from can_rig.scenario.driving.speed import SpeedProfile, speed_profile
+from can_rig.scenario.driving import SpeedProfile, speed_profile
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario

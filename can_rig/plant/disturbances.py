@@ -12,9 +12,9 @@ from typing import Final
 
 import numpy as np
 
-from can_rig.scenario.driving.speed import speed_profile
+from can_rig.scenario.disturbance_settings import DisturbanceSettings
+from can_rig.scenario.driving import speed_profile
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.disturbance import DisturbanceSettings
 from firmware_model.analysis.changing_plant import FRONT_FRICTION, REAR_FRICTION, WORLD_ROW
 from firmware_model.compiled import compiled
 from firmware_model.design.vehicle import WORLD

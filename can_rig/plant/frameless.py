@@ -20,20 +20,18 @@ from can_rig.frames.network import Network
 from can_rig.plant.actuators import actuator_limits
 from can_rig.plant.behind import PlantBehind
 from can_rig.plant.changing_car import linear_plant, plant_of
-from can_rig.plant.faults.delivery import Delivery, delivery
+from can_rig.plant.faults.frame_faults import Delivery, delivery
 from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.plant.sensor import noise
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving.schedule import controls
-from can_rig.scenario.driving.speed import speeds_at_ticks
+from can_rig.scenario.driving import controls, speeds_at_ticks
+from can_rig.scenario.fault_settings import PLACES
 from can_rig.scenario.reference import reference
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import PLACES
 from firmware_model.analysis.hardware import BY, HEALTHY, NO_FAULTS, REPLACED, frame_of
 from firmware_model.analysis.sampled_plant import SampledPlant
-from firmware_model.analysis.simulation import AnyPlant, Simulation
-from firmware_model.analysis.trace import Trace
+from firmware_model.analysis.simulation import AnyPlant, Simulation, Trace
 from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.target import controller
 from firmware_model.target.structs import FloatArray, RecordArray
@@ -141,11 +139,11 @@ def with_disturbances(quiet: Inputs, scenario: Scenario, network: Network) -> In
         noise=noise(scenario),
         bias=plant.bias(ticks),
         delivery=delivered,
-        faults=_with_replaced(plant.rows(ticks), delivered, scenario.ticks),
+        faults=with_replaced(plant.rows(ticks), delivered, scenario.ticks),
     )
 
 
-def _with_replaced(rows: FloatArray, delivered: Delivery, ticks: int) -> FloatArray:
+def with_replaced(rows: FloatArray, delivered: Delivery, ticks: int) -> FloatArray:
     """The rows of ``hardware`` with the values of other frames."""
     if not delivered.replaced:
         return rows
@@ -250,3 +248,35 @@ class UntilItFails:
             except RigError:
                 self._failed = True
         return np.nan, np.nan
+
+
+def carried(
+    trace: Trace, delivered: Delivery, rows: slice, network: Network
+) -> dict[str, FloatArray]:
+    """What the frames of some ticks of a loop say, by name, (ticks,) each.
+
+    Args:
+        trace: the loop's.
+        delivered: which commands reach their actuators, and what has come in their place.
+        rows: the ticks, with a start and a stop.
+        network: the frames.
+    """
+    commands = [
+        np.where(delivered.used[rows, channel], command[rows], np.nan) + 0.0
+        for channel, command in enumerate((trace.command_1, trace.command_2))
+    ]
+    for (tick, place), value in delivered.replaced.items():
+        if place < len(commands) and rows.start <= tick < rows.stop:
+            commands[place][tick - rows.start] = value
+    said = {
+        "reference_mps2": trace.reference[rows],
+        "dstar_mps2": trace.measured[rows] + 0.0,  # a frame has no negative zero
+        "torque_nm": commands[0],
+        "force_difference_n": commands[1],
+        "fault_estimate_mps2": quantised(network.status, trace.fault_estimate[rows]),
+        "mode": trace.mode[rows].astype(np.float64),
+        "fault_state": trace.fault_state[rows].astype(np.float64),
+    }
+    if network.status.verdicts:
+        said["verdict"] = trace.verdict[rows].astype(np.float64)
+    return said

@@ -11,6 +11,7 @@ from collections import deque
 
 import numpy as np
 
+from can_rig.scenario.plant_settings import SensorSettings
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import split_ticks
@@ -51,20 +52,35 @@ def noise(scenario: Scenario) -> FloatArray:
 
     Never change the array: the same run without its fault shares the array.
     """
-    sensor = scenario.plant.sensor
-    if sensor.noise_mps2 == 0.0:
+    if scenario.plant.sensor.noise_mps2 == 0.0:
         return np.zeros(scenario.ticks)
-    memory = math.exp(-scenario.tick_s / sensor.lag_s) if sensor.lag_s > 0.0 else 0.0
-    return _drawn(scenario.seed, sensor.noise_mps2, memory, scenario.ticks)
+    return _drawn(scenario.seed, scenario.plant.sensor, scenario.tick_s, scenario.ticks)
 
 
 @remembered(1)
-def _drawn(seed: int, rms: float, memory: float, ticks: int) -> FloatArray:
-    random = np.random.Generator(np.random.PCG64(seed))
-    drawn: FloatArray = rms * random.standard_normal(ticks)
-    if memory > 0.0:
-        colour(drawn, memory)
-    return drawn
+def _drawn(seed: int, sensor: SensorSettings, tick_s: float, ticks: int) -> FloatArray:
+    return NoiseColumns(seed, sensor, tick_s).next(ticks)
+
+
+class NoiseColumns:
+    """The noise of a run, many ticks at once; see ``noise``."""
+
+    def __init__(self, seed: int, sensor: SensorSettings, tick_s: float) -> None:
+        self._random = np.random.Generator(np.random.PCG64(seed))
+        self._rms = sensor.noise_mps2
+        self._memory = math.exp(-tick_s / sensor.lag_s) if sensor.lag_s > 0.0 else 0.0
+        self._last: FloatArray = np.empty(0)
+
+    def next(self, ticks: int) -> FloatArray:
+        """(ticks,), m/s², of the next ones."""
+        if self._rms == 0.0:
+            return np.zeros(ticks)
+        drawn: FloatArray = self._rms * self._random.standard_normal(ticks)
+        if self._memory > 0.0:
+            behind = np.concatenate([self._last, drawn])
+            colour(behind, self._memory)
+            drawn, self._last = behind[len(self._last) :], behind[-1:].copy()
+        return drawn
 
 
 @compiled

@@ -7,8 +7,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, field
 from typing import Any, Final
 
-from can_rig.frames.codec import MessageCodec
-from can_rig.frames.layout import Unpacked
+from can_rig.frames.codec import MessageCodec, Unpacked
 from can_rig.frames.network import Network
 from can_rig.logs.frames import NS_PER_S
 from can_rig.replay.gaps import Row

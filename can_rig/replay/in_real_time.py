@@ -13,8 +13,8 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+from can_rig.frames.codec import WIRE_TICKS, tick_at, ticks_ahead
 from can_rig.frames.network import Network
-from can_rig.frames.wire_tick import WIRE_TICKS, tick_at, ticks_ahead
 from can_rig.logs.frames import NS_PER_S, Frames
 from can_rig.plant.actuators import Actuator
 from can_rig.replay.rig_frames import INPUTS, is_input, rig_frames

@@ -19,10 +19,10 @@ from typing import Final
 import can
 
 from can_rig.errors import LogError
+from can_rig.frames.codec import tick_at, ticks_ahead
 from can_rig.frames.network import Network
-from can_rig.frames.wire_tick import tick_at, ticks_ahead
 from can_rig.logs.frames import NS_PER_S, Frames
-from can_rig.nodes.lockstep.controller_node import ControllerNode
+from can_rig.nodes.lockstep import ControllerNode
 from can_rig.replay.comparison import ANSWERS, Comparison
 from can_rig.replay.gaps import NEAR, Account, Gap, Row
 from can_rig.replay.in_real_time import Recorded

@@ -7,12 +7,10 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from can_rig.decoding import e2e_columns
-from can_rig.frames.codec import MessageCodec
-from can_rig.frames.layout import ROLES
+from can_rig.decoding.message_decoder import counters, intact_rows
+from can_rig.frames.codec import ROLES, WIRE_TICKS, MessageCodec, ticks_on
 from can_rig.frames.network import Network
 from can_rig.frames.protection import COUNTERS, FRAME_BYTES, Checker, CheckStatus, Unprotected
-from can_rig.frames.wire_tick import WIRE_TICKS, ticks_on
 from can_rig.logs.frames import ERROR, EXTENDED, FD, REMOTE, Frames
 
 INPUTS: Final = 2
@@ -58,7 +56,7 @@ def rig_frames(chunks: Iterable[Frames], network: Network) -> Iterator[RigFrame]
         for at, data_id in enumerate(data_ids):
             rows = role == at
             assert data_id is not None
-            intact[rows] = e2e_columns.intact(frames.data[rows], frames.length[rows], data_id)
+            intact[rows] = intact_rows(frames.data[rows], frames.length[rows], data_id)
         data = frames.data
         tick = ticks_on(data)
         whole = data[:, :FRAME_BYTES].tobytes()
@@ -67,7 +65,7 @@ def rig_frames(chunks: Iterable[Frames], network: Network) -> Iterator[RigFrame]
             frames.time_ns.tolist(),
             frames.length.tolist(),
             tick.tolist(),
-            e2e_columns.counters(data).tolist(),
+            counters(data).tolist(),
             intact.tolist(),
         )
         for at, (which, time_ns, length, says, counter, good) in enumerate(

@@ -13,13 +13,12 @@ from can_rig.errors import LogError, ScenarioError
 from can_rig.files import atomic
 from can_rig.logs.frames import Frames
 from can_rig.logs.log import ALL, Window
-from can_rig.nodes.operator.control_frames import Touches
-from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
-from can_rig.nodes.operator.operated_bus import Touch
-from can_rig.nodes.progress import Progress, no_progress
-from can_rig.nodes.watchdog import StopRequest
+from can_rig.nodes.bus_access import StopRequest
+from can_rig.nodes.clock import Progress, no_progress
+from can_rig.nodes.interaction import UNTOUCHED, Interaction
+from can_rig.nodes.operating import Touch, Touches
 from can_rig.results.execution import Execution, execute, refuse
-from can_rig.results.run_folder import LOG, WHAT_IF
+from can_rig.results.run_folder import WHAT_IF, log_of
 from can_rig.results.signals import Signals, read_signals, signals_of, with_plant_signals
 from can_rig.results.source import Reading, Source, reference_csv, source_of
 from can_rig.scenario.build import network_of
@@ -134,7 +133,7 @@ def what_if(
     if execution is None:
         return None
     network, scenario = execution.network, execution.scenario
-    signals = read_signals(execution.folder / LOG, network, scenario.tick_s)
+    signals = read_signals(log_of(execution.folder), network, scenario.tick_s)
     if not asked.logged.plant:  # a log alone has nothing that it could be compared with
         signals = replace(signals, plant={})
     before = table_of(asked.logged, asked.label, asked.recorded.scenario)

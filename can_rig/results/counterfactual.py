@@ -8,14 +8,16 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from can_rig import paged
 from can_rig.logs.columns import TRUE_OUTPUT
 from can_rig.plant.changing_car import plant_of
 from can_rig.plant.faults.plant_faults import DISTORTING, PlantFaults
 from can_rig.plant.frameless import UntilItFails, common, with_files
+from can_rig.plant.in_windows import blocks_of
 from can_rig.results.signals import Signals
+from can_rig.scenario.fault_settings import SENSOR
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import SENSOR
 from firmware_model.analysis.simulation import Simulation
 from firmware_model.target.structs import FloatArray
 
@@ -46,7 +48,7 @@ def noise_free(scenario: Scenario, signals: Signals, rows: int) -> Counterfactua
 
     Its first ``rows`` rows at least; not a number where nobody has asked for more.
     """
-    return _instead(common(scenario).undisturbed, signals, rows)
+    return _instead(scenario.undisturbed, signals, rows)
 
 
 def uncompensated(scenario: Scenario, signals: Signals) -> Counterfactual:
@@ -62,12 +64,30 @@ def _instead(scenario: Scenario, signals: Signals, rows: int) -> Counterfactual:
     ticks = first + len(signals)
     if ticks > scenario.ticks:
         scenario = replace(scenario, duration_s=ticks * scenario.tick_s)
+    if ticks > paged.PAGED_ROWS:
+        return Counterfactual(*(values[first:ticks] for values in _long(scenario)))
     loop = loop_of(scenario)
     loop.run(first + rows)
     trace = loop.trace
     force = np.where(np.isnan(trace.measured), np.nan, trace.command_2)
     car = car_output(scenario, trace.measured, trace.measurement)
     return Counterfactual(*(values[first:ticks] for values in (trace.measured, force, car)))
+
+
+@remembered(4, by=with_files)
+def _long(scenario: Scenario) -> Counterfactual:
+    """A whole run, whose loop is not kept."""
+    columns = Counterfactual(*(paged.empty(scenario.ticks) for _ in Counterfactual._fields))
+    for ticks, loop, rows in blocks_of(scenario):
+        trace, some = loop.trace, slice(ticks.start, ticks.stop)
+        measured = trace.measured[rows]
+        columns.dstar_mps2[some] = measured
+        columns.force_difference_n[some] = np.where(
+            np.isnan(measured), np.nan, trace.command_2[rows]
+        )
+        output = trace.measurement[rows]
+        columns.car_mps2[some] = car_output(scenario, measured, output, ticks.start)
+    return columns
 
 
 @remembered(4, by=with_files)
@@ -110,5 +130,9 @@ def output_of_car(scenario: Scenario, signals: Signals) -> FloatArray:
 
 def deviation_from(scenario: Scenario, signals: Signals, other: Counterfactual) -> FloatArray:
     """(ticks,), |D* of the car less that of another run|."""
+
+    def part(rows: slice) -> FloatArray:
+        return np.abs(output_of_car(scenario, signals[rows]) - other.car_mps2[rows])
+
     with np.errstate(invalid="ignore", over="ignore"):  # a loop that diverges
-        return np.abs(output_of_car(scenario, signals) - other.car_mps2)
+        return paged.column(len(signals), part)

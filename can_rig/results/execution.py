@@ -6,7 +6,7 @@ An existing folder stands until the new one is whole, and nothing that was recor
 from __future__ import annotations
 
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Final
@@ -14,28 +14,28 @@ from typing import Final
 from can_rig.assessment.speeds import refuse as refuse_unstable
 from can_rig.buses.bus import in_one_process
 from can_rig.errors import INTERRUPTED, BusError, RigError
-from can_rig.export.running.controllers import PYTHON, Controller
+from can_rig.export.controllers import PYTHON, Controller
 from can_rig.files import atomic
 from can_rig.folders.new_folder import NewFolder
 from can_rig.folders.replacing import default_folder
 from can_rig.frames.network import Network
 from can_rig.nodes.agreement import is_shared, own_bus, require_alone
-from can_rig.nodes.lockstep.plant_node import require_ticks
-from can_rig.nodes.lockstep.without_bus import run_without_bus
-from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
+from can_rig.nodes.bus_access import DEFAULT_TIMEOUTS, StopRequest, Timeouts
+from can_rig.nodes.clock import Progress, Throttled, no_progress
+from can_rig.nodes.interaction import UNTOUCHED, Interaction
+from can_rig.nodes.lockstep import require_ticks
 from can_rig.nodes.processes import run_processes
-from can_rig.nodes.progress import Progress, Throttled, no_progress
-from can_rig.nodes.realtime.deadlines import require_causal
-from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.summary import NodeSummary, RunColumns
-from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Timeouts
+from can_rig.nodes.realtime.timing import require_causal
+from can_rig.nodes.runner import RunOptions, run_in_process
+from can_rig.nodes.ticks import NodeSummary, RunColumns
+from can_rig.nodes.without_bus import run_without_bus
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.results.metrics import Metrics
 from can_rig.results.run_folder import LOG, REFERENCE, RUN_FOLDER, Outcome, finish
 from can_rig.results.source import happened
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving.schedule import controls
-from can_rig.scenario.reference import on_the_bus
+from can_rig.scenario.driving import controls
+from can_rig.scenario.reference import refuse_saturation
 from can_rig.scenario.settings import ReferenceSettings, Scenario
 
 NO_BUS: Final = "none"
@@ -109,9 +109,7 @@ def two_processes(
         log,
         stop,
         progress,
-        timeouts=timeouts,
-        controller=controller,
-        interaction=interaction,
+        RunOptions(timeouts=timeouts, controller=controller, interaction=interaction),
     )
 
 
@@ -126,7 +124,8 @@ def real_time(
     _interaction: Interaction = UNTOUCHED,
 ) -> NodeSummary:
     """Each node in a process of its own, by the wall clock."""
-    return run_processes(scenario, bus, log, stop, progress, True, timeouts, controller)
+    options = RunOptions(real_time=True, timeouts=timeouts, controller=controller)
+    return run_processes(scenario, bus, log, stop, progress, options)
 
 
 def refuse(scenario: Scenario, allow_unstable: bool = False) -> None:
@@ -137,7 +136,7 @@ def refuse(scenario: Scenario, allow_unstable: bool = False) -> None:
     """
     network = network_of(scenario)
     controls(scenario, network)
-    on_the_bus(scenario, network)
+    refuse_saturation(scenario, network)
     SimulatedPlant(scenario)
     if not allow_unstable:
         refuse_unstable(scenario)
@@ -152,7 +151,7 @@ def execute(
     bus: str | None = None,
     runner: Runner = in_process,
     progress: Progress = no_progress,
-    reference_csv: str | None = None,
+    reference_csv: Iterable[str] | None = None,
     report: bool = True,
     timeouts: Timeouts = DEFAULT_TIMEOUTS,
     controller: Controller = PYTHON,
@@ -168,7 +167,8 @@ def execute(
         bus: name of the bus; None: in this process ``NO_BUS``, otherwise a local one of its own.
         runner: ``in_process``, ``two_processes`` or ``real_time``.
         progress: shows how far it is.
-        reference_csv: a reference in place of the scenario's, kept in the folder as ``REFERENCE``.
+        reference_csv: a reference in place of the scenario's, in lines, kept in the
+            folder as ``REFERENCE``.
         report: draw ``report.png`` too.
         timeouts: how long a node may be silent for the other.
         controller: what runs as the controller.
@@ -202,7 +202,7 @@ def execute(
     with NewFolder.create(out, RUN_FOLDER, force) as folder:
         try:
             made_here, said = _with_reference(scenario, folder, reference_csv)
-            on_the_bus(made_here, network)
+            refuse_saturation(made_here, network)
         except RigError:
             folder.give_up()
             raise
@@ -259,7 +259,7 @@ def _require_shared(bus: str) -> None:
 
 
 def _with_reference(
-    scenario: Scenario, folder: NewFolder, csv: str | None
+    scenario: Scenario, folder: NewFolder, csv: Iterable[str] | None
 ) -> tuple[Scenario, Scenario]:
     """The scenario as it runs while the folder is being made, and as the folder says it.
 
@@ -269,8 +269,8 @@ def _with_reference(
     if csv is None:
         return scenario, scenario
     file = folder.making / REFERENCE
-    with atomic(file, force=False) as part:
-        part.write_text(csv, encoding="utf-8")
+    with atomic(file, force=False) as part, part.open("w", encoding="utf-8") as lines:
+        lines.writelines(csv)
     made_here, said = (
         replace(scenario, reference=ReferenceSettings(kind="csv", file=str(path)))
         for path in (file, REFERENCE)

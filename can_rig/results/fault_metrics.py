@@ -11,7 +11,7 @@ from can_rig.drawing.fault_words import fault_in_words
 from can_rig.drawing.names import names_of, with_unit
 from can_rig.results.counterfactual import deviation_from, without_fault
 from can_rig.results.loss_metrics import detection_of, unavoidable_deviation
-from can_rig.results.metrics import peak_of, signed_error, windows
+from can_rig.results.metrics import absolute_error, peak_of, windows
 from can_rig.results.signals import Signals
 from can_rig.scenario.settings import Scenario
 
@@ -55,12 +55,9 @@ def _of(scenario: Scenario, signals: Signals, at: int) -> dict[str, Any]:
         "at_s": fault.at_s,
         "for_s": fault.for_s,
     }
-    deviation = np.full(len(signals), np.nan)
+    error = deviation = absolute_error(scenario, signals)
     if window.after.any():
         deviation = deviation_from(scenario, signals, without_fault(scenario, at, signals))
-    error = np.abs(signed_error(scenario, signals))
-    if not scenario.design.feedback:
-        error = np.full(len(signals), np.nan)
     values |= {
         "deviation_peak_mps2": peak_of(deviation[window.after]),
         "deviation_settled_mps2": peak_of(deviation[window.settled_after]),

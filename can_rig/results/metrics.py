@@ -8,16 +8,17 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig.assessment.control_authority import control_authority
+from can_rig import paged
+from can_rig.assessment.limitations import control_authority
 from can_rig.drawing.names import names_of
 from can_rig.results.counterfactual import deviation_from, fault_free, noise_free, output_of_car
 from can_rig.results.loss_metrics import decision_metrics, unavoidable_deviation
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving.schedule import at_speed_of
+from can_rig.scenario.driving import at_speed_of
+from can_rig.scenario.fault_settings import CHANNELS
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import CHANNELS
 from firmware_model.target.structs import FloatArray
 
 Metrics = dict[str, float | bool | None]
@@ -49,9 +50,11 @@ def windows(scenario: Scenario, signals: Signals) -> Windows:
     wanted_s = SETTLED_S
     if scenario.reference.kind == "sine":
         wanted_s = max(wanted_s, 4.0 * math.pi / scenario.reference.frequency_rad_per_s)
-    ticks = np.rint(signals.time_s / scenario.tick_s).astype(np.int64)
-    time_ns = ticks * scenario.tick_ns
-    after, active, lost = np.zeros((3, len(ticks)), dtype=np.bool_)
+    time_ns = paged.column(
+        len(signals),
+        lambda rows: np.rint(signals.time_s[rows] / scenario.tick_s) * scenario.tick_ns,
+    )
+    after, active, lost = np.zeros((3, len(signals)), dtype=np.bool_)
     end_ns = 0
     for fault in scenario.faults:
         begin_ns, its_end_ns = fault.span_ns
@@ -80,11 +83,11 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
     picture have D* as measured. What X_diff needs and can carry is there where the torque is lost.
     """
     window = windows(scenario, signals)
-    closed = scenario.design.feedback
-    error = np.abs(signed_error(scenario, signals)) if closed else np.full(len(signals), np.nan)
-    estimate = np.abs(signals.fault_estimate_mps2)
-    torque, force = np.abs(signals.torque_nm), np.abs(signals.force_difference_n)
-    deviation = np.full(len(signals), np.nan)
+    error = absolute_error(scenario, signals)
+    estimate, torque, force = map(
+        _magnitude, (signals.fault_estimate_mps2, signals.torque_nm, signals.force_difference_n)
+    )
+    deviation = paged.column(len(signals), _unknown)
     if window.after.any():
         deviation = deviation_from(scenario, signals, fault_free(scenario, signals))
     settled = window.settled_after if window.after.any() else window.settled_before
@@ -127,9 +130,22 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
     }
 
 
-def signed_error(scenario: Scenario, signals: Signals) -> FloatArray:
-    """(ticks,), e = r - D* of the car."""
-    return signals.reference_mps2 - output_of_car(scenario, signals)
+def absolute_error(scenario: Scenario, signals: Signals) -> FloatArray:
+    """(ticks,), |e| = |r - D*| of the car; nan in an open loop."""
+
+    def part(rows: slice) -> FloatArray:
+        some = signals[rows]
+        return np.abs(some.reference_mps2 - output_of_car(scenario, some))
+
+    return paged.column(len(signals), part if scenario.design.feedback else _unknown)
+
+
+def _magnitude(signal: FloatArray) -> FloatArray:
+    return paged.column(len(signal), lambda rows: np.abs(signal[rows]))
+
+
+def _unknown(rows: slice) -> FloatArray:
+    return np.full(rows.stop - rows.start, np.nan)
 
 
 def _noise_rms(scenario: Scenario, signals: Signals, settled: Mask) -> float | None:
@@ -137,7 +153,8 @@ def _noise_rms(scenario: Scenario, signals: Signals, settled: Mask) -> float | N
     if scenario.plant.sensor.noise_mps2 == 0.0 or not settled.any():
         return None
     rows = int(np.flatnonzero(settled)[-1]) + 1
-    added = signals.force_difference_n - noise_free(scenario, signals, rows).force_difference_n
+    quiet = noise_free(scenario, signals, rows).force_difference_n
+    added = paged.column(len(signals), lambda some: signals.force_difference_n[some] - quiet[some])
     added = added[settled & np.isfinite(added)]
     return float(np.sqrt(np.mean(added**2))) if len(added) else None
 
@@ -172,6 +189,7 @@ def rows(values: Metrics, plant: PlantSettings) -> list[tuple[str, str]]:
 
 def peak_of(values: FloatArray) -> float | None:
     """The largest finite value; None where there is none."""
+    paged.let_go()
     largest = float(values.max(initial=-math.inf))
     if not math.isfinite(largest):  # there is one that is none, or nothing at all
         finite = values[np.isfinite(values)]
@@ -179,7 +197,7 @@ def peak_of(values: FloatArray) -> float | None:
     return largest
 
 
-def _end(time_ns: NDArray[np.int64], part: Mask, wanted_s: float) -> Mask:
+def _end(time_ns: FloatArray, part: Mask, wanted_s: float) -> Mask:
     """The last ``wanted_s`` of a part of the run, or its second half if that is shorter."""
     inside = time_ns[part]
     if not len(inside):

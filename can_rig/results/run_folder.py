@@ -10,12 +10,14 @@ from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 from typing import Any, Final
 
+from can_rig import paged
 from can_rig.errors import LogError, RunFolderError, ScenarioError
 from can_rig.files import atomic
 from can_rig.folders.replacing import Kind
 from can_rig.frames.network import Network
+from can_rig.logs.compression import compress, stored
 from can_rig.logs.plant_signals import plant_signals_path
-from can_rig.nodes.summary import RunColumns
+from can_rig.nodes.ticks import RunColumns
 from can_rig.results.fault_metrics import fault_metrics
 from can_rig.results.isolation.verdicts import with_verdict
 from can_rig.results.isolation.words import whose_fault
@@ -29,9 +31,9 @@ REFERENCE: Final = "reference.csv"
 """A reference that is the run's own, in its folder."""
 WHAT_IF: Final = "what-if.png"
 """How the run of a what-if differs from the log that it was asked about."""
-OWN: Final = (
-    LOG, plant_signals_path(Path(LOG)).name, SIGNALS, SUMMARY, REPORT, PAGE, REFERENCE, WHAT_IF,
-)  # fmt: skip
+_TEXT: Final = (LOG, plant_signals_path(Path(LOG)).name, SIGNALS)
+"""Files that are gzipped in the folder of a long run."""
+OWN: Final = (*_TEXT, *(f"{name}.gz" for name in _TEXT), SUMMARY, REPORT, PAGE, REFERENCE, WHAT_IF)
 PACKAGES = (
     "fault-tolerant-steering",
     "numpy",
@@ -69,7 +71,7 @@ class Outcome:
 
 def _recorded(folder: Path) -> bool:
     """Whether a run has got anywhere."""
-    log = folder / LOG
+    log = log_of(folder)
     return (log.is_file() and log.stat().st_size > 0) or (folder / SUMMARY).exists()
 
 
@@ -103,7 +105,7 @@ def finish(
     if columns is None:
         signals = signals_of_log(folder, scenario, network, outcome.realtime)
     else:
-        signals = signals_of_columns(columns, network, scenario.tick_s, folder / LOG)
+        signals = signals_of_columns(columns, scenario.tick_s, folder / LOG)
     values = metrics(scenario, signals)
     said = recorded or scenario
     outcome.faults = fault_metrics(scenario, signals)
@@ -141,6 +143,9 @@ def finish(
             with atomic(folder / PAGE, force=True) as part:
                 text = web_page(scenario, network, signals, values, outcome.faults, said)
                 part.write_text(text, encoding="utf-8")
+        if outcome.ticks > paged.PAGED_ROWS:  # 8 minutes at 1 kHz
+            for name in reversed(_TEXT):
+                compress(folder / name)
     except LogError as error:
         raise RunFolderError(f"{error}; what was recorded is in {folder / LOG}") from None
     return values
@@ -169,12 +174,17 @@ def recorded_scenario(folder: Path) -> tuple[dict[str, Any], bool]:
     raise ScenarioError(f"{file}: has no scenario that can be read; name it with --scenario NAME")
 
 
+def log_of(folder: Path) -> Path:
+    """The log of a run folder, gzipped for a long run; the log may be missing."""
+    return stored(folder / LOG)
+
+
 def signals_of_log(
     folder: Path, scenario: Scenario, network: Network, realtime: dict[str, Any] | None
 ) -> Signals:
     """What was on the bus of a run, read from its log; a real-time run has its own idea of late."""
     in_time_ticks = 1 if realtime is None else scenario.latency_ticks
-    return read_signals(folder / LOG, network, scenario.tick_s, in_time_ticks)
+    return read_signals(log_of(folder), network, scenario.tick_s, in_time_ticks)
 
 
 def _versions() -> dict[str, str]:

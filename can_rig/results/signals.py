@@ -4,27 +4,27 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field, fields, replace
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 from can import Message
-from numpy.typing import NDArray
 
+from can_rig import paged
 from can_rig.drawing.column_names import column_names
+from can_rig.frames.codec import WIRE_TICKS, tick_at, ticks_ahead
 from can_rig.frames.endpoints import Receiver
-from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
-from can_rig.frames.wire_tick import WIRE_TICKS, tick_at, ticks_ahead
 from can_rig.logs.columns import ON_THE_BUS
 from can_rig.logs.frames import ERROR, REMOTE
 from can_rig.logs.plant_signals import PlantSignals, read_plant_signals
 from can_rig.logs.reading import read_log
-from can_rig.nodes.summary import RunColumns
-from can_rig.plant.faults.delivery import Delivery
+from can_rig.nodes.ticks import RunColumns
+from can_rig.plant.faults.frame_faults import Delivery
+from can_rig.plant.frameless import carried
 from can_rig.scenario.plant_settings import PlantSettings
-from firmware_model.analysis.trace import Trace
+from firmware_model.analysis.simulation import Trace
 from firmware_model.target.structs import FloatArray
 
 ROLE_COLUMNS: Final = 5  # one of each frame; the codes of the status frame follow
@@ -64,6 +64,17 @@ class Signals:
     def __len__(self) -> int:
         return len(self.time_s)
 
+    def __getitem__(self, rows: slice) -> Signals:
+        """Those of some ticks."""
+        columns: Any = {name: getattr(self, name)[rows] for name in _OF_FRAMES}
+        return replace(
+            self,
+            **columns,
+            verdict=None if self.verdict is None else self.verdict[rows],
+            plant={name: column[rows] for name, column in self.plant.items()},
+            whose_fault={name: column[rows] for name, column in self.whose_fault.items()},
+        )
+
     def write_csv(self, path: Path, plant: PlantSettings) -> None:
         """The contract's columns, the plant's, the verdict's; an empty cell: nothing was said.
 
@@ -71,17 +82,20 @@ class Signals:
             path: the file.
             plant: whose signals they are.
         """
-        columns = [getattr(self, name).tolist() for name in ON_THE_BUS]
         further = self.plant | self.whose_fault
-        columns += [column.tolist() for column in further.values()]
+        columns = [*(getattr(self, name) for name in ON_THE_BUS), *further.values()]
         names = column_names(plant, self.plant)
         header = [names.get(name, name) for name in (*ON_THE_BUS, *further)]
         whole = ",".join(["%.10g"] * len(columns)) + "\n"
         with path.open("w", encoding="utf-8", newline="\n") as file:
             file.write(",".join(header) + "\n")
-            for row in zip(*columns, strict=True):
-                line = whole % row
-                file.write(line if "nan" not in line else ",".join(map(cell, row)) + "\n")
+            for rows in paged.blocks(len(self)):
+                for row in zip(*(column[rows].tolist() for column in columns), strict=True):
+                    line = whole % row
+                    file.write(line if "nan" not in line else ",".join(map(cell, row)) + "\n")
+
+
+_OF_FRAMES: Final = [each.name for each in fields(Signals)][:8]
 
 
 def cell(value: float) -> str:
@@ -112,42 +126,33 @@ def read_signals(log: Path, network: Network, tick_s: float, in_time_ticks: int 
     return with_plant_signals(signals, log, tick_s)
 
 
-def signals_of_columns(columns: RunColumns, network: Network, tick_s: float, log: Path) -> Signals:
+def signals_of_columns(columns: RunColumns, tick_s: float, log: Path) -> Signals:
     """What ``read_signals`` reads from the ``log`` of a run without a bus.
 
     Raises:
         LogError: what the plant reported cannot be read.
     """
-    signals = signals_of_trace(columns.trace, columns.delivery, columns.ticks, network)
+    ticks = len(columns.frames["mode"]) if columns.frames else 0
+    frames: Any = columns.frames
+    signals = Signals(time_s=times_s(0, ticks, tick_s), **frames)
     if columns.plant is None:
         return with_plant_signals(signals, log, tick_s)
     return replace(signals, plant=columns.plant)
 
 
 def signals_of_trace(trace: Trace, delivery: Delivery, ticks: int, network: Network) -> Signals:
-    """The first ``ticks`` of a loop without frames as its log would have them.
+    """The first ``ticks`` of a loop without frames as its log would have them; see ``carried``."""
+    done = slice(0, ticks)
+    frames: Any = carried(trace, delivery, done, network)
+    return Signals(time_s=trace.time_s[done], **frames)
 
-    ``delivery`` says which commands reach their actuators, and what has come in their place.
-    """
-    done = slice(ticks)
-    commands = [
-        np.where(delivery.used[done, channel], command[done], np.nan) + 0.0
-        for channel, command in enumerate((trace.command_1, trace.command_2))
-    ]
-    for (tick, place), value in delivery.replaced.items():
-        if place < len(commands) and tick < ticks:
-            commands[place][tick] = value
-    return Signals(
-        time_s=trace.time_s[done],
-        reference_mps2=trace.reference[done],
-        dstar_mps2=trace.measured[done] + 0.0,  # a frame has no negative zero
-        torque_nm=commands[0],
-        force_difference_n=commands[1],
-        fault_estimate_mps2=quantised(network.status, trace.fault_estimate[done]),
-        mode=trace.mode[done].astype(np.float64),
-        fault_state=trace.fault_state[done].astype(np.float64),
-        verdict=trace.verdict[done].astype(np.float64) if network.status.verdicts else None,
-    )
+
+def times_s(first_tick: int, ticks: int, tick_s: float) -> FloatArray:
+    """(ticks,), when each of them begins."""
+    column = paged.empty(ticks)
+    for rows in paged.blocks(ticks):
+        column[rows] = np.arange(first_tick + rows.start, first_tick + rows.stop) * tick_s
+    return column
 
 
 def with_plant_signals(signals: Signals, log: Path, tick_s: float) -> Signals:
@@ -165,13 +170,19 @@ def signals_of(
 ) -> Signals:
     """The same from frames of any source, in their order, time stamps in s."""
     table = SignalRows(network, tick_s, in_time_ticks)
-    for message in messages:
-        table.take(message)
-    values: NDArray[np.float64] = np.array(table.rows, dtype=np.float64)
-    columns = values.reshape(len(table.rows), ROLE_COLUMNS + CODES).T
-    ticks = table.first_tick + np.arange(len(table.rows), dtype=np.float64)
+    width, first_tick = ROLE_COLUMNS + CODES, None
+    with paged.rows_file(8 * width * paged.PAGED_ROWS) as file:
+        for count, message in enumerate(messages):
+            table.take(message)
+            if count % paged.BLOCK_ROWS == 0 and table.rows:
+                first_tick = table.first_tick if first_tick is None else first_tick
+                paged.append(file, table.take_complete())
+        first_tick = table.first_tick if first_tick is None else first_tick
+        paged.append(file, table.rows)
+        columns: Any = paged.columns(file, width)
+    ticks = len(columns[0])
     verdict = columns[-1] if network.status.verdicts else None
-    return replace(Signals(ticks * tick_s, *columns[:-1]), verdict=verdict)
+    return replace(Signals(times_s(first_tick, ticks, tick_s), *columns[:-1]), verdict=verdict)
 
 
 def data_frames(log: Path) -> Iterator[Message]:

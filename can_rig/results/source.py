@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from can_rig import paged
 from can_rig.assessment.resolve import load, load_run
 from can_rig.errors import LogError, ScenarioError
 from can_rig.files import atomic
@@ -15,8 +16,8 @@ from can_rig.frames.network import Network
 from can_rig.logs.frames import Frames
 from can_rig.logs.log import ALL, Log, Window
 from can_rig.logs.reading import read_log
-from can_rig.nodes.operator.control_frames import done, touches
-from can_rig.results.run_folder import LOG, recorded_scenario
+from can_rig.nodes.operating import done, touches
+from can_rig.results.run_folder import LOG, log_of, recorded_scenario
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.settings import ReferenceSettings, Scenario
 
@@ -112,9 +113,9 @@ def log_path(path: Path) -> Path:
         LogError: there is none.
     """
     if path.is_dir():
-        if not (path / LOG).is_file():
+        if not log_of(path).is_file():
             raise LogError(f"{path}: not a run folder, it has no {LOG}")
-        return path / LOG
+        return log_of(path)
     if not path.exists():
         raise LogError(f"{path}: there is no such file")
     return path
@@ -134,16 +135,20 @@ def happened(log: Path, scenario: Scenario, network: Network, own_reference: Pat
     signals = read_signals(log, network, scenario.tick_s)
     if not np.isfinite(signals.reference_mps2).any():
         return what.scenario
-    with atomic(own_reference, force=False) as part:
-        part.write_text(reference_csv(signals), encoding="utf-8")
+    with atomic(own_reference, force=False) as part, part.open("w", encoding="utf-8") as file:
+        file.writelines(reference_csv(signals))
     own = ReferenceSettings(kind="csv", file=str(own_reference))
     return replace(what.scenario, reference=own)
 
 
-def reference_csv(logged: Signals) -> str:
-    """The logged reference as a scenario reads it; what is missing is held."""
+def reference_csv(logged: Signals) -> Iterator[str]:
+    """The logged reference as a scenario reads it, in lines; what is missing is held."""
     known = np.isfinite(logged.reference_mps2)
-    first = int(np.argmax(known))
-    held = np.maximum.accumulate(np.where(known, np.arange(len(known)), first))
-    rows = zip(logged.time_s.tolist(), logged.reference_mps2[held].tolist(), strict=True)
-    return "time_s,reference_mps2\n" + "".join(f"{time_s!r},{value!r}\n" for time_s, value in rows)
+    held = logged.reference_mps2[np.argmax(known)]
+    yield "time_s,reference_mps2\n"
+    for rows in paged.blocks(len(logged)):
+        last = np.maximum.accumulate(np.where(known[rows], np.arange(len(known[rows])), -1))
+        values = np.where(last >= 0, logged.reference_mps2[rows][last], held)
+        held = values[-1]
+        both = zip(logged.time_s[rows].tolist(), values.tolist(), strict=True)
+        yield from (f"{time_s!r},{value!r}\n" for time_s, value in both)

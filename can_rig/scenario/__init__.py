@@ -3,17 +3,13 @@
 `shipped/` holds the scenarios of the package. It imports `frames` and `firmware_model`.
 """
 
-import sys
-from importlib import import_module
-from types import ModuleType
-from typing import Any
+from pathlib import Path
+from typing import Final
+
+SHIPPED: Final = Path(__file__).parent / "shipped"
 
 
-class _Callable(ModuleType):
-    """A room that also acts as a function: ``can_rig.scenario(…)`` calls ``can_rig.api``."""
-
-    def __call__(self, *arguments: Any, **options: Any) -> Any:
-        return import_module("can_rig.api").scenario(*arguments, **options)
-
-
-sys.modules[__name__].__class__ = _Callable
+def shipped() -> dict[str, Path]:
+    """Name → file, sorted; stands here because the command line lists names without numpy."""
+    files = {path.stem: path for path in SHIPPED.glob("*.toml")}
+    return dict(sorted(files.items()))  # by name: "a-b.toml" comes before "a.toml"

@@ -24,10 +24,10 @@ from scipy import linalg
 
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_design, continuous_plant
+from can_rig.scenario.fault_settings import CHANNELS
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import CHANNELS
 from firmware_model.design.continuous_design import ContinuousDesign
-from firmware_model.design.factors.realisation import realised
+from firmware_model.design.factors import realised
 from firmware_model.design.plants import Plant
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.target.structs import FloatArray

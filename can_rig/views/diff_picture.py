@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from can_rig.drawing import style
+from can_rig.drawing.thinning import thinned
 from can_rig.views.run_diff import Difference, SignalDifference
 from can_rig.views.signal_table import SignalTable, titles
 
@@ -87,8 +88,7 @@ def _draw(
             first, last = np.searchsorted(table.time_s, span_s)
             rows = slice(int(first), int(last) + 1)
         axis.step(
-            table.time_s[rows],
-            table.columns[signal.signal][rows],
+            *thinned(table.time_s[rows], table.columns[signal.signal][rows]),
             where="post",
             marker="." if span_s is not None else "",
             ms=3,

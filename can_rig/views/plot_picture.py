@@ -9,17 +9,15 @@ from typing import Final
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
-from numpy.typing import NDArray
 
+from can_rig import paged
 from can_rig.decoding.message_columns import MessageColumns
 from can_rig.drawing import style
 from can_rig.drawing.names import printed
+from can_rig.drawing.thinning import thinned
 from can_rig.logs.frames import NS_PER_S
-from can_rig.scenario.tables.fault import FaultSettings
+from can_rig.scenario.fault_settings import FaultSettings
 from firmware_model.target.structs import FloatArray
-
-MAX_POINTS: Final = 20_000
-"""A longer signal is cut into half as many slices, and the extremes of each are drawn."""
 
 FIRST_DATE_NS: Final = 10**9 * NS_PER_S
 """From here on a time stamp is a date, counted since 1970."""
@@ -79,31 +77,14 @@ def curve(columns: MessageColumns, signal: str, zero_ns: int) -> tuple[FloatArra
     """
     enumeration = columns.layout[signal].is_enumeration
     column = columns.codes[signal] if enumeration else columns.signals[signal]
-    there = ~np.ma.getmaskarray(column)
-    time_s = np.divide(columns.time_ns[there] - zero_ns, NS_PER_S, dtype=np.float64)
-    return time_s, np.ma.getdata(column)[there].astype(np.float64)
-
-
-def thinned(time_s: FloatArray, values: FloatArray) -> tuple[FloatArray, FloatArray]:
-    """A curve of at most ``MAX_POINTS`` points that keeps every peak."""
-    slices = MAX_POINTS // 2
-    if len(values) <= MAX_POINTS:
-        return time_s, values
-    size = -(-len(values) // slices)
-    whole = len(values) // size * size
-    rows = values[:whole].reshape(-1, size)
-    begins = np.arange(0, whole, size)
-    finite = np.where(np.isfinite(rows), rows, 0.0)
-    chosen: NDArray[np.intp] = np.unique(
-        np.concatenate(
-            [
-                begins + np.argmin(finite, axis=1),
-                begins + np.argmax(finite, axis=1),
-                np.arange(whole, len(values)),
-            ]
-        )
+    time_ns, values = columns.time_ns, np.ma.getdata(column)
+    if np.ma.is_masked(column):
+        there = ~np.ma.getmaskarray(column)
+        time_ns, values = time_ns[there], values[there]
+    time_s = paged.column(
+        len(time_ns), lambda rows: np.divide(time_ns[rows] - zero_ns, NS_PER_S, dtype=np.float64)
     )
-    return time_s[chosen], values[chosen]
+    return time_s, values.astype(np.float64, copy=False)
 
 
 def _words(axis: Axes, columns: MessageColumns, signal: str) -> None:

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from can_rig.errors import LogError, RunFolderError, ScenarioError, in_python
 from can_rig.folders.new_folder import NewFolder
-from can_rig.nodes.watchdog import StopRequest
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.results.execution import execute, refuse
 from can_rig.results.metrics import Metrics, rows
 from can_rig.results.run_folder import REPORT, RUN_FOLDER, SUMMARY, signals_of_log
@@ -79,7 +79,7 @@ class RecordedRun:
         import pandas as pd  # noqa: PLC0415 (slow to import)
 
         table = read_table(self.folder, self.scenario)
-        frame = pd.DataFrame(table.columns, index=pd.Index(table.time_s, name="time_s"))
+        frame = pd.DataFrame(table.columns, index=pd.Index(table.time_s, name="time_s"), copy=False)
         printed = {column: table.name_and_unit(column) for column in table.columns}
         frame.attrs["names"] = {column: name for column, (name, _) in printed.items()}
         frame.attrs["units"] = {column: unit for column, (_, unit) in printed.items()}

@@ -9,9 +9,10 @@ from typing import Any
 
 import numpy as np
 
+from can_rig import paged
 from can_rig.errors import LogError
 from can_rig.views.settings_diff import SettingDifference, differing_settings
-from can_rig.views.signal_table import SignalTable
+from can_rig.views.signal_table import SignalTable, in_s
 from firmware_model.target.structs import FloatArray
 
 
@@ -80,10 +81,15 @@ def compare(a: SignalTable, b: SignalTable, tolerances: Mapping[str, float]) -> 
             near = difflib.get_close_matches(name, names, 1, 0.5)
             hint = f"did you mean {near[0]}?" if near else f"must be one of {', '.join(names)}"
             raise LogError(f"--tolerance {name}: not a signal of both runs; {hint}")
-    time_ns, rows_a, rows_b = np.intersect1d(a.time_ns, b.time_ns, return_indices=True)
+    time_ns = a.time_ns
+    rows_a: Any = slice(None)
+    rows_b: Any = slice(None)
+    if not np.array_equal(a.time_ns, b.time_ns):
+        time_ns, rows_a, rows_b = np.intersect1d(a.time_ns, b.time_ns, return_indices=True)
     if not len(time_ns):
         raise LogError(f"{a.label} and {b.label}: have no row of the same time")
-    time_s = np.multiply(time_ns, 1e-9, dtype=np.float64)
+    paged.let_go()
+    time_s = in_s(time_ns)
     signals = [
         _signal(n, time_s, a.columns[n][rows_a], b.columns[n][rows_b], tolerances.get(n, 0.0))
         for n in names
@@ -124,19 +130,27 @@ def tolerances_of(texts: Iterable[str]) -> dict[str, float]:
 def _signal(
     name: str, time_s: FloatArray, a: FloatArray, b: FloatArray, tolerance: float
 ) -> SignalDifference:
-    apart = np.abs(a - b)
-    only_one = np.isnan(a) != np.isnan(b)
-    beyond = np.flatnonzero(only_one | (apart > tolerance))
-    with_values = np.flatnonzero(~np.isnan(apart))
-    largest_at = with_values[int(np.argmax(apart[with_values]))] if len(with_values) else None
-    first = beyond[0] if len(beyond) else None
+    largest, largest_at, first, beyond, only = 0.0, None, None, 0, 0
+    for rows in paged.blocks(len(time_s)):
+        apart = np.abs(a[rows] - b[rows])
+        only_one = np.isnan(a[rows]) != np.isnan(b[rows])
+        differs = np.flatnonzero(only_one | (apart > tolerance))
+        with_values = np.flatnonzero(~np.isnan(apart))
+        if len(with_values):
+            at = with_values[int(np.argmax(apart[with_values]))]
+            if largest_at is None or apart[at] > largest:
+                largest, largest_at = float(apart[at]), rows.start + at
+        if first is None and len(differs):
+            first = rows.start + differs[0]
+        beyond += len(differs)
+        only += int(only_one.sum())
     return SignalDifference(
         signal=name,
         tolerance=tolerance,
-        largest=0.0 if largest_at is None else float(apart[largest_at]),
+        largest=largest,
         largest_at_s=None if largest_at is None else float(time_s[largest_at]),
-        beyond=len(beyond),
-        only_one=int(only_one.sum()),
+        beyond=beyond,
+        only_one=only,
         first_at_s=None if first is None else float(time_s[first]),
         first_a=_value(a, first),
         first_b=_value(b, first),

@@ -6,8 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.changes import LISTS
+from can_rig.scenario.settings import LISTS, Scenario
 
 ABOUT_THE_FILE: Final = ("name", "description")
 """Keys without effect on a run."""

@@ -3,28 +3,32 @@
 from __future__ import annotations
 
 import csv
+import zlib
 from dataclasses import dataclass, replace
+from functools import partial
+from itertools import islice
 from pathlib import Path
 from typing import Final
 
 import numpy as np
 from numpy.typing import NDArray
 
+from can_rig import paged
 from can_rig.assessment.resolve import load_run
 from can_rig.drawing.column_names import column_names
 from can_rig.drawing.names import CAR, Names, names_of
 from can_rig.errors import LogError, ScenarioError
 from can_rig.logs.columns import APPLIED, EVIDENCE_OF, ON_THE_BUS, TRUE_OUTPUT, VERDICT
-from can_rig.logs.formats import content_format
+from can_rig.logs.compression import open_text, stored
 from can_rig.logs.frames import NS_PER_S
 from can_rig.logs.log import Window
-from can_rig.logs.reading import read_log
+from can_rig.logs.reading import content_format, read_log
 from can_rig.results.run_folder import SIGNALS, recorded_scenario
 from can_rig.results.signals import Signals, cell, signals_of, with_plant_signals
 from can_rig.results.source import log_path
 from can_rig.scenario.build import network_of
+from can_rig.scenario.fault_settings import FaultSettings
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import FaultSettings
 from firmware_model.target.structs import FloatArray
 
 TIME: Final = "time_s"
@@ -62,7 +66,7 @@ class SignalTable:
     @property
     def time_s(self) -> FloatArray:
         """(n,) the time axis in s."""
-        return np.multiply(self.time_ns, 1e-9, dtype=np.float64)
+        return in_s(self.time_ns)
 
     @property
     def recorded(self) -> dict[str, FloatArray]:
@@ -80,8 +84,9 @@ class SignalTable:
             LogError: the part has no rows.
         """
         since_ns = self.time_ns - self.time_ns[:1]
-        rows = (since_ns >= window.begin_ns) & (since_ns < window.end_ns)
-        if len(rows) and not rows.any():
+        first, end = np.searchsorted(since_ns, window)
+        rows = slice(int(first), int(end))
+        if len(since_ns) and first == end:
             last_s = since_ns[-1] / NS_PER_S
             raise LogError(f"{self.label}: has no row of that part, the last is at {last_s:g} s")
         columns = {name: column[rows] for name, column in self.columns.items()}
@@ -151,10 +156,11 @@ def read_table(path: Path, scenario: Scenario) -> SignalTable:
         LogError: the path is none of the three, or cannot be read.
     """
     if path.is_dir():
-        if not (path / SIGNALS).is_file():
+        file = stored(path / SIGNALS)
+        if not file.is_file():
             raise LogError(f"{path}: not a finished run folder, it has no {SIGNALS}")
-        return _from_csv(path / SIGNALS, str(path), scenario_of(path))
-    if path.suffix.lower() == ".csv" and content_format(path) is None:
+        return _from_csv(file, str(path), scenario_of(path))
+    if path.name.lower().removesuffix(".gz").endswith(".csv") and content_format(path) is None:
         return _from_csv(log_path(path), str(path), None)
     log = read_log(log_path(path))
     messages = (message for frames in log for message in frames.messages())
@@ -170,10 +176,14 @@ def table_of(signals: Signals, label: str, scenario: Scenario) -> SignalTable:
     names = column_names(scenario.plant, signals.plant)
     columns = {name: getattr(signals, name) for name in ON_THE_BUS if name != TIME} | signals.plant
     columns = {
-        names.get(name, name): np.array([float(cell(x) or "nan") for x in column.tolist()])
+        names.get(name, name): paged.column(len(signals), partial(_rounded, column))
         for name, column in columns.items()
     }
     return SignalTable(label, _whole_ns(signals.time_s), columns, scenario)
+
+
+def _rounded(column: FloatArray, rows: slice) -> FloatArray:
+    return np.array([float(cell(x) or "nan") for x in column[rows].tolist()])
 
 
 def scenario_of(folder: Path) -> Scenario | None:
@@ -186,23 +196,47 @@ def scenario_of(folder: Path) -> Scenario | None:
 
 def _from_csv(path: Path, label: str, scenario: Scenario | None) -> SignalTable:
     try:
-        with path.open(encoding="utf-8-sig", newline="") as file:
-            header, *rows = csv.reader(file)
-        cells = [[float(cell) if cell else np.nan for cell in row] for row in rows if row]
-        values = np.array(cells, dtype=np.float64).reshape(len(cells), len(header)).T
+        columns = _columns_of(path)
+    except (EOFError, zlib.error) as error:
+        raise LogError(f"{path}: the compressed file is damaged: {error}") from None
     except OSError as error:
-        raise LogError(f"{path}: cannot be read: {error.strerror}") from None
+        raise LogError(f"{path}: cannot be read: {error.strerror or error}") from None
     except ValueError as error:  # no header, a cell that is no number, rows of different lengths
         raise LogError(f"{path}: not a table of numbers under one header: {error}") from None
-    columns = dict(zip(header, values, strict=True))
     if TIME not in columns:
-        raise LogError(f"{path}: has no column {TIME}; its columns are {', '.join(header[:8])}")
+        raise LogError(f"{path}: has no column {TIME}; its columns are {', '.join([*columns][:8])}")
     time_ns = _whole_ns(columns.pop(TIME))
     if not (np.diff(time_ns) > 0).all():
         raise LogError(f"{path}: {TIME} does not increase from row to row")
     return SignalTable(label, time_ns, columns, scenario)
 
 
+def _columns_of(path: Path) -> dict[str, FloatArray]:
+    """The columns of a table under one header, an empty cell as nan."""
+    with paged.rows_file(8 * paged.PAGED_ROWS) as cells:
+        with open_text(path, "utf-8-sig") as file:
+            rows = (row for row in csv.reader(file) if row)
+            header = next(rows, [])
+            if not header:
+                raise ValueError("it is empty")
+            while block := list(islice(rows, paged.BLOCK_ROWS)):
+                part = [[float(cell) if cell else np.nan for cell in row] for row in block]
+                if any(len(row) != len(header) for row in part):
+                    raise ValueError("its rows have different lengths")
+                paged.append(cells, part)
+        return dict(zip(header, paged.columns(cells, len(header)), strict=True))
+
+
+def in_s(time_ns: NDArray[np.int64]) -> FloatArray:
+    """(n,) times in s."""
+    return paged.column(
+        len(time_ns), lambda rows: np.multiply(time_ns[rows], 1e-9, dtype=np.float64)
+    )
+
+
 def _whole_ns(time_s: FloatArray) -> NDArray[np.int64]:
     """Times in whole ns; equal ticks give equal times in two runs."""
-    return np.rint(time_s * 1e9).astype(np.int64)
+    time_ns = paged.empty(len(time_s)).view(np.int64)
+    for rows in paged.blocks(len(time_s)):
+        time_ns[rows] = np.rint(time_s[rows] * 1e9)
+    return time_ns

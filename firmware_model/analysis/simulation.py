@@ -9,23 +9,61 @@ the plant's own ``follow``.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from firmware_model.analysis import hardware
-from firmware_model.analysis.sampled_plant import SampledPlant, follow
-from firmware_model.analysis.trace import BoolArray, Trace
-from firmware_model.compiled import firmware, firmware_run
+from firmware_model.analysis.loop import (
+    COMMAND_1,
+    COMMAND_2,
+    ESTIMATE,
+    EVIDENCE,
+    MEASURED,
+    OUTPUT,
+    REACHED_1,
+    ROWS,
+    run_ticks,
+    tick,
+)
+from firmware_model.analysis.sampled_plant import SampledPlant
 from firmware_model.target import controller
 from firmware_model.target.layout import precision_of
 from firmware_model.target.schedule import STATE, change_first_speed
 from firmware_model.target.structs import FloatArray, Record, RecordArray, record_type
 
-Vectors = tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]
+BoolArray = NDArray[np.bool_]
 
-_OUTPUT, _MEASURED, _COMMAND_1, _COMMAND_2, _ESTIMATE, _EVIDENCE = range(6)
-_ACTING_1, _REACHED_1, _READING, ROWS = 6, 8, 10, 11  # rows of a tick; two of the first two
+
+@dataclass(frozen=True)
+class Trace:
+    """One value a tick, each of shape (ticks,)."""
+
+    time_s: FloatArray
+    reference: FloatArray
+    measurement: FloatArray
+    """The plant's output y, before its sensor."""
+    measured: FloatArray
+    """y as the controller gets it: by the sensor, with bias and noise, on the grid of its frame."""
+    command_1: FloatArray
+    command_2: FloatArray
+    fault_estimate: FloatArray
+    fault_state: NDArray[np.int64]
+    mode: NDArray[np.int64]
+    verdict: NDArray[np.int64]
+    """Whose fault it is: a ``Verdict``."""
+    evidence: FloatArray
+    """The log-likelihood ratio of a loss, or of the return of a lost channel."""
+
+    @property
+    def error(self) -> FloatArray:
+        """e = r - y (3.41)."""
+        return self.reference - self.measurement
+
+
+Vectors = tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]
 
 
 class AnyPlant(Protocol):
@@ -130,7 +168,7 @@ class Simulation:
         end, plant = self.ticks if until is None else min(until, self.ticks), self._plant
         if isinstance(plant, SampledPlant):
             if end > self.done:
-                self._output = _run(
+                self._output = run_ticks(
                     *self._loop, self.done, end, *self._output, plant.constants, self._memory,
                     self.plant_states,
                 )  # fmt: skip
@@ -154,6 +192,31 @@ class Simulation:
             own[...] = its
         self.done, self._output = other.done, other._output
 
+    def move_on(
+        self, keep: int, inputs: Vectors, faults: FloatArray, speed: FloatArray | None
+    ) -> None:
+        """Drop all done ticks but the last ``keep``, which become the first ticks.
+
+        Args:
+            keep: at least the largest delay of a command or a reading, in ticks.
+            inputs: ``self.inputs`` of the ticks from there on, as many as before.
+            faults: likewise; see ``Simulation``.
+            speed: likewise; None for a constant speed.
+        """
+        gone = self.done - keep
+        self.done = keep
+        for own, its in zip(self.inputs, inputs, strict=True):
+            own[...] = its
+        _, _, _, _, (*_, own_faults), signals, states = self._loop
+        own_faults[...] = faults
+        for rows in (signals, states):
+            rows[:, :keep] = rows[:, gone : gone + keep]
+        signals[:, keep:] = np.nan
+        if self._speed is not None and speed is not None:
+            self._speed = speed.tolist()
+        for ring in self._memory[2:]:  # indexed by the tick, modulo its length
+            ring[...] = np.roll(ring, -gone, axis=0)
+
     @property
     def _changing(self) -> tuple[Any, ...]:
         """Every array that a tick changes, but for the controller."""
@@ -167,21 +230,21 @@ class Simulation:
         return Trace(
             time_s=self.tick_s * np.arange(self.ticks, dtype=np.float64),
             reference=self.inputs[0],
-            measurement=signals[_OUTPUT],
-            measured=signals[_MEASURED],
-            command_1=signals[_COMMAND_1],
-            command_2=signals[_COMMAND_2],
-            fault_estimate=signals[_ESTIMATE],
+            measurement=signals[OUTPUT],
+            measured=signals[MEASURED],
+            command_1=signals[COMMAND_1],
+            command_2=signals[COMMAND_2],
+            fault_estimate=signals[ESTIMATE],
             fault_state=states[0],
             mode=states[1],
             verdict=states[2],
-            evidence=signals[_EVIDENCE],
+            evidence=signals[EVIDENCE],
         )
 
     @property
     def reached(self) -> FloatArray:
         """(2, ticks), what reached the actuators, within their limits."""
-        return self._signals[_REACHED_1 : _REACHED_1 + 2]
+        return self._signals[REACHED_1 : REACHED_1 + 2]
 
 
 def simulate(
@@ -191,108 +254,3 @@ def simulate(
     simulation = Simulation(table, plant, reference, **inputs)
     simulation.run()
     return simulation.trace
-
-
-@firmware
-def tick(
-    tables: RecordArray,
-    controllers: RecordArray,
-    inputs: Any,
-    grid: Any,
-    actuators: Any,
-    signals: Any,
-    states: Any,
-    k: int,
-    y: float,
-    read: float,
-) -> tuple[float, float]:
-    """Tick ``k`` of the loop without the plant: output of the plant → commands at the actuators.
-
-    Args:
-        tables: (1,), the constants of the controller; arrays of one record are the fastest way from
-            interpreted code to compiled code.
-        controllers: (1,), state of the controller; changed in place.
-        inputs: reference, bias, noise, effectiveness, arrives, as in ``Simulation``.
-        grid: the sensor's resolution, and the frames (3, ``GRID``).
-        actuators: the last commands (2,), ticks without command (2,), ticks of hold; last values at
-            the actuators and last reading (3,); limits of the actuators (2, 2), faults.
-        signals: (ROWS, ticks), filled in for this tick; read for delayed values.
-        states: (3, ticks), fault state, mode and verdict, filled in for this tick.
-        k: the tick.
-        y: the output of the plant.
-        read: the sensor's reading of the plant.
-    """
-    table, state = tables[0], controllers[0]
-    reference, bias, noise, _, arrives = inputs
-    resolution, frames = grid
-    held, silent, hold_ticks, reached, limits, faults = actuators
-    measured = hardware.sensor_reading(read, bias[k], noise[k], resolution)
-    if len(faults) > 0:
-        signals[_READING, k] = measured
-        fault, last = faults[k, hardware.SENSOR], reached[hardware.SENSOR]
-        at = k - int(fault[hardware.LATE])
-        measured = hardware.distorted(signals[_READING, at] if at >= 0 else 0.0, last, fault)
-        reached[hardware.SENSOR] = measured
-    measured = hardware.carried(measured, frames[hardware.SENSOR])
-    if len(faults) > 0 and faults[k, hardware.SENSOR, hardware.REPLACED] != 0.0:
-        measured = faults[k, hardware.SENSOR, hardware.BY]
-    controller.step(table, state, reference[k], measured)
-    signals[_OUTPUT, k] = y
-    signals[_MEASURED, k] = measured
-    signals[_COMMAND_1, k] = hardware.carried(float(state.command_1), frames[0])
-    signals[_COMMAND_2, k] = hardware.carried(float(state.command_2), frames[1])
-    signals[_ESTIMATE, k] = state.fault_estimate
-    signals[_EVIDENCE, k] = state.sequential_test.evidence
-    states[0, k], states[1, k] = state.fault_state, state.mode
-    states[2, k] = state.hypotheses.verdict
-    for channel in range(2):
-        if arrives[k, channel]:
-            held[channel] = signals[_COMMAND_1 + channel, k]
-            if len(faults) > 0 and faults[k, channel, hardware.REPLACED] != 0.0:
-                held[channel] = faults[k, channel, hardware.BY]
-            silent[channel] = 0
-        else:
-            silent[channel] += 1
-            if silent[channel] > hold_ticks:
-                held[channel] = 0.0
-        signals[_ACTING_1 + channel, k] = held[channel]
-    sent = k - table.estimator.latency_ticks
-    for channel in range(2):
-        acting = 0.0  # the first command is still on its way
-        at = sent if len(faults) == 0 else sent - int(faults[k, channel, hardware.LATE])
-        if at >= 0:
-            acting = signals[_ACTING_1 + channel, at]
-        if len(faults) > 0:
-            acting = hardware.distorted(acting, reached[channel], faults[k, channel])
-        largest, slew = limits[channel, 0], limits[channel, 1]
-        reached[channel] = hardware.limited(acting, reached[channel], largest, slew)
-        signals[_REACHED_1 + channel, k] = reached[channel]
-    return reached[0], reached[1]
-
-
-@firmware_run
-def _run(
-    tables: RecordArray,
-    controllers: RecordArray,
-    inputs: Any,
-    grid: Any,
-    actuators: Any,
-    signals: Any,
-    states: Any,
-    begin: int,
-    end: int,
-    y: float,
-    read: float,
-    plant: Any,
-    memory: Any,
-    plant_states: Any,
-) -> tuple[float, float]:
-    effectiveness = inputs[3]
-    for k in range(begin, end):
-        u1, u2 = tick(tables, controllers, inputs, grid, actuators, signals, states, k, y, read)
-        if len(plant_states) > 0:
-            for i in range(plant_states.shape[1]):
-                plant_states[k, i] = memory[0][i]
-        left_1, left_2 = effectiveness[k, 0], effectiveness[k, 1]
-        y, read = follow(plant, memory, k, u1, u2, left_1, left_2)
-    return y, read

@@ -18,13 +18,15 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy import linalg
 
-from firmware_model.design.factors.coprime import (
+from firmware_model.design.factors import (
     CoprimeFactors,
+    companion,
+    in_parts,
     left_coprime,
+    realised,
     unstable,
     with_poles_of,
 )
-from firmware_model.design.factors.realisation import companion, in_parts, realised
 from firmware_model.design.vehicle import (
     TABLE_3_2,
     Variant,

@@ -12,12 +12,12 @@ from typing import Final
 
 import numpy as np
 
+from can_rig import paged
 from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
 from can_rig.logs.columns import EVIDENCE, VERDICT
 from can_rig.results.signals import Signals
-from can_rig.scenario.driving.schedule import controls
-from can_rig.scenario.driving.speed import speeds_at_ticks
+from can_rig.scenario.driving import controls, speeds_at_ticks
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
 from firmware_model.target.structs import FloatArray
@@ -71,16 +71,21 @@ def with_verdict(scenario: Scenario, network: Network, signals: Signals) -> Sign
         ScenarioError: a design that cannot be made.
     """
     reasoning = Reasoning(scenario, network)
-    verdicts, evidence = np.zeros(len(signals)), np.zeros((len(signals), len(EVIDENCE)))
-    ticks = np.rint(signals.time_s / scenario.tick_s).astype(np.int64).tolist()
-    inputs = zip(ticks, signals.reference_mps2.tolist(), signals.dstar_mps2.tolist(), strict=True)
-    for row, (tick, reference, measured) in enumerate(inputs):
-        verdicts[row], evidence[row] = reasoning.take(tick, reference, measured)
-    said = np.clip(np.nan_to_num(evidence, nan=0.0), -CERTAIN, CERTAIN)
-    columns = dict(zip(EVIDENCE, np.round(said, DECIMALS).T + 0.0, strict=True))
-    if signals.verdict is not None:
-        verdicts = np.where(np.isnan(signals.verdict), verdicts, signals.verdict)
-    return replace(signals, whose_fault={VERDICT: verdicts, **columns})
+    columns = {name: paged.empty(len(signals)) for name in (VERDICT, *EVIDENCE)}
+    for rows in paged.blocks(len(signals)):
+        ticks = np.rint(signals.time_s[rows] / scenario.tick_s).astype(np.int64).tolist()
+        verdicts, evidence = np.zeros(len(ticks)), np.zeros((len(ticks), len(EVIDENCE)))
+        inputs = signals.reference_mps2[rows].tolist(), signals.dstar_mps2[rows].tolist()
+        for row, (tick, reference, measured) in enumerate(zip(ticks, *inputs, strict=True)):
+            verdicts[row], evidence[row] = reasoning.take(tick, reference, measured)
+        said = np.clip(np.nan_to_num(evidence, nan=0.0), -CERTAIN, CERTAIN)
+        for name, values in zip(EVIDENCE, np.round(said, DECIMALS).T + 0.0, strict=True):
+            columns[name][rows] = values
+        if signals.verdict is not None:
+            heard = signals.verdict[rows]
+            verdicts = np.where(np.isnan(heard), verdicts, heard)
+        columns[VERDICT][rows] = verdicts
+    return replace(signals, whose_fault=columns)
 
 
 def _speeds(scenario: Scenario, network: Network) -> list[float] | None:

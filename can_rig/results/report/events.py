@@ -7,6 +7,7 @@ from typing import NamedTuple
 
 import numpy as np
 
+from can_rig import paged
 from can_rig.drawing.fault_words import fault_label
 from can_rig.drawing.names import names_of
 from can_rig.frames.network import Network
@@ -48,8 +49,11 @@ def events(scenario: Scenario, network: Network, signals: Signals) -> list[Event
 def _changes(
     name: str, time_s: FloatArray, codes: FloatArray, words: Mapping[int, str]
 ) -> Iterator[Event]:
-    known = np.flatnonzero(np.isfinite(codes))
-    changed = np.flatnonzero(np.diff(codes[known], prepend=np.nan) != 0.0)
-    for row in known[changed].tolist():
-        code = int(codes[row])
-        yield Event(float(time_s[row]), f"{name}: {words.get(code, code)}")
+    last = np.nan
+    for rows in paged.blocks(len(codes)):
+        known = rows.start + np.flatnonzero(np.isfinite(codes[rows]))
+        changed = np.flatnonzero(np.diff(codes[known], prepend=last) != 0.0)
+        for row in known[changed].tolist():
+            code = int(codes[row])
+            yield Event(float(time_s[row]), f"{name}: {words.get(code, code)}")
+        last = codes[known[-1]] if len(known) else last

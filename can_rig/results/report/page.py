@@ -9,10 +9,12 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from can_rig.assessment.control_authority import control_authority
+from can_rig import paged
+from can_rig.assessment.limitations import control_authority
 from can_rig.drawing import scales, style
 from can_rig.drawing.fault_words import fault_label
 from can_rig.drawing.names import Names, names_of
+from can_rig.drawing.thinning import thinned
 from can_rig.frames.network import Network
 from can_rig.logs.columns import SPEED
 from can_rig.results.applied import applied_commands
@@ -21,9 +23,9 @@ from can_rig.results.metrics import windows
 from can_rig.results.report.timing import draw_timing
 from can_rig.results.report.title import page_title
 from can_rig.results.signals import Signals
-from can_rig.scenario.driving.schedule import at_speed_of
+from can_rig.scenario.driving import at_speed_of
+from can_rig.scenario.fault_settings import SENSOR
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import SENSOR
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray
 
@@ -70,7 +72,7 @@ def page(
         style.ruled(axis)
     _time_axis(axes, scenario, signals)
     _output(axes[0], scenario, names, signals, (beside, label))
-    _distance(axes[1], time_s, beside - signals.dstar_mps2, network.feedback.lsb)
+    _distance(axes[1], time_s, apart(beside, signals), network.feedback.lsb)
     _commands(axes[2:4], scenario, network, signals)
     _estimate(axes[4], signals)
     _speed(axes[4], signals)
@@ -120,6 +122,14 @@ def compared_with(scenario: Scenario, signals: Signals) -> tuple[FloatArray, str
     return fault_free(scenario, signals).dstar_mps2, "without the fault", "|deviation|"
 
 
+def apart(beside: FloatArray, signals: Signals) -> FloatArray:
+    """(ticks,), how far D* is from what it is drawn beside."""
+    with np.errstate(over="ignore", invalid="ignore"):  # a loop that diverges
+        return paged.column(
+            len(signals), lambda rows: np.abs(beside[rows] - signals.dstar_mps2[rows])
+        )
+
+
 def _output_name(scenario: Scenario, names: Names) -> str:
     falsified = any(fault.place == SENSOR for fault in scenario.faults)
     return names.output.name + (" as measured" if falsified else "")
@@ -135,15 +145,17 @@ def _output(
     """D* wide, what it is compared with dashed, what it would be without compensation thin."""
     time_s, (values, label) = signals.time_s, beside
     own = _output_name(scenario, names)
-    axis.plot(time_s, signals.dstar_mps2, color=style.BLUE, lw=2.0, alpha=0.75, label=own)
-    axis.plot(time_s, values, color=style.INK, lw=1.1, ls=style.DASHED, label=label)
+    axis.plot(*thinned(time_s, signals.dstar_mps2), color=style.BLUE, lw=2.0, alpha=0.75, label=own)
+    axis.plot(*thinned(time_s, values), color=style.INK, lw=1.1, ls=style.DASHED, label=label)
     scales.include_zero(axis, signals.dstar_mps2)
     after = windows(scenario, signals).after
     other = counterpart(scenario, names, signals) if after.any() else None
     if other is not None:
         thin, label = other
-        scales.reach_for(axis, thin[after])
-        axis.plot(time_s[after], thin[after], color=style.BLUE, lw=0.9, label=label)
+        first = int(np.argmax(after))
+        from_then_on = thinned(time_s[first:], thin[first:])
+        scales.reach_for(axis, from_then_on[1])
+        axis.plot(*from_then_on, color=style.BLUE, lw=0.9, label=label)
     style.legend_above(axis, "left", raised=0.1)
 
 
@@ -152,16 +164,18 @@ def counterpart(
 ) -> tuple[FloatArray, str] | None:
     """What shows the point: the same run without compensation, or what a faulty sensor hides."""
     if not any(fault.loses_a_channel for fault in scenario.faults):
-        return output_of_car(scenario, signals), f"{names.output.name} itself"
+        output = paged.column(len(signals), lambda rows: output_of_car(scenario, signals[rows]))
+        return output, f"{names.output.name} itself"
     if scenario.design.compensation == "off":
         return None
     return uncompensated(scenario, signals).dstar_mps2, f"{names.output.name} without compensation"
 
 
 def _distance(axis: Axes, time_s: FloatArray, values: FloatArray, floor: float) -> None:
-    """|values| in decades, nothing below the grid of the frame that brought them."""
+    """Magnitudes in decades, nothing below the grid of the frame that brought them."""
+    time_s, size = thinned(time_s, values)
+    size = np.maximum(size, floor)
     with np.errstate(over="ignore", invalid="ignore"):
-        size = np.maximum(np.abs(values), floor)
         axis.plot(time_s, size, color=style.BLUE, lw=0.8)
         scales.logarithmic(axis, size, floor)
 
@@ -175,13 +189,15 @@ def _commands(axes: list[Axes], scenario: Scenario, network: Network, signals: S
     for axis, name, command, applied in zip(
         axes, names[1:], commanded, applied_commands(scenario, signals), strict=True
     ):
+        curve = thinned(signals.time_s, command)
         if any(name is each for each in lost):
-            axis.plot(signals.time_s, command, color=style.PALE_ORANGE, lw=2.4, label="commanded")
-            axis.plot(signals.time_s, applied, color=style.ORANGE, lw=1.0, label="applied")
+            acting = thinned(signals.time_s, applied)
+            axis.plot(*curve, color=style.PALE_ORANGE, lw=2.4, label="commanded")
+            axis.plot(*acting, color=style.ORANGE, lw=1.0, label="applied")
             style.legend_above(axis)
         else:
-            axis.plot(signals.time_s, command, color=style.ORANGE, lw=1.0)
-        scales.clip_spikes(axis, signals.time_s, command, name.unit)
+            axis.plot(*curve, color=style.ORANGE, lw=1.0)
+        scales.clip_spikes(axis, *curve, name.unit)
     _control_authority(axes[1], scenario, network, signals)
 
 
@@ -202,13 +218,14 @@ def _control_authority(axis: Axes, scenario: Scenario, network: Network, signals
 
 def _estimate(axis: Axes, signals: Signals) -> None:
     """d̂, and the moment in which the loss was confirmed."""
-    axis.plot(signals.time_s, signals.fault_estimate_mps2, color=style.GREEN, lw=1.2)
+    curve = thinned(signals.time_s, signals.fault_estimate_mps2)
+    axis.plot(*curve, color=style.GREEN, lw=1.2)
     confirmed = np.flatnonzero(signals.fault_state == FaultState.CONFIRMED)
     if len(confirmed):
         at_s = float(signals.time_s[confirmed[0]])
         axis.axvline(at_s, color=style.INK, lw=0.9, ls=style.DOTTED, label="loss confirmed")
         style.legend_above(axis)
-    scales.include_zero(axis, signals.fault_estimate_mps2)
+    scales.include_zero(axis, curve[1])
 
 
 def _speed(axis: Axes, signals: Signals) -> None:
@@ -217,7 +234,7 @@ def _speed(axis: Axes, signals: Signals) -> None:
     if speed is None or not len(speed):
         return
     own = axis.twinx()
-    own.plot(signals.time_s, speed, color=style.INK, lw=0.9, ls=style.DASHED)
+    own.plot(*thinned(signals.time_s, speed), color=style.INK, lw=0.9, ls=style.DASHED)
     own.set_ylim(0.0, 1.15 * float(speed.max()))
     own.tick_params(axis="y", direction="in", pad=-16, labelsize=7)
     own.annotate(

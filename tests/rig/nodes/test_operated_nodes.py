@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import can
@@ -14,14 +15,13 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
-from can_rig.frames.beside import control
-from can_rig.frames.beside.control import Command
+from can_rig.frames import operator_frames
+from can_rig.frames.operator_frames import Command
 from can_rig.logs.reading import read_log
-from can_rig.nodes.operator.control_frames import done, touches
-from can_rig.nodes.operator.interaction import Interaction
-from can_rig.nodes.operator.operating import operate
+from can_rig.nodes.bus_access import StopRequest
+from can_rig.nodes.interaction import Interaction
+from can_rig.nodes.operating import done, operate, touches
 from can_rig.nodes.runner import run_controller, run_in_process, run_plant
-from can_rig.nodes.watchdog import StopRequest
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from tests.vcan import PATIENT, TIMEOUT_S
@@ -43,13 +43,14 @@ def two_nodes(scenario: Scenario, bus: str, log: Path) -> Iterator[None]:
     """A run that can be touched, on a bus; the block begins with it, and it ends by itself."""
     stop, ready = StopRequest(), threading.Event()
     interaction = Interaction(injectable=True, pace=0.05)  # until somebody pauses it
+    options = replace(PATIENT, interaction=interaction)
 
     def controller() -> None:
-        run_controller(scenario, bus, PATIENT, stop, ready.set, lambda _: None)
+        run_controller(scenario, bus, stop, ready.set, lambda _: None, options)
 
     def plant() -> None:
         ready.wait(TIMEOUT_S)
-        run_plant(scenario, bus, log, PATIENT, stop, lambda _: None, interaction=interaction)
+        run_plant(scenario, bus, log, stop, lambda _: None, options)
 
     threads = [threading.Thread(target=each) for each in (controller, plant)]
     for thread in threads:
@@ -95,7 +96,7 @@ def frames_fail_as_in_a_scenario(bus: str, tmp_path: Path) -> None:
     scenario = load("ideal", ["duration_s=0.4", "fault.kind=none"])
     log, other = tmp_path / "bus.log", tmp_path / "scheduled.log"
     with two_nodes(scenario, bus, log), open_bus(bus) as operator:
-        wait_for(operator, control.identifiers().state)
+        wait_for(operator, operator_frames.identifiers().state)
         for command in TOLD:
             operate(operator, bus, command)
     told = tuple(touches(read_log(log), network_of(scenario)))
@@ -111,5 +112,5 @@ def frames_fail_as_in_a_scenario(bus: str, tmp_path: Path) -> None:
         interaction=Interaction(injectable=True, told=told),
     )  # fmt: skip
     assert again.read_bytes() == log.read_bytes()
-    _, *ours = control.identifiers()
+    _, *ours = operator_frames.identifiers()
     assert not [each for each in ours if f" {each:03X}#" in log.read_text()]

@@ -17,14 +17,14 @@ from can_rig.errors import RigError
 from can_rig.frames.endpoints import Transmitter
 from can_rig.frames.frame_columns import payloads, quantised
 from can_rig.frames.protection import COUNTERS
-from can_rig.nodes.lockstep import without_bus
-from can_rig.nodes.lockstep.without_bus import run_without_bus
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.watchdog import StopRequest
+from can_rig.nodes.without_bus import run_without_bus
+from can_rig.plant import in_windows
 from can_rig.results.execution import NO_BUS, execute
 from can_rig.results.signals import read_signals
+from can_rig.scenario import shipped
 from can_rig.scenario.build import network_of
-from can_rig.scenario.catalogue import shipped
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.status import Verdict
 from tests.rig.replay.recorded import DRIVES, log_of, scenario_of
@@ -66,7 +66,8 @@ TIMES = ("bus", "wall_s", "ticks_per_s", "real_time_factor")
 
 @pytest.fixture(autouse=True)
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(without_bus, "BLOCK_TICKS", 97)
+    monkeypatch.setattr(in_windows, "BLOCK_TICKS", 97)
+    monkeypatch.setattr(in_windows, "WINDOW_TICKS", 2 * 97)
 
 
 def folders(scenario: Scenario, where: Path) -> Iterator[dict[str, Any]]:
@@ -122,19 +123,6 @@ def test_a_plant_that_fails_leaves_what_was_sent_by_then(
         ours, theirs = (log.with_suffix(suffix).read_bytes() for log in logs)
         assert ours == theirs
         assert ours.count(b"\n") > 50
-
-
-def test_a_stop_leaves_whole_ticks(tmp_path: Path) -> None:
-    scenario, stop = load("default", ["duration_s=0.5"]), StopRequest()
-
-    def on_tick(tick: int) -> None:
-        stop.wanted = tick >= 97
-
-    log, whole = tmp_path / "stopped.log", tmp_path / "whole.log"
-    summary = run_without_bus(scenario, log, stop, on_tick)
-    run_without_bus(scenario, whole, StopRequest(), lambda tick: None)
-    assert summary.ticks == 97
-    assert log.read_text().splitlines() == whole.read_text().splitlines()[: 97 * 5]
 
 
 @given(

@@ -6,17 +6,19 @@ import csv
 import os
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.nodes.lockstep import without_bus
-from can_rig.nodes.lockstep.without_bus import RunWithoutBus, run_without_bus
+from can_rig.nodes import without_bus
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.summary import NodeSummary
-from can_rig.nodes.watchdog import StopRequest
+from can_rig.nodes.ticks import NodeSummary, timed
+from can_rig.nodes.without_bus import RunWithoutBus, run_without_bus
+from can_rig.plant import in_windows
 from can_rig.scenario.settings import Scenario
 from tests.clock import TurnedClock
 
@@ -42,7 +44,8 @@ CASES = [
 
 @pytest.fixture(autouse=True)
 def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(without_bus, "BLOCK_TICKS", BLOCK)
+    monkeypatch.setattr(in_windows, "BLOCK_TICKS", BLOCK)
+    monkeypatch.setattr(in_windows, "WINDOW_TICKS", BLOCK)
 
 
 def stopped_at(last: int) -> tuple[StopRequest, Callable[[int], None]]:
@@ -91,7 +94,7 @@ def test_it_says_after_each_block_how_far_it_is_and_how_long_it_took(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock, done = TurnedClock(7_000_000_000), []
-    monkeypatch.setattr(without_bus, "SYSTEM_CLOCK", clock)
+    monkeypatch.setattr(without_bus, "timed", partial(timed, clock=clock))
 
     def on_tick(tick: int) -> None:
         done.append(tick)
@@ -107,7 +110,6 @@ def test_its_columns_are_what_is_in_the_file_of_the_plant(tmp_path: Path) -> Non
     scenario = load("default", [*RUN, "fault.kind=actuator-dead", *LAG])
     columns = run_without_bus(scenario, tmp_path / "a.log", *stopped_at(20)).columns
     assert columns is not None
-    assert columns.ticks == 20
     assert columns.plant is not None
     with (tmp_path / "a.plant.csv").open() as file:
         names, *rows = csv.reader(file)
@@ -116,7 +118,7 @@ def test_its_columns_are_what_is_in_the_file_of_the_plant(tmp_path: Path) -> Non
     np.testing.assert_array_equal(found[0], np.arange(20))
     for row, values in zip(found[1:], columns.plant.values(), strict=True):
         np.testing.assert_array_equal(row, values)
-    assert columns.delivery.used.all()
+    assert all(len(values) == 20 for values in columns.frames.values())
 
 
 def test_a_plant_of_one_s_own_has_no_columns_but_its_file(tmp_path: Path) -> None:
@@ -127,9 +129,9 @@ def test_a_plant_of_one_s_own_has_no_columns_but_its_file(tmp_path: Path) -> Non
 
 
 def test_both_files_are_closed_at_the_end(tmp_path: Path) -> None:
-    run = RunWithoutBus(load("default", RUN), tmp_path / "a.log")
-    assert len(open_files(tmp_path)) == 2
-    run.run(*stopped_at(BLOCK))
+    with RunWithoutBus(load("default", RUN), tmp_path / "a.log") as run:
+        assert len(open_files(tmp_path)) == 2
+        run.carry()
     assert open_files(tmp_path) == []
 
 

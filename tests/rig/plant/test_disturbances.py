@@ -13,9 +13,9 @@ from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
 from can_rig.errors import ScenarioError
-from can_rig.nodes.lockstep.without_bus import run_without_bus
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.watchdog import StopRequest
+from can_rig.nodes.without_bus import run_without_bus
 from can_rig.plant.changing_car import plant_of
 from can_rig.plant.disturbances import BLOCK, CALM, COLUMNS, Disturbances
 from can_rig.plant.nonlinear_car import NonlinearCar

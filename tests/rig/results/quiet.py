@@ -15,6 +15,10 @@ Run = Callable[..., tuple[Scenario, Signals]]
 def quiet(scenario: Scenario, **changed: np.ndarray) -> Signals:
     """A run in which nothing moves, but for the columns given."""
     zero = np.zeros(scenario.ticks)
-    names = [name for name in Signals.__dataclass_fields__ if name not in ("time_s", "plant")]
+    names = [
+        name
+        for name in Signals.__dataclass_fields__
+        if name not in ("time_s", "plant", "whose_fault")
+    ]
     columns = {name: zero.copy() for name in names} | changed
     return Signals(np.arange(scenario.ticks) * scenario.tick_s, **columns)

@@ -6,7 +6,7 @@ import pytest
 
 from can_rig.drawing.fault_words import fault_in_words, fault_label
 from can_rig.drawing.names import CAR
-from can_rig.scenario.tables.fault import FaultSettings
+from can_rig.scenario.fault_settings import FaultSettings
 
 WORDS = {
     "steering torque lost at 2 s (actuator dead)": FaultSettings("actuator-dead"),

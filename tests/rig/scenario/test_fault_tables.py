@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load, load_run
-from can_rig.campaigns.plan import has_key, value_at
+from can_rig.campaigns.plan import has_key
 from can_rig.errors import ScenarioError
-from can_rig.scenario.tables.changes import as_settings
+from can_rig.scenario.loading import as_settings, value_in
 from can_rig.views.settings_diff import differing_settings
 
 LIST = """
@@ -74,20 +74,6 @@ def test_what_is_wrong_is_named_with_its_number(several: str, setting: str, said
         load(several, [setting])
 
 
-@pytest.mark.parametrize(
-    ("settings", "said"),
-    [
-        (["fault.kind=actuator-stuck", "fault.channel=sensor"],
-         r"fault.channel = 'sensor': must be torque or force-difference for 'actuator-stuck'"),
-        (["fault.kind=frames-forged"], r"fault.value: must be set for 'frames-forged'"),
-        (["fault.late_ticks=0"], r"fault.late_ticks = 0: must be at least 1"),
-    ],
-)  # fmt: skip
-def test_one_table_has_no_number(settings: list[str], said: str) -> None:
-    with pytest.raises(ScenarioError, match=said):
-        load("default", settings)
-
-
 def test_what_is_recorded_is_read_back(several: str) -> None:
     for scenario in (load(several), load("default"), load("default").healthy):
         again = load_run(scenario.as_dict())
@@ -106,11 +92,11 @@ def test_a_list_of_tables_from_python_is_exact(at_s: float, left: float, late: i
 
 def test_an_axis_may_be_of_any_fault(several: str) -> None:
     scenario, default = load(several).as_dict(), load("default").as_dict()
-    assert value_at(scenario, "fault.0.drift_per_s") == 0.2
+    assert value_in(scenario, "fault.0.drift_per_s") == 0.2
     assert has_key(scenario, "fault.1.left")
     assert not has_key(scenario, "fault.2.left")
     assert not has_key(scenario, "fault.left")
-    assert value_at(default, "fault.0.at_s") == value_at(default, "fault.at_s") == 10
+    assert value_in(default, "fault.0.at_s") == value_in(default, "fault.at_s") == 10
 
 
 def test_a_difference_names_the_fault(several: str) -> None:

@@ -10,11 +10,12 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from can_rig.cli.logs.plot import resolve
+from can_rig.cli.plot import resolve
 from can_rig.decoding.decode import Decoder, decode_log
+from can_rig.drawing.thinning import MAX_POINTS, thinned
 from can_rig.errors import DbcError
-from can_rig.frames.mapped.database import load_database
-from can_rig.views.plot_picture import MAX_POINTS, plot_page, thinned
+from can_rig.frames.databases import load_database
+from can_rig.views.plot_picture import plot_page
 from tests.helpers import DBC, asked, record
 
 CAR = """VERSION ""

@@ -1,0 +1,159 @@
+"""``can-rig campaign``: thousands of runs, a table, a report."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager
+from dataclasses import asdict
+from pathlib import Path
+
+import click
+from rich.table import Table
+
+from can_rig.campaigns.execution import CampaignFolder, execute, open_folder
+from can_rig.campaigns.plan import Plan, plan
+from can_rig.campaigns.report import write_report
+from can_rig.campaigns.settings import read_campaign
+from can_rig.campaigns.statistics import Summary
+from can_rig.campaigns.workers import Compute, in_processes, serially
+from can_rig.cli.options import json_option, set_option
+from can_rig.cli.output import json_line, say, table, wide
+from can_rig.cli.progress import counting
+from can_rig.errors import INTERRUPTED
+from can_rig.nodes.bus_access import StopRequest
+
+
+@click.command("campaign")
+@click.argument("campaign", metavar="CAMPAIGN")
+@click.option("--scenario", metavar="NAME", help="In place of the campaign's own.")
+@set_option("Change one key of the scenario in every run")
+@click.option("--runs", type=click.IntRange(1), help="In place of the campaign's own number.")
+@click.option("--seed", type=click.IntRange(0), help="In place of the campaign's own.")
+@click.option(
+    "--workers",
+    type=click.IntRange(1),
+    help="Processes; the result does not depend on it.  [default: the cores]",
+)
+@click.option("--scheduler", metavar="ADDRESS", help="Of a Dask cluster, in place of --workers.")
+@click.option(
+    "--search",
+    metavar="REQUIREMENT",
+    help="Look for the runs that fail it worst, or all of them; as many random ones beside.",
+)
+@click.option("--out", type=click.Path(path_type=Path), help="Folder [campaigns/CAMPAIGN-TIME].")
+@click.option("--resume", is_flag=True, help="Go on with the campaign that is in --out.")
+@click.option("--force", is_flag=True, help="Replace the campaign that is in --out.")
+@json_option("The summary as one JSON object.")
+def command(
+    campaign: str,
+    scenario: str | None,
+    settings: tuple[str, ...],
+    runs: int | None,
+    seed: int | None,
+    workers: int | None,
+    scheduler: str | None,
+    search: str | None,
+    out: Path | None,
+    resume: bool,
+    force: bool,
+    as_json: bool,
+) -> None:
+    """Run CAMPAIGN, a TOML file or a shipped one: cars, faults, hours, latency, losses.
+
+    Every run becomes a row of runs.parquet with the command that repeats the run; report.html gives
+    the pass rate of each requirement, the worst runs, and the influence of each axis. Ctrl-C keeps
+    completed runs.
+    """
+    if resume and (out is None or force):
+        raise click.UsageError("--resume: must come with --out, and not with --force")
+    if scheduler is not None and workers is not None:
+        raise click.UsageError("--scheduler: must come without --workers")
+    keys = {"scenario": scenario, "runs": runs, "seed": seed, "search": search}
+    planned = plan(read_campaign(campaign, settings, **keys))
+    folder = open_folder(out, planned, resume=resume, force=force)
+    click.get_current_context().call_on_close(folder.made.close)
+    stop = StopRequest().on_signals()
+    cores = min(workers or len(os.sched_getaffinity(0)), planned.runs)
+    with counting(planned.settings.name, "runs", planned.runs) as on_done, _told(folder):
+        whole = execute(folder, computing(planned, cores, scheduler), lambda: stop.wanted, on_done)
+    if not whole:
+        say(
+            f"{folder.done} of {planned.runs} runs are done; "
+            f"--resume --out {folder.made.path} goes on"
+        )
+        sys.exit(INTERRUPTED)
+    with _told(folder):
+        summary = write_report(folder)
+        folder.made.publish()
+    if as_json:
+        json_line(folder=str(folder.path), **asdict(summary))
+    else:
+        _print(summary, folder)
+    sys.exit(1 if any(rate.failed for rate in summary.rates) or summary.failed else 0)
+
+
+def computing(
+    planned: Plan, workers: int, scheduler: str | None
+) -> AbstractContextManager[Compute]:
+    """Who computes the runs."""
+    if scheduler is not None:
+        from can_rig.campaigns.cluster import on_cluster  # noqa: PLC0415 (an extra)
+
+        return on_cluster(planned, scheduler)
+    if workers == 1:
+        return serially(planned)
+    return in_processes(planned, workers)
+
+
+@contextmanager
+def _told(folder: CampaignFolder) -> Iterator[None]:
+    """Print the campaign's folder at any end of the campaign; remove a folder without runs."""
+    try:
+        yield
+    except BaseException:
+        if folder.done == 0:
+            folder.made.give_up()
+        else:
+            say(f"campaign folder  {folder.path}")
+        raise
+
+
+def _found(summary: Summary) -> Table:
+    found = table("chosen by", "runs", "least margin", "failed", "first failed at", left=1)
+    for each in summary.found:
+        least = "-" if each.least is None else f"{each.least:.4g}"
+        first = "-" if each.first_failed is None else str(each.first_failed)
+        found.add_row(each.method, str(each.runs), least, str(each.failed), first)
+    return found
+
+
+def _print(summary: Summary, folder: CampaignFolder) -> None:
+    rates = table("requirement", "passed", "failed", "without", "rate", "95 %", "", left=1)
+    rates.columns[-1].justify = "left"
+    for rate in summary.rates:
+        share = "-" if rate.share is None else f"{rate.share:.2%}"
+        interval = "-" if rate.low is None else f"{rate.low:.2%} .. {rate.high:.2%}"
+        numbers = (str(number) for number in (rate.passed, rate.failed, rate.unknown))
+        rates.add_row(rate.name, *numbers, share, interval, rate.text)
+    console = wide()
+    console.print(rates)
+    spreads = table("metric", "runs", "least", "median", "99 %", "greatest")
+    for each in summary.spreads:
+        values = (each.least, each.median, each.percentile_99, each.greatest)
+        spreads.add_row(each.name, str(each.runs), *(f"{number:.4g}" for number in values))
+    console.print(spreads)
+    if summary.found:
+        console.print(_found(summary))
+    alarms = summary.false_alarms
+    if alarms["per_hour"] is not None:
+        say(
+            f"false alarms  {alarms['false_alarms']} in {summary.hours:.4g} h, "
+            f"{alarms['per_hour']:.3g} an hour (95 %: {alarms['low']:.3g} .. {alarms['high']:.3g})"
+        )
+    for reason, count in list(summary.reasons.items())[:3]:
+        say(f"{count} runs failed: {reason}")
+    if summary.worst:
+        say(f"worst run  {summary.worst[0]['command']}")
+    say(f"campaign folder  {folder.path}")

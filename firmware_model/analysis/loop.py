@@ -1,0 +1,124 @@
+"""The compiled ticks of the loop: the controller, and the links between controller and plant."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from firmware_model.analysis import hardware
+from firmware_model.analysis.sampled_plant import follow
+from firmware_model.compiled import firmware, firmware_run
+from firmware_model.target import controller
+from firmware_model.target.structs import RecordArray
+
+OUTPUT, MEASURED, COMMAND_1, COMMAND_2, ESTIMATE, EVIDENCE = range(6)
+ACTING_1, REACHED_1, READING, ROWS = 6, 8, 10, 11  # rows of a tick; two of the first two
+
+
+@firmware
+def tick(
+    tables: RecordArray,
+    controllers: RecordArray,
+    inputs: Any,
+    grid: Any,
+    actuators: Any,
+    signals: Any,
+    states: Any,
+    k: int,
+    y: float,
+    read: float,
+) -> tuple[float, float]:
+    """Tick ``k`` of the loop without the plant: output of the plant → commands at the actuators.
+
+    Args:
+        tables: (1,), the constants of the controller; arrays of one record are the fastest way from
+            interpreted code to compiled code.
+        controllers: (1,), state of the controller; changed in place.
+        inputs: reference, bias, noise, effectiveness, arrives, as in ``Simulation``.
+        grid: the sensor's resolution, and the frames (3, ``GRID``).
+        actuators: the last commands (2,), ticks without command (2,), ticks of hold; last values at
+            the actuators and last reading (3,); limits of the actuators (2, 2), faults.
+        signals: (ROWS, ticks), filled in for this tick; read for delayed values.
+        states: (3, ticks), fault state, mode and verdict, filled in for this tick.
+        k: the tick.
+        y: the output of the plant.
+        read: the sensor's reading of the plant.
+    """
+    table, state = tables[0], controllers[0]
+    reference, bias, noise, _, arrives = inputs
+    resolution, frames = grid
+    held, silent, hold_ticks, reached, limits, faults = actuators
+    measured = hardware.sensor_reading(read, bias[k], noise[k], resolution)
+    if len(faults) > 0:
+        signals[READING, k] = measured
+        fault, last = faults[k, hardware.SENSOR], reached[hardware.SENSOR]
+        at = k - int(fault[hardware.LATE])
+        measured = hardware.distorted(signals[READING, at] if at >= 0 else 0.0, last, fault)
+        reached[hardware.SENSOR] = measured
+    measured = hardware.carried(measured, frames[hardware.SENSOR])
+    if len(faults) > 0 and faults[k, hardware.SENSOR, hardware.REPLACED] != 0.0:
+        measured = faults[k, hardware.SENSOR, hardware.BY]
+    controller.step(table, state, reference[k], measured)
+    signals[OUTPUT, k] = y
+    signals[MEASURED, k] = measured
+    signals[COMMAND_1, k] = hardware.carried(float(state.command_1), frames[0])
+    signals[COMMAND_2, k] = hardware.carried(float(state.command_2), frames[1])
+    signals[ESTIMATE, k] = state.fault_estimate
+    signals[EVIDENCE, k] = state.sequential_test.evidence
+    states[0, k], states[1, k] = state.fault_state, state.mode
+    states[2, k] = state.hypotheses.verdict
+    for channel in range(2):
+        if arrives[k, channel]:
+            held[channel] = signals[COMMAND_1 + channel, k]
+            if len(faults) > 0 and faults[k, channel, hardware.REPLACED] != 0.0:
+                held[channel] = faults[k, channel, hardware.BY]
+            silent[channel] = 0
+        else:
+            silent[channel] += 1
+            if silent[channel] > hold_ticks:
+                held[channel] = 0.0
+        signals[ACTING_1 + channel, k] = held[channel]
+    sent = k - table.estimator.latency_ticks
+    for channel in range(2):
+        acting = 0.0  # the first command is still on its way
+        at = sent if len(faults) == 0 else sent - int(faults[k, channel, hardware.LATE])
+        if at >= 0:
+            acting = signals[ACTING_1 + channel, at]
+        if len(faults) > 0:
+            acting = hardware.distorted(acting, reached[channel], faults[k, channel])
+        largest, slew = limits[channel, 0], limits[channel, 1]
+        reached[channel] = hardware.limited(acting, reached[channel], largest, slew)
+        signals[REACHED_1 + channel, k] = reached[channel]
+    return reached[0], reached[1]
+
+
+@firmware_run
+def run_ticks(
+    tables: RecordArray,
+    controllers: RecordArray,
+    inputs: Any,
+    grid: Any,
+    actuators: Any,
+    signals: Any,
+    states: Any,
+    begin: int,
+    end: int,
+    y: float,
+    read: float,
+    plant: Any,
+    memory: Any,
+    plant_states: Any,
+) -> tuple[float, float]:
+    """Ticks from ``begin`` to ``end`` of a loop with a ``SampledPlant``.
+
+    The other arguments are those of ``tick`` and of ``follow``. ``plant_states`` (ticks, n) is
+    filled in, unless it is empty.
+    """
+    effectiveness = inputs[3]
+    for k in range(begin, end):
+        u1, u2 = tick(tables, controllers, inputs, grid, actuators, signals, states, k, y, read)
+        if len(plant_states) > 0:
+            for i in range(plant_states.shape[1]):
+                plant_states[k, i] = memory[0][i]
+        left_1, left_2 = effectiveness[k, 0], effectiveness[k, 1]
+        y, read = follow(plant, memory, k, u1, u2, left_1, left_2)
+    return y, read

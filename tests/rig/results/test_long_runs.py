@@ -1,0 +1,159 @@
+"""A long run: its folder says what that of a short one says, in memory that hardly grows."""
+
+from __future__ import annotations
+
+import gzip
+import json
+import tracemalloc
+from pathlib import Path
+
+import can
+import numpy as np
+import pytest
+
+from can_rig import paged
+from can_rig.assessment.resolve import load
+from can_rig.nodes.bus_access import StopRequest
+from can_rig.plant import in_windows
+from can_rig.results.execution import Execution, execute
+from can_rig.views.recorded_run import RecordedRun
+from tests.helpers import asked
+
+TEXTS = ["bus.log", "bus.plant.csv", "signals.csv"]
+CASES = {
+    "noise": [
+        "plant.sensor.corner_hz=80",
+        "design.alpha=3",
+        "design.alpha_q=4",
+        "fault.at_s=0.2",
+        "fault.for_s=0.3",
+    ],
+    "sensor": ["fault.kind=sensor-stuck", "fault.at_s=0.2", "fault.for_s=0.05"],
+    "frames": ["fault.kind=frames-missing", "fault.at_s=0.2", "design.feedback=false"],
+    "drive": ["drive.ramps=[[0.0, 27.0], [0.7, 27.5]]", "design.speeds_mps=[27, 28]"],
+    "class": ["plant.kind=tests.rig.plant.linear:LinearPlant", "fault.at_s=0.2"],
+}
+
+
+def long_from(ticks: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A run of more ticks is a long one."""
+    monkeypatch.setattr(paged, "PAGED_ROWS", ticks)
+    monkeypatch.setattr(paged, "BLOCK_ROWS", ticks // 3)
+    monkeypatch.setattr(in_windows, "BLOCK_TICKS", 97)
+    monkeypatch.setattr(in_windows, "WINDOW_TICKS", 194)
+
+
+def run(folder: Path, *settings: str, bus: str | None = None) -> Execution:
+    scenario = load("default", ["duration_s=0.7", *settings])
+    done = execute(scenario, folder, StopRequest(), bus=bus)
+    assert done is not None
+    return done
+
+
+@pytest.mark.parametrize(
+    ("case", "bus"),
+    [*((case, None) for case in CASES), ("noise", "virtual:long"), ("frames", "virtual:long")],
+)
+def test_a_long_run_says_what_a_short_one_says(
+    case: str, bus: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    run(tmp_path / "short", *CASES[case], bus=bus)
+    long_from(100, monkeypatch)
+    run(tmp_path / "long", *CASES[case], bus=bus)
+    for name in TEXTS:
+        packed = (tmp_path / "long" / f"{name}.gz").read_bytes()
+        assert gzip.decompress(packed) == (tmp_path / "short" / name).read_bytes(), name
+        assert packed[3:8] == bytes(5)  # no name and no date
+        assert not (tmp_path / "long" / name).exists()
+    short, long = (json.loads((tmp_path / n / "run.json").read_text()) for n in ("short", "long"))
+    for key in ("scenario", "metrics", "faults", "whose_fault", "ticks", "rejected_frames"):
+        assert short[key] == long[key], key
+    for name in ("report.png", "report.html"):
+        assert (tmp_path / "short" / name).read_bytes() == (tmp_path / "long" / name).read_bytes()
+
+
+@pytest.fixture(scope="module")
+def folders(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The same run as a short one and as a long one."""
+    folder = tmp_path_factory.mktemp("runs")
+    run(folder / "short", *CASES["noise"])
+    with pytest.MonkeyPatch.context() as changed:
+        long_from(100, changed)
+        run(folder / "long", *CASES["noise"])
+    return folder
+
+
+def test_whoever_reads_a_run_folder_reads_that_of_a_long_run(
+    folders: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    long_from(100, monkeypatch)
+    short, long = folders / "short", folders / "long"
+    for form in (long, long / "signals.csv.gz"):
+        assert json.loads(asked("diff", short, form, "--json").stdout)["rows"] == 700
+    assert asked("diff", long, short / "bus.log", "--scenario", "default").returncode == 0
+    assert asked("replay", long).returncode == 0
+    assert asked("plot", long, "DStar", "--out", "a.png").returncode == 0
+    for words in (["stats"], ["decode"]):
+        said = [asked(*words, each).stdout for each in (short, long)]
+        assert said[0] == said[1].replace("bus.log.gz", "bus.log")
+    assert asked("convert", long, "a.log").returncode == 0
+    assert Path("a.log").read_text().count("\n") == 3500
+    loaded = [RecordedRun.load(each).signals for each in (short, long)]
+    np.testing.assert_array_equal(loaded[0], loaded[1])
+    assert sum(1 for _ in can.LogReader(long / "bus.log.gz")) == 3500
+
+
+def test_a_what_if_of_a_long_run_is_that_of_a_short_one(
+    folders: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    for name in ("short", "long"):
+        done = asked("replay", folders / name, "--what-if", "--set", "plant.mass_kg=1600",
+                     "--out", name)  # fmt: skip
+        assert done.returncode == 0, done.stderr
+        long_from(100, monkeypatch)
+    unpacked = gzip.decompress(Path("long/bus.log.gz").read_bytes())
+    assert unpacked == Path("short/bus.log").read_bytes()
+    assert Path("long/reference.csv").read_bytes() == Path("short/reference.csv").read_bytes()
+
+
+def test_a_long_run_is_replaced_as_any_other(folders: Path, tmp_path: Path) -> None:
+    made = RecordedRun.load(folders / "long").save(tmp_path / "again")
+    scenario = load("default", ["duration_s=0.01"])
+    assert execute(scenario, made, StopRequest(), force=True) is not None
+    assert sorted(path.name for path in made.iterdir() if path.suffix == ".gz") == []
+
+
+@pytest.mark.parametrize("damage", [b"", b"\x1f\x8b\x08", b"no gzip"])
+def test_a_damaged_table_is_refused_in_a_line(damage: bytes, folders: Path, tmp_path: Path) -> None:
+    path = tmp_path / "signals.csv.gz"
+    path.write_bytes(damage)
+    refused = asked("diff", folders / "short", path)
+    assert refused.returncode == 2
+    assert str(path) in refused.stderr
+
+
+@pytest.mark.parametrize("bus", [None, "virtual:memory"])
+def test_memory_hardly_grows_with_a_run(
+    bus: str | None, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Bytes a tick, with reports: what is in a file without a name is not counted."""
+    long_from(1500, monkeypatch)
+    monkeypatch.setattr(in_windows, "WINDOW_TICKS", 970)
+    monkeypatch.setattr("can_rig.drawing.thinning.MAX_POINTS", 1000)
+    monkeypatch.setattr("can_rig.results.report.curves.MOST_POINTS", 1000)
+    monkeypatch.setattr("can_rig.logs.reading.read_log.__defaults__", (1000, *_rest()))
+    peaks = []
+    for ticks in (2000, 2000, 12000):  # the first one compiles, imports and remembers
+        tracemalloc.start()
+        run(tmp_path / str(len(peaks)), f"duration_s={ticks / 1000}", "fault.at_s=0.5", bus=bus)
+        peaks.append(tracemalloc.get_traced_memory()[1])
+        tracemalloc.stop()
+    assert (peaks[2] - peaks[1]) / 10_000 < 130.0
+
+
+def _rest() -> tuple[object, ...]:
+    from can_rig.logs.reading import read_log
+
+    defaults = read_log.__defaults__
+    assert defaults is not None
+    return defaults[1:]
