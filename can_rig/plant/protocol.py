@@ -29,7 +29,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 
 from can_rig.errors import RigError, ScenarioError, require
 from can_rig.logs.columns import TAKEN
-from can_rig.scenario.plant_settings import PlantSettings
+from can_rig.scenario.plant_settings import CAR, FMU, PlantSettings
 from firmware_model.target.structs import FloatArray
 
 METHODS = {
@@ -115,10 +115,10 @@ def require_world(kind: str, plant: PlantProtocol) -> None:
         ScenarioError: the plant's ``advance`` has no ``world``.
     """
     if "world" not in inspect.signature(plant.advance).parameters:
-        raise ScenarioError(
-            f"disturbance: plant.kind = {kind!r}: advance must have a fourth argument world; "
-            "nothing pushes this plant"
-        )
+        right = "advance must have a fourth argument world; nothing pushes this plant"
+        if kind.startswith(FMU):
+            right = f"must be {CAR} or a class; the rig sets only both commands of an FMU"
+        raise ScenarioError(f"disturbance: plant.kind = {kind!r}: {right}")
 
 
 def failure(kind: str, what: str, error: BaseException) -> str:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from itertools import pairwise
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -19,9 +20,14 @@ from can_rig.nodes.without_bus import run_without_bus
 from can_rig.plant.changing_car import plant_of
 from can_rig.plant.disturbances import BLOCK, CALM, COLUMNS, Disturbances
 from can_rig.plant.nonlinear_car import NonlinearCar
+from can_rig.plant.protocol import require_world
+from can_rig.scenario.loading import as_settings, read, with_values
+from can_rig.scenario.settings import PlantSettings
 from tests.firmware.analysis.world import Integrated
+from tests.rig.plant.linear import LinearPlant
 
 FORCE, MOMENT, BANK, KICK, FRONT, REAR = range(6)
+GUST = "disturbance={kind='gust', force_n=3}"
 TURBULENT = "disturbance=[{kind='turbulence', at_s=0, ramp_s=0, intensity_n=300, length_m=20}]"
 
 
@@ -213,6 +219,33 @@ def test_the_nonlinear_car_gets_the_world_in_every_step_of_a_tick() -> None:
     assert abs(expected) > 0.01
 
 
+# --- changes --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("given", "values"),
+    [
+        ([], {"disturbance.kind": "gust", "disturbance.force_n": 30.0}),
+        ([GUST], {"disturbance.force_n": 30.0}),
+        ([GUST], {"disturbance.1.kind": "bank", "disturbance.1.bank_percent": 2.0}),
+        (
+            [GUST, "disturbance.1.kind=none"],
+            {"disturbance.1.at_s": 2.0, "disturbance.0.arm_m": 1.0},
+        ),
+    ],
+)
+def test_an_axis_changes_what_a_setting_changes(given: list[str], values: dict[str, Any]) -> None:
+    """Campaigns replace settings in a scenario; ``--set`` writes into its text."""
+    written = read("default", [*given, *as_settings(values)])
+    assert with_values(read("default", given), values) == written
+    assert written.scenario.disturbances
+
+
+def test_an_axis_out_of_bounds_is_refused() -> None:
+    with pytest.raises(ScenarioError, match=r"disturbance.force_n = 1000000.0: must be at m"):
+        with_values(read("default", [GUST]), {"disturbance.force_n": 1e6})
+
+
 # --- what is refused ------------------------------------------------------------------------------
 
 
@@ -241,6 +274,30 @@ def test_the_nonlinear_car_gets_the_world_in_every_step_of_a_tick() -> None:
         (["disturbance.0.kind=bank", "disturbance.0.bank_percent=2", "disturbance.1.kind=bank"],
          r"disturbance.1.bank_percent: must be set for 'bank'"),
         (["disturbance.2.kind=bank"], r"must be a key of disturbance.0 or disturbance.1"),
+        (["disturbance=[3]"], r"disturbance.0 = 3: must be a table"),
+        (["disturbance=[{kind='bank'}, {kind='none'}]"],
+         r"disturbance.0.bank_percent: must be set for 'bank'"),
+        ([GUST, "disturbance.at_s=-1"], r"disturbance.at_s = -1: must be at least 0"),
+        ([GUST, "disturbance.at_s=nan"], r"disturbance.at_s"),
+        ([GUST, "disturbance.at_s=soon"], r"disturbance.at_s = 'soon': must be a valid number"),
+        ([GUST, "disturbance.for_s=0"], r"disturbance.for_s = 0: must be greater than 0"),
+        ([GUST, "disturbance.ramp_s=-0.1"], r"disturbance.ramp_s = -0.1: must be at least 0"),
+        ([GUST, "disturbance.shape=square"],
+         r"disturbance.shape = 'square': must be 'ramp' or 'one-minus-cosine'"),
+        ([GUST, "disturbance.force_n=inf"], r"disturbance.force_n"),
+        ([GUST, "disturbance.arm_m=ahead"], r"disturbance.arm_m = 'ahead': must be a valid number"),
+        (["disturbance={kind='turbulence', intensity_n=0, length_m=5}"],
+         r"disturbance.intensity_n = 0: must be greater than 0"),
+        (["disturbance={kind='turbulence', intensity_n=5, length_m=0}"],
+         r"disturbance.length_m = 0: must be at least 0.1"),
+        (["disturbance={kind='bank', bank_percent=101}"],
+         r"disturbance.bank_percent = 101: must be at most 100"),
+        (["disturbance={kind='steering-kick', torque_nm='hard'}"],
+         r"disturbance.torque_nm = 'hard': must be a valid number"),
+        (["disturbance={kind='friction', front=0.5, force_n=3}"],
+         r"disturbance.force_n = 3: says nothing of 'friction'; must be front or rear"),
+        (["disturbance={kind='steering-kick', torque_nm=2, at=3}"],
+         r"disturbance.at: unknown key; did you mean at_s\?"),
     ],
 )  # fmt: skip
 def test_what_is_wrong_is_named_in_one_line(settings: list[str], said: str) -> None:
@@ -256,6 +313,8 @@ def test_a_plant_that_nothing_can_push_is_refused() -> None:
     other = "plant.kind=tests.rig.plant.linear:LinearPlant"
     with pytest.raises(ScenarioError, match=r"LinearPlant': advance must have a fourth argument w"):
         plant_of(load("default", [*gust, other]))
+    with pytest.raises(ScenarioError, match=r"'fmu:car.fmu': must be .* or a class; the rig sets"):
+        require_world("fmu:car.fmu", LinearPlant(PlantSettings()))
 
 
 def test_a_disturbance_that_never_occurs_is_noted() -> None:
