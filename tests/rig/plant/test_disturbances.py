@@ -59,7 +59,7 @@ def test_the_impulse_of_a_gust_is_its_force_by_its_time_less_one_ramp(
     impulse = 1e-3 * np.sum(0.5 * (rows[1:, FORCE] + rows[:-1, FORCE]))
     assert impulse == pytest.approx(force_n * (ramp + flat) / 1e3, rel=1e-6, abs=1e-9)
     assert np.abs(rows[:, FORCE]).max() == pytest.approx(abs(force_n), rel=1e-12)
-    assert rows[:, MOMENT] == pytest.approx(arm_m * rows[:, FORCE], rel=1e-12)
+    assert np.abs(rows[:, MOMENT] - arm_m * rows[:, FORCE]).max() <= 1e-12 * abs(arm_m * force_n)
     assert (rows[: begin + (ramp > 0), FORCE] == 0).all()
     assert (rows[begin + 2 * ramp + flat :, FORCE] == 0).all()
 
@@ -80,7 +80,7 @@ def test_without_a_ramp_a_cosine_fills_its_time_and_a_line_takes_0_3_s() -> None
     cosine = world(*kick, "disturbance.for_s=2", "disturbance.shape=one-minus-cosine")
     time_s = np.arange(2001) / 1e3
     gust = 0.5 - 0.5 * np.cos(math.pi * time_s)
-    assert cosine.at(range(1000, 3001))[:, KICK] == pytest.approx(gust, abs=1e-12)
+    assert np.abs(cosine.at(range(1000, 3001))[:, KICK] - gust).max() < 1e-12
     line = world(*kick).at(range(3000))[:, KICK]
     assert line[[1150, 1300, 2999]] == pytest.approx([0.5, 1.0, 1.0])
 
@@ -109,10 +109,16 @@ def test_turbulence_has_its_rms_and_its_corner_at_every_speed(speed: float) -> N
     assert correlated == pytest.approx(memory**lag, abs=4 * error)
 
 
+def test_turbulence_blows_at_the_first_tick_as_later() -> None:
+    """Over 60 seeds; four standard errors of a mean square are 73 %."""
+    first = [world(TURBULENT, f"seed={seed}").at(range(2))[1, FORCE] for seed in range(60)]
+    assert np.mean(np.square(first)) == pytest.approx(300.0**2, rel=0.73)
+
+
 def test_turbulence_follows_the_speed_of_a_drive() -> None:
     """A drive of constant speed gives the bits of that speed; a standing car's wind stays."""
     drive = world(TURBULENT, "drive.speed_mps=10").at(range(9000))
-    assert drive == pytest.approx(world(TURBULENT, "plant.speed_mps=10").at(range(9000)))
+    assert np.abs(drive - world(TURBULENT, "plant.speed_mps=10").at(range(9000))).max() < 1e-9
 
 
 def test_seeds_and_numbers_give_other_turbulence() -> None:
