@@ -435,9 +435,9 @@ class _InMemory(SourceFileLoader):
         return importlib.util.spec_from_loader(name, self) if name == self.name else None
 
 
-def with_fresh_imports(tests: str, longest_s: float, site: Site) -> str | None:
-    """The file of tests that notices a mutant in a process with fresh imports."""
-    job = json.dumps([site.module, site.mutant.source, tests])
+def with_fresh_imports(tests: str, longest_s: float, module: str, source: str) -> str | None:
+    """The folder of tests that notices a text of a module in a process with fresh imports."""
+    job = json.dumps([module, source, tests])
     command = [sys.executable, __file__, "--one"]
     try:
         done = subprocess.run(
@@ -522,10 +522,14 @@ def run_batch(tests: str, batch: Sequence[Site], asked: argparse.Namespace) -> N
             else:
                 keep(answer[0], answer[1] or None)
         longest_s = WAITS_S + 10 * (time.monotonic() - begun_s)
+        tried = partial(with_fresh_imports, tests, longest_s)
         with ThreadPoolExecutor(asked.workers) as pool:
-            work = partial(with_fresh_imports, tests, longest_s)
-            for site, killer in zip(anew, pool.map(work, anew), strict=True):
+            killers = pool.map(lambda site: tried(site.module, site.mutant.source), anew)
+            for site, killer in zip(anew, killers, strict=True):
                 keep(site.key, killer)
+        if anew and (failed := tried(anew[0].module, (TREE / anew[0].module).read_text("utf-8"))):
+            log.truncate(start)
+            sys.exit(f"error: {failed}, fails on the unchanged code: its results are taken back")
 
 
 def report(every: Sequence[Site], listed: set[tuple[str, str]]) -> bool:

@@ -188,24 +188,31 @@ def test_tests_that_fail_anyway_prove_nothing(project: Path) -> None:
     assert "error: tests/rig/test_clip.py::test_no fails on the unchanged code" in done.stderr
 
 
-def test_a_copy_that_breaks_half_way_proves_nothing(project: Path) -> None:
-    """The first mutant's tests remove a file: those of all that follow fail, and not for them."""
-    (project / "can_rig" / "step.py").write_text("STEP = 1\n")
-    (project / "tests" / "rig" / "test_clip.py").write_text(
+@pytest.mark.parametrize(
+    ("code", "failing"),
+    [
+        ("def step():\n    return 1\n", "tests/rig/test_step.py::test_step fails"),
+        ("steps = [1]\nstep = steps.pop\n", "tests/rig, imported anew, fails"),
+    ],
+)
+def test_a_copy_that_breaks_half_way_proves_nothing(project: Path, code: str, failing: str) -> None:
+    """The first mutant's test removes a file: all that follow fail, and not for their change."""
+    (project / "can_rig" / "clip.py").unlink()
+    (project / "tests" / "rig" / "test_clip.py").unlink()
+    (project / "can_rig" / "step.py").write_text(code)
+    (project / "tests" / "rig" / "test_step.py").write_text(
         "from pathlib import Path\n\n"
-        "from can_rig.clip import clip\n\n"
         "import can_rig.step\n\n"
-        "def test_above():\n"
-        "    if clip(12) != 9:\n"
-        "        Path(can_rig.step.__file__).unlink()\n"
-        "        assert False\n"
+        "def test_step():\n"
+        "    file = Path(can_rig.step.__file__).with_name('__init__.py')\n"
+        "    if can_rig.step.step() != 1:\n"
+        "        file.unlink(missing_ok=True)\n"
+        "    assert file.exists()\n"
     )
     done = run(project, "")
-    assert done.returncode == 2
-    assert done.stderr.splitlines()[-1] == (
-        "error: pytest: <ExitCode.INTERRUPTED: 2> fails on the unchanged code, after the mutants: "
-        "their results are taken back"
-    )
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1].startswith(f"error: {failing} on the unchanged code")
+    assert "taken back" in done.stderr.splitlines()[-1]
     assert (project / "build/mutation.jsonl").read_text() == ""
 
 
