@@ -32,8 +32,8 @@ from firmware_model.target.structs import MAX_LATENCY_TICKS, Precision
 SLOWEST_MPS: Final = 1.0  # at lower speeds our slip angles fail to describe a rolling tire
 FASTEST_MPS: Final = 100.0
 
-LISTS: Final = ("fault", "disturbance")
-"""Keys with a table or a list of tables."""
+LISTS: Final[dict[str, Any]] = {"fault": FaultSettings, "disturbance": DisturbanceSettings}
+"""Keys with a table or a list of tables, and the settings of a table."""
 
 Speed = Annotated[float, Field(ge=SLOWEST_MPS, le=FASTEST_MPS)]
 
