@@ -42,15 +42,15 @@ def _cache_folder(file: Path) -> str:
     return str(Path(home) / "fault-tolerant-steering" / digest.hexdigest()[:16])
 
 
-def _closure(file: Path) -> set[Path]:
+def _closure(file: Path) -> set[str]:
     """``file`` and all project files imported by ``file``, directly or indirectly."""
     root = file.parent
     while (root / "__init__.py").exists():
         root = root.parent
-    roots = {"firmware_model": Path(__file__).parents[1]}
-    roots |= {file.relative_to(root).parts[0]: root}
-    found: set[Path] = set()
-    to_read = {file}
+    roots = {"firmware_model": str(Path(__file__).parents[1])}
+    roots |= {file.relative_to(root).parts[0]: str(root)}
+    found: set[str] = set()
+    to_read = {str(file)}
     while to_read:
         each = to_read.pop()
         found.add(each)
@@ -59,26 +59,30 @@ def _closure(file: Path) -> set[Path]:
 
 
 @cache
-def _contents(file: Path) -> bytes:
-    return hashlib.sha256(file.read_bytes()).digest()
+def _contents(file: str) -> bytes:
+    return hashlib.sha256(Path(file).read_bytes()).digest()
 
 
 @cache  # many files import the same ones
-def _imports(file: Path, roots: tuple[tuple[str, Path], ...]) -> frozenset[Path]:
+def _imports(file: str, roots: tuple[tuple[str, str], ...]) -> frozenset[str]:
     """The project files that ``file`` imports itself; ``roots`` has the folder of each package."""
     folders = dict(roots)
     names = set()
-    for module, imported, plain in _IMPORT.findall(file.read_bytes()):
+    for module, imported, plain in _IMPORT.findall(Path(file).read_bytes()):
         name = (module or plain).decode()
-        names.add(name)
-        names |= {f"{name}.{each}" for each in re.findall(r"\w+", imported.decode())}
-    found = set()
-    for name in names:
-        top = name.split(".")[0]
-        if top in folders:
-            path = folders[top].joinpath(*name.split("."))
-            found |= {path.with_suffix(".py"), path / "__init__.py"}
-    return frozenset(path for path in found if path.is_file())
+        if name.partition(".")[0] in folders:
+            names |= {name, *(f"{name}.{each}" for each in re.findall(r"\w+", imported.decode()))}
+    return frozenset(
+        path for name in names for path in _files(folders[name.partition(".")[0]], name)
+    )
+
+
+@cache
+def _files(folder: str, name: str) -> tuple[str, ...]:
+    """The files of the module ``name``, a package in ``folder`` or below; none for a function."""
+    path = os.path.join(folder, *name.split("."))  # noqa: PTH118 (thousands: pathlib takes longer)
+    both = f"{path}.py", os.path.join(path, "__init__.py")  # noqa: PTH118
+    return tuple(file for file in both if os.path.isfile(file))  # noqa: PTH113
 
 
 _folder = cache(_cache_folder)

@@ -15,8 +15,11 @@ import os
 import signal
 import sys
 import warnings
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
+from importlib.machinery import ModuleSpec, PathFinder
+from importlib.util import LazyLoader
+from types import ModuleType
 
 from can_rig.errors import INTERRUPTED, RigError, one_line
 
@@ -57,26 +60,38 @@ def collect_again() -> None:
 _NOT_WANTED = {
     "asammdf": ("can.io.mf4", "MF4Writer"),
     "coverage": ("numba.misc.coverage_support", "coverage_available"),
+    "yaml": ("numba.core.config", "_HAVE_YAML"),
 }
 """By name: which module imports it if it can, and what that module has once it is imported.
 
 Asammdf brings pandas with it, most of a second that only .mf4 logs need, and ``can_rig.logs`` calls
-it itself. Coverage would be told which lines numba compiles.
+it itself. Coverage would be told which lines numba compiles. Yaml would read a file of settings.
+"""
+_LATER = {"cantools.logreader", "cantools.tester", "numpy.f2py", "numpy.testing"}
+"""Parts of libraries that their packages import unused; loaded where an attribute is asked for.
+
+The first two bring python-can, the last two come with scipy's ``from numpy import *``.
 """
 
 
 class _WithoutThem:
-    """Hides optional dependencies from a single importing module."""
+    """Hides optional dependencies from a single importing module, and puts parts off."""
 
-    @staticmethod
-    def find_spec(name: str, _path: object, _target: object = None) -> None:
-        """Refuse a hidden dependency while the importing module is being imported."""
-        if name not in _NOT_WANTED:
-            return
-        asking, has = _NOT_WANTED[name]
-        importer = sys.modules.get(asking)
-        if importer is not None and not hasattr(importer, has):
-            raise ModuleNotFoundError(f"{name} is left out of {asking}", name=name)
+    @classmethod
+    def find_spec(
+        cls, name: str, path: Sequence[str] | None, target: ModuleType | None = None
+    ) -> ModuleSpec | None:
+        """Refuse a hidden dependency to its importer alone; let a part of `_LATER` wait."""
+        if name in _NOT_WANTED:
+            asking, has = _NOT_WANTED[name]
+            importer = sys.modules.get(asking)
+            if importer is not None and not hasattr(importer, has):
+                raise ModuleNotFoundError(f"{name} is left out of {asking}", name=name)
+        if name not in _LATER or (spec := PathFinder.find_spec(name, path, target)) is None:
+            return None
+        if spec.loader is not None:
+            spec.loader = LazyLoader(spec.loader)
+        return spec
 
 
 def silence() -> None:

@@ -38,7 +38,10 @@ def imported_by(*arguments: str) -> set[str]:
         (["--help"], TABLES | PICTURES | SOLVERS | NUMBERS | {"rich"}),
         (["--version"], TABLES | PICTURES | SOLVERS | NUMBERS | {"rich"}),
         (["scenarios"], TABLES | PICTURES | SOLVERS | NUMBERS),
-        (["check", "thesis-step"], TABLES | PICTURES | SOLVERS),
+        (
+            ["check", "thesis-step"],
+            TABLES | PICTURES | SOLVERS | {"can", "yaml", "numpy.f2py.f2py2e"},
+        ),
         (["bus"], TABLES | PICTURES | SOLVERS),
         (["controller", "--help"], TABLES | PICTURES | SOLVERS),
         (["run", "--help"], TABLES | PICTURES | SOLVERS),
@@ -60,6 +63,10 @@ import asammdf
 import numba
 assert "coverage" not in sys.modules
 import coverage
+import cantools, numpy, yaml
+assert cantools.tester.Tester.__init__
+numpy.testing.assert_allclose(1.0, 1.0)
+assert numpy.f2py.compile
 """
 
 
