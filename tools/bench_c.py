@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 from rich.console import Console
@@ -125,10 +125,11 @@ def starting_s(name: str) -> float:
 def bench_c() -> None:
     """Measure, and print."""
     table = Table("of default", "C", "numba")
-    for precision in ("float64", "float32"):
-        found = nanoseconds(precision)  # type: ignore[arg-type]
+    for precision in get_args(Precision):
+        found = nanoseconds(precision)
         table.add_row(f"ns a step, {precision}", *(f"{each:.0f}" for each in found))
-    alone, whole = zip(*map(microseconds, (CompiledLaw("float64"), PYTHON_LAW)), strict=True)
+    laws: tuple[Law, ...] = (CompiledLaw("float64"), PYTHON_LAW)
+    alone, whole = zip(*map(microseconds, laws), strict=True)
     table.add_row("µs a step from Python", *(f"{each:.1f}" for each in alone))
     table.add_row("µs of Firmware.step", *(f"{each:.1f}" for each in whole))
     started = (starting_s("c"), starting_s("python"))

@@ -13,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from typing import Any
 
 import asammdf
 import can
@@ -51,11 +52,11 @@ def repeated_run(folder: Path, frames: int) -> Path:
 
 def by_python_can_and_cantools(path: Path, database: Database) -> dict[str, np.ndarray]:
     """Columns frame by frame, as most scripts do it; nothing is checked."""
-    columns: dict[str, list[float]] = {}
+    columns: dict[str, list[Any]] = {}
     with can.LogReader(path) as reader:
         for message in reader:
-            values = database.decode_message(
-                message.arbitration_id, message.data, decode_choices=False
+            values: Any = database.decode_message(
+                message.arbitration_id, bytes(message.data), decode_choices=False
             )
             for name, value in values.items():
                 columns.setdefault(f"{message.arbitration_id}.{name}", []).append(value)
@@ -97,12 +98,12 @@ def bench_decode(frames: int, rounds: int) -> None:
             if path != candump:
                 write_log(read_log(candump), path)
             ours(path, database)  # compiles
-            other, theirs = (
+            other, theirs_once = (
                 ("asammdf, extract_bus_logging", partial(by_asammdf, path, matrix))
                 if suffix == ".mf4"
                 else ("python-can, cantools", partial(by_python_can_and_cantools, path, database))
             )
-            pairs[suffix] = other, theirs, partial(ours, path, database)
+            pairs[suffix] = other, theirs_once, partial(ours, path, database)
         timings: dict[str, list[tuple[float, float]]] = {suffix: [] for suffix in pairs}
         for _ in range(rounds):
             for suffix, (_, theirs, mine) in pairs.items():

@@ -55,7 +55,8 @@ def _metrics(name: str, seed: int) -> tuple[float, ...]:
         "detection_delay_s", "deviation_peak_after_fault_mps2",
         "deviation_settled_after_fault_mps2", "unavoidable_deviation_mps2",
     )  # fmt: skip
-    delay_s, *deviations = (np.nan if metrics[key] is None else metrics[key] for key in wanted)
+    found = (metrics[key] for key in wanted)
+    delay_s, *deviations = (np.nan if each is None else float(each) for each in found)
     return (1e3 * delay_s, *deviations)
 
 

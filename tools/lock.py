@@ -43,11 +43,11 @@ def locked(uv: Path, folder: Path, renewed: list[str]) -> Iterator[tuple[list[st
         (folder / name).write_bytes((ROOT / name).read_bytes())
 
     def run(*words: str) -> str:
-        command = [uv, *words, "--quiet", "--project", folder, "--python", sys.executable]
+        command = [str(uv), *words, "--quiet", "--project", str(folder), "--python", sys.executable]
         done = subprocess.run(command, check=False, stdout=subprocess.PIPE, text=True)
         if done.returncode:  # uv has said why
             raise SystemExit(2)
-        return done.stdout
+        return str(done.stdout)
 
     def packages(*choice: str) -> list[str]:
         form = ("--no-emit-project", "--no-annotate", "--no-header", "--no-dev", "--frozen")

@@ -308,7 +308,7 @@ class Session:
         return failed, self._cpu_s, self._entered()
 
     def _run(
-        self, items: Sequence[pytest.Item], begin: Callable[[pytest.Item], None] = lambda _: None
+        self, items: Sequence[pytest.Item], begin: Callable[[pytest.Item], object] = lambda _: None
     ) -> str:
         """Run tests until one fails; its name."""
         signal.signal(signal.SIGPROF, signal.SIG_DFL)  # ends the process

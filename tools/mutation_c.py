@@ -156,8 +156,8 @@ def law_bench(place: Path, law: dict[str, str], memories: Sequence[int]) -> Benc
     ]
     expected = [in_python(each) for each in trials]
     orders = [place / f"law-{at}" for at in range(len(trials))]
-    for path, each in zip(orders, trials, strict=True):
-        path.write_bytes(encoded(each))
+    for path, some_trials in zip(orders, trials, strict=True):
+        path.write_bytes(encoded(some_trials))
 
     def noticed(at: int, said: bytes) -> bool:
         return said != expected[at] and different(expected[at], said, trials[at]) > 0

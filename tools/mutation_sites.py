@@ -154,8 +154,8 @@ def _operators(node: ast.expr) -> Iterator[str]:
         case ast.UnaryOp(op=ast.USub() | ast.Not() | ast.Invert(), operand=operand):
             yield ast.unparse(operand)
         case ast.Compare(left=left, ops=ops, comparators=others):
-            for at, op in enumerate(ops):
-                for other in _COMPARISONS[type(op)]:
+            for at, compared in enumerate(ops):
+                for other in _COMPARISONS[type(compared)]:
                     changed = [*ops[:at], other, *ops[at + 1 :]]
                     yield ast.unparse(ast.Compare(left, changed, others))
         case ast.BoolOp(op=op, values=parts):

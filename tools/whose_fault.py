@@ -14,7 +14,7 @@ from __future__ import annotations
 
 import sys
 from collections import Counter
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from dataclasses import replace
 from pathlib import Path
@@ -209,7 +209,7 @@ def confused(seed: int) -> tuple[str, str, float, float]:
     return wrong, in_words(found.verdict), found.peak, without.peak
 
 
-def rows_of(header: str, columns: list[str], rows: Iterator[list[str]]) -> Iterator[str]:
+def rows_of(header: str, columns: list[str], rows: Iterable[Sequence[str]]) -> Iterator[str]:
     """A table as the documents have it."""
     yield f"| {header} | {' | '.join(columns)} |"
     yield "|---" * (len(columns) + 1) + "|"
@@ -227,14 +227,14 @@ def main(runs: int, processes: int, kinds: bool) -> None:
         if kinds:
             columns = list(pool.map(by_kind, SCENARIOS))
             cells = zip(KINDS, *columns, strict=True)
-            rows = rows_of("fault", list(SCENARIOS), (list(row) for row in cells))
-            click.echo("\n".join(rows) + "\n")
+            lines = rows_of("fault", list(SCENARIOS), (list(row) for row in cells))
+            click.echo("\n".join(lines) + "\n")
         found = list(pool.map(confused, range(runs), chunksize=8))
     said = [in_words(verdict) for verdict in Verdict]
     wrongs = [drawn(seed)[0] for seed in range(WRONGS)]
     counts = Counter((wrong, verdict) for wrong, verdict, _, _ in found)
     worse = {wrong: sorted(_worse(found, wrong)) for wrong in wrongs}
-    rows = (
+    rows = [
         [
             wrong,
             *(str(counts[wrong, verdict] or "") for verdict in said),
@@ -242,7 +242,7 @@ def main(runs: int, processes: int, kinds: bool) -> None:
             f"{worse[wrong][-1][1]:.2g} ({worse[wrong][-1][2]:.2g})" if worse[wrong] else "",
         ]
         for wrong in wrongs
-    )
+    ]
     click.echo("\n".join(rows_of("wrong", [*said, "worse", "at worst"], rows)))
 
 

@@ -15,7 +15,7 @@ QUICK = ("design", "discretisation")  # rooms of tests whose cases cost nothing
 @pytest.hookimpl(trylast=True)  # after -m has chosen
 def pytest_collection_modifyitems(config, items):
     """Leave out what is between, but for tests marked ``every_case``."""
-    if not numba.config.DISABLE_JIT:
+    if not numba.config.DISABLE_JIT:  # type: ignore[attr-defined]
         return
     cases = defaultdict(list)
     for item in items:

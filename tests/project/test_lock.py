@@ -111,7 +111,7 @@ def setup(tmp_path):
         )  # fmt: skip
         return done.returncode, done.stderr, calls.read_text().splitlines()
 
-    run.folder = tmp_path
+    run.folder = tmp_path  # type: ignore[attr-defined]
     return run
 
 

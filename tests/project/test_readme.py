@@ -32,7 +32,8 @@ def test_every_command_is_listed_and_every_listed_command_is_there() -> None:
 
 def test_the_exit_statuses_are_those_of_the_errors() -> None:
     listed = {int(cell) for cell, *_ in table(README, "exit status")}
-    found = {error.exit_status for error in [errors.RigError, *errors.RigError.__subclasses__()]}
+    kinds: list[type[errors.RigError]] = [errors.RigError, *errors.RigError.__subclasses__()]
+    found = {error.exit_status for error in kinds}
     assert listed == found | {0, 1, errors.INTERRUPTED}
 
 

@@ -7,13 +7,13 @@ import re
 from typing import Any
 
 import pytest
+from scenario_keys import unit
 
 from can_rig.logs.columns import EVIDENCE, SPEED, VERDICT
 from can_rig.logs.columns import ON_THE_BUS as COLUMNS
 from can_rig.plant.behind import plant_behind
 from can_rig.scenario.plant_settings import PlantSettings
 from tests.project.pages import table, text_of
-from tools.scenario_keys import unit
 
 RESULTS = text_of("docs/results.md")
 

@@ -7,10 +7,10 @@ from collections.abc import Iterator
 from typing import Any
 
 import pytest
+import scenario_keys
 from pydantic import TypeAdapter
 
 from can_rig.scenario.settings import Scenario
-from tools import scenario_keys
 
 SCHEMA: dict[str, Any] = TypeAdapter(Scenario).json_schema()
 

@@ -9,7 +9,7 @@ import pytest
 
 from tests.project.pages import ROOT
 
-SHORTEST = {
+SHORTEST: dict[str, list[tuple[str, ...]]] = {
     "bench": [
         ("loop", "--rounds=1", "--seconds=0.1"),
         ("decode", "--rounds=1", "--frames=1000"),

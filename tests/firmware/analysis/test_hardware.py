@@ -26,7 +26,8 @@ from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import Simulation
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.plants import steer_by_wire
-from firmware_model.discretisation.tables import Target, build
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Target
 
 TICK_S, TICKS = 1e-3, 40
 TABLE = build(design(steer_by_wire(), DesignSpecification()), Target(TICK_S))

@@ -9,13 +9,13 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 
 from can_rig.assessment.frame_length import (
-    FD_LENGTHS,
     INTERMISSION_BITS,
     FrameBits,
     FrameError,
     frame_bits,
     worst_case_bits,
 )
+from can_rig.frames.foreign_frames import FD_LENGTHS
 
 
 def bits_of(number, width):

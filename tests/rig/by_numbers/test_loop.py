@@ -15,6 +15,7 @@ from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import check_stability
 from can_rig.assessment.tuning import search
 from can_rig.assessment.tuning.box import cars, parameter_ranges
+from can_rig.assessment.tuning.candidate import Values
 from can_rig.plant.frameless import frameless
 from can_rig.results.report import page as report
 from can_rig.results.signals import read_signals
@@ -80,7 +81,7 @@ def test_check_speaks_of_the_plant(tmp_path: Path, name: str, first: str) -> Non
 def test_tune_finds_the_least_peak_for_other_plants_of_the_box(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    some: Sequence[search.Values] = [(0.01, 4, 0.056, 3), (0.047, 3, 0.1, 3), (0.0047, 3, 0.039, 2)]
+    some: Sequence[Values] = [(0.01, 4, 0.056, 3), (0.047, 3, 0.1, 3), (0.0047, 3, 0.039, 2)]
     monkeypatch.setattr(search, "grid", lambda scenario: some)
     path = written(tmp_path, "two-masses")
     done = asked("tune", path, "--json", "--out", tmp_path / "tuning")

@@ -4,9 +4,11 @@ import os
 import re
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
+from rich.progress import Progress
 
 from can_rig.cli import progress as progress_module
 from can_rig.cli.main import main
@@ -58,7 +60,7 @@ def test_it_is_drawn_by_no_thread_and_seldom(monkeypatch: pytest.MonkeyPatch) ->
 
     now_s = 0.0
     monkeypatch.setenv("TTY_COMPATIBLE", "1")
-    monkeypatch.setattr(progress_module.time, "monotonic", lambda: now_s)
+    monkeypatch.setattr(time, "monotonic", lambda: now_s)
     drawn = 0
 
     def refresh(_: object) -> None:
@@ -67,7 +69,7 @@ def test_it_is_drawn_by_no_thread_and_seldom(monkeypatch: pytest.MonkeyPatch) ->
 
     before = threading.active_count()
     with counting("x", "ticks", 1000) as on_tick:
-        monkeypatch.setattr(progress_module.Progress, "refresh", refresh)
+        monkeypatch.setattr(Progress, "refresh", refresh)
         for tick in range(1, 1001):
             now_s = tick * 1e-3
             on_tick(tick)
@@ -83,7 +85,7 @@ def test_drives_of_many_cars_have_a_bar_where_they_take_long(
     now_s = 0.0
     monkeypatch.setenv("TTY_COMPATIBLE", "1")
     monkeypatch.setenv("COLUMNS", "120")
-    monkeypatch.setattr(progress_module.time, "monotonic", lambda: now_s)
+    monkeypatch.setattr(time, "monotonic", lambda: now_s)
     with car_bar() as on_car:
         for car in range(1, 18):
             now_s = car * car_s

@@ -84,7 +84,7 @@ def bus_logging(path: Path, groups: int) -> Path:
         for group in range(groups):
             times = (np.arange(30) * 0.01)[group::groups]
             count = len(times)
-            members = {
+            members: dict[str, np.ndarray] = {
                 "BusChannel": np.full(count, group + 1, np.uint8),
                 "ID": (np.arange(count) + 0x100 * group + (1 << 31) * (group == 1)),
                 "DLC": np.full(count, 4, np.uint8),

@@ -8,7 +8,7 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.logs.columns import TRUE_OUTPUT
 from can_rig.plant.actuators import FollowedCommand
-from can_rig.plant.behind import plant_behind
+from can_rig.plant.behind import LinearBehind, plant_behind
 from can_rig.plant.sensor import FilteredSamples, SensorNoise, noise
 from can_rig.plant.simulated import SimulatedPlant
 from firmware_model.design.actuator_dynamics import Stage
@@ -179,7 +179,7 @@ def test_reports_of_a_whole_run_are_those_of_its_ticks(own):
     """In pieces, the first of which ends before the dead times do."""
     name = "chapter-2" if "plant.kind=chapter-2" in own else "thesis-step"
     scenario = settings(*own[: 0 if name == "chapter-2" else None], name=name)
-    plant = plant_behind(scenario.plant, scenario.tick_s)
+    plant = LinearBehind(scenario.plant, scenario.tick_s)
     commands = np.array(commands_of(30, hold=1))
     left = np.where(np.arange(30)[:, None] < 17, 1.0, [0.25, 0.5])
     states, output, reports, last = [], [], [], 0.0
@@ -199,7 +199,7 @@ def test_reports_of_a_whole_run_are_those_of_its_ticks(own):
 
 
 def test_a_column_has_no_negative_zero_as_no_frame_has():
-    plant = plant_behind(settings().plant, 0.001)
+    plant = LinearBehind(settings().plant, 0.001)
     states, left, reached = np.zeros((3, 4)), np.ones((3, 2)), np.full((2, 3), -0.0)
     columns = plant.report_columns(np.zeros(3), states, reached, left, range(3))
     assert not np.signbit(columns["applied_torque_nm"]).any()

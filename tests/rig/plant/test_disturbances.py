@@ -22,7 +22,7 @@ from can_rig.plant.disturbances import BLOCK, CALM, COLUMNS, Disturbances
 from can_rig.plant.nonlinear_car import NonlinearCar
 from can_rig.plant.protocol import require_world
 from can_rig.scenario.loading import as_settings, read, with_values
-from can_rig.scenario.settings import PlantSettings
+from can_rig.scenario.plant_settings import PlantSettings
 from tests.firmware.analysis.world import Integrated
 from tests.rig.plant.linear import LinearPlant
 

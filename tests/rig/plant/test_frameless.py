@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import dataclasses
 from pathlib import Path
+from typing import get_args
 
 import numpy as np
 import pytest
@@ -24,7 +25,7 @@ from tests.helpers import record
 from tests.rig.plant.fault_settings import fault_list
 from tests.rig.plant.linear import LinearPlant
 
-KINDS = [kind for kind in FaultKind.__args__ if kind != "none"]
+KINDS = [kind for kind in get_args(FaultKind) if kind != "none"]
 NONLINEAR = "plant.kind=can_rig.plant.nonlinear_car:NonlinearCar"
 LINEAR = "plant.kind=tests.rig.plant.linear:LinearPlant"
 FAILING = "plant.kind=tests.rig.plant.test_frameless:Failing"

@@ -16,7 +16,7 @@ from can_rig.assessment.resolve import load
 from can_rig.plant.frameless import frameless
 from can_rig.plant.nonlinear_car import NonlinearCar, _advance, _rates, brush, car_of
 from can_rig.scenario.build import network_of
-from can_rig.scenario.settings import PlantSettings
+from can_rig.scenario.plant_settings import PlantSettings
 from firmware_model.analysis.changing_plant import changing_plant, follow_changing
 from firmware_model.design.actuator_dynamics import IDEAL
 from firmware_model.target.status import FaultState

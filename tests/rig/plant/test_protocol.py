@@ -79,7 +79,7 @@ def test_it_is_constructed_with_the_settings_of_the_scenario_and_is_not_the_one_
     write(GOOD)
     plant = load_plant("mycar:Car", SETTINGS)
     tried, made = sys.modules["mycar"].Car.made
-    assert plant is made
+    assert made == plant
     assert made.settings is SETTINGS
     assert made.calls == []
     assert tried.calls == ["reset", (plant_protocol.TRIAL_S, 0.0, 0.0)]

@@ -19,6 +19,7 @@ from can_rig.assessment.resolve import load
 from can_rig.errors import INTERRUPTED, RigError, RunFolderError, SilentNodeError
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.ticks import NodeSummary
+from can_rig.nodes.without_bus import run_without_bus
 from can_rig.results import execution
 from can_rig.results.execution import execute
 from can_rig.results.run_folder import recorded_scenario
@@ -188,7 +189,7 @@ def test_a_what_if_whose_plant_fails_leaves_a_complete_folder(there: Path, tmp_p
 def test_a_what_if_has_its_bus_events_and_a_reference_that_can_be_read_again(
     there: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    run = execution.run_without_bus
+    run = run_without_bus
 
     def eventful(*arguments: Any) -> NodeSummary:
         summary = run(*arguments)

@@ -12,7 +12,8 @@ from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.interaction import Interaction
 from can_rig.nodes.operating import Touch
 from can_rig.nodes.run_control import RunControl
-from can_rig.results.execution import REFERENCE, execute
+from can_rig.results.execution import execute
+from can_rig.results.run_folder import REFERENCE
 
 FRAMES = 5  # of a tick
 

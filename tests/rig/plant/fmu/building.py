@@ -8,6 +8,7 @@ import subprocess
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import fmpy
 from fmpy import fmi2, fmi3
@@ -124,7 +125,7 @@ def _rest(version: int) -> str:
     return "".join(f"__attribute__((weak)) int {name}(void) {{ return 3; }}\n" for name in wanted)
 
 
-def _braces(values: object) -> str:
+def _braces(values: Any) -> str:
     if isinstance(values, float | int):
         return repr(float(values))
     return "{" + ", ".join(_braces(each) for each in values) + "}"
