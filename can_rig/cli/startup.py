@@ -70,7 +70,7 @@ it itself. Coverage would be told which lines numba compiles. Yaml would read a 
 _LATER = {"cantools.logreader", "cantools.tester", "numpy.f2py", "numpy.testing"}
 """Parts of libraries that their packages import unused; loaded where an attribute is asked for.
 
-The first two bring python-can, the last two come with scipy's ``from numpy import *``.
+The first two bring parts of python-can, the last two come with scipy's ``from numpy import *``.
 """
 
 
