@@ -6,7 +6,7 @@ from typing import Final
 
 from can_rig.drawing.names import Names, ticks_text, with_unit
 from can_rig.scenario.disturbance_settings import DisturbanceSettings
-from can_rig.scenario.fault_settings import FaultSettings
+from can_rig.scenario.fault_settings import RESTARTED, FaultSettings
 
 HOW: Final = {
     "actuator-dead": "lost",
@@ -33,6 +33,8 @@ def fault_in_words(fault: FaultSettings, names: Names, end_s: float) -> str:
     when = _when(fault, every, end_s)
     if fault.kind == "sensor-biased":
         return f"{fault_label(fault, names)} {_size(fault, names)} {when}"
+    if fault.kind == RESTARTED:
+        return f"{fault_label(fault, names)}, without power {when}"
     size = _size(fault, names)
     told = f"{fault_label(fault, names)} {size}".rstrip()
     return f"{told} {when} ({fault.kind.replace('-', ' ')})"

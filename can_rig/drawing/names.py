@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from can_rig.scenario.fault_settings import PLACES, FaultSettings
+from can_rig.scenario.fault_settings import CONTROLLER, PLACES, FaultSettings
 from can_rig.scenario.plant_settings import PlantSettings, SignalSettings
 
 
@@ -28,7 +28,9 @@ class Names(NamedTuple):
     command_2: Signal
 
     def hit_by(self, fault: FaultSettings) -> Signal:
-        """The signal that ``fault`` takes away or falsifies."""
+        """The signal that ``fault`` takes away or falsifies; of a restart, the controller."""
+        if fault.place == CONTROLLER:
+            return Signal(CONTROLLER)
         return self[(1, 2, 0)[PLACES.index(fault.place)]]
 
 

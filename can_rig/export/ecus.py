@@ -41,8 +41,11 @@ class Ecu(Protocol):
             ExportError: the node has ended.
         """
 
+    def restart(self) -> object:
+        """Begin from nothing, as after power-up."""
+
     def counts(self) -> list[int]:
-        """Frames by ``CheckStatus``: for reference, feedback and, if received, speed."""
+        """Frames by ``CheckStatus`` since the start: for reference, feedback, any speed."""
 
     def close(self) -> None:
         """Stop the node."""
@@ -92,7 +95,12 @@ class HostEcu:
         self._receivers = int(code.harness_receivers())
         self._memory = ctypes.create_string_buffer(code.harness_size())
         self._sent = ctypes.create_string_buffer(MOST_SENT * SENT_BYTES)
-        code.ecu_init(self._memory)
+        self._init = code.ecu_init
+        self.restart()
+
+    def restart(self) -> None:
+        """See ``Ecu``."""
+        self._init(self._memory)
 
     def take(self, frame_id: int, data: bytes) -> Sent:
         """See ``Ecu``."""

@@ -73,6 +73,7 @@ def payloads(
     mode: Ints | None = None,
     fault_state: Ints | None = None,
     verdict: Ints | None = None,
+    counts: Ints | None = None,
 ) -> UInt8s:
     """(n, 8), the next frames of a `Transmitter` after a frame in every tick from 0.
 
@@ -83,14 +84,17 @@ def payloads(
         mode: (n,), of the status frame.
         fault_state: (n,), likewise.
         verdict: (n,), likewise; ignored for a frame without a verdict.
+        counts: (n,), the number of frames before each, of a sender that began at another tick.
     """
+    if counts is None:
+        counts = np.arange(first_tick, first_tick + len(values))
     nothing, words = np.zeros(len(values), np.int64), np.empty(len(values), "<i8")
     whole, scales = constants([codec])
     modes, states, verdicts = (
         nothing if each is None else each for each in (mode, fault_state, verdict)
     )
     values = np.ascontiguousarray(values)
-    _words(whole, scales, values, first_tick, modes, states, verdicts, words)
+    _words(whole, scales, values, first_tick, modes, states, verdicts, counts, words)
     return words.view(np.uint8).reshape(-1, FRAME_BYTES)
 
 
@@ -103,13 +107,14 @@ def _words(
     mode: Any,
     fault_state: Any,
     verdict: Any,
+    counts: Any,
     words: Any,
 ) -> None:
     for k in range(len(values)):
-        tick = first_tick + k
         words[k] = frame_word(
-            codecs, scales, 0, values[k], tick, tick % COUNTERS, mode[k], fault_state[k], verdict[k]
-        )
+            codecs, scales, 0, values[k], first_tick + k, counts[k] % COUNTERS, mode[k],
+            fault_state[k], verdict[k],
+        )  # fmt: skip
 
 
 IDENTIFIER, CRC, MODE_SHIFT, FAULT_STATE_SHIFT, VERDICT_BITS = range(5)

@@ -123,10 +123,14 @@ class Bursts:
                 return found
         if size:
             self._bus.unread(bytes(self._read[:size]))
+        self.let_receivers_know()
+        return None
+
+    def let_receivers_know(self) -> None:
+        """Count every frame of a burst in its receiver, too, whose counter is then the next."""
         for checker in self._checkers:
             checker.go_on(self._usual)
         self._ready, self._usual = False, 0
-        return None
 
     def _follow(self) -> bool:
         """Take the counters from the receivers."""

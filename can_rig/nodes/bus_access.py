@@ -211,7 +211,7 @@ class Watchdog:
         self._allowed_s = timeouts.first_s
         self.silence_s = timeouts.silence_s
         self.stop = stop
-        self._while_alone = while_alone
+        self._while_alone = self._while_starting = while_alone
         self._clock = clock
         self._looked_ns: int | None = None  # None: it has just been heard
         self._silent_ns = self._repeated_ns = 0
@@ -226,6 +226,10 @@ class Watchdog:
         self._looked_ns = None
         self._silent_ns = self._repeated_ns = 0
         self._trouble = None
+
+    def expect_restart(self) -> None:
+        """The other node begins again: what is called while this node is alone is called again."""
+        self._while_alone = self._while_starting
 
     def receive(self, tick: int) -> can.Message:
         """The next frame of any kind.

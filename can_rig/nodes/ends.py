@@ -7,6 +7,7 @@ end receives the plant's frames and sends the answer.
 from __future__ import annotations
 
 import math
+from collections import Counter
 from collections.abc import Sequence
 from itertools import chain
 from typing import Final
@@ -50,6 +51,15 @@ def bursts_of(
         return None
     assert isinstance(send, PersistentSender)
     return Bursts(local, send, codecs, receivers, lines)
+
+
+Rejected = dict[str, dict[str, int]]
+"""Per message, how many frames were not used and why."""
+
+
+def all_rejected(before: Rejected, now: Rejected) -> Rejected:
+    """The counts of a node from before its restart and since."""
+    return {name: dict(Counter(before.get(name)) + Counter(now[name])) for name in now}
 
 
 class PlantEnd:
@@ -98,6 +108,7 @@ class PlantEnd:
         )
         self._by_id = {each.codec.frame_id: at for at, each in enumerate(self._receivers)}
         self._offered: tuple[can.Message, ...] = ()
+        self._restarted = False  # and no status frame used since
         self._sampled: tuple[int, tuple[float, float, float]] = (0, (0.0, 0.0, 0.0))
         self.bursts: Final = bursts_of(
             network,
@@ -156,7 +167,29 @@ class PlantEnd:
         if at is None:
             return None
         record = self._receivers[at].accept(message, tick)
-        return None if record is None else (at, record)
+        if record is None:
+            return None
+        self._restarted &= at != COMMANDS
+        return at, record
+
+    def ends(self, message: can.Message, tick: int) -> bool:
+        """Whether a rejected frame is the status of ``tick`` by a controller that began again.
+
+        Its alive counter begins again, so the checker may reject the first status frames. They end
+        the tick all the same; their content is not used.
+        """
+        status = self._receivers[COMMANDS].codec
+        return (
+            self._restarted
+            and message.arbitration_id == status.frame_id
+            and Receiver(status).accept(message, tick) is not None
+        )
+
+    def expect_restart(self) -> None:
+        """The controller has no power, and begins again later."""
+        self._restarted = True
+        if self.bursts is not None:
+            self.bursts.let_receivers_know()
 
     def age(self, message: can.Message, tick: int) -> int:
         """How many ticks before ``tick`` a frame's own tick lies; 0 for one that says none."""
@@ -193,17 +226,28 @@ class ControllerEnd:
     def __init__(
         self, scenario: Scenario, network: Network, send: Send, local: LocalBus | None = None
     ) -> None:
-        self.reference: Final = Receiver(network.reference)
-        self.feedback: Final = Receiver(network.feedback)
-        self.speed: Final = None if network.speed is None else Receiver(network.speed)
-        self._send = send
-        self._commands = (Transmitter(network.command_1), Transmitter(network.command_2))
-        self._status = Transmitter(network.status)
+        self._network, self._send, self._local = network, send, local
         self.faults: Final = FrameFaults(scenario, network)
         """Those of the answer."""
+        self._rejected: Rejected = {}
+        self._begin()
+
+    def restart(self) -> None:
+        """Begin again: the first frames sent have counter 0, the receivers have heard nothing."""
+        self._rejected = self.rejected()
+        self.faults.restart()
+        self._begin()
+
+    def _begin(self) -> None:
+        network, send, local = self._network, self._send, self._local
+        self.reference = Receiver(network.reference)
+        self.feedback = Receiver(network.feedback)
+        self.speed = None if network.speed is None else Receiver(network.speed)
+        self._commands = (Transmitter(network.command_1), Transmitter(network.command_2))
+        self._status = Transmitter(network.status)
         answers = (network.command_1, network.command_2, network.status)
         healthy = not (self.faults.concerns(0) or self.faults.concerns(1))
-        self.bursts: Final = bursts_of(network, send, answers, self._receivers, healthy, local)
+        self.bursts = bursts_of(network, send, answers, self._receivers, healthy, local)
         """Access to the frames as bursts; None: frame by frame."""
 
     def send_answer(self, tick: int, answer: Answer) -> None:
@@ -246,9 +290,10 @@ class ControllerEnd:
         for receiver in self._receivers:
             receiver.end_tick()
 
-    def rejected(self) -> dict[str, dict[str, int]]:
+    def rejected(self) -> Rejected:
         """Per message, how many frames were not used and why."""
-        return {receiver.codec.name: receiver.rejected for receiver in self._receivers}
+        now = {receiver.codec.name: receiver.rejected for receiver in self._receivers}
+        return all_rejected(self._rejected, now)
 
     @property
     def _receivers(self) -> tuple[Receiver, ...]:

@@ -10,8 +10,10 @@ from __future__ import annotations
 
 import math
 from abc import ABC, abstractmethod
+from collections import deque
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager, suppress
+from functools import partial
 from typing import Final, Protocol
 
 import can
@@ -20,12 +22,19 @@ from can_rig.buses.local.bus import LocalBus
 from can_rig.errors import ExportError, ScenarioError
 from can_rig.export.controllers import Application, Controller
 from can_rig.export.ecus import COUNTS, Ecu, rejected
-from can_rig.frames.codec import WIRE_TICKS, Record, tick_from
+from can_rig.frames.codec import WIRE_TICKS, Record, tick_from, ticks_ahead
 from can_rig.frames.endpoints import Receiver
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import NodeBus, Send, Watchdog
 from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock
-from can_rig.nodes.ends import COMMANDS, ControllerEnd, PlantEnd, started
+from can_rig.nodes.ends import (
+    COMMANDS,
+    ControllerEnd,
+    PlantEnd,
+    Rejected,
+    all_rejected,
+    started,
+)
 from can_rig.nodes.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.recording import PlantRecorder, Recorder
 from can_rig.nodes.run_control import FollowedFaults, RunControl
@@ -76,6 +85,7 @@ class PlantNode:
     ) -> None:
         require_ticks(scenario, network)
         self.ticks: Final = scenario.ticks
+        self._outages = deque(scenario.outages)
         self._recorder = recorder
         self._others_send = False
         self._end = PlantEnd(
@@ -130,6 +140,13 @@ class PlantNode:
         Raises:
             SilentNodeError, BusLostError, Interrupted: see ``Watchdog.receive``.
         """
+        if self._outages and tick >= self._outages[0].start:
+            self._end.expect_restart()
+            watchdog.expect_restart()
+            if tick in self._outages[0]:
+                self._pass(tick, watchdog)
+                return
+            self._outages.popleft()
         if self._end.bursts is not None:
             found = self._end.bursts.receive(tick)
             if found is not None:
@@ -147,6 +164,9 @@ class PlantNode:
             if self._recorder is not None:
                 self._recorder.record(message, sent=False)
             judged = self._end.judge(message, tick)
+            if judged is None and self._end.ends(message, tick):
+                watchdog.hear()
+                break
             if judged is None:
                 self._others_send = True
                 self._control.take(message)
@@ -160,6 +180,14 @@ class PlantNode:
                 commands[at] = record.value
         self._end.end_tick()
         self._end.advance(tick, *commands)
+        self._control.applied()
+
+    def _pass(self, tick: int, watchdog: Watchdog) -> None:
+        """Finish a tick in which the controller has no power."""
+        while (message := watchdog.glance(0.0)) is not None:
+            self._overhear(message)
+        self._end.end_tick()
+        self._end.advance(tick, None, None)
         self._control.applied()
 
     def _overhear(self, message: can.Message) -> None:
@@ -203,22 +231,68 @@ def require_ticks(scenario: Scenario, network: Network) -> None:
 
 
 class AnsweringNode(ABC):
-    """A node that answers each tick's frames.
+    """A node that answers each tick's frames, unless the scenario takes its power.
 
     Attributes:
         ticks: the number of ticks of the whole run.
     """
 
-    ticks: int
+    def __init__(self, scenario: Scenario, network: Network) -> None:
+        self.ticks: Final = scenario.ticks
+        self._feedback_codec = network.feedback
+        self._outages = deque(scenario.outages)
+        self._tick = 0  # the next one
 
     @property
-    @abstractmethod
     def tick(self) -> int:
-        """The tick that is answered next."""
+        """The tick that is answered next, or passes without power."""
+        return self._tick
 
-    @abstractmethod
     def take(self, message: can.Message) -> bool:
         """Receive a frame; returns True if the frame completed a tick, which is then answered."""
+        if self._follow(message):
+            return False
+        return self._overhear(message) if self._has_no_power else self._receive(message)
+
+    @abstractmethod
+    def _follow(self, message: can.Message) -> bool:
+        """Whether a frame announces a command of an operator, which is then obeyed."""
+
+    @abstractmethod
+    def _receive(self, message: can.Message) -> bool:
+        """See ``take``."""
+
+    @abstractmethod
+    def _restart(self) -> None:
+        """Begin from nothing, as after power-up."""
+
+    @property
+    def _has_no_power(self) -> bool:
+        return bool(self._outages) and self._tick in self._outages[0]
+
+    def _go_on(self, tick: int) -> None:
+        """Turn to ``tick``, where an outage may end."""
+        self._tick = tick
+        if self._outages and tick == self._outages[0].stop:
+            self._outages.popleft()
+            self._restart()
+
+    def _overhear(self, message: can.Message) -> bool:
+        """Follow the ticks without power; returns whether ``message`` ended one.
+
+        The node sends nothing and keeps nothing. Where the bus dropped frames of the outage, the
+        next intact feedback says how far the run is, the end of the outage at most.
+        """
+        if message.arbitration_id != self._feedback_codec.frame_id:
+            return False
+        record = Receiver(self._feedback_codec).accept(message)
+        if record is None:
+            return False
+        ahead, left = ticks_ahead(record.tick, self._tick), self._outages[0].stop - self._tick
+        if not 0 <= ahead <= left:
+            return False
+        self._go_on(self._tick + min(ahead + 1, left))
+        return True
 
     def carry(self, watchdog: Watchdog, _tick: int = 0) -> int:
         """Answer one tick; see ``drive``.
@@ -281,25 +355,33 @@ class ControllerNode(AnsweringNode):
         law: Law = PYTHON_LAW,
         local: LocalBus | None = None,
     ) -> None:
+        super().__init__(scenario, network)
         self._actuation = actuation
-        self.ticks = scenario.ticks
         self._end = ControllerEnd(scenario, network, send, local)
         self._followed = FollowedFaults(scenario, self._end.faults)
-        _, self._firmware = started(scenario, network, law)
+        self._powered_up = partial(started, scenario, network, law)
+        self._begin()
+
+    def _begin(self) -> None:
+        _, self._firmware = self._powered_up()
         self._reference_now = NO_REFERENCE
-        self._tick = 0  # the next one
         self._expected: int | None = None  # the first contact sets the tick
         self._first_reference: can.Message | None = None
         self._first_speed: can.Message | None = None
 
-    @property
-    def tick(self) -> int:
-        """The tick that is answered next."""
-        return self._tick
+    def _restart(self) -> None:
+        """See ``AnsweringNode``."""
+        self._end.restart()
+        self._begin()
+
+    def _follow(self, message: can.Message) -> bool:
+        """See ``AnsweringNode``."""
+        return self._end.bursts is None and self._followed.take(message, self._tick)
 
     def serve(self, watchdog: Watchdog) -> None:
         """See ``AnsweringNode``."""
-        if self._end.bursts is not None and self._expected is not None:
+        waits = self._expected is not None and not self._has_no_power
+        if self._end.bursts is not None and self._expected is not None and waits:
             found = self._end.bursts.receive(self._expected)
             if found is not None:
                 *speed, reference, measurement = found
@@ -307,14 +389,13 @@ class ControllerNode(AnsweringNode):
                     self._firmware.change_speed(speed[0])
                 self._reference_now = NO_REFERENCE
                 self._respond(self._expected, reference, measurement)
+                self._go_on(self._expected)
                 watchdog.hear()
                 return
         super().serve(watchdog)
 
-    def take(self, message: can.Message) -> bool:
-        """Receive a frame; returns True if the frame completed a tick, which is then answered."""
-        if self._end.bursts is None and self._followed.take(message, self._tick):
-            return False
+    def _receive(self, message: can.Message) -> bool:
+        """See ``AnsweringNode``."""
         if self._expected is None and not self._first_contact(message):
             return False
         if self._end.is_speed(message):
@@ -348,6 +429,8 @@ class ControllerNode(AnsweringNode):
             if one is not None and other is not None and one.tick == other.tick:
                 reference.accept(self._first_reference, one.tick)
                 self._reference_now, self._expected = one, one.tick
+                while self._outages and self._outages[0].stop <= tick_from(one.tick, self._tick):
+                    self._outages.popleft()  # of before the start of a log
                 if self._first_speed is not None:
                     self._take_speed(self._first_speed)
                 return True
@@ -370,7 +453,9 @@ class ControllerNode(AnsweringNode):
         In lockstep, time stands still until the feedback arrives; callers that know about passed
         ticks report each with this method.
         """
-        assert self._expected is not None
+        if self._has_no_power or self._expected is None:
+            self._go_on(self._tick + 1)
+            return
         self._answer(self._expected % WIRE_TICKS, math.nan)
 
     def _answer(self, wire_tick: int, measurement: float) -> None:
@@ -379,6 +464,7 @@ class ControllerNode(AnsweringNode):
         reference = now.value if now.tick == wire_tick else math.nan  # none: hold, and say so
         self._respond(tick, reference, measurement)
         self._end.end_tick()
+        self._go_on(tick + 1)
 
     def _respond(self, tick: int, reference: float, measurement: float) -> None:
         if self._actuation is not None and not self._actuation.begin(tick, self._firmware):
@@ -387,7 +473,7 @@ class ControllerNode(AnsweringNode):
         if self._actuation is not None:
             self._actuation.send(tick, (answer.command_1, answer.command_2))
         self._end.send_answer(tick, answer)
-        self._tick = self._expected = tick + 1
+        self._expected = tick + 1
 
     def rejected(self) -> dict[str, dict[str, int]]:
         """Per message, how many frames were not used and why."""
@@ -398,7 +484,7 @@ class EcuNode(AnsweringNode):
     """Like ``ControllerNode``, but ``ecu`` processes the frames."""
 
     def __init__(self, scenario: Scenario, network: Network, send: Send, ecu: Ecu) -> None:
-        self.ticks = scenario.ticks
+        super().__init__(scenario, network)
         self._send = send
         self._ecu = ecu
         speed = () if network.speed is None else (network.speed,)
@@ -408,19 +494,24 @@ class EcuNode(AnsweringNode):
         self._channels = {codec.frame_id: channel for channel, codec in enumerate(commands)}
         self._faults = FrameFaults(scenario, network)
         self._followed = FollowedFaults(scenario, self._faults)
-        self._tick = 0  # the next one
+        self._rejected: Rejected = {}
 
-    @property
-    def tick(self) -> int:
-        """The tick that is answered next."""
-        return self._tick
+    def _follow(self, message: can.Message) -> bool:
+        """See ``AnsweringNode``."""
+        ours = not (message.is_extended_id or message.is_remote_frame or message.is_error_frame)
+        return ours and self._followed.take(message, self._tick)
 
-    def take(self, message: can.Message) -> bool:
+    def _restart(self) -> None:
+        """See ``AnsweringNode``."""
+        self._rejected = self.rejected()
+        self._faults.restart()
+        self._ecu.restart()
+
+    def _receive(self, message: can.Message) -> bool:
         """Pass a frame to the program, send a completed tick's answer; True after an answer."""
         if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
             return False
         if message.arbitration_id not in self._wanted:
-            self._followed.take(message, self._tick)
             return False
         sent = self._ecu.take(message.arbitration_id, bytes(message.data))
         for frame_id, data in sent:
@@ -430,7 +521,8 @@ class EcuNode(AnsweringNode):
                 frames = self._faults.on_the_wire(own, self._channels[frame_id], self._tick)
             for frame in frames:
                 self._send(frame)
-        self._tick += bool(sent)
+        if sent:
+            self._go_on(self._tick + 1)
         return bool(sent)
 
     def close(self) -> None:
@@ -442,7 +534,8 @@ class EcuNode(AnsweringNode):
         counts = self._ecu.counts()
         parts = (counts[i : i + COUNTS] for i in range(0, len(counts), COUNTS))
         pairs = zip(self._inputs, parts, strict=True)
-        return {codec.name: rejected(part) for codec, part in pairs}
+        now = {codec.name: rejected(part) for codec, part in pairs}
+        return all_rejected(self._rejected, now)
 
 
 @contextmanager

@@ -5,11 +5,13 @@ What is recorded is what the two nodes record in lockstep, byte for byte.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from contextlib import ExitStack
 from pathlib import Path
 from typing import Self
 
 import numpy as np
+from numpy.typing import NDArray
 
 from can_rig import paged
 from can_rig.frames.frame_columns import payloads
@@ -25,6 +27,7 @@ from can_rig.plant.frameless import carried
 from can_rig.plant.in_windows import LoopInWindows
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
+from firmware_model.analysis.simulation import BoolArray
 from firmware_model.target.structs import FloatArray
 
 
@@ -111,7 +114,7 @@ class RunWithoutBus:
         """Per message, how many frames were not used and why."""
         network = self._network
         own = network.on_the_bus[: network.offered]
-        always: dict[str, dict[str, int]] = {codec.name: {} for codec in (network.status, *own)}
+        always: dict[str, dict[str, int]] = {codec.name: {} for codec in own}
         return delivery(self._scenario, network, self.ticks).rejected | always
 
     def _record(self, ticks: range) -> None:
@@ -119,13 +122,14 @@ class RunWithoutBus:
         network, trace, some = self._network, self._run.loop.trace, self._run.here(ticks)
         inputs, begin = self._run.inputs, ticks.start
         own = network.offered
+        powered, counts = _powered(self._scenario.outages, ticks)
         frames = [
-            payloads(codec, values[some], begin)
-            for codec, values in (
-                (network.reference, trace.reference),
-                (network.feedback, trace.measured),
-                (network.command_1, trace.command_1),
-                (network.command_2, trace.command_2),
+            payloads(codec, values[some], begin, counts=sent_before)
+            for codec, values, sent_before in (
+                (network.reference, trace.reference, None),
+                (network.feedback, trace.measured, None),
+                (network.command_1, trace.command_1, counts),
+                (network.command_2, trace.command_2, counts),
             )
         ]
         frames.append(
@@ -136,6 +140,7 @@ class RunWithoutBus:
                 trace.mode[some],
                 trace.fault_state[some],
                 trace.verdict[some],
+                counts,
             )
         )
         if network.speed is not None and inputs.speed is not None:
@@ -148,6 +153,7 @@ class RunWithoutBus:
         data[rows - some.start, own + channels, at] ^= change.astype(np.uint8)
         there = np.ones((len(ticks), len(frames)), dtype=np.bool_)
         there[:, own : own + 2] = inputs.delivery.sent[some]
+        there[:, own + 2] = powered
         first_us = np.array(ticks, dtype=np.int64) * self._scenario.tick_ns // 1000
         lines = candump_bytes(data, there, first_us, network.identifiers, own)
         self._log.write(lines)
@@ -169,6 +175,18 @@ class RunWithoutBus:
             if name not in columns:
                 columns[name] = paged.empty(self._scenario.ticks)
             columns[name][ticks.start : ticks.stop] = values
+
+
+def _powered(outages: Iterable[range], ticks: range) -> tuple[BoolArray, NDArray[np.int64]]:
+    """(ticks,), whether the controller has power; (ticks,), its ticks since it began."""
+    powered, counts = np.ones(len(ticks), dtype=np.bool_), np.array(ticks, dtype=np.int64)
+    for outage in outages:
+        first, end = (
+            min(max(at - ticks.start, 0), len(ticks)) for at in (outage.start, outage.stop)
+        )
+        powered[first:end] = False
+        counts[end:] = np.arange(end + ticks.start, ticks.stop) - outage.stop
+    return powered, counts
 
 
 class _Reporting:

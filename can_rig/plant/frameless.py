@@ -25,7 +25,7 @@ from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.plant.sensor import noise
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import controls, speeds_at_ticks
-from can_rig.scenario.fault_settings import PLACES
+from can_rig.scenario.fault_settings import PLACES, RESTARTED
 from can_rig.scenario.reference import reference
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
@@ -131,7 +131,7 @@ def with_disturbances(quiet: Inputs, scenario: Scenario, network: Network) -> In
     if not scenario.faults:
         return replace(quiet, noise=noise(scenario))
     plant, ticks = PlantFaults(scenario), range(scenario.ticks)
-    on_frames = any(fault.acts_on_frames for fault in scenario.faults)
+    on_frames = any(fault.acts_on_frames or fault.kind == RESTARTED for fault in scenario.faults)
     delivered = delivery(scenario, network) if on_frames else quiet.delivery
     return replace(
         quiet,
@@ -223,6 +223,7 @@ def simulation(
         ),
         keeps_states=keeps_states,
         at_rest=at_rest,
+        restarts=[outage.stop for outage in scenario.outages],
     )
 
 
@@ -268,15 +269,18 @@ def carried(
     for (tick, place), value in delivered.replaced.items():
         if place < len(commands) and rows.start <= tick < rows.stop:
             commands[place][tick - rows.start] = value
+    used = delivered.status[rows]
     said = {
         "reference_mps2": trace.reference[rows],
         "dstar_mps2": trace.measured[rows] + 0.0,  # a frame has no negative zero
         "torque_nm": commands[0],
         "force_difference_n": commands[1],
-        "fault_estimate_mps2": quantised(network.status, trace.fault_estimate[rows]),
-        "mode": trace.mode[rows].astype(np.float64),
-        "fault_state": trace.fault_state[rows].astype(np.float64),
+        "fault_estimate_mps2": np.where(
+            used, quantised(network.status, trace.fault_estimate[rows]), np.nan
+        ),
+        "mode": np.where(used, trace.mode[rows], np.nan),
+        "fault_state": np.where(used, trace.fault_state[rows], np.nan),
     }
     if network.status.verdicts:
-        said["verdict"] = trace.verdict[rows].astype(np.float64)
+        said["verdict"] = np.where(used, trace.verdict[rows], np.nan)
     return said

@@ -130,8 +130,10 @@ class LoopInWindows:
             for (tick, place), value in of_run.replaced.items()
             if tick in window
         }
-        sent, used = (_part(column, window) for column in (of_run.sent, of_run.used))
-        arriving = Delivery(sent, used, damage, replaced, of_run.rejected)
+        sent, used, status = (
+            _part(column, window) for column in (of_run.sent, of_run.used, of_run.status)
+        )
+        arriving = Delivery(sent, used, status, damage, replaced, of_run.rejected)
         speed = None
         if self._speed is not None and self._network.speed is not None:
             speed = quantised(self._network.speed, _part(self._speed, window))

@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import csv
 from collections import Counter
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple, TextIO
 
@@ -68,9 +68,17 @@ class Account:
         tick_ns: how far time stamps should go on in a tick.
         on_gap: gets every gap, those of several ticks in a row once. Each comes when the next of
             its kind does, or at the end of the log, and so in no order: `in_order` puts them so.
+        outages: ticks without an answer, as the controller has no power; then it counts anew.
     """
 
-    def __init__(self, network: Network, tick_ns: int, on_gap: Callable[[Gap], None]) -> None:
+    def __init__(
+        self,
+        network: Network,
+        tick_ns: int,
+        on_gap: Callable[[Gap], None],
+        outages: Sequence[range] = (),
+    ) -> None:
+        self._outages = outages
         self._names = [codec.name for codec in network.by_role]
         self._lengths = [codec.layout.length for codec in network.by_role]
         self._tick_ns = tick_ns
@@ -125,7 +133,8 @@ class Account:
     def close(self, tick: int, row: Row) -> None:
         """Nothing more comes for ``tick``: note what is missing."""
         for role, data in enumerate(row.seen[: len(self._names)]):
-            if data is None and role not in row.damaged:
+            off = not is_input(role) and any(tick in outage for outage in self._outages)
+            if data is None and role not in row.damaged and not off:
                 self.note(tick, row.time_ns, role, "missing")
 
     def finish(self) -> None:
@@ -155,7 +164,8 @@ class Account:
     def _watch_counter(self, frame: RigFrame, tick: int) -> None:
         last = self._last.get(frame.role)
         self._last[frame.role] = (tick, frame.counter)
-        if last is None:
+        restarted = (outage.stop for outage in self._outages if not is_input(frame.role))
+        if last is None or any(last[0] < at <= tick for at in restarted):
             return
         wanted = (last[1] + tick - last[0]) % COUNTERS
         if frame.counter != wanted:

@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from dataclasses import replace
 from itertools import islice
 from typing import Final
 
@@ -27,6 +28,7 @@ from can_rig.replay.comparison import ANSWERS, Comparison
 from can_rig.replay.gaps import NEAR, Account, Gap, Row
 from can_rig.replay.in_real_time import Recorded
 from can_rig.replay.rig_frames import INPUTS, RigFrame, is_input, rig_frames
+from can_rig.scenario.fault_settings import RESTARTED
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, Law
 
@@ -61,13 +63,14 @@ class OpenLoop:
         self._codecs = network.by_role
         self._sent: list[bytes] = []
         self._node = ControllerNode(
-            scenario.healthy,
+            replace(scenario, fault=tuple(f for f in scenario.faults if f.kind == RESTARTED)),
             network,
             lambda message: self._sent.append(bytes(message.data)),
             recorded,
             law,
         )
-        self.account: Final = Account(network, scenario.tick_ns, on_gap)
+        self._outages = scenario.outages
+        self.account: Final = Account(network, scenario.tick_ns, on_gap, self._outages)
         self.comparison: Final = Comparison(network)
         self.compare_from_ns: int | None = None
         """Time stamp from which on ticks are compared; those before it are replayed alone. None:
@@ -121,8 +124,7 @@ class OpenLoop:
     @property
     def _due(self) -> int:
         """The tick that the node expects next, as it is counted here."""
-        assert self._node.expected is not None
-        return self._node.expected + self._past
+        return self._node.tick + self._past
 
     def _make_contact(self, frame: RigFrame) -> None:
         """Hand the node frames until it answers; those of that tick are the first of the account.
@@ -207,9 +209,11 @@ class OpenLoop:
         while self._open < end:
             tick = self._open
             row = self._rows.pop(tick, None) or Row(time_ns)
-            answers = self._answers.pop(tick)
+            answers = self._answers.pop(tick, None)
             self.account.close(tick, row)
-            if self.compare_from_ns is None or row.time_ns >= self.compare_from_ns:
+            if answers is None:  # without power
+                pass
+            elif self.compare_from_ns is None or row.time_ns >= self.compare_from_ns:
                 self.comparison.tick(tick, row, answers)
             self._open += 1
 

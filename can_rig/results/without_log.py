@@ -50,7 +50,7 @@ def _begin_without_fault(loop: Simulation, scenario: Scenario) -> None:
     Not where a fault looks back on what was before it.
     """
     healthy = loop_of(scenario.healthy)
-    first = loop.ticks
+    first = min([loop.ticks, *(outage.start for outage in scenario.outages)])
     for own, its in zip(loop.inputs, healthy.inputs, strict=True):
         if own is not its:
             differs = np.flatnonzero((own != its).reshape(loop.ticks, -1).any(axis=1))

@@ -52,8 +52,10 @@ def network_of(scenario: Scenario) -> Network:
     network = map_network(chosen.dbc, Roles(asdict(chosen.signals), ticks, data_ids))
     codecs = (network.command_1, network.command_2, network.feedback)
     for fault in scenario.faults:
+        if fault.kind != "frames-corrupted":
+            continue
         codec = codecs[PLACES.index(fault.place)]
-        if fault.kind == "frames-corrupted" and not codec.protected:
+        if not codec.protected:
             raise ScenarioError(
                 f"scenario {scenario.name}: fault.kind = 'frames-corrupted': must be another, or "
                 f"network.data_ids.{codec.role} must be set: nothing tells that {codec.name} "

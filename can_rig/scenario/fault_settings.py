@@ -6,6 +6,7 @@ has any number of faults; faults may overlap.
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Annotated, Final, Literal, get_args
 
 from pydantic import Field, PositiveFloat
@@ -34,6 +35,7 @@ FaultKind = Literal[
     "frames-repeated",
     "frames-late",
     "frames-forged",
+    "controller-restarted",
 ]
 Channel = Literal["torque", "force-difference"]
 CHANNELS: Final[tuple[Channel, Channel]] = get_args(Channel)
@@ -42,6 +44,9 @@ SENSOR: Final = "sensor"
 """The place of the measured output's frame."""
 PLACES: Final = (*CHANNELS, SENSOR)
 """Places of faults; the index is the place's number."""
+CONTROLLER: Final = "controller"
+"""The place of a fault of the controller node itself."""
+RESTARTED: Final = "controller-restarted"
 
 MAX_DURATION_S: Final = 1e6
 FOR_GOOD_NS: Final = 1 << 62  # later than any run
@@ -106,10 +111,20 @@ class FaultSettings:
             raise ValueError(
                 f"channel = {SENSOR!r}: must be torque or force-difference for {self.kind!r}"
             )
+        if self.kind == RESTARTED:
+            if self.for_s is None:
+                raise ValueError(
+                    f"for_s: must be set for {RESTARTED!r}, the time without power before the "
+                    "controller begins again"
+                )
+            if self.every != 1:
+                raise ValueError(f"every = {self.every}: must be 1 for {RESTARTED!r}")
 
     @property
     def place(self) -> str:
-        """The failing place: one of ``PLACES``."""
+        """The failing place: one of ``PLACES``, or ``CONTROLLER``."""
+        if self.kind == RESTARTED:
+            return CONTROLLER
         return SENSOR if self.kind.startswith("sensor-") else self.channel
 
     @property
@@ -126,7 +141,7 @@ class FaultSettings:
     @property
     def loses_a_channel(self) -> bool:
         """Whether an actuator ignores its command, in full or in part."""
-        return self.kind != "none" and self.place != SENSOR
+        return self.kind != "none" and self.place in CHANNELS
 
     @property
     def span_ns(self) -> tuple[int, int]:
@@ -143,3 +158,21 @@ class FaultSettings:
         begin, end = (-(-time_ns // tick_ns) for time_ns in self.span_ns)
         steps = -(-max(run.start - begin, 0) // self.every)
         return range(begin + steps * self.every, min(end, run.stop), self.every)
+
+
+def outages(faults: Iterable[FaultSettings], tick_ns: int) -> tuple[range, ...]:
+    """The ticks in which the controller has no power, in order; each range ends with a restart.
+
+    Outages that touch are one. An outage between two ticks is an empty range: a restart alone.
+    """
+    spans = sorted(
+        (-(-begin_ns // tick_ns), -(-end_ns // tick_ns))
+        for begin_ns, end_ns in (fault.span_ns for fault in faults if fault.kind == RESTARTED)
+    )
+    merged: list[range] = []
+    for begin, end in spans:
+        if merged and begin <= merged[-1].stop:
+            merged[-1] = range(merged[-1].start, max(end, merged[-1].stop))
+        else:
+            merged.append(range(begin, end))
+    return tuple(merged)

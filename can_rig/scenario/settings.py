@@ -16,7 +16,13 @@ from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat
 from pydantic.dataclasses import dataclass
 
 from can_rig.scenario.disturbance_settings import DisturbanceSettings
-from can_rig.scenario.fault_settings import MAX_DURATION_S, SENSOR, FaultSettings, Moment
+from can_rig.scenario.fault_settings import (
+    MAX_DURATION_S,
+    SENSOR,
+    FaultSettings,
+    Moment,
+    outages,
+)
 from can_rig.scenario.plant_settings import (
     BUILT_IN,
     BY_NUMBERS,
@@ -365,6 +371,11 @@ class Scenario:
     def faults(self) -> tuple[FaultSettings, ...]:
         """The effective faults, in the order of their action."""
         return tuple(fault for fault in self.fault if fault.kind != "none")
+
+    @cached_property
+    def outages(self) -> tuple[range, ...]:
+        """The ticks in which the controller has no power; see ``fault_settings.outages``."""
+        return outages(self.faults, self.tick_ns)
 
     @cached_property
     def disturbances(self) -> tuple[DisturbanceSettings, ...]:

@@ -9,6 +9,7 @@ the plant's own ``follow``.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, Protocol
 
@@ -103,6 +104,7 @@ class Simulation:
         frames: (3, ``GRID``), frames of both commands and of the measurement; see ``hardware``.
         keeps_states: whether ``plant_states`` records the states of a ``SampledPlant``.
         at_rest: (1,), a state from ``controller.init``, to save the call.
+        restarts: ticks at whose begin the controller starts again, at rest, in ascending order.
     """
 
     def __init__(
@@ -125,6 +127,7 @@ class Simulation:
         frames: FloatArray = hardware.EXACT_FRAMES,
         keeps_states: bool = False,
         at_rest: RecordArray | None = None,
+        restarts: Sequence[int] = (),
     ) -> None:
         self.ticks = ticks = len(reference)
         self.done = 0
@@ -140,6 +143,8 @@ class Simulation:
         self._signals = np.full((ROWS, ticks), np.nan)
         self._states = np.zeros((3, ticks), dtype=np.int64)
         state = controller.init(table) if at_rest is None else at_rest
+        self._table, self._at_rest = table, state
+        self._restarts = tuple(restarts)
         tables = np.asarray(table).reshape(1)
         self._loop = (
             tables if schedule is None else np.array([table], table.dtype),  # changed later
@@ -165,7 +170,23 @@ class Simulation:
 
     def run(self, until: int | None = None) -> None:
         """Advance up to the tick ``until``; None: to the end. Errors of the plant pass through."""
-        end, plant = self.ticks if until is None else min(until, self.ticks), self._plant
+        end = self.ticks if until is None else min(until, self.ticks)
+        for at in self._restarts:
+            if self.done <= at < end:
+                self._run(at)
+                self._restart()
+        self._run(end)
+
+    def _restart(self) -> None:
+        """Put the controller at rest; a plant that changes its speed says so again."""
+        tables, states, *_ = self._loop
+        states.view(np.uint8)[...] = self._at_rest.view(np.uint8)
+        if self._speed is not None:
+            tables[0] = self._table
+            self._speeds[1].view(np.uint8)[...] = 0
+
+    def _run(self, end: int) -> None:
+        plant = self._plant
         if isinstance(plant, SampledPlant):
             if end > self.done:
                 self._output = run_ticks(
@@ -204,6 +225,7 @@ class Simulation:
             speed: likewise; None for a constant speed.
         """
         gone = self.done - keep
+        self._restarts = tuple(at - gone for at in self._restarts)
         self.done = keep
         for own, its in zip(self.inputs, inputs, strict=True):
             own[...] = its

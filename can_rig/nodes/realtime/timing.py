@@ -18,6 +18,7 @@ from typing import Any, Final
 import numpy as np
 
 from can_rig.errors import ScenarioError
+from can_rig.scenario.fault_settings import RESTARTED
 from can_rig.scenario.settings import Scenario
 
 CATCH_UP_TICKS: Final = 5
@@ -52,6 +53,12 @@ def require_causal(scenario: Scenario) -> None:
             f"scenario {scenario.name}: latency_ticks = 0: in real time a command acts from the "
             "next tick on at the earliest; it must be 1 or more, as in the scenario default or "
             "with --set latency_ticks=1"
+        )
+    if scenario.outages:
+        raise ScenarioError(
+            f"scenario {scenario.name}: fault.kind = {RESTARTED!r}: must be in lockstep, where a "
+            "node knows the tick of its outage; in real time end the controller node and start "
+            "another with can-rig controller --realtime"
         )
 
 

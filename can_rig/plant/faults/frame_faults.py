@@ -10,7 +10,7 @@ from __future__ import annotations
 import math
 import random
 from collections import deque
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from copy import copy
 from dataclasses import dataclass, replace
 from typing import Final, NamedTuple, Protocol
@@ -29,6 +29,8 @@ from firmware_model.analysis.simulation import BoolArray
 
 SENSOR_PLACE: Final = 2
 """Place number of the D* frame, behind both commands."""
+STATUS: Final = 2
+"""Column of the status frame, which no fault changes, behind both commands."""
 
 
 class FrameFault(Protocol):
@@ -152,17 +154,23 @@ class FrameFaults:
     def __init__(self, scenario: Scenario, network: Network, changing: bool = False) -> None:
         self._codecs = (network.command_1, network.command_2, network.feedback)
         self._changing = changing
-        self._damage = tuple(Corrupted(scenario.seed) for _ in self._codecs)
+        self._scenario = scenario
+        self.restart()
+
+    def restart(self) -> None:
+        """Forget every frame so far, as the sender does that begins again."""
+        self._damage = tuple(Corrupted(self._scenario.seed) for _ in self._codecs)
         self._faults: tuple[list[Scheduled], ...] = tuple([] for _ in self._codecs)
         self._sent = [0] * len(self._codecs)  # frames of each place so far
         self._last: list[list[Message]] = [[] for _ in self._codecs]  # continued frames
-        self.change(scenario)
+        self.change(self._scenario)
 
     def change(self, scenario: Scenario) -> None:
         """Take the faults of ``scenario`` from the next frame on.
 
         A fault from before the change, perhaps with other times, keeps its memory.
         """
+        self._scenario = scenario
         before, self._faults = self._faults, tuple([] for _ in self._codecs)
         self.ticks: tuple[list[range], ...] = tuple([] for _ in self._codecs)
         """For each place, the tick ranges with possible changes."""
@@ -231,15 +239,17 @@ class Delivery:
     Attributes:
         sent: (ticks, 2), whether a command frame of a tick is on the bus.
         used: (ticks, 2), whether the actuator uses the command.
+        status: (ticks,), whether the plant node uses the status frame.
         damage: (n, 4), a row for each damaged command frame: tick, channel, byte, exclusive or of
             the byte.
         replaced: by tick and place (0 or 1: command, 2: D*), the used value in place of the sent
             value; nan: no value.
-        rejected: by command name, the number of rejected frames for each reason.
+        rejected: by name, the number of the controller's frames rejected for each reason.
     """
 
     sent: BoolArray
     used: BoolArray
+    status: BoolArray
     damage: NDArray[np.int64]
     replaced: dict[tuple[int, int], float]
     rejected: dict[str, dict[str, int]]
@@ -248,37 +258,54 @@ class Delivery:
 def delivery(scenario: Scenario, network: Network, ticks: int | None = None) -> Delivery:
     """The fate of the frames of the first ``ticks`` ticks; None: the whole run."""
     ticks = scenario.ticks if ticks is None else ticks
-    sent, used = np.ones((2, ticks, 2), dtype=np.bool_)
+    sent, used = np.ones((2, ticks, 3), dtype=np.bool_)
     damage: list[tuple[int, int, int, int]] = []
     replaced: dict[tuple[int, int], float] = {}
     rejected: dict[str, dict[str, int]] = {}
-    faults = FrameFaults(scenario, network)
-    for channel, codec in enumerate((network.command_1, network.command_2)):
+    faults, outages = FrameFaults(scenario, network), scenario.outages
+    for place, codec in enumerate((network.command_1, network.command_2, network.status)):
+        faulty = place < STATUS
         transmitter, receiver = Transmitter(codec), Receiver(codec)
-        for tick in _watched(faults, channel, ticks):
+        for tick in _watched(faults.ticks[place] if faulty else [], outages, ticks):
+            if any(tick == outage.stop for outage in outages):
+                transmitter = Transmitter(codec)
+                faults.restart()
+            if any(tick in outage for outage in outages):
+                sent[tick, place] = used[tick, place] = False
+                receiver.end_tick()
+                continue
             own = transmitter.frame(math.nan, tick)
-            frames = faults.on_the_wire(own, channel, tick)
-            sent[tick, channel] = bool(frames)
-            damage += [(tick, channel, *changed) for changed in _changes(own.data, frames)]
+            frames = faults.on_the_wire(own, place, tick) if faulty else [own]
+            sent[tick, place] = bool(frames)
+            damage += [(tick, place, *changed) for changed in _changes(own.data, frames)]
             records = [receiver.accept(frame, tick) for frame in frames]
-            used[tick, channel] = any(record is not None for record in records)
+            used[tick, place] = any(record is not None for record in records)
             for record in records:
                 # the rig's own frames carry no data here
                 if record is not None and math.isfinite(record.value):
-                    replaced[tick, channel] = record.value
+                    replaced[tick, place] = record.value
             receiver.end_tick()
         rejected[codec.name] = receiver.rejected
-    replaced |= _feedback(faults, network.feedback, ticks)
+    replaced |= _feedback(scenario, FrameFaults(scenario, network), network.feedback, ticks)
     return Delivery(
-        sent, used, np.array(damage, dtype=np.int64).reshape(len(damage), 4), replaced, rejected
+        sent[:, :STATUS].copy(),
+        used[:, :STATUS].copy(),
+        used[:, STATUS].copy(),
+        np.array(damage, dtype=np.int64).reshape(len(damage), 4),
+        replaced,
+        rejected,
     )
 
 
-def _feedback(faults: FrameFaults, codec: MessageCodec, ticks: int) -> dict[tuple[int, int], float]:
+def _feedback(
+    scenario: Scenario, faults: FrameFaults, codec: MessageCodec, ticks: int
+) -> dict[tuple[int, int], float]:
     """The controller's values in place of D*: the first usable frame of a tick counts."""
     replaced: dict[tuple[int, int], float] = {}
     transmitter, nothing, receiver = Transmitter(codec), Transmitter(codec), Receiver(codec)
-    for tick in _watched(faults, SENSOR_PLACE, ticks):
+    for tick in _watched(faults.ticks[SENSOR_PLACE], (), ticks):
+        if any(tick == outage.stop for outage in scenario.outages):
+            receiver = Receiver(codec)
         own, none = transmitter.frame(0.0, tick), nothing.frame(math.nan, tick)
         for frame in faults.on_the_wire(own, SENSOR_PLACE, tick, none):
             record = receiver.accept(frame, tick)
@@ -290,14 +317,17 @@ def _feedback(faults: FrameFaults, codec: MessageCodec, ticks: int) -> dict[tupl
     return replaced
 
 
-def _watched(faults: FrameFaults, place: int, ticks: int) -> range:
+def _watched(changes: Iterable[range], outages: Iterable[range], ticks: int) -> range:
     """The ticks that need a look at every frame."""
-    spans = [span for span in faults.ticks[place] if span]
-    if not spans:
+    spans = [span for span in changes if span]
+    ends = [(max(span.start - 1, 0), span.stop) for span in (*spans, *outages)]
+    if not ends:
         return range(0)
-    # One tick earlier the receiver has heard one frame; more earlier frames change nothing.
-    first = max(min(span.start for span in spans) - 1, 0)
-    return range(first, min(max(span.stop for span in spans) + SETTLED, ticks))
+    # One tick earlier the receiver has heard one frame; more earlier frames change nothing but the
+    # counter, which a restart compares with that of its first frame.
+    first = min(begin for begin, _ in ends)
+    first -= first % COUNTERS
+    return range(first, min(max(end for _, end in ends) + SETTLED, ticks))
 
 
 def _changes(own: bytearray, frames: list[Message]) -> Iterator[tuple[int, int]]:

@@ -8,6 +8,7 @@ what it thought.
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import partial
 from typing import Final
 
 import numpy as np
@@ -39,8 +40,9 @@ class Reasoning:
 
     def __init__(self, scenario: Scenario, network: Network) -> None:
         of = controls(scenario, network)
-        self._firmware = Firmware(of.table, speeds=of.schedule)
-        self._hypotheses = self._firmware.hypotheses
+        self._made = partial(Firmware, of.table, speeds=of.schedule)
+        self._firmware = self._made()
+        self._outages = scenario.outages
         self._speeds = _speeds(scenario, network)
         self.confirm: Final = float(of.table.decision.confirm)
         """The evidence that confirms a loss."""
@@ -48,12 +50,17 @@ class Reasoning:
     def take(self, tick: int, reference: float, measured: float) -> tuple[int, FloatArray]:
         """The verdict of this tick, and the evidence of each hypothesis, as ``EVIDENCE`` has them.
 
-        In a tick without inputs the law waits, and so do they.
+        In a tick without inputs the law waits, and so do they. Without power nothing is said.
         """
+        if any(tick in outage for outage in self._outages):
+            return 0, np.zeros(len(EVIDENCE))
+        if any(tick == outage.stop for outage in self._outages):
+            self._firmware = self._made()
         if self._speeds is not None:
             self._firmware.change_speed(self._speeds[min(tick, len(self._speeds) - 1)])
         self._firmware.step(reference, measured)
-        return int(self._hypotheses["verdict"]), self._hypotheses["evidence"][1:]
+        said = self._firmware.hypotheses
+        return int(said["verdict"]), said["evidence"][1:]
 
     @property
     def commands(self) -> tuple[float, float]:

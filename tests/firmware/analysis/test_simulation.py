@@ -13,6 +13,7 @@ from firmware_model.analysis.sampled_plant import SampledPlant, follow_plant, sa
 from firmware_model.analysis.simulation import Simulation, Trace, simulate
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
+from firmware_model.firmware import Firmware
 from tests.firmware.analysis.loops import CAR, SLOW
 from tests.firmware.scheduled import SPEEDS, scheduled
 
@@ -174,3 +175,34 @@ def test_a_window_that_moves_on_sees_the_same_run(changing: bool) -> None:
         own, expected = (getattr(run.trace, name) for run in (window, whole))
         np.testing.assert_array_equal(own[keep:], expected[keep - length :])
     np.testing.assert_array_equal(window.reached, whole.reached[:, -length:])
+
+
+def test_a_restarted_controller_answers_as_a_fresh_one_while_the_plant_goes_on() -> None:
+    whole = Simulation(TABLE, sample(CAR, TICK_S), REFERENCE, restarts=[15])
+    whole.run(15)  # a restart at the end of a part belongs to the next
+    whole.run()
+    trace = whole.trace
+    firmware = Firmware(TABLE)
+    answers = [
+        firmware.step(*inputs) for inputs in zip(REFERENCE[15:], trace.measured[15:], strict=True)
+    ]
+    np.testing.assert_array_equal(trace.command_1[15:], [each.command_1 for each in answers])
+    np.testing.assert_array_equal(trace.command_2[15:], [each.command_2 for each in answers])
+    without = simulate(TABLE, sample(CAR, TICK_S), REFERENCE)
+    np.testing.assert_array_equal(trace.measurement[:15], without.measurement[:15])
+    assert np.abs(trace.command_1[15:] - without.command_1[15:]).max() > 0.0
+
+
+def test_a_restarted_controller_hears_the_speed_anew() -> None:
+    of = scheduled()
+    speed = np.linspace(SPEEDS[0], SPEEDS[-1], TICKS)
+    loop = Simulation(
+        of.table, Recorded(), REFERENCE, tick_s=TICK_S, schedule=of.schedule, speed=speed,
+        restarts=[15],
+    )  # fmt: skip
+    loop.run()
+    fresh = Firmware(of.table, speeds=of.schedule)
+    for tick in range(15, TICKS):
+        fresh.change_speed(speed[tick])
+        answer = fresh.step(REFERENCE[tick], loop.trace.measured[tick])
+        assert answer.command_1 == loop.trace.command_1[tick]

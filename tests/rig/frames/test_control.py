@@ -63,7 +63,7 @@ def test_what_is_taken_is_said_in_the_same_signals():
 
 
 def test_every_kind_of_the_dbc_can_be_injected():
-    assert {"none", *operator_frames.kinds()} == set(get_args(FaultKind))
+    assert {"none", "controller-restarted", *operator_frames.kinds()} == set(get_args(FaultKind))
     for kind in operator_frames.kinds():
         place = "sensor" if kind.startswith("sensor-") else "torque"
         fault = injected(operator_frames.Command("INJECT", kind, place, 0.5), 3, 1_000_000)
