@@ -16,8 +16,7 @@ from can_rig.campaigns.run import Task, requirements_of
 from can_rig.campaigns.search import GENERATION
 from can_rig.errors import LogError, RunFolderError, require
 from can_rig.files import atomic
-from can_rig.folders.new_folder import NewFolder
-from can_rig.folders.replacing import Kind, default_folder
+from can_rig.folders import Kind, NewFolder, default_folder
 
 TABLE, PLAN, BLOCKS = "runs.parquet", "campaign.json", "blocks"
 SUMMARY, PICTURE, PAGE = "summary.json", "report.png", "report.html"

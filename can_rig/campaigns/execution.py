@@ -14,7 +14,7 @@ from can_rig.campaigns.search import GENERATION, Search
 from can_rig.campaigns.statistics import margin_column
 from can_rig.campaigns.table import put_together, read_columns, schema, write_block
 from can_rig.files import tidy
-from can_rig.folders.replacing import remove
+from can_rig.folders import remove
 
 Stopped = Callable[[], bool]
 OnRun = Callable[[int], None]

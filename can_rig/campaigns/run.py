@@ -10,7 +10,7 @@ from can_rig.campaigns.requirements import Requirement, margin
 from can_rig.campaigns.settings import Scalar
 from can_rig.campaigns.table import METRICS, RANDOM, SEARCH
 from can_rig.errors import RigError, one_line
-from can_rig.results.without_log import metrics_of
+from can_rig.results.metrics import metrics_of
 
 Row = dict[str, Any]
 

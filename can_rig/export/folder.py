@@ -10,7 +10,7 @@ from can_rig.export.application import application
 from can_rig.export.law import filled, support
 from can_rig.export.running.ecu import bench
 from can_rig.export.speed_words import words_of
-from can_rig.folders.replacing import Kind, refuse_folder, whole_folder
+from can_rig.folders import Kind, refuse_folder, whole_folder
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import Precision
 

@@ -11,9 +11,8 @@ from rich.console import Console
 from rich.table import Table
 
 from can_rig.cli.output import note, table, wide
-from can_rig.replay.comparison import Place, SignalComparison
 from can_rig.replay.gaps import Gap, seconds
-from can_rig.replay.replay import OpenLoop
+from can_rig.replay.replay import OpenLoop, Place, SignalComparison
 from can_rig.results.source import Source
 
 SHOWN: Final = 12

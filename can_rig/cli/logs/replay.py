@@ -26,9 +26,9 @@ from can_rig.errors import LogError
 from can_rig.files import atomic, refuse_existing
 from can_rig.logs.frames import Frames
 from can_rig.logs.log import ALL, window_of
-from can_rig.replay.gaps import Gap, in_order, write_gaps
-from can_rig.replay.in_real_time import recorded
+from can_rig.replay.gaps import Gap, write_gaps
 from can_rig.replay.replay import OpenLoop
+from can_rig.replay.rig_frames import recorded
 from can_rig.results.source import Source, source_of
 from can_rig.scenario.build import network_of
 
@@ -150,15 +150,14 @@ def _open_loop(source: Source, begin_ns: int, gaps: Path | None, force: bool, as
     """
     if gaps is not None:
         refuse_existing(gaps, force, "--gaps")
-    found: list[Gap] = []
     with _all_gaps(gaps, force) as write:
         network, answers = network_of(source.scenario), None
         if source.is_realtime:
             looking = source.frames(lambda log: reading(log, "looking through"))
             answers = recorded(looking, network, source.scenario)
-        loop = OpenLoop(source.scenario, network, found.append, answers)
+        loop = OpenLoop(source.scenario, network, answers)
         loop.run(_compared_from(begin_ns, source, loop))
-        listed = in_order(found)
+        listed = loop.account.gaps
         write(listed)
     if not any(signal.compared for signal in loop.comparison.signals):
         raise LogError(

@@ -7,9 +7,8 @@ from pathlib import Path
 
 from can_rig.cli.output import say, show_pairs
 from can_rig.nodes.realtime import timing
-from can_rig.results.fault_metrics import fault_rows
-from can_rig.results.isolation.words import verdict_rows
-from can_rig.results.metrics import Metrics, rows
+from can_rig.results.isolation import verdict_rows
+from can_rig.results.metrics import Metrics, fault_rows, rows
 from can_rig.results.run_folder import Outcome
 from can_rig.scenario.settings import Scenario
 

@@ -30,7 +30,7 @@ from can_rig.logs.writing import refuse_log, write_log
 from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Timeouts
 from can_rig.results import execution
-from can_rig.results.execution import refuse
+from can_rig.results.execution import RunOptions, refuse
 from can_rig.results.run_folder import log_of
 
 
@@ -92,10 +92,7 @@ def command(
         refuse_log(path, force)
     running = controller_of(controller, chosen)
     runner = execution.in_process if in_process else execution.two_processes
-    done = execution.execute(
-        chosen,
-        out,
-        StopRequest().on_signals(),
+    options = RunOptions(
         force=force,
         bus=bus,
         runner=execution.real_time if real_time else runner,
@@ -104,6 +101,7 @@ def command(
         timeouts=_timeouts(silence_s, interaction),
         interaction=interaction,
     )
+    done = execution.execute(chosen, out, StopRequest().on_signals(), options)
     if done is None:
         sys.exit(INTERRUPTED)
     if as_json:

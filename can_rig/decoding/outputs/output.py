@@ -14,7 +14,7 @@ from typing import Final, Protocol
 from can_rig.decoding.message_columns import MessageColumns
 from can_rig.errors import LogError
 from can_rig.files import atomic, refuse_existing
-from can_rig.folders.replacing import Kind, refuse_folder, whole_folder
+from can_rig.folders import Kind, refuse_folder, whole_folder
 
 CSV: Final = ".csv"
 """Format with one table of all messages."""

@@ -8,8 +8,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from can_rig.files import refuse_existing
-from can_rig.folders.new_folder import NewFolder
-from can_rig.folders.replacing import Kind
+from can_rig.folders import Kind, NewFolder
 from can_rig.logs.plant_signals import plant_signals_path
 from can_rig.nodes.progress import OnTick
 from can_rig.nodes.recording.recorder import is_stream

@@ -26,8 +26,7 @@ from can_rig.campaigns.run import Task, run_rows
 from can_rig.campaigns.settings import campaign_of
 from can_rig.campaigns.table import METRICS, TRUTHS
 from can_rig.errors import RunFolderError, ScenarioError
-from can_rig.results.metrics import Metrics
-from can_rig.results.without_log import metrics_of
+from can_rig.results.metrics import Metrics, metrics_of
 from can_rig.scenario.settings import Scenario
 from tests.helpers import asked
 

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from can_rig.drawing.fault_words import fault_in_words, fault_label
-from can_rig.drawing.names import CAR
+from can_rig.drawing.names import CAR, fault_in_words, fault_label
 from can_rig.scenario.tables.fault import FaultSettings
 
 WORDS = {

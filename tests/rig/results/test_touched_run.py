@@ -12,7 +12,8 @@ from can_rig.nodes.operator.interaction import Interaction
 from can_rig.nodes.operator.operated_bus import Touch
 from can_rig.nodes.operator.run_control import RunControl
 from can_rig.nodes.watchdog import StopRequest
-from can_rig.results.execution import REFERENCE, execute
+from can_rig.results.execution import RunOptions, execute
+from can_rig.results.run_folder import REFERENCE
 
 FRAMES = 5  # of a tick
 
@@ -24,7 +25,9 @@ def touched(folder: Path, *commands: tuple[int, Command]):
     )
     scenario = load("ideal", ("duration_s=0.6", "fault.kind=none"))
     interaction = Interaction(injectable=True, told=told)
-    return execute(scenario, folder, StopRequest(), interaction=interaction, report=False)
+    return execute(
+        scenario, folder, StopRequest(), RunOptions(interaction=interaction, report=False)
+    )
 
 
 def test_an_injected_fault_is_no_false_alarm(tmp_path):

@@ -12,7 +12,7 @@ from can_rig.assessment.resolve import load, load_run
 from can_rig.campaigns.plan import has_key, value_at
 from can_rig.errors import ScenarioError
 from can_rig.scenario.tables.changes import as_settings
-from can_rig.views.settings_diff import differing_settings
+from can_rig.views.diff import differing_settings
 
 LIST = """
 duration_s = 0.5
