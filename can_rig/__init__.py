@@ -1,20 +1,19 @@
 """The rig: a simulated plant and the controller as two processes that exchange CAN frames.
 
-From Python: ``can_rig.run``, ``load``, ``scenario``, ``check``, ``tune`` and ``decode``, which
-``can_rig.api`` documents.
+``can_rig.api`` documents the names that the package offers to Python.
 """
 
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from can_rig.api import RecordedRun, check, decode, load, run, scenario, tune
+    from can_rig.api import RecordedRun, check, decode, load, load_scenario, run, tune
 
-__all__ = ["RecordedRun", "check", "decode", "load", "run", "scenario", "tune"]
+__all__ = ["RecordedRun", "check", "decode", "load", "load_scenario", "run", "tune"]
 
 
 def __getattr__(name: str) -> Any:
-    """Load a public name when it is first asked for: importing the package alone costs nothing."""
+    """Load a public name on first use: importing the package alone costs nothing."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
     return getattr(import_module("can_rig.api"), name)

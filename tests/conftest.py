@@ -13,6 +13,9 @@ from tests.processes import end_all
 # Assertions in helpers tell their values too.
 pytest.register_assert_rewrite("tests.helpers", "tests.vcan", "tests.firmware", "tests.rig")
 
+# Before NumPy is imported: matrices are small, and threads only get in each other's way.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+
 # Seconds; a busy machine takes 30 for the longest test, and one that waits for ever fails. As a key
 # of pyproject.toml pytest would refuse it where pytest-timeout is not installed: after ./tools/run.
 os.environ.setdefault("PYTEST_TIMEOUT", "300")

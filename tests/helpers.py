@@ -11,9 +11,9 @@ from click.testing import CliRunner
 
 from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.summary import NodeSummary
-from can_rig.nodes.watchdog import StopRequest
 from can_rig.scenario.settings import Scenario
 from tests.processes import rig, start
 

@@ -11,9 +11,9 @@ import can
 import pytest
 
 from can_rig.assessment.resolve import load
+from can_rig.nodes.bus_access import StopRequest, Timeouts
 from can_rig.nodes.runner import run_controller, run_plant
 from can_rig.nodes.summary import NodeSummary
-from can_rig.nodes.watchdog import StopRequest, Timeouts
 
 TIMEOUT_S = 120.0  # for what must come; the guest is slow, an import takes up to 20 s
 PATIENT = Timeouts(first_s=TIMEOUT_S, silence_s=TIMEOUT_S)

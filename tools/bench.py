@@ -22,10 +22,10 @@ from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
 from can_rig.frames.endpoints import Receiver, Transmitter
 from can_rig.frames.network import Network
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.processes import run_processes
-from can_rig.nodes.recording.recorder import Recorder
+from can_rig.nodes.recording import Recorder
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.watchdog import StopRequest
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.settings import Scenario

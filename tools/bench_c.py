@@ -18,10 +18,10 @@ from rich.console import Console
 from rich.table import Table
 
 from can_rig.assessment.resolve import load
-from can_rig.export.evidence.costs import inputs_of_run
+from can_rig.export.compiler import shared_library
+from can_rig.export.controllers import CompiledLaw
+from can_rig.export.costs import inputs_of_run
 from can_rig.export.law import law_files
-from can_rig.export.running.compiled_law import CompiledLaw
-from can_rig.export.running.compiler import shared_library
 from can_rig.scenario.build import controller_table, network_of
 from firmware_model.compiled import firmware_run
 from firmware_model.firmware import PYTHON_LAW, Firmware, Law
@@ -41,7 +41,7 @@ void loop(const struct layout_table *table, struct layout_state *state, const re
 """
 FIRST_STEP = """
 from can_rig.assessment.resolve import load
-from can_rig.export.running.controllers import controller_of
+from can_rig.export.controllers import controller_of
 from can_rig.scenario.build import controller_table, network_of
 from firmware_model.firmware import Firmware
 scenario = load("default", [])

@@ -18,11 +18,10 @@ from rich.console import Console
 from rich.table import Table
 
 from can_rig.assessment.resolve import load
-from can_rig.campaigns.campaign import open_folder
-from can_rig.campaigns.computing.workers import in_processes
-from can_rig.campaigns.execution import execute
+from can_rig.campaigns.execution import execute, open_folder
 from can_rig.campaigns.plan import plan
 from can_rig.campaigns.settings import read_campaign
+from can_rig.campaigns.workers import in_processes
 from can_rig.plant.frameless import frameless_loop
 from can_rig.scenario.build import continuous_plant, controller_table, network_of
 from can_rig.scenario.settings import Scenario

@@ -24,14 +24,13 @@ from rich.table import Table
 
 from can_rig.assessment.resolve import load
 from can_rig.decoding.decode import decode_log
-from can_rig.frames.dbc import shipped_dbc
-from can_rig.frames.mapped.database import load_database
+from can_rig.frames.databases import load_database, shipped_dbc
 from can_rig.logs.frames import concatenate
 from can_rig.logs.reading import read_log
 from can_rig.logs.writers.candump import candump_lines
 from can_rig.logs.writing import write_log
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.watchdog import StopRequest
 
 RUN_S = 15.0  # whole cycles of the alive counter, so that a repetition loses no frame
 

@@ -43,7 +43,7 @@ def bench_plants(seeds: int) -> None:
     )  # fmt: skip
     for name in NAMES:
         for word, left, compensation in LOOPS:
-            scenario = can_rig.scenario(name, {**LINEAR, "design.compensation": compensation})
+            scenario = can_rig.load_scenario(name, {**LINEAR, "design.compensation": compensation})
             loops.add_row(name, word, *_margins(scenario, left), _difference(scenario))
     console.print(loops)
 

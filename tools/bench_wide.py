@@ -20,7 +20,7 @@ from cantools.database.can import Database
 from rich.console import Console
 from rich.table import Table
 
-from can_rig.frames.mapped.database import load_database
+from can_rig.frames.databases import load_database
 
 _SCRIPT = """
 import sys, can, cantools, pathlib, pandas

@@ -25,11 +25,11 @@ from rich.table import Table
 
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
+from can_rig.nodes.bus_access import StopRequest
+from can_rig.nodes.clock import OnTick
 from can_rig.nodes.processes import run_processes
-from can_rig.nodes.progress import OnTick
 from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.summary import NodeSummary
-from can_rig.nodes.watchdog import StopRequest
 
 TAKEN_WITHIN_S = 10.0  # makes the local bus wait for the slowest listener
 SETTLE_S = 2.0  # before the flood, and for what still waits after it

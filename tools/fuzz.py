@@ -27,7 +27,7 @@ from fuzz_mutations import damaged
 from can_rig.assessment.resolve import load
 from can_rig.decoding.decode import Decoder
 from can_rig.errors import RigError
-from can_rig.frames.mapped.database import load_database
+from can_rig.frames.databases import load_database
 from can_rig.logs.frames import FD_BYTES, Frames
 from can_rig.logs.reading import read_log
 from can_rig.replay.replay import OpenLoop

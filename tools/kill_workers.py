@@ -20,12 +20,11 @@ from threading import Event, Thread
 import psutil
 from distributed import Client, LocalCluster
 
-from can_rig.campaigns.campaign import open_folder
-from can_rig.campaigns.computing.cluster import on_cluster
-from can_rig.campaigns.computing.workers import Compute, in_processes, serially
-from can_rig.campaigns.execution import execute
+from can_rig.campaigns.cluster import on_cluster
+from can_rig.campaigns.execution import execute, open_folder
 from can_rig.campaigns.plan import Plan, plan
 from can_rig.campaigns.settings import read_campaign
+from can_rig.campaigns.workers import Compute, in_processes, serially
 
 WORKERS = 2
 

@@ -25,13 +25,11 @@ from mutation_c_sites import mutants
 from mutation_sites import Mutant
 
 from can_rig.assessment.resolve import load
-from can_rig.export.application import application
-from can_rig.export.back_to_back.frames import as_orders
-from can_rig.export.back_to_back.programs import HOST_FLAGS, trial_files
-from can_rig.export.back_to_back.trials import Trial, different, encoded, in_python, random_trials
+from can_rig.export.application import application, bench
+from can_rig.export.compiler import run
 from can_rig.export.law import law_files, support
-from can_rig.export.running.compiler import run
-from can_rig.export.running.ecu import bench
+from can_rig.export.programs import HOST_FLAGS, as_orders, trial_files
+from can_rig.export.trials import Trial, different, encoded, in_python, random_trials
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 

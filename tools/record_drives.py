@@ -12,8 +12,8 @@ import click
 
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import write_log
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.watchdog import StopRequest
 from tests.rig.replay.recorded import (
     DRIVES,
     are_close,

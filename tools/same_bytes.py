@@ -21,10 +21,10 @@ from rich.progress import track
 
 from can_rig.campaigns.plan import plan
 from can_rig.campaigns.settings import read_campaign
-from can_rig.export.choices import CONTROLLERS
-from can_rig.export.running.controllers import controller_of
+from can_rig.export import CONTROLLERS
+from can_rig.export.controllers import controller_of
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.watchdog import StopRequest
 from can_rig.scenario.settings import Scenario
 
 WITHOUT_PROMISE = ("arm:m4f", "float64")

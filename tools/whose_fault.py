@@ -28,8 +28,8 @@ import numpy as np
 from can_rig.assessment.resolve import load
 from can_rig.plant.frameless import frameless
 from can_rig.scenario.build import network_of
+from can_rig.scenario.fault_settings import FaultSettings
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import FaultSettings
 from firmware_model.analysis.trace import Trace
 from firmware_model.target.status import Verdict
 

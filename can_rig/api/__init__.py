@@ -1,4 +1,4 @@
-"""The rig from Python, in a notebook or a script: ``import can_rig``.
+"""The rig from Python, in a notebook or a script: ``import can_rig`` offers these names.
 
     run = can_rig.run("default", {"fault.at_s": 5.0})
     run.metrics["dstar_peak_mps2"]
@@ -6,30 +6,188 @@
     run.save("runs/early-loss")
 
 A scenario is the name of a shipped one, a TOML file, or a ``Scenario``; changes are a mapping of
-its keys, as ``--set`` of the command line has them. What the caller can put right is raised as a
+its keys, as ``--set`` of the command line has them. An error that the caller can correct is a
 ``can_rig.errors.RigError`` of one line.
 
-Commands may import it; it imports every room below.
+The package imports every room below; only commands may import it.
 """
 
-from can_rig.api.calls import (
-    RecordedRun,
-    Scenario,
-    check,
-    decode,
-    load,
-    run,
-    scenario,
-    tune,
-)
+from __future__ import annotations
 
-__all__ = [
-    "RecordedRun",
-    "Scenario",
-    "check",
-    "decode",
-    "load",
-    "run",
-    "scenario",
-    "tune",
-]
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from can_rig.assessment import resolve
+from can_rig.assessment.speeds import DriveCheck
+from can_rig.assessment.speeds import check as check_speeds
+from can_rig.assessment.stability import StabilityCheck
+from can_rig.assessment.tuning.box import cars_of
+from can_rig.assessment.tuning.search import Tunings
+from can_rig.assessment.tuning.search import tune as search
+from can_rig.decoding.decode import decode_log
+from can_rig.errors import RigError, ScenarioError, in_python
+from can_rig.scenario.loading import Changes, as_settings
+from can_rig.scenario.settings import Scenario
+from can_rig.views.recorded_run import RecordedRun, record
+
+if TYPE_CHECKING:
+    import pandas as pd
+
+__all__ = ["RecordedRun", "Scenario", "check", "decode", "load", "load_scenario", "run", "tune"]
+
+
+@in_python
+def load_scenario(
+    name: str | Path | Scenario = "default", changes: Changes | None = None
+) -> Scenario:
+    """A scenario with some keys changed, every default filled in.
+
+    Args:
+        name: of a shipped one, a path to a TOML file, or a scenario to change.
+        changes: key → value, as in ``{"plant.speed_mps": 20.0, "fault.kind": "none"}``.
+
+    Raises:
+        ScenarioError: no such scenario, an unknown key, a bad value.
+    """
+    settings = as_settings({} if changes is None else changes)
+    if not isinstance(name, str | Path | Scenario):
+        raise ScenarioError(f"scenario {name!r}: must be a name, a path or a Scenario")
+    if isinstance(name, Scenario):
+        return resolve.load_run(name.as_dict(), settings) if settings else name
+    return resolve.load(str(name), settings)
+
+
+@in_python
+def run(
+    name: str | Path | Scenario = "default",
+    changes: Changes | None = None,
+    *,
+    allow_unstable: bool = False,
+) -> RecordedRun:
+    """Both nodes through a scenario, in lockstep and in this process.
+
+    No bus is needed, and nothing is left on disk until ``save``. The log is that of
+    ``can-rig run``, byte for byte.
+
+    Args:
+        name: as that of ``load_scenario``.
+        changes: as those of ``load_scenario``.
+        allow_unstable: also run a loop that ``check`` finds unstable.
+
+    Raises:
+        ScenarioError: a scenario that cannot run, or a loop that is not stable.
+        RigError: the run ended before its last tick.
+    """
+    return record(load_scenario(name, changes), allow_unstable=allow_unstable)
+
+
+@in_python
+def load(folder: str | Path) -> RecordedRun:
+    """The run in a folder of ``can-rig run`` or of ``save``.
+
+    Raises:
+        LogError: not a finished run folder.
+        ScenarioError: ``run.json`` lacks a readable scenario.
+    """
+    return RecordedRun.load(_path("folder", folder))
+
+
+@in_python
+def check(
+    name: str | Path | Scenario = "default", changes: Changes | None = None
+) -> StabilityCheck | DriveCheck:
+    """Whether the sampled loop is stable, healthy and after the fault, and by what margin.
+
+    The result has ``stable``, ``verdict``, ``healthy`` and ``faulted``; ``as_dict()`` has every
+    figure.
+
+    Raises:
+        ScenarioError: as ``load_scenario``, or no such design.
+    """
+    return check_speeds(load_scenario(name, changes))
+
+
+@in_python
+def tune(
+    name: str | Path | Scenario = "default",
+    changes: Changes | None = None,
+    *,
+    box: float = 0.2,
+    ranges: Mapping[str, tuple[float, float]] | None = None,
+    spare_ticks: int = 1,
+    noise_limit_n: float | None = None,
+    torque_noise_limit_nm: float | None = None,
+) -> Tunings:
+    """The tuning with the least peak after the loss of the torque, for a box of cars.
+
+    The result has this tuning as ``chosen``, and the whole trade-off as ``front``.
+
+    Args:
+        name: as that of ``load_scenario``.
+        changes: as those of ``load_scenario``.
+        box: by what share mass, cornering stiffnesses and speed may differ.
+        ranges: lowest and highest value of single parameters, as in
+            ``{"plant.speed_mps": (8.0, 12.0)}``.
+        spare_ticks: delay beyond the scenario's own with which the loop must be stable.
+        noise_limit_n: largest rms of the force difference that the sensor's noise may cause;
+            None: any.
+        torque_noise_limit_nm: the same limit of the torque.
+
+    Raises:
+        NoTuningError: no tuning passes.
+        ScenarioError: as ``load_scenario``, or an invalid range.
+    """
+    chosen = load_scenario(name, changes)
+    if not isinstance(box, int | float):
+        raise ScenarioError(f"box = {box!r}: must be a share, as in 0.2 for ±20 %")
+    if not isinstance(spare_ticks, int):
+        raise ScenarioError(f"spare_ticks = {spare_ticks!r}: must be a whole number of ticks")
+    for key, pair in (ranges or {}).items():
+        if not (isinstance(pair, tuple | list) and len(pair) == 2):
+            raise ScenarioError(f"ranges: {key} = {pair!r}: must be a pair, lowest and highest")
+    limits = [f"{key}={low}..{high}" for key, (low, high) in (ranges or {}).items()]
+    some = cars_of(chosen, box, limits)
+    return search(chosen, some, spare_ticks, noise_limit_n, torque_noise_limit_nm)
+
+
+@in_python
+def decode(
+    log: str | Path,
+    dbc: str | Path,
+    *,
+    messages: Sequence[str] | None = None,
+    signals: Sequence[str] | None = None,
+    from_s: float | None = None,
+    to_s: float | None = None,
+) -> dict[str, pd.DataFrame]:
+    """Any log through any database that cantools reads: a table for each message.
+
+    A row is a frame, a column a signal, the index ``time_s``; ``attrs["units"]`` has the units.
+
+    Args:
+        log: of any format that ``can-rig decode`` reads.
+        dbc: the database.
+        messages: only these; None: all.
+        signals: only these, as ``Signal`` or ``Message.Signal``; None: all.
+        from_s: only frames from so many seconds after the start of the recording on.
+        to_s: only frames before so many seconds after it.
+
+    Raises:
+        LogError: the log cannot be read.
+        DbcError: the database cannot be read, or lacks a name.
+    """
+    tables = {}
+    log, dbc = _path("log", log), _path("dbc", dbc)
+    decoded = decode_log(log, dbc, messages, signals, from_s=from_s, to_s=to_s)
+    for name, columns in decoded.items():
+        tables[name] = table = columns.to_pandas()
+        units = {signal: layout.unit for signal, layout in columns.layout.items()}
+        table.attrs["units"] = {signal: unit or "" for signal, unit in units.items()}
+    return tables
+
+
+def _path(argument: str, value: object) -> Path:
+    if not isinstance(value, str | Path):
+        raise RigError(f"{argument} = {value!r}: must be the path of one file or folder")
+    return Path(value)

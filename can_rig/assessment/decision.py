@@ -17,9 +17,9 @@ import numpy as np
 from can_rig.drawing.names import names_of, with_unit
 from can_rig.frames.network import Network
 from can_rig.scenario.build import continuous_plant, controller_table, slowness
+from can_rig.scenario.fault_settings import CHANNELS
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import CHANNELS
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
 from firmware_model.target.status import FaultState

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from can_rig.drawing.names import names_of, with_unit
-from can_rig.frames.beside.agreement import SENDERS, ComparisonFrame
+from can_rig.frames.comparison_frames import SENDERS, ComparisonFrame
 from can_rig.frames.network import Network
 from can_rig.scenario.settings import Scenario
 

@@ -14,7 +14,7 @@ from pydantic import ValidationError
 from can_rig.assessment.bus_timing.timing import latency_ticks
 from can_rig.errors import RigError, ScenarioError
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import FROM_BUS, Draft, of_run, read
+from can_rig.scenario.loading import FROM_BUS, LATENCY, Draft, of_run, read
 from can_rig.scenario.refusal import refusal
 from can_rig.scenario.settings import Scenario
 
@@ -44,15 +44,14 @@ def resolve(draft: Draft) -> Scenario:
         ScenarioError: no number follows, because the bus is too slow or the design fails.
     """
     scenario = draft.scenario
-    if FROM_BUS in draft.words:
+    if draft.latency_from_bus:
         scenario = _with_latency_of_bus(scenario)
     return scenario
 
 
 def _with_latency_of_bus(scenario: Scenario) -> Scenario:
     network, bus = network_of(scenario), scenario.bus
-    key, word = FROM_BUS
-    where = f'scenario {scenario.name}: {key} = "{word}"'
+    where = f'scenario {scenario.name}: {LATENCY} = "{FROM_BUS}"'
     try:
         ticks = latency_ticks(network, bus.bitrate, scenario.tick_s, bus.compute_s)
         return replace(scenario, latency_ticks=ticks)

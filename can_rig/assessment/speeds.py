@@ -21,8 +21,7 @@ from can_rig.assessment.stability import (
 from can_rig.assessment.stability_table import finite_or_null
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_plant, network_of
-from can_rig.scenario.driving.schedule import controls, frozen
-from can_rig.scenario.driving.speed import speed_profile
+from can_rig.scenario.driving import controls, frozen, speed_profile
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.margins import HEALTHY, Margins
 from firmware_model.analysis.speed_sweep import SpeedSweep, sweep

@@ -31,8 +31,8 @@ from can_rig.scenario.build import (
     network_of,
     target,
 )
+from can_rig.scenario.fault_settings import CHANNELS
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import CHANNELS
 from firmware_model.analysis.margins import (
     HEALTHY,
     Margins,
@@ -273,7 +273,8 @@ def _isolation(scenario: Scenario) -> str:
         return f"isolation: a loss is confirmed only when a {asked}; {biased}"
     if scenario.design.estimator == "kalman":
         return "isolation: none: where a share is followed nothing decides whose fault it is"
-    told = "the evidence tells either actuator, the sensor and another car apart"
+    other = f"another {scenario.plant.noun}"
+    told = f"the evidence tells either actuator, the sensor and {other} apart"
     alike = f"a steady {lost.short} offset or a slow drift of the sensor may look like"
     return f"isolation: {told}; {alike} a partial loss, which design.probe_nm tells from both"
 

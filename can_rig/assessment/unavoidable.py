@@ -20,10 +20,10 @@ from typing import Any
 import numpy as np
 
 from can_rig.scenario.build import continuous_plant, target
+from can_rig.scenario.fault_settings import CHANNELS, FaultSettings
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import CHANNELS, FaultSettings
 from firmware_model.analysis.sampled_plant import SampledPlant, sample
 from firmware_model.compiled import compiled
 from firmware_model.target.structs import FloatArray

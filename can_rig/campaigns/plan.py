@@ -6,7 +6,7 @@ import math
 import shlex
 import warnings
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
 
@@ -16,10 +16,18 @@ from scipy.stats import qmc
 from can_rig.assessment.resolve import resolve
 from can_rig.campaigns.settings import MOST_RUNS, AxisSettings, CampaignSettings, Scalar
 from can_rig.errors import ScenarioError
-from can_rig.scenario.loading import LIMITS, Written, changed, with_changes, written
+from can_rig.scenario.loading import (
+    LIMITS,
+    Written,
+    as_settings,
+    linear_kind,
+    model_follows,
+    value_in,
+    with_values,
+    written,
+)
+from can_rig.scenario.plant_settings import SHORTEST_LAG_S
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.stage_settings import SHORTEST_LAG_S
-from can_rig.scenario.tables.changes import as_settings, toml_text, value_in
 from firmware_model.target.structs import FloatArray
 
 DIGITS: Final = 9
@@ -47,7 +55,7 @@ class Plan:
     @cached_property
     def base(self) -> Scenario:
         """The scenario with the campaign's settings, before any axis changes it."""
-        return resolve(changed(self.file, self._common))
+        return resolve(self.file.with_changes(self._common).draft)
 
     @cached_property
     def runs(self) -> int:
@@ -82,34 +90,44 @@ class Plan:
         word = np.random.SeedSequence([self.settings.seed, run]).generate_state(1, np.uint32)
         return int(word[0])
 
-    def changes_of(self, run: int, values: dict[str, Scalar] | None = None) -> list[str]:
-        """``KEY=VALUE`` for every setting specific to ``run``.
+    def changes_of(self, run: int, values: dict[str, Scalar] | None = None) -> dict[str, Scalar]:
+        """The value of every key specific to ``run``.
 
         A search passes ``values``, the chosen values of the axes.
         """
         values = self.values_of(run) if values is None else values
-        seed = [] if self._has_seed else [f"seed={self.seed_of(run)}"]
-        own = [f"{key}={toml_text(key, value)}" for key, value in values.items()]
-        return [*own, *seed]
+        return values if self._has_seed else {**values, "seed": self.seed_of(run)}
 
     def scenario_of(self, run: int) -> Scenario:
         """The scenario of ``run``, which must not belong to a search; see ``scenario_with``."""
         return self.scenario_with(self.changes_of(run))
 
-    def scenario_with(self, changes: list[str]) -> Scenario:
-        """The scenario of a run: the common settings, then these changes.
+    def scenario_with(self, changes: dict[str, Scalar]) -> Scenario:
+        """The scenario of a run: the common settings, then these values.
 
         Raises:
             ScenarioError: the values are invalid.
         """
-        return resolve(changed(self._file_of_all, changes))
+        of_model = {f"model.{key}": changes[f"plant.{key}"] for key in self._followed}
+        if "model.kind" in of_model:
+            plant = self._file_of_all.values.get("plant", {})
+            of_model["model.kind"] = linear_kind({**plant, "kind": changes["plant.kind"]})
+        return resolve(with_values(self._file_of_all.draft, {**of_model, **changes}))
 
-    def command_with(self, changes: list[str]) -> str:
-        """The command that repeats a run with these changes, frames included."""
+    def command_with(self, changes: dict[str, Scalar]) -> str:
+        """The command that repeats a run with these values, frames included."""
         words = ["can-rig", "run", self.file.given, "--in-process", "--allow-unstable"]
-        for change in [*self._of_all, *changes]:
+        for change in [*self._of_all, *as_settings(changes)]:
             words += ["--set", change]
         return shlex.join(words)
+
+    def require_keys(self, changes: dict[str, Scalar]) -> None:
+        """Refuse a key that no scenario has, as ``--set`` refuses it.
+
+        Raises:
+            ScenarioError: names the key.
+        """
+        resolve(self._file_of_all.with_changes(as_settings(changes)).draft)
 
     def __getstate__(self) -> dict[str, Any]:
         """Fields only, without cached properties."""
@@ -126,7 +144,14 @@ class Plan:
 
     @cached_property
     def _file_of_all(self) -> Written:
-        return replace(self.file, values=with_changes(self.file, self._of_all))
+        return self.file.with_changes(self._of_all)
+
+    @cached_property
+    def _followed(self) -> list[str]:
+        """Keys of the plant with an axis that the controller's model follows."""
+        axes, values = self.settings.axes, self._file_of_all.values
+        keys = [key.removeprefix("plant.") for key in axes if key.startswith("plant.")]
+        return [key for key in keys if f"model.{key}" not in axes and model_follows(values, key)]
 
     @cached_property
     def _has_seed(self) -> bool:
@@ -147,7 +172,7 @@ class Plan:
                 continue
             stage = part.rpartition(".")[0]
             parts = [f"{stage}.{lag}" for lag in LAGS] if last in LAGS else [part]
-            known = {each: value_at(self.base_values, f"model.{each}") for each in parts}
+            known = {each: value_in(self.base_values, f"model.{each}") for each in parts}
             if not any(known.values()) and last in LAGS:
                 known = {f"{stage}.lag_s": 0.0}
             for each, value in known.items():
@@ -202,7 +227,7 @@ class Plan:
             value = math.exp(math.log(low) + unit * (math.log(high) - math.log(low)))
         else:
             value = low + unit * (high - low)
-        if isinstance(value_at(self.base_values, key), int):
+        if isinstance(value_in(self.base_values, key), int):
             if self.settings.sampling == "grid":
                 return round(value)
             return min(math.floor(low + unit * (high + 1.0 - low)), math.floor(high))
@@ -214,9 +239,10 @@ class Plan:
     def _ends(self, key: str, axis: AxisSettings) -> tuple[float, float]:
         if axis.range is not None:
             return axis.range
-        own = value_at(self.base_values, key)
+        own = value_in(self.base_values, key)
         if not has_key(self.base_values, key):
-            resolve(changed(self.file, [*self._common, f"{key}=1"]))  # error lists valid keys
+            wrong = self.file.with_changes([*self._common, f"{key}=1"])
+            resolve(wrong.draft)  # the error lists valid keys
         if isinstance(own, bool) or not isinstance(own, int | float) or own == 0.0:
             raise ScenarioError(
                 f"campaign {self.settings.name}: axes.{key}.share = {axis.share}: {key} = {own!r} "
@@ -227,14 +253,9 @@ class Plan:
         return (low, high) if own > 0.0 else (high, low)
 
 
-def value_at(scenario: dict[str, Any], key: str) -> Any:
-    """The value of ``key`` in a scenario; None: not set, or unknown."""
-    return value_in(scenario, key)
-
-
 def has_key(scenario: dict[str, Any], key: str) -> bool:
     """Whether the key exists, set or not."""
-    table = value_at(scenario, key.rpartition(".")[0])
+    table = value_in(scenario, key.rpartition(".")[0])
     return isinstance(table, dict) and key.rpartition(".")[2] in table
 
 
@@ -249,5 +270,7 @@ def plan(settings: CampaignSettings) -> Plan:
         raise ScenarioError(
             f"campaign {settings.name}: {made.runs} runs; must be at most {MOST_RUNS}"
         )
-    made.scenario_of(made.searched)
+    first = made.changes_of(made.searched)
+    made.require_keys(first)
+    made.scenario_with(first)
     return made

@@ -75,87 +75,81 @@ class Requirement:
         if len(text) > LONGEST:
             raise ScenarioError(f"{self._where[:60]}...: must be at most {LONGEST} characters")
         try:
-            self._tree = ast.parse(text, mode="eval").body
+            tree = ast.parse(text, mode="eval").body
         except (SyntaxError, ValueError, RecursionError, MemoryError):
             raise ScenarioError(f"{self._where}: must be an expression over metrics") from None
-        self.names = frozenset(
-            node.id for node in ast.walk(self._tree) if isinstance(node, ast.Name)
-        )
+        self.names = frozenset(node.id for node in ast.walk(tree) if isinstance(node, ast.Name))
         for unknown in sorted(self.names - set(known)):
             raise ScenarioError(
                 f"{self._where}: {unknown}: no such metric; there are {', '.join(sorted(known))}"
             )
-        self._check(self._tree, truth=True)
-
-    def of(self, values: Values) -> Verdict:
+        self.of: Callable[[Values], Verdict] = self._truth(tree)
         """The verdict on a run with the given values."""
-        return self._truth(self._tree, values)
 
-    def _check(self, node: ast.expr, *, truth: bool) -> None:
-        """Refuse any syntax except expressions over metrics; ``truth``: require a verdict."""
+    def _truth(self, node: ast.expr) -> Callable[[Values], Verdict]:
+        """The verdict of a comparison, of a metric, or of truths joined by and, or, not."""
         match node:
-            case ast.BoolOp(values=parts) if truth:
-                self._check_all(parts, truth=True)
-            case ast.UnaryOp(op=ast.Not(), operand=part) if truth:
-                self._check(part, truth=True)
-            case ast.Compare(left=left, ops=ops, comparators=others) if truth and all(
+            case ast.BoolOp(op=op, values=parts):
+                truths = [self._truth(part) for part in parts]
+                if isinstance(op, ast.And):
+                    return lambda values: _all([truth(values) for truth in truths])
+                return lambda values: _not(_all([_not(truth(values)) for truth in truths]))
+            case ast.UnaryOp(op=ast.Not(), operand=part):
+                truth = self._truth(part)
+                return lambda values: _not(truth(values))
+            case ast.Compare(left=left, ops=ops, comparators=others) if all(
                 type(op) in COMPARISONS for op in ops
             ):
-                self._check_all([left, *others], truth=False)
+                numbers = [self._number(part) for part in (left, *others)]
+
+                def compared(values: Values) -> Verdict:
+                    found = [number(values) for number in numbers]
+                    pairs = zip(ops, found, found[1:], strict=False)
+                    return _all([_compared(op, one, other) for op, one, other in pairs])
+
+                return compared
             case ast.Name() | ast.Constant(value=bool()):
-                return
-            case ast.UnaryOp(op=ast.USub(), operand=part) if not truth:
-                self._check(part, truth=False)
-            case ast.BinOp(left=left, op=op, right=right) if not truth and type(op) in ARITHMETIC:
-                self._check_all([left, right], truth=False)
-            case ast.Constant(value=int() | float() as number) if not truth:
-                if abs(number) > sys.float_info.max:
-                    raise ScenarioError(f"{self._where}: a number above 1.8e308: must be finite")
-            case _:
-                raise ScenarioError(
-                    f"{self._where}: {ast.unparse(node)}: must be "
-                    f"{'a comparison, ' if truth else 'a number, '}a metric, or such with "
-                    f"{'and, or, not' if truth else '+ - * /'}"
-                )
+                number = self._number(node)
+                return lambda values: _verdict(number(values))
+        raise ScenarioError(
+            f"{self._where}: {ast.unparse(node)}: must be a comparison, a metric, or such with "
+            "and, or, not"
+        )
 
-    def _check_all(self, nodes: list[ast.expr], *, truth: bool) -> None:
-        for node in nodes:
-            self._check(node, truth=truth)
-
-    def _truth(self, node: ast.expr, values: Values) -> Verdict:
-        match node:
-            case ast.BoolOp(op=ast.And(), values=parts):
-                return _all([self._truth(part, values) for part in parts])
-            case ast.BoolOp(values=parts):
-                return _not(_all([_not(self._truth(part, values)) for part in parts]))
-            case ast.UnaryOp(operand=part):
-                return _not(self._truth(part, values))
-            case ast.Compare(left=left, ops=ops, comparators=others):
-                numbers = [self._number(part, values) for part in (left, *others)]
-                pairs = zip(ops, numbers, numbers[1:], strict=False)
-                return _all([_compared(op, a, b) for op, a, b in pairs])
-        value = self._number(node, values)
-        return UNKNOWN if value is None else Verdict(bool(value), 1.0 if value else -1.0)
-
-    def _number(self, node: ast.expr, values: Values) -> float | None:
+    def _number(self, node: ast.expr) -> Callable[[Values], float | None]:
+        """The value of a number, of a metric, or of arithmetic; None without a result."""
         match node:
             case ast.Name(id=name):
-                return values[name]
-            case ast.Constant(value=number):
-                return number if isinstance(number, int | float) else None
-            case ast.UnaryOp(operand=part):
-                value = self._number(part, values)
-                return None if value is None else -value
-            case ast.BinOp(left=left, op=op, right=right):
-                one, other = self._number(left, values), self._number(right, values)
-                if one is None or other is None:
-                    return None
-                try:
-                    result = ARITHMETIC[type(op)](one, other)
-                except (ZeroDivisionError, OverflowError):
-                    return None
-                return result if math.isfinite(result) else None
-        raise AssertionError(ast.dump(node))
+                return lambda values: values[name]
+            case ast.Constant(value=int() | float() as constant):
+                if abs(constant) > sys.float_info.max:
+                    raise ScenarioError(f"{self._where}: a number above 1.8e308: must be finite")
+                return lambda _: constant
+            case ast.UnaryOp(op=ast.USub(), operand=part):
+                negated = self._number(part)
+                return lambda values: None if (it := negated(values)) is None else -it
+            case ast.BinOp(left=left, op=op, right=right) if type(op) in ARITHMETIC:
+                computed, one, other = ARITHMETIC[type(op)], self._number(left), self._number(right)
+                return lambda values: _computed(computed, one(values), other(values))
+        raise ScenarioError(
+            f"{self._where}: {ast.unparse(node)}: must be a number, a metric, or such with + - * /"
+        )
+
+
+def _computed(
+    operation: Callable[[float, float], float], one: float | None, other: float | None
+) -> float | None:
+    if one is None or other is None:
+        return None
+    try:
+        result = operation(one, other)
+    except (ZeroDivisionError, OverflowError):
+        return None
+    return result if math.isfinite(result) else None
+
+
+def _verdict(value: float | None) -> Verdict:
+    return UNKNOWN if value is None else Verdict(bool(value), 1.0 if value else -1.0)
 
 
 def _compared(op: ast.cmpop, one: float | None, other: float | None) -> Verdict:

@@ -18,9 +18,7 @@ found = "not missed_detection and detection_delay_s <= 0.5"
 from __future__ import annotations
 
 import dataclasses
-import difflib
 import json
-import tomllib
 from collections.abc import Iterable
 from pathlib import Path
 from typing import Annotated, Any, Final, Literal
@@ -29,9 +27,9 @@ from pydantic import Field, NonNegativeInt, TypeAdapter, ValidationError
 from pydantic.dataclasses import dataclass
 
 from can_rig.errors import ScenarioError
+from can_rig.scenario.loading import change, toml_file
+from can_rig.scenario.plant_settings import STRICT
 from can_rig.scenario.refusal import refusal
-from can_rig.scenario.stage_settings import STRICT
-from can_rig.scenario.tables.changes import change
 
 SHIPPED: Final = Path(__file__).parent / "shipped"
 MOST_RUNS: Final = 10_000_000
@@ -60,16 +58,18 @@ class AxisSettings:
         given = [name for name in ("values", "range", "share") if getattr(self, name) is not None]
         if len(given) != 1:
             raise ValueError(
-                f"values, range, share: {' and '.join(given) or 'none'} given: must be one of them"
+                f"values, range, share: {' and '.join(given) or 'none'} set; must be exactly one"
             )
         if self.values is not None and not self.values:
-            raise ValueError("values = []: must have at least one")
+            raise ValueError("values = []: must have at least one value")
         if self.range is not None:
             low, high = self.range
             if not low < high:
                 raise ValueError(f"range = [{low:g}, {high:g}]: must increase")
             if self.scale == "log" and low <= 0.0:
-                raise ValueError(f"range = [{low:g}, {high:g}]: must be above 0 where it is log")
+                raise ValueError(
+                    f'range = [{low:g}, {high:g}]: scale = "log" needs numbers above 0'
+                )
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -101,35 +101,35 @@ class CampaignSettings:
         if self.sampling == "grid":
             if self.runs is not None:
                 raise ValueError(
-                    f"runs = {self.runs}: must not be set of a grid, whose axes say it; "
-                    "repeats is how often each of its points is run"
+                    f"runs = {self.runs}: must not be set for a grid, whose axes give the number; "
+                    "repeats runs each point several times"
                 )
             for key, axis in self.axes.items():
                 if axis.values is None and axis.points is None:
-                    raise ValueError(f"axes.{key}: must have points, or values, on a grid")
+                    raise ValueError(
+                        f'axes.{key}: must have points or values for sampling = "grid"'
+                    )
             return
         if self.runs is None:
             raise ValueError(f'runs: must be set where sampling = "{self.sampling}"')
         if self.repeats != 1:
-            raise ValueError(f"repeats = {self.repeats}: must not be set but of a grid")
+            raise ValueError(f'repeats = {self.repeats}: must be 1 unless sampling = "grid"')
         for key, axis in self.axes.items():
             if axis.points is not None:
                 raise ValueError(
-                    f"axes.{key}.points = {axis.points}: must not be set but of a grid"
+                    f'axes.{key}.points = {axis.points}: must not be set unless sampling = "grid"'
                 )
 
     def _refuse_search(self, search: str) -> None:
         known = [*self.requirements, ALL]
-        if search not in known or not self.requirements:
-            raise ValueError(
-                f"search = {search!r}: must be a requirement, {' or '.join(known)}"
-                if self.requirements
-                else f"search = {search!r}: must come with a requirement"
-            )
-        if self.sampling != "random":
-            raise ValueError(f'search = {search!r}: must come with sampling = "random"')
-        if not self.axes:
-            raise ValueError(f"search = {search!r}: must come with axes to search on")
+        for holds, must in (
+            (bool(self.requirements), "come with a requirement"),
+            (search in known, f"be a requirement, {' or '.join(known)}"),
+            (self.sampling == "random", 'come with sampling = "random"'),
+            (bool(self.axes), "come with axes to search on"),
+        ):
+            if not holds:
+                raise ValueError(f"search = {search!r}: must {must}")
 
     def as_dict(self) -> dict[str, Any]:
         """Every key and value."""
@@ -155,17 +155,7 @@ def read_campaign(name: str, settings: Iterable[str] = (), **keys: Any) -> Campa
     Raises:
         ScenarioError: no such campaign, not TOML, an unknown key, a bad value.
     """
-    known, path = shipped(), Path(name)
-    if name in known:
-        path = known[name]
-    elif not path.is_file():
-        near = difflib.get_close_matches(name, known, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"shipped ones: {', '.join(known)}"
-        raise ScenarioError(f"campaign {name}: no such campaign and no such file; {hint}")
-    try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ScenarioError(f"campaign {name}: not readable as TOML: {error}") from None
+    path, values = toml_file("campaign", name, shipped())
     scenario = values.get("scenario")
     if isinstance(scenario, str) and scenario.endswith(".toml"):
         values["scenario"] = str(path.parent / scenario)

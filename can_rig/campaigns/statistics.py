@@ -13,8 +13,8 @@ from scipy.stats import binomtest, chi2
 
 from can_rig.campaigns.plan import Plan
 from can_rig.campaigns.requirements import Requirement
+from can_rig.campaigns.rows import RANDOM, SEARCH, TRUTHS
 from can_rig.campaigns.settings import ALL
-from can_rig.campaigns.table import RANDOM, SEARCH, TRUTHS
 from firmware_model.target.structs import FloatArray
 
 CONFIDENCE: Final = 0.95

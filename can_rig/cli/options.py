@@ -9,9 +9,9 @@ from typing import Any, TypeVar
 import click
 from click.shell_completion import CompletionItem
 
-from can_rig.export.choices import CONTROLLERS, SERIAL
-from can_rig.nodes.operator.interaction import Interaction
-from can_rig.scenario.catalogue import shipped
+from can_rig.export import CONTROLLERS, SERIAL
+from can_rig.nodes.interaction import Interaction
+from can_rig.scenario.loading import shipped
 
 Completions = list[CompletionItem]
 Function = TypeVar("Function", bound=Callable[..., Any])

@@ -24,7 +24,7 @@ from can_rig.decoding.database_decoder import DatabaseDecoder, message_decoders,
 from can_rig.decoding.j1939_transport import Transport
 from can_rig.decoding.message_columns import MessageColumns, joined
 from can_rig.decoding.message_decoder import Counts
-from can_rig.frames.mapped.database import load_database
+from can_rig.frames.databases import load_database
 from can_rig.logs.frames import ERROR, EXTENDED, Frames
 from can_rig.logs.log import window_of
 from can_rig.logs.reading import read_log

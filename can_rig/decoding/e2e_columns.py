@@ -7,7 +7,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig.frames.crc_columns import crcs
+from can_rig.frames.frame_columns import crcs
 from can_rig.frames.protection import COUNTERS, FRAME_BYTES
 from can_rig.logs.frames import UInt8s
 

@@ -13,8 +13,8 @@ from numpy.typing import NDArray
 from can_rig.decoding import e2e_columns
 from can_rig.decoding.message_columns import MessageColumns
 from can_rig.decoding.signal_columns import Column, signal_column
-from can_rig.frames.dbc import attribute
-from can_rig.frames.layout import ROLES, SPEED
+from can_rig.frames.codec import ROLES, SPEED
+from can_rig.frames.databases import attribute
 from can_rig.logs.frames import CLASSIC_BYTES, REMOTE, Frames, UInt8s
 
 Rows = NDArray[np.bool_]

@@ -4,9 +4,8 @@ from __future__ import annotations
 
 from typing import Final, NamedTuple
 
-from can_rig.scenario.plant_settings import PlantSettings
-from can_rig.scenario.tables.fault import PLACES, FaultSettings
-from can_rig.scenario.tables.numbers import SignalSettings
+from can_rig.scenario.fault_settings import PLACES, FaultSettings
+from can_rig.scenario.plant_settings import PlantSettings, SignalSettings
 
 
 class Signal(NamedTuple):

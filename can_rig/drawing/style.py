@@ -12,7 +12,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import LogLocator, NullFormatter
 
 from can_rig.drawing.names import printed
-from can_rig.scenario.tables.fault import FaultSettings
+from can_rig.scenario.fault_settings import FaultSettings
 from firmware_model.target.structs import FloatArray
 
 INK: Final = "#1b1b1b"

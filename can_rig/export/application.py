@@ -1,26 +1,35 @@
-"""The whole controller node in C: the law, its constants, its frames and its receive rules."""
+"""The whole controller node in C, and a folder with its build files."""
 
 from __future__ import annotations
 
+import hashlib
+from collections.abc import Mapping
+from dataclasses import replace
+from pathlib import Path
 from typing import Final
 
 from can_rig.drawing.names import Signal, names_of
 from can_rig.errors import ExportError
-from can_rig.export.constants import constants_header, constants_source
-from can_rig.export.law import filled, law_files, support
-from can_rig.export.speed_words import words
-from can_rig.export.writing.c_text import comment
-from can_rig.frames.codec import MessageCodec
-from can_rig.frames.layout import RigLayout
+from can_rig.export.c_files import constants_files
+from can_rig.export.c_text import comment
+from can_rig.export.law import HEARS, law_files, parts_of, support, zero
+from can_rig.folders import Kind, refuse_folder, whole_folder
+from can_rig.frames.codec import MessageCodec, RigLayout
 from can_rig.frames.network import Network
 from can_rig.scenario.build import dbc_of, network_of
-from can_rig.scenario.driving.schedule import controls
+from can_rig.scenario.driving import controls
 from can_rig.scenario.settings import Scenario
+from firmware_model.target.structs import Precision
 
+HEADER: Final = "firmware.h"
+"""Public header of every export, for inclusion by an application."""
+
+BY_HAND: Final = ("firmware.c", "e2e.h", "e2e.c", "frames.h", "frames.c", "ecu.h", "ecu.c")
+BENCH: Final = ("bench.h", "bench.c", "harness.h", "harness.c")
+BUILD_FILES: Final = ("Makefile", "CMakeLists.txt", "main.c", "bench_main.c")
+IDENTITY_BYTES: Final = 8
 POWERS: Final = str.maketrans({"²": "^2", "³": "^3"})
 """Units in ASCII, for compilers without Unicode."""
-
-BY_HAND: Final = ("e2e.h", "e2e.c", "frames.h", "frames.c", "ecu.h", "ecu.c")
 
 
 def application(scenario: Scenario) -> dict[str, str]:
@@ -38,31 +47,97 @@ def application(scenario: Scenario) -> dict[str, str]:
             "rig's own frames; run --controller c runs the law in C on yours"
         )
     of, names = controls(scenario, network), names_of(scenario.plant)
-    limits, blends = scenario.limits, of.schedule is not None
-    precision = scenario.design.precision
+    limits, precision = scenario.limits, scenario.design.precision
     title = f"The constants of the controller of scenario {scenario.name}."
-    of_speed = words(network.speed is not None, blends)
-    zero = "0.0f" if precision == "float32" else "0.0"
+    law = law_files(precision, of.schedule is not None)
+    parts = {*parts_of(law), *((HEARS,) if network.speed else ())}
+    header = support(
+        HEADER,
+        parts,
+        speed=_signal(network.speed) if network.speed else "",
+        scenario=scenario.name,
+        tick=f"{scenario.tick_s * 1e3:g} ms",
+        latency=_latency(scenario),
+        command_1=_signal(network.command_1, names.command_1, limits.torque_nm),
+        command_2=_signal(network.command_2, names.command_2, limits.force_difference_n),
+        estimate=_signal(network.status, names.output._replace(name="")),
+        reference=_signal(network.reference, names.output._replace(name="")),
+        measurement=_signal(network.feedback, names.output),
+    )
     return {
-        **law_files(precision, blends),
-        "constants.h": constants_header(title, of.schedule),
-        "constants.c": constants_source(of.table, title, of.schedule),
-        "firmware.h": filled(
-            support("firmware_speeds.h" if blends else "firmware.h"),
-            speed=_signal(network.speed) if network.speed else "",
-            scenario=scenario.name,
-            tick=f"{scenario.tick_s * 1e3:g} ms",
-            latency=_latency(scenario),
-            command_1=_signal(network.command_1, names.command_1, limits.torque_nm),
-            command_2=_signal(network.command_2, names.command_2, limits.force_difference_n),
-            estimate=_signal(network.status, names.output._replace(name="")),
-            reference=_signal(network.reference, names.output._replace(name="")),
-            measurement=_signal(network.feedback, names.output),
-        ),
-        "firmware.c": support("firmware_speeds.c" if blends else "firmware.c"),
-        **{name: filled(support(name), zero=zero, **of_speed) for name in BY_HAND},
+        **law,
+        **constants_files(of.table, title, of.schedule),
+        HEADER: header,
+        **{name: support(name, parts, zero=zero(precision)) for name in BY_HAND},
         "network.c": _network_source(network, scenario),
     }
+
+
+def bench(node: Mapping[str, str]) -> dict[str, str]:
+    """The files of a node that answers a bench over a link: text by file name.
+
+    Args:
+        node: of ``application``.
+    """
+    numbers = ", ".join(f"0x{byte:02X}" for byte in identity(node))
+    return {name: support(name, _parts(node), identity=numbers) for name in BENCH}
+
+
+def identity(node: Mapping[str, str]) -> bytes:
+    """Identity of a controller: 8 bytes, a hash of the files of its ``application``."""
+    said = repr(sorted(node.items())).encode()
+    return hashlib.sha256(said).digest()[:IDENTITY_BYTES]
+
+
+def exported(scenario: Scenario, precision: Precision | None = None) -> dict[str, str]:
+    """The whole of a scenario's controller as text by file name.
+
+    Args:
+        scenario: the scenario.
+        precision: of its real numbers; None: the scenario's.
+
+    Raises:
+        ScenarioError: the design fails.
+        ExportError: the law is outside the subset that becomes C.
+    """
+    chosen = scenario if precision is None else in_precision(scenario, precision)
+    node = application(chosen)
+    units = sorted(name for name in node if name.endswith(".c"))
+    texts = {
+        "zero": zero(chosen.design.precision),
+        "objects": " \\\n    ".join(f"{name.removesuffix('.c')}.o" for name in units),
+        "sources": "\n".join(f"  {name}" for name in units),
+    }
+    return {
+        **node,
+        **bench(node),
+        **{name: support(name, _parts(node), **texts) for name in BUILD_FILES},
+    }
+
+
+def in_precision(scenario: Scenario, precision: Precision) -> Scenario:
+    """The scenario with another precision of the controller."""
+    return replace(scenario, design=replace(scenario.design, precision=precision))
+
+
+def write(texts: dict[str, str], folder: Path, force: bool) -> None:
+    """Write all files, or none; ``force`` replaces files of an earlier export.
+
+    Foreign files in the folder, such as a driver or build products, stay.
+
+    Raises:
+        RunFolderError: the folder exists and is not to be written to, or cannot be written.
+    """
+    kind = Kind("an exported controller", HEADER, lambda _: texts, lambda _: True)
+    refuse_folder(folder, kind, force)
+    with whole_folder(folder, kind, force=force) as made:
+        for name, text in texts.items():
+            (made / name).write_text(text, encoding="utf-8")
+
+
+def _parts(node: Mapping[str, str]) -> set[str]:
+    """Parts of handwritten files that go with the files of an application."""
+    return {*parts_of(node), *((HEARS,) if "frame_speed" in node["frames.h"] else ())}
 
 
 def _network_source(network: Network, scenario: Scenario) -> str:

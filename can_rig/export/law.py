@@ -4,16 +4,16 @@ from __future__ import annotations
 
 import re
 import sys
+from collections.abc import Collection
 from functools import cache
 from importlib.resources import files
 from typing import Final
 
-from can_rig.export.translation.program import Program
-from can_rig.export.translation.source import Sources
-from can_rig.export.translation.types import REAL, Record, Type
-from can_rig.export.writing.c_files import CFiles
+from can_rig.export.c_files import c_files
+from can_rig.export.source import REAL, Record, Sources, Type
+from can_rig.export.subset import Program
 from firmware_model.target import controller, layout, schedule
-from firmware_model.target.structs import Precision, Struct
+from firmware_model.target.structs import Precision
 
 ENTRIES: Final = ("start_up", "step", "reset")
 """Entry points called by a node: each function takes table and state, then real numbers."""
@@ -21,17 +21,49 @@ ENTRIES: Final = ("start_up", "step", "reset")
 CHANGE_SPEED: Final = "change_speed"
 """Entry point called before a step if the speed of the car changes; see ``schedule``."""
 
+BLENDS: Final = "blends"
+HEARS: Final = "hears"
+"""Parts of handwritten files: for designs blended by the speed, for a node that hears a speed."""
 
-def support(name: str) -> str:
-    """The text of a handwritten file, with placeholders ``{word}``."""
-    return (files("can_rig.export") / "support" / name).read_text(encoding="utf-8")
+
+def support(name: str, parts: Collection[str] = (), **values: str) -> str:
+    """A handwritten file; other braces than those of ``values``, frequent in C, stay.
+
+    Args:
+        name: the name of the file.
+        parts: lines between ``//: if PART``, ``//: else`` and ``//: end`` depend on them.
+        values: texts in the place of ``{name}``.
+    """
+    text = (files("can_rig.export") / "support" / name).read_text(encoding="utf-8")
+    kept, holds = [], [True]
+    for line in text.splitlines(keepends=True):
+        match line.split() if line.startswith("//:") else []:
+            case [_, "if", part]:
+                holds.append(part in parts)
+            case [_, "else"]:
+                holds[-1] = not holds[-1]
+            case [_, "end"]:
+                holds.pop()
+            case _ if all(holds):
+                kept.append(line)
+    return re.sub(r"\{(\w+)\}", lambda found: values.get(found[1], found[0]), "".join(kept))
+
+
+def parts_of(law: Collection[str]) -> set[str]:
+    """Parts of handwritten files that go with the files of a law."""
+    return {BLENDS} if "schedule.c" in law else set()
+
+
+def zero(precision: Precision) -> str:
+    """The literal 0."""
+    return "0.0f" if precision == "float32" else "0.0"
 
 
 def real_header(precision: Precision) -> str:
     """``real.h``: the definition of a real number."""
     single = precision == "float32"
-    return filled(
-        support("real.h"),
+    return support(
+        "real.h",
         words="single" if single else "double",
         real="float" if single else "double",
         fabs="fabsf" if single else "fabs",
@@ -39,12 +71,7 @@ def real_header(precision: Precision) -> str:
     )
 
 
-def filled(text: str, **values: str) -> str:
-    """``text`` with ``{name}`` replaced; other braces, frequent in C, stay."""
-    return re.sub(r"\{(\w+)\}", lambda found: values.get(found[1], found[0]), text)
-
-
-def target_sources() -> Sources:
+def _target_sources() -> Sources:
     """The modules of `firmware_model.target`, read."""
     sources = Sources()
     room = layout.__name__.rpartition(".")[0]
@@ -54,11 +81,10 @@ def target_sources() -> Sources:
     return sources
 
 
-def record(sources: Sources, struct: Struct) -> Record:
-    """The type of a struct of the target."""
-    found = sources.struct(struct)
-    assert found is not None
-    return Record(found)
+def _records(sources: Sources, *memory: object) -> list[Record]:
+    """The types of structs of the target."""
+    found = (sources.struct(each) for each in memory)
+    return [Record(struct) for struct in found if struct is not None]
 
 
 def law_program() -> Program:
@@ -67,10 +93,9 @@ def law_program() -> Program:
     Raises:
         ExportError: something is outside the subset.
     """
-    sources = target_sources()
-    program = Program(sources)
-    functions = sources.module(controller.__name__).functions
-    memory: list[Type] = [record(sources, layout.TABLE), record(sources, layout.STATE)]
+    program = Program(_target_sources())
+    functions = program.sources.module(controller.__name__).functions
+    memory: list[Type] = [*_records(program.sources, layout.TABLE, layout.STATE)]
     for name in ENTRIES:
         inputs = len(functions[name].parameters) - len(memory)
         program.add(functions[name], [*memory, *(REAL,) * inputs])
@@ -85,27 +110,11 @@ def speed_program() -> Program:
     Raises:
         ExportError: something is outside the subset.
     """
-    sources = target_sources()
-    program = Program(sources)
+    program = Program(_target_sources())
     structs = (schedule.CONSTANTS, schedule.STATE, layout.TABLE, layout.STATE)
-    function = sources.module(schedule.__name__).functions[CHANGE_SPEED]
-    program.add(function, [*(record(sources, each) for each in structs), REAL])
+    function = program.sources.module(schedule.__name__).functions[CHANGE_SPEED]
+    program.add(function, [*_records(program.sources, *structs), REAL])
     return program
-
-
-@cache
-def speed_files(precision: Precision) -> dict[str, str]:
-    """Text by file name of what blends designs by the speed of the car.
-
-    Raises:
-        ExportError: something is outside the subset.
-    """
-    program = speed_program()
-    structs = [
-        record(program.sources, each).struct for each in (schedule.CONSTANTS, schedule.STATE)
-    ]
-    written = CFiles(program, structs, {f"schedule_{CHANGE_SPEED}"}, precision).files()
-    return {name: written[name] for name in ("schedule.h", "schedule.c")}
 
 
 @cache
@@ -119,9 +128,12 @@ def law_files(precision: Precision, blends: bool = False) -> dict[str, str]:
     Raises:
         ExportError: something is outside the subset.
     """
-    program = law_program()
-    structs = [record(program.sources, each).struct for each in (layout.TABLE, layout.STATE)]
-    entries = {f"controller_{name}" for name in ENTRIES}
-    translated = CFiles(program, structs, entries, precision).files()
-    blending = speed_files(precision) if blends else {}
-    return {**translated, "real.h": real_header(precision), **blending}
+    if blends:
+        program, entries = speed_program(), {f"schedule_{CHANGE_SPEED}"}
+        memory = _records(program.sources, schedule.CONSTANTS, schedule.STATE)
+        found = c_files(program, [each.struct for each in memory], entries, precision)
+        return law_files(precision) | {name: found[name] for name in ("schedule.h", "schedule.c")}
+    program, entries = law_program(), {f"controller_{name}" for name in ENTRIES}
+    memory = _records(program.sources, layout.TABLE, layout.STATE)
+    found = c_files(program, [each.struct for each in memory], entries, precision)
+    return {**found, "real.h": real_header(precision)}

@@ -5,7 +5,15 @@ raw value outside the range, stands for not-a-number; no receiver uses NOT_AVAIL
 its own not-a-number.
 
 The value counts in steps of the signal's factor. ``layout`` packs the steps into bytes: the rig's
-layout, or any other layout through cantools.
+layout, or any other layout through cantools. The rig's layout is, in Intel byte order, in classic
+frames with 11-bit identifiers:
+
+| bytes | content                                                                              |
+|-------|--------------------------------------------------------------------------------------|
+| 0     | `Checksum`, CRC-8 of AUTOSAR E2E profile 1                                           |
+| 1     | low nibble `AliveCounter`; high nibble `Mode` and `FaultState` in the status frame   |
+| 2, 3  | `Tick`, unsigned: the low 16 bits of an hours-long count                             |
+| 4..7  | the value, signed, scaled; in the status frame 28 bits, above 4 bits of `Verdict`    |
 """
 
 from __future__ import annotations
@@ -14,9 +22,117 @@ import math
 import struct
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import NamedTuple
+from struct import Struct
+from typing import Final, NamedTuple, Protocol
 
-from can_rig.frames.layout import Layout, RigLayout
+import numpy as np
+from numpy.typing import NDArray
+
+from can_rig.frames.protection import FRAME_BYTES
+
+WIRE_TICKS: Final = 1 << 16
+_HALF: Final = WIRE_TICKS // 2
+_AT: Final = slice(2, 4)  # of a frame's bytes
+
+
+def tick_on(data: bytes | bytearray) -> int:
+    """The tick in a frame's bytes, modulo 65536; from a short frame the available bytes."""
+    return int.from_bytes(data[_AT], "little")
+
+
+def ticks_on(data: NDArray[np.uint8]) -> NDArray[np.int64]:
+    """The ticks of many frames: (frames, 4 bytes or more) → (frames,)."""
+    return data[:, 2].astype(np.int64) | data[:, 3].astype(np.int64) << 8
+
+
+def ticks_ahead(wire_tick: int, tick: int) -> int:
+    """How far a frame is ahead of ``tick``: half of the 16 bits are the past, -32768..32767."""
+    return (wire_tick - tick + _HALF) % WIRE_TICKS - _HALF
+
+
+def tick_from(wire_tick: int, tick: int) -> int:
+    """The first tick from ``tick`` on of which the wire carries ``wire_tick``."""
+    return tick + (wire_tick - tick) % WIRE_TICKS
+
+
+def tick_at(wire_tick: int, time_s: float, tick_s: float) -> int:
+    """The tick of a frame from its 16 bits and its time stamp, if that is in virtual time."""
+    tick = round((time_s / tick_s - wire_tick) / WIRE_TICKS) * WIRE_TICKS + wire_tick
+    return tick if abs(tick * tick_s - time_s) < tick_s else wire_tick
+
+
+FRAME: Final = Struct("<BBHi")
+"""Checksum; counter and status bits; tick; raw value."""
+
+Unpacked = tuple[float, int, int, int, int]
+"""A frame's content: steps of the value's factor, tick, mode, fault state, verdict."""
+
+ROLES: Final = ("reference", "feedback", "command_1", "command_2", "status")
+"""The roles of the frames of every tick, in their order on the bus."""
+
+SPEED: Final = "speed"
+"""The role of an additional first frame; only for a car with changing speed."""
+
+VERDICT_BITS: Final = 4
+
+
+class Layout(Protocol):
+    """The conversion between a frame's content and its bytes."""
+
+    @property
+    def length(self) -> int:
+        """Bytes of the frame."""
+
+    @property
+    def has_tick(self) -> bool:
+        """Whether the frame carries its tick."""
+
+    def pack(self, k: float, tick: int, mode: int, fault_state: int, verdict: int) -> bytearray:
+        """The bytes of a frame, its protection still zero; the tick is taken modulo 65536."""
+
+    def unpack(self, data: bytes | bytearray) -> Unpacked:
+        """The content of a frame of the right length."""
+
+    def tick(self, data: bytes | bytearray) -> int | None:
+        """The frame's tick, modulo 65536, for any length; None for a frame without a tick."""
+
+
+class RigLayout:
+    """The rig's layout: one ``struct`` call, bit for bit equal to cantools and ten times as fast.
+
+    Args:
+        shifts: of mode and fault state in byte 1; None for a frame without them.
+        says_verdict: whether the low four bits of the value carry the verdict.
+    """
+
+    length: Final = FRAME_BYTES
+    has_tick: Final = True
+
+    def __init__(self, shifts: tuple[int, int] | None = None, says_verdict: bool = False) -> None:
+        self.shifts: Final = shifts or (0, 0)
+        self.verdict_bits: Final = VERDICT_BITS if says_verdict else 0
+        self._most = (1 << self.verdict_bits) - 1
+        self._has_status: Final = shifts is not None
+
+    def pack(self, k: float, tick: int, mode: int, fault_state: int, verdict: int) -> bytearray:
+        """See ``Layout``."""
+        bits, value = 0, int(k) << self.verdict_bits | min(max(verdict, 0), self._most)
+        if self._has_status:
+            bits = min(max(mode, 0), 3) << self.shifts[0]
+            bits |= min(max(fault_state, 0), 3) << self.shifts[1]
+        return bytearray(FRAME.pack(0, bits, tick & 0xFFFF, value))
+
+    def unpack(self, data: bytes | bytearray) -> Unpacked:
+        """See ``Layout``."""
+        _, bits, tick, raw = FRAME.unpack(data)
+        if not self._has_status:
+            return raw, tick, 0, 0, 0
+        mode, fault_state = bits >> self.shifts[0] & 3, bits >> self.shifts[1] & 3
+        return raw >> self.verdict_bits, tick, mode, fault_state, raw & self._most
+
+    def tick(self, data: bytes | bytearray) -> int | None:
+        """See ``Layout``."""
+        return tick_on(data)
 
 
 class Record(NamedTuple):

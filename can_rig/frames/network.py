@@ -1,7 +1,8 @@
 """The frames of a tick, found in a DBC by their roles.
 
 The DBC is the only source for frames: names, identifiers, units, scaling and ranges. The attribute
-`RigRole` identifies a frame; the frame must have the layout of `layout`.
+`RigRole` identifies a frame; the frame must have the layout of `codec`. The layout is checked once,
+while the DBC is loaded, so that the loop packs and unpacks a whole frame with one `Struct`.
 """
 
 from __future__ import annotations
@@ -9,25 +10,25 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Final
 
-from cantools.database.can import Message as DbcMessage
-from cantools.database.can import Signal
+from cantools.database.can import Message, Signal
 
 from can_rig.errors import DbcError
-from can_rig.frames.codec import MessageCodec
-from can_rig.frames.dbc import attribute, load_dbc
-from can_rig.frames.layout import (
-    ROLES,
-    SPEED,
-    RigLayout,
-    not_available,
-    require_layout,
-    says_verdict,
-    value_signal,
-)
+from can_rig.frames.codec import ROLES, SPEED, VERDICT_BITS, MessageCodec, RigLayout
+from can_rig.frames.databases import attribute, load_dbc
 from can_rig.frames.protection import FRAME_BYTES, Protector
+from firmware_model.target.status import Verdict
 
 EXTENDED_FLAG = 1 << 31
+
+_HEADER: Final = {"Checksum": (0, 8), "AliveCounter": (8, 4), "Tick": (16, 16)}  # start, length
+_STATUS: Final = ("Mode", "FaultState")
+_STATUS_STARTS: Final = (12, 14)  # two bits each, in either order
+_VERDICT: Final = (32, VERDICT_BITS)
+_VALUE: Final = (32, 32)
+_VALUE_OVER_VERDICT: Final = (36, 28)
+_GRID_TOLERANCE: Final = 1e-3  # of an LSB; float64 resolves 5e-7 LSB at the end of 32 bits
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +96,7 @@ def load_network(path: str | Path, says_speed: bool = False) -> Network:
         DbcError: an invalid DBC, a missing or repeated role, a layout other than the rig's, an
             `E2EDataId` that is missing or shares its CRC with another.
     """
-    by_role: dict[int | str, DbcMessage] = {}
+    by_role: dict[int | str, Message] = {}
     for message in load_dbc(path).messages:
         role = attribute(message, "RigRole")
         if role is None or role == "none" or (role == SPEED and not says_speed):
@@ -116,7 +117,7 @@ def load_network(path: str | Path, says_speed: bool = False) -> Network:
     return network
 
 
-def _codec(message: DbcMessage, role: str, path: str | Path) -> MessageCodec:
+def _codec(message: Message, role: str, path: str | Path) -> MessageCodec:
     where = f"{path}: message {message.name}"
     require_layout(message, role, where)
     data_id = attribute(message, "E2EDataId")
@@ -176,3 +177,120 @@ def require_distinct_data_ids(network: Network, path: str | Path) -> None:
                 f"{path}: messages {other.name} and {codec.name}: E2EDataId {other.data_id} and "
                 f"{codec.data_id} give the same CRC, so that either passes as the other; change one"
             )
+
+
+def value_signal(message: Message) -> Signal:
+    """The scaled signal of a message accepted by `require_layout`."""
+    return next(s for s in message.signals if (s.start, s.length) in (_VALUE, _VALUE_OVER_VERDICT))
+
+
+def says_verdict(message: Message) -> bool:
+    """Whether ``message`` is a status message with a verdict."""
+    return any(signal.name == "Verdict" for signal in message.signals)
+
+
+def not_available(length: int) -> int:
+    """Raw value of a missing value in ``length`` bits: the value without a positive counterpart."""
+    return -(1 << (length - 1))
+
+
+def require_layout(message: Message, role: str, where: str) -> None:
+    """Check ``message`` against the layout of the frame with this role.
+
+    Raises:
+        DbcError: another layout; ``where`` (file and message) begins the line.
+    """
+    if message.is_extended_frame or message.is_fd or message.length != FRAME_BYTES:
+        kind = (
+            "n extended" if message.is_extended_frame else "n FD" if message.is_fd else " classic"
+        )
+        raise DbcError(
+            f"{where}: a{kind} frame of {message.length} bytes; "
+            f"it must be a classic one of {FRAME_BYTES}, with an 11-bit identifier"
+        )
+    if len(message.senders) != 1:
+        raise DbcError(f"{where}: {len(message.senders)} senders; it must have one")
+    signals = {signal.name: signal for signal in message.signals}
+    for name, place in _HEADER.items():
+        _require_plain(signals.pop(name, None), name, place, where)
+    if role == "status":
+        _require_status(signals, where)
+    place = _VALUE
+    if role == "status" and says_verdict(message):
+        _require_verdict(signals.pop("Verdict"), where)
+        place = _VALUE_OVER_VERDICT
+    if len(signals) != 1:
+        raise DbcError(
+            f"{where}: signals {sorted(signals)} in addition to the header; "
+            f"there must be exactly one, the value, at bit {place[0]}"
+        )
+    _require_value(signals.popitem()[1], place, where)
+
+
+def _require_plain(signal: Signal | None, name: str, place: tuple[int, int], where: str) -> None:
+    """Require an unsigned, unscaled signal at its place."""
+    wanted = f"it must be unsigned Intel, {place[1]} bits at bit {place[0]}, factor 1, offset 0"
+    if signal is None:
+        raise DbcError(f"{where}: no signal {name}; {wanted}")
+    if (
+        (signal.start, signal.length) != place
+        or signal.is_signed
+        or signal.byte_order != "little_endian"
+        or (signal.scale, signal.offset) != (1, 0)
+    ):
+        raise DbcError(f"{where}: signal {name} is {_describe(signal)}; {wanted}")
+
+
+def _require_status(signals: dict[str, Signal], where: str) -> None:
+    """Check the place of Mode and FaultState, the high nibble of byte 1, and remove both."""
+    starts = []
+    for name in _STATUS:
+        signal = signals.pop(name, None)
+        start = signal.start if signal and signal.start in _STATUS_STARTS else _STATUS_STARTS[0]
+        _require_plain(signal, name, (start, 2), where)
+        if signal is None or set(signal.choices or ()) != set(range(4)):
+            raise DbcError(f"{where}: signal {name} must have a value table of 0, 1, 2 and 3")
+        starts.append(start)
+    if len(set(starts)) != len(starts):
+        raise DbcError(f"{where}: Mode and FaultState overlap; they must be at bits 12 and 14")
+
+
+def _require_verdict(signal: Signal, where: str) -> None:
+    """Refuse a verdict at another place, or with unnamed verdicts."""
+    _require_plain(signal, "Verdict", _VERDICT, where)
+    if set(signal.choices or ()) != {int(verdict) for verdict in Verdict}:
+        raise DbcError(f"{where}: signal Verdict must have a value table of 0 to {max(Verdict)}")
+
+
+def _require_value(signal: Signal, place: tuple[int, int], where: str) -> None:
+    """Check the scaled signal's place and offset, and the position of its range on the raw grid."""
+    if (
+        (signal.start, signal.length) != place
+        or not signal.is_signed
+        or signal.is_float
+        or signal.byte_order != "little_endian"
+        or signal.offset != 0
+        or not signal.scale > 0
+    ):
+        raise DbcError(
+            f"{where}: signal {signal.name} is {_describe(signal)}; it must be signed Intel, "
+            f"{place[1]} bits at bit {place[0]}, factor above 0, offset 0"
+        )
+    low, high, most = signal.minimum, signal.maximum, -not_available(place[1]) - 1
+    if low is None or high is None or not low < 0 < high:
+        raise DbcError(f"{where}: signal {signal.name} has range {low}..{high}; it must include 0")
+    for end in (low / signal.scale, high / signal.scale):
+        if abs(end - round(end)) > _GRID_TOLERANCE or abs(round(end)) > most:
+            raise DbcError(
+                f"{where}: signal {signal.name} has range {low}..{high}; its ends must be "
+                f"multiples of {signal.scale}, at most {most} of them from 0"
+            )
+
+
+def _describe(signal: Signal) -> str:
+    sign = "a float" if signal.is_float else "signed" if signal.is_signed else "unsigned"
+    order = "Intel" if signal.byte_order == "little_endian" else "Motorola"
+    return (
+        f"{sign} {order}, {signal.length} bits at bit {signal.start}, "
+        f"factor {signal.scale}, offset {signal.offset}"
+    )

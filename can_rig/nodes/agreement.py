@@ -30,7 +30,7 @@ import can
 
 from can_rig.buses.bus import in_one_process, open_for_node
 from can_rig.errors import BusError, ScenarioError
-from can_rig.frames.beside.agreement import (
+from can_rig.frames.comparison_frames import (
     ASKED,
     PRESENT,
     SENDERS,
@@ -40,10 +40,10 @@ from can_rig.frames.beside.agreement import (
 )
 from can_rig.nodes.bus_access import NodeBus, PersistentSender
 from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock
+from can_rig.scenario.fault_settings import FaultSettings
+from can_rig.scenario.loading import FAULT
 from can_rig.scenario.plant_settings import FMU
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.changes import FAULT
-from can_rig.scenario.tables.fault import FaultSettings
 
 WHOLE: Final = 0
 UNSETTLED_S: Final = 5.0

@@ -1,16 +1,22 @@
-"""The bus operations of a node, and the handling of a refusing bus."""
+"""A node's access to its bus: sending to a refusing bus, and waiting for the other node.
+
+A node waits no longer than permitted, and not beyond a stop request.
+"""
 
 from __future__ import annotations
 
+import signal
 from collections import Counter
 from collections.abc import Callable
-from typing import Final, Protocol
+from dataclasses import dataclass
+from types import FrameType
+from typing import Final, Protocol, Self
 
 import can
 
 from can_rig.buses.bus import lost
-from can_rig.errors import one_line
-from can_rig.nodes.clock import NS_PER_S, Clock
+from can_rig.errors import SilentNodeError, one_line
+from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock
 
 RETRY_S: Final = 0.001
 """How soon a node turns to a bus again that has just refused."""
@@ -115,3 +121,153 @@ def bus_events(node: str, bus: NodeBus, *errors: Counter[str]) -> dict[str, dict
     counts["frames dropped unread"] = getattr(bus, "lost_frames", 0)
     counts = +counts  # without zeros
     return {node: dict(counts)} if counts else {}
+
+
+POLL_S: Final = 0.05
+"""How soon a waiting node notices a stop request."""
+
+REPEAT_NS: Final = NS_PER_S // 4
+"""How often an offer is repeated that nobody takes up; a partner that is there is quicker."""
+
+AWAKE_NS: Final = round(2 * POLL_S * NS_PER_S)
+"""After longer between two looks this node has slept itself, and so may have the other."""
+
+
+class Interrupted(Exception):  # noqa: N818 (not an error)
+    """A stop was requested during a wait."""
+
+
+@dataclass(frozen=True)
+class Timeouts:
+    """Permitted silence in seconds; only time with the waiting node awake counts.
+
+    ``first_s`` until the first frame of the other node, ``silence_s`` until each later frame.
+    """
+
+    first_s: float = 60.0
+    silence_s: float = 1.0
+
+
+DEFAULT_TIMEOUTS: Final = Timeouts()
+
+
+class StopRequest:
+    """Set by a signal handler, read between ticks and while waiting."""
+
+    def __init__(self) -> None:
+        self.wanted = False
+
+    def on_signals(self) -> Self:
+        """Let Ctrl-C, SIGTERM and a closed terminal end the node between two ticks, for good."""
+        for number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
+            if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
+                signal.signal(number, self._want)
+        return self
+
+    def _want(self, _signal: int, _frame: FrameType | None) -> None:
+        self.wanted = True
+
+
+class Watchdog:
+    """Receives from ``bus`` and gives up on a silent node.
+
+    Args:
+        bus: the receiving bus.
+        other: name of the node on the other end.
+        timeouts: longest permitted silence of the other node.
+        stop: read during waits.
+        while_alone: called now and then until the other node's first frame.
+        clock: the time.
+    """
+
+    def __init__(
+        self,
+        bus: NodeBus,
+        other: str,
+        timeouts: Timeouts,
+        stop: StopRequest,
+        while_alone: Callable[[], None] | None = None,
+        clock: Clock = SYSTEM_CLOCK,
+    ) -> None:
+        self._bus = bus
+        self._other = other
+        self._allowed_s = timeouts.first_s
+        self.silence_s = timeouts.silence_s
+        self.stop = stop
+        self._while_alone = while_alone
+        self._clock = clock
+        self._looked_ns: int | None = None  # None: it has just been heard
+        self._silent_ns = self._repeated_ns = 0
+        self._trouble: can.CanError | None = None  # of the bus, since the other was heard
+        self.errors: Counter[str] = Counter()
+        """What the bus said, and how often."""
+
+    def hear(self) -> None:
+        """Record a frame of the other node: from now on only a short silence is permitted."""
+        self._allowed_s = self.silence_s
+        self._while_alone = None
+        self._looked_ns = None
+        self._silent_ns = self._repeated_ns = 0
+        self._trouble = None
+
+    def receive(self, tick: int) -> can.Message:
+        """The next frame of any kind.
+
+        Args:
+            tick: the current tick, for the error message.
+
+        Raises:
+            SilentNodeError: no frame came within the permitted silence.
+            BusLostError: likewise, after an error message of the bus.
+            Interrupted: a stop was requested.
+        """
+        while True:
+            try:
+                message = self._bus.recv(POLL_S)
+            except can.CanError as error:  # it may come back
+                self._trouble, message = error, None
+                self.errors[one_line(error)] += 1
+                pause(self._clock, RETRY_S)
+            if message is not None:
+                return message
+            self.go_on_waiting(tick)
+
+    def glance(self, timeout_s: float) -> can.Message | None:
+        """A frame of any kind, where the other node need not speak; None: none came in time.
+
+        Raises:
+            Interrupted: a stop was requested.
+        """
+        if self.stop.wanted:
+            raise Interrupted
+        try:
+            return self._bus.recv(timeout_s)
+        except can.CanError as error:
+            self.errors[one_line(error)] += 1
+            pause(self._clock, RETRY_S)
+            return None
+
+    def go_on_waiting(self, tick: int) -> None:
+        """Record a timeout, or a frame of a foreign sender.
+
+        Only time with this node awake counts as silence: the end of a machine's suspension
+        wakes both nodes. Foreign frames do not shorten the other node's silence.
+
+        Raises:
+            SilentNodeError, BusLostError, Interrupted: as ``receive``.
+        """
+        if self.stop.wanted:
+            raise Interrupted
+        now_ns = self._clock.now_ns()
+        if self._looked_ns is not None:
+            self._silent_ns += min(now_ns - self._looked_ns, AWAKE_NS)
+        self._looked_ns = now_ns
+        if self._while_alone is not None and self._silent_ns - self._repeated_ns >= REPEAT_NS:
+            self._repeated_ns = self._silent_ns
+            self._while_alone()
+        if self._silent_ns >= self._allowed_s * NS_PER_S:
+            if self._trouble is not None:
+                raise lost(self._bus, self._trouble, self._allowed_s)
+            raise SilentNodeError(
+                f"no frame from the {self._other} node for {self._allowed_s:g} s at tick {tick}"
+            )

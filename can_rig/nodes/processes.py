@@ -23,14 +23,14 @@ from pathlib import Path
 from typing import Any, Final
 
 from can_rig.errors import RigError, SilentNodeError, one_line
-from can_rig.export.running.controllers import PYTHON, Controller
+from can_rig.export.controllers import PYTHON, Controller
 from can_rig.nodes.agreement import is_shared
-from can_rig.nodes.lockstep.one_core import one_core
-from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
-from can_rig.nodes.progress import OnTick, Progress, Throttled, no_progress
+from can_rig.nodes.bus_access import DEFAULT_TIMEOUTS, StopRequest, Timeouts
+from can_rig.nodes.clock import OnTick, Progress, Throttled, no_progress
+from can_rig.nodes.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.runner import NodeName, run_controller, run_plant, without_garbage_pauses
+from can_rig.nodes.scheduling import one_core
 from can_rig.nodes.summary import NodeSummary
-from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Timeouts
 from can_rig.scenario.settings import Scenario
 
 ENDS_WITHIN_S: Final = 4.0

@@ -10,27 +10,35 @@ from pathlib import Path
 from typing import Literal, NamedTuple, Protocol
 
 from can_rig.buses.bus import open_for_node
-from can_rig.export.running.controllers import PYTHON, Controller
-from can_rig.frames.beside import control
-from can_rig.frames.beside.agreement import SENDERS, ComparisonFrame
+from can_rig.export.controllers import PYTHON, Controller
+from can_rig.frames import operator_frames
+from can_rig.frames.comparison_frames import SENDERS, ComparisonFrame
 from can_rig.nodes.agreement import Agreement, is_shared
-from can_rig.nodes.bus_access import NodeBus, PersistentSender, Send, TolerantBus, bus_events
-from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock
-from can_rig.nodes.lockstep.chosen import in_real_time, lockstep_controller
-from can_rig.nodes.lockstep.controller_node import ControllerNode
-from can_rig.nodes.lockstep.ecu_node import EcuNode
-from can_rig.nodes.lockstep.plant_node import PlantNode
-from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
-from can_rig.nodes.operator.operated_bus import OperatedBus
-from can_rig.nodes.progress import OnTick, Pace
+from can_rig.nodes.bus_access import (
+    NodeBus,
+    PersistentSender,
+    Send,
+    StopRequest,
+    Timeouts,
+    TolerantBus,
+    Watchdog,
+    bus_events,
+)
+from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock, OnTick, Pace
+from can_rig.nodes.interaction import UNTOUCHED, Interaction
+from can_rig.nodes.lockstep import (
+    ControllerNode,
+    EcuNode,
+    PlantNode,
+    in_real_time,
+    lockstep_controller,
+)
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode, warm_up
 from can_rig.nodes.realtime.plant_node import RealTimePlantNode
-from can_rig.nodes.realtime.recorder import RealTimeRecorder
-from can_rig.nodes.realtime.scheduling import prefer, undisturbed
-from can_rig.nodes.recording.plant_recorder import PlantRecorder
-from can_rig.nodes.recording.recorder import Recorder, is_stream
+from can_rig.nodes.recorded_commands import OperatedBus
+from can_rig.nodes.recording import PlantRecorder, RealTimeRecorder, Recorder, is_stream
+from can_rig.nodes.scheduling import prefer, undisturbed
 from can_rig.nodes.summary import NodeSummary
-from can_rig.nodes.watchdog import StopRequest, Timeouts, Watchdog
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 
@@ -165,7 +173,7 @@ def run_in_process(
     with (
         _open(bus_name, scenario, "plant", False, True, is_shared(bus_name)) as plant_bus,
         open_for_node(
-            bus_name, (*network.identifiers, control.identifiers().taken), False, network.fd
+            bus_name, (*network.identifiers, operator_frames.identifiers().taken), False, network.fd
         ) as controller_bus,
         Recorder(log, scenario.tick_ns) as recorder,
         PlantRecorder(log) as reports,
@@ -234,7 +242,7 @@ def _open(
 ) -> Iterator[NodeBus]:
     """The bus, with the comparison on it for a node that others can join."""
     network = network_of(scenario)
-    beside = [control.identifiers().taken] if node == "controller" else []
+    beside = [operator_frames.identifiers().taken] if node == "controller" else []
     beside += [ComparisonFrame(each).frame_id for each in SENDERS] if by_hand or shared else []
     with open_for_node(bus_name, (*network.identifiers, *beside), overhear, network.fd) as bus:
         if not (by_hand or shared):

@@ -17,7 +17,7 @@ from can_rig.assessment.bus_timing.frame_length import FrameError, worst_case_bi
 from can_rig.drawing.names import names_of
 from can_rig.drawing.thinning import BUCKET_S, Decimator
 from can_rig.errors import one_line
-from can_rig.frames.beside import control
+from can_rig.frames import operator_frames
 from can_rig.frames.endpoints import Receiver
 from can_rig.frames.network import Network
 from can_rig.logs.columns import EVIDENCE
@@ -156,7 +156,7 @@ class LiveSignals:
             getattr(network, role).frame_id: node for node, roles in ENDS.items() for role in roles
         }
         self._speed = None if network.speed is None else Receiver(network.speed)
-        identifiers = control.identifiers()
+        identifiers = operator_frames.identifiers()
         self._applied_id, self._taken_id = identifiers.applied, identifiers.taken
         self._applied: dict[int, tuple[float, float]] = {}
         self._heard_s: dict[str, float] = {}
@@ -164,9 +164,9 @@ class LiveSignals:
         self._looked_s = time.monotonic()
         self.frames = Frames(identifiers.state)
         self.lamps = Lamps()
-        self.state: control.State | None = None
+        self.state: operator_frames.State | None = None
         """Of the plant node, where it says one."""
-        self._taken: list[tuple[float, control.Command]] = []
+        self._taken: list[tuple[float, operator_frames.Command]] = []
 
     def update(self) -> FloatArray:
         """The rows (n, columns) for the screen that are complete since the last call."""
@@ -186,7 +186,7 @@ class LiveSignals:
         self._note(rows, bits, now_s)
         return self._decimator.take(rows)
 
-    def taken_commands(self) -> list[tuple[float, control.Command]]:
+    def taken_commands(self) -> list[tuple[float, operator_frames.Command]]:
         """Commands to the plant node since the last call, each with its first time of effect."""
         taken, self._taken = self._taken, []
         return taken
@@ -201,18 +201,18 @@ class LiveSignals:
             if said is not None and math.isfinite(said.value):
                 self.lamps.speed_mps = said.value
         elif message.arbitration_id == self._applied_id:
-            applied = control.read_applied(message)
+            applied = operator_frames.read_applied(message)
             if applied is not None:
                 self._applied[self._rows.tick] = applied
         elif message.arbitration_id == self._taken_id:
-            numbered = control.read_taken(message)
+            numbered = operator_frames.read_taken(message)
             if numbered is None or (numbered[1].kind and injected(numbered[1], 0, 1) is None):
                 return  # a damaged frame or an unknown fault
             # the command's frame precedes the frames of the tick in which the command takes effect
             self._taken.append(((self._rows.tick + 1) * self._scenario.tick_s, numbered[1]))
 
     def _hear_state(self, message: can.Message) -> None:
-        self.state = control.read_state(message) or self.state
+        self.state = operator_frames.read_state(message) or self.state
         if self.state is not None:
             self.lamps.injectable, self.lamps.paused = self.state.injectable, self.state.paused
             self.lamps.refused, self.lamps.pace = self.state.refused, self.state.pace

@@ -22,9 +22,9 @@ from aiohttp import WSCloseCode, web
 from can_rig.drawing.names import names_of
 from can_rig.errors import RigError
 from can_rig.files import atomic
-from can_rig.frames.beside import control
+from can_rig.frames import operator_frames
 from can_rig.logs.columns import EVIDENCE
-from can_rig.nodes.operator.control_frames import done, touches
+from can_rig.nodes.recorded_commands import done, touches
 from can_rig.panel.live import COLUMNS
 from can_rig.panel.session import Session
 from can_rig.results.isolation import in_words
@@ -32,8 +32,8 @@ from can_rig.results.run_folder import log_of
 from can_rig.results.signals import read_signals
 from can_rig.results.source import reference_csv, source_of
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import with_changes, written
-from can_rig.scenario.tables.fault import FaultSettings
+from can_rig.scenario.fault_settings import FaultSettings
+from can_rig.scenario.loading import written
 from firmware_model.target.structs import FloatArray
 
 LAMPS_EVERY: Final = 6
@@ -169,8 +169,8 @@ class Screen:
                     "tick_s": session.scenario.tick_s,
                     "duration_s": session.scenario.duration_s,
                     "columns": COLUMNS,
-                    "kinds": control.kinds(),
-                    "places": control.places(),
+                    "kinds": operator_frames.kinds(),
+                    "places": operator_frames.places(),
                     "signals": [{"name": each.name, "unit": each.unit} for each in names],
                     "hypotheses": [
                         [column, in_words(verdict, names)]
@@ -254,25 +254,25 @@ _COMMANDS: Final = ("inject", "clear", "reference", "pace", "pause", "step")
 """Requests that the plant node executes."""
 
 
-def _command(what: str, order: dict[str, Any]) -> control.Command:
+def _command(what: str, order: dict[str, Any]) -> operator_frames.Command:
     if what == "inject":
         kind, place = order["kind"], order["place"]
-        if kind not in control.kinds() or place not in control.places():
+        if kind not in operator_frames.kinds() or place not in operator_frames.places():
             raise ValueError
         value, duration_s = _number(order.get("value")), _number(order.get("for_s"))
-        return control.Command("INJECT", kind, place, value, duration_s)
+        return operator_frames.Command("INJECT", kind, place, value, duration_s)
     if what == "clear":
-        place = order.get("place", control.ALL)
-        if place not in (control.ALL, *control.places()):
+        place = order.get("place", operator_frames.ALL)
+        if place not in (operator_frames.ALL, *operator_frames.places()):
             raise ValueError
-        return control.Command("CLEAR", place=place)
+        return operator_frames.Command("CLEAR", place=place)
     if what == "reference":
-        return control.Command("MOVE_REFERENCE", value=_number(order["value"]))
+        return operator_frames.Command("MOVE_REFERENCE", value=_number(order["value"]))
     if what == "pace":
-        return control.Command("PACE", value=_number(order["value"]))
+        return operator_frames.Command("PACE", value=_number(order["value"]))
     if what == "pause":
-        return control.Command("PAUSE")
-    return control.Command("STEP", value=_number(order.get("ticks", 1)))
+        return operator_frames.Command("PAUSE")
+    return operator_frames.Command("STEP", value=_number(order.get("ticks", 1)))
 
 
 def _number(value: object) -> float | None:
@@ -307,7 +307,7 @@ def save(session: Session, name: str) -> Path:
     source = source_of(folder, None, ())
     network = network_of(source.scenario)
     what = done(source.scenario, touches(source.frames(), network))
-    values = with_changes(written(session.name), session.settings)
+    values = written(session.name).with_changes(session.settings).values
     values["fault"] = [_keys(fault) for fault in what.scenario.faults]
     reference = path.with_suffix(".csv")
     if what.moved:

@@ -15,7 +15,7 @@ import can
 
 from can_rig.buses.bus import open_bus
 from can_rig.errors import RigError
-from can_rig.frames.beside import control
+from can_rig.frames import operator_frames
 from can_rig.panel.live import LiveSignals
 from can_rig.plant.faults.injection import require_possible
 from can_rig.scenario.build import network_of
@@ -109,7 +109,7 @@ class Session:
             with suppress(ProcessLookupError):
                 os.killpg(self._process.pid, signal.SIGKILL)
 
-    def command(self, command: control.Command) -> None:
+    def command(self, command: operator_frames.Command) -> None:
         """Send ``command`` to the plant node.
 
         Raises:
@@ -122,13 +122,13 @@ class Session:
         require_possible(command)
         if state is None or not state.injectable:
             raise RigError("the plant node obeys no commands: it must be started with --injectable")
-        message = control.command_message(command, state.next_sequence)
+        message = operator_frames.command_message(command, state.next_sequence)
         try:
             self._opened.send(message)
         except can.CanError as error:
             raise RigError(f"bus {self.bus}: {error}") from error
         self.live.state = state._replace(
-            next_sequence=(state.next_sequence + 1) % control.SEQUENCES
+            next_sequence=(state.next_sequence + 1) % operator_frames.SEQUENCES
         )
 
 

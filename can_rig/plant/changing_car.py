@@ -8,7 +8,7 @@ from dataclasses import replace
 from can_rig.logs.columns import SPEED
 from can_rig.plant.behind import LinearBehind, PlantBehind, plant_behind, sampled_plant
 from can_rig.scenario.build import continuous_plant
-from can_rig.scenario.driving.speed import speed_profile, speeds_at_ticks
+from can_rig.scenario.driving import speed_profile, speeds_at_ticks
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario

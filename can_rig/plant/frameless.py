@@ -24,12 +24,11 @@ from can_rig.plant.faults.delivery import Delivery, delivery
 from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.plant.sensor import noise
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving.schedule import controls
-from can_rig.scenario.driving.speed import speeds_at_ticks
+from can_rig.scenario.driving import controls, speeds_at_ticks
+from can_rig.scenario.fault_settings import PLACES
 from can_rig.scenario.reference import reference
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import PLACES
 from firmware_model.analysis.hardware import BY, HEALTHY, NO_FAULTS, REPLACED, frame_of
 from firmware_model.analysis.sampled_plant import SampledPlant
 from firmware_model.analysis.simulation import AnyPlant, Simulation

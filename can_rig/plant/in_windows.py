@@ -21,8 +21,7 @@ from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.plant.frameless import Inputs, UntilItFails, simulation, with_replaced
 from can_rig.plant.sensor import NoiseColumns
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving.schedule import controls
-from can_rig.scenario.driving.speed import speeds_at_ticks
+from can_rig.scenario.driving import controls, speeds_at_ticks
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import SampledPlant

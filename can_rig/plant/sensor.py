@@ -11,9 +11,9 @@ from collections import deque
 
 import numpy as np
 
+from can_rig.scenario.plant_settings import SensorSettings
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.stage_settings import SensorSettings
 from firmware_model.analysis.sampled_plant import split_ticks
 from firmware_model.compiled import compiled
 from firmware_model.design.actuator_dynamics import Stage

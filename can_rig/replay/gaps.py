@@ -22,7 +22,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple, TextIO
 
-from can_rig.frames.layout import ROLES
+from can_rig.frames.codec import ROLES
 from can_rig.frames.network import Network
 from can_rig.frames.protection import COUNTERS
 from can_rig.logs.frames import NS_PER_S

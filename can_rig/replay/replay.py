@@ -20,12 +20,10 @@ from typing import Any, Final
 import can
 
 from can_rig.errors import LogError
-from can_rig.frames.codec import MessageCodec
-from can_rig.frames.layout import Unpacked
+from can_rig.frames.codec import MessageCodec, Unpacked, tick_at, ticks_ahead
 from can_rig.frames.network import Network
-from can_rig.frames.wire_tick import tick_at, ticks_ahead
 from can_rig.logs.frames import NS_PER_S, Frames
-from can_rig.nodes.lockstep.controller_node import ControllerNode
+from can_rig.nodes.lockstep import ControllerNode
 from can_rig.replay.gaps import NEAR, Account, Row
 from can_rig.replay.rig_frames import INPUTS, SPEED_ROLE, Recorded, RigFrame, is_input, rig_frames
 from can_rig.scenario.settings import Scenario

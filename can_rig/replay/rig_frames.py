@@ -9,11 +9,9 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from can_rig.decoding import e2e_columns
-from can_rig.frames.codec import MessageCodec
-from can_rig.frames.layout import ROLES
+from can_rig.frames.codec import ROLES, WIRE_TICKS, MessageCodec, tick_at, ticks_ahead, ticks_on
 from can_rig.frames.network import Network
 from can_rig.frames.protection import COUNTERS, FRAME_BYTES, Checker, CheckStatus, Unprotected
-from can_rig.frames.wire_tick import WIRE_TICKS, tick_at, ticks_ahead, ticks_on
 from can_rig.logs.frames import ERROR, EXTENDED, FD, NS_PER_S, REMOTE, Frames
 from can_rig.plant.actuators import Actuator
 from can_rig.scenario.settings import Scenario

@@ -13,11 +13,10 @@ from can_rig.errors import LogError, ScenarioError
 from can_rig.files import atomic
 from can_rig.logs.frames import Frames
 from can_rig.logs.log import ALL, Window
-from can_rig.nodes.operator.control_frames import Touches
-from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
-from can_rig.nodes.operator.operated_bus import Touch
-from can_rig.nodes.progress import Progress, no_progress
-from can_rig.nodes.watchdog import StopRequest
+from can_rig.nodes.bus_access import StopRequest
+from can_rig.nodes.clock import Progress, no_progress
+from can_rig.nodes.interaction import UNTOUCHED, Interaction
+from can_rig.nodes.recorded_commands import Touch, Touches
 from can_rig.results.execution import Execution, RunOptions, execute, refuse
 from can_rig.results.run_folder import WHAT_IF, log_of
 from can_rig.results.signals import Signals, read_signals, signals_of, with_plant_signals

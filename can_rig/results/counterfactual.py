@@ -18,10 +18,10 @@ from can_rig.plant.frameless import UntilItFails, common, with_files
 from can_rig.plant.in_windows import blocks_of
 from can_rig.results.signals import Signals, signals_of_trace
 from can_rig.scenario.build import network_of
+from can_rig.scenario.fault_settings import SENSOR
 from can_rig.scenario.reference import refuse_saturation
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import SENSOR
 from firmware_model.analysis.hardware import LATE, distorted
 from firmware_model.analysis.simulation import Simulation
 from firmware_model.target.structs import FloatArray

@@ -14,26 +14,26 @@ from typing import Final
 from can_rig.assessment.speeds import refuse as refuse_unstable
 from can_rig.buses.bus import in_one_process
 from can_rig.errors import INTERRUPTED, BusError, RigError
-from can_rig.export.running.controllers import PYTHON, Controller
+from can_rig.export.controllers import PYTHON, Controller
 from can_rig.files import atomic
 from can_rig.folders import NewFolder, default_folder
 from can_rig.frames.network import Network
 from can_rig.nodes.agreement import is_shared, own_bus, require_alone
-from can_rig.nodes.lockstep.plant_node import require_ticks
-from can_rig.nodes.lockstep.without_bus import run_without_bus
-from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
+from can_rig.nodes.bus_access import DEFAULT_TIMEOUTS, StopRequest, Timeouts
+from can_rig.nodes.clock import Progress, Throttled, no_progress
+from can_rig.nodes.interaction import UNTOUCHED, Interaction
+from can_rig.nodes.lockstep import require_ticks
 from can_rig.nodes.processes import run_processes
-from can_rig.nodes.progress import Progress, Throttled, no_progress
-from can_rig.nodes.realtime.deadlines import require_causal
+from can_rig.nodes.realtime.timing import require_causal
 from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.summary import NodeSummary, RunColumns
-from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Timeouts
+from can_rig.nodes.without_bus import run_without_bus
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.results.metrics import Metrics
 from can_rig.results.run_folder import LOG, REFERENCE, RUN_FOLDER, Outcome, finish
 from can_rig.results.source import happened
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving.schedule import controls
+from can_rig.scenario.driving import controls
 from can_rig.scenario.reference import refuse_saturation
 from can_rig.scenario.settings import ReferenceSettings, Scenario
 

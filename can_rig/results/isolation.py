@@ -13,17 +13,14 @@ from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
 from can_rig.logs.columns import EVIDENCE, VERDICT
 from can_rig.results.signals import Signals
-from can_rig.scenario.driving.schedule import controls
-from can_rig.scenario.driving.speed import speeds_at_ticks
+from can_rig.scenario.driving import controls, speeds_at_ticks
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
 from firmware_model.target.status import Verdict
 from firmware_model.target.structs import FloatArray
 
 DECIMALS: Final = 3  # of the evidence, a natural logarithm
-CERTAIN: Final = (
-    1e12  # largest recorded evidence; at rest without noise it has no bound
-)
+CERTAIN: Final = 1e12  # largest recorded evidence; at rest without noise it has no bound
 
 
 class Reasoning:

@@ -21,9 +21,9 @@ from can_rig.results.counterfactual import (
     without_fault,
 )
 from can_rig.results.signals import Signals
-from can_rig.scenario.driving.schedule import at_speed_of
+from can_rig.scenario.driving import at_speed_of
+from can_rig.scenario.fault_settings import CHANNELS, FaultSettings
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import CHANNELS, FaultSettings
 from firmware_model.discretisation.targets import HOUR_S
 from firmware_model.target.status import FaultState, Verdict
 from firmware_model.target.structs import FloatArray

@@ -23,10 +23,10 @@ from can_rig.results.counterfactual import (
 from can_rig.results.loss_metrics import decision_metrics, detection_of, unavoidable_deviation
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving.schedule import at_speed_of
+from can_rig.scenario.driving import at_speed_of
+from can_rig.scenario.fault_settings import CHANNELS
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import CHANNELS
 from firmware_model.target.structs import FloatArray
 
 Metrics = dict[str, float | bool | None]

@@ -13,9 +13,9 @@ from can import Message
 
 from can_rig import paged
 from can_rig.drawing.column_names import column_names
+from can_rig.frames.codec import WIRE_TICKS, tick_at, ticks_ahead
 from can_rig.frames.endpoints import Receiver
 from can_rig.frames.network import Network
-from can_rig.frames.wire_tick import WIRE_TICKS, tick_at, ticks_ahead
 from can_rig.logs.columns import ON_THE_BUS
 from can_rig.logs.frames import ERROR, REMOTE
 from can_rig.logs.plant_signals import PlantSignals, read_plant_signals

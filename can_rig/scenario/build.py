@@ -7,17 +7,16 @@ from collections.abc import Callable
 from dataclasses import asdict, replace
 from functools import cache
 from pathlib import Path
-from typing import Final
 
 from can_rig.errors import ScenarioError
-from can_rig.frames.dbc import shipped_dbc
-from can_rig.frames.mapped.network import Roles, map_network
+from can_rig.frames.databases import shipped_dbc
+from can_rig.frames.foreign_frames import Roles, map_network
 from can_rig.frames.network import Network, load_network
 from can_rig.scenario.box import in_box, uncertain, with_lags
+from can_rig.scenario.fault_settings import PLACES
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import PLACES
 from firmware_model.design import plants
 from firmware_model.design.actuator_dynamics import behind
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design
@@ -30,8 +29,6 @@ from firmware_model.target.fault_decision.covariance import MAX_DIRECTIONS
 from firmware_model.target.structs import FloatArray, Record
 
 MOST_PLANTS, MOST_TABLES = 64, 16  # limits of the caches; a box has 40 cars
-_TABLES: Final[dict[str, Record]] = {}
-"""The most recent tables, by all inputs of their computation."""
 
 GOVERNED = 0.5  # share of the motor's limit granted to the second derivative of D*
 CAR_DECAYS_PER_S = 3.5  # the slowest mode of the car's F̂
@@ -273,15 +270,17 @@ def controller_table(scenario: Scenario, network: Network | None) -> Record:
     Raises:
         ScenarioError: a failing design or discretisation.
     """
-    place = target(scenario, network)
-    known = repr((place, scenario.model, scenario.design, scenario.budget))
-    if known not in _TABLES:
-        try:
-            place = replace(place, mismatch=mismatch(scenario))
-            table = build(continuous_design(scenario), place)
-        except DesignError as error:
-            raise ScenarioError(f"scenario {scenario.name}: {error}") from None
-        if len(_TABLES) == MOST_TABLES:
-            del _TABLES[next(iter(_TABLES))]
-        _TABLES[known] = table
-    return _TABLES[known].copy()
+    return _table(scenario, network).copy()
+
+
+def _sources_of_table(scenario: Scenario, network: Network | None) -> tuple[object, ...]:
+    return target(scenario, network), scenario.model, scenario.design, scenario.budget
+
+
+@remembered(MOST_TABLES, by=_sources_of_table)
+def _table(scenario: Scenario, network: Network | None) -> Record:
+    try:
+        place = replace(target(scenario, network), mismatch=mismatch(scenario))
+        return build(continuous_design(scenario), place)
+    except DesignError as error:
+        raise ScenarioError(f"scenario {scenario.name}: {error}") from None

@@ -9,33 +9,197 @@ from __future__ import annotations
 
 import difflib
 import json
+import sys
 import tomllib
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cached_property
 from itertools import product
 from pathlib import Path
-from typing import Any, Final, get_type_hints
+from typing import Any, Final
 
 from pydantic import TypeAdapter, ValidationError
 
 from can_rig.errors import ScenarioError
-from can_rig.scenario.catalogue import shipped
+from can_rig.scenario.fault_settings import NUMBER, FaultSettings
 from can_rig.scenario.plant_settings import (
     CAR,
+    FACTORED,
     FMU,
     NUMBERS,
     OWN,
+    POLYNOMIAL,
     SIGNALS,
     STATE_SPACE,
     TRANSFER_FUNCTIONS,
 )
 from can_rig.scenario.refusal import refusal
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.changes import FAULT, change, require_kinds, require_own_numbers
-from can_rig.scenario.tables.numbers import FACTORED, POLYNOMIAL
 
-FROM_BUS: Final = ("latency_ticks", "from-bus")
+SHIPPED: Final = Path(__file__).parent / "shipped"
+
+
+def shipped() -> dict[str, Path]:
+    """Name → file, sorted."""
+    files = {path.stem: path for path in SHIPPED.glob("*.toml")}
+    return dict(sorted(files.items()))  # by name: "a-b.toml" comes before "a.toml"
+
+
+FAULT: Final = "fault"
+
+UNSET: Final = {key for key in NUMBER.values() if getattr(FaultSettings, key) is None}
+"""Keys of faults without a default value."""
+
+Changes = Mapping[str, Any]
+"""Key → value; keys with dots, or tables within tables."""
+
+
+def change(values: dict[str, Any], setting: str) -> None:
+    """Apply one ``KEY=VALUE``; a value that is invalid TOML is a string, so quotes are optional."""
+    key, equals, text = setting.partition("=")
+    parts = key.strip().split(".")
+    if not equals or not all(parts):
+        raise ScenarioError(f"--set {setting}: must be KEY=VALUE, as in plant.speed_mps=20")
+    if any("\ud800" <= letter <= "\udfff" for letter in setting):
+        raise ScenarioError(f"--set {setting!a}: must be text of this terminal's encoding")
+    try:
+        value = tomllib.loads(f"value = {text}")["value"]
+    except tomllib.TOMLDecodeError:
+        value = text.strip()
+    except ValueError:  # Python's limit on digits
+        most = sys.get_int_max_str_digits()
+        raise ScenarioError(f"--set {setting[:40]}...: must have at most {most} digits") from None
+    table = values
+    if parts[0] == FAULT and len(parts) > 1:
+        table, parts = _fault(values, setting, parts[1:])
+    for part in parts[:-1]:
+        table = table.setdefault(part, {})
+        if not isinstance(table, dict):
+            raise ScenarioError(f"--set {setting}: {part} is a value and has no keys")
+    table[parts[-1]] = value
+
+
+def _fault(
+    values: dict[str, Any], setting: str, parts: list[str]
+) -> tuple[dict[str, Any], list[str]]:
+    """The table of the fault in ``parts``, by number if several faults exist.
+
+    The next free number appends a fault.
+    """
+    listed = values.get(FAULT, {})
+    faults = listed if isinstance(listed, list) else [listed]
+    at, own = (int(parts[0]), parts[1:]) if parts[0].isdecimal() else (None, parts)
+    if at is None and len(faults) == 1:
+        at = 0
+    known = ", ".join(f"{FAULT}.{number}" for number in range(len(faults)))
+    if at is None or at > len(faults) or not own:
+        raise ScenarioError(f"--set {setting}: must be a key of {known} or {FAULT}.{len(faults)}")
+    faults = [*faults, {}] if at == len(faults) else faults
+    if not isinstance(faults[at], dict):
+        raise ScenarioError(f"--set {setting}: {FAULT} is a value and has no keys")
+    values[FAULT] = faults if len(faults) > 1 else faults[0]
+    return faults[at], own
+
+
+def as_settings(changes: Changes) -> list[str]:
+    """``KEY=VALUE`` for each change, exact.
+
+    Raises:
+        ScenarioError: not a mapping, or a value unknown to TOML.
+    """
+    if not isinstance(changes, Mapping):
+        raise ScenarioError(
+            f"changes = {changes!r}: must be a mapping of keys, as in {{'plant.speed_mps': 20.0}}"
+        )
+    return [f"{key}={toml_text(key, value)}" for key, value in flat(changes)]
+
+
+def flat(changes: Changes, prefix: str = "") -> Iterator[tuple[str, Any]]:
+    """Keys with dots, also from tables within tables."""
+    for key, value in changes.items():
+        if isinstance(value, Mapping):
+            yield from flat(value, f"{prefix}{key}.")
+        else:
+            yield f"{prefix}{key}", value
+
+
+def toml_text(key: str, value: Any) -> str:
+    """A value in TOML's notation."""
+    plain = value.item() if hasattr(value, "item") else value  # a number of numpy's
+    if isinstance(plain, bool):
+        return str(plain).lower()
+    if isinstance(plain, int | float):
+        return repr(plain)
+    if isinstance(plain, str | Path):
+        return json.dumps(str(plain))
+    if isinstance(plain, list | tuple):
+        return f"[{', '.join(toml_text(key, each) for each in plain)}]"
+    if isinstance(plain, Mapping):
+        pairs = (f"{json.dumps(name)} = {toml_text(key, each)}" for name, each in plain.items())
+        return f"{{{', '.join(pairs)}}}"
+    raise ScenarioError(f"{key} = {value!r}: must be a number, a string, true or false, or a list")
+
+
+def value_in(values: Mapping[str, Any], key: str) -> Any:
+    """The value of ``key`` in a scenario's tables; None for a missing key."""
+    value: Any = values
+    for at, part in enumerate(key.split(".")):
+        if at == 1 and part.isdecimal() and key.startswith(f"{FAULT}."):
+            listed = value if isinstance(value, list) else [value]
+            value = listed[int(part)] if int(part) < len(listed) else None
+        else:
+            value = value.get(part) if isinstance(value, Mapping) else None
+    return value
+
+
+def require_kinds(name: str, values: Mapping[str, Any]) -> None:
+    """Refuse keys in the scenario ``name`` without any effect.
+
+    Such keys are keys of a fault without a kind, and a reference's file without its kind. Campaigns
+    skip this check, because an axis may supply the missing key.
+
+    Raises:
+        ScenarioError: the wrong key, and the right setting.
+    """
+    faults = values.get(FAULT)
+    for number, fault in enumerate(faults if isinstance(faults, list) else [faults]):
+        if not isinstance(fault, Mapping) or not fault:
+            continue
+        where = f"{FAULT}.{number}" if isinstance(faults, list) else FAULT
+        if "kind" not in fault:
+            raise ScenarioError(
+                f"scenario {name}: {where}.kind: must be set where {where}.{next(iter(fault))} is: "
+                "'actuator-dead', 'frames-missing', 'sensor-biased', ..., or 'none'"
+            )
+    reference = values.get("reference")
+    if isinstance(reference, Mapping) and "kind" not in reference:
+        for key, kind in (("file", "csv"), ("lane_changes_s", "driver")):
+            if reference.get(key):
+                raise ScenarioError(
+                    f"scenario {name}: reference.kind: must be {kind!r} where reference.{key} is"
+                )
+
+
+def require_own_numbers(name: str, faults: Any) -> None:
+    """Refuse another kind's number in a fault, as written in the file ``name``.
+
+    Raises:
+        ScenarioError: the wrong key, and the right setting.
+    """
+    for number, fault in enumerate(faults if isinstance(faults, list) else [faults]):
+        kind = fault.get("kind") if isinstance(fault, Mapping) else None
+        own = NUMBER.get(kind) if isinstance(kind, str) else None
+        if own is None or own in fault:
+            continue
+        for key in sorted(UNSET & fault.keys()):
+            where = f"{FAULT}.{number}" if isinstance(faults, list) else FAULT
+            raise ScenarioError(
+                f"scenario {name}: {where}.{key} = {fault[key]!r}: says nothing of "
+                f"{kind!r}; must be {where}.{own}"
+            )
+
+
+LATENCY, FROM_BUS = "latency_ticks", "from-bus"
 """A key, and the allowed word in place of its number."""
 
 ACTUATORS: Final = ("torque_actuator", "force_difference_actuator")
@@ -56,37 +220,18 @@ FILES: Final = (
 LIMITS: Final = ("limit_", "rate_")
 """Prefixes of keys that actuators have and models of actuators lack."""
 
-MOST_TABLES: Final = 128
-"""Limit of the cache; runs of a campaign share most tables."""
-
-_ENCODER: Final = json.JSONEncoder(default=str)
 _ADAPTER: Final = TypeAdapter(Scenario)
-_TABLES: Final = {
-    key: TypeAdapter(kind) for key, kind in get_type_hints(Scenario, include_extras=True).items()
-}
 
 
 @dataclass(frozen=True)
 class Draft:
-    """A scenario as written: ``scenario`` holds the default in place of each word."""
+    """A scenario as written.
+
+    With ``latency_from_bus``, ``scenario.latency_ticks`` is the default in place of the word.
+    """
 
     scenario: Scenario
-    words: frozenset[tuple[str, str]] = frozenset()
-    """The written words: ``FROM_BUS`` or none."""
-
-
-def read(name: str, settings: Iterable[str] = ()) -> Draft:
-    """The scenario ``name``, shipped or a path to a TOML file, with ``KEY=VALUE`` changes.
-
-    Raises:
-        ScenarioError: an unknown scenario, invalid TOML, an unknown key, a bad value.
-    """
-    file = written(name)
-    require_own_numbers(file.name, file.values.get(FAULT))
-    file = replace(file, values=with_changes(file, settings))
-    made = changed(file)
-    require_kinds(file.name, file.values)
-    return made
+    latency_from_bus: bool = False
 
 
 @dataclass(frozen=True)
@@ -103,6 +248,44 @@ class Written:
     name: str
     values: dict[str, Any]
 
+    def with_changes(self, settings: Iterable[str]) -> Written:
+        """A copy with ``KEY=VALUE`` changes, before any check of keys.
+
+        Raises:
+            ScenarioError: an invalid change.
+        """
+        values: dict[str, Any] = _copied(self.values)
+        for setting in settings:
+            change(values, setting)
+        return replace(self, values=values)
+
+    @cached_property
+    def draft(self) -> Draft:
+        """The draft of the written keys.
+
+        Raises:
+            ScenarioError: an unknown key, a bad value.
+        """
+        if "name" in self.values:
+            raise ScenarioError(
+                f"scenario {self.given}: name: unknown key; a scenario is named by its file"
+            )
+        return draft(self.name, self.values)
+
+
+def read(name: str, settings: Iterable[str] = ()) -> Draft:
+    """The scenario ``name``, shipped or a path to a TOML file, with ``KEY=VALUE`` changes.
+
+    Raises:
+        ScenarioError: an unknown scenario, invalid TOML, an unknown key, a bad value.
+    """
+    file = written(name)
+    require_own_numbers(file.name, file.values.get(FAULT))
+    file = file.with_changes(settings)
+    made = file.draft
+    require_kinds(file.name, file.values)
+    return made
+
 
 def written(name: str) -> Written:
     """The file of the scenario ``name``, shipped or a path, before any check of keys.
@@ -110,20 +293,7 @@ def written(name: str) -> Written:
     Raises:
         ScenarioError: an unknown scenario, or invalid TOML.
     """
-    known = shipped()
-    path = Path(name)
-    if name in known:
-        path = known[name]
-    elif path.exists() and not path.is_file():
-        raise ScenarioError(f"scenario {name}: not a file; must be a TOML file or a shipped one")
-    elif not path.is_file():
-        near = difflib.get_close_matches(name, known, n=1)
-        hint = f"did you mean {near[0]}?" if near else f"shipped ones: {', '.join(known)}"
-        raise ScenarioError(f"scenario {name}: no such scenario and no such file; {hint}")
-    try:
-        values = tomllib.loads(path.read_text(encoding="utf-8"))
-    except (OSError, ValueError) as error:
-        raise ScenarioError(f"scenario {name}: not readable as TOML: {error}") from None
+    path, values = toml_file("scenario", name, shipped())
     for name_of_table, key, prefix in FILES:
         table = values.get(name_of_table)
         given = table.get(key) if isinstance(table, dict) else None
@@ -134,30 +304,23 @@ def written(name: str) -> Written:
     return Written(name, path.stem, values)
 
 
-def changed(file: Written, settings: Iterable[str] = ()) -> Draft:
-    """A written scenario with ``KEY=VALUE`` changes.
+def toml_file(what: str, name: str, known: Mapping[str, Path]) -> tuple[Path, dict[str, Any]]:
+    """Path and values of the TOML file ``name``: one of the shipped files ``known``, or a path.
 
     Raises:
-        ScenarioError: an unknown key, a bad value.
+        ScenarioError: no such file, or invalid TOML; begins with ``what``, the noun, and ``name``.
     """
-    values = with_changes(file, settings)
-    if "name" in values:
-        raise ScenarioError(
-            f"scenario {file.given}: name: unknown key; a scenario is named by its file"
-        )
-    return draft(file.name, values)
-
-
-def with_changes(file: Written, settings: Iterable[str] = ()) -> dict[str, Any]:
-    """The written keys with ``KEY=VALUE`` changes, before any check.
-
-    Raises:
-        ScenarioError: an invalid change.
-    """
-    values: dict[str, Any] = _copied(file.values)
-    for setting in settings:
-        change(values, setting)
-    return values
+    path = known.get(name, Path(name))
+    if path.exists() and not path.is_file():
+        raise ScenarioError(f"{what} {name}: not a file; must be a TOML file or a shipped {what}")
+    if not path.is_file():
+        near = difflib.get_close_matches(name, known, n=1)
+        hint = f"did you mean {near[0]}?" if near else f"shipped ones: {', '.join(known)}"
+        raise ScenarioError(f"{what} {name}: no such {what} and no such file; {hint}")
+    try:
+        return path, tomllib.loads(path.read_text(encoding="utf-8"))
+    except (OSError, ValueError) as error:
+        raise ScenarioError(f"{what} {name}: not readable as TOML: {error}") from None
 
 
 def _copied(value: Any) -> Any:
@@ -207,39 +370,99 @@ def draft(name: str, values: Mapping[str, Any]) -> Draft:
         raise ScenarioError(f"scenario {name}: fault = {faults!r}: must be a table, or several")
     if isinstance(faults, Mapping):
         merged["fault"] = [faults]
-    words = frozenset(pair for pair in (FROM_BUS,) if _take(merged, *pair))
-    try:
-        scenario = Scenario(name=name, **{key: _valid(key, each) for key, each in merged.items()})
-    except (ValidationError, KeyError):  # in one table; the whole scenario's finding has the key
-        try:
-            scenario = _ADAPTER.validate_json(_json({"name": name, **merged}))
-        except ValidationError as error:
-            said = refusal(error, Scenario)
-            if not several:  # a single table has no number
-                said = said.replace(f"{FAULT}.0", FAULT, 1)
-            raise ScenarioError(f"scenario {name}: {said}") from None
-    return Draft(scenario, words)
+    from_bus = merged.get(LATENCY) == FROM_BUS
+    if from_bus:
+        del merged[LATENCY]
+    try:  # strict JSON accepts tables for dataclasses and whole numbers for floats
+        scenario = _ADAPTER.validate_json(json.dumps({"name": name, **merged}, default=str))
+    except ValidationError as error:
+        said = refusal(error, Scenario)
+        if not several:  # a single table has no number
+            said = said.replace(f"{FAULT}.0", FAULT, 1)
+        raise ScenarioError(f"scenario {name}: {said}") from None
+    return Draft(scenario, from_bus)
 
 
-def _valid(key: str, value: Any) -> Any:
-    """``value`` as a field of ``Scenario``: converted if a table or a list of tables."""
-    return _table(key, _json(value)) if isinstance(value, Mapping | list) else value
+def with_values(draft: Draft, values: Mapping[str, Any]) -> Draft:
+    """The draft with other values of known keys, with dots; ``KEY=VALUE`` changes do the same.
 
-
-@lru_cache(MOST_TABLES)
-def _table(key: str, text: str) -> Any:
-    """A validated table of a scenario; equal texts share one object.
+    No text is read: settings objects replace settings objects. ``model`` follows no key of the
+    plant.
 
     Raises:
-        KeyError: an unknown key.
-        ValidationError: a bad value.
+        ScenarioError: a bad value.
     """
-    return _TABLES[key].validate_json(text)
+    scenario, from_bus = draft.scenario, draft.latency_from_bus
+    tables: dict[str, Any] = {}
+    for key, value in values.items():
+        if key == LATENCY:
+            from_bus = value == FROM_BUS
+            if from_bus:
+                continue
+        *path, last = key.split(".")
+        table = tables
+        for part in path:
+            table = table.setdefault(part, {})
+        table[last] = value
+    try:
+        if FAULT in tables:
+            tables[FAULT] = _with_faults(scenario.fault, tables[FAULT])
+        return Draft(_with(scenario, tables), from_bus)
+    except ScenarioError as error:
+        raise ScenarioError(f"scenario {scenario.name}: {error}") from None
 
 
-def _json(value: Any) -> str:
-    """JSON text: strict JSON accepts tables for dataclasses and whole numbers for floats."""
-    return _ENCODER.encode(value)
+def _with_faults(
+    faults: tuple[FaultSettings, ...], changes: Mapping[str, Any]
+) -> tuple[FaultSettings, ...]:
+    """The faults with changes by number, or with the changes of a single fault."""
+    listed = dict(enumerate(faults))
+    numbered = {int(key): table for key, table in changes.items() if key.isdecimal()}
+    for at, table in sorted((numbered or {0: changes}).items()):
+        where = FAULT if len(listed) == 1 and at == 0 else f"{FAULT}.{at}"
+        listed[at] = _with(listed.get(at, FaultSettings()), table, where)
+    return tuple(listed.values())
+
+
+def _with(settings: Any, changes: Mapping[str, Any], where: str = "") -> Any:
+    """A copy of a settings object, or of a table of free keys, with these values."""
+    made = dict(changes)
+    for name, change in changes.items():
+        if isinstance(change, dict):
+            of = settings.get(name, {}) if isinstance(settings, dict) else getattr(settings, name)
+            made[name] = _with(of, change, f"{where}.{name}" if where else name)
+    if isinstance(settings, dict):
+        return {**settings, **made}
+    try:
+        return replace(settings, **made)
+    except ValidationError as error:
+        raise ScenarioError(refusal(error, type(settings), where)) from None
+
+
+def model_follows(values: Mapping[str, Any], key: str) -> bool:
+    """Whether ``model`` takes the value of a key of the plant, as it does without a key of its own.
+
+    Args:
+        values: of a scenario's file.
+        key: within the table ``plant``, with dots.
+    """
+    mark = object()
+    plant: dict[str, Any] = _copied(values.get("plant", {}))
+    *path, last = key.split(".")
+    table = plant
+    for part in path:
+        table = table.setdefault(part, {})
+    table[last] = mark
+    return value_in(_believed(plant, values.get("model", {})), key) is mark
+
+
+def linear_kind(plant: Mapping[str, Any]) -> str:
+    """The kind of linear plant that ``model`` has beside this table ``plant``."""
+    kind = str(plant.get("kind", CAR))
+    if ":" not in kind:
+        return kind
+    by_numbers = TRANSFER_FUNCTIONS if plant.get("g1") or plant.get("g2") else CAR
+    return STATE_SPACE if plant.get("a") else by_numbers
 
 
 def _believed(plant: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str, Any]:
@@ -251,8 +474,7 @@ def _believed(plant: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str, A
     """
     inherited = {k: v for k, v in plant.items() if k not in (*OWN, *SIGNALS)}
     if ":" in str(plant.get("kind")):
-        by_numbers = TRANSFER_FUNCTIONS if plant.get("g1") or plant.get("g2") else CAR
-        inherited["kind"] = STATE_SPACE if plant.get("a") else by_numbers
+        inherited["kind"] = linear_kind(plant)
     if model.get("kind", inherited.get("kind")) != inherited.get("kind"):
         inherited = {k: v for k, v in inherited.items() if k not in NUMBERS}
     for key in ACTUATORS:
@@ -279,16 +501,3 @@ def _other_than(plant: Mapping[str, Any], model: Mapping[str, Any]) -> dict[str,
         elif key not in plant or of_plant != value:
             other[key] = value
     return other
-
-
-def _take(values: dict[str, Any], key: str, word: str) -> bool:
-    """Whether ``word`` stands at ``key``; remove the word then, leaving other tables untouched."""
-    first, _, rest = key.partition(".")
-    inner = values.get(first)
-    if rest and isinstance(inner, Mapping):
-        values[first] = copy = dict(inner)
-        return _take(copy, rest, word)
-    if inner != word:
-        return False
-    del values[first]
-    return True

@@ -1,34 +1,269 @@
-"""The plant of a scenario: a table of the built-in kinds, and each kind's keys."""
+"""The keys of a plant: its stages, its numbers, and a table of the built-in kinds."""
 
 from __future__ import annotations
 
 import dataclasses
+import math
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 from functools import cached_property
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, Self
 
-from pydantic import Field
-from pydantic.dataclasses import dataclass as validated
+from pydantic import AfterValidator, ConfigDict, Field, PositiveFloat
+from pydantic.dataclasses import dataclass
 
-from can_rig.scenario.stage_settings import (
-    STRICT,
-    ForceDifferenceActuator,
-    SensorSettings,
-    TorqueActuator,
-)
-from can_rig.scenario.tables.numbers import (
-    Row,
-    SignalSettings,
-    TransferFunction,
-    refuse_large,
-)
 from firmware_model.design import plants
 from firmware_model.design.actuator_dynamics import Stage
 from firmware_model.design.vehicle import TABLE_3_2, VehicleParameters
+from firmware_model.design.zpk import Roots, ZeroPoleGain
+
+STRICT: Final = ConfigDict(extra="forbid", strict=True, allow_inf_nan=False)
+"""Refuse unknown keys, text for numbers, and non-finite numbers."""
+
+SHORTEST_LAG_S = 1e-6  # no tick could show a shorter lag
+
+Lag = Annotated[float, Field(ge=0.0, le=10.0)]
+DeadTime = Annotated[float, Field(ge=0.0, le=100.0)]
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, config=STRICT)
+class ActuatorLag:
+    """A lag of first order, ``lag_s``, or of second order, behind a dead time."""
+
+    lag_s: Lag = 0.0
+    natural_frequency_rad_per_s: Annotated[float, Field(ge=0.01, le=1e6)] | None = None
+    damping: Annotated[float, Field(gt=0.0, le=100.0)] = 1.0
+    dead_time_s: DeadTime = 0.0
+
+    def __post_init__(self) -> None:
+        if 0.0 < self.lag_s < SHORTEST_LAG_S:
+            raise ValueError(
+                f"lag_s = {self.lag_s:g}: must be 0 (none) or at least {SHORTEST_LAG_S:g} s"
+            )
+        if self.lag_s > 0.0 and self.natural_frequency_rad_per_s is not None:
+            raise ValueError(
+                f"lag_s = {self.lag_s:g}: must not stand beside natural_frequency_rad_per_s = "
+                f"{self.natural_frequency_rad_per_s:g}; an actuator has one or the other"
+            )
+
+    @property
+    def stage(self) -> Stage:
+        """The linear part of the lag."""
+        return Stage(self.lag_s, self.natural_frequency_rad_per_s, self.damping, self.dead_time_s)
+
+    @property
+    def lags(self) -> bool:
+        """Whether the actuator follows with a lag, apart from a dead time."""
+        return self.lag_s > 0.0 or self.natural_frequency_rad_per_s is not None
+
+    def slower(self, factor: float) -> Self:
+        """A copy with every time constant multiplied by ``factor``."""
+        omega = self.natural_frequency_rad_per_s
+        return replace(
+            self,
+            lag_s=self.lag_s * factor,
+            natural_frequency_rad_per_s=None if omega is None else omega / factor,
+        )
+
+
+@dataclass(frozen=True, config=STRICT)
+class TorqueActuator(ActuatorLag):
+    """The steering motor; without limits, the motor follows every sent command."""
+
+    limit_nm: PositiveFloat | None = None
+    rate_nm_per_s: PositiveFloat | None = None
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Largest magnitude and rate of the motor's output."""
+        return _or_none(self.limit_nm), _or_none(self.rate_nm_per_s)
+
+
+@dataclass(frozen=True, config=STRICT)
+class ForceDifferenceActuator(ActuatorLag):
+    """The rear drives; without limits, the drives follow every sent command."""
+
+    limit_n: PositiveFloat | None = None
+    rate_n_per_s: PositiveFloat | None = None
+
+    @property
+    def limits(self) -> tuple[float, float]:
+        """Largest magnitude and rate of the drives' output."""
+        return _or_none(self.limit_n), _or_none(self.rate_n_per_s)
+
+
+@dataclass(frozen=True, config=STRICT)
+class SensorSettings:
+    """The sensor of D*: a dead time, a filter, noise and a resolution, in this order.
+
+    The filter colours the noise; the rms describes the coloured noise.
+    """
+
+    noise_mps2: Annotated[float, Field(ge=0.0, le=1e6)] = 0.0
+    resolution_mps2: Annotated[float, Field(ge=0.0, le=1e6)] = 0.0
+    corner_hz: Annotated[float, Field(ge=1e-3, le=1e5)] | None = None
+    dead_time_s: DeadTime = 0.0
+
+    @property
+    def lag_s(self) -> float:
+        """The time constant of the filter; 0: no filter."""
+        return 0.0 if self.corner_hz is None else 1.0 / (2.0 * math.pi * self.corner_hz)
+
+    @property
+    def stage(self) -> Stage:
+        """The linear part of the sensor."""
+        return Stage(self.lag_s, dead_time_s=self.dead_time_s)
+
+
+def _or_none(limit: float | None) -> float:
+    return math.inf if limit is None else limit
+
+
+LARGEST = 1e100  # largest given number: products of two given numbers remain finite
+PAIR = 2  # parts of a complex root
+LONGEST = 40  # letters of a name
+FACTORED: Final = ("zeros", "poles", "gain")
+POLYNOMIAL: Final = ("num", "den")
+
+Row = tuple[float, ...]
+Root = Annotated[
+    Any, AfterValidator(lambda given: tuple(given) if isinstance(given, list) else given)
+]
+"""A number, or a pair; ``TransferFunction`` refuses other values."""
+
+
+class Table(dict[str, Any]):
+    """Free keys within hashable settings; nobody changes the table. 1, 1.0 and true differ."""
+
+    def __hash__(self) -> int:  # type: ignore[override]
+        return hash(repr(self))
+
+
+@dataclass(frozen=True, config=STRICT)
+class TransferFunction:
+    """``num`` and ``den``, highest power first, or ``zeros``, ``poles`` [rad/s] and ``gain``.
+
+    A root is a number, or ``[real, imaginary]`` for a pair of conjugates. The gain is k in k Π(s -
+    zero) / Π(s - pole).
+    """
+
+    num: Row | None = None
+    den: Row | None = None
+    zeros: tuple[Root, ...] | None = None
+    poles: tuple[Root, ...] | None = None
+    gain: float | None = None
+
+    def __post_init__(self) -> None:
+        for key in ("num", "den"):
+            refuse_large(key, getattr(self, key) or ())
+        for key in ("zeros", "poles"):
+            for at, root in enumerate(getattr(self, key) or ()):
+                _refuse_root(f"{key}[{at}]", root)
+        refuse_large("gain", () if self.gain is None else (self.gain,))
+        polynomial, factored = self._given(POLYNOMIAL), self._given(FACTORED)
+        if polynomial and factored:
+            raise ValueError(
+                f"{factored[0]}: must not stand beside {polynomial[0]}; a transfer function is "
+                "num and den, or zeros, poles and gain"
+            )
+        for form, given in ((POLYNOMIAL, polynomial), (("poles", "gain"), factored)):
+            for key in form if given else ():
+                if getattr(self, key) is None:
+                    raise ValueError(f"{key}: must be given beside {given[0]}")
+        if self.den is not None and not any(self.den):
+            raise ValueError(f"den = {list(self.den)}: must have a coefficient other than 0")
+
+    def __bool__(self) -> bool:
+        """Whether any key is given."""
+        return bool(self._given((*POLYNOMIAL, *FACTORED)))
+
+    def _given(self, keys: tuple[str, ...]) -> list[str]:
+        return [key for key in keys if getattr(self, key) is not None]
+
+    @property
+    def factored(self) -> ZeroPoleGain:
+        """The transfer function with its polynomials' roots.
+
+        Raises:
+            DesignError: coefficients with a ratio beyond the floats.
+        """
+        if self.num is not None and self.den is not None:
+            return ZeroPoleGain.from_coefficients(self.num, self.den)
+        return ZeroPoleGain(_roots(self.zeros), _roots(self.poles), self.gain or 0.0)
+
+    def scaled(self, gain: float, speed: float) -> Self:
+        """``gain`` times as strong, with poles and zeros ``speed`` times as fast: k G(s/v)."""
+        if self.num is not None and self.den is not None:
+            return replace(
+                self, num=_faster(self.num, speed, gain), den=_faster(self.den, speed, 1.0)
+            )
+        poles, zeros = _roots(self.poles), _roots(self.zeros)
+        power = speed ** (len(poles) - len(zeros))
+        return replace(
+            self,
+            zeros=_moved(self.zeros, speed),
+            poles=_moved(self.poles, speed),
+            gain=(self.gain or 0.0) * gain * power,
+        )
+
+
+@dataclass(frozen=True, config=STRICT)
+class SignalSettings:
+    """The name of a plant's signal, and its unit; unset: the kind's default."""
+
+    name: str | None = None
+    unit: str | None = None
+
+    def __post_init__(self) -> None:
+        for key, value in (("name", self.name), ("unit", self.unit)):
+            if value is not None and not (value.isprintable() and len(value) <= LONGEST):
+                raise ValueError(f"{key} = {value!r}: must be at most {LONGEST} printable letters")
+        if self.name is not None and not self.name.strip():
+            raise ValueError(f"name = {self.name!r}: must be a word or more")
+
+
+def refuse_large(key: str, values: Row) -> None:
+    """Refuse a number whose product with another given number is infinite."""
+    for value in values:
+        if abs(value) > LARGEST:
+            raise ValueError(f"{key} = {value:g}: must be at most {LARGEST:g} in magnitude")
+
+
+def _refuse_root(key: str, root: object) -> None:
+    given = list(root) if isinstance(root, tuple) else root
+    parts: list[Any] = given if isinstance(given, list) else [given]
+    for part in parts:
+        number = isinstance(part, int | float) and not isinstance(part, bool)
+        if not (number and math.isfinite(part) and abs(part) <= LARGEST and len(parts) <= PAIR):
+            pair = "[real, imaginary] for a pair of conjugates"
+            raise ValueError(f"{key} = {given!r}: must be a number, or {pair}")
+    if len(parts) != 1 and not (len(parts) == PAIR and parts[1] > 0.0):
+        raise ValueError(
+            f"{key} = {given!r}: must have an imaginary part above 0, which stands for both roots"
+        )
+
+
+def _roots(given: tuple[Any, ...] | None) -> Roots:
+    pairs = [complex(*root) for root in given or () if isinstance(root, tuple)]
+    real = [complex(root) for root in given or () if not isinstance(root, tuple)]
+    return (*real, *pairs, *(root.conjugate() for root in pairs))
+
+
+def _moved(given: tuple[Any, ...] | None, speed: float) -> tuple[Any, ...] | None:
+    if given is None:
+        return None
+    return tuple(
+        tuple(part * speed for part in root) if isinstance(root, tuple) else root * speed
+        for root in given
+    )
+
+
+def _faster(coefficients: Row, speed: float, gain: float) -> Row:
+    powers = range(len(coefficients) - 1, -1, -1)
+    return tuple(gain * c / speed**i for c, i in zip(coefficients, powers, strict=True))
+
+
+@dataclasses.dataclass(frozen=True)
 class BuiltIn:
     """A kind of linear plant, and the kind's properties."""
 
@@ -74,7 +309,7 @@ SIGNALS: Final = ("input_1", "input_2", "output")
 """Keys for the names of the plant's signals."""
 
 
-@validated(frozen=True, config=STRICT)
+@dataclass(frozen=True, config=STRICT)
 class PlantSettings(VehicleParameters):
     """The simulated plant; a plant by numbers must leave the car's parameters unset.
 
@@ -126,8 +361,12 @@ class PlantSettings(VehicleParameters):
         default_factory=ForceDifferenceActuator
     )
     sensor: SensorSettings = dataclasses.field(default_factory=SensorSettings)
-    parameters: dict[str, Any] = dataclasses.field(default_factory=dict)
-    variables: dict[str, str] = dataclasses.field(default_factory=dict)
+    parameters: Annotated[dict[str, Any], AfterValidator(Table)] = dataclasses.field(
+        default_factory=Table
+    )
+    variables: Annotated[dict[str, str], AfterValidator(Table)] = dataclasses.field(
+        default_factory=Table
+    )
     fmi_type: Literal["co-simulation", "model-exchange"] | None = None
 
     def __post_init__(self) -> None:

@@ -25,15 +25,15 @@ WORDS: Final = {
 """pydantic's wording, and the rig's wording."""
 
 
-def refusal(error: ValidationError, settings: type[Any]) -> str:
-    """The first finding about ``settings``, the intended class.
+def refusal(error: ValidationError, settings: type[Any], where: str = "") -> str:
+    """The first finding about ``settings``, the intended class, at the key ``where``.
 
     Findings of a ``__post_init__`` already read ``key = value: must be ...``, with the key within
     its table.
     """
     finding = error.errors()[0]
     location = [str(part) for part in finding["loc"]]
-    key = ".".join(location)
+    key = ".".join([where, *location] if where else location)
     kind, message = finding["type"], finding["msg"].removeprefix("Value error, ")
     if kind == "unexpected_keyword_argument":
         known = _keys(settings, location[:-1])
@@ -86,7 +86,7 @@ def _keys(settings: Any, location: Sequence[str]) -> list[str]:
             continue
         field: Any = next(each for each in dataclasses.fields(settings) if each.name == part)
         has_factory = field.default_factory is not dataclasses.MISSING
-        if field.default_factory is dict:
+        if isinstance(field.default_factory, type) and issubclass(field.default_factory, dict):
             settings = get_type_hints(settings)[part]
         else:
             settings = field.default_factory if has_factory else field.default[0]

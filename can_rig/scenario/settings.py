@@ -1,8 +1,7 @@
 """The settings of a scenario: every key, unit, default and bound.
 
-``plant_settings`` and ``stage_settings`` have the plant's keys, ``tables.fault`` a fault's. A value
-out of bounds raises pydantic's ``ValidationError``; ``loading`` turns the error into a line with
-the key.
+``plant_settings`` has the plant's keys, ``fault_settings`` a fault's. A value out of bounds raises
+pydantic's ``ValidationError``; ``loading`` turns the error into a line with the key.
 """
 
 from __future__ import annotations
@@ -11,19 +10,156 @@ import dataclasses
 import itertools
 import math
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, Final, Literal
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat
 from pydantic.dataclasses import dataclass
 
-from can_rig.scenario.plant_settings import BUILT_IN, CAR, SIGNALS, PlantSettings
-from can_rig.scenario.stage_settings import STRICT
-from can_rig.scenario.tables.drive import DriveSettings, Speed
-from can_rig.scenario.tables.fault import MAX_DURATION_S, SENSOR, FaultSettings, Moment
-from can_rig.scenario.tables.network import NetworkSettings
-from can_rig.scenario.tables.numbers import SignalSettings
+from can_rig.scenario.fault_settings import MAX_DURATION_S, SENSOR, FaultSettings, Moment
+from can_rig.scenario.plant_settings import (
+    BUILT_IN,
+    CAR,
+    SIGNALS,
+    STRICT,
+    PlantSettings,
+    SignalSettings,
+)
 from firmware_model.discretisation.rules import Rule
 from firmware_model.target.structs import MAX_LATENCY_TICKS, Precision
+
+SLOWEST_MPS: Final = 1.0  # at lower speeds our slip angles fail to describe a rolling tire
+FASTEST_MPS: Final = 100.0
+
+Speed = Annotated[float, Field(ge=SLOWEST_MPS, le=FASTEST_MPS)]
+
+
+@dataclass(frozen=True, config=STRICT)
+class DriveSettings:
+    """The car's speed, by at most one of three keys; the controller hears the speed on the bus.
+
+    ``speed_mps`` is constant; ``ramps`` has pairs of time in s and speed in m/s, joined by straight
+    lines; ``file`` is a CSV of these two columns. Before the first and after the last pair the
+    speed stays. Without any key, the speed is ``plant.speed_mps``, and no frame carries the speed.
+    """
+
+    speed_mps: Speed | None = None
+    ramps: tuple[tuple[Moment, Speed], ...] | None = None
+    file: str = ""
+    speed_rate_max_mps2: PositiveFloat = 8.0
+
+    def __post_init__(self) -> None:
+        given = [key for key in ("speed_mps", "ramps", "file") if getattr(self, key)]
+        if len(given) > 1:
+            raise ValueError(f"{given[1]}: must not stand beside {given[0]}; a drive has one speed")
+        times = [time_s for time_s, _ in self.ramps or ()]
+        for before, after in itertools.pairwise(times):
+            if not after > before:
+                raise ValueError(f"ramps: time {after:g} s after {before:g} s: times must increase")
+
+    @property
+    def is_given(self) -> bool:
+        """Whether the scenario has a drive."""
+        return bool(self.speed_mps or self.ramps or self.file)
+
+
+DataId = Annotated[int, Field(ge=1, le=0xFFFF)]
+"""Of AUTOSAR E2E profile 1."""
+OPTIONAL: Final = ("mode", "fault_state", "verdict")
+
+
+class _Names:
+    """Names by key: all except those in ``OPTIONAL``, or an empty table."""
+
+    def _given(self) -> dict[str, str]:
+        return vars(self)
+
+    def __bool__(self) -> bool:
+        """Whether any name is given."""
+        return any(self._given().values())
+
+    def _require_all(self, others: str) -> None:
+        if not self:
+            return
+        for key, name in self._given().items():
+            if not name and key not in OPTIONAL:
+                raise ValueError(f"{key}: must be set beside the other {others}")
+
+
+@dataclass(frozen=True, config=STRICT)
+class SignalNames(_Names):
+    """The signal of each role, as ``Message.Signal``; all except the last three are required."""
+
+    reference: str = ""
+    feedback: str = ""
+    command_1: str = ""
+    command_2: str = ""
+    fault_estimate: str = ""
+    mode: str = ""
+    fault_state: str = ""
+    verdict: str = ""
+
+    def __post_init__(self) -> None:
+        for key, name in self._given().items():
+            message, dot, signal = name.partition(".")
+            if name and not (message and dot and signal):
+                raise ValueError(f"{key} = {name!r}: must be Message.Signal")
+        self._require_all("signals, as Message.Signal")
+
+
+@dataclass(frozen=True, config=STRICT)
+class TickNames(_Names):
+    """The tick-counting signal in each role's message: for all roles or no role."""
+
+    reference: str = ""
+    feedback: str = ""
+    command_1: str = ""
+    command_2: str = ""
+    status: str = ""
+
+    def __post_init__(self) -> None:
+        self._require_all("ticks")
+
+
+@dataclass(frozen=True, config=STRICT)
+class DataIds:
+    """E2E data identifiers of messages with profile 1 protection, by role."""
+
+    reference: DataId | None = None
+    feedback: DataId | None = None
+    command_1: DataId | None = None
+    command_2: DataId | None = None
+    status: DataId | None = None
+
+
+@dataclass(frozen=True, config=STRICT)
+class NetworkSettings:
+    """The user's frames in place of the rig's.
+
+    ``dbc`` is any database that cantools reads. With ``signals``, the database's frames are used
+    unchanged; without ``signals``, the database must have RigRole and the rig's layout. ``tick``
+    names the tick-counting signal common to all five messages; ``ticks`` gives a name for each
+    message; without both, no message counts ticks.
+    """
+
+    dbc: str = ""
+    tick: str = ""
+    ticks: TickNames = dataclasses.field(default_factory=TickNames)
+    signals: SignalNames = dataclasses.field(default_factory=SignalNames)
+    data_ids: DataIds = dataclasses.field(default_factory=DataIds)
+
+    def __post_init__(self) -> None:
+        if self.signals and not self.dbc:
+            raise ValueError("dbc: must name the database of network.signals")
+        if self.tick and self.ticks:
+            raise ValueError("ticks: must not be set beside network.tick")
+        others = (
+            self.tick
+            or self.ticks
+            or any(number is not None for number in vars(self.data_ids).values())
+        )
+        if others and not self.signals:
+            raise ValueError("signals: must be set beside network.tick, ticks and data_ids")
+
 
 ReferenceKind = Literal["step", "sine", "lane-change", "driver", "csv"]
 

@@ -16,10 +16,10 @@ from can_rig.drawing.names import names_of
 from can_rig.errors import ScenarioError
 from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.scenario.build import continuous_design, continuous_plant, controller_table, network_of
+from can_rig.scenario.fault_settings import CHANNELS
 from can_rig.scenario.plant_settings import BUILT_IN
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import CHANNELS
 from can_rig.thesis.continuous import Solution, solve
 from firmware_model.analysis.sampled_plant import SampledPlant, advance_plant, measure_plant, sample
 from firmware_model.analysis.simulation import simulate

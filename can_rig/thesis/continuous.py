@@ -24,8 +24,8 @@ from scipy import linalg
 
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_design, continuous_plant
+from can_rig.scenario.fault_settings import CHANNELS
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import CHANNELS
 from firmware_model.design.continuous_design import ContinuousDesign
 from firmware_model.design.factors.realisation import realised
 from firmware_model.design.plants import Plant

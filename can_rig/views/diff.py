@@ -11,8 +11,8 @@ import numpy as np
 
 from can_rig import paged
 from can_rig.errors import LogError
+from can_rig.scenario.loading import FAULT
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.changes import FAULT
 from can_rig.views.signal_table import SignalTable, in_s
 from firmware_model.target.structs import FloatArray
 

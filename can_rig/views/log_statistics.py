@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig.assessment.bus_timing.frame_length import worst_case_bits
-from can_rig.frames.mapped.layout import FD_LENGTHS
+from can_rig.frames.foreign_frames import FD_LENGTHS
 from can_rig.logs.frames import (
     BITRATE_SWITCH,
     CLASSIC_BYTES,

@@ -17,7 +17,7 @@ from can_rig.drawing import style
 from can_rig.drawing.names import printed
 from can_rig.drawing.thinning import thinned
 from can_rig.logs.frames import NS_PER_S
-from can_rig.scenario.tables.fault import FaultSettings
+from can_rig.scenario.fault_settings import FaultSettings
 from can_rig.views.diff import Difference, SignalDifference
 from can_rig.views.log_statistics import LogStatistics
 from can_rig.views.signal_table import SignalTable, titles

@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING, Any, Final
 
 from can_rig.errors import LogError, RunFolderError, ScenarioError, in_python
 from can_rig.folders import NewFolder
-from can_rig.nodes.watchdog import StopRequest
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.results.execution import RunOptions, execute, refuse
 from can_rig.results.metrics import Metrics, rows
 from can_rig.results.run_folder import REPORT, RUN_FOLDER, SUMMARY, signals_of_log

@@ -28,8 +28,8 @@ from can_rig.results.run_folder import SIGNALS, recorded_scenario
 from can_rig.results.signals import Signals, cell, signals_of, with_plant_signals
 from can_rig.results.source import log_path
 from can_rig.scenario.build import network_of
+from can_rig.scenario.fault_settings import FaultSettings
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import FaultSettings
 from firmware_model.target.structs import FloatArray
 
 TIME: Final = "time_s"

@@ -18,8 +18,8 @@ import pandas as pd
 import pytest
 
 import can_rig
-from can_rig import errors
-from can_rig.api import RecordedRun, calls
+from can_rig import api, errors
+from can_rig.api import RecordedRun
 from can_rig.decoding.decode import decode_log
 from can_rig.results.run_folder import LOG, REPORT, SIGNALS, SUMMARY
 from can_rig.views import recorded_run
@@ -123,19 +123,22 @@ def test_the_picture_is_the_page_of_the_report(run: RecordedRun) -> None:
 
 
 def test_changes_are_keys_with_dots_or_tables_within_tables() -> None:
-    car = can_rig.scenario("default", {"plant.speed_mps": np.float64(12.0), "seed": 7})
+    car = can_rig.load_scenario("default", {"plant.speed_mps": np.float64(12.0), "seed": 7})
     assert (car.plant.speed_mps, car.seed) == (12.0, 7)
-    again = can_rig.scenario(car, {"plant": {"mass_kg": 1500.0}})
+    again = can_rig.load_scenario(car, {"plant": {"mass_kg": 1500.0}})
     assert (again.plant.speed_mps, again.plant.mass_kg) == (12.0, 1500.0)
     assert again.model.mass_kg == 1500.0  # the controller believes what it believed: the plant's
-    assert can_rig.scenario(car) is car
-    assert can_rig.scenario("default", {"design.compensation": "off"}).design.compensation == "off"
+    assert can_rig.load_scenario(car) is car
+    assert (
+        can_rig.load_scenario("default", {"design.compensation": "off"}).design.compensation
+        == "off"
+    )
 
 
 def test_a_scenario_may_be_a_file(tmp_path: Path) -> None:
     file = tmp_path / "mine.toml"
     file.write_text("[plant]\nspeed_mps = 9.0\n")
-    assert can_rig.scenario(file).plant.speed_mps == 9.0
+    assert can_rig.load_scenario(file).plant.speed_mps == 9.0
 
 
 def test_check_answers_as_the_command() -> None:
@@ -147,12 +150,12 @@ def test_check_answers_as_the_command() -> None:
 def test_tune_asks_the_search_of_the_command(monkeypatch: pytest.MonkeyPatch) -> None:
     """The search itself takes a minute, and has tests of its own."""
     asked_for: list[Any] = []
-    monkeypatch.setattr(calls, "search", lambda *what: asked_for.append(what) or "found")
+    monkeypatch.setattr(api, "search", lambda *what: asked_for.append(what) or "found")
     speeds = {"plant.speed_mps": (9.0, 11.0)}
     found = can_rig.tune("default", {"tick_s": 0.002}, box=0.0, ranges=speeds, noise_limit_n=5.0)
     assert found == "found"
     scenario, cars, *limits = asked_for[0]
-    assert scenario == can_rig.scenario("default", {"tick_s": 0.002})
+    assert scenario == can_rig.load_scenario("default", {"tick_s": 0.002})
     nominal = scenario.plant
     assert {
         (car.settings.speed_mps, round(car.settings.torque_actuator.lag_s, 6)) for car in cars
@@ -190,17 +193,17 @@ BAD: dict[str, tuple[Any, type[errors.RigError], str]] = {
         "fault.att_s: unknown key; did you mean at_s",
     ),
     "a bad value": (
-        lambda: can_rig.scenario("default", {"tick_s": -1}),
+        lambda: can_rig.load_scenario("default", {"tick_s": -1}),
         errors.ScenarioError,
         "tick_s = -1: must be at least",
     ),
     "nothing": (
-        lambda: can_rig.scenario("default", {"fault.at_s": None}),
+        lambda: can_rig.load_scenario("default", {"fault.at_s": None}),
         errors.ScenarioError,
         "fault.at_s = None: must be a number",
     ),
     "an object in a list": (
-        lambda: can_rig.scenario("default", {"budget.box": [1.0, object()]}),
+        lambda: can_rig.load_scenario("default", {"budget.box": [1.0, object()]}),
         errors.ScenarioError,
         "budget.box = <object.*must be a number",
     ),
@@ -274,7 +277,7 @@ def test_a_run_folder_without_its_scenario_is_refused(run: RecordedRun, tmp_path
 def test_the_package_alone_is_light_and_its_names_do_not_depend_on_the_order(first: str) -> None:
     code = (
         f"import sys, can_rig; light = 'numpy' not in sys.modules; {first}"
-        "print(light, can_rig.scenario('default').name, can_rig.scenario.build.__name__)"
+        "print(light, can_rig.load_scenario('default').name, can_rig.scenario.build.__name__)"
     )
     done = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True, timeout=120

@@ -24,7 +24,7 @@ from typing import Final, NamedTuple
 from can import Message
 
 from can_rig.errors import RigError
-from can_rig.frames.mapped.layout import FD_LENGTHS
+from can_rig.frames.foreign_frames import FD_LENGTHS
 
 INTERMISSION_BITS: Final = 3
 """Recessive bits after the end of frame before the next start of frame."""

@@ -33,8 +33,8 @@ from can_rig.assessment.bus_timing.response_time import (
 )
 from can_rig.errors import RigError
 from can_rig.frames.codec import MessageCodec
-from can_rig.frames.dbc import load_dbc
-from can_rig.frames.mapped.layout import FD_LENGTHS
+from can_rig.frames.databases import load_dbc
+from can_rig.frames.foreign_frames import FD_LENGTHS
 from can_rig.frames.network import Network
 
 MAX_SETTLING_TICKS: Final = 64  # more latency than a controller's table can hold

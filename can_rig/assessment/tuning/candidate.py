@@ -16,7 +16,7 @@ from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_design, continuous_plant, slowness, target
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import DesignSettings, Scenario
-from firmware_model.analysis.margins import noise_gain
+from firmware_model.analysis.margins import noise_gain, peak_sensitivity
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
 from firmware_model.design.factors.coprime import unstable
@@ -125,6 +125,9 @@ def assess(
     if not is_stable(table, cars, tick_s, spare_ticks):
         return Refusal.NOMINAL_SPARE if is_stable(table, cars, tick_s, 0) else Refusal.NOMINAL
     states = loops(table, cars[0], tick_s)
+    own = loops(table, cars[-1], tick_s)  # the scenario's plant, which can-rig check judges
+    if max(peak_sensitivity(loop)[0] for loop in own) > scenario.budget.peak_sensitivity:
+        return Refusal.THIN
     noise_1, noise_2 = (max(noise_gain(loop, answer) for loop in states) for answer in (0, 1))
     if not math.isfinite(noise_1 + noise_2):
         return Refusal.NOISE

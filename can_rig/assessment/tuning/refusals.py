@@ -19,6 +19,7 @@ class Refusal(StrEnum):
     DESIGN = "no such design, or none that can be discretised"
     NOMINAL = "unstable with the nominal {car}"
     NOMINAL_SPARE = "unstable with the nominal {car}, only because of the ticks to spare"
+    THIN = "the peak |S| above budget.peak_sensitivity with the nominal {car}"
     NOISE = "noise in a command without bound"
     TORQUE_NOISE = "{first} noise above --torque-noise-limit"
     FORCE_NOISE = "{second} noise above --noise-limit"
@@ -119,6 +120,7 @@ _ADVICE = {
     Refusal.DESIGN: "the {car} must be one that can be designed for; can-rig check says why",
     Refusal.NOMINAL: _FASTER,
     Refusal.NOMINAL_SPARE: "fewer --spare-ticks would help most",
+    Refusal.THIN: "a larger budget.peak_sensitivity would help most, or " + _FASTER,
     Refusal.NOISE: _FASTER,
     Refusal.TORQUE_NOISE: "a larger --torque-noise-limit would help most",
     Refusal.FORCE_NOISE: "a larger --noise-limit would help most",

@@ -3,7 +3,7 @@
 The grid of candidates follows the tick. For each of them:
 
 1. the design must exist, and the nominal car must be stable, healthy and lost, with the ticks to
-   spare;
+   spare and with the peak |S| of ``budget.peak_sensitivity``;
 2. the noise in both commands is computed exactly, and the loss of the torque channel during a
    settled step is simulated with the scenario's limits, rates, latency and decision on d̂;
 3. unless an accepted tuning has both less noise and a smaller peak: the vertices of the box must be
@@ -91,7 +91,8 @@ def tune(
     Args:
         scenario: everything except the four numbers; its reference is a step of its amplitude.
         cars: the nominal one first (``box.cars``).
-        spare_ticks: extra ticks of delay, unknown to the controller, that the loop must survive.
+        spare_ticks: extra ticks of delay, unknown to the controller, that the loop must survive;
+            at least ``budget.spare_ticks``.
         noise_limit_n: largest allowed rms of X_diff by ``plant.sensor.noise_mps2``, N.
         torque_noise_limit_nm: the same of the torque, N m; a tuning beyond it is refused.
         candidates: in place of ``grid``.
@@ -107,6 +108,7 @@ def tune(
         ("--torque-noise-limit", torque_noise_limit_nm),
     ):
         _refuse_limit(scenario, option, limit)
+    spare_ticks = max(spare_ticks, scenario.budget.spare_ticks)
     loudest = math.inf if torque_noise_limit_nm is None else torque_noise_limit_nm
     loudest_force = math.inf if noise_limit_n is None else noise_limit_n
     candidates = grid(scenario) if candidates is None else candidates

@@ -13,12 +13,14 @@ miss a node. A lock on the file orders joining, leaving and the removal of dead 
 
 from __future__ import annotations
 
+import errno
 import logging
 import select
 import socket
 import struct
 import threading
 import time
+from collections import deque
 from typing import Any, Final
 
 from can import (
@@ -31,18 +33,144 @@ from can import (
 )
 from can.typechecking import AutoDetectedConfig, Channel
 
-from can_rig.buses.local.datagram import (
-    CUT_OFF,
-    CUT_OFF_NOTICE,
-    FD,
-    HEADER,
-    MAX_BYTES,
-    OWN,
-    flags_of,
-    message,
-)
-from can_rig.buses.local.directory import Directory, bus_root
-from can_rig.buses.local.peer import Peer
+from can_rig.buses.local.directory import RETRY_S, Directory, bus_root
+
+HEADER: Final = struct.Struct("<dIBB")
+"""Time stamp [s], identifier, flags, DLC."""
+
+MAX_BYTES: Final = HEADER.size + 64
+
+EXTENDED, REMOTE, ERROR, FD, BRS, ESI, OWN, CUT_OFF = (1 << bit for bit in range(8))
+"""Flags. OWN: sent by the receiver itself; CUT_OFF: not a frame, but a sender's last datagram."""
+
+CUT_OFF_NOTICE: Final = HEADER.pack(0.0, 0, CUT_OFF, 0)
+"""A sender's notice to a listener before cutting the listener off."""
+
+
+def flags_of(msg: Message) -> int:
+    """The flags of a frame other than a plain data frame."""
+    return (
+        EXTENDED * msg.is_extended_id
+        | REMOTE * msg.is_remote_frame
+        | ERROR * msg.is_error_frame
+        | FD * msg.is_fd
+        | BRS * msg.bitrate_switch
+        | ESI * msg.error_state_indicator
+    )
+
+
+def message(datagram: bytes, channel: str) -> tuple[Message, int]:
+    """The frame of a datagram, and its flags."""
+    timestamp, identifier, flags, dlc = HEADER.unpack_from(datagram)
+    data = bytearray(datagram[HEADER.size :])
+    if not flags:
+        return Message(timestamp, identifier, False, False, False, channel, dlc, data), 0
+    return Message(
+        timestamp=timestamp,
+        arbitration_id=identifier,
+        is_extended_id=bool(flags & EXTENDED),
+        is_remote_frame=bool(flags & REMOTE),
+        is_error_frame=bool(flags & ERROR),
+        channel=channel,
+        dlc=dlc,
+        data=data,
+        is_fd=bool(flags & FD),
+        is_rx=not flags & OWN,
+        bitrate_switch=bool(flags & BRS),
+        error_state_indicator=bool(flags & ESI),
+    ), flags
+
+
+GONE: Final = {errno.ECONNREFUSED, errno.ECONNRESET, errno.ENOTCONN, errno.EPIPE}
+DONTWAIT: Final = int(socket.MSG_DONTWAIT)
+
+
+class Peer:
+    """A listener: a connected socket, and the frames waiting for room in its queue.
+
+    Args:
+        name: of its socket.
+        link: connected to it.
+        limit: number of frames that may wait.
+        cut_off_notice: sent after the backlog when the backlog is full.
+    """
+
+    def __init__(self, name: str, link: socket.socket, limit: int, cut_off_notice: bytes) -> None:
+        self.name = name
+        self.cut_off = False
+        self._link = link
+        self._limit = limit
+        self._cut_off_notice = cut_off_notice
+        self._backlog: deque[bytes] = deque()
+        self._lock = threading.Lock()  # taken only for a present or imminent backlog
+        self._drainer: threading.Thread | None = None
+        self._closing = False
+
+    def offer(self, frame: bytes) -> bool:
+        """Send a frame now or after the backlog; False if the listener is gone or cut off."""
+        if not self._backlog:
+            try:
+                self._link.send(frame, DONTWAIT)
+            except BlockingIOError:
+                pass
+            except OSError as error:
+                if error.errno in GONE:
+                    return False
+            else:
+                return True
+        with self._lock:
+            if self.cut_off:
+                return True  # another thread has just cut the listener off, and reports the cut
+            self.cut_off = len(self._backlog) >= self._limit
+            self._backlog.append(self._cut_off_notice if self.cut_off else frame)
+            if self._drainer is None:
+                self._drainer = threading.Thread(target=self._drain, daemon=True)
+                self._drainer.start()
+        return not self.cut_off
+
+    def _drain(self) -> None:
+        while True:
+            with self._lock:
+                if not self._backlog or self._closing:
+                    self._drainer = None
+                    return
+            # The frame stays in the backlog until sent, so that no other frame overtakes.
+            try:
+                self._link.send(self._backlog[0])
+            except BlockingIOError:  # SO_SNDTIMEO has passed
+                continue
+            except OSError as error:
+                if error.errno in GONE:
+                    # the next offer() fails likewise, and reports the failure
+                    self._backlog.clear()
+                else:
+                    time.sleep(RETRY_S)  # the kernel is short of memory
+            else:
+                self._backlog.popleft()
+
+    def discard(self) -> None:
+        """Empty the backlog, except for a frame that another thread may be sending."""
+        with self._lock:
+            while len(self._backlog) > 1:
+                self._backlog.pop()
+
+    def wait_until_drained(self, deadline: float) -> bool:
+        """Wait until the backlog is empty, at most until ``deadline`` (monotonic, in s)."""
+        drainer = self._drainer
+        if drainer is not None:
+            drainer.join(max(0.0, deadline - time.monotonic()))
+        return not self._backlog
+
+    def close(self, deadline: float) -> int:
+        """Close when the backlog is drained, or at ``deadline``; returns the frames never sent."""
+        if not self.cut_off:
+            self.wait_until_drained(deadline)
+        drainer, self._closing = self._drainer, True
+        if drainer is not None:
+            drainer.join(10 * RETRY_S)  # its send() must not outlive the descriptor
+        self._link.close()
+        return len(self._backlog)
+
 
 log = logging.getLogger(__name__)
 

@@ -18,8 +18,7 @@ from typing import Final
 
 from can import CanInitializationError
 
-from can_rig.buses.local.peer import RETRY_S
-
+RETRY_S: Final = 0.1  # how long a drainer waits for room until it checks whether to stop
 GENERATION: Final = ".can-generation"
 NODE_NAME: Final = re.compile(r"\d+-[0-9a-f]{6}\.node")  # process id, and a random part
 PATH_MAX: Final = 107 - len("/4194304-012345.node")  # sun_path holds 107 bytes and a NUL

@@ -11,8 +11,8 @@ import click
 from can_rig.assessment.resolve import load
 from can_rig.cli.options import force_option, scenario_options
 from can_rig.cli.output import explain, say, show, table
-from can_rig.export.folder import exported, write
-from can_rig.export.running.emulated_ecu import COMPILER, EMULATOR
+from can_rig.export.application import exported, write
+from can_rig.export.ecus import COMPILER, EMULATOR
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import Precision
 
@@ -69,8 +69,8 @@ def _report(scenario: Scenario, files: dict[str, str]) -> None:
 
 def _costs(scenario: Scenario) -> None:
     """The costs on each board with an installed compiler and emulator."""
-    from can_rig.export.evidence.costs import VARIANTS, cost, inputs_of_run  # noqa: PLC0415
-    from can_rig.export.evidence.findings import NOT_INSTALLED  # noqa: PLC0415
+    from can_rig.export.costs import VARIANTS, cost, inputs_of_run  # noqa: PLC0415
+    from can_rig.export.findings import NOT_INSTALLED  # noqa: PLC0415
 
     if shutil.which(COMPILER) is None:
         for board, precision in VARIANTS:
@@ -96,8 +96,11 @@ def _costs(scenario: Scenario) -> None:
 
 def _trials(scenario: Scenario) -> None:
     """Random memory and frames through the C code: differences from Python, unexecuted lines."""
-    from can_rig.export.evidence.coverage import TOOLS, coverage  # noqa: PLC0415
-    from can_rig.export.evidence.findings import NOT_INSTALLED  # noqa: PLC0415
+    from can_rig.export.findings import (  # noqa: PLC0415
+        NOT_INSTALLED,
+        TOOLS,
+        coverage,
+    )
 
     missing = [tool for tool in TOOLS if shutil.which(tool) is None]
     if missing:
@@ -113,7 +116,7 @@ def _trials(scenario: Scenario) -> None:
 
 
 def _findings(files: dict[str, str]) -> None:
-    from can_rig.export.evidence.findings import (  # noqa: PLC0415
+    from can_rig.export.findings import (  # noqa: PLC0415
         DEVIATIONS,
         NOT_INSTALLED,
         eva,

@@ -8,7 +8,7 @@ import click
 
 from can_rig.cli.options import json_option
 from can_rig.cli.output import json_line, show, table
-from can_rig.scenario.catalogue import shipped
+from can_rig.scenario.loading import shipped
 
 
 @click.command("scenarios")

@@ -10,8 +10,7 @@ from cantools.database.can import Database
 
 from can_rig.decoding.decode import Databases
 from can_rig.errors import RigError
-from can_rig.frames.dbc import shipped_dbc
-from can_rig.frames.mapped.database import load_database, load_for
+from can_rig.frames.databases import load_database, load_for, shipped_dbc
 from can_rig.results.run_folder import LOG
 from can_rig.results.source import source_of
 from can_rig.scenario.build import dbc_of

@@ -16,7 +16,7 @@ from can_rig.errors import INTERRUPTED
 from can_rig.logs.frames import NS_PER_S
 from can_rig.logs.log import Window
 from can_rig.logs.reading import read_log
-from can_rig.nodes.watchdog import StopRequest
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.replay.pace import Paced, Pacer
 from can_rig.results.source import log_path, only_channel
 

@@ -11,7 +11,7 @@ from can_rig.cli.progress import counting, reading
 from can_rig.cli.runs.closing import closing_table
 from can_rig.errors import INTERRUPTED
 from can_rig.logs.log import Window
-from can_rig.nodes.watchdog import StopRequest
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.replay.what_if import LABELS, question, what_if
 
 

@@ -12,18 +12,17 @@ from pathlib import Path
 import click
 from rich.table import Table
 
-from can_rig.campaigns.campaign import CampaignFolder, open_folder
-from can_rig.campaigns.computing.workers import Compute, in_processes, serially
-from can_rig.campaigns.execution import execute
+from can_rig.campaigns.execution import CampaignFolder, execute, open_folder
 from can_rig.campaigns.plan import Plan, plan
 from can_rig.campaigns.report import write_report
 from can_rig.campaigns.settings import read_campaign
 from can_rig.campaigns.statistics import Summary
+from can_rig.campaigns.workers import Compute, in_processes, serially
 from can_rig.cli.options import json_option, set_option
 from can_rig.cli.output import json_line, say, table, wide
 from can_rig.cli.progress import counting
 from can_rig.errors import INTERRUPTED
-from can_rig.nodes.watchdog import StopRequest
+from can_rig.nodes.bus_access import StopRequest
 
 
 @click.command("campaign")
@@ -100,7 +99,7 @@ def computing(
 ) -> AbstractContextManager[Compute]:
     """Who computes the runs."""
     if scheduler is not None:
-        from can_rig.campaigns.computing.cluster import on_cluster  # noqa: PLC0415 (an extra)
+        from can_rig.campaigns.cluster import on_cluster  # noqa: PLC0415 (an extra)
 
         return on_cluster(planned, scheduler)
     if workers == 1:

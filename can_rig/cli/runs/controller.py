@@ -10,10 +10,10 @@ from can_rig.assessment.resolve import load
 from can_rig.cli.options import controller_option, scenario_options
 from can_rig.cli.output import json_line
 from can_rig.cli.runs.node import end_of_node, node_options, node_progress
-from can_rig.export.running.controllers import controller_of
-from can_rig.nodes.progress import Throttled
+from can_rig.export.controllers import controller_of
+from can_rig.nodes.bus_access import StopRequest, Timeouts
+from can_rig.nodes.clock import Throttled
 from can_rig.nodes.runner import run_controller
-from can_rig.nodes.watchdog import StopRequest, Timeouts
 
 
 @click.command("controller")

@@ -10,10 +10,10 @@ import click
 from can_rig.buses.bus import open_bus
 from can_rig.cli.options import bus_option
 from can_rig.cli.output import say
-from can_rig.frames.beside import control
-from can_rig.nodes.operator.operating import operate
+from can_rig.frames import operator_frames
+from can_rig.nodes.operating import operate
 
-DO: dict[str, control.Action] = {
+DO: dict[str, operator_frames.Action] = {
     "clear": "CLEAR",
     "reference": "MOVE_REFERENCE",
     "pace": "PACE",
@@ -27,7 +27,7 @@ NEGATIVE: Final = re.compile(r"-\.?\d")
 def _kinds(place: str) -> dict[str, str]:
     """What can be wrong with ``place``: the word on the command line → the kind."""
     prefix = "sensor-" if place == "sensor" else "actuator-"
-    its = (kind for kind in control.kinds() if kind.startswith((prefix, "frames-")))
+    its = (kind for kind in operator_frames.kinds() if kind.startswith((prefix, "frames-")))
     return {kind.removeprefix(prefix): kind for kind in its}
 
 
@@ -49,16 +49,16 @@ class _WithNegatives(click.Command):
 
 
 @click.command("inject", cls=_WithNegatives)
-@click.argument("what", type=click.Choice([*control.places(), *DO]), metavar="WHAT")
+@click.argument("what", type=click.Choice([*operator_frames.places(), *DO]), metavar="WHAT")
 @click.argument("how", required=False)
 @bus_option("local", "local")
 @click.option(
     "--for",
     "for_s",
-    type=click.FloatRange(control.SHORTEST_S, control.LONGEST_S),
+    type=click.FloatRange(operator_frames.SHORTEST_S, operator_frames.LONGEST_S),
     metavar="S",
-    help=f"Seconds that a fault lasts, {control.SHORTEST_S:g} to {control.LONGEST_S:g} in steps of "
-    "0.1.  [default: until it is cleared]",
+    help=f"Seconds that a fault lasts, {operator_frames.SHORTEST_S:g} to "
+    f"{operator_frames.LONGEST_S:g} in steps of 0.1.  [default: until it is cleared]",
 )
 @click.option("--value", type=float, help="The fault's one number, in the unit of what fails.")
 def command(what: str, how: str | None, bus: str, for_s: float | None, value: float | None) -> None:
@@ -82,27 +82,28 @@ def _said(what: str, how: str | None) -> str:
 
 def _command(
     what: str, how: str | None, for_s: float | None, value: float | None
-) -> control.Command:
-    if what in control.places():
+) -> operator_frames.Command:
+    if what in operator_frames.places():
         kinds = _kinds(what)
         if how not in kinds:
             raise click.UsageError(f"{_said(what, how)}: must be one of {', '.join(kinds)}")
-        return control.Command("INJECT", kinds[how], what, value, for_s)
+        return operator_frames.Command("INJECT", kinds[how], what, value, for_s)
     if for_s is not None or value is not None:
         raise click.UsageError(f"{what}: --for and --value are those of a fault")
     if what == "clear":
-        place = how or control.ALL
-        if place not in (control.ALL, *control.places()):
+        place = how or operator_frames.ALL
+        if place not in (operator_frames.ALL, *operator_frames.places()):
             raise click.UsageError(
-                f"clear {how}: must be one of {', '.join(control.places())}, or nothing for all"
+                f"clear {how}: must be one of {', '.join(operator_frames.places())}, "
+                "or nothing for all"
             )
-        return control.Command("CLEAR", place=place)
+        return operator_frames.Command("CLEAR", place=place)
     if what == "pause":
         if how is not None:
             raise click.UsageError(f"pause {how}: nothing must follow; pace goes on")
-        return control.Command("PAUSE")
+        return operator_frames.Command("PAUSE")
     try:
         number = float(how if how is not None else "1" if what == "step" else "")
     except ValueError:
         raise click.UsageError(f"{_said(what, how)}: must be followed by a number") from None
-    return control.Command(DO[what], value=number)
+    return operator_frames.Command(DO[what], value=number)

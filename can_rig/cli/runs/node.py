@@ -19,7 +19,7 @@ from can_rig.cli.options import (
 from can_rig.cli.output import json_line, tell
 from can_rig.cli.progress import counting
 from can_rig.errors import INTERRUPTED, RigError
-from can_rig.nodes.progress import OnTick
+from can_rig.nodes.clock import OnTick
 from can_rig.nodes.realtime import timing
 from can_rig.nodes.summary import NodeSummary
 from can_rig.scenario.settings import Scenario

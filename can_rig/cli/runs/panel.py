@@ -7,7 +7,7 @@ import click
 from can_rig.assessment.resolve import load
 from can_rig.cli.options import bus_name, scenario_options
 from can_rig.cli.output import say
-from can_rig.scenario.catalogue import shipped
+from can_rig.scenario.loading import shipped
 
 
 @click.command("panel")

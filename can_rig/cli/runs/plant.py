@@ -17,10 +17,10 @@ from can_rig.cli.options import (
 )
 from can_rig.cli.runs.node import end_of_node, node_options, node_progress
 from can_rig.errors import LogError
-from can_rig.nodes.progress import Throttled
-from can_rig.nodes.recording.replacing import recorded_log
+from can_rig.nodes.bus_access import StopRequest, Timeouts
+from can_rig.nodes.clock import Throttled
+from can_rig.nodes.recording import recorded_log
 from can_rig.nodes.runner import run_plant
-from can_rig.nodes.watchdog import StopRequest, Timeouts
 
 OTHER_FORMATS = {".asc", ".blf", ".trc", ".mf4", ".gz"}
 """Of logs; a node writes candump lines as it goes."""

@@ -24,11 +24,11 @@ from can_rig.cli.output import json_line
 from can_rig.cli.progress import counting
 from can_rig.cli.runs.closing import closing_table
 from can_rig.errors import INTERRUPTED
-from can_rig.export.running.controllers import controller_of
+from can_rig.export.controllers import controller_of
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import refuse_log, write_log
-from can_rig.nodes.operator.interaction import UNTOUCHED, Interaction
-from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Timeouts
+from can_rig.nodes.bus_access import DEFAULT_TIMEOUTS, StopRequest, Timeouts
+from can_rig.nodes.interaction import UNTOUCHED, Interaction
 from can_rig.results import execution
 from can_rig.results.execution import RunOptions, refuse
 from can_rig.results.run_folder import log_of

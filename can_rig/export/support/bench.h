@@ -7,7 +7,11 @@
  *                                                   that was sent: identifier (2), data (8)
  *     'T', microseconds (4), 7 bytes of anything    as for 'F'; frames that follow come at this time,
  *                                                   and a feedback that is overdue is missed
- *     'C', 11 bytes of anything                     how many frames of {heard}
+//: if hears
+ *     'C', 11 bytes of anything                     how many frames of reference, feedback and speed
+//: else
+ *     'C', 11 bytes of anything                     how many frames of reference and feedback
+//: end
  *                                                   had each e2e_status (10 numbers of 4 bytes each)
  *     'R', 11 bytes of anything                     8 bytes that say which controller this is; it has
  *                                                   started again, as after power-up

@@ -1,4 +1,8 @@
-/* How many instructions each tick takes: {input_words} from a file,
+//: if blends
+/* How many instructions each tick takes: reference, measurement and speed of the car from a file,
+//: else
+/* How many instructions each tick takes: reference and measurement from a file,
+//: end
  * counts to another.
  *
  * The emulator gives every instruction 64 ns and SysTick counts 40 ns, so a count times 40/64 is
@@ -14,8 +18,13 @@
 
 #define MOST_TICKS 65536
 
-static struct {memory} state;
-static double inputs[MOST_TICKS][{inputs}];
+//: if blends
+static struct firmware_memory state;
+static double inputs[MOST_TICKS][3];
+//: else
+static struct layout_state state;
+static double inputs[MOST_TICKS][2];
+//: end
 static uint32_t counts[MOST_TICKS];
 
 int main(void)
@@ -35,7 +44,10 @@ int main(void)
         const real measurement = (real)inputs[i][1];
 
         SYST_CVR = 0; /* starts again from the largest */
-        const uint32_t before = SYST_CVR;{counted_speed}
+        const uint32_t before = SYST_CVR;
+//: if blends
+        firmware_change_speed(&state, (real)inputs[i][2]);
+//: end
         (void)firmware_step(&state, reference, measurement);
         counts[i] = (before - SYST_CVR) & LARGEST;
     }

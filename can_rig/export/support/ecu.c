@@ -14,7 +14,10 @@ void ecu_init(struct ecu *ecu)
     firmware_init(&ecu->state);
     firmware_reset(&ecu->state, {zero});
     receiver_init(&ecu->reference, &frame_reference);
-    receiver_init(&ecu->feedback, &frame_feedback);{speed_init}
+    receiver_init(&ecu->feedback, &frame_feedback);
+//: if hears
+    receiver_init(&ecu->speed, &frame_speed);
+//: end
     e2e_protector_init(&ecu->command_1, frame_command_1.data_id);
     e2e_protector_init(&ecu->command_2, frame_command_2.data_id);
     e2e_protector_init(&ecu->status, frame_status.data_id);
@@ -41,7 +44,25 @@ static void take_reference(struct ecu *ecu, uint8_t length, const uint8_t *data)
         ecu->wanted_tick = frame_tick(data);
     }
 }
-{speed_function}
+//: if hears
+
+//: if blends
+/* Without a frame that may be used, the law goes on with the last speed. */
+static void take_speed(struct ecu *ecu, uint8_t length, const uint8_t *data)
+{
+    if (receive(&ecu->speed, ecu->tick, length, data)) {
+        firmware_change_speed(&ecu->state, (real)frame_value(&frame_speed, data));
+    }
+}
+//: else
+/* Judged and counted like any other; the law is for one speed. */
+static void take_speed(struct ecu *ecu, uint8_t length, const uint8_t *data)
+{
+    (void)receive(&ecu->speed, ecu->tick, length, data);
+}
+//: end
+//: end
+
 /* Whether this is the first feedback: intact, and of the tick of the reference before it.
  *
  * One frame of 256 that another sender makes up has the right CRC, and would do where the tick is
@@ -54,7 +75,15 @@ static bool first_contact(struct ecu *ecu, uint16_t id, uint8_t length, const ui
         ecu->first_length = length;
         (void)memcpy(ecu->first, data, length < 8 ? length : 8);
         return false;
-    }{speed_first}
+    }
+//: if hears
+    if (id == frame_speed.id) {
+        ecu->speed_offered = true;
+        ecu->first_speed_length = length;
+        (void)memcpy(ecu->first_speed, data, length < 8 ? length : 8);
+        return false;
+    }
+//: end
     if (id != frame_feedback.id || !ecu->offered ||
         !e2e_intact(&ecu->feedback.checker, data, length) ||
         !e2e_intact(&ecu->reference.checker, ecu->first, ecu->first_length) ||
@@ -63,7 +92,12 @@ static bool first_contact(struct ecu *ecu, uint16_t id, uint8_t length, const ui
     }
     ecu->running = true;
     ecu->tick = frame_tick(data);
-    take_reference(ecu, ecu->first_length, ecu->first);{speed_started}
+    take_reference(ecu, ecu->first_length, ecu->first);
+//: if hears
+    if (ecu->speed_offered) {
+        take_speed(ecu, ecu->first_speed_length, ecu->first_speed);
+    }
+//: end
     return true;
 }
 
@@ -75,7 +109,11 @@ bool ecu_on_frame(struct ecu *ecu, uint16_t id, uint8_t length, const uint8_t *d
     }
     if (id == frame_reference.id) {
         take_reference(ecu, length, data);
-    }{speed_frame} else if (id == frame_feedback.id && receive(&ecu->feedback, ecu->tick, length, data)) {
+//: if hears
+    } else if (id == frame_speed.id) {
+        take_speed(ecu, length, data);
+//: end
+    } else if (id == frame_feedback.id && receive(&ecu->feedback, ecu->tick, length, data)) {
         ecu->measured = frame_value(&frame_feedback, data);
         ecu->expected_us = now_us;
         return true;
@@ -126,7 +164,10 @@ void ecu_on_tick(struct ecu *ecu)
     answer(&frame_status, &ecu->status, (double)now.fault_estimate, ecu->tick, bits,
            (uint8_t)now.verdict);
     end_tick(&ecu->reference);
-    end_tick(&ecu->feedback);{speed_end}
+    end_tick(&ecu->feedback);
+//: if hears
+    end_tick(&ecu->speed);
+//: end
     ecu->measured = (double)NAN;
     ecu->tick++;
     ecu->expected_us += ecu_tick_us;

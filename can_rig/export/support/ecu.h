@@ -25,12 +25,22 @@ struct ecu_receiver {
 
 /* Everything that a controller node remembers. */
 struct ecu {
-    struct {memory} state;
+//: if blends
+    struct firmware_memory state;
+//: else
+    struct layout_state state;
+//: end
     struct ecu_receiver reference;
     struct ecu_receiver feedback;
     struct e2e_protector command_1;
     struct e2e_protector command_2;
-    struct e2e_protector status;{speed_members}
+    struct e2e_protector status;
+//: if hears
+    struct ecu_receiver speed;
+    bool speed_offered;     /* whether a speed came before the first contact: */
+    uint8_t first_speed[8]; /* its bytes */
+    uint8_t first_speed_length;
+//: end
     bool running;         /* whether the first contact has said which tick it is */
     uint16_t tick;        /* the next one, modulo 65536 */
     double wanted;        /* the value of the last reference that was accepted */

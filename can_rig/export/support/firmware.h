@@ -1,20 +1,44 @@
+//: if blends
+/* The controller of scenario {scenario}, of a car whose speed changes: what an application calls.
+//: else
 /* The controller of scenario {scenario}: what an application calls.
+//: end
  *
  * Timing: firmware_step once every {tick}, with the reference and the measurement of that
+//: if blends
+ * tick; its commands must be at the actuators {latency}. Before it firmware_change_speed, in
+ * a tick that brings the speed of the car.
+ * Memory: it is the caller's, and static; nothing is allocated, nothing recurses, no other
+ * functions of the C library are used than sqrt, fabs, ceil, rint, memset and memcpy.
+ * Not for two threads at once with the same memory.
+//: else
  * tick; its commands must be at the actuators {latency}.
  * Memory: the state is the caller's, and static; nothing is allocated, nothing recurses, no other
  * functions of the C library are used than sqrt, fabs, ceil, rint and memset.
  * Not for two threads at once with the same state.
+//: end
  */
 #ifndef FIRMWARE_H
 #define FIRMWARE_H
 
 #include "layout.h"
+//: if blends
+#include "schedule.h"
+//: end
 #include "status.h"
 
 #ifdef __cplusplus
 extern "C" {
 #endif
+//: if blends
+
+/* Everything that changes: the table too, which is blended between designs. */
+struct firmware_memory {
+    struct layout_state state;
+    struct layout_table table;
+    struct schedule_state blending;
+};
+//: end
 
 /* What a tick answers. */
 struct firmware_answer {
@@ -26,16 +50,35 @@ struct firmware_answer {
     int32_t verdict;      /* an enum status_verdict */
 };
 
+//: if blends
+/* Put a memory at rest, as after power-up: mode MODE_INIT, at the speed of the slowest design. */
+void firmware_init(struct firmware_memory *memory);
+//: else
 /* Put a state at rest, as after power-up: every memory zero, mode MODE_INIT. */
 void firmware_init(struct layout_state *state);
+//: end
 
+//: if blends
+/* Put a memory that firmware_init has seen into the steady state of a healthy loop at a constant
+//: else
 /* Put a state that firmware_init has seen into the steady state of a healthy loop at a constant
+//: end
  * reference: the next step with that reference, and the measurement that settles at it, repeats
  * the commands.
  *
  * reference: {reference}
  */
+//: if blends
+void firmware_reset(struct firmware_memory *memory, real reference);
+
+/* Say the speed of the car: {speed}
+ *
+ * One that is missing must be NAN, or left out: then it is as it was.
+ */
+void firmware_change_speed(struct firmware_memory *memory, real speed);
+//: else
 void firmware_reset(struct layout_state *state, real reference);
+//: end
 
 /* One tick.
  *
@@ -45,7 +88,12 @@ void firmware_reset(struct layout_state *state, real reference);
  * An input that is missing must be NAN: then the last good commands are held, the models follow
  * them, and the mode is MODE_HOLD.
  */
+//: if blends
+struct firmware_answer firmware_step(struct firmware_memory *memory, real reference,
+                                     real measurement);
+//: else
 struct firmware_answer firmware_step(struct layout_state *state, real reference, real measurement);
+//: end
 
 #ifdef __cplusplus
 }

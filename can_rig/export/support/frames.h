@@ -28,7 +28,10 @@ extern const struct frame frame_reference;
 extern const struct frame frame_feedback;
 extern const struct frame frame_command_1;
 extern const struct frame frame_command_2;
-extern const struct frame frame_status;{speed_declared}
+extern const struct frame frame_status;
+//: if hears
+extern const struct frame frame_speed;
+//: end
 
 /* Write value and tick into a frame that is all zero. */
 void frame_pack(const struct frame *frame, double value, uint16_t tick, uint8_t data[8]);

@@ -51,7 +51,11 @@ uint8_t harness_receivers(void)
 void harness_counts(const struct ecu *ecu, uint32_t counts[HARNESS_COUNTS])
 {
     const struct ecu_receiver *const receivers[HARNESS_RECEIVERS] = {
-        &ecu->reference, &ecu->feedback{speed_counted}};
+//: if hears
+        &ecu->reference, &ecu->feedback, &ecu->speed};
+//: else
+        &ecu->reference, &ecu->feedback};
+//: end
 
     for (uint32_t i = 0; i < HARNESS_RECEIVERS; i++) {
         const struct e2e_checker *const checker = &receivers[i]->checker;

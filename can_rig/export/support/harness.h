@@ -8,7 +8,11 @@
 
 #define HARNESS_FRAME_BYTES 10 /* two of the identifier, low byte first, and eight of data */
 #define HARNESS_MOST_FRAMES 3
-#define HARNESS_RECEIVERS {receivers} /* the frames that a node receives */
+//: if hears
+#define HARNESS_RECEIVERS 3 /* the frames that a node receives */
+//: else
+#define HARNESS_RECEIVERS 2 /* the frames that a node receives */
+//: end
 #define HARNESS_COUNTS (HARNESS_RECEIVERS * E2E_STATUSES)
 
 /* Bytes that a node needs. */
@@ -31,7 +35,11 @@ uint8_t harness_time(struct ecu *ecu, uint32_t now_us, uint8_t *sent);
 /* HARNESS_RECEIVERS, for who has only the library. */
 uint8_t harness_receivers(void);
 
-/* How many frames of {heard}, one after the other, had each e2e_status. */
+//: if hears
+/* How many frames of reference, feedback and speed, one after the other, had each e2e_status. */
+//: else
+/* How many frames of reference and feedback, one after the other, had each e2e_status. */
+//: end
 void harness_counts(const struct ecu *ecu, uint32_t counts[HARNESS_COUNTS]);
 
 #endif

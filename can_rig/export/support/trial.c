@@ -5,7 +5,15 @@
  *     'I'                 start up, from a state that is all zero; the state
  *     'Z', reference      reset; the state
  *     'S', reference, measurement   step; the state
-{trial_orders} *
+//: if blends
+ *     'B', schedule, blending       there is no answer
+ *     'V', speed                    change of the speed; the state
+ *
+ * Behind each state go the table and the blending.
+ *
+//: else
+ *
+//: end
  * All as they lie in memory here.
  */
 #include <string.h>
@@ -13,10 +21,17 @@
 #include "bench.h"
 #include "controller.h"
 #include "layout.h"
-{trial_includes}
+//: if blends
+#include "schedule.h"
+//: end
+
 static struct layout_table table;
 static struct layout_state state;
-{trial_members}
+//: if blends
+static struct schedule_constants schedule;
+static struct schedule_state blending;
+//: end
+
 static bool load(void *memory, uint32_t size)
 {
     return bench_read(memory, size);
@@ -45,10 +60,26 @@ static bool obey(uint8_t order)
         }
         controller_step(&table, &state, inputs[0], inputs[1]);
         break;
-{trial_cases}    default:
+//: if blends
+    case 'B':
+        return load(&schedule, sizeof schedule) && load(&blending, sizeof blending);
+    case 'V':
+        if (!load(inputs, sizeof inputs[0])) {
+            return false;
+        }
+        schedule_change_speed(&schedule, &blending, &table, &state, inputs[0]);
+        break;
+//: end
+    default:
         return false;
     }
-    return bench_write((const uint8_t *)&state, sizeof state){trial_answer};
+//: if blends
+    return bench_write((const uint8_t *)&state, sizeof state) &&
+           bench_write((const uint8_t *)&table, sizeof table) &&
+           bench_write((const uint8_t *)&blending, sizeof blending);
+//: else
+    return bench_write((const uint8_t *)&state, sizeof state);
+//: end
 }
 
 void bench_run(void)

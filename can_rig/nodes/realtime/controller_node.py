@@ -23,15 +23,13 @@ from typing import Final, NamedTuple
 import can
 
 from can_rig.errors import BusError, SilentNodeError
-from can_rig.frames.codec import Record
+from can_rig.frames.codec import Record, tick_from, ticks_ahead
 from can_rig.frames.network import Network
-from can_rig.frames.wire_tick import tick_from, ticks_ahead
-from can_rig.nodes.bus_access import NodeBus
+from can_rig.nodes.bus_access import Interrupted, NodeBus, Watchdog
 from can_rig.nodes.clock import Clock
-from can_rig.nodes.controller_end import ControllerEnd, started
-from can_rig.nodes.realtime.deadlines import require_causal
+from can_rig.nodes.ends import ControllerEnd, started
 from can_rig.nodes.realtime.restart import LISTEN_S, BumplessRestart
-from can_rig.nodes.watchdog import Interrupted, Watchdog
+from can_rig.nodes.realtime.timing import require_causal
 from can_rig.plant.actuators import Actuator
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, Law

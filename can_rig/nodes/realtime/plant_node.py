@@ -28,14 +28,11 @@ import can
 
 from can_rig.errors import SilentNodeError
 from can_rig.frames.network import Network
-from can_rig.nodes.bus_access import NodeBus
+from can_rig.nodes.bus_access import Interrupted, NodeBus, Watchdog
 from can_rig.nodes.clock import NS_PER_S, Clock
-from can_rig.nodes.plant_end import COMMANDS, PlantEnd
-from can_rig.nodes.realtime.deadlines import CATCH_UP_TICKS, Schedule, require_causal
-from can_rig.nodes.realtime.recorder import RealTimeRecorder
-from can_rig.nodes.realtime.timing import Timing
-from can_rig.nodes.recording.plant_recorder import PlantRecorder
-from can_rig.nodes.watchdog import Interrupted, Watchdog
+from can_rig.nodes.ends import COMMANDS, PlantEnd
+from can_rig.nodes.realtime.timing import CATCH_UP_TICKS, Schedule, Timing, require_causal
+from can_rig.nodes.recording import PlantRecorder, RealTimeRecorder
 from can_rig.scenario.settings import Scenario
 
 GUARD_NS: Final = 100_000

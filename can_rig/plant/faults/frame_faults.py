@@ -14,8 +14,8 @@ from can_rig.frames.codec import MessageCodec
 from can_rig.frames.endpoints import Transmitter
 from can_rig.frames.network import Network
 from can_rig.frames.protection import COUNTERS
+from can_rig.scenario.fault_settings import PLACES, FaultSettings
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import PLACES, FaultSettings
 
 SENSOR_PLACE: Final = 2
 """Place number of the D* frame, behind both commands."""

@@ -8,16 +8,16 @@ from typing import Final
 from pydantic import ValidationError
 
 from can_rig.errors import RigError
-from can_rig.frames.beside.control import ALL, LONGEST_S, SHORTEST_S, Command, value_limits
-from can_rig.scenario.refusal import refusal
-from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import (
+from can_rig.frames.operator_frames import ALL, LONGEST_S, SHORTEST_S, Command, value_limits
+from can_rig.scenario.fault_settings import (
     CHANNELS,
     MAX_LATE_TICKS,
     NUMBER,
     SENSOR,
     FaultSettings,
 )
+from can_rig.scenario.refusal import refusal
+from can_rig.scenario.settings import Scenario
 
 FAULT_ACTIONS: Final = ("INJECT", "CLEAR")
 """The actions of a fault command."""

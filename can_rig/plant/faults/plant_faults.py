@@ -10,8 +10,8 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from can_rig.scenario.fault_settings import CHANNELS, MAX_LATE_TICKS, PLACES, FaultSettings
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import CHANNELS, MAX_LATE_TICKS, PLACES, FaultSettings
 from firmware_model.analysis.hardware import (
     ADDED,
     DISTORTION,

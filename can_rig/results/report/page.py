@@ -25,10 +25,10 @@ from can_rig.results.counterfactual import (
 )
 from can_rig.results.metrics import windows
 from can_rig.results.signals import Signals
-from can_rig.scenario.driving.schedule import at_speed_of
+from can_rig.scenario.driving import at_speed_of
+from can_rig.scenario.fault_settings import SENSOR
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import SENSOR
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray
 

@@ -8,7 +8,7 @@ from can_rig.assessment.bus_timing.timing import latency_ticks
 from can_rig.assessment.resolve import load, load_run, resolve
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import FROM_BUS, draft, read
+from can_rig.scenario.loading import draft, read
 from tests.helpers import asked
 
 BUS = ("latency_ticks=from-bus", "tick_s=0.002", "bus.bitrate=500000")
@@ -16,7 +16,7 @@ BUS = ("latency_ticks=from-bus", "tick_s=0.002", "bus.bitrate=500000")
 
 def test_loading_keeps_the_words_and_resolving_puts_in_what_the_assessment_says() -> None:
     written = read("thesis-step", BUS)
-    assert written.words == {FROM_BUS}
+    assert written.latency_from_bus
     assert written.scenario.latency_ticks == 0
     found = resolve(written)
     network = network_of(found)
@@ -27,13 +27,13 @@ def test_loading_keeps_the_words_and_resolving_puts_in_what_the_assessment_says(
 def test_a_draft_leaves_the_values_that_it_is_made_of_as_they_are() -> None:
     values = {"latency_ticks": "from-bus", "design": {"tau_s": 0.002}}
     before = json.dumps(values)
-    assert draft("x", values).words == {FROM_BUS}
+    assert draft("x", values).latency_from_bus
     assert json.dumps(values) == before
 
 
 def test_without_a_word_nothing_is_resolved() -> None:
     written = read("thesis-step")
-    assert written.words == frozenset()
+    assert not written.latency_from_bus
     assert resolve(written) is written.scenario
 
 

@@ -10,7 +10,7 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.assessment.tuning.box import cars, parameter_ranges
-from can_rig.assessment.tuning.candidate import assess, grid
+from can_rig.assessment.tuning.candidate import Tuning, assess, grid
 from can_rig.assessment.tuning.refusals import NoTuningError, Refusal, advice
 from can_rig.assessment.tuning.report import why
 from can_rig.assessment.tuning.search import EQUAL_PEAKS
@@ -58,7 +58,8 @@ def test_designs_that_reach_a_limit_are_the_last_resort() -> None:
 
 
 def test_more_ticks_to_spare_cost_peak() -> None:
-    one, seven = found_for(share=0.0), found_for(share=0.0, spare=7)
+    one, seven = found_for(share=0.0), found_for("budget.spare_ticks=7", share=0.0)
+    assert (one.spare_ticks, seven.spare_ticks) == (1, 7)
     assert seven.chosen.delay_margin_ticks is not None
     assert seven.chosen.delay_margin_ticks >= 7
     assert seven.chosen.peak_mps2 > one.chosen.peak_mps2
@@ -96,6 +97,17 @@ def test_an_unstable_or_impossible_candidate_is_refused() -> None:
     car = cars(scenario.model, {})
     assert assess(scenario, (0.0001, 1, 0.0001, 2), car, 0) is Refusal.NOMINAL  # too fast
     assert assess(scenario, (0.02, 1, 0.02, 1), car, 0) is Refusal.DESIGN  # q̂/G1 improper
+
+
+def test_a_candidate_that_check_calls_thin_is_refused() -> None:
+    """|S| peaks at 8.3 once the motor of the pendulum is lost, though the loop is stable."""
+    scenario, candidate = load("pendulum"), (0.0033, 3, 0.012, 3)
+    car = cars(scenario.model, {})
+    assert assess(scenario, candidate, car, 1) is Refusal.THIN
+    budget = dataclasses.replace(scenario.budget, peak_sensitivity=9.0)
+    assert isinstance(
+        assess(dataclasses.replace(scenario, budget=budget), candidate, car, 1), Tuning
+    )
 
 
 def test_the_box() -> None:

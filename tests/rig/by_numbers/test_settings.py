@@ -15,7 +15,7 @@ from can_rig.drawing.names import names_of
 from can_rig.errors import ScenarioError
 from can_rig.scenario.box import in_box, uncertain
 from can_rig.scenario.build import continuous_design, continuous_plant, network_of
-from can_rig.scenario.tables.numbers import TransferFunction
+from can_rig.scenario.plant_settings import TransferFunction
 from firmware_model.design.plants import chapter_2
 from firmware_model.design.zpk import ZeroPoleGain
 from tests.rig.by_numbers.plants import PLANTS, written

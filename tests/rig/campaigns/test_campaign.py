@@ -18,13 +18,11 @@ import pytest
 from pyarrow import parquet
 
 from can_rig.assessment.resolve import load
-from can_rig.campaigns.campaign import CampaignFolder, open_folder
-from can_rig.campaigns.computing.workers import Compute, in_processes, serially
-from can_rig.campaigns.execution import execute
+from can_rig.campaigns.execution import CampaignFolder, execute, open_folder
 from can_rig.campaigns.plan import Plan, plan
-from can_rig.campaigns.run import Task, run_rows
+from can_rig.campaigns.rows import METRICS, TRUTHS, Task, run_rows
 from can_rig.campaigns.settings import campaign_of
-from can_rig.campaigns.table import METRICS, TRUTHS
+from can_rig.campaigns.workers import Compute, in_processes, serially
 from can_rig.errors import RunFolderError, ScenarioError
 from can_rig.results.metrics import Metrics, metrics_of
 from can_rig.scenario.settings import Scenario
@@ -194,7 +192,7 @@ def test_a_run_that_fails_is_a_row_with_its_reason(
     def impossible(_: Scenario) -> Metrics:
         raise AssertionError("found after 0.0002 s")
 
-    monkeypatch.setattr("can_rig.campaigns.run.metrics_of", impossible)
+    monkeypatch.setattr("can_rig.campaigns.rows.metrics_of", impossible)
     (row,) = run_rows(some, Task(0, 1))
     assert row["failure"] == "AssertionError: found after 0.0002 s"
     assert "--set plant.mass_kg=1300.0" in row["command"]

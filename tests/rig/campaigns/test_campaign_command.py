@@ -91,7 +91,7 @@ def test_a_shipped_campaign_by_name(tmp_path: Path) -> None:
     [
         (["nothing"], "no such campaign and no such file"),
         (["cars", "--resume"], "--resume: must come with --out"),
-        (["cars", "--runs", "3"], "runs = 3: must not be set of a grid"),
+        (["cars", "--runs", "3"], "runs = 3: must not be set for a grid"),
         (["cars", "--set", "plant.mas=1"], "mas: unknown key"),
         (["cars", "--workers", "0"], "0 is not in the range"),
         (["cars", "--out", ".."], "there already"),

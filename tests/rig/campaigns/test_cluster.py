@@ -10,15 +10,13 @@ from typing import Any
 import pytest
 from distributed import Future, KilledWorker, LocalCluster
 
-from can_rig.campaigns.campaign import open_folder
-from can_rig.campaigns.computing import cluster
-from can_rig.campaigns.computing.cluster import on_cluster, rows_of
-from can_rig.campaigns.computing.versions import versions
-from can_rig.campaigns.computing.workers import serially
-from can_rig.campaigns.execution import execute
+from can_rig.campaigns import cluster
+from can_rig.campaigns.cluster import on_cluster, rows_of
+from can_rig.campaigns.execution import execute, open_folder
 from can_rig.campaigns.plan import Plan, plan
-from can_rig.campaigns.run import Task
+from can_rig.campaigns.rows import Task
 from can_rig.campaigns.settings import campaign_of
+from can_rig.campaigns.workers import serially, versions
 from can_rig.errors import RigError
 from tests.helpers import asked
 

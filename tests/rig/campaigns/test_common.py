@@ -5,24 +5,23 @@ from __future__ import annotations
 import dataclasses
 import math
 import random
+import shlex
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from pydantic import TypeAdapter
+import tomli_w
 
 from can_rig.assessment.resolve import load
 from can_rig.campaigns.plan import plan
-from can_rig.campaigns.run import Task, run_rows
-from can_rig.campaigns.settings import campaign_of
+from can_rig.campaigns.rows import Task, run_rows
+from can_rig.campaigns.settings import campaign_of, read_campaign
 from can_rig.plant.frameless import frameless
 from can_rig.results.counterfactual import loop_of, signals_without_log
 from can_rig.results.metrics import metrics_of
 from can_rig.scenario.build import network_of
-from can_rig.scenario.catalogue import shipped
-from can_rig.scenario.remembered import text_of
-from can_rig.scenario.settings import Scenario
+from can_rig.scenario.loading import shipped
 
 SHORT = ["duration_s=0.2", "fault.at_s=0.1"]
 MIXED: dict[str, Any] = {
@@ -75,22 +74,59 @@ def test_a_file_that_has_changed_is_read_again(tmp_path: Path) -> None:
     assert loop_of(scenario.healthy).inputs[0][-1] > 1.1
 
 
-@pytest.mark.parametrize("name", shipped())
-def test_tables_that_are_read_one_by_one_make_the_scenario(name: str) -> None:
-    """As the whole of it, read at once; and what two scenarios have in common is one table."""
-    one, other = (load(name, [f"seed={seed}"]) for seed in (1, 2))
-    values = {**one.as_dict(), "fault": [dataclasses.asdict(each) for each in one.fault]}
-    assert TypeAdapter(Scenario).validate_python(values, strict=False) == one
-    if name == "default":  # whose file has one
-        assert one.plant is other.plant
+NUMBERS = [
+    "plant={kind='state-space', a=[[-1.0]], b=[[1.0, 2.0]], c=[1.0]}",
+    "model.a=[[-1.1]]", "design.alpha=1", "design.alpha_q=1",
+]  # fmt: skip
+AXES: list[tuple[str, list[str], dict[str, list[Any]], bool]] = [
+    ("default", [], {"plant.mass_kg": [1300.0], "plant.variant": ["published"]}, True),
+    ("default", ["model.mass_kg=1500"], {"plant.mass_kg": [1300], "model.speed_mps": [11]}, True),
+    ("default", [], {"plant.torque_actuator.lag_s": [0.01], "plant.friction": [0.5]}, False),
+    ("default", ["model.torque_actuator.natural_frequency_rad_per_s=200"],
+     {"plant.torque_actuator.lag_s": [0.01], "plant.torque_actuator.limit_nm": [50.0]}, True),
+    ("slow-bus", ["latency_ticks=from-bus"], {"bus.compute_s": [1e-4, 8e-4]}, False),
+    ("default", [], {"latency_ticks": ["from-bus", 3]}, False),
+    ("default", ["latency_ticks=from-bus"], {"latency_ticks": [3]}, False),
+    ("lane-change", ["fault.1.kind=sensor-dead"],
+     {"fault.1.at_s": [1], "fault.0.left": [0.5], "fault.0.kind": ["actuator-dead"]}, False),
+    ("default", [], {"fault.1.kind": ["sensor-stuck", "none"], "fault.0.at_s": [2.0],
+                     "fault.0.kind": ["actuator-dead"]}, False),
+    ("default", [], {"plant.kind": ["steer-by-wire", "some.module:Car"],
+                     "plant.sensor.corner_hz": [400.0]}, True),
+    ("ideal", ["plant={kind='a:B', parameters={body={mass=1}}}"],
+     {"plant.parameters.body.mass": [2, True], "plant.parameters.more": [1.0]}, False),
+    ("default", NUMBERS, {"plant.kind": ["a:B"], "plant.parameters.x": ["text"]}, False),
+    ("chapter-2", [], {"plant.g1.gain": [2.0, 3]}, True),
+    ("chapter-2", ["model.g1={num=[1, 3.1], den=[1, 3, 2]}"], {"plant.g1.gain": [2.0]}, True),
+    ("default", [], {"seed": [7], "reference.kind": ["sine"], "tick_s": [0.002]}, False),
+]  # fmt: skip
 
 
-def test_a_text_has_every_digit() -> None:
-    """Of a scenario that was not asked for before, with tables that were."""
-    scenario = load("default")
+@pytest.mark.parametrize(("name", "settings", "axes", "redesign"), AXES)
+def test_the_command_of_a_run_has_the_scenario_of_the_run(
+    name: str, settings: list[str], axes: dict[str, list[Any]], redesign: bool, tmp_path: Path
+) -> None:
+    """Settings objects with an axis's value are those that ``--set`` makes of the file."""
+    campaign = {
+        "scenario": name, "sampling": "grid", "redesign": redesign,
+        "axes": {key: {"values": values} for key, values in axes.items()},
+    }  # fmt: skip
+    (tmp_path / "some.toml").write_text(tomli_w.dumps(campaign))
+    made = plan(read_campaign(str(tmp_path / "some.toml"), settings))
+    for run in range(made.runs):
+        words = shlex.split(made.command_with(made.changes_of(run)))
+        again = load(words[2], [word for word in words if "=" in word])
+        assert made.scenario_of(run) == again
+        assert repr(made.scenario_of(run)) == repr(again)  # 1 and 1.0 are equal
+
+
+def test_settings_are_hashable_and_every_digit_counts() -> None:
+    scenario, again = load("default"), load("default")
+    assert (scenario, hash(scenario)) == (again, hash(again))
     plant = dataclasses.replace(
         scenario.plant, mass_kg=math.nextafter(scenario.plant.mass_kg, math.inf)
     )
-    heavier = dataclasses.replace(scenario, plant=plant)
-    assert text_of(heavier) != text_of(scenario)
-    assert text_of(dataclasses.replace(heavier, plant=scenario.plant)) == text_of(scenario)
+    assert dataclasses.replace(scenario, plant=plant) != scenario
+    kinds = [load("ideal", ["plant.kind=a:B", f"plant.parameters.x={x}"]) for x in ("1", "true")]
+    assert hash(kinds[0]) != hash(kinds[1])
+    assert all(hash(load(name)) for name in shipped())

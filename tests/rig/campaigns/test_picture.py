@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.campaigns.report.picture import label_of
+from can_rig.campaigns.report import label_of
 from can_rig.drawing.names import names_of
 
 OF_CAR = {

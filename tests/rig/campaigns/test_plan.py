@@ -12,7 +12,7 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.campaigns.plan import plan
-from can_rig.campaigns.run import requirements_of
+from can_rig.campaigns.rows import requirements_of
 from can_rig.campaigns.settings import campaign_of, read_campaign, shipped
 from can_rig.errors import ScenarioError
 
@@ -137,19 +137,19 @@ def test_a_seed_of_one_s_own_stays() -> None:
     [
         ({}, 'runs: must be set where sampling = "random"'),
         ({"runs": 0}, "runs = 0: must be at least 1"),
-        ({"runs": 3, "sampling": "grid"}, "must not be set of a grid"),
-        ({"runs": 3, "repeats": 2}, "repeats = 2: must not be set but of a grid"),
+        ({"runs": 3, "sampling": "grid"}, "runs = 3: must not be set for a grid, whose"),
+        ({"runs": 3, "repeats": 2}, 'repeats = 2: must be 1 unless sampling = "grid"'),
         ({"runs": 3, "sampling": "sobbol"}, "sampling = 'sobbol': must"),
         ({"runs": 3, "axis": {}}, "axis: unknown key; did you mean axes?"),
-        ({"runs": 3, "axes": {"plant.mass_kg": {}}}, "none given: must be one of them"),
+        ({"runs": 3, "axes": {"plant.mass_kg": {}}}, "none set; must be exactly one"),
         ({"runs": 3, "axes": {"plant.mass_kg": {"share": 0.1, "range": [1.0, 2.0]}}},
-         "range and share given"),
+         "range and share set; must be exactly one"),
         ({"runs": 3, "axes": {"plant.mass_kg": {"range": [2.0, 1.0]}}}, "must increase"),
         ({"runs": 3, "axes": {"plant.mass_kg": {"range": [0.0, 1.0], "scale": "log"}}},
-         "above 0"),
+         'scale = "log" needs numbers above 0'),
         ({"runs": 3, "axes": {"plant.mass_kg": {"share": 0.1, "points": 3}}},
-         "points = 3: must not be set but of a grid"),
-        ({"sampling": "grid", "axes": MASS}, "must have points"),
+         'points = 3: must not be set unless sampling = "grid"'),
+        ({"sampling": "grid", "axes": MASS}, "must have points or values for"),
         ({"runs": 3, "axes": {"plant.mas_kg": {"range": [1.0, 2.0]}}}, "mas_kg: unknown key"),
         ({"runs": 3, "axes": {"plant.mas_kg": {"share": 0.1}}}, "mas_kg: unknown key"),
         ({"runs": 3, "axes": {"plant.mass_kg": {"shar": 0.1}}}, "shar: unknown key; did you mean"),

@@ -12,16 +12,13 @@ import numpy as np
 import pytest
 from pyarrow import parquet
 
-from can_rig.campaigns.campaign import CampaignFolder, open_folder
-from can_rig.campaigns.computing.workers import serially
-from can_rig.campaigns.execution import execute
+from can_rig.campaigns.execution import GENERATION, CampaignFolder, Search, execute, open_folder
 from can_rig.campaigns.plan import Plan, plan
 from can_rig.campaigns.report import write_report
-from can_rig.campaigns.run import requirements_of
-from can_rig.campaigns.search import GENERATION, Search
+from can_rig.campaigns.rows import read_columns, requirements_of
 from can_rig.campaigns.settings import campaign_of, read_campaign
 from can_rig.campaigns.statistics import found, summarise
-from can_rig.campaigns.table import read_columns
+from can_rig.campaigns.workers import serially
 from can_rig.errors import ScenarioError
 
 BUDGET = 40

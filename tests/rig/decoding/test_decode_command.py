@@ -18,7 +18,7 @@ from click.testing import CliRunner
 
 from can_rig.cli.main import main
 from can_rig.decoding.decode import decode_log
-from can_rig.frames.dbc import shipped_dbc
+from can_rig.frames.databases import shipped_dbc
 from can_rig.results.run_folder import LOG
 from tests.helpers import NAMES, decoded, record
 from tests.helpers import rig as rig_process

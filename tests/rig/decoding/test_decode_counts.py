@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 from can_rig.decoding.decode import Decoder
 from can_rig.decoding.outputs.mf4 import DecodedMf4
 from can_rig.errors import DbcError
-from can_rig.frames.mapped.database import load_database
+from can_rig.frames.databases import load_database
 from can_rig.frames.protection import Checker, CheckStatus, Protector
 from can_rig.logs.frames import from_messages
 from tests.helpers import DBC

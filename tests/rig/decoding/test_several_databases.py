@@ -13,7 +13,7 @@ from hypothesis import strategies as st
 from can_rig.decoding.decode import Decoder, decode_log
 from can_rig.decoding.j1939 import group_key
 from can_rig.errors import DbcError
-from can_rig.frames.mapped.database import load_database
+from can_rig.frames.databases import load_database
 from can_rig.logs.frames import from_messages
 from tests.helpers import asked
 

@@ -13,7 +13,7 @@ import pytest
 from cantools.database.can import Message
 
 from can_rig.decoding.files import Form, Selection, decode_to_files
-from can_rig.frames.mapped.database import load_database
+from can_rig.frames.databases import load_database
 from can_rig.logs.frames import Frames
 from can_rig.logs.log import Log
 from can_rig.logs.reading import read_log

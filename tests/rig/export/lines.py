@@ -8,12 +8,11 @@ import textwrap
 from collections.abc import Callable
 from pathlib import Path
 
+from can_rig.export.c_files import c_files
+from can_rig.export.compiler import run
 from can_rig.export.law import real_header
-from can_rig.export.running.compiler import run
-from can_rig.export.translation.program import Program
-from can_rig.export.translation.source import Sources
-from can_rig.export.translation.types import REAL, Record
-from can_rig.export.writing.c_files import CFiles
+from can_rig.export.source import REAL, Record, Sources
+from can_rig.export.subset import Program
 
 HEADER = """
 import math
@@ -62,7 +61,7 @@ def translated(text: str, folder: Path) -> Path:
         program = Program(sources)
         struct = source.structs[id(module.STATE)]
         program.add(source.functions["f"], [Record(struct), REAL])
-        files = CFiles(program, [struct], {"lines_f"}, "float64").files()
+        files = c_files(program, [struct], {"lines_f"}, "float64")
     finally:
         del sys.modules["lines"]
     for name, written in (files | {"real.h": real_header("float64")}).items():

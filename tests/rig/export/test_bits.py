@@ -10,11 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from can_rig.export.back_to_back.memories import random_table
-from can_rig.export.back_to_back.trials import different, in_python, random_trials, states_of
+from can_rig.export.compiler import FLAGS, shared_library
+from can_rig.export.controllers import CompiledLaw
 from can_rig.export.law import law_files
-from can_rig.export.running.compiled_law import CompiledLaw
-from can_rig.export.running.compiler import FLAGS, shared_library
+from can_rig.export.trials import different, in_python, random_table, random_trials, states_of
 from firmware_model.firmware import Law
 from firmware_model.target.layout import state_type, table_type
 from firmware_model.target.structs import Precision

@@ -10,10 +10,10 @@ from click.testing import CliRunner
 
 from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
-from can_rig.export.running.controllers import PYTHON, Controller, controller_of
+from can_rig.export.controllers import PYTHON, Controller, controller_of
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.watchdog import StopRequest
-from can_rig.scenario.catalogue import shipped
+from can_rig.scenario.loading import shipped
 
 
 def log_of(name: str, settings: list[str], controller: Controller, folder: Path) -> bytes:

@@ -8,11 +8,10 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.export.application import application
-from can_rig.export.evidence.costs import cost, inputs_of_run, instructions, sizes
-from can_rig.export.folder import exported
+from can_rig.export.application import application, exported
+from can_rig.export.costs import cost, inputs_of_run, instructions, sizes
+from can_rig.export.ecus import COMPILER, EMULATOR
 from can_rig.export.law import law_files
-from can_rig.export.running.emulated_ecu import COMPILER, EMULATOR
 from firmware_model.target.layout import state_type, table_type
 from firmware_model.target.schedule import CONSTANTS, STATE
 from firmware_model.target.structs import record_type

@@ -13,20 +13,20 @@ from click.testing import CliRunner
 from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
 from can_rig.errors import ExportError
-from can_rig.export.back_to_back.frames import random_frames
-from can_rig.export.choices import CONTROLLERS
-from can_rig.export.running.bench_ecu import BenchEcu
-from can_rig.export.running.controllers import PYTHON, Application, controller_of
-from can_rig.export.running.emulated_ecu import (
+from can_rig.export import CONTROLLERS
+from can_rig.export.controllers import PYTHON, Application, controller_of
+from can_rig.export.ecus import (
     BOARDS,
     COMPILER,
     EMULATOR,
+    BenchEcu,
     EmulatedBoard,
+    HostEcu,
     firmware_image,
+    host_library,
 )
-from can_rig.export.running.host_ecu import HostEcu, host_library
-from can_rig.nodes.lockstep.controller_node import ControllerNode
-from can_rig.nodes.lockstep.ecu_node import EcuNode
+from can_rig.export.programs import random_frames
+from can_rig.nodes.lockstep import ControllerNode, EcuNode
 from can_rig.scenario.build import network_of
 from tests.rig.export.test_controller_c import log_of
 

@@ -11,11 +11,10 @@ from click.testing import CliRunner
 
 from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
-from can_rig.export.evidence.costs import Cost
-from can_rig.export.evidence.coverage import Coverage, coverage
-from can_rig.export.evidence.findings import DEVIATIONS, alarms, findings, misra
-from can_rig.export.folder import exported
-from can_rig.export.running.emulated_ecu import COMPILER, EMULATOR
+from can_rig.export.application import exported
+from can_rig.export.costs import Cost
+from can_rig.export.ecus import COMPILER, EMULATOR
+from can_rig.export.findings import DEVIATIONS, Coverage, alarms, coverage, findings, misra
 
 SCENARIO = load("default", ['design.precision="float32"'])
 DRIVE = load("drive-cycle", ["design.speeds_mps=[8.0,8.9]"])
@@ -88,8 +87,8 @@ def test_a_tool_that_is_not_installed_is_named(
     there = shutil.which
     monkeypatch.setattr(shutil, "which", lambda name: None if name == tool else there(name))
     monkeypatch.setattr("can_rig.cli.design.export.exported", few_files)
-    monkeypatch.setattr("can_rig.export.evidence.coverage.coverage", lambda scenario: NOTHING)
-    monkeypatch.setattr("can_rig.export.evidence.costs.cost", lambda *of: FREE)
+    monkeypatch.setattr("can_rig.export.findings.coverage", lambda scenario: NOTHING)
+    monkeypatch.setattr("can_rig.export.costs.cost", lambda *of: FREE)
     command = ["export", "default", "--set", "duration_s=0.05", "--report", "--out"]
     done = CliRunner().invoke(main, [*command, str(tmp_path / "out")])
     assert done.exit_code == 0, done.output

@@ -15,14 +15,14 @@ from click.testing import CliRunner
 from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
 from can_rig.errors import RunFolderError
-from can_rig.export.back_to_back.memories import random_table
-from can_rig.export.constants import constants_source
-from can_rig.export.folder import HEADER, exported, in_precision, write
+from can_rig.export.application import HEADER, exported, in_precision, write
+from can_rig.export.c_files import constants_files
+from can_rig.export.c_text import WIDTH
+from can_rig.export.compiler import WARNINGS
 from can_rig.export.law import law_files
-from can_rig.export.running.compiler import WARNINGS
-from can_rig.export.writing.c_text import WIDTH
+from can_rig.export.trials import random_table
 from can_rig.scenario.build import controller_table, network_of
-from can_rig.scenario.driving.schedule import controls
+from can_rig.scenario.driving import controls
 from firmware_model.firmware import Firmware
 from firmware_model.target.structs import Precision
 from tests.rig.export.test_bits import PRECISIONS
@@ -155,11 +155,9 @@ def test_every_constant_is_exact(precision: Precision, tmp_path: Path) -> None:
     """Tables of any numbers, infinite and subnormal ones too, come back from C bit for bit."""
     for seed in range(4):
         table = random_table(np.random.default_rng(seed), precision)
-        files = {**law_files(precision), "constants.c": constants_source(table[0], "Any.")}
-        files["constants.h"] = '#include "layout.h"\n'
+        files = {**law_files(precision), **constants_files(table[0], "Any.")}
         files["dump.c"] = (
             '#include <stdio.h>\n#include "constants.h"\n'
-            "extern const struct layout_table controller_table;\n"
             "int main(void) { return (int)fwrite(&controller_table, sizeof controller_table, 1,"
             " stdout) - 1; }\n"
         )

@@ -14,8 +14,8 @@ from numba.core.registry import cpu_target
 from numba.core.typed_passes import NopythonTypeInference
 
 from can_rig.export.law import law_program, speed_program
-from can_rig.export.translation.program import Typed
-from can_rig.export.translation.types import BOOL, REAL, Answers, Array, Record, Scalar, Type
+from can_rig.export.source import BOOL, REAL, Answers, Array, Record, Scalar, Type
+from can_rig.export.subset import Typed
 from firmware_model.target.structs import Precision, record_type
 
 FUNCTIONS = {**law_program().functions, **speed_program().functions}

@@ -9,9 +9,9 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.export.application import application
-from can_rig.export.running.compiler import shared_library
+from can_rig.export.compiler import shared_library
 from can_rig.frames.endpoints import Transmitter
-from can_rig.nodes.lockstep.controller_node import ControllerNode
+from can_rig.nodes.lockstep import ControllerNode
 from can_rig.scenario.build import network_of
 
 TICK_US = 2000

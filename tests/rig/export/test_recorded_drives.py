@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from can_rig.export.running.compiled_law import CompiledLaw
+from can_rig.export.controllers import CompiledLaw
 from tests.rig.replay.recorded import DRIVES, WithRecordedConstants, replayed, scenario_of
 
 

@@ -15,14 +15,10 @@ from click.testing import CliRunner
 from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
 from can_rig.errors import ExportError
-from can_rig.export.application import application
-from can_rig.export.choices import SERIAL
-from can_rig.export.folder import exported, write
-from can_rig.export.running import serial_link
-from can_rig.export.running.bench_ecu import ORDER_BYTES, BenchEcu
-from can_rig.export.running.controllers import PYTHON, controller_of
-from can_rig.export.running.ecu import identity
-from can_rig.export.running.serial_link import SerialLink, serial_ecu
+from can_rig.export import SERIAL, ecus
+from can_rig.export.application import application, exported, identity, write
+from can_rig.export.controllers import PYTHON, controller_of
+from can_rig.export.ecus import ORDER_BYTES, BenchEcu, SerialLink, serial_ecu
 from tests.rig.export.test_controller_c import log_of
 
 SETTINGS = ["duration_s=1.2", 'fault.kind="frames-corrupted"', "fault.at_s=0.5", "fault.for_s=0.3"]
@@ -64,7 +60,7 @@ def test_a_board_sends_the_same_bytes(program: Path, tmp_path: Path) -> None:
 def test_what_was_cut_short_is_forgotten(
     program: Path, cut_short: bytes, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(serial_link, "QUIET_S", 0.5)  # the board is a program on a busy machine
+    monkeypatch.setattr(ecus, "QUIET_S", 0.5)  # the board is a program on a busy machine
     with board(program) as port:
         link = SerialLink(port)
         link.write(cut_short)
@@ -81,7 +77,7 @@ def test_another_controller_is_refused(program: Path) -> None:
 
 
 def test_a_board_that_is_silent_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(serial_link, "SILENCE_S", 0.05)
+    monkeypatch.setattr(ecus, "SILENCE_S", 0.05)
     with board("sleep", "60") as port, pytest.raises(ExportError, match=f"{port}: 0 of 8 bytes"):
         serial_ecu(port, bytes(8), "default")
 

@@ -8,9 +8,9 @@ from pathlib import Path
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.export.folder import exported
+from can_rig.export.application import exported
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving.schedule import controls
+from can_rig.scenario.driving import controls
 from firmware_model.firmware import Firmware
 from tests.rig.export.test_folder import NOT_FIRMWARE, run
 

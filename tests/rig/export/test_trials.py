@@ -11,14 +11,12 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.errors import ExportError
-from can_rig.export.application import application
-from can_rig.export.back_to_back.frames import as_orders
-from can_rig.export.back_to_back.programs import HOST_FLAGS, host_program, on_board, on_host
-from can_rig.export.back_to_back.trials import Trial, different, encoded, in_python, random_trials
+from can_rig.export.application import application, bench
+from can_rig.export.compiler import built
+from can_rig.export.ecus import COMPILER, EMULATOR
 from can_rig.export.law import law_files, support
-from can_rig.export.running.compiler import built
-from can_rig.export.running.ecu import bench
-from can_rig.export.running.emulated_ecu import COMPILER, EMULATOR
+from can_rig.export.programs import HOST_FLAGS, as_orders, host_program, on_board, on_host
+from can_rig.export.trials import Trial, different, encoded, in_python, random_trials
 from can_rig.scenario.build import network_of
 from firmware_model.target.schedule import MAX_SPEEDS
 from firmware_model.target.structs import Precision

@@ -6,48 +6,48 @@ from e2e.p01 import e2e_p01_check
 from hypothesis import given
 from hypothesis import strategies as st
 
-from can_rig.frames.beside import control
+from can_rig.frames import operator_frames
 from can_rig.plant.faults.injection import injected
-from can_rig.scenario.tables.fault import NUMBER, FaultKind
+from can_rig.scenario.fault_settings import NUMBER, FaultKind
 from tests.helpers import DBC
 
 DATABASE = cantools.database.load_file(DBC / "control.dbc", strict=True)
 
 
 @given(
-    kind=st.sampled_from(control.kinds()),
-    place=st.sampled_from(control.places()),
+    kind=st.sampled_from(operator_frames.kinds()),
+    place=st.sampled_from(operator_frames.places()),
     value=st.none() | st.integers(-8_388_607, 8_388_607).map(lambda raw: raw / 1000),
     tenths=st.integers(0, 255),
-    sequence=st.integers(0, control.SEQUENCES - 1),
+    sequence=st.integers(0, operator_frames.SEQUENCES - 1),
 )
 def test_a_command_is_what_the_dbc_says(kind, place, value, tenths, sequence):
-    asked = control.Command("INJECT", kind, place, value, tenths / 10 or None)
-    message = control.command_message(asked, sequence)
+    asked = operator_frames.Command("INJECT", kind, place, value, tenths / 10 or None)
+    message = operator_frames.command_message(asked, sequence)
     frame = DATABASE.get_message_by_name("RIG_CONTROL")
     said = frame.decode(bytes(message.data))
     assert (message.arbitration_id, len(message.data)) == (frame.frame_id, frame.length)
     assert (str(said["Kind"]), str(said["Place"]), said["Sequence"]) == (kind, place, sequence)
     assert said["Value"] == pytest.approx(value or 0.0, abs=5e-4)
     assert e2e_p01_check(message.data, frame.dbc.attributes["E2EDataId"].value)
-    read = control.read_command(message, sequence)
+    read = operator_frames.read_command(message, sequence)
     assert read is not None
     assert read[:3] == asked[:3]
     assert read.value == (None if value is None else pytest.approx(value, abs=5e-4))
     assert read.duration_s == (pytest.approx(tenths / 10) if tenths else None)
-    assert control.read_command(message, (sequence + 1) % control.SEQUENCES) is None
+    assert operator_frames.read_command(message, (sequence + 1) % operator_frames.SEQUENCES) is None
 
 
 @given(st.integers(0, 63))
 def test_one_changed_bit_is_noticed(bit):
-    message = control.command_message(control.Command("CLEAR"), 4)
+    message = operator_frames.command_message(operator_frames.Command("CLEAR"), 4)
     message.data[bit // 8] ^= 1 << bit % 8
-    assert control.read_command(message, 4) is None
+    assert operator_frames.read_command(message, 4) is None
 
 
 def test_what_is_taken_is_said_in_the_same_signals():
-    asked = control.Command("INJECT", "frames-forged", "sensor", -0.25, 0.5)
-    message = control.taken_message(asked, 7)
+    asked = operator_frames.Command("INJECT", "frames-forged", "sensor", -0.25, 0.5)
+    message = operator_frames.taken_message(asked, 7)
     asking, taken = (DATABASE.get_message_by_name(f"RIG_{name}") for name in ("CONTROL", "TAKEN"))
     places = [
         {(s.name, s.start, s.length, s.is_signed, s.scale, str(s.choices)) for s in each.signals}
@@ -56,26 +56,33 @@ def test_what_is_taken_is_said_in_the_same_signals():
     assert places[0] == places[1]
     assert message.arbitration_id == taken.frame_id
     assert e2e_p01_check(message.data, taken.dbc.attributes["E2EDataId"].value)
-    assert control.read_taken(message) == (7, asked)
-    assert control.read_command(message, 7) is None  # nobody is commanded by it
+    assert operator_frames.read_taken(message) == (7, asked)
+    assert operator_frames.read_command(message, 7) is None  # nobody is commanded by it
 
 
 def test_every_kind_of_the_dbc_can_be_injected():
-    assert {"none", *control.kinds()} == set(FaultKind.__args__)
-    for kind in control.kinds():
+    assert {"none", *operator_frames.kinds()} == set(FaultKind.__args__)
+    for kind in operator_frames.kinds():
         place = "sensor" if kind.startswith("sensor-") else "torque"
-        fault = injected(control.Command("INJECT", kind, place, 0.5), 3, 1_000_000)
+        fault = injected(operator_frames.Command("INJECT", kind, place, 0.5), 3, 1_000_000)
         key = NUMBER.get(kind, "")
         assert fault is not None or key == "late_ticks"
         if fault is not None:
             assert (fault.kind, fault.at_s, getattr(fault, key, 0.5)) == (kind, 0.003, 0.5)
-    assert injected(control.Command("INJECT", "actuator-dead", "sensor"), 3, 1_000_000) is None
-    assert injected(control.Command("INJECT", "actuator-drift", "torque"), 3, 1_000_000) is None
+    assert (
+        injected(operator_frames.Command("INJECT", "actuator-dead", "sensor"), 3, 1_000_000) is None
+    )
+    assert (
+        injected(operator_frames.Command("INJECT", "actuator-drift", "torque"), 3, 1_000_000)
+        is None
+    )
 
 
 def test_a_state_is_what_the_dbc_says():
-    state = control.State(True, True, 7, 200, 70_000, 1000.0)
-    message = control.state_message(state, 16)
+    state = operator_frames.State(True, True, 7, 200, 70_000, 1000.0)
+    message = operator_frames.state_message(state, 16)
     said = DATABASE.decode_message("RIG_STATE", bytes(message.data))
     assert (said["AliveCounter"], said["Refused"], said["Pace"]) == (1, 65535, 655.35)
-    assert control.read_state(message) == control.State(True, True, 7, 200, 65535, 655.35)
+    assert operator_frames.read_state(message) == operator_frames.State(
+        True, True, 7, 200, 65535, 655.35
+    )

@@ -10,8 +10,8 @@ import canmatrix.formats
 import cantools
 import pytest
 
-from can_rig.frames.dbc import attribute
-from can_rig.frames.layout import ROLES, SPEED
+from can_rig.frames.codec import ROLES, SPEED
+from can_rig.frames.databases import attribute
 from can_rig.frames.network import load_network
 
 DBC = Path(__file__).parents[3] / "dbc"

@@ -8,10 +8,9 @@ from collections.abc import Callable
 import can
 
 from can_rig.assessment.resolve import load
-from can_rig.frames.wire_tick import tick_on
-from can_rig.nodes.lockstep.controller_node import ControllerNode
-from can_rig.nodes.lockstep.plant_node import PlantNode
-from can_rig.nodes.watchdog import StopRequest, Timeouts, Watchdog
+from can_rig.frames.codec import tick_on
+from can_rig.nodes.bus_access import StopRequest, Timeouts, Watchdog
+from can_rig.nodes.lockstep import ControllerNode, PlantNode
 from can_rig.scenario.build import network_of
 from tests.clock import TurnedClock
 

@@ -12,12 +12,12 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
 from can_rig.errors import BusError, RigError, ScenarioError, SilentNodeError
-from can_rig.frames.beside.agreement import ASKED, PRESENT, Comparison, ComparisonFrame, digest
+from can_rig.frames.comparison_frames import ASKED, PRESENT, Comparison, ComparisonFrame, digest
 from can_rig.nodes import runner
 from can_rig.nodes.agreement import UNSETTLED_S, Agreement, keys_of
+from can_rig.nodes.bus_access import StopRequest, Timeouts
 from can_rig.nodes.runner import run_controller, run_plant
-from can_rig.nodes.watchdog import StopRequest, Timeouts
-from can_rig.scenario.catalogue import shipped
+from can_rig.scenario.loading import shipped
 from tests.clock import TurnedClock
 from tests.helpers import DBC, NAMES, record, start
 from tests.rig.nodes.running import one_line

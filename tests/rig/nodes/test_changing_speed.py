@@ -10,12 +10,12 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.export.running.controllers import controller_of
+from can_rig.export.controllers import controller_of
 from can_rig.frames.endpoints import Transmitter
 from can_rig.logs.reading import read_log
-from can_rig.nodes.lockstep.controller_node import ControllerNode
+from can_rig.nodes.bus_access import StopRequest
+from can_rig.nodes.lockstep import ControllerNode
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.watchdog import StopRequest
 from can_rig.panel.live import HOLD, LiveSignals
 from can_rig.plant.frameless import frameless
 from can_rig.replay.replay import OpenLoop
@@ -23,7 +23,7 @@ from can_rig.results.report.page import page
 from can_rig.results.report.web_page import panels
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving.speed import speeds_at_ticks
+from can_rig.scenario.driving import speeds_at_ticks
 from tests.helpers import asked, decoded, rig
 
 DRIVE = (

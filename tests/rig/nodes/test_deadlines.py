@@ -7,10 +7,10 @@ from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
 from can_rig.errors import ScenarioError, SilentNodeError
+from can_rig.nodes.bus_access import StopRequest, Timeouts
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode
-from can_rig.nodes.realtime.deadlines import CATCH_UP_TICKS, Schedule
 from can_rig.nodes.realtime.plant_node import RealTimePlantNode
-from can_rig.nodes.watchdog import StopRequest, Timeouts
+from can_rig.nodes.realtime.timing import CATCH_UP_TICKS, Schedule
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from tests.rig.nodes.world import (

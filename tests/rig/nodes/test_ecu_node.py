@@ -9,12 +9,10 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.errors import ExportError
-from can_rig.export.running.controllers import Application
+from can_rig.export.controllers import Application
 from can_rig.frames.network import Network
 from can_rig.frames.protection import CheckStatus
-from can_rig.nodes.lockstep.chosen import in_real_time, lockstep_controller
-from can_rig.nodes.lockstep.controller_node import ControllerNode
-from can_rig.nodes.lockstep.ecu_node import EcuNode
+from can_rig.nodes.lockstep import ControllerNode, EcuNode, in_real_time, lockstep_controller
 from can_rig.scenario.build import network_of
 from firmware_model.firmware import PythonLaw
 from firmware_model.target.structs import Record, RecordArray

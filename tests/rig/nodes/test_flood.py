@@ -7,8 +7,8 @@ import can
 
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.watchdog import StopRequest
 from tests.helpers import record
 
 TICKS, A_TICK = 300, 50

@@ -6,7 +6,7 @@ import can
 import pytest
 
 from can_rig.errors import SilentNodeError
-from can_rig.frames.wire_tick import tick_on
+from can_rig.frames.codec import tick_on
 from tests.rig.nodes.ends import ANSWER, OFFER, TICKS, Ends, order
 
 

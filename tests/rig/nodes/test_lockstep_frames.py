@@ -11,11 +11,9 @@ import numpy as np
 import pytest
 
 from can_rig.errors import ScenarioError
-from can_rig.frames.codec import MessageCodec
+from can_rig.frames.codec import MessageCodec, tick_on
 from can_rig.frames.endpoints import Transmitter
-from can_rig.frames.wire_tick import tick_on
-from can_rig.nodes.lockstep.controller_node import ControllerNode
-from can_rig.nodes.lockstep.plant_node import PlantNode
+from can_rig.nodes.lockstep import ControllerNode, PlantNode
 from can_rig.plant.simulated import SimulatedPlant
 from firmware_model.firmware import Firmware
 from tests.rig.nodes.ends import ANSWER, NETWORK, SCENARIO, SINE, TICKS, Ends, order

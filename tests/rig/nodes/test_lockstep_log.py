@@ -10,9 +10,9 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.frames.endpoints import Transmitter
-from can_rig.nodes.lockstep.plant_node import PlantNode
-from can_rig.nodes.recording.recorder import Recorder
-from can_rig.nodes.watchdog import StopRequest, Timeouts, Watchdog
+from can_rig.nodes.bus_access import StopRequest, Timeouts, Watchdog
+from can_rig.nodes.lockstep import PlantNode
+from can_rig.nodes.recording import Recorder
 from can_rig.scenario.build import network_of
 from tests.clock import TurnedClock
 

@@ -6,9 +6,9 @@ import can
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.frames.beside.control import Command, taken_message
 from can_rig.frames.endpoints import Transmitter
-from can_rig.nodes.lockstep.controller_node import ControllerNode
+from can_rig.frames.operator_frames import Command, taken_message
+from can_rig.nodes.lockstep import ControllerNode
 from can_rig.scenario.build import network_of
 
 SCENARIO = load("drive-cycle", ["duration_s=0.02"])

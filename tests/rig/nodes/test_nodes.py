@@ -8,11 +8,10 @@ from scipy.signal import cont2discrete
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
 from can_rig.frames.endpoints import Transmitter
-from can_rig.nodes.lockstep.controller_node import ControllerNode
-from can_rig.nodes.lockstep.plant_node import PlantNode
-from can_rig.nodes.recording.recorder import Recorder
+from can_rig.nodes.bus_access import StopRequest, Timeouts, Watchdog
+from can_rig.nodes.lockstep import ControllerNode, PlantNode
+from can_rig.nodes.recording import Recorder
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.watchdog import StopRequest, Timeouts, Watchdog
 from can_rig.scenario.build import network_of
 from firmware_model.design.vehicle import VehicleParameters, vehicle_state_space
 from tests.helpers import NAMES, decoded, record

@@ -6,7 +6,7 @@ import os
 
 import pytest
 
-from can_rig.nodes.lockstep.one_core import one_core
+from can_rig.nodes.scheduling import one_core
 
 CORES = {2, 5, 9}
 

@@ -14,14 +14,14 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
-from can_rig.frames.beside import control
-from can_rig.frames.beside.control import Command
+from can_rig.frames import operator_frames
+from can_rig.frames.operator_frames import Command
 from can_rig.logs.reading import read_log
-from can_rig.nodes.operator.control_frames import done, touches
-from can_rig.nodes.operator.interaction import Interaction
-from can_rig.nodes.operator.operating import operate
+from can_rig.nodes.bus_access import StopRequest
+from can_rig.nodes.interaction import Interaction
+from can_rig.nodes.operating import operate
+from can_rig.nodes.recorded_commands import done, touches
 from can_rig.nodes.runner import run_controller, run_in_process, run_plant
-from can_rig.nodes.watchdog import StopRequest
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from tests.vcan import PATIENT, TIMEOUT_S
@@ -95,7 +95,7 @@ def frames_fail_as_in_a_scenario(bus: str, tmp_path: Path) -> None:
     scenario = load("ideal", ["duration_s=0.4", "fault.kind=none"])
     log, other = tmp_path / "bus.log", tmp_path / "scheduled.log"
     with two_nodes(scenario, bus, log), open_bus(bus) as operator:
-        wait_for(operator, control.identifiers().state)
+        wait_for(operator, operator_frames.identifiers().state)
         for command in TOLD:
             operate(operator, bus, command)
     told = tuple(touches(read_log(log), network_of(scenario)))
@@ -111,5 +111,5 @@ def frames_fail_as_in_a_scenario(bus: str, tmp_path: Path) -> None:
         interaction=Interaction(injectable=True, told=told),
     )  # fmt: skip
     assert again.read_bytes() == log.read_bytes()
-    _, *ours = control.identifiers()
+    _, *ours = operator_frames.identifiers()
     assert not [each for each in ours if f" {each:03X}#" in log.read_text()]

@@ -7,7 +7,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from can_rig.nodes.recording.recorder import Recorder
+from can_rig.nodes.recording import Recorder
 
 
 def frame(number, **kwargs):

@@ -7,20 +7,18 @@ import can
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.export.running.controllers import controller_of
-from can_rig.frames.beside import control
-from can_rig.frames.beside.control import Command, command_message, taken_message
+from can_rig.export.controllers import controller_of
+from can_rig.frames import operator_frames
 from can_rig.frames.endpoints import Transmitter
+from can_rig.frames.operator_frames import Command, command_message, taken_message
 from can_rig.logs.reading import read_log
+from can_rig.nodes.bus_access import DEFAULT_TIMEOUTS, StopRequest, Watchdog
 from can_rig.nodes.clock import SYSTEM_CLOCK, Clock
-from can_rig.nodes.operator.control_frames import done, touches
-from can_rig.nodes.operator.following import FollowedFaults
-from can_rig.nodes.operator.interaction import Interaction
-from can_rig.nodes.operator.operated_bus import Touch
-from can_rig.nodes.operator.run_control import RunControl
-from can_rig.nodes.plant_end import PlantEnd
+from can_rig.nodes.ends import PlantEnd
+from can_rig.nodes.interaction import Interaction
+from can_rig.nodes.recorded_commands import Touch, done, touches
+from can_rig.nodes.run_control import FollowedFaults, RunControl
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.watchdog import DEFAULT_TIMEOUTS, StopRequest, Watchdog
 from can_rig.plant.faults.frame_faults import FrameFaults
 from can_rig.scenario.build import network_of
 from tests.clock import TurnedClock
@@ -46,7 +44,7 @@ def touched(folder: Path, *commands: tuple[int, Command], controller="python"):
 
 def frames(log: Path) -> list[str]:
     """What the nodes sent, in its order."""
-    told = f"{control.identifiers().control:03X}#"
+    told = f"{operator_frames.identifiers().control:03X}#"
     said = [line.partition(" ")[2] for line in log.read_text().splitlines()]
     return [frame for frame in said if told not in frame]
 
@@ -199,7 +197,7 @@ def test_a_hundred_thousand_wrong_or_repeated_commands_change_nothing():
     before = end.plant._faults._faults._dead
     assert len(before) == 2
     draw = random.Random(7)
-    frame_id = control.identifiers().control
+    frame_id = operator_frames.identifiers().control
     for at in range(100_000):
         if at % 2:
             message = good[draw.randrange(2)]
@@ -229,7 +227,7 @@ def test_a_paused_node_goes_on_by_steps_and_says_how_it_stands():
     watchdog = Watchdog(bus, "controller", DEFAULT_TIMEOUTS, StopRequest())
     run.begin(5, watchdog, run.take)
     run.begin(6, watchdog, run.take)
-    state = control.read_state(sent[-1])
+    state = operator_frames.read_state(sent[-1])
     assert state is not None
     assert (state.injectable, state.paused, state.next_sequence, state.refused) == (
         True,

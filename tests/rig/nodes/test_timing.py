@@ -10,9 +10,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from can_rig.errors import RunFolderError
-from can_rig.nodes.progress import Pace
-from can_rig.nodes.realtime.recorder import RealTimeRecorder
+from can_rig.nodes.clock import Pace
 from can_rig.nodes.realtime.timing import Histogram, Timing
+from can_rig.nodes.recording import RealTimeRecorder
 from tests.clock import TurnedClock
 from tests.rig.nodes.world import (
     TICK_NS,

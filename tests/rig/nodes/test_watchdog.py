@@ -6,7 +6,7 @@ import signal
 import pytest
 
 from can_rig.errors import BusLostError, SilentNodeError
-from can_rig.nodes.watchdog import Interrupted, StopRequest, Timeouts, Watchdog
+from can_rig.nodes.bus_access import Interrupted, StopRequest, Timeouts, Watchdog
 from tests.clock import TurnedClock
 from tests.rig.nodes.refusing import FRAME, Refusing
 

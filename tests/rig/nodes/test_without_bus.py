@@ -17,14 +17,14 @@ from can_rig.errors import RigError
 from can_rig.frames.endpoints import Transmitter
 from can_rig.frames.frame_columns import payloads, quantised
 from can_rig.frames.protection import COUNTERS
-from can_rig.nodes.lockstep.without_bus import run_without_bus
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.watchdog import StopRequest
+from can_rig.nodes.without_bus import run_without_bus
 from can_rig.plant import in_windows
 from can_rig.results.execution import NO_BUS, RunOptions, execute
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
-from can_rig.scenario.catalogue import shipped
+from can_rig.scenario.loading import shipped
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.status import Verdict
 from tests.rig.replay.recorded import DRIVES, log_of, scenario_of

@@ -12,11 +12,11 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.nodes.lockstep import without_bus
-from can_rig.nodes.lockstep.without_bus import RunWithoutBus, run_without_bus
+from can_rig.nodes import without_bus
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.summary import NodeSummary
-from can_rig.nodes.watchdog import StopRequest
+from can_rig.nodes.without_bus import RunWithoutBus, run_without_bus
 from can_rig.plant import in_windows
 from can_rig.scenario.settings import Scenario
 from tests.clock import TurnedClock

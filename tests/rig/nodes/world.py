@@ -9,10 +9,10 @@ import numpy as np
 from scipy.signal import cont2discrete
 
 from can_rig.assessment.resolve import load
+from can_rig.nodes.bus_access import StopRequest, Timeouts, Watchdog
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode
 from can_rig.nodes.realtime.plant_node import RealTimePlantNode
-from can_rig.nodes.realtime.recorder import RealTimeRecorder
-from can_rig.nodes.watchdog import StopRequest, Timeouts, Watchdog
+from can_rig.nodes.recording import RealTimeRecorder
 from can_rig.scenario.build import network_of
 from firmware_model.design.vehicle import VehicleParameters, vehicle_state_space
 

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 
 from can_rig.errors import DbcError
 from can_rig.frames.endpoints import Receiver, Transmitter
-from can_rig.frames.mapped.network import Roles, map_network
+from can_rig.frames.foreign_frames import Roles, map_network
 from can_rig.frames.network import Network
 from can_rig.frames.protection import CheckStatus
 from tests.rig.own_frames.scenarios import FD_SIGNALS, MOTOROLA, SIGNALS, database

@@ -14,9 +14,9 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.errors import DbcError, ScenarioError, SilentNodeError
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.clock import SystemClock
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode
-from can_rig.nodes.watchdog import StopRequest
 from can_rig.plant.frameless import frameless
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of

@@ -8,8 +8,8 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.errors import RigError
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.watchdog import StopRequest
 from tests.helpers import record
 from tests.rig.own_frames.scenarios import FD_SIGNALS, database, options
 from tests.rig.own_frames.test_runs import by_cantools

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from can_rig.drawing.thinning import Decimator
-from can_rig.frames.beside import control
+from can_rig.frames import operator_frames
 from can_rig.logs.columns import EVIDENCE
 from can_rig.panel.live import COLUMNS, ENDS, HOLD, Frames, LiveSignals
 from can_rig.results.isolation import with_verdict
@@ -59,11 +59,11 @@ def test_no_tick_is_called_unanswered_because_the_listener_has_its_commands_late
 def test_a_command_is_shown_with_the_time_from_which_it_acts(tmp_path):
     log, _, scenario = record(tmp_path, "duration_s=0.1", name="ideal")
     network, sent = network_of(scenario), list(can.LogReader(log))
-    dead = control.Command("INJECT", "actuator-dead", "torque", 0.0)
-    taken = control.taken_message(dead, 3)
+    dead = operator_frames.Command("INJECT", "actuator-dead", "torque", 0.0)
+    taken = operator_frames.taken_message(dead, 3)
     first = next(frame for frame in sent if frame.timestamp >= 50 * scenario.tick_s)
     taken.timestamp = first.timestamp
-    undone = control.taken_message(dead._replace(value=2.0), 4)  # no share that is left
+    undone = operator_frames.taken_message(dead._replace(value=2.0), 4)  # no share that is left
     sent[sent.index(first) : sent.index(first)] = [taken, undone]
     live = LiveSignals(scenario, network)
     for frame in sent:
@@ -78,10 +78,10 @@ def test_the_number_of_the_next_command_does_not_wait():
     """Else a second click would have the number of the first, and be refused."""
     scenario = load("ideal")
     live = LiveSignals(scenario, network_of(scenario))
-    state = control.State(
+    state = operator_frames.State(
         injectable=True, paused=False, next_sequence=7, last_checksum=1, refused=0, pace=1.0
     )
-    live.frames.on_message_received(control.state_message(state, 0))
+    live.frames.on_message_received(operator_frames.state_message(state, 0))
     live.update()
     assert live.state == state
     assert live.lamps.injectable

@@ -12,8 +12,8 @@ from can_rig.frames.endpoints import Transmitter
 from can_rig.plant.faults.delivery import Delivery, delivery
 from can_rig.plant.faults.frame_faults import FrameFaults
 from can_rig.scenario.build import network_of
+from can_rig.scenario.fault_settings import CHANNELS, PLACES
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import CHANNELS, PLACES
 from tests.rig.plant.fault_settings import fault_list
 
 TICKS = 80

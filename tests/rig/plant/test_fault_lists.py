@@ -5,13 +5,13 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.logs.columns import ON_THE_BUS
-from can_rig.nodes.lockstep.without_bus import run_without_bus
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.watchdog import StopRequest
+from can_rig.nodes.without_bus import run_without_bus
 from can_rig.results.counterfactual import signals_without_log
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
-from can_rig.scenario.tables.fault import PLACES, FaultKind
+from can_rig.scenario.fault_settings import PLACES, FaultKind
 from tests.rig.plant.fault_settings import fault_list
 
 KINDS = [kind for kind in FaultKind.__args__ if kind != "none"]

@@ -11,7 +11,7 @@ from can_rig.assessment.resolve import load
 from can_rig.plant.faults.plant_faults import HEALTHY_NOW, FaultsByTick, PlantFaults
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import continuous_plant
-from can_rig.scenario.tables.fault import MAX_LATE_TICKS
+from can_rig.scenario.fault_settings import MAX_LATE_TICKS
 from can_rig.thesis.continuous import solve
 from firmware_model.analysis.hardware import HEALTHY
 

@@ -5,7 +5,7 @@ import math
 import pytest
 
 from can_rig.errors import RigError
-from can_rig.frames.beside.control import Command
+from can_rig.frames.operator_frames import Command
 from can_rig.plant.faults.injection import injected, require_possible
 
 

@@ -16,7 +16,7 @@ from can_rig.assessment.resolve import load
 from can_rig.logs.reading import read_log
 from can_rig.replay.replay import OpenLoop
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving.schedule import controls
+from can_rig.scenario.driving import controls
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, ChangeSpeed, Law, Memories, Step
 from firmware_model.target.structs import Record, RecordArray

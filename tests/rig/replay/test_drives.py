@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from can_rig.scenario.tables.fault import CHANNELS
+from can_rig.scenario.fault_settings import CHANNELS
 from firmware_model.firmware import PYTHON_LAW
 from tests.rig.replay.recorded import (
     DRIVES,

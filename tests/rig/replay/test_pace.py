@@ -16,7 +16,7 @@ from hypothesis import strategies as st
 from can_rig.buses.bus import open_bus
 from can_rig.errors import BusError
 from can_rig.logs.frames import Frames, from_messages
-from can_rig.nodes.watchdog import StopRequest
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.replay.pace import Pacer
 from tests.helpers import asked, start
 

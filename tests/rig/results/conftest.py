@@ -8,8 +8,8 @@ from pathlib import Path
 import pytest
 
 from can_rig.assessment.resolve import load
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.watchdog import StopRequest
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario

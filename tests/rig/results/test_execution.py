@@ -17,8 +17,8 @@ from matplotlib.figure import Figure
 
 from can_rig.assessment.resolve import load
 from can_rig.errors import INTERRUPTED, RigError, RunFolderError, SilentNodeError
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.summary import NodeSummary
-from can_rig.nodes.watchdog import StopRequest
 from can_rig.results import execution
 from can_rig.results.execution import RunOptions, execute
 from can_rig.results.run_folder import recorded_scenario

@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 
 from can_rig.drawing.names import CAR, fault_in_words, fault_label
-from can_rig.scenario.tables.fault import FaultSettings
+from can_rig.scenario.fault_settings import FaultSettings
 
 WORDS = {
     "steering torque lost at 2 s (actuator dead)": FaultSettings("actuator-dead"),

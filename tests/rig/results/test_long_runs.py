@@ -13,7 +13,7 @@ import pytest
 
 from can_rig import paged
 from can_rig.assessment.resolve import load
-from can_rig.nodes.watchdog import StopRequest
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.plant import in_windows
 from can_rig.results.execution import Execution, RunOptions, execute
 from can_rig.views.recorded_run import RecordedRun

@@ -11,7 +11,7 @@ from scipy.signal import cont2discrete, dlsim
 
 from can_rig.errors import LogError, RigError
 from can_rig.logs.plant_signals import read_plant_signals
-from can_rig.nodes.recording.plant_recorder import PlantRecorder
+from can_rig.nodes.recording import PlantRecorder
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.results.counterfactual import applied_commands
 from can_rig.results.signals import read_signals

@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 
 from can_rig.assessment.resolve import load
 from can_rig.drawing.style import SHADE
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.realtime.timing import Timing
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.watchdog import StopRequest
 from can_rig.results.metrics import metrics, rows
 from can_rig.results.report import page as report
 from can_rig.results.run_folder import Outcome, finish

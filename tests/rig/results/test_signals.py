@@ -16,8 +16,8 @@ from can_rig.errors import LogError
 from can_rig.frames.endpoints import Transmitter
 from can_rig.frames.network import Network
 from can_rig.logs.columns import ON_THE_BUS as COLUMNS
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.watchdog import StopRequest
 from can_rig.results.signals import Signals, data_frames, read_signals
 from can_rig.scenario.build import network_of
 

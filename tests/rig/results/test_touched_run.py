@@ -7,11 +7,11 @@ import can
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.frames.beside.control import Command, command_message, identifiers
-from can_rig.nodes.operator.interaction import Interaction
-from can_rig.nodes.operator.operated_bus import Touch
-from can_rig.nodes.operator.run_control import RunControl
-from can_rig.nodes.watchdog import StopRequest
+from can_rig.frames.operator_frames import Command, command_message, identifiers
+from can_rig.nodes.bus_access import StopRequest
+from can_rig.nodes.interaction import Interaction
+from can_rig.nodes.recorded_commands import Touch
+from can_rig.nodes.run_control import RunControl
 from can_rig.results.execution import RunOptions, execute
 from can_rig.results.run_folder import REFERENCE
 

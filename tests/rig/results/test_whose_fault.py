@@ -12,15 +12,15 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.drawing.names import CAR
 from can_rig.logs.columns import EVIDENCE, VERDICT
-from can_rig.nodes.lockstep.without_bus import run_without_bus
-from can_rig.nodes.watchdog import StopRequest
+from can_rig.nodes.bus_access import StopRequest
+from can_rig.nodes.without_bus import run_without_bus
 from can_rig.plant.frameless import frameless
 from can_rig.results.counterfactual import signals_without_log
 from can_rig.results.isolation import CERTAIN, in_words, verdict_rows, whose_fault, with_verdict
 from can_rig.results.metrics import metrics_of
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving.schedule import controls
+from can_rig.scenario.driving import controls
 from can_rig.scenario.settings import Scenario
 from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.target.status import FaultState, Mode, Verdict

@@ -11,8 +11,15 @@ from can_rig.assessment.resolve import load
 from can_rig.assessment.tuning.search import tune
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import controller_table, network_of
-from can_rig.scenario.driving.schedule import RATIO, at_speed_of, controls, design_speeds, frozen
-from can_rig.scenario.driving.speed import speed_profile, speeds_at_ticks
+from can_rig.scenario.driving import (
+    RATIO,
+    at_speed_of,
+    controls,
+    design_speeds,
+    frozen,
+    speed_profile,
+    speeds_at_ticks,
+)
 from can_rig.scenario.reference import reference
 
 RAMP = "drive.ramps=[[1, 10], [3, 16]]"

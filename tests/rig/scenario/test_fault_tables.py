@@ -9,9 +9,9 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load, load_run
-from can_rig.campaigns.plan import has_key, value_at
+from can_rig.campaigns.plan import has_key
 from can_rig.errors import ScenarioError
-from can_rig.scenario.tables.changes import as_settings
+from can_rig.scenario.loading import as_settings, value_in
 from can_rig.views.diff import differing_settings
 
 LIST = """
@@ -106,11 +106,11 @@ def test_a_list_of_tables_from_python_is_exact(at_s: float, left: float, late: i
 
 def test_an_axis_may_be_of_any_fault(several: str) -> None:
     scenario, default = load(several).as_dict(), load("default").as_dict()
-    assert value_at(scenario, "fault.0.drift_per_s") == 0.2
+    assert value_in(scenario, "fault.0.drift_per_s") == 0.2
     assert has_key(scenario, "fault.1.left")
     assert not has_key(scenario, "fault.2.left")
     assert not has_key(scenario, "fault.left")
-    assert value_at(default, "fault.0.at_s") == value_at(default, "fault.at_s") == 10
+    assert value_in(default, "fault.0.at_s") == value_in(default, "fault.at_s") == 10
 
 
 def test_a_difference_names_the_fault(several: str) -> None:

@@ -10,8 +10,7 @@ from can_rig.assessment.resolve import load
 from can_rig.errors import ScenarioError
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import controller_table, network_of
-from can_rig.scenario.catalogue import shipped
-from can_rig.scenario.loading import draft
+from can_rig.scenario.loading import draft, shipped
 from can_rig.scenario.settings import Scenario
 
 
@@ -55,7 +54,7 @@ OTHER = {
     "design.precision": "float32", "design.compensation": "off",
     "design.probe_nm": 1.0, "design.probe_rad_per_s": 30.0, "design.safe_stop_s": 1.0,
     "budget.box": 0.1, "budget.actuator_box": 0.3, "budget.false_alarms_per_hour": 1.0,
-    "budget.suspicions_per_hour": 60.0,
+    "budget.suspicions_per_hour": 60.0, "budget.peak_sensitivity": 3.0, "budget.spare_ticks": 1,
     "reference.kind": "sine", "reference.amplitude_mps2": 2.0,
     "reference.frequency_rad_per_s": 3.0, "reference.file": "r.csv",
     "fault.kind": "frames-missing", "fault.channel": "force-difference", "fault.at_s": 1.5,
@@ -79,7 +78,7 @@ OTHER = {
     "limits.force_difference_n": 200.0, "limits.torque_rate_nm_per_s": 300.0,
     "limits.force_difference_rate_n_per_s": 4e3, "actuator.hold_s": 0.03,
     "bus.bitrate": 500000, "bus.compute_s": 0.0001,
-    "description": "words", "budget.peak_sensitivity": 4.0, "budget.spare_ticks": 1,
+    "description": "words",
 }  # fmt: skip
 
 

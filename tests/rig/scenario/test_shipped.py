@@ -13,7 +13,7 @@ from can_rig.plant.frameless import frameless
 from can_rig.scenario.box import CAR as UNCERTAIN
 from can_rig.scenario.box import in_box
 from can_rig.scenario.build import network_of
-from can_rig.scenario.catalogue import shipped
+from can_rig.scenario.loading import shipped
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.status import FaultState
 

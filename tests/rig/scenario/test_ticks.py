@@ -5,8 +5,8 @@ from decimal import Decimal
 from hypothesis import given
 from hypothesis import strategies as st
 
+from can_rig.scenario.fault_settings import FaultSettings
 from can_rig.scenario.settings import Scenario
-from can_rig.scenario.tables.fault import FaultSettings
 
 
 @given(st.integers(1, 10**6), st.integers(10_000, 10**9))

@@ -14,7 +14,7 @@ from can_rig.cli.logs.plot import resolve
 from can_rig.decoding.decode import Decoder, decode_log
 from can_rig.drawing.thinning import MAX_POINTS, thinned
 from can_rig.errors import DbcError
-from can_rig.frames.mapped.database import load_database
+from can_rig.frames.databases import load_database
 from can_rig.views.pictures import plot_page
 from tests.helpers import DBC, asked, record
 

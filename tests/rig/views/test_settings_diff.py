@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.watchdog import StopRequest
 from can_rig.results.run_folder import Outcome, finish
 from can_rig.scenario.build import network_of
 from can_rig.views.diff import SettingDifference, compare, differing_settings

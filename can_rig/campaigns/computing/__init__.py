@@ -1,1 +1,0 @@
-"""Computing a campaign's runs: this process, several, or a cluster."""

@@ -1,0 +1,280 @@
+"""``report.html``, ``report.png`` and ``summary.json`` of a finished campaign."""
+
+from __future__ import annotations
+
+import base64
+import html
+import io
+import json
+from collections.abc import Sequence
+from dataclasses import asdict
+from textwrap import fill
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from can_rig.campaigns.execution import PAGE, PICTURE, SUMMARY, CampaignFolder
+from can_rig.campaigns.plan import Plan
+from can_rig.campaigns.requirements import Requirement
+from can_rig.campaigns.rows import read_columns, requirements_of
+from can_rig.campaigns.statistics import (
+    Columns,
+    Summary,
+    least_so_far,
+    margin_column,
+    metrics_shown,
+    numbers,
+    summarise,
+)
+from can_rig.drawing import style
+from can_rig.drawing.html import Code, page, table
+from can_rig.drawing.names import CAR, Names, names_of
+from can_rig.files import atomic
+
+MOST_METRICS: Final = 4
+MOST_AXES: Final = 6
+MOST_DOTS: Final = 4000
+PANEL_IN, RATE_IN = 1.9, 0.26
+"""Heights of a row of panels, and of a requirement."""
+LINE: Final = 24
+"""Characters of a label; longer labels would exceed the panel."""
+
+
+def draw(plan: Plan, required: Sequence[Requirement], columns: Columns, summary: Summary) -> Figure:
+    """The page; constant metrics are left out.
+
+    After a search, the metrics come from the random runs only.
+    """
+    drawn = {name: values[plan.searched :] for name, values in columns.items()}
+    metrics = [name for name in metrics_shown(required) if len({*drawn[name]} - {None}) > 1]
+    metrics = metrics[:MOST_METRICS]
+    axes = list(plan.settings.axes)[:MOST_AXES]
+    heights = [PANEL_IN] * bool(summary.found)
+    if summary.rates:
+        heights.append(RATE_IN * len(summary.rates) + 0.7)
+    heights += [PANEL_IN] * (1 + len(axes)) if metrics else []
+    figure = style.page(0.8 + sum(heights))
+    figure.suptitle(
+        f"{plan.settings.name}: {summary.runs:,} runs of {plan.base.name}, {summary.hours:.3g} h",
+        x=0.01, ha="left", fontsize=13,
+    )  # fmt: skip
+    if not heights:
+        return figure
+    rows = figure.subfigures(len(heights), 1, squeeze=False, height_ratios=heights)
+    parts = iter(rows[:, 0])
+    if summary.found:
+        _found(next(parts).subplots(), plan, columns)
+    if summary.rates:
+        _rates(next(parts).subplots(), summary)
+    if not metrics:
+        return figure
+    names, failed = names_of(plan.base.plant), numbers(drawn["margin"]) < 0.0
+    part = next(parts)
+    panels = np.atleast_1d(part.subplots(1, len(metrics)))
+    for axis, name in zip(panels, metrics, strict=True):
+        _histogram(axis, label_of(name, names), numbers(drawn[name]), failed)
+    part.legend(
+        *panels[0].get_legend_handles_labels(),
+        loc="outside upper right", ncols=2, frameon=False, fontsize=8,
+    )  # fmt: skip
+    for key in axes:
+        panels = np.atleast_1d(next(parts).subplots(1, len(metrics)))
+        for axis, name in zip(panels, metrics, strict=True):
+            _dots(axis, key, drawn[key], label_of(name, names), numbers(drawn[name]), failed)
+            if plan.settings.axes[key].scale == "log":
+                axis.set_xscale("log")
+            share = summary.sensitivities.get(name, {}).get(key)
+            if share is not None:
+                axis.set_title(f"explains {share:.0%}", fontsize=8, loc="right")
+    return figure
+
+
+def _found(axis: Axes, plan: Plan, columns: Columns) -> None:
+    """The least margin so far, by the search and by random runs."""
+    margins, searched = columns[margin_column(plan)], plan.searched
+    for look, label, some in (
+        (style.SERIES[1], "search", margins[:searched]),
+        (style.SERIES[0], "random", margins[searched:]),
+    ):
+        least = least_so_far(some)
+        axis.step(np.arange(1, len(least) + 1), least, where="post", label=label, **look)
+    axis.axhline(0.0, color=style.INK, lw=0.8)
+    style.ruled(axis)
+    axis.set_xlabel("runs", fontsize=8)
+    axis.set_ylabel(f"least margin of\n{plan.settings.search}", fontsize=8)
+    style.legend_above(axis)
+
+
+def _rates(axis: Axes, summary: Summary) -> None:
+    """A bar for each requirement, with its interval."""
+    rates = [rate for rate in summary.rates if rate.share is not None][::-1]
+    for at, rate in enumerate(rates):
+        share, low, high = rate.share or 0.0, rate.low or 0.0, rate.high or 0.0
+        axis.barh(at, 100.0, color=style.PALE_ORANGE, height=0.5)
+        axis.barh(at, 100.0 * share, color=style.PALE_BLUE, height=0.5)
+        axis.plot([100.0 * low, 100.0 * high], [at, at], color=style.INK, lw=2.0)
+        text = f"{100.0 * share:.4g} %  ({100.0 * low:.4g} to {100.0 * high:.4g})"
+        axis.text(101.5, at, text, fontsize=8, va="center")
+    axis.set_yticks(range(len(rates)), [rate.name.replace("_", " ") for rate in rates], fontsize=8)
+    axis.tick_params(axis="y", length=0)
+    axis.tick_params(axis="x", labelsize=7)
+    axis.set_ylim(-0.5, len(rates) - 0.5)
+    axis.set_xlim(0.0, 100.0)
+    for side in ("top", "right", "left"):
+        axis.spines[side].set_visible(False)
+    axis.set_xlabel("runs that pass in %, with the 95 % interval", fontsize=8)
+
+
+def _histogram(axis: Axes, label: str, values: Any, failed: Any) -> None:
+    known = np.isfinite(values)
+    bins = np.histogram_bin_edges(values[known], bins=min(40, max(5, int(np.sqrt(known.sum())))))
+    axis.hist(
+        [values[known & ~failed], values[known & failed]],
+        bins=bins.tolist(),
+        stacked=True,
+        color=[style.BLUE, style.ORANGE],
+        label=["all requirements hold", "one does not"],
+    )
+    axis.set_xlabel(label, fontsize=7)
+    axis.tick_params(labelsize=7)
+    style.ruled(axis)
+    axis.set_ylim(bottom=0.0)
+    axis.set_ylabel("runs", fontsize=7)
+
+
+def _dots(
+    axis: Axes, key: str, places: Sequence[Any], label: str, values: Any, failed: Any
+) -> None:
+    """A dot a run; values of an axis that are no numbers stand side by side."""
+    texts = [str(value) for value in places]
+    if all(isinstance(value, int | float) and not isinstance(value, bool) for value in places):
+        at = numbers(places)
+    else:
+        distinct = sorted(set(texts))
+        at = np.array([float(distinct.index(text)) for text in texts])
+        axis.set_xticks(range(len(distinct)), distinct, fontsize=7)
+    some = slice(None, None, max(1, len(at) // MOST_DOTS))
+    for mask, colour in ((~failed, style.BLUE), (failed, style.ORANGE)):
+        x, y = at[some][mask[some]], values[some][mask[some]]
+        axis.plot(x, y, ".", color=colour, ms=2.5, alpha=0.5)
+    axis.set_xlabel(key, fontsize=7)
+    axis.set_ylabel(label, fontsize=6)
+    axis.tick_params(labelsize=7)
+    axis.grid(alpha=0.3, lw=0.5)
+
+
+def label_of(metric: str, names: Names) -> str:
+    """A metric in words, with the names and units of the plant's own signals."""
+    output, command_1, command_2 = names
+    integral = "m/s" if output.unit == CAR.output.unit else f"{output.unit} s".strip()
+    units = {
+        "_mps2": output.unit, "_mps": integral, "_nm": command_1.unit, "_s": "s",
+        "_n": command_2.unit,
+    }  # fmt: skip
+    stem, unit = metric.replace("_per_hour", "_an_hour"), ""
+    for suffix, of in units.items():
+        if stem.endswith(suffix):
+            stem, unit = stem.removesuffix(suffix), of
+            break
+    words = stem.replace("_", " ")
+    for signal, own in (("torque", command_1), ("force difference", command_2), ("dstar", output)):
+        words = words.replace(signal, own.name if own not in CAR else signal)
+    return fill(f"{words} in {unit}" if unit else words, LINE)
+
+
+PICTURE_DPI: Final = 110
+MOST_REASONS: Final = 10
+
+
+def html_page(plan: Plan, summary: Summary, figure: Figure) -> str:
+    """The page as text."""
+    settings = plan.settings
+    picture = io.BytesIO()
+    figure.savefig(picture, dpi=PICTURE_DPI, format="png")
+    encoded = base64.b64encode(picture.getvalue()).decode("ascii")
+    alarms = summary.false_alarms
+    parts = [
+        f"<h1>{html.escape(settings.name)}</h1><p>{html.escape(settings.description)}</p>",
+        f"<p>{summary.runs:,} runs of <code>{html.escape(plan.file.given)}</code>, "
+        f"{html.escape(settings.sampling)}, seed {settings.seed}; {summary.hours:.4g} h simulated; "
+        f"{summary.failed:,} gave no result.</p>",
+    ]
+    if summary.found:
+        parts += [f"<h2>Search: least margin of {html.escape(settings.search or '')}</h2>", table(
+            ("", "runs", "least margin", "failed", "first failed at run"),
+            ((each.method, each.runs, *("-" if value is None else value for value in
+              (each.least, each.failed, each.first_failed))) for each in summary.found),
+        ), "<p>What follows is of the random runs, but for the worst ones.</p>"]  # fmt: skip
+    if summary.rates:
+        parts += ["<h2>Requirements</h2>", table(
+            ("", "expression", "passed", "failed", "without", "rate", "95 %"),
+            ((rate.name, rate.text, rate.passed, rate.failed, rate.unknown, _percent(rate.share),
+              f"{_percent(rate.low)} to {_percent(rate.high)}") for rate in summary.rates),
+        )]  # fmt: skip
+    if alarms["per_hour"] is not None:
+        parts.append(
+            f"<p>{alarms['false_alarms']} false alarms: {alarms['per_hour']:.3g} an hour "
+            f"(95 %: {alarms['low']:.3g} to {alarms['high']:.3g}).</p>"
+        )
+    parts += [
+        "<h2>Metrics</h2>",
+        table(
+            ("", "runs", "least", "median", "99 %", "greatest"),
+            ((each.name, each.runs, each.least, each.median, each.percentile_99, each.greatest)
+             for each in summary.spreads),
+        ),
+        f'<img alt="pass rates, spread of the metrics, what each axis does to them" '
+        f'src="data:image/png;base64,{encoded}">',
+    ]  # fmt: skip
+    if settings.axes:
+        parts += ["<h2>What each axis explains</h2>",
+                  "<p>Share of the variance that the axis explains alone.</p>", table(
+            ("", *settings.axes),
+            ((name, *(_percent(by[key]) for key in settings.axes))
+             for name, by in summary.sensitivities.items()),
+        )]  # fmt: skip
+    if summary.worst:
+        parts += ["<h2>Worst runs</h2>", table(
+            ("run", "margin", *settings.axes, "again"),
+            ((row["run"], row["margin"], *(row[key] for key in settings.axes),
+              Code(row["command"])) for row in summary.worst),
+        )]  # fmt: skip
+    if summary.reasons:
+        parts += ["<h2>Runs without a result</h2>", table(
+            ("runs", "reason"),
+            ((n, reason) for reason, n in list(summary.reasons.items())[:MOST_REASONS]),
+        )]  # fmt: skip
+    return page(f"Campaign {settings.name}", parts)
+
+
+def _percent(share: float | None) -> str:
+    return "-" if share is None else f"{share:.2%}"
+
+
+def write_report(folder: CampaignFolder) -> Summary:
+    """Write the three files; returns the summary.
+
+    Raises:
+        LogError: a file cannot be written.
+    """
+    plan, required = folder.plan, requirements_of(folder.plan)
+    names = [
+        "run", "simulated_s", "failure", "false_alarms", "margin", "command",
+        *plan.settings.axes,
+        *metrics_shown(required),
+        *(f"passed.{each.name}" for each in required),
+        margin_column(plan),
+    ]  # fmt: skip
+    columns = read_columns(folder.table, list(dict.fromkeys(names)))
+    summary = summarise(plan, required, columns)
+    with atomic(folder.path / SUMMARY, force=True) as part:
+        text = json.dumps(asdict(summary), indent=2, ensure_ascii=False, allow_nan=False)
+        part.write_text(text + "\n", encoding="utf-8")
+    figure = draw(plan, required, columns, summary)
+    with atomic(folder.path / PICTURE, force=True) as part:
+        figure.savefig(part, dpi=PICTURE_DPI, format="png")
+    with atomic(folder.path / PAGE, force=True) as part:
+        part.write_text(html_page(plan, summary, figure), encoding="utf-8")
+    return summary

@@ -1,0 +1,236 @@
+"""One run of a campaign as a row, and all rows as a table in Parquet, written in whole blocks."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable, Iterator, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Final, NamedTuple
+
+from can_rig.campaigns.plan import Plan
+from can_rig.campaigns.requirements import Requirement, margin
+from can_rig.campaigns.settings import Scalar
+from can_rig.errors import RigError, one_line
+from can_rig.files import atomic
+from can_rig.results.metrics import metrics_of
+from can_rig.scenario.loading import value_in
+from can_rig.views.signal_table import unit
+
+if TYPE_CHECKING:
+    import pyarrow as pa
+
+METRICS: Final = (
+    "error_before_fault_mps2",
+    "error_peak_after_fault_mps2",
+    "error_peak_while_lost_mps2",
+    "error_settled_after_fault_mps2",
+    "error_integral_after_fault_mps",
+    "deviation_peak_after_fault_mps2",
+    "unavoidable_deviation_mps2",
+    "unavoidable_detection_delay_s",
+    "detection_over_unavoidable",
+    "deviation_over_unavoidable",
+    "deviation_settled_after_fault_mps2",
+    "fault_estimate_peak_before_fault_mps2",
+    "fault_estimate_peak_while_lost_mps2",
+    "fault_estimate_settled_mps2",
+    "suspected_after_s",
+    "detection_delay_s",
+    "missed_detection",
+    "suspicions",
+    "false_alarms",
+    "false_alarms_per_hour",
+    "torque_peak_nm",
+    "torque_at_fault_nm",
+    "torque_peak_after_fault_nm",
+    "force_difference_peak_n",
+    "force_difference_settled_n",
+    "force_difference_noise_rms_n",
+    "force_difference_needed_n",
+    "force_difference_available_n",
+    "dstar_carried_mps2",
+)
+"""Metrics in the order of ``run.json``."""
+
+TRUTHS: Final = {"missed_detection"}
+"""Metrics with a truth value."""
+
+SEARCH, RANDOM = "search", "random"
+"""How the values of a run came about, where some were searched."""
+
+ROW_GROUP: Final = 16384
+"""Rows that are held at once when blocks are put together."""
+
+
+def schema(plan: Plan) -> pa.Schema:
+    """Names and types of the columns; ``run`` is the number of the run."""
+    import pyarrow as pa  # noqa: PLC0415 (an extra)
+
+    kinds = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}
+    columns: dict[str, pa.DataType] = {"run": pa.int64(), "seed": pa.int64()}
+    for key, axis in plan.settings.axes.items():
+        some: Sequence[Any] = [value_in(plan.base_values, key), *(axis.values or [])]
+        found = {type(value) for value in some if value is not None} or {float}
+        if axis.values is None and value_in(plan.base_values, key) is None:
+            found = {float}
+        kind = found.pop() if len(found) == 1 else float if found == {int, float} else str
+        columns[key] = kinds[kind]
+    if plan.searched:
+        columns["method"] = pa.string()
+    columns["simulated_s"] = pa.float64()
+    for name in METRICS:
+        columns[name] = pa.bool_() if name in TRUTHS else pa.float64()
+    for name in plan.settings.requirements:
+        columns[f"passed.{name}"] = pa.bool_()
+    for name in plan.settings.requirements:
+        columns[f"margin.{name}"] = pa.float64()
+    columns |= {"margin": pa.float64(), "failure": pa.string(), "command": pa.string()}
+    fields = pa.schema(list(columns.items()))
+    return fields.with_metadata(_for_pandas(fields))
+
+
+def _for_pandas(columns: pa.Schema) -> dict[str, str]:
+    """What ``pandas.read_parquet`` makes of it: ``attrs["units"]``, and booleans with unknowns."""
+    import pyarrow as pa  # noqa: PLC0415 (an extra)
+
+    truths = [
+        {"name": field.name, "field_name": field.name, "pandas_type": "bool",
+         "numpy_type": "boolean", "metadata": None}
+        for field in columns
+        if pa.types.is_boolean(field.type)
+    ]  # fmt: skip
+    units = {name: unit(name) for name in columns.names if unit(name)}
+    described = {"columns": truths, "index_columns": [], "column_indexes": []}
+    return {"pandas": json.dumps(described), "PANDAS_ATTRS": json.dumps({"units": units})}
+
+
+def write_block(path: Path, rows: Iterable[dict[str, Any]], columns: pa.Schema) -> None:
+    """Write the rows of a block; ``path`` exists, complete, when this returns, and not before.
+
+    Raises:
+        LogError: writing fails.
+    """
+    import pyarrow as pa  # noqa: PLC0415 (an extra)
+    from pyarrow import parquet  # noqa: PLC0415
+
+    rows = list(rows)
+    arrays = [
+        pa.array(_cells([row.get(field.name) for row in rows], field.type), field.type)
+        for field in columns
+    ]
+    with atomic(path, force=True) as part:
+        parquet.write_table(pa.Table.from_arrays(arrays, schema=columns), part)
+
+
+def _cells(values: list[Any], kind: pa.DataType) -> list[Any]:
+    """Values in the type of their column."""
+    import pyarrow as pa  # noqa: PLC0415 (an extra)
+
+    if pa.types.is_string(kind):
+        return [
+            value if value is None or isinstance(value, str) else repr(value) for value in values
+        ]
+    if pa.types.is_floating(kind):
+        return [None if value is None else float(value) for value in values]
+    return values
+
+
+def put_together(blocks: Sequence[Path], path: Path) -> None:
+    """Join all blocks, in the order of their runs, into one file.
+
+    Memory holds one row group at a time.
+
+    Raises:
+        LogError: writing fails.
+    """
+    import pyarrow as pa  # noqa: PLC0415 (an extra)
+    from pyarrow import parquet  # noqa: PLC0415
+
+    columns = parquet.read_schema(blocks[0])
+    with atomic(path, force=True) as part, parquet.ParquetWriter(part, columns) as writer:
+        waiting: list[pa.Table] = []
+        for block in blocks:
+            waiting.append(parquet.read_table(block))
+            if sum(len(table) for table in waiting) >= ROW_GROUP:
+                writer.write_table(pa.concat_tables(waiting))
+                waiting = []
+        if waiting:
+            writer.write_table(pa.concat_tables(waiting))
+
+
+def read_columns(path: Path, names: Sequence[str] | None = None) -> dict[str, list[Any]]:
+    """Columns of a table by name; None: all."""
+    from pyarrow import parquet  # noqa: PLC0415 (an extra)
+
+    table = parquet.read_table(path, columns=None if names is None else list(names))
+    return {str(name): table[name].to_pylist() for name in table.column_names}
+
+
+Row = dict[str, Any]
+
+
+class Task(NamedTuple):
+    """Runs computed as a unit.
+
+    Attributes:
+        begin: the first. end: the run after the last run.
+        points: of a search, the place of each in [0, 1] on every axis.
+    """
+
+    begin: int
+    end: int
+    points: tuple[tuple[float, ...], ...] | None = None
+
+    def parts(self, most: int) -> Iterator[Task]:
+        """Split the task into tasks of at most ``most`` runs."""
+        for begin in range(self.begin, self.end, most):
+            end = min(begin + most, self.end)
+            points = self.points and self.points[begin - self.begin : end - self.begin]
+            yield Task(begin, end, points)
+
+
+def run_rows(plan: Plan, task: Task) -> list[Row]:
+    """The rows of the runs of ``task``."""
+    required = requirements_of(plan)
+    numbers = range(task.begin, task.end)
+    if task.points is None:
+        return [run_row(plan, required, run, plan.values_of(run)) for run in numbers]
+    return [
+        run_row(plan, required, run, plan.values_at(point))
+        for run, point in zip(numbers, task.points, strict=True)
+    ]
+
+
+def requirements_of(plan: Plan) -> list[Requirement]:
+    """The campaign's requirements.
+
+    Raises:
+        ScenarioError: a requirement is no expression over metrics.
+    """
+    return [Requirement(name, text, METRICS) for name, text in plan.settings.requirements.items()]
+
+
+def run_row(plan: Plan, required: list[Requirement], run: int, values: dict[str, Scalar]) -> Row:
+    """The row of one run; after a failure, the reason in ``failure`` and no metrics."""
+    changes = plan.changes_of(run, values)
+    row: Row = {"run": run, **values, "command": plan.command_with(changes)}
+    row["method"] = SEARCH if run < plan.searched else RANDOM
+    try:
+        scenario = plan.scenario_with(changes)
+        row["seed"] = scenario.seed
+        row["simulated_s"] = scenario.ticks * scenario.tick_s
+        metrics = metrics_of(scenario)
+    except RigError as error:
+        return {**row, "failure": one_line(error)}
+    except (
+        ArithmeticError,
+        AssertionError,
+        ValueError,
+        LookupError,
+        TypeError,
+    ) as error:  # a defect
+        return {**row, "failure": f"{type(error).__name__}: {one_line(error)}"}
+    verdicts = {each.name: each.of(metrics) for each in required}
+    passed = {f"passed.{name}": verdict.passed for name, verdict in verdicts.items()}
+    margins = {f"margin.{name}": verdict.margin for name, verdict in verdicts.items()}
+    return {**row, **metrics, **passed, **margins, "margin": margin(list(verdicts.values()))}

@@ -1,1 +1,0 @@
-"""Costs of an exported controller, and findings of analysis tools."""

@@ -1,1 +1,0 @@
-"""Exported code, compiled and run: the law in this process, the node here or on a board."""

@@ -1,0 +1,306 @@
+"""The law in C against the law in Python: any memory, any inputs, every bit of the state.
+
+Steps and resets on random memory, as orders for `support/trial.c`, and in Python. If speed blends
+the designs, a change of speed precedes each step and reset.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+
+from firmware_model.firmware import PYTHON_LAW, Law
+from firmware_model.target.layout import precision_of, state_type, table_type
+from firmware_model.target.schedule import CONSTANTS, MAX_SPEEDS, STATE
+from firmware_model.target.status import Verdict
+from firmware_model.target.structs import (
+    MAX_LATENCY_TICKS,
+    MAX_SECTIONS,
+    FloatArray,
+    Precision,
+    Record,
+    RecordArray,
+    record_type,
+)
+
+TICKS = (0, 0, 1, 2, 7, MAX_LATENCY_TICKS)
+
+
+def reals(
+    random: np.random.Generator, shape: tuple[int, ...], precision: Precision, even: bool = False
+) -> Any:
+    """Mostly ordinary magnitudes, mixed with all special values; ``even``: values repeat."""
+    if even:
+        return random.choice([-1.0, -0.0, 0.0, 0.5, 1.0, 2.0], shape).astype(precision)
+    limits = np.finfo(precision)
+    ordinary = random.standard_normal(shape) * 10.0 ** random.uniform(-3, 3, shape)
+    kinds: list[float] = [0.0, -0.0, np.inf, -np.inf, np.nan, 1.0, -1.0]
+    for each in (limits.max, -limits.max, limits.tiny, limits.smallest_subnormal):
+        kinds.append(float(each))
+    odd = random.choice(kinds, shape)
+    share = random.choice([0.0, 0.0, 0.02, 0.3])
+    with np.errstate(over="ignore"):
+        return np.where(random.random(shape) < share, odd, ordinary).astype(precision)
+
+
+def fill(random: np.random.Generator, record: Any, precision: Precision, even: bool) -> None:
+    """Randomise every real number of ``record``, nested records included."""
+    for name in record.dtype.names:
+        kind = record.dtype[name]
+        if kind.names:
+            fill(random, record[name], precision, even)
+        elif kind.base.kind == "f":
+            record[name] = reals(random, kind.shape, precision, even)
+
+
+def random_table(
+    random: np.random.Generator, precision: Precision, even: bool = False
+) -> RecordArray:
+    """A table, shape (1,), with valid counts and indices, and some plausible numbers."""
+    tables = np.zeros(1, table_type(precision))
+    table: Record = tables[0]
+    fill(random, tables[0], precision, even)
+    if random.random() < 0.8:  # plausible limits
+        for actuator in (table.actuator_1, table.actuator_2):
+            actuator.limit, actuator.slew = abs(actuator.limit), abs(actuator.slew)
+            actuator.lsb = random.choice([0.0, 1e-3])
+    if random.random() < 0.8 and not even:  # thresholds within reach
+        table.decision.suspect, table.decision.confirm = np.sort(random.exponential(2.0, 2))
+        table.decision.recover = random.exponential(3.0)
+        table.mismatch.noise = random.exponential(1.0)
+        table.mismatch.white = random.exponential(1.0)
+        test = table.sequential_test
+        test.restart, test.promising, test.freshness = -1.0, random.exponential(), random.random()
+        test.needed = random.exponential()
+        test.share = random.choice([0.0, random.random(), test.share])
+    cars = table.other_cars
+    for filter in (
+        table.tracking.filter, table.estimator.channel_1, table.estimator.channel_2,
+        table.estimator.one_plus_q, table.compensator.filter, *(
+            channel for car in (cars.car_1, cars.car_2, cars.car_3, cars.car_4)
+            for channel in (car.channel_1, car.channel_2)
+        ),
+    ):  # fmt: skip
+        filter.n = random.integers(0, MAX_SECTIONS + 1) if random.random() < 0.3 else 2
+        filter.coefficients[:, 3:] *= random.choice([1.0, 0.01])
+    for filter in (  # filters of an unstable plant
+        table.estimator.measurement, table.tracking.stabiliser, *(
+            car.measurement for car in (cars.car_1, cars.car_2, cars.car_3, cars.car_4)
+        ),
+    ):  # fmt: skip
+        filter.n = random.choice([0, 0, 1, 2])
+    estimator = table.estimator
+    estimator.latency_ticks, estimator.dead_ticks_1, estimator.dead_ticks_2 = random.choice(
+        TICKS, 3
+    )
+    estimator.shown_ticks_1 = estimator.latency_ticks + estimator.dead_ticks_1
+    estimator.shown_ticks_2 = estimator.latency_ticks + estimator.dead_ticks_2
+    cars.n = random.integers(0, 5)
+    table.mismatch.n = 0 if random.random() < 0.1 else cars.n + 3
+    table.reference_shaper.enabled = random.integers(0, 2)
+    table.compensator.on_confirmation = random.integers(0, 2)
+    table.decision.tracks_share = int(random.random() < 0.2)
+    table.decision.pause_ticks = random.integers(0, 5)
+    table.probe.ticks = random.choice([0, 0, 3])
+    return tables
+
+
+def random_state(
+    random: np.random.Generator, table: Record, precision: Precision, even: bool = False
+) -> RecordArray:
+    """A state for ``table``, shape (1,), with indices that exist."""
+    states = np.zeros(1, state_type(precision))
+    state: Record = states[0]
+    fill(random, states[0], precision, even)
+    constants, estimator = table.estimator, state.estimator
+    for index, size in (
+        ("delay_index", constants.latency_ticks), ("dead_index_1", constants.dead_ticks_1),
+        ("dead_index_2", constants.dead_ticks_2), ("shown_index_1", constants.shown_ticks_1),
+        ("shown_index_2", constants.shown_ticks_2),
+    ):  # fmt: skip
+        setattr(estimator, index, random.integers(0, max(size, 1)))
+    if random.random() < 0.5:  # a candidate near its age limit
+        test = state.sequential_test
+        test.half_age, test.evidence = random.integers(2, 9), random.exponential()
+        test.age = 2.0 * test.half_age + random.integers(-2, 3)
+        test.half_information, test.information = np.sort(random.exponential(1.0, 2))
+        if random.random() < 0.4:  # without evidence
+            test.delay[:], test.explained[:], test.previous_shown = 0.0, 0.0, 0.0
+    if random.random() < 0.3:
+        state.bumpless_transfer.carried_speed = random.choice([np.inf, np.nan])
+    state.mode, state.fault_state = random.integers(0, 4, 2)
+    state.hypotheses.verdict = random.integers(0, len(Verdict))
+    state.probe.tick = random.integers(0, table.probe.ticks + 1)
+    state.decision.pause = random.integers(0, 4)
+    state.mismatch.covariance.variances[:] = abs(state.mismatch.covariance.variances)
+    return states
+
+
+SLOWEST, FASTEST = 1.0, 100.0  # m/s
+
+
+@dataclass(frozen=True)
+class Drive:
+    """The blending of a table, and the speed before each tick.
+
+    Attributes:
+        schedules: the designs, shape (1,).
+        blendings: the state of the blending before the first tick, shape (1,).
+        speeds: shape (ticks,).
+    """
+
+    schedules: RecordArray
+    blendings: RecordArray
+    speeds: FloatArray
+
+
+def random_drive(
+    random: np.random.Generator, precision: Precision, ticks: int, even: bool = False
+) -> Drive:
+    """For a random table; ``even``: many numbers are equal."""
+    schedules = np.zeros(1, record_type(CONSTANTS, precision))
+    schedule: Record = schedules[0]
+    fill(random, schedules[0], precision, even)
+    n = schedule.n = random.choice([1, 2, MAX_SPEEDS, *random.integers(1, MAX_SPEEDS + 1, 3)])
+    schedule.speed[:] = np.sort(random.uniform(SLOWEST, FASTEST, MAX_SPEEDS))
+    if random.random() < 0.8:  # turns that leave numbers of ordinary size
+        for name in schedules.dtype.names or ():
+            if "turn" in name:
+                schedules[name] = np.clip(np.nan_to_num(schedules[name]), -2.0, 2.0)
+    blendings = np.zeros(1, record_type(STATE, precision))
+    fill(random, blendings[0], precision, even)
+    blendings["place"] = random.choice([0.0, random.uniform(0.0, n - 1.0), n - 1.0])
+    limits = np.finfo(precision)
+    odd: list[float] = [np.nan, np.inf, -np.inf, 0.0, -1.0]
+    odd += [float(limits.max), float(limits.smallest_subnormal)]
+    at_designs = random.choice(schedule.speed[:n], ticks)
+    between = random.uniform(0.5 * SLOWEST, 1.2 * FASTEST, ticks)
+    kinds = random.choice(3, ticks, p=[0.6, 0.25, 0.15])
+    speeds = np.choose(kinds, [between, at_designs, random.choice(odd, ticks)]).astype(precision)
+    again = random.random(ticks) < 0.1  # the speed of the tick before
+    again[0] = False
+    speeds[again] = speeds[np.flatnonzero(again) - 1]
+    return Drive(schedules, blendings, speeds)
+
+
+@dataclass(frozen=True)
+class Trial:
+    """One memory with its inputs.
+
+    Attributes:
+        tables: the constant table, shape (1,).
+        states: the state before the first tick, shape (1,).
+        inputs: reference and measurement of each tick, shape (ticks, 2); the tick in the middle is
+            a reset to its reference.
+        drive: blends the table before each tick; None: no blending.
+    """
+
+    tables: RecordArray
+    states: RecordArray
+    inputs: FloatArray
+    drive: Drive | None = None
+
+    @property
+    def answers(self) -> int:
+        """Number of answers."""
+        return len(self.inputs) * (1 if self.drive is None else 2) + 1
+
+    @property
+    def answer_bytes(self) -> int:
+        """Size of an answer."""
+        blended = () if self.drive is None else (self.tables, self.drive.blendings)
+        return sum(each.itemsize for each in (self.states, *blended))
+
+
+def random_trials(
+    precision: Precision, seed: int, memories: int, ticks: int, blends: bool = False
+) -> list[Trial]:
+    """Trials of any memory and any inputs, the same for the same ``seed``.
+
+    Args:
+        precision: of real numbers.
+        seed: of the generator.
+        memories: how many trials.
+        ticks: of each.
+        blends: whether the speed of the car changes.
+    """
+    random, trials = np.random.default_rng(seed), []
+    for _ in range(memories):
+        even = random.random() < 0.2  # equal operands for comparisons
+        tables = random_table(random, precision, even)
+        states = random_state(random, tables[0], precision, even)
+        inputs = reals(random, (ticks, 2), precision, even)
+        drive = random_drive(random, precision, ticks, even) if blends else None
+        trials.append(Trial(tables, states, inputs, drive))
+    return trials
+
+
+def encoded(trials: list[Trial]) -> bytes:
+    """The trials as orders; each change of the speed and each tick is answered by a state."""
+    orders = []
+    for trial in trials:
+        orders += [b"M", trial.tables.tobytes(), trial.states.tobytes()]
+        drive = trial.drive
+        if drive is not None:
+            orders += [b"B", drive.schedules.tobytes(), drive.blendings.tobytes()]
+        for k, inputs in enumerate(trial.inputs):
+            if drive is not None:
+                orders.append(b"V" + drive.speeds[k].tobytes())
+            is_reset = k == len(trial.inputs) // 2
+            orders.append(b"Z" + inputs[:1].tobytes() if is_reset else b"S" + inputs.tobytes())
+        orders.append(b"I")
+    return b"".join(orders)
+
+
+def states_of(law: Law, trials: list[Trial]) -> Iterator[bytes]:
+    """The law's answers to the trials: each state, followed by the blended table, if any."""
+    for trial in trials:
+        tables, states = copied(trial.tables), copied(trial.states)
+        kept, change_speed = [states], None
+        if trial.drive is not None:
+            schedules, blendings = trial.drive.schedules, copied(trial.drive.blendings)
+            kept += [tables, blendings]
+            change_speed = law.change_speed_of((schedules, blendings, tables, states))
+        step = law.step_of(tables, states)
+        for k, (reference, measurement) in enumerate(trial.inputs.astype(float)):
+            if change_speed is not None and trial.drive is not None:
+                change_speed(float(trial.drive.speeds[k]))
+                yield b"".join(each.tobytes() for each in kept)
+            if k == len(trial.inputs) // 2:
+                law.reset(tables[0], states[0], reference)
+            else:
+                step(reference, measurement)
+            yield b"".join(each.tobytes() for each in kept)
+        started = law.init(tables[0]).tobytes()
+        yield started + b"".join(each.tobytes() for each in kept[1:])
+
+
+def copied(memory: RecordArray) -> RecordArray:
+    """A copy that includes the padding between fields."""
+    copy = memory.copy()
+    copy.view(np.uint8)[:] = memory.view(np.uint8)
+    return copy
+
+
+def in_python(trials: list[Trial]) -> bytes:
+    """The answers of the law in Python."""
+    return b"".join(states_of(PYTHON_LAW, trials))
+
+
+def different(one: bytes, other: bytes, trials: list[Trial]) -> int:
+    """Number of states (with blended tables) that differ in a bit between two rows of answers.
+
+    All not-a-numbers count as equal: their bits depend on the processor.
+    """
+    dtype, size = precision_of(trials[0].tables[0]), trials[0].answer_bytes
+    expected = sum(trial.answers for trial in trials)
+    if len(one) != expected * size or len(other) != expected * size:
+        return expected
+    rows = [np.frombuffer(each, dtype).copy() for each in (one, other)]
+    for row in rows:
+        row[np.isnan(row)] = np.nan
+    same = [row.view(np.uint8).reshape(expected, size) for row in rows]
+    return int(np.count_nonzero((same[0] != same[1]).any(axis=1)))

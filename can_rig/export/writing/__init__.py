@@ -1,1 +1,0 @@
-"""C from typed Python: expressions, statements, declarations, named numbers, and whole files."""

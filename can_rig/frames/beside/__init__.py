@@ -1,1 +1,0 @@
-"""Extra frames on every network of the rig: comparing scenarios, commanding a run."""

@@ -1,0 +1,233 @@
+"""The frames of ``dbc/control.dbc``, which command a run from outside."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from functools import cache
+from typing import Final, Literal, NamedTuple, cast
+
+from can import Message
+from cantools.database.can import Message as DbcMessage
+from e2e.p01 import e2e_p01_check, e2e_p01_protect
+
+from can_rig.errors import DbcError
+from can_rig.frames.databases import attribute, load_dbc, shipped_dbc
+from can_rig.frames.protection import COUNTERS, FRAME_BYTES
+
+DBC: Final = "control.dbc"
+SEQUENCES: Final = 255
+"""A multiple of the alive counter's 15, so that the sequence determines the counter."""
+
+ALL: Final = "all"
+"""Means every place."""
+
+SHORTEST_S: Final = 0.1
+LONGEST_S: Final = 25.5
+"""Longest time of a fault with a set end."""
+
+_NAMES: Final = ("CONTROL", "STATE", "APPLIED", "TAKEN")
+
+Action = Literal["INJECT", "CLEAR", "MOVE_REFERENCE", "PACE", "PAUSE", "STEP"]
+
+
+class Command(NamedTuple):
+    """What one ``RIG_CONTROL`` asks for; see the DBC."""
+
+    action: Action
+    kind: str | None = None
+    """Of a fault."""
+    place: str = ALL
+    """The place of the fault, or the place to clear."""
+    value: float | None = None
+    duration_s: float | None = None
+    """None: until cleared."""
+
+
+class State(NamedTuple):
+    """What one ``RIG_STATE`` says; see the DBC."""
+
+    injectable: bool
+    paused: bool
+    next_sequence: int
+    last_checksum: int
+    refused: int
+    pace: float
+
+
+def value_limits() -> tuple[float, float]:
+    """The step of a command's number, and the largest."""
+    value = _message("RIG_CONTROL").get_signal_by_name("Value")
+    return float(value.scale), float(value.maximum or 0)
+
+
+@cache
+def _message(name: str) -> DbcMessage:
+    path = shipped_dbc(DBC)
+    for message in load_dbc(path).messages:
+        if message.name == name:
+            return message
+    raise DbcError(f"{path}: has no message {name}; it must have one")
+
+
+class Identifiers(NamedTuple):
+    """Of ``RIG_CONTROL``, ``RIG_STATE``, ``RIG_APPLIED`` and ``RIG_TAKEN``."""
+
+    control: int
+    state: int
+    applied: int
+    taken: int
+
+
+@cache
+def identifiers() -> Identifiers:
+    """Those of the DBC."""
+    return Identifiers(*(_message(f"RIG_{name}").frame_id for name in _NAMES))
+
+
+def kinds() -> tuple[str, ...]:
+    """The injectable faults, by a scenario's words."""
+    return tuple(str(word) for word in _choices("Kind").values())
+
+
+def places() -> tuple[str, ...]:
+    """What can fail: both channels and the sensor."""
+    return tuple(word for word in _choices("Place").values() if word != ALL)
+
+
+@cache
+def _choices(signal: str) -> dict[int, str]:
+    found: Mapping[int, object] = _message("RIG_CONTROL").get_signal_by_name(signal).choices or {}
+    return {int(number): str(word) for number, word in found.items()}
+
+
+def command_message(command: Command, sequence: int) -> Message:
+    """The frame of ``command``; ``sequence`` is the last ``NextSequence``; values saturate."""
+    return _command_message("RIG_CONTROL", command, sequence)
+
+
+def taken_message(command: Command, sequence: int) -> Message:
+    """The plant node's confirmation frame for ``command``."""
+    return _command_message("RIG_TAKEN", command, sequence)
+
+
+def read_command(message: Message, sequence: int) -> Command | None:
+    """The command in a ``RIG_CONTROL``; None if damaged or numbered other than ``sequence``."""
+    numbered = _read_command("RIG_CONTROL", message)
+    return None if numbered is None or sequence != numbered[0] else numbered[1]
+
+
+def read_taken(message: Message) -> tuple[int, Command] | None:
+    """Number and content of a ``RIG_TAKEN``; None if it is damaged."""
+    return _read_command("RIG_TAKEN", message)
+
+
+def _command_message(name: str, command: Command, sequence: int) -> Message:
+    value = _message("RIG_CONTROL").get_signal_by_name("Value")
+    low, high = float(value.minimum or 0), float(value.maximum or 0)
+    data = {
+        "Checksum": 0,
+        "AliveCounter": 0,
+        "Action": command.action,
+        "Sequence": sequence,
+        "Kind": command.kind or 0,
+        "Place": command.place,
+        "HasValue": command.value is not None,
+        "Duration": 0.0
+        if command.duration_s is None
+        else min(max(command.duration_s, SHORTEST_S), LONGEST_S),
+        "Value": min(max(command.value or 0.0, low), high),
+    }
+    return _protected(name, data, sequence % COUNTERS)
+
+
+def _read_command(name: str, message: Message) -> tuple[int, Command] | None:
+    said = _intact(name, message)
+    if said is None:
+        return None
+    sequence = cast(int, said["Sequence"])
+    if said["AliveCounter"] != sequence % COUNTERS:
+        return None
+    action, kind, place = (str(said[name]) for name in ("Action", "Kind", "Place"))
+    if action not in _choices("Action").values():
+        return None
+    injects = action == "INJECT"
+    if injects != (kind in kinds()):
+        return None
+    command = Command(
+        cast(Action, action),
+        kind if injects else None,
+        place,
+        float(cast(float, said["Value"])) if said["HasValue"] else None,
+        float(cast(float, said["Duration"])) or None,
+    )
+    return sequence, command
+
+
+def state_message(state: State, counter: int) -> Message:
+    """The frame of ``state``."""
+    data = {
+        "Checksum": 0,
+        "AliveCounter": 0,
+        "Injectable": state.injectable,
+        "Paused": state.paused,
+        "NextSequence": state.next_sequence,
+        "LastChecksum": state.last_checksum,
+        "Refused": min(state.refused, 65535),
+        "Pace": min(state.pace, 655.35),
+    }
+    return _protected("RIG_STATE", data, counter % COUNTERS)
+
+
+def read_state(message: Message) -> State | None:
+    """What a ``RIG_STATE`` says; None if it is damaged."""
+    said = _intact("RIG_STATE", message)
+    if said is None:
+        return None
+    numbers = {name: float(cast(float, value)) for name, value in said.items()}
+    return State(
+        bool(numbers["Injectable"]),
+        bool(numbers["Paused"]),
+        int(numbers["NextSequence"]),
+        int(numbers["LastChecksum"]),
+        int(numbers["Refused"]),
+        numbers["Pace"],
+    )
+
+
+def applied_message(applied_1: float, applied_2: float) -> Message:
+    """The frame of both actuators' applied values."""
+    frame = _message("RIG_APPLIED")
+    data = frame.encode({"Applied1": applied_1, "Applied2": applied_2}, strict=False)
+    return Message(arbitration_id=frame.frame_id, is_extended_id=False, data=data)
+
+
+def read_applied(message: Message) -> tuple[float, float] | None:
+    """The applied values of both actuators; None for a wrong length."""
+    if len(message.data) != FRAME_BYTES:
+        return None
+    said = cast(dict[str, float], _message("RIG_APPLIED").decode(bytes(message.data)))
+    return float(said["Applied1"]), float(said["Applied2"])
+
+
+def _protected(name: str, data: Mapping[str, float | str], counter: int) -> Message:
+    frame = _message(name)
+    content = bytearray(frame.encode(dict(data), strict=False))
+    content[1] = (content[1] & 0xF0) | (counter - 1) % COUNTERS  # the library counts on
+    e2e_p01_protect(content, _data_id(frame))
+    return Message(arbitration_id=frame.frame_id, is_extended_id=False, data=content)
+
+
+def _intact(name: str, message: Message) -> dict[str, object] | None:
+    frame = _message(name)
+    if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
+        return None
+    if len(message.data) != FRAME_BYTES or not e2e_p01_check(message.data, _data_id(frame)):
+        return None
+    return cast(dict[str, object], frame.decode(bytes(message.data)))
+
+
+def _data_id(frame: DbcMessage) -> int:
+    found = attribute(frame, "E2EDataId")
+    if not isinstance(found, int):
+        raise DbcError(f"{shipped_dbc(DBC)}: message {frame.name}: E2EDataId must be set")
+    return found

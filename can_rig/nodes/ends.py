@@ -1,0 +1,211 @@
+"""Both nodes' ends of a tick's frames.
+
+The plant's end sends reference and feedback and judges the three answer frames; the controller's
+end receives the plant's frames and sends the answer.
+"""
+
+from __future__ import annotations
+
+import math
+from itertools import chain
+from typing import Final
+
+import can
+import numpy as np
+
+from can_rig.frames.codec import Record, ticks_ahead
+from can_rig.frames.endpoints import Receiver, Transmitter
+from can_rig.frames.network import Network
+from can_rig.nodes.bus_access import Send
+from can_rig.nodes.recording import Log, PlantRecorder
+from can_rig.plant.faults.frame_faults import SENSOR_PLACE, FrameFaults
+from can_rig.plant.simulated import SimulatedPlant
+from can_rig.scenario.driving import controls, speeds_at_ticks
+from can_rig.scenario.reference import reference, refuse_saturation
+from can_rig.scenario.settings import Scenario
+from firmware_model.firmware import PYTHON_LAW, Firmware, Law
+from firmware_model.target.structs import Record as Memory
+
+COMMANDS: Final = 2
+"""What is received is numbered: the commands first, then the status."""
+
+
+class PlantEnd:
+    """Samples the plant, sends D* with the reference, and judges commands and status.
+
+    Args:
+        scenario: the run; its frame faults act on D*; ``latency_ticks`` is the delay of the
+            simulated plant's commands.
+        network: the frames of the run.
+        send: sends a frame.
+        log: gets every sent frame; None records nothing.
+        reports: gets the plant's report of every tick; None records nothing.
+        changing: whether the faults may change during the run.
+
+    Raises:
+        ScenarioError: a reference beyond the range of its frame, an invalid plant.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        network: Network,
+        send: Send,
+        log: Log | None,
+        reports: PlantRecorder | None = None,
+        changing: bool = False,
+    ) -> None:
+        self.plant: Final = SimulatedPlant(scenario, changing)
+        self.reference_offset = 0.0
+        """Added to the scenario's reference, m/s²."""
+        refuse_saturation(scenario, network)
+        self._reference = reference(scenario)
+        self._send = send
+        self._log = log
+        self._reports = reports
+        self._send_reference = Transmitter(network.reference)
+        self._send_feedback = Transmitter(network.feedback)
+        self._send_nothing = Transmitter(network.feedback)  # with the counter of the other
+        self._send_speed = None if network.speed is None else Transmitter(network.speed)
+        self._speeds = np.empty(0) if network.speed is None else speeds_at_ticks(scenario)
+        self._faults = FrameFaults(scenario, network, changing)
+        self._receivers = tuple(
+            Receiver(codec) for codec in (network.command_1, network.command_2, network.status)
+        )
+        self._by_id = {each.codec.frame_id: at for at, each in enumerate(self._receivers)}
+        self._offered: tuple[can.Message, ...] = ()
+
+    def change_faults(self, scenario: Scenario) -> None:
+        """From the next tick on, the faults of ``scenario``."""
+        self.plant.change_faults(scenario)
+        self._faults.change(scenario)
+
+    def sample(self, tick: int) -> None:
+        """Measure D* of ``tick`` and pack its frames."""
+        wanted = self._reference.item(tick) + self.reference_offset
+        reference = self._send_reference.frame(wanted, tick)
+        own = self._send_feedback.frame(self.plant.measure(), tick)
+        feedback = [own]
+        if self._faults.concerns(SENSOR_PLACE):
+            feedback = self._faults.on_the_wire(
+                own, SENSOR_PLACE, tick, self._send_nothing.frame(math.nan, tick)
+            )
+        self._offered = (reference, *feedback)
+        if self._send_speed is not None:
+            self._offered = (self._send_speed.frame(self._speeds.item(tick), tick), *self._offered)
+
+    def send_sample(self) -> None:
+        """Send what was sampled."""
+        for message in self._offered:
+            self._send(message)
+            if self._log is not None:
+                self._log.record(message, sent=True)
+
+    def repeat(self) -> None:
+        """Send the offer again, for a controller that starts late; the log has one copy."""
+        for message in self._offered:
+            self._send(message)
+
+    def judge(self, message: can.Message, tick: int) -> tuple[int, Record] | None:
+        """Number and content of a valid frame of ``tick``; returns None for every other frame."""
+        at = self._by_id.get(message.arbitration_id)
+        if at is None:
+            return None
+        record = self._receivers[at].accept(message, tick)
+        return None if record is None else (at, record)
+
+    def age(self, message: can.Message, tick: int) -> int:
+        """How many ticks before ``tick`` a frame's own tick lies; 0 for one that says none."""
+        at = self._by_id.get(message.arbitration_id)
+        says = None if at is None else self._receivers[at].codec.layout.tick(message.data)
+        return 0 if says is None else -ticks_ahead(says, tick)
+
+    def advance(self, tick: int, command_1: float | None, command_2: float | None) -> None:
+        """Advance the plant by one tick with the valid commands of ``tick`` (None: missing)."""
+        reported = self.plant.advance(tick, command_1, command_2)
+        if self._reports is not None:
+            self._reports.record(tick, reported)
+
+    def end_tick(self) -> None:
+        """No more of this tick comes."""
+        for receiver in self._receivers:
+            receiver.end_tick()
+
+    def rejected(self) -> dict[str, dict[str, int]]:
+        """Per message, how many frames were not used and why."""
+        return {receiver.codec.name: receiver.rejected for receiver in self._receivers}
+
+
+class ControllerEnd:
+    """The receivers of reference, feedback and speed, and the senders of the answer.
+
+    Args:
+        scenario: the run; its frame faults act on the answer.
+        network: the frames of the run.
+        send: sends a frame.
+    """
+
+    def __init__(self, scenario: Scenario, network: Network, send: Send) -> None:
+        self.reference: Final = Receiver(network.reference)
+        self.feedback: Final = Receiver(network.feedback)
+        self.speed: Final = None if network.speed is None else Receiver(network.speed)
+        self._send = send
+        self._commands = (Transmitter(network.command_1), Transmitter(network.command_2))
+        self._status = Transmitter(network.status)
+        self.faults: Final = FrameFaults(scenario, network)
+        """Those of the answer."""
+
+    def send_commands(self, tick: int, command_1: float, command_2: float) -> None:
+        """Send both commands of ``tick``, after the scheduled frame faults."""
+        frames = [
+            self.faults.on_the_wire(transmitter.frame(command, tick), channel, tick)
+            for channel, (transmitter, command) in enumerate(
+                zip(self._commands, (command_1, command_2), strict=True)
+            )
+        ]
+        for frame in chain(*frames):
+            self._send(frame)
+
+    def send_status(
+        self, tick: int, estimate: float, mode: int, fault_state: int, verdict: int
+    ) -> None:
+        """The status, which closes ``tick``."""
+        self._send(self._status.frame(estimate, tick, mode, fault_state, verdict))
+
+    def is_speed(self, message: can.Message) -> bool:
+        """Whether ``message`` is a speed frame; False on a network without speed frames."""
+        return self.speed is not None and message.arbitration_id == self.speed.codec.frame_id
+
+    def speed_of(self, message: can.Message, tick: int | None) -> Record | None:
+        """The content of a frame of the speed; see ``Receiver.accept``."""
+        assert self.speed is not None
+        return self.speed.accept(message, tick)
+
+    def end_tick(self) -> None:
+        """No more of this tick comes."""
+        for receiver in self._receivers:
+            receiver.end_tick()
+
+    def rejected(self) -> dict[str, dict[str, int]]:
+        """Per message, how many frames were not used and why."""
+        return {receiver.codec.name: receiver.rejected for receiver in self._receivers}
+
+    @property
+    def _receivers(self) -> tuple[Receiver, ...]:
+        both = (self.reference, self.feedback)
+        return both if self.speed is None else (self.speed, *both)
+
+
+def started(scenario: Scenario, network: Network, law: Law = PYTHON_LAW) -> tuple[Memory, Firmware]:
+    """The controller's table and the firmware at rest, compiled before the first tick.
+
+    ``law`` is the implementation of the control law.
+
+    Raises:
+        ScenarioError: the design fails.
+    """
+    of = controls(scenario, network)
+    firmware = Firmware(of.table, law, of.schedule)
+    firmware.step(math.nan, math.nan)
+    firmware.reset(0.0)
+    return of.table, firmware

@@ -1,0 +1,434 @@
+"""Nodes in lockstep: virtual time stands still until the other node has answered.
+
+A tick is five frames in a fixed order: reference and feedback from the plant node (with a drive,
+the speed precedes both), then the commands and the status from the controller node. The feedback
+starts the controller's tick, the status ends the plant's tick. A command missing at the arrival of
+the status was therefore dropped, and no node waits for a dropped command.
+"""
+
+from __future__ import annotations
+
+import math
+from abc import ABC, abstractmethod
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from typing import Final, Protocol
+
+import can
+
+from can_rig.errors import ExportError, ScenarioError
+from can_rig.export.controllers import Application, Controller
+from can_rig.export.ecus import COUNTS, Ecu, rejected
+from can_rig.frames.codec import WIRE_TICKS, Record, tick_from
+from can_rig.frames.endpoints import Receiver
+from can_rig.frames.network import Network
+from can_rig.nodes.bus_access import Interrupted, NodeBus, Send, Watchdog
+from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock
+from can_rig.nodes.ends import COMMANDS, ControllerEnd, PlantEnd, started
+from can_rig.nodes.interaction import UNTOUCHED, Interaction
+from can_rig.nodes.recording import PlantRecorder, Recorder
+from can_rig.nodes.run_control import FollowedFaults, RunControl
+from can_rig.plant.faults.frame_faults import FrameFaults
+from can_rig.scenario.settings import Scenario
+from firmware_model.firmware import PYTHON_LAW, Firmware, Law
+
+CONTROL: Final = "RIG_CONTROL"
+
+QUIET_S: Final = 0.02
+"""When nothing has come for so long after the end, nothing is on its way."""
+
+QUIET_AMONG_OTHERS_S: Final = 0.25
+"""The same where others have sent too, whose queues a busy machine may be slow to empty."""
+
+UNREAD_S: Final = 10.0
+"""The longest wait for it, on a bus whose time stamps do not say what was sent before the end."""
+
+
+class PlantNode:
+    """Sends reference and feedback, waits for the status, applies the received commands.
+
+    Args:
+        scenario: the run.
+        network: the frames of the run.
+        send: sends a frame.
+        recorder: gets every frame sent or received; None records nothing.
+        reports: gets the plant's report of every tick; None records nothing.
+        interaction: permitted commands during the run.
+        clock: the time, for a run with interaction.
+
+    Raises:
+        ScenarioError: a reference beyond the range of its frame, an invalid plant, frames
+            without a tick.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        network: Network,
+        send: Send,
+        recorder: Recorder | None = None,
+        reports: PlantRecorder | None = None,
+        interaction: Interaction = UNTOUCHED,
+        clock: Clock = SYSTEM_CLOCK,
+    ) -> None:
+        require_ticks(scenario, network)
+        self.ticks: Final = scenario.ticks
+        self._recorder = recorder
+        self._others_send = False
+        self._end = PlantEnd(scenario, network, send, recorder, reports, interaction.injectable)
+        self._control = RunControl(interaction, scenario, self._end, send, clock)
+
+    def run(self, watchdog: Watchdog, on_tick: Callable[[int], None]) -> int:
+        """Run to the end or to a stop request; the number of ticks completed.
+
+        Raises:
+            SilentNodeError: the controller node is silent.
+            BusLostError: the bus carries nothing any more.
+        """
+        for tick in range(self.ticks):
+            try:
+                if watchdog.stop.wanted:
+                    return tick
+                self.begin(tick, watchdog)
+                self.offer(tick)
+                self.collect(tick, watchdog)
+            except Interrupted:
+                return tick
+            on_tick(tick + 1)
+        return self.ticks
+
+    def begin(self, tick: int, watchdog: Watchdog) -> None:
+        """Wait until ``tick`` may begin, where the run is held or paused.
+
+        Raises:
+            Interrupted: a stop was requested.
+        """
+        self._control.begin(tick, watchdog, self._overhear)
+
+    def offer(self, tick: int) -> None:
+        """Start ``tick``: sample D*, send the reference and the feedback."""
+        if self._recorder is not None:
+            self._recorder.begin_tick(tick)
+        self._end.sample(tick)
+        self._end.send_sample()
+
+    def repeat(self) -> None:
+        """Send the offer again, for a controller that starts late; the log has one copy."""
+        self._end.repeat()
+
+    def collect(self, tick: int, watchdog: Watchdog) -> None:
+        """Finish ``tick``: take the commands up to its status frame and advance the plant.
+
+        Raises:
+            SilentNodeError, BusLostError, Interrupted: see ``Watchdog.receive``.
+        """
+        commands: list[float | None] = [None, None]
+        while True:
+            message = watchdog.receive(tick)
+            if self._recorder is not None:
+                self._recorder.record(message, sent=False)
+            judged = self._end.judge(message, tick)
+            if judged is None:
+                self._others_send = True
+                self._control.take(message)
+                watchdog.go_on_waiting(tick)
+                continue
+            at, record = judged
+            if at == COMMANDS:
+                watchdog.hear()
+                break
+            if math.isfinite(record.value):
+                commands[at] = record.value
+        self._end.end_tick()
+        self._end.advance(tick, *commands)
+        self._control.applied()
+
+    def _overhear(self, message: can.Message) -> None:
+        """Note a frame that comes between two ticks."""
+        self._others_send = True
+        if self._recorder is not None:
+            self._recorder.record(message, sent=False)
+        self._control.take(message)
+
+    def record_the_rest(self, bus: NodeBus, clock: Clock) -> None:
+        """Record unread frames of other senders at the end of the run."""
+        if self._recorder is None:
+            return
+        quiet_s = QUIET_AMONG_OTHERS_S if self._others_send else QUIET_S
+        end_s, deadline_ns = clock.stamp_s(), clock.now_ns() + round(UNREAD_S * NS_PER_S)
+        with suppress(can.CanError):
+            while clock.now_ns() < deadline_ns:
+                message = bus.recv(quiet_s)
+                if message is None or message.timestamp > end_s:
+                    return
+                self._recorder.record(message, sent=False)
+
+    def rejected(self) -> dict[str, dict[str, int]]:
+        """Per message, how many frames were not used and why."""
+        refused = self._control.refused
+        return self._end.rejected() | ({CONTROL: {"refused": refused}} if refused else {})
+
+
+def require_ticks(scenario: Scenario, network: Network) -> None:
+    """Refuse frames without a tick signal.
+
+    Raises:
+        ScenarioError: a frame without a tick signal.
+    """
+    if not network.has_ticks:
+        raise ScenarioError(
+            f"scenario {scenario.name}: network.tick: must name the signal that counts the "
+            "ticks in every message, or the run be in real time (can-rig run --realtime): in "
+            "lockstep a frame must say which tick it is of"
+        )
+
+
+class AnsweringNode(ABC):
+    """A node that answers each tick's frames.
+
+    Attributes:
+        ticks: the number of ticks of the whole run.
+    """
+
+    ticks: int
+
+    @property
+    @abstractmethod
+    def tick(self) -> int:
+        """The tick that is answered next."""
+
+    @abstractmethod
+    def take(self, message: can.Message) -> bool:
+        """Receive a frame; returns True if the frame completed a tick, which is then answered."""
+
+    def run(self, watchdog: Watchdog, on_tick: Callable[[int], None]) -> int:
+        """Answer ticks to the end of the run or to a stop request; the number answered.
+
+        Raises:
+            SilentNodeError: the plant node is silent.
+            BusLostError: the bus carries nothing any more.
+        """
+        while self.tick < self.ticks and not watchdog.stop.wanted:
+            try:
+                self.serve(watchdog)
+            except Interrupted:
+                break
+            on_tick(self.tick)
+        return self.tick
+
+    def serve(self, watchdog: Watchdog) -> None:
+        """Wait for one tick's feedback and answer the tick.
+
+        Raises:
+            SilentNodeError, BusLostError, Interrupted: see ``Watchdog.receive``.
+        """
+        while not self.take(watchdog.receive(self.tick)):
+            watchdog.go_on_waiting(self.tick)
+        watchdog.hear()
+
+
+class Actuation(Protocol):
+    """The recorded timing of commands, for replay."""
+
+    def begin(self, tick: int, firmware: Firmware) -> bool:
+        """Tell the firmware the active commands from ``tick`` on; True for an answered sample."""
+
+    def send(self, tick: int, commands: tuple[float, float]) -> None:
+        """Note the commands of a tick."""
+
+
+class ControllerNode(AnsweringNode):
+    """Answers each feedback frame with two commands and a status.
+
+    Args:
+        scenario: the run.
+        network: the frames of the run.
+        send: sends a frame.
+        actuation: command timing of a recorded real-time run; None: every answer is in time.
+        law: the implementation of the control law.
+
+    Raises:
+        ScenarioError: the design fails.
+    """
+
+    def __init__(
+        self,
+        scenario: Scenario,
+        network: Network,
+        send: Send,
+        actuation: Actuation | None = None,
+        law: Law = PYTHON_LAW,
+    ) -> None:
+        self._actuation = actuation
+        self.ticks = scenario.ticks
+        self._end = ControllerEnd(scenario, network, send)
+        self._followed = FollowedFaults(scenario, self._end.faults)
+        _, self._firmware = started(scenario, network, law)
+        self._reference_now = Record(math.nan, -1)
+        self._tick = 0  # the next one
+        self._expected: int | None = None  # the first contact sets the tick
+        self._first_reference: can.Message | None = None
+        self._first_speed: can.Message | None = None
+
+    @property
+    def tick(self) -> int:
+        """The tick that is answered next."""
+        return self._tick
+
+    def take(self, message: can.Message) -> bool:
+        """Receive a frame; returns True if the frame completed a tick, which is then answered."""
+        if self._followed.take(message, self._tick):
+            return False
+        if self._expected is None and not self._first_contact(message):
+            return False
+        if self._end.is_speed(message):
+            self._take_speed(message)
+        elif message.arbitration_id == self._end.reference.codec.frame_id:
+            record = self._end.reference.accept(message, self._expected)
+            self._reference_now = record or self._reference_now
+        elif message.arbitration_id == self._end.feedback.codec.frame_id:
+            record = self._end.feedback.accept(message, self._expected)
+            if record is not None:
+                self._answer(record.tick, record.value)
+                return True
+        return False
+
+    def _first_contact(self, message: can.Message) -> bool:
+        """Whether ``message`` is the first feedback: intact, and of the tick of the reference.
+
+        A forged frame has the right CRC with probability 1/256, and no expected tick exists yet to
+        reject the frame. First contact therefore needs two consistent frames; before first contact
+        no protection checker sees any frame.
+        """
+        reference, feedback = self._end.reference, self._end.feedback
+        if message.arbitration_id == reference.codec.frame_id:
+            self._first_reference = message
+        elif self._end.is_speed(message):
+            self._first_speed = message
+        elif message.arbitration_id == feedback.codec.frame_id and self._first_reference:
+            pair = ((reference, self._first_reference), (feedback, message))
+            one, other = (Receiver(receiver.codec).accept(frame) for receiver, frame in pair)
+            if one is not None and other is not None and one.tick == other.tick:
+                reference.accept(self._first_reference, one.tick)
+                self._reference_now, self._expected = one, one.tick
+                if self._first_speed is not None:
+                    self._take_speed(self._first_speed)
+                return True
+        return False
+
+    def _take_speed(self, message: can.Message) -> None:
+        """Pass the speed to the firmware; without a frame, the firmware keeps the last speed."""
+        record = self._end.speed_of(message, self._expected)
+        if record is not None:
+            self._firmware.change_speed(record.value)
+
+    @property
+    def expected(self) -> int | None:
+        """The tick of the next expected frames; None before the first contact."""
+        return self._expected
+
+    def miss(self) -> None:
+        """Skip the expected tick without feedback: the firmware holds, and reports the miss.
+
+        In lockstep, time stands still until the feedback arrives; callers that know about passed
+        ticks report each with this method.
+        """
+        assert self._expected is not None
+        self._answer(self._expected % WIRE_TICKS, math.nan)
+
+    def _answer(self, wire_tick: int, measurement: float) -> None:
+        tick = tick_from(wire_tick, self._tick)
+        now = self._reference_now
+        reference = now.value if now.tick == wire_tick else math.nan  # none: hold, and say so
+        if self._actuation is not None and not self._actuation.begin(tick, self._firmware):
+            reference = measurement = math.nan
+        answer = self._firmware.step(reference, measurement)
+        if self._actuation is not None:
+            self._actuation.send(tick, (answer.command_1, answer.command_2))
+        self._end.send_commands(tick, answer.command_1, answer.command_2)
+        self._end.send_status(
+            tick, answer.fault_estimate, answer.mode, answer.fault_state, answer.verdict
+        )
+        self._end.end_tick()
+        self._tick = self._expected = tick + 1
+
+    def rejected(self) -> dict[str, dict[str, int]]:
+        """Per message, how many frames were not used and why."""
+        return self._end.rejected()
+
+
+class EcuNode(AnsweringNode):
+    """Like ``ControllerNode``, but ``ecu`` processes the frames."""
+
+    def __init__(self, scenario: Scenario, network: Network, send: Send, ecu: Ecu) -> None:
+        self.ticks = scenario.ticks
+        self._send = send
+        self._ecu = ecu
+        speed = () if network.speed is None else (network.speed,)
+        self._inputs = (network.reference, network.feedback, *speed)
+        self._wanted = {codec.frame_id for codec in network.on_the_bus[: network.offered]}
+        commands = (network.command_1, network.command_2)
+        self._channels = {codec.frame_id: channel for channel, codec in enumerate(commands)}
+        self._faults = FrameFaults(scenario, network)
+        self._followed = FollowedFaults(scenario, self._faults)
+        self._tick = 0  # the next one
+
+    @property
+    def tick(self) -> int:
+        """The tick that is answered next."""
+        return self._tick
+
+    def take(self, message: can.Message) -> bool:
+        """Pass a frame to the program, send a completed tick's answer; True after an answer."""
+        if message.is_extended_id or message.is_remote_frame or message.is_error_frame:
+            return False
+        if message.arbitration_id not in self._wanted:
+            self._followed.take(message, self._tick)
+            return False
+        sent = self._ecu.take(message.arbitration_id, bytes(message.data))
+        for frame_id, data in sent:
+            own = can.Message(0.0, frame_id, False, data=data)
+            frames = [own]
+            if frame_id in self._channels:
+                frames = self._faults.on_the_wire(own, self._channels[frame_id], self._tick)
+            for frame in frames:
+                self._send(frame)
+        self._tick += bool(sent)
+        return bool(sent)
+
+    def close(self) -> None:
+        """End the program."""
+        self._ecu.close()
+
+    def rejected(self) -> dict[str, dict[str, int]]:
+        """Per message, how many frames were not used and why."""
+        counts = self._ecu.counts()
+        parts = (counts[i : i + COUNTS] for i in range(0, len(counts), COUNTS))
+        pairs = zip(self._inputs, parts, strict=True)
+        return {codec.name: rejected(part) for codec, part in pairs}
+
+
+@contextmanager
+def lockstep_controller(
+    scenario: Scenario, network: Network, send: Send, controller: Controller
+) -> Iterator[ControllerNode | EcuNode]:
+    """The controller node in lockstep; see ``ControllerNode``."""
+    if not isinstance(controller, Application):
+        yield ControllerNode(scenario, network, send, law=controller)
+        return
+    ecu = controller.start()
+    try:
+        yield EcuNode(scenario, network, send, ecu)
+    finally:
+        ecu.close()
+
+
+def in_real_time(controller: Controller) -> Law:
+    """The control law for a node by the wall clock.
+
+    Raises:
+        ExportError: an application, whose receive rules support lockstep only.
+    """
+    if isinstance(controller, Application):
+        raise ExportError("real time: the controller must be python or c")
+    return controller

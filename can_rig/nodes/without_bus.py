@@ -1,0 +1,181 @@
+"""Both nodes without a bus: many ticks compiled, then all their frames at once.
+
+What is recorded is what the two nodes record in lockstep, byte for byte.
+"""
+
+from __future__ import annotations
+
+from contextlib import ExitStack
+from pathlib import Path
+
+import numpy as np
+
+from can_rig import paged
+from can_rig.frames.frame_columns import payloads
+from can_rig.frames.network import Network
+from can_rig.nodes.bus_access import StopRequest
+from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, OnTick
+from can_rig.nodes.recording import LogFile, PlantRecorder, candump_bytes
+from can_rig.nodes.summary import NodeSummary, RunColumns
+from can_rig.plant.behind import LinearBehind, PlantBehind
+from can_rig.plant.changing_car import plant_of
+from can_rig.plant.faults.delivery import delivery
+from can_rig.plant.frameless import carried
+from can_rig.plant.in_windows import LoopInWindows
+from can_rig.scenario.build import network_of
+from can_rig.scenario.settings import Scenario
+from firmware_model.target.structs import FloatArray
+
+
+def run_without_bus(
+    scenario: Scenario, log: Path, stop: StopRequest, on_tick: OnTick
+) -> NodeSummary:
+    """Both nodes and no bus; the log is that of two processes, byte for byte."""
+    run = RunWithoutBus(scenario, log)
+    wall_s = run.run(stop, on_tick)
+    rate = run.ticks / wall_s
+    return NodeSummary(run.ticks, wall_s, run.rejected(), {}, None, run.columns, rate)
+
+
+class RunWithoutBus:
+    """A scenario, recorded as it goes on.
+
+    Args:
+        scenario: the run.
+        log: where to record.
+
+    Raises:
+        ScenarioError: a scenario that cannot run.
+        RunFolderError: the log cannot be written.
+    """
+
+    def __init__(self, scenario: Scenario, log: Path) -> None:
+        self._scenario = scenario
+        self._network: Network = network_of(scenario)
+        self._files = ExitStack()
+        self._log = LogFile(log)
+        self._files.callback(self._log.close)
+        self._reports = self._files.enter_context(PlantRecorder(log))
+        plant = plant_of(scenario)
+        self._linear = plant if isinstance(plant, LinearBehind) else None
+        self._frames: dict[str, FloatArray] = {}
+        self._plant: dict[str, FloatArray] = {}
+        self._run = LoopInWindows(
+            scenario,
+            self._network,
+            plant.sampled if isinstance(plant, LinearBehind) else _Reporting(plant, self._reports),
+            keeps_states=True,
+        )
+        self._run.loop.run(0)  # compiles, or loads what was compiled, before the first tick
+
+    def run(self, stop: StopRequest, on_tick: OnTick) -> float:
+        """Go on to the end or to a stop request; how long that took, s.
+
+        Raises:
+            RigError: a plant of one's own fails; what was sent by then is recorded.
+        """
+        start_ns = SYSTEM_CLOCK.now_ns()
+        with self._files:
+            while self.ticks < self._scenario.ticks and not stop.wanted:
+                begin = self.ticks
+                try:
+                    self._run.run()
+                finally:
+                    self._record(range(begin, self.ticks))
+                on_tick(self.ticks)
+        return (SYSTEM_CLOCK.now_ns() - start_ns) / NS_PER_S
+
+    @property
+    def ticks(self) -> int:
+        """How many are done."""
+        return self._run.done
+
+    @property
+    def columns(self) -> RunColumns:
+        """What the run carried."""
+        done = slice(self.ticks)
+        frames = {name: column[done] for name, column in self._frames.items()}
+        plant = {name: column[done] for name, column in self._plant.items()}
+        return RunColumns(frames, None if self._linear is None else plant)
+
+    def rejected(self) -> dict[str, dict[str, int]]:
+        """Per message, how many frames were not used and why."""
+        network = self._network
+        own = network.on_the_bus[: network.offered]
+        always: dict[str, dict[str, int]] = {codec.name: {} for codec in (network.status, *own)}
+        return delivery(self._scenario, network, self.ticks).rejected | always
+
+    def _record(self, ticks: range) -> None:
+        """Frames and reports of some ticks."""
+        network, trace, some = self._network, self._run.loop.trace, self._run.here(ticks)
+        inputs, begin = self._run.inputs, ticks.start
+        own = network.offered
+        frames = [
+            payloads(codec, values[some], begin)
+            for codec, values in (
+                (network.reference, trace.reference),
+                (network.feedback, trace.measured),
+                (network.command_1, trace.command_1),
+                (network.command_2, trace.command_2),
+            )
+        ]
+        frames.append(
+            payloads(
+                network.status,
+                trace.fault_estimate[some],
+                begin,
+                trace.mode[some],
+                trace.fault_state[some],
+                trace.verdict[some],
+            )
+        )
+        if network.speed is not None and inputs.speed is not None:
+            frames.insert(0, payloads(network.speed, inputs.speed[some], begin))
+        data = np.stack(frames, axis=1)
+        damage = inputs.delivery.damage
+        rows, channels, at, change = damage[
+            (damage[:, 0] >= some.start) & (damage[:, 0] < some.stop)
+        ].T
+        data[rows - some.start, own + channels, at] ^= change.astype(np.uint8)
+        there = np.ones((len(ticks), len(frames)), dtype=np.bool_)
+        there[:, own : own + 2] = inputs.delivery.sent[some]
+        first_us = np.array(ticks, dtype=np.int64) * self._scenario.tick_ns // 1000
+        lines = candump_bytes(data, there, first_us, network.identifiers, own)
+        self._log.write_bytes(lines)
+        self._keep(self._frames, ticks, carried(trace, inputs.delivery, some, network))
+        if self._linear is not None:
+            loop = self._run.loop
+            reported = self._linear.report_columns(
+                trace.measurement, loop.plant_states, loop.reached, loop.inputs[3],
+                range(some.start, some.stop),
+            )  # fmt: skip
+            self._reports.record_columns(begin, reported)
+            self._keep(self._plant, ticks, reported)
+
+    def _keep(
+        self, columns: dict[str, FloatArray], ticks: range, said: dict[str, FloatArray]
+    ) -> None:
+        """Add some ticks to columns that have a place for every tick of the run."""
+        for name, values in said.items():
+            if name not in columns:
+                columns[name] = paged.empty(self._scenario.ticks)
+            columns[name][ticks.start : ticks.stop] = values
+
+
+class _Reporting:
+    """A plant of one's own whose reports are recorded as it goes on."""
+
+    def __init__(self, plant: PlantBehind, reports: PlantRecorder) -> None:
+        self._plant = plant
+        self._reports = reports
+        self._tick = 0
+
+    def follow(
+        self, command_1: float, command_2: float, left_1: float, left_2: float
+    ) -> tuple[float, float]:
+        """See ``PlantBehind``."""
+        reported = self._plant.report(command_1, command_2, left_1, left_2)
+        answer = self._plant.follow(command_1, command_2, left_1, left_2)
+        self._reports.record(self._tick, reported)
+        self._tick += 1
+        return answer

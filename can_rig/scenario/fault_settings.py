@@ -1,0 +1,145 @@
+"""The keys of a fault: place, kind, begin and duration.
+
+The first word of a kind names the place: an actuator, the sensor, or a frame in transit. A scenario
+has any number of faults; faults may overlap.
+"""
+
+from __future__ import annotations
+
+from typing import Annotated, Final, Literal, get_args
+
+from pydantic import Field, PositiveFloat
+from pydantic.dataclasses import dataclass
+
+from can_rig.scenario.plant_settings import STRICT
+
+FaultKind = Literal[
+    "none",
+    "actuator-dead",
+    "actuator-stuck",
+    "actuator-offset",
+    "actuator-drift",
+    "actuator-oscillating",
+    "actuator-rate-limited",
+    "actuator-late",
+    "sensor-biased",
+    "sensor-dead",
+    "sensor-stuck",
+    "sensor-drift",
+    "sensor-oscillating",
+    "sensor-rate-limited",
+    "sensor-late",
+    "frames-missing",
+    "frames-corrupted",
+    "frames-repeated",
+    "frames-late",
+    "frames-forged",
+]
+Channel = Literal["torque", "force-difference"]
+CHANNELS: Final[tuple[Channel, Channel]] = get_args(Channel)
+"""Names of input 1 and input 2, for any plant."""
+SENSOR: Final = "sensor"
+"""The place of the measured output's frame."""
+PLACES: Final = (*CHANNELS, SENSOR)
+"""Places of faults; the index is the place's number."""
+
+MAX_DURATION_S: Final = 1e6
+FOR_GOOD_NS: Final = 1 << 62  # later than any run
+MAX_LATE_TICKS: Final = 1000
+
+Moment = Annotated[float, Field(ge=0.0, le=MAX_DURATION_S)]
+"""A moment of a run, or a duration of zero or more, s."""
+
+NUMBER: Final = {
+    "actuator-dead": "left",
+    "sensor-dead": "left",
+    "actuator-stuck": "value",
+    "sensor-stuck": "value",
+    "actuator-offset": "offset",
+    "actuator-drift": "drift_per_s",
+    "sensor-drift": "drift_per_s",
+    "actuator-oscillating": "amplitude",
+    "sensor-oscillating": "amplitude",
+    "actuator-rate-limited": "rate_per_s",
+    "sensor-rate-limited": "rate_per_s",
+    "actuator-late": "late_ticks",
+    "sensor-late": "late_ticks",
+    "sensor-biased": "bias_mps2",
+    "frames-late": "late_ticks",
+    "frames-forged": "value",
+}
+"""The key of each kind's number, for kinds with a number."""
+
+WHERE_IT_IS: Final = ("actuator-stuck", "sensor-stuck")
+"""Kinds with an optional number."""
+
+
+@dataclass(frozen=True, config=STRICT)
+class FaultSettings:
+    """One fault from ``at_s`` on, endless or for ``for_s`` seconds, at every ``every``-th tick.
+
+    ``channel`` names the place of an actuator fault or a frame fault. ``value``, ``offset``,
+    ``drift_per_s``, ``amplitude`` and ``rate_per_s`` have the unit of the failing signal: N m, N or
+    m/s².
+    """
+
+    kind: FaultKind = "none"
+    channel: Literal["torque", "force-difference", "sensor"] = "torque"
+    at_s: Moment = 10.0
+    for_s: Annotated[float, Field(gt=0.0, le=MAX_DURATION_S)] | None = None
+    every: Annotated[int, Field(ge=1, le=1_000_000)] = 1
+    left: Annotated[float, Field(ge=0.0, lt=1.0)] = 0.0
+    bias_mps2: float = 0.1
+    value: float | None = None
+    offset: float | None = None
+    drift_per_s: float | None = None
+    amplitude: float | None = None
+    frequency_rad_per_s: PositiveFloat = 10.0
+    rate_per_s: PositiveFloat | None = None
+    late_ticks: Annotated[int, Field(ge=1, le=MAX_LATE_TICKS)] = 10
+
+    def __post_init__(self) -> None:
+        needed = None if self.kind in WHERE_IT_IS else NUMBER.get(self.kind)
+        if needed is not None and getattr(self, needed) is None:
+            raise ValueError(f"{needed}: must be set for {self.kind!r}")
+        if self.channel == SENSOR and self.kind.startswith("actuator-"):
+            raise ValueError(
+                f"channel = {SENSOR!r}: must be torque or force-difference for {self.kind!r}"
+            )
+
+    @property
+    def place(self) -> str:
+        """The failing place: one of ``PLACES``."""
+        return SENSOR if self.kind.startswith("sensor-") else self.channel
+
+    @property
+    def acts_on_frames(self) -> bool:
+        """Whether the fault acts on the bus or on a sender."""
+        return self.kind.startswith("frames-")
+
+    @property
+    def adds_frames(self) -> bool:
+        """Whether the fault sends other frames than the tick's regular, perhaps damaged frames."""
+        alone = "frames-missing" if self.place == SENSOR else "frames-corrupted"
+        return self.acts_on_frames and self.kind not in {"frames-missing", alone}
+
+    @property
+    def loses_a_channel(self) -> bool:
+        """Whether an actuator ignores its command, in full or in part."""
+        return self.kind != "none" and self.place != SENSOR
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """Begin and end; whole nanoseconds, so that rounding never shifts a tick."""
+        if self.kind == "none":
+            return FOR_GOOD_NS, FOR_GOOD_NS
+        begin_ns = round(self.at_s * 1e9)
+        if self.for_s is None:
+            return begin_ns, FOR_GOOD_NS
+        return begin_ns, begin_ns + round(self.for_s * 1e9)
+
+    def ticks(self, tick_ns: int, run: range) -> range:
+        """The ticks of ``run`` with the fault active."""
+        begin, end = (-(-time_ns // tick_ns) for time_ns in self.span_ns)
+        steps = -(-max(run.start - begin, 0) // self.every)
+        return range(begin + steps * self.every, min(end, run.stop), self.every)
