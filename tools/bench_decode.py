@@ -25,9 +25,9 @@ from rich.table import Table
 from can_rig.assessment.resolve import load
 from can_rig.decoding.decode import decode_log
 from can_rig.frames.databases import load_database, shipped_dbc
+from can_rig.logs.formats.candump import candump_lines
 from can_rig.logs.frames import concatenate
 from can_rig.logs.reading import read_log
-from can_rig.logs.writers.candump import candump_lines
 from can_rig.logs.writing import write_log
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process

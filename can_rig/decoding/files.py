@@ -1,27 +1,78 @@
-"""A whole log, decoded into files chunk by chunk."""
+"""A whole log, decoded into files chunk by chunk; incomplete files are removed."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
-from contextlib import ExitStack
+import json
+from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
+from importlib import import_module
 from pathlib import Path
-from typing import Final
+from typing import Any, Final, NamedTuple, Protocol
 
 import numpy as np
 
 from can_rig.decoding.decode import Databases, Decoder
 from can_rig.decoding.message_columns import MessageColumns
-from can_rig.decoding.outputs.output import CSV, Output, output
 from can_rig.errors import LogError
+from can_rig.files import atomic, refuse_existing
+from can_rig.folders import Kind, refuse_folder, whole_folder
 from can_rig.logs.frames import Frames, concatenate
 from can_rig.logs.log import Log
+
+_WRITERS: Final = {
+    ".csv": "tables.WideCsv",
+    ".parquet": "tables.FolderOfTables",
+    "": "tables.FolderOfTables",
+    ".mf4": "to_mf4.DecodedMf4",
+    ".mcap": "to_mcap.DecodedMcap",
+}
+"""The `Output` by suffix; imported on use, because their libraries are slow to import."""
+
+_FOLDERS: Final = (".parquet", "")
+"""Suffixes of folders with a file for each message."""
+
+INDEX: Final = "_decoded.json"
+"""In a folder of decoded messages: the message of each file."""
 
 _CELLS: Final = 1 << 22  # of a chunk, if all its frames are of the widest message: bounds memory
 _LEAST_ROWS: Final = 1 << 10
 
 Reading = Callable[[Log, str], Iterator[Frames]]
 """Yields the chunks of a log; the text describes the activity for a progress display."""
+
+
+def _own(folder: Path) -> list[str]:
+    """The files that the index of a folder names, and itself."""
+    try:
+        files = json.loads((folder / INDEX).read_text("utf-8"))["files"]
+        return [*(name for name in files if name == Path(name).name), INDEX]
+    except (OSError, ValueError, KeyError, TypeError):
+        return [INDEX]
+
+
+DECODED: Final = Kind("a folder of decoded messages", INDEX, _own, lambda _: True)
+
+
+class Contents(NamedTuple):
+    """What an output needs to know of the log and of the user's wishes."""
+
+    layout: Mapping[str, MessageColumns]
+    """For a single CSV, the possible messages, without rows."""
+    start_ns: int
+    """Start of the recording, on the clock of the columns [ns]."""
+    names: bool
+    """Whether to write words of value tables instead of numbers."""
+
+
+class Output(Protocol):
+    """One or several files that receive decoded chunks; made from a path and `Contents`."""
+
+    def write(self, chunk: Mapping[str, MessageColumns]) -> None:
+        """Add the messages of a chunk of the log."""
+
+    def close(self) -> None:
+        """Finish the files."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +100,44 @@ class Form:
     """Earlier outputs are replaced."""
 
 
+def refuse_output(path: Path, force: bool) -> None:
+    """Refuse an unknown format, or an existing output without ``force``.
+
+    Raises:
+        LogError, RunFolderError: the reason.
+    """
+    if path.suffix not in _WRITERS:
+        raise LogError(
+            f"{path}: cannot be written as {path.suffix}; it must be .csv, .parquet, .mf4 or "
+            ".mcap, or a folder, without a suffix"
+        )
+    if path.suffix in _FOLDERS:
+        refuse_folder(path, DECODED, force)
+    else:
+        refuse_existing(path, force, "--out")
+
+
+@contextmanager
+def output(path: Path, contents: Contents, force: bool) -> Iterator[Output]:
+    """An output at ``path``, which exists, complete, once the context is left without an error.
+
+    Args:
+        path: ``.csv``, ``.mf4``, ``.mcap``, or a folder: ``.parquet``, or without a suffix.
+        contents: see `Contents`.
+        force: replace an earlier output.
+
+    Raises:
+        LogError, RunFolderError: the output cannot be written.
+    """
+    folder = path.suffix in _FOLDERS
+    whole = whole_folder(path, DECODED, force=force) if folder else atomic(path, force=force)
+    with whole as part:
+        module, name = _WRITERS[part.suffix].split(".")
+        writer: Any = getattr(import_module(f"can_rig.decoding.{module}"), name)(part, contents)
+        yield writer
+        writer.close()
+
+
 def decode_to_files(
     log: Log,
     databases: Databases,
@@ -70,17 +159,15 @@ def decode_to_files(
     widest = max((len(message.signals) for message in decoder.messages.values()), default=0)
     log.chunk_frames = min(log.chunk_frames, max(_CELLS // (widest + 1), _LEAST_ROWS))
     layout = {}
-    if any(path.suffix == CSV for path in outputs):
+    if any(path.suffix == ".csv" for path in outputs):
         layout = _survey(log, selection.decoder(databases), reading)
     with ExitStack() as stack:
         writers: list[Output] | None = None
 
         def opened() -> list[Output]:
             start_ns = 0 if form.relative else log.start_ns
-            return [
-                stack.enter_context(output(path, layout, start_ns, form.names, form.force))
-                for path in outputs
-            ]
+            contents = Contents(layout, start_ns, form.names)
+            return [stack.enter_context(output(path, contents, form.force)) for path in outputs]
 
         for frames in reading(log, "decoding"):
             writers = opened() if writers is None else writers
@@ -89,7 +176,7 @@ def decode_to_files(
             for writer in writers:
                 writer.write(chunk)
         if writers is None:
-            if log.format == ".log":  # without a header, any text could be a log
+            if log.format.key == ".log":  # without a header, any text could be a log
                 raise LogError(
                     f"{log.path}: has no frame in it; must be a log as candump -L writes it"
                 )

@@ -53,6 +53,11 @@ class SignalColumn:
         unscaled = self.conversion.scale == 1 and self.conversion.offset == 0
         return bool(self.choices) and unscaled and not self.is_float
 
+    @property
+    def value_table(self) -> str:
+        """The value table in a line."""
+        return ", ".join(f"{number} {word}" for number, word in sorted(self.choices.items()))
+
     def raw(self, data: UInt8s) -> Column:
         """(n,) raw values in payloads (n, bytes) that are long enough for the signal."""
         if self.length > _WORD_BITS:

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import dataclass
-from typing import Any, Final
+from dataclasses import dataclass, replace
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from can import Message
 from numpy.typing import NDArray
+
+from can_rig.errors import LogError
 
 # Bits of Frames.flags.
 EXTENDED: Final = 1
@@ -22,6 +24,8 @@ SENT: Final = 64
 CLASSIC_BYTES: Final = 8
 FD_BYTES: Final = 64
 NS_PER_S: Final = 1_000_000_000
+MAX_BUSES: Final = 255
+"""In a log, so that a byte holds the index of a bus."""
 
 UInt8s = NDArray[np.uint8]
 
@@ -65,14 +69,18 @@ class Frames:
         found: NDArray[np.bool_] = (self.flags & flag) != 0
         return found
 
-    def messages(self) -> Iterator[Message]:
-        """Yield each frame as a python-can message; time stamps become float seconds."""
+    def rows(self) -> Iterator[tuple[int, int, int, int, int]]:
+        """Each frame's time stamp, identifier, flags, channel and length."""
         columns = (self.time_ns, self.arbitration_id, self.flags, self.channel, self.length)
-        rows = zip(*(column.tolist() for column in columns), self.data, strict=True)
-        for time_ns, arbitration_id, flags, channel, length, data in rows:
+        return zip(*(column.tolist() for column in columns), strict=True)
+
+    def messages(self, since_ns: int = 0) -> Iterator[Message]:
+        """Yield each frame as a python-can message; time stamps in float seconds after a time."""
+        for row, data in zip(self.rows(), self.data, strict=True):
+            time_ns, arbitration_id, flags, channel, length = row
             bare = flags & REMOTE
             yield Message(
-                timestamp=time_ns / NS_PER_S,
+                timestamp=(time_ns - since_ns) / NS_PER_S,
                 arbitration_id=arbitration_id,
                 is_extended_id=bool(flags & EXTENDED),
                 is_remote_frame=bool(bare),
@@ -148,3 +156,60 @@ def concatenate(parts: Iterable[Frames]) -> Frames:
         np.concatenate(payloads),
         tuple(names),
     )
+
+
+class Columns(NamedTuple):
+    """Room for frames, which compiled readers fill: the columns of `Frames`."""
+
+    time_ns: NDArray[np.int64]
+    arbitration_id: NDArray[np.uint32]
+    flags: UInt8s
+    channel: NDArray[Any]
+    length: UInt8s
+    data: UInt8s
+
+    def frames(self, count: int, names: tuple[str, ...] = ()) -> Frames:
+        """The first ``count`` frames."""
+        every = Frames(
+            self.time_ns,
+            self.arbitration_id,
+            self.flags,
+            self.channel,
+            self.length,
+            self.data,
+            names,
+        )
+        return every[:count]
+
+
+def empty_columns(rows: int, width: int, bus: type[np.unsignedinteger[Any]] = np.uint8) -> Columns:
+    """Room for frames with ``width`` bytes; ``bus`` is the type of the buses' numbers."""
+    return Columns(
+        np.empty(rows, np.int64),
+        np.empty(rows, np.uint32),
+        np.empty(rows, np.uint8),
+        np.empty(rows, bus),
+        np.empty(rows, np.uint8),
+        np.empty((rows, width), np.uint8),
+    )
+
+
+def numbered(frames: Frames, first: int = 0) -> Frames:
+    """Frames with the bus number as ``channel``, indexed over the buses present.
+
+    Args:
+        frames: at least one frame.
+        first: the format's number of the first bus; the result counts from 0, as python-can does.
+
+    Raises:
+        LogError: more buses than an index can hold.
+    """
+    found = np.flatnonzero(np.bincount(frames.channel))
+    if len(found) > MAX_BUSES:
+        raise LogError(f"{len(found)} buses; there must be at most {MAX_BUSES} in a log")
+    names = tuple(str(number - first) for number in found.tolist())
+    if len(found) == 1:
+        return replace(frames, channel=np.zeros(len(frames), np.uint8), channels=names)
+    index = np.zeros(int(found[-1]) + 1, np.uint8)
+    index[found] = np.arange(len(found))
+    return replace(frames, channel=index[frames.channel], channels=names)

@@ -1,8 +1,9 @@
-"""One log file: its path, its reader, and facts that reading reveals."""
+"""A log file with facts that reading reveals, and the description of a log format."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import re
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Final, NamedTuple
@@ -47,12 +48,10 @@ class Log:
     """
 
     path: Path
-    reader: Callable[[Log], Iterator[Frames]] = field(repr=False)
-    """Reads the format of the file."""
+    format: Format = field(repr=False)
+    """The format by content, whatever the file's name."""
     chunk_frames: int
     """Largest number of frames in a chunk."""
-    format: str
-    """As a suffix: the format by content, whatever the file's name."""
     window: Window = ALL
     """The part of the recording to read."""
     start_ns: int = field(default=0, init=False)
@@ -71,7 +70,7 @@ class Log:
             raise LogError(f"{self.path}: there is no such file")
         if self.path.is_dir():
             raise LogError(f"{self.path}: is a folder; it must be a log file")
-        return self._within(self.reader(self))
+        return self._within(self.format.read(self))
 
     def _within(self, chunks: Iterator[Frames]) -> Iterator[Frames]:
         """The frames within the window; chunks without any are passed over."""
@@ -83,3 +82,51 @@ class Log:
             inside = (since_ns >= self.window.begin_ns) & (since_ns < self.window.end_ns)
             if inside.any():
                 yield frames if inside.all() else frames[inside]
+
+
+Writer = Callable[[Iterable[Frames], Path, int, Path], None]
+"""(frames, file to write, start of the recording [ns], the file's final name) → the file."""
+
+
+@dataclass(frozen=True)
+class Format:
+    """A log format: how to know, read and write it, and which properties of a log a file keeps.
+
+    The defaults stand for "everything is kept".
+    """
+
+    key: str
+    """The suffix of its files; the program's name where the suffix belongs to another format."""
+    mark: re.Pattern[bytes]
+    """Matches the beginning of a file."""
+    read: Callable[[Log], Iterator[Frames]]
+    """Chunks of a log; raises LogError for another format, or a damaged file."""
+    gzipped: bool = True
+    """Whether ``.gz`` may follow the suffix."""
+    write: Writer | None = None
+    """None: the format is only read; the fields from here on are about written files."""
+    name: str = ""
+    time_ns: int = 1
+    """Resolution of its time stamps."""
+    start_ns: int | None = None
+    """Resolution of the start of the recording; None: the start is the first frame's time."""
+    since_ns: int | None = None
+    """The earliest start that the format can express; an earlier start is written as 0."""
+    before_start: bool = True
+    """Whether a frame may have a time before the start."""
+    bus_names: bool = False
+    """Whether buses have names; else numbers."""
+    lacks: int = 0
+    """Frame flags that the format lacks."""
+    error_direction: bool = True
+    """Whether it says if an error frame was sent or received."""
+    error_content: bool = True
+    """Whether error frames have identifiers and payloads."""
+    order: bool = True
+    """Whether frames of several kinds stay in the order of the log where the time does not tell."""
+
+    def starts(self, start_ns: int) -> int:
+        """The start of a recording [ns], rounded to the format's resolution."""
+        if self.start_ns is None or (self.since_ns is not None and start_ns < self.since_ns):
+            return 0
+        return start_ns // self.start_ns * self.start_ns

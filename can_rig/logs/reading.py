@@ -19,31 +19,37 @@ seconds since the start of the recording, which are rounded to the nearest nanos
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Mapping
+import zlib
 from pathlib import Path
 from typing import Final
 
-from can_rig.logs.formats import BUSMASTER, MICROCHIP, format_in
-from can_rig.logs.frames import Frames
-from can_rig.logs.log import ALL, Log, Window
-from can_rig.logs.readers.binary.blf import read_blf
-from can_rig.logs.readers.binary.mf4 import read_mf4
-from can_rig.logs.readers.text.formats.asc import read_asc
-from can_rig.logs.readers.text.formats.busmaster import read_busmaster
-from can_rig.logs.readers.text.formats.candump import read_candump
-from can_rig.logs.readers.text.formats.gvret import read_gvret
-from can_rig.logs.readers.text.formats.trc import read_microchip, read_trc
+from can_rig.errors import LogError
+from can_rig.logs.formats.busmaster import BUSMASTER
+from can_rig.logs.formats.candump import CANDUMP
+from can_rig.logs.formats.mdf import MDF
+from can_rig.logs.formats.peak import MICROCHIP, PEAK
+from can_rig.logs.formats.savvycan import SAVVYCAN
+from can_rig.logs.formats.vector_ascii import VECTOR_ASCII
+from can_rig.logs.formats.vector_binary import VECTOR_BINARY
+from can_rig.logs.log import ALL, Format, Log, Window
 
-_READERS: Final[Mapping[str, Callable[[Log], Iterator[Frames]]]] = {
-    ".log": read_candump,
-    ".asc": read_asc,
-    ".blf": read_blf,
-    ".trc": read_trc,
-    ".mf4": read_mf4,
-    ".csv": read_gvret,
-    BUSMASTER: read_busmaster,
-    MICROCHIP: read_microchip,
-}
+FORMATS: Final = (
+    CANDUMP,
+    VECTOR_ASCII,
+    VECTOR_BINARY,
+    PEAK,
+    MDF,
+    SAVVYCAN,
+    MICROCHIP,
+    BUSMASTER,
+)
+"""The first format with a fitting mark reads a file."""
+
+WRITTEN: Final = {each.key: each for each in FORMATS if each.write}
+"""By suffix."""
+
+_HEAD_BYTES: Final = 1 << 14
+_GZIP: Final = 16 + zlib.MAX_WBITS
 
 
 def read_log(path: str | Path, chunk_frames: int = 1 << 18, window: Window = ALL) -> Log:
@@ -56,8 +62,44 @@ def read_log(path: str | Path, chunk_frames: int = 1 << 18, window: Window = ALL
         window: the part of the recording to read.
 
     Raises:
-        LogError: neither the first bytes nor the suffix belong to a log.
+        LogError: the file is missing, or neither its first bytes nor its suffix belong to a log.
     """
     path = Path(path)
-    kind = format_in(path)
-    return Log(path, _READERS[kind], chunk_frames, kind, window)
+    found = content_format(path)
+    if found is None and not path.exists():
+        raise LogError(f"{path}: there is no such file")
+    return Log(path, found or format_of(path), chunk_frames, window)
+
+
+def format_of(path: Path) -> Format:
+    """The format of ``path`` by its suffix, which ``.gz`` may follow.
+
+    Raises:
+        LogError: the suffix belongs to no log format.
+    """
+    suffixes = [suffix.lower() for suffix in path.suffixes[-2:]]
+    gzipped = bool(suffixes) and suffixes[-1] == ".gz"
+    if gzipped:
+        suffixes.pop()
+    found = WRITTEN.get(suffixes[-1]) if suffixes else None
+    if found is None or (gzipped and not found.gzipped):
+        packed = ", ".join(key for key, each in WRITTEN.items() if each.gzipped)
+        raise LogError(
+            f"{path}: unknown log format; the suffix must be one of {', '.join(WRITTEN)} "
+            f"({packed} may be followed by .gz)"
+        )
+    return found
+
+
+def content_format(path: Path) -> Format | None:
+    """The format of a log by its first bytes; None: the bytes fit no format."""
+    if not path.is_file():  # a pipe is read once
+        return None
+    try:
+        with path.open("rb") as file:
+            head = file.read(_HEAD_BYTES)
+        if head[:2] == b"\x1f\x8b":
+            head = zlib.decompressobj(_GZIP).decompress(head, _HEAD_BYTES)
+    except (OSError, zlib.error):
+        return None  # the reader reports the error
+    return next((each for each in FORMATS if each.mark.match(head)), None)

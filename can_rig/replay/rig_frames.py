@@ -8,7 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
-from can_rig.decoding import e2e_columns
+from can_rig.decoding.message_decoder import counters, intact_rows
 from can_rig.frames.codec import ROLES, WIRE_TICKS, MessageCodec, tick_at, ticks_ahead, ticks_on
 from can_rig.frames.network import Network
 from can_rig.frames.protection import COUNTERS, FRAME_BYTES, Checker, CheckStatus, Unprotected
@@ -60,7 +60,7 @@ def rig_frames(chunks: Iterable[Frames], network: Network) -> Iterator[RigFrame]
         for at, data_id in enumerate(data_ids):
             rows = role == at
             assert data_id is not None
-            intact[rows] = e2e_columns.intact(frames.data[rows], frames.length[rows], data_id)
+            intact[rows] = intact_rows(frames.data[rows], frames.length[rows], data_id)
         data = frames.data
         tick = ticks_on(data)
         whole = data[:, :FRAME_BYTES].tobytes()
@@ -69,7 +69,7 @@ def rig_frames(chunks: Iterable[Frames], network: Network) -> Iterator[RigFrame]
             frames.time_ns.tolist(),
             frames.length.tolist(),
             tick.tolist(),
-            e2e_columns.counters(data).tolist(),
+            counters(data).tolist(),
             intact.tolist(),
         )
         for at, (which, time_ns, length, says, counter, good) in enumerate(

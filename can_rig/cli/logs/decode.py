@@ -20,8 +20,7 @@ from can_rig.cli.options import (
 from can_rig.cli.output import json_line, note, say, show, table
 from can_rig.cli.progress import reading
 from can_rig.decoding.decode import Decoder
-from can_rig.decoding.files import Form, Selection, decode_to_files
-from can_rig.decoding.outputs.output import refuse_output
+from can_rig.decoding.files import Form, Selection, decode_to_files, refuse_output
 from can_rig.logs.log import Log, window_of
 from can_rig.logs.reading import read_log
 from can_rig.results.run_folder import log_of

@@ -64,5 +64,5 @@ def test_a_command_that_has_started_tidies_up(tmp_path: Path) -> None:
     log, out = tmp_path / "a.log", tmp_path / "a.csv"
     log.write_text("(0.000000) can0 101#00\n")
     words = ("-m", "can_rig", "decode", str(log), "--out", str(out))
-    assert pressed_at("can_rig.decoding.outputs.tables", tmp_path, *words)[0] == 130
+    assert pressed_at("can_rig.decoding.tables", tmp_path, *words)[0] == 130
     assert sorted(path.name for path in tmp_path.glob("*a.*")) == ["a.log"]

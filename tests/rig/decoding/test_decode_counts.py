@@ -12,7 +12,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_rig.decoding.decode import Decoder
-from can_rig.decoding.outputs.mf4 import DecodedMf4
+from can_rig.decoding.files import Contents, output
 from can_rig.errors import DbcError
 from can_rig.frames.databases import load_database
 from can_rig.frames.protection import Checker, CheckStatus, Protector
@@ -112,11 +112,11 @@ def test_every_frame_is_accounted_for() -> None:
 def test_frames_that_become_too_short_in_an_mdf_file(tmp_path: Path) -> None:
     """The first chunk does not show that a signal will be missing."""
     database = cantools.database.load_string(FEATURES, "dbc")
-    decoder, file = Decoder(database), DecodedMf4(tmp_path / "a.mf4", 0)
-    for at, size in enumerate((8, 4, 0)):
-        sent = Message(at, 1024, is_extended_id=False, data=bytes(size))
-        file.write(decoder.decode(from_messages([sent])))
-    file.close()
+    decoder = Decoder(database)
+    with output(tmp_path / "a.mf4", Contents({}, 0, False), force=False) as file:
+        for at, size in enumerate((8, 4, 0)):
+            sent = Message(at, 1024, is_extended_id=False, data=bytes(size))
+            file.write(decoder.decode(from_messages([sent])))
     counts = decoder.counts["BIG"]
     assert (counts.decoded, counts.shorter, counts.too_short) == (2, 1, 1)
     with asammdf.MDF(tmp_path / "a.mf4") as opened:

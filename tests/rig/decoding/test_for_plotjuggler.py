@@ -120,14 +120,14 @@ def test_parquet_has_dates_that_pandas_knows(log: Path, tmp_path: Path) -> None:
 
 def test_mcap_has_no_times_before_1970(tmp_path: Path, log: Path) -> None:
     from can_rig.decoding.decode import decode_log
-    from can_rig.decoding.outputs.output import output
+    from can_rig.decoding.files import Contents, output
     from can_rig.errors import LogError
 
     columns = decode_log(log, log.with_suffix(".dbc"))
     columns["STATE"].time_ns[0] = -1
     with (
         pytest.raises(LogError, match="MCAP holds no times before 1970"),
-        output(tmp_path / "b.mcap", {}, 0, False, force=False) as out,
+        output(tmp_path / "b.mcap", Contents({}, 0, False), force=False) as out,
     ):
         out.write(columns)
     assert not (tmp_path / "b.mcap").exists()

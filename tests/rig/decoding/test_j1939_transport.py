@@ -12,7 +12,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from can_rig.decoding.decode import Decoder, decode_log
-from can_rig.decoding.j1939_transport import Transport
+from can_rig.decoding.j1939 import Transport
 from can_rig.frames.databases import load_database
 from can_rig.logs.frames import Frames, concatenate, from_messages
 from can_rig.logs.reading import read_log

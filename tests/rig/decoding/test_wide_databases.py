@@ -91,7 +91,7 @@ def test_rows_are_held_until_a_row_group_is_long(wide: Path, tmp_path: Path) -> 
 def test_what_is_held_is_bounded(
     wide: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    from can_rig.decoding.outputs import tables
+    from can_rig.decoding import tables
 
     monkeypatch.setattr(tables, "_CELLS", 20 * (SIGNALS + 1))
     folder = decoded(wide, tmp_path / "a.parquet")
@@ -108,10 +108,10 @@ def test_what_is_held_is_bounded(
 def test_one_csv_table_has_every_frame_in_its_place(
     wide: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch, batch: int | None
 ) -> None:
-    from can_rig.decoding.outputs import wide_csv
+    from can_rig.decoding import tables
 
     if batch is not None:  # fewer bytes than a row has commas
-        monkeypatch.setattr(wide_csv, "_BYTES", batch)
+        monkeypatch.setattr(tables, "_COMMAS", batch)
     path = decoded(wide, tmp_path / "a.csv", names=True)
     with path.open(encoding="utf-8", newline="") as file:
         rows = list(csv.DictReader(file))

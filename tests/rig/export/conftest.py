@@ -1,15 +1,43 @@
-"""The tests of the translator translate lines of their own."""
+"""Exported controllers, built once a session."""
 
 from __future__ import annotations
 
+import re
+from collections.abc import Callable
 from pathlib import Path
 
 import pytest
+from click.testing import CliRunner
 
-from tests.rig.export.lines import Translate, translated
+from can_rig.cli.main import main
+from tests.rig.export.shared import STRICT, run
+from tests.session import once
+
+Built = Callable[[str], Path]
+SCENARIOS = {
+    "float64": ["noisy"],
+    "float32": ["noisy", "--precision", "float32"],
+    "drive": ["drive-cycle", "--set", "design.speeds_mps=[8.0, 8.9, 10.0]",
+              "--precision", "float32"],
+}  # fmt: skip
 
 
-@pytest.fixture
-def translate(tmp_path: Path) -> Translate:
-    """Translates a function from its text, into a folder."""
-    return lambda text: translated(text, tmp_path)
+@pytest.fixture(scope="session")
+def built(tmp_path_factory: pytest.TempPathFactory) -> Built:
+    """The folder of an export after make, by a key of ``SCENARIOS``: gcc has warned of nothing."""
+
+    def make(kind: str, folder: Path) -> None:
+        command = ["export", *SCENARIOS[kind], "--out", str(folder)]
+        done = CliRunner().invoke(main, command)
+        assert done.exit_code == 0, done.output
+        said = done.output.replace("\n", "")
+        assert re.fullmatch(r".*: \d+ files, \d{4} lines of C", said)
+        run("make", "-s", "-C", folder, f"CFLAGS={' '.join(STRICT)} -O2", "example", "bench")
+
+    return lambda kind: once(tmp_path_factory, kind, lambda folder: make(kind, folder))
+
+
+@pytest.fixture(params=["float64", "float32"])
+def folder(request: pytest.FixtureRequest, built: Built) -> Path:
+    """An export in either precision, for one speed."""
+    return built(request.param)

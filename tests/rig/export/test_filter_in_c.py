@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from tests.rig.export.shared import PRECISIONS
 
 from can_rig.export.compiler import WARNINGS, shared_library
 from can_rig.export.law import law_files
@@ -19,6 +18,7 @@ from firmware_model import Filter, discretise
 from firmware_model.errors import ParameterError
 from firmware_model.target.structs import Precision
 from tests.firmware.discretisation.random_filters import random_filter
+from tests.rig.export.shared import PRECISIONS
 
 INTEGRATOR = discretise(([1.0, 2.0], [1.0, 3.0, 0.0]), 1e-3)
 CONSTANT = discretise(([2.0], [1.0]), 1e-3)

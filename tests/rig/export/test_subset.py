@@ -1,13 +1,88 @@
-"""What is outside the subset is refused with its file, its line and what to write instead."""
+"""Lines of a test as a module of the target: in C, or refused with file, line and remedy."""
 
 from __future__ import annotations
 
+import importlib.util
 import re
+import sys
+import textwrap
+from collections.abc import Callable
+from pathlib import Path
 
 import pytest
 
 from can_rig.errors import ExportError
-from tests.rig.export.lines import HEADER, Translate, compile_in
+from can_rig.export.c_files import c_files
+from can_rig.export.compiler import run
+from can_rig.export.law import real_header
+from can_rig.export.source import REAL, Record, Sources
+from can_rig.export.subset import Program
+
+HEADER = """
+import math
+import numpy as np
+from firmware_model.compiled import firmware
+from firmware_model.target.precision import real
+from firmware_model.target.structs import Field, Record
+
+OTHER = 0.1
+MANY, HUGE = 7, 2**32
+STATE = (
+    Field("a", "1", "a number"),
+    Field("n", "1", "an integer", "int32"),
+    Field("list", "1", "an array", shape=(4,)),
+    Field("grid", "1", "a matrix", shape=(4, 2)),
+)
+
+@firmware
+def count(state: Record) -> float:
+    state.a += real(1.0, state.a)
+    answer: float = state.a
+    return answer
+
+@firmware
+def pair(x: float) -> tuple[float, float]:
+    y = x
+    return x, y
+
+"""
+Translate = Callable[[str], Path]
+
+
+@pytest.fixture
+def translate(tmp_path: Path) -> Translate:
+    """Translates a function from its text, into a folder."""
+    return lambda text: translated(text, tmp_path)
+
+
+def translated(text: str, folder: Path) -> Path:
+    """``folder``, with the C of a function ``f(state: Record, x: float)``."""
+    path = folder / "lines.py"
+    path.write_text(HEADER + textwrap.dedent(text), encoding="utf-8")
+    spec = importlib.util.spec_from_file_location("lines", path)
+    assert spec is not None
+    assert spec.loader is not None
+    module = importlib.util.module_from_spec(spec)
+    sys.modules["lines"] = module
+    try:
+        spec.loader.exec_module(module)
+        sources = Sources()
+        source = sources.module("lines")
+        program = Program(sources)
+        struct = source.structs[id(module.STATE)]
+        program.add(source.functions["f"], [Record(struct), REAL])
+        files = c_files(program, [struct], {"lines_f"}, "float64")
+    finally:
+        del sys.modules["lines"]
+    for name, written in (files | {"real.h": real_header("float64")}).items():
+        (folder / name).write_text(written, encoding="utf-8")
+    return folder
+
+
+def compile_in(folder: Path) -> None:
+    """Let the C compiler look at what ``translated`` wrote."""
+    run(["cc", "-std=c99", "-pedantic-errors", "-fsyntax-only", "lines.c"], folder)
+
 
 REFUSED = {
     "y = 2.0 * x": "2.0 has no precision: must be real(2.0, x)",
@@ -137,3 +212,99 @@ def test_no_docstring_is_no_comment(translate: Translate) -> None:
     assert (folder / "lines.h").read_text(encoding="utf-8").startswith("#ifndef LINES_H\n")
     assert "/* State */\nstruct lines_state {" in (folder / "lines.h").read_text(encoding="utf-8")
     compile_in(translate('@firmware\ndef f(state: Record, x: float) -> None:\n    """Text."""\n'))
+
+
+# --- names that C has already --------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["sqrt", "fabs", "rint", "real", "real_min", "int_max", "float_", "NAN", "INFINITY", "memset",
+     "int32_t", "bool", "DBL_MAX", "INT32_MAX", "_Bool", "asm", "i", "pair_2"],
+)  # fmt: skip
+def test_names_that_c_has_are_others_there(translate: Translate, name: str) -> None:
+    text = f"""
+        @firmware
+        def double({name}: float) -> tuple[float, float]:
+            float = {name}
+            return float, {name}
+
+        @firmware
+        def f(state: Record, x: float) -> None:
+            float, {name} = double(x)
+            state.a = min(np.sqrt(np.ceil({name})), abs(np.rint({name})))
+            state.n = max(state.n, 3) % 2
+            {name}, _ = pair({name} if math.isfinite({name}) else x)
+            state.list[:] = np.copysign({name}, float)
+            for _ in range(MANY):
+                state.list[:] = {name}
+        """
+    compile_in(translate(text))
+
+
+@pytest.mark.parametrize("name", ["MANY", "lines_g", "LINES_H", "SHADE_DARK"])
+@pytest.mark.parametrize("where", ["parameter", "local"])
+def test_names_of_the_exported_c_are_refused(translate: Translate, name: str, where: str) -> None:
+    parameter, local = (name, "y") if where == "parameter" else ("y", name)
+    text = f"""
+        from enum import IntEnum
+
+        class Shade(IntEnum):
+            DARK = 1
+
+        @firmware
+        def g({parameter}: float) -> float:
+            {local} = -{parameter}
+            return {local}
+
+        @firmware
+        def f(state: Record, x: float) -> None:
+            state.a = g(x) * real(MANY, x)
+        """
+    line = 8 if where == "parameter" else 9
+    what = f":{HEADER.count(chr(10)) + line}: {name}: is a number or a function of the exported C"
+    with pytest.raises(ExportError, match=what):
+        translate(text)
+
+
+def test_members_that_a_number_would_replace_are_refused(translate: Translate) -> None:
+    text = """
+        a = 2
+
+        @firmware
+        def f(state: Record, x: float) -> None:
+            state.list[a] = x
+        """
+    with pytest.raises(ExportError, match=r"lines\.py:10: a: is a number or a function"):
+        translate(text)
+
+
+def test_a_name_for_several_answers_must_not_hide_a_function(translate: Translate) -> None:
+    text = """
+        @firmware
+        def g(x: float) -> float:
+            return x
+
+        @firmware
+        def lines_g(x: float) -> tuple[float, float]:
+            y = g(x)
+            return x, y
+
+        @firmware
+        def f(state: Record, x: float) -> None:
+            y, z = lines_g(x)
+        """
+    with pytest.raises(ExportError, match="lines_g: is a number or a function of the exported C"):
+        translate(text)
+
+
+def test_a_number_may_have_a_name_of_the_library(translate: Translate) -> None:
+    text = """
+        DBL_MAX = 2.0
+
+        @firmware
+        def f(state: Record, x: float) -> None:
+            state.a = real(DBL_MAX, x)
+        """
+    assert "#define DBL_MAX_ 2.0\n" in (translate(text) / "lines.c").read_text(encoding="utf-8")
+    compile_in(translate(text))

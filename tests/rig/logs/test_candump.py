@@ -13,6 +13,7 @@ from can.io import CanutilsLogReader, CanutilsLogWriter
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from can_rig.logs.formats.candump import candump_lines
 from can_rig.logs.frames import (
     BITRATE_SWITCH,
     ERROR,
@@ -24,9 +25,7 @@ from can_rig.logs.frames import (
     concatenate,
     from_messages,
 )
-from can_rig.logs.readers.text.formats import candump_lines
 from can_rig.logs.reading import read_log
-from can_rig.logs.writers.candump import candump_lines as lines_of
 from tests.rig.logs.candump_samples import DIRECTED, GOOD, rows, whole, written
 
 
@@ -98,7 +97,7 @@ def test_the_same_frames_as_python_can(tmp_path_factory, messages, chunk_frames)
 @given(st.lists(frames_drawn, max_size=20))
 def test_written_lines_read_the_same(tmp_path_factory, messages) -> None:
     frames = from_messages(messages)
-    path = written(tmp_path_factory.mktemp("log"), "".join(lines_of(frames)))
+    path = written(tmp_path_factory.mktemp("log"), "".join(candump_lines(frames)))
     again = rows(whole(path))
     assert [(*row[1:],) for row in again] == [(*row[1:],) for row in rows(frames)]
     assert np.allclose([r[0] for r in again], frames.time_ns, rtol=0, atol=500)
@@ -121,7 +120,7 @@ def test_time_stamps_are_exact(tmp_path: Path) -> None:
 def test_blocks_of_any_size(tmp_path: Path, monkeypatch, block: int) -> None:
     plain, packed = (written(tmp_path, DIRECTED * 2), gzip.compress((DIRECTED * 2).encode()))
     every = rows(whole(plain))
-    monkeypatch.setattr("can_rig.logs.readers.text.blocks.BLOCK_BYTES", block)
+    monkeypatch.setattr("can_rig.logs.text.BLOCK_BYTES", block)
     assert rows(whole(plain)) == every
     assert rows(whole(written(tmp_path, packed, "a.log.gz"))) == every
 
@@ -138,12 +137,3 @@ def test_a_log_may_be_read_again(tmp_path: Path) -> None:
     assert len(concatenate(log)) == len(concatenate(log)) == 11
     assert log.start_ns == 1436509052_249713000
     assert log.fraction == 1.0
-
-
-def test_the_compiled_lines_are_those_that_run_interpreted(tmp_path: Path, monkeypatch) -> None:
-    compiled = rows(whole(written(tmp_path, DIRECTED)))
-    for name, value in vars(candump_lines).items():
-        if hasattr(value, "py_func"):
-            monkeypatch.setattr(candump_lines, name, value.py_func)
-    monkeypatch.setattr("can_rig.logs.readers.text.formats.candump.parse", candump_lines.parse)
-    assert rows(whole(tmp_path / "a.log")) == compiled

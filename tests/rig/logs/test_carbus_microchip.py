@@ -8,9 +8,8 @@ from pathlib import Path
 import pytest
 
 from can_rig.errors import LogError
-from can_rig.logs.formats import MICROCHIP, format_in
 from can_rig.logs.frames import EXTENDED, FD, REMOTE, SENT, concatenate
-from can_rig.logs.reading import read_log
+from can_rig.logs.reading import content_format, read_log
 from tests.rig.logs.candump_samples import rows, whole, written
 
 CARBUS = (
@@ -56,7 +55,7 @@ def test_a_trace_of_carbus_analyzer(tmp_path: Path, version: int, unit_ns: int) 
 
 def test_a_microchip_log(tmp_path: Path) -> None:
     path = written(tmp_path, MICROCHIP_LOG, "a.log")
-    assert format_in(path) == MICROCHIP
+    assert content_format(path).key == "Microchip"
     expected = [
         (166_064_000_000, 0x21A, 0, "0", 8, bytes.fromhex("FE3612FE690507AD")),
         (166_074_000_000, 0x800, EXTENDED | SENT, "0", 2, b"\1\x0f"),

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import re
 import tempfile
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 
@@ -14,6 +15,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_rig.errors import LogError
+from can_rig.logs.formats.candump import CANDUMP
 from can_rig.logs.frames import (
     BITRATE_SWITCH,
     ERROR,
@@ -89,7 +91,7 @@ def logged(
 
     path = folder / "a"
     path.touch()
-    return Log(path, reader, chunk, ".log")
+    return Log(path, replace(CANDUMP, read=reader), chunk)
 
 
 def differences(before: list[tuple], start_ns: int, log: Log) -> dict[str, object]:

@@ -11,9 +11,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_rig.errors import LogError
-from can_rig.logs.formats import BUSMASTER, format_in
 from can_rig.logs.frames import EXTENDED, FD, REMOTE, SENT, concatenate, from_messages
-from can_rig.logs.reading import read_log
+from can_rig.logs.reading import content_format, read_log
 from can_rig.logs.writing import write_log
 from tests.rig.logs.candump_samples import rows, whole, written
 from tests.rig.logs.samples import (
@@ -142,7 +141,7 @@ def test_a_savvycan_log_that_is_cut_off(tmp_path: Path, cut: int, frames: int) -
 
 def test_a_busmaster_log(tmp_path: Path) -> None:
     path = written(tmp_path, busmaster())
-    assert format_in(path) == BUSMASTER
+    assert content_format(path).key == "BUSMASTER"
     log = read_log(path)
     midnight = round(datetime(2013, 11, 20).timestamp()) * 10**9
     base = midnight + (14 * 3600 + 19 * 60 + 11) * 10**9

@@ -1,0 +1,416 @@
+"""A run with the law or the whole node in C: the same bytes on the bus as with the law in Python.
+
+The law in this process; the node in this process, on emulated boards, and at the other end of a
+serial port, which is a program behind a pseudo-terminal.
+"""
+
+from __future__ import annotations
+
+import ctypes
+import os
+import random
+import re
+import shutil
+import subprocess
+import tty
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import can
+import pytest
+from click.testing import CliRunner
+
+from can_rig.assessment.resolve import load
+from can_rig.cli.main import main
+from can_rig.errors import ExportError
+from can_rig.export import CONTROLLERS, SERIAL, ecus
+from can_rig.export.application import application, identity
+from can_rig.export.compiler import shared_library
+from can_rig.export.controllers import PYTHON, Application, CompiledLaw, controller_of
+from can_rig.export.ecus import (
+    BOARDS,
+    COMPILER,
+    EMULATOR,
+    ORDER_BYTES,
+    BenchEcu,
+    EmulatedBoard,
+    HostEcu,
+    SerialLink,
+    firmware_image,
+    host_library,
+    serial_ecu,
+)
+from can_rig.export.law import real_header
+from can_rig.export.programs import random_frames
+from can_rig.frames.endpoints import Transmitter
+from can_rig.nodes.lockstep import ControllerNode, EcuNode
+from can_rig.scenario.build import network_of
+from can_rig.scenario.loading import shipped
+from tests.rig.export.conftest import Built
+from tests.rig.export.shared import EMULATED, log_of
+from tests.rig.replay.recorded import DRIVES, WithRecordedConstants, replayed, scenario_of
+
+
+def refused(tmp_path: Path, *options: str) -> str:
+    """The one line of a run that cannot start."""
+    command = ["run", "default", *options, "--out", str(tmp_path / "run")]
+    done = CliRunner().invoke(main, command)
+    assert done.exit_code == 2
+    assert not (tmp_path / "run").exists()
+    return str(done.stderr)
+
+
+# --- the law -------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "precision"),
+    [*((name, "float64") for name in sorted(shipped())), ("default", "float32"),
+     ("drive-cycle", "float32"), ("pendulum", "float32")],
+)  # fmt: skip
+def test_the_log_is_the_same(name: str, precision: str) -> None:
+    tick_s = load(name, []).tick_s
+    settings = [f'design.precision="{precision}"', f"duration_s={400 * tick_s}"]
+    settings += ["design.speeds_mps=[8.0, 8.9, 30.0]"] if name == "drive-cycle" else []
+    if load(name, []).loss.kind != "none":
+        settings.append(f"fault.at_s={160 * tick_s}")
+    law = controller_of("c", load(name, settings))
+    python, c = (log_of(name, settings, each) for each in (PYTHON, law))
+    pairs = zip(python.splitlines(), c.splitlines(), strict=True)
+    assert next((pair for pair in pairs if pair[0] != pair[1]), None) is None
+    assert len(python) > 50_000
+
+
+def test_the_log_of_a_safe_stop_is_the_same() -> None:
+    settings = [
+        "reference.kind=sine", "reference.frequency_rad_per_s=6", "duration_s=1.4",
+        "fault.0.kind=actuator-dead", "fault.0.at_s=0.5", "fault.1.kind=actuator-dead",
+        "fault.1.channel=force-difference", "fault.1.at_s=0.8", "design.safe_stop_s=0.1",
+    ]  # fmt: skip
+    python = log_of("default", settings)
+    assert log_of("default", settings, CompiledLaw("float64")) == python
+    assert log_of("default", settings[:-1]) != python
+
+
+def test_the_precision_is_the_scenario_s() -> None:
+    single, double = (
+        log_of("default", [f'design.precision="{precision}"', "duration_s=0.2"])
+        for precision in ("float32", "float64")
+    )
+    assert single != double
+
+
+def test_two_processes_run_the_c(tmp_path: Path) -> None:
+    command = ["run", "default", "--set", "duration_s=0.2", "--controller", "c"]
+    done = CliRunner().invoke(main, [*command, "--out", str(tmp_path / "run")])
+    assert done.exit_code == 0, done.output
+    found = (tmp_path / "run" / "bus.log").read_bytes()
+    assert found == log_of("default", ["duration_s=0.2"])
+
+
+@pytest.mark.parametrize("name", DRIVES)
+def test_c_answers_as_it_was_recorded(name: str) -> None:
+    scenario = scenario_of(name)
+    law = CompiledLaw(scenario.design.precision, changes_speed=scenario.drive.is_given)
+    loop = replayed(name, scenario, WithRecordedConstants(name, law))
+    fault, comparison = scenario.loss, loop.comparison
+    lost = round(fault.for_s / scenario.tick_s) if fault.kind.startswith("frames-") else 0
+    assert comparison.identical
+    assert comparison.same_bytes == 3 * scenario.ticks - lost
+
+
+NO_IEEE = "IEEE 754 arithmetic: compile without"
+REFUSED = {
+    "gcc -ffast-math": NO_IEEE,
+    "true": "true: must be a C compiler: it has compiled nothing",
+    'cc "': "CC = 'cc \"': must be a command: No closing quotation",
+    "no-such-compiler --flag": "no-such-compiler: there is no such C compiler",
+}
+
+
+@pytest.mark.parametrize(("compiler", "said"), REFUSED.items(), ids=REFUSED)
+def test_a_compiler_that_refuses_is_one_line(
+    compiler: str, said: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("CC", compiler)
+    monkeypatch.setenv("XDG_CACHE_HOME", str(tmp_path))
+    (line,) = refused(tmp_path, "--controller", "c").splitlines()
+    assert said in line
+
+
+@pytest.mark.parametrize("flag", ["finite-math-only", "unsafe-math-optimizations",
+                                  "reciprocal-math", "no-signed-zeros"])  # fmt: skip
+def test_a_part_of_fast_math_is_refused(flag: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("CC", f"gcc -f{flag}")
+    with pytest.raises(ExportError, match=NO_IEEE):
+        shared_library({"real.h": real_header("float32"), "real.c": '#include "real.h"\n'})
+
+
+# --- the node ------------------------------------------------------------------------------------
+
+
+def faulty(kind: str, precision: str = "float64") -> list[str]:
+    return [
+        "duration_s=0.5", f'fault.kind="{kind}"', "fault.at_s=0.2", "fault.for_s=0.1",
+        f'design.precision="{precision}"',
+    ]  # fmt: skip
+
+
+@pytest.mark.parametrize("kind", ["none", "actuator-dead", "frames-missing", "frames-corrupted"])
+def test_the_node_in_c_sends_the_same_bytes(kind: str) -> None:
+    node = controller_of("ecu", load("default", faulty(kind)))
+    python = log_of("default", faulty(kind))
+    assert python == log_of("default", faulty(kind), node)
+
+
+@EMULATED
+@pytest.mark.parametrize(
+    ("board", "precision", "kind"),
+    [
+        ("m4f", "float32", "frames-corrupted"),
+        ("m4f", "float64", "actuator-dead"),
+        ("m7", "float64", "frames-missing"),
+        ("m7", "float32", "actuator-dead"),
+    ],
+)
+def test_an_emulated_board_sends_the_same_bytes(board: str, precision: str, kind: str) -> None:
+    settings = faulty(kind, precision)
+    node = controller_of(f"arm:{board}", load("noisy", settings))
+    assert log_of("noisy", settings) == log_of("noisy", settings, node)
+
+
+@pytest.mark.parametrize(
+    ("name", "chosen", "heard"),
+    [
+        ("default", [], 2),
+        ("drive-cycle", ["design.speeds_mps=[8.0, 8.9, 10.0]"], 3),
+        ("drive-cycle", ["design.speeds_mps=[20.0]"], 3),  # one design at all speeds
+    ],
+    ids=["one speed", "blended", "one design"],
+)
+def test_any_frames_are_answered_and_judged_alike(name: str, chosen: list[str], heard: int) -> None:
+    """Wrong ticks, wrong lengths, repeated, damaged and missing frames, and a late start."""
+    scenario = load(name, ["duration_s=1", *chosen])
+    network = network_of(scenario)
+    library = host_library(scenario)
+    for seed in range(10):
+        sent: list[list[tuple[int, bytes]]] = [[], []]
+        nodes = (
+            ControllerNode(scenario, network, lambda m, s=sent[0]: s.append(
+                (m.arbitration_id, bytes(m.data)))),
+            EcuNode(scenario, network, lambda m, s=sent[1]: s.append(
+                (m.arbitration_id, bytes(m.data))), HostEcu(library)),
+        )  # fmt: skip
+        for message in (message for tick in random_frames(network, seed) for message in tick):
+            one, other = (node.take(message) for node in nodes)
+            assert one == other
+        assert sent[0] == sent[1]
+        assert len(sent[0]) > 0
+        rejected = nodes[1].rejected()
+        assert rejected == nodes[0].rejected()
+        assert len(rejected) == heard
+        assert all(rejected.values())
+
+
+@EMULATED
+def test_an_emulated_board_counts_the_frames_of_the_speed() -> None:
+    chosen = ["duration_s=1", "design.speeds_mps=[8.0, 8.9]", 'design.precision="float32"']
+    scenario = load("drive-cycle", chosen)
+    network, counts = network_of(scenario), []
+    for name in ("ecu", "arm:m4f"):
+        application = controller_of(name, scenario)
+        assert isinstance(application, Application)
+        node = EcuNode(scenario, network, lambda message: None, application.start())
+        for message in (message for tick in random_frames(network, 3) for message in tick):
+            node.take(message)
+        counts.append(node.rejected())
+        node.close()
+    assert counts[0] == counts[1]
+    assert counts[1]["VEHICLE_SPEED"]
+
+
+@pytest.mark.parametrize(("tool", "controller"), [(COMPILER, "arm:m4f"), (EMULATOR, "arm:m7")])
+def test_a_missing_tool_is_one_line(
+    tool: str, controller: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(shutil, "which", lambda name: "/" if name != tool else None)
+    (line,) = refused(tmp_path, "--controller", controller).splitlines()
+    assert f"{tool} is not installed" in line
+    assert "apt install" in line
+
+
+@EMULATED
+def test_an_emulator_that_ends_is_one_line(tmp_path: Path) -> None:
+    ecu = BenchEcu(EmulatedBoard(tmp_path / "no-such.elf", "m4f"))
+    with pytest.raises(ExportError, match=r"qemu-system-arm has ended: .*no-such\.elf"):
+        ecu.take(0x100, bytes(8))
+    ecu.close()
+
+
+@EMULATED
+def test_single_precision_calls_no_double_arithmetic() -> None:
+    """In the law: the frames' own conversion is double, as their resolution needs it."""
+    image = firmware_image(load("noisy", faulty("none", "float32")), "m4f")
+    text = subprocess.run(
+        ["arm-none-eabi-objdump", "-d", "--no-show-raw-insn", str(image)],
+        check=True, capture_output=True, text=True,
+    ).stdout  # fmt: skip
+    functions = dict(re.findall(r"^[0-9a-f]+ <(\w+)>:\n((?:.+\n)*)", text, flags=re.M))
+    of_law = {
+        name: body
+        for name, body in functions.items()
+        if name.startswith(("controller_", "biquad_", "mismatch_", "decision_", "covariance_"))
+    }
+    assert len(of_law) > 10
+    for name, body in of_law.items():
+        assert not re.search(r"__aeabi_d|__aeabi_f2d|\.f64", body), name
+    assert "__aeabi_ddiv" in functions["frame_pack"] or "__aeabi_ddiv" in text
+
+
+def test_real_time_needs_a_node_of_ours(tmp_path: Path) -> None:
+    said = refused(tmp_path, "--realtime", "--controller", "ecu")
+    assert "the controller must be python or c" in said
+
+
+@pytest.mark.parametrize("name", ["arm:serial:", "arm:m3", "fortran"])
+def test_a_controller_that_is_none_is_refused(name: str, tmp_path: Path) -> None:
+    assert {each.removeprefix("arm:") for each in CONTROLLERS if ":" in each} == set(BOARDS)
+    said = f"{name!r} is not one of python, c, ecu, arm:m4f, arm:m7, arm:serial:PORT."
+    assert said in refused(tmp_path, "--controller", name)
+
+
+# --- the node by the clock -----------------------------------------------------------------------
+
+TICK_US = 2000
+DRIVER = """
+#include <stddef.h>
+#include "ecu.h"
+static void (*sender)(uint16_t, const uint8_t *);
+void set_sender(void (*called)(uint16_t, const uint8_t *)) { sender = called; }
+void ecu_send(uint16_t id, const uint8_t data[8]) { sender(id, data); }
+size_t ecu_size(void) { return sizeof(struct ecu); }
+"""
+Sender = ctypes.CFUNCTYPE(None, ctypes.c_uint16, ctypes.POINTER(ctypes.c_uint8))
+
+
+@pytest.mark.parametrize("seed", range(4))
+def test_a_feedback_that_does_not_come_is_missed(seed: int) -> None:
+    """The application with a CAN driver of Python: half a tick late is missed, as in Python."""
+    scenario = load("default", ["duration_s=1", f"tick_s={TICK_US / 1e6}"])
+    choose, network = random.Random(seed), network_of(scenario)
+    library = ctypes.CDLL(str(shared_library(application(scenario) | {"driver.c": DRIVER})))
+    library.ecu_is_overdue.restype = library.ecu_on_frame.restype = ctypes.c_bool
+    sent: list[tuple[int, bytes]] = []
+    sender = Sender(lambda frame, data: sent.append((frame, bytes(data[:8]))))
+    library.set_sender(sender)
+    ecu = ctypes.create_string_buffer(library.ecu_size())
+    library.ecu_init(ecu)
+
+    def take(message: can.Message, now_us: int) -> None:
+        data, now = bytes(message.data), ctypes.c_uint32(now_us)
+        if library.ecu_on_frame(ecu, message.arbitration_id, len(data), data, now):
+            library.ecu_on_tick(ecu)
+
+    def overdue(now_us: int) -> bool:
+        return bool(library.ecu_is_overdue(ecu, ctypes.c_uint32(now_us)))
+
+    expected: list[tuple[int, bytes]] = []
+    python = ControllerNode(
+        scenario, network, lambda m: expected.append((m.arbitration_id, bytes(m.data)))
+    )
+    reference, feedback = Transmitter(network.reference), Transmitter(network.feedback)
+    start_us = 2**32 - 50 * TICK_US  # the clock wraps
+    assert not overdue(start_us)
+    missed = 0
+    for tick in range(120):
+        at_us = start_us + tick * TICK_US
+        wanted, measured = (
+            each.frame(choose.uniform(-2, 2), tick) for each in (reference, feedback)
+        )
+        python.take(wanted)
+        take(wanted, at_us)
+        if tick and choose.random() < 0.3:
+            assert not overdue(at_us + TICK_US // 2 - 200)
+            assert overdue(at_us + TICK_US // 2 + 200)
+            library.ecu_on_tick(ecu)
+            python.miss()
+            missed += 1
+        else:
+            python.take(measured)
+            take(measured, at_us + choose.randrange(-100, 100))
+        assert not overdue(at_us + TICK_US // 2 + 200)
+        assert sent == expected
+    assert missed > 20
+    assert len(expected) == 3 * 120
+
+
+# --- the node at a serial port -------------------------------------------------------------------
+
+
+@contextmanager
+def board(*command: str | Path) -> Iterator[str]:
+    """A port with a program at its other end."""
+    ours, theirs = os.openpty()
+    tty.setraw(theirs)
+    running = subprocess.Popen([*map(str, command)], stdin=ours, stdout=ours)
+    try:
+        yield os.ttyname(theirs)
+    finally:
+        running.kill()
+        running.wait()
+        os.close(ours)
+        os.close(theirs)
+
+
+def test_a_board_at_a_port_sends_the_same_bytes(built: Built) -> None:
+    settings = faulty("frames-corrupted")
+    python = log_of("noisy", settings)
+    with board(built("float64") / "bench") as port:
+        node = controller_of(f"{SERIAL}{port}", load("noisy", settings))
+        for _ in range(2):  # and again
+            assert python == log_of("noisy", settings, node)
+
+
+@pytest.mark.parametrize("cut_short", [b"F", b"F\x01\x02", b"C", b"R" + bytes(10), b"xyz"])
+def test_what_was_cut_short_is_forgotten(
+    built: Built, cut_short: bytes, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(ecus, "QUIET_S", 0.5)  # the board is a program on a busy machine
+    with board(built("float64") / "bench") as port:
+        link = SerialLink(port)
+        link.write(cut_short)
+        link.close()
+        ecu = serial_ecu(port, identity(application(load("noisy", []))), "noisy")
+        assert ecu.take(0x7FF, b"12345678") == []
+        assert ecu.counts() == [0] * 20
+        ecu.close()
+
+
+def test_another_controller_is_refused(built: Built) -> None:
+    with (
+        board(built("float64") / "bench") as port,
+        pytest.raises(ExportError, match="another controller answers"),
+    ):
+        serial_ecu(port, identity(application(load("default", []))), "default")
+
+
+def test_a_board_that_is_silent_is_one_line(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(ecus, "SILENCE_S", 0.05)
+    with board("sleep", "60") as port, pytest.raises(ExportError, match=f"{port}: 0 of 8 bytes"):
+        serial_ecu(port, bytes(8), "default")
+
+
+def test_an_answer_that_is_none_is_one_line() -> None:
+    asked_for = f"head -c {ORDER_BYTES + 1} > /dev/null"  # what clears the line, and an order
+    with board("sh", "-c", f"{asked_for}; printf '%s' xxxxxxxxxxxxx; sleep 60") as port:
+        ecu = BenchEcu(SerialLink(port))
+        with pytest.raises(ExportError, match="sent 120 frames"):
+            ecu.take(0x100, bytes(8))
+
+
+def test_a_port_that_is_none_is_one_line(tmp_path: Path) -> None:
+    (line,) = refused(
+        tmp_path, "--in-process", "--controller", f"{SERIAL}{tmp_path}/none"
+    ).splitlines()
+    assert f"{tmp_path}/none: cannot be opened as a serial port" in line
