@@ -13,7 +13,7 @@ from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.summary import NodeSummary
+from can_rig.nodes.ticks import NodeSummary
 from can_rig.scenario.settings import Scenario
 from tests.processes import rig, start
 

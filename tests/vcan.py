@@ -12,11 +12,11 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.nodes.bus_access import StopRequest, Timeouts
-from can_rig.nodes.runner import run_controller, run_plant
-from can_rig.nodes.summary import NodeSummary
+from can_rig.nodes.runner import RunOptions, run_controller, run_plant
+from can_rig.nodes.ticks import NodeSummary
 
 TIMEOUT_S = 120.0  # for what must come; the guest is slow, an import takes up to 20 s
-PATIENT = Timeouts(first_s=TIMEOUT_S, silence_s=TIMEOUT_S)
+PATIENT = RunOptions(timeouts=Timeouts(first_s=TIMEOUT_S, silence_s=TIMEOUT_S))
 
 
 def tool(*command: object, **options: object) -> subprocess.CompletedProcess[str]:
@@ -81,12 +81,12 @@ def on_two_buses(
 
     def plant() -> None:
         ready.wait()
-        ended.append(run_plant(scenario, plant_bus, log, PATIENT, stop, lambda tick: None))
+        ended.append(run_plant(scenario, plant_bus, log, stop, lambda tick: None, PATIENT))
 
     thread = threading.Thread(target=plant)
     thread.start()
     try:
-        other = run_controller(scenario, controller_bus, PATIENT, stop, ready.set, on_tick)
+        other = run_controller(scenario, controller_bus, stop, ready.set, on_tick, PATIENT)
     except BaseException:
         stop.wanted = True
         raise

@@ -6,6 +6,7 @@ Interleaved, so that a noisy machine disturbs all alike; medians.
 from __future__ import annotations
 
 import argparse
+import itertools
 import os
 import statistics
 import tempfile
@@ -13,23 +14,30 @@ import time
 import uuid
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import can
 from rich.console import Console
 from rich.table import Table
 
 from can_rig.assessment.resolve import load
-from can_rig.buses.bus import open_bus
-from can_rig.frames.endpoints import Receiver, Transmitter
+from can_rig.buses.bus import open_for_node
+from can_rig.buses.local.bus import LocalBus
+from can_rig.frames.codec import MessageCodec
+from can_rig.frames.endpoints import Receiver
 from can_rig.frames.network import Network
-from can_rig.nodes.bus_access import StopRequest
+from can_rig.nodes.bursts import Bursts
+from can_rig.nodes.bus_access import PersistentSender, StopRequest
+from can_rig.nodes.clock import SYSTEM_CLOCK
 from can_rig.nodes.processes import run_processes
-from can_rig.nodes.recording import Recorder
+from can_rig.nodes.recording import CandumpLines, Recorder
 from can_rig.nodes.runner import run_in_process
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
+
+Codecs = tuple[MessageCodec, ...]
 
 MULTICAST = "udp_multicast:239.74.163.2"
 
@@ -38,19 +46,21 @@ def ignore(_ticks: int) -> None:
     """Progress that nobody watches."""
 
 
+def new_log(folder: Path) -> Path:
+    """A log of its own for each run."""
+    return folder / f"{uuid.uuid4().hex}.log"
+
+
 def in_process(scenario: Scenario, folder: Path) -> float:
     """Ticks a second of both nodes in this process."""
-    name = uuid.uuid4().hex[:8]  # a log never replaces an earlier log
-    summary = run_in_process(
-        scenario, f"local:bench-{name}", folder / f"{name}.log", StopRequest(), ignore
-    )
+    bus = f"local:bench-{uuid.uuid4().hex[:8]}"
+    summary = run_in_process(scenario, bus, new_log(folder), StopRequest(), ignore)
     return summary.ticks / summary.wall_s
 
 
 def two_processes(scenario: Scenario, bus: str, folder: Path) -> float:
     """Ticks a second of two processes on ``bus``."""
-    log = folder / f"{uuid.uuid4().hex[:8]}.log"
-    summary = run_processes(scenario, bus, log, StopRequest())
+    summary = run_processes(scenario, bus, new_log(folder), StopRequest())
     return summary.ticks / summary.wall_s
 
 
@@ -69,41 +79,52 @@ def parts(scenario: Scenario, network: Network, folder: Path) -> list[tuple[str,
     """Name and µs a tick of each part, in one process."""
     firmware = Firmware(controller_table(scenario, network))
     simulated = SimulatedPlant(scenario)
-    transmitter = Transmitter(network.command_1)
-    frame = transmitter.frame(42.5, 7)
-
-    def codec() -> None:
-        receiver.accept(transmitter.frame(42.5, 7), 7)
-
-    receiver = Receiver(network.command_1)
     name = f"local:bench-{uuid.uuid4().hex[:8]}"
-    with open_bus(name) as sender, open_bus(name) as listener:
+    offers = (network.reference, network.feedback)
+    answers = (network.command_1, network.command_2, network.status)
+    with (
+        open_for_node(name, (), False) as plant_bus,
+        open_for_node(name, (), False) as controller_bus,
+        Recorder(folder / "parts.log", scenario.tick_ns) as recorder,
+    ):
+        plant = bursts(plant_bus, offers, answers, recorder.lines)
+        controller = bursts(controller_bus, answers, offers, None)
+        exchange(plant, controller, recorder, 0)
+        ticks = itertools.count(1)
+        return [
+            (
+                "frames: 5 packed, protected, sent, received, checked, read, put on disk",
+                microseconds(lambda: exchange(plant, controller, recorder, next(ticks))),
+            ),
+            ("step: the control law", microseconds(lambda: firmware.step(1.0, 0.5))),
+            ("plant: measured and advanced", microseconds(lambda: step_plant(simulated))),
+        ]
 
-        def hop() -> None:
-            sender.send(frame)
-            listener.recv(0.05)
 
-        with Recorder(folder / "parts.log", scenario.tick_ns) as recorder:
-            return [
-                ("codec: 5 frames packed, protected, checked, read", 5 * microseconds(codec)),
-                ("bus: 5 frames sent and received", 5 * microseconds(hop)),
-                ("step: the control law", microseconds(lambda: firmware.step(1.0, 0.5))),
-                ("plant: measured and advanced", microseconds(lambda: step_plant(simulated))),
-                ("log: 5 lines, put on disk", microseconds(lambda: log(recorder, frame))),
-            ]
+def bursts(
+    bus: can.BusABC, own: Codecs, others: Codecs, lines: CandumpLines | None
+) -> tuple[Bursts, list[Receiver], can.BusABC]:
+    """One node's access to its frames, with the slow way for the first tick."""
+    assert isinstance(bus, LocalBus)
+    receivers = [Receiver(codec) for codec in others]
+    sender = PersistentSender(bus, 1.0, SYSTEM_CLOCK)
+    return Bursts(bus, sender, own, receivers, lines), receivers, bus
+
+
+def exchange(plant: Any, controller: Any, recorder: Recorder, tick: int) -> None:
+    """The frames of a tick both ways, and their lines in the log."""
+    recorder.begin_tick(tick)
+    for (sender, *_), (reader, receivers, bus) in ((plant, controller), (controller, plant)):
+        sender.send(tick, (1.0, 2.0, 3.0))
+        if reader.receive(tick) is None:
+            for receiver in receivers:
+                receiver.accept(bus.recv(1.0))
 
 
 def step_plant(simulated: SimulatedPlant) -> None:
     """One tick of the plant."""
     simulated.measure()
     simulated.advance(0, 1.0, 1.0)
-
-
-def log(recorder: Recorder, frame: can.Message) -> None:
-    """One tick of the log."""
-    recorder.begin_tick(0)
-    for _ in range(5):
-        recorder.record(frame, sent=True)
 
 
 def main() -> None:

@@ -29,7 +29,7 @@ from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.clock import OnTick
 from can_rig.nodes.processes import run_processes
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.summary import NodeSummary
+from can_rig.nodes.ticks import NodeSummary
 
 TAKEN_WITHIN_S = 10.0  # makes the local bus wait for the slowest listener
 SETTLE_S = 2.0  # before the flood, and for what still waits after it

@@ -6,8 +6,8 @@
     run.save("runs/early-loss")
 
 A scenario is the name of a shipped one, a TOML file, or a ``Scenario``; changes are a mapping of
-its keys, as ``--set`` of the command line has them. An error that the caller can correct is a
-``can_rig.errors.RigError`` of one line.
+its keys, as ``--set`` of the command line has them. Bad input raises a
+``can_rig.errors.RigError`` with one line.
 
 The package imports every room below; only commands may import it.
 """
@@ -67,16 +67,16 @@ def run(
 ) -> RecordedRun:
     """Both nodes through a scenario, in lockstep and in this process.
 
-    No bus is needed, and nothing is left on disk until ``save``. The log is that of
+    The run needs no bus, and leaves no files until ``save``. The log equals the log of
     ``can-rig run``, byte for byte.
 
     Args:
-        name: as that of ``load_scenario``.
-        changes: as those of ``load_scenario``.
-        allow_unstable: also run a loop that ``check`` finds unstable.
+        name: see ``load_scenario``.
+        changes: see ``load_scenario``.
+        allow_unstable: also run an unstable loop.
 
     Raises:
-        ScenarioError: a scenario that cannot run, or a loop that is not stable.
+        ScenarioError: an impossible scenario, or an unstable loop.
         RigError: the run ended before its last tick.
     """
     return record(load_scenario(name, changes), allow_unstable=allow_unstable)
@@ -124,14 +124,13 @@ def tune(
     The result has this tuning as ``chosen``, and the whole trade-off as ``front``.
 
     Args:
-        name: as that of ``load_scenario``.
-        changes: as those of ``load_scenario``.
-        box: by what share mass, cornering stiffnesses and speed may differ.
+        name: see ``load_scenario``.
+        changes: see ``load_scenario``.
+        box: largest share by which mass, cornering stiffnesses and speed differ.
         ranges: lowest and highest value of single parameters, as in
             ``{"plant.speed_mps": (8.0, 12.0)}``.
-        spare_ticks: delay beyond the scenario's own with which the loop must be stable.
-        noise_limit_n: largest rms of the force difference that the sensor's noise may cause;
-            None: any.
+        spare_ticks: additional delay of a stable loop, beyond the scenario's delay.
+        noise_limit_n: largest rms of the force difference due to the sensor's noise; None: any.
         torque_noise_limit_nm: the same limit of the torque.
 
     Raises:
@@ -163,15 +162,15 @@ def decode(
 ) -> dict[str, pd.DataFrame]:
     """Any log through any database that cantools reads: a table for each message.
 
-    A row is a frame, a column a signal, the index ``time_s``; ``attrs["units"]`` has the units.
+    A row is a frame, a column a signal, the index ``time_s``; ``attrs["units"]`` gives units.
 
     Args:
         log: of any format that ``can-rig decode`` reads.
         dbc: the database.
         messages: only these; None: all.
         signals: only these, as ``Signal`` or ``Message.Signal``; None: all.
-        from_s: only frames from so many seconds after the start of the recording on.
-        to_s: only frames before so many seconds after it.
+        from_s: skip frames before this time, s after the start of the recording.
+        to_s: skip frames from this time on, s after the start of the recording.
 
     Raises:
         LogError: the log cannot be read.

@@ -107,6 +107,8 @@ def open_for_node(
     """
     interface = _parse(name)[0]
     flexible = {"fd": True} if fd and interface not in _ALWAYS_FD else {}
+    if interface == "local":
+        flexible["bursts"] = True
     if interface != "socketcan":
         return open_bus(name, **flexible)
 

@@ -78,19 +78,15 @@ class _Cluster:
             ) from None
 
     def _computed(self, tasks: Iterable[Task]) -> Done:
-        from distributed import KilledWorker, as_completed  # noqa: PLC0415 (an extra)
+        from distributed import KilledWorker  # noqa: PLC0415 (an extra)
 
         todo, deaths = Todo(tasks), 0
         running: dict[Any, Task] = {}
-        completed = as_completed(loop=self._client.loop)
         while todo or running:
             while len(running) < self._wanted() and todo:
                 task = todo.take()
-                future = self._submit(task)
-                running[future] = task
-                completed.add(future)
-            self._wait_for(completed, running)
-            future = next(completed)
+                running[self._submit(task)] = task
+            future = self._completed(running)
             task = running.pop(future)
             try:
                 rows = self._result(future)
@@ -101,18 +97,19 @@ class _Cluster:
                 deaths = 0
                 yield task, rows
 
-    def _wait_for(self, completed: Any, running: Iterable[Any]) -> None:
-        """Wait until a future of ``running`` is completed.
+    def _completed(self, running: Iterable[Any]) -> Any:
+        """A completed future of ``running``.
 
         Raises:
             RigError: see ``_require_workers``.
         """
         from distributed import wait  # noqa: PLC0415 (an extra)
 
-        while not completed.has_ready():
+        while True:
             try:
                 with self._client.as_current():
-                    wait(list(running), timeout=ABSENCE_S, return_when="FIRST_COMPLETED")
+                    found = wait(list(running), timeout=ABSENCE_S, return_when="FIRST_COMPLETED")
+                return next(iter(found.done))
             except TimeoutError:
                 self._require_workers()
 

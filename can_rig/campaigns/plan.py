@@ -122,7 +122,7 @@ class Plan:
         return shlex.join(words)
 
     def require_keys(self, changes: dict[str, Scalar]) -> None:
-        """Refuse a key that no scenario has, as ``--set`` refuses it.
+        """Refuse unknown keys, like ``--set``.
 
         Raises:
             ScenarioError: names the key.

@@ -64,7 +64,7 @@ ROW_GROUP: Final = 16384
 
 def schema(plan: Plan) -> pa.Schema:
     """Names and types of the columns; ``run`` is the number of the run."""
-    import pyarrow as pa  # noqa: PLC0415 (an extra)
+    import pyarrow as pa  # noqa: PLC0415 (slow to import)
 
     kinds = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}
     columns: dict[str, pa.DataType] = {"run": pa.int64(), "seed": pa.int64()}
@@ -91,7 +91,7 @@ def schema(plan: Plan) -> pa.Schema:
 
 def _for_pandas(columns: pa.Schema) -> dict[str, str]:
     """What ``pandas.read_parquet`` makes of it: ``attrs["units"]``, and booleans with unknowns."""
-    import pyarrow as pa  # noqa: PLC0415 (an extra)
+    import pyarrow as pa  # noqa: PLC0415 (slow to import)
 
     truths = [
         {"name": field.name, "field_name": field.name, "pandas_type": "bool",
@@ -110,29 +110,16 @@ def write_block(path: Path, rows: Iterable[dict[str, Any]], columns: pa.Schema) 
     Raises:
         LogError: writing fails.
     """
-    import pyarrow as pa  # noqa: PLC0415 (an extra)
+    import pyarrow as pa  # noqa: PLC0415 (slow to import)
     from pyarrow import parquet  # noqa: PLC0415
 
-    rows = list(rows)
-    arrays = [
-        pa.array(_cells([row.get(field.name) for row in rows], field.type), field.type)
-        for field in columns
+    texts = [field.name for field in columns if pa.types.is_string(field.type)]
+    given = [
+        row | {name: repr(row[name]) for name in texts if not isinstance(row.get(name), str | None)}
+        for row in rows
     ]
     with atomic(path, force=True) as part:
-        parquet.write_table(pa.Table.from_arrays(arrays, schema=columns), part)
-
-
-def _cells(values: list[Any], kind: pa.DataType) -> list[Any]:
-    """Values in the type of their column."""
-    import pyarrow as pa  # noqa: PLC0415 (an extra)
-
-    if pa.types.is_string(kind):
-        return [
-            value if value is None or isinstance(value, str) else repr(value) for value in values
-        ]
-    if pa.types.is_floating(kind):
-        return [None if value is None else float(value) for value in values]
-    return values
+        parquet.write_table(pa.Table.from_pylist(given, schema=columns), part)
 
 
 def put_together(blocks: Sequence[Path], path: Path) -> None:
@@ -143,7 +130,7 @@ def put_together(blocks: Sequence[Path], path: Path) -> None:
     Raises:
         LogError: writing fails.
     """
-    import pyarrow as pa  # noqa: PLC0415 (an extra)
+    import pyarrow as pa  # noqa: PLC0415 (slow to import)
     from pyarrow import parquet  # noqa: PLC0415
 
     columns = parquet.read_schema(blocks[0])
@@ -160,7 +147,7 @@ def put_together(blocks: Sequence[Path], path: Path) -> None:
 
 def read_columns(path: Path, names: Sequence[str] | None = None) -> dict[str, list[Any]]:
     """Columns of a table by name; None: all."""
-    from pyarrow import parquet  # noqa: PLC0415 (an extra)
+    from pyarrow import parquet  # noqa: PLC0415 (slow to import)
 
     table = parquet.read_table(path, columns=None if names is None else list(names))
     return {str(name): table[name].to_pylist() for name in table.column_names}

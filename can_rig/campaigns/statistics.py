@@ -68,7 +68,7 @@ class Found:
     Attributes:
         method: search or random.
         runs: number of runs.
-        least: the least margin; None if no run has a margin.
+        least: the least margin; None without any margin.
         failed: number of runs with a margin below zero.
         first_failed: number of runs up to the first failure.
     """

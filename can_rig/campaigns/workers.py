@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import os
 import signal
+import time
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import FIRST_COMPLETED, Future, ProcessPoolExecutor, wait
 from concurrent.futures.process import BrokenProcessPool
@@ -37,6 +38,9 @@ Compute = Callable[[Iterable[Task]], Done]
 
 DEATHS: Final = 5
 """Successive deaths of workers without progress that rule out chance."""
+
+PAUSE_S: Final = 0.2
+"""Wait after a death, times the number of successive deaths."""
 
 AHEAD: Final = 2
 """Tasks given out at once, for each worker."""
@@ -95,6 +99,7 @@ class _Processes:
                 todo.put_back(running.values())
                 deaths = deaths_after(deaths, todo.first)
                 running = {}
+                time.sleep(PAUSE_S * deaths)  # a killed fork server takes time to end
 
     def end(self) -> None:
         """Cancel the running tasks."""

@@ -72,7 +72,7 @@ class Names:
         return homes - {user.name}
 
     def definitions(self, home: Module, private: bool) -> list[str]:
-        """Definitions without users in other modules, or those with."""
+        """Definitions of ``home`` as macros: private without users in other modules."""
         lines = []
         for found, node in home.assignments.items():
             users = self._used.get((home.name, found))

@@ -213,7 +213,7 @@ class Sources:
 
 
 def paired(node: ast.Assign) -> list[tuple[ast.expr, ast.expr]]:
-    """Each target of an assignment with its value; names of one tuple get those of another."""
+    """Each target of an assignment with its value; two tuples are paired element by element."""
     found: list[tuple[ast.expr, ast.expr]] = []
     for target in node.targets:
         if isinstance(target, ast.Tuple) and isinstance(node.value, ast.Tuple):

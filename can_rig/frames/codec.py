@@ -112,12 +112,12 @@ class RigLayout:
         self.shifts: Final = shifts or (0, 0)
         self.verdict_bits: Final = VERDICT_BITS if says_verdict else 0
         self._most = (1 << self.verdict_bits) - 1
-        self._has_status: Final = shifts is not None
+        self.has_status: Final = shifts is not None
 
     def pack(self, k: float, tick: int, mode: int, fault_state: int, verdict: int) -> bytearray:
         """See ``Layout``."""
         bits, value = 0, int(k) << self.verdict_bits | min(max(verdict, 0), self._most)
-        if self._has_status:
+        if self.has_status:
             bits = min(max(mode, 0), 3) << self.shifts[0]
             bits |= min(max(fault_state, 0), 3) << self.shifts[1]
         return bytearray(FRAME.pack(0, bits, tick & 0xFFFF, value))
@@ -125,7 +125,7 @@ class RigLayout:
     def unpack(self, data: bytes | bytearray) -> Unpacked:
         """See ``Layout``."""
         _, bits, tick, raw = FRAME.unpack(data)
-        if not self._has_status:
+        if not self.has_status:
             return raw, tick, 0, 0, 0
         mode, fault_state = bits >> self.shifts[0] & 3, bits >> self.shifts[1] & 3
         return raw >> self.verdict_bits, tick, mode, fault_state, raw & self._most

@@ -46,7 +46,7 @@ class Receiver:
     def __init__(self, codec: MessageCodec, max_delta_counter: int = 1) -> None:
         self.codec: Final = codec
         length = codec.layout.length
-        self.checker: Final = (
+        self.checker: Final[Checker] = (
             Unprotected(length)
             if codec.data_id is None
             else Checker(codec.data_id, max_delta_counter, length)

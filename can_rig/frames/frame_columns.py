@@ -8,14 +8,14 @@ contains the polynomial.
 from __future__ import annotations
 
 import math
-from functools import cache
-from typing import Any
+from collections.abc import Sequence
+from typing import Any, Final
 
 import numpy as np
 from e2e.p01 import e2e_p01_protect
 from numpy.typing import NDArray
 
-from can_rig.frames.codec import WIRE_TICKS, MessageCodec, RigLayout
+from can_rig.frames.codec import MessageCodec, RigLayout
 from can_rig.frames.protection import COUNTERS, FRAME_BYTES
 from firmware_model.compiled import compiled
 from firmware_model.target.structs import FloatArray
@@ -26,23 +26,27 @@ UInt8s = NDArray[np.uint8]
 def crcs(data: UInt8s, data_id: int) -> UInt8s:
     """(n,) CRC for byte 0 of payloads (n, 8 or more)."""
     found: UInt8s = np.empty(len(data), dtype=np.uint8)
-    _crcs(data, np.uint8(_crc(bytearray(FRAME_BYTES), data_id)), _tables(), found)
+    _crcs(data, np.uint8(crc_of_id(data_id)), found)
     return found
 
 
 @compiled
-def _crcs(data: UInt8s, crc_of_id: Any, tables: Any, found: UInt8s) -> None:
+def _crcs(data: UInt8s, of_id: Any, found: UInt8s) -> None:
     for row in range(len(data)):
-        crc = crc_of_id
+        crc = of_id
         for byte in range(1, FRAME_BYTES):
-            crc ^= tables[byte - 1, data[row, byte]]
+            crc ^= CRC_TABLES[byte - 1, data[row, byte]]
         found[row] = crc
 
 
-@cache
+def crc_of_id(data_id: int) -> int:
+    """The CRC of a frame of zeros."""
+    return _crc(bytearray(FRAME_BYTES), data_id)
+
+
 def _tables() -> Any:
     """(7, 256) contribution of every value of bytes 1 to 7 to the CRC."""
-    nothing = _crc(bytearray(FRAME_BYTES), 0)
+    nothing = crc_of_id(0)
     tables = np.zeros((FRAME_BYTES - 1, 256), dtype=np.uint8)
     for byte in range(1, FRAME_BYTES):
         for value in range(256):
@@ -56,6 +60,8 @@ def _crc(frame: bytearray, data_id: int) -> int:
     e2e_p01_protect(frame, data_id, increment_counter=False)
     return frame[0]
 
+
+CRC_TABLES = _tables()
 
 Ints = NDArray[np.int64]
 
@@ -78,22 +84,88 @@ def payloads(
         fault_state: (n,), likewise.
         verdict: (n,), likewise; ignored for a frame without a verdict.
     """
-    layout, data_id = codec.layout, codec.data_id
-    assert isinstance(layout, RigLayout) and data_id is not None
-    ticks = first_tick + np.arange(len(values), dtype=np.int64)
-    bits = ticks % COUNTERS
-    if mode is not None and fault_state is not None:
-        mode_shift, fault_state_shift = layout.shifts
-        bits |= mode << mode_shift | fault_state << fault_state_shift
-    data = np.zeros((len(values), FRAME_BYTES), dtype=np.uint8)
-    data[:, 1] = bits
-    data[:, 2:4] = (ticks % WIRE_TICKS).astype("<u2")[:, np.newaxis].view(np.uint8)
-    raw = raw_values(codec, values)
-    if layout.verdict_bits:
-        raw = raw << layout.verdict_bits | (0 if verdict is None else verdict)
-    data[:, 4:8] = raw.astype("<i4")[:, np.newaxis].view(np.uint8)
-    data[:, 0] = crcs(data, data_id)
-    return data
+    nothing, words = np.zeros(len(values), np.int64), np.empty(len(values), "<i8")
+    whole, scales = constants([codec])
+    modes, states, verdicts = (
+        nothing if each is None else each for each in (mode, fault_state, verdict)
+    )
+    values = np.ascontiguousarray(values)
+    _words(whole, scales, values, first_tick, modes, states, verdicts, words)
+    return words.view(np.uint8).reshape(-1, FRAME_BYTES)
+
+
+@compiled
+def _words(
+    codecs: Any,
+    scales: Any,
+    values: Any,
+    first_tick: int,
+    mode: Any,
+    fault_state: Any,
+    verdict: Any,
+    words: Any,
+) -> None:
+    for k in range(len(values)):
+        tick = first_tick + k
+        words[k] = frame_word(
+            codecs, scales, 0, values[k], tick, tick % COUNTERS, mode[k], fault_state[k], verdict[k]
+        )
+
+
+IDENTIFIER, CRC, MODE_SHIFT, FAULT_STATE_SHIFT, VERDICT_BITS = range(5)
+"""Columns of the whole numbers of ``constants``."""
+
+_NO_MODE: Final = -1
+
+
+def constants(codecs: Sequence[MessageCodec]) -> tuple[Any, Any]:
+    """Whole numbers (n, 5) and scales (n, 6) of frames with the rig's layout."""
+    whole, scales = [], []
+    for codec in codecs:
+        layout, data_id = codec.layout, codec.data_id
+        assert isinstance(layout, RigLayout) and data_id is not None
+        shifts = layout.shifts if layout.has_status else (_NO_MODE, _NO_MODE)
+        whole.append([codec.frame_id, crc_of_id(data_id), *shifts, layout.verdict_bits])
+        scales.append([
+            codec.lsb, codec.minimum, codec.maximum, codec.raw_minimum, codec.raw_maximum,
+            codec.not_available,
+        ])  # fmt: skip
+    return np.array(whole, np.int64), np.array(scales, np.float64)
+
+
+@compiled
+def frame_word(
+    codecs: Any,
+    scales: Any,
+    row: int,
+    value: float,
+    tick: int,
+    counter: int,
+    mode: int,
+    fault_state: int,
+    verdict: int,
+) -> int:
+    """The 8 bytes of a frame, the lowest first; see `MessageCodec.encode` and `Protector`."""
+    lsb, minimum, maximum, raw_minimum, raw_maximum, not_available = scales[row]
+    raw = int(raw_value(value, lsb, minimum, maximum, raw_minimum, raw_maximum, not_available))
+    bits = counter
+    if codecs[row, MODE_SHIFT] != _NO_MODE:
+        bits |= min(max(mode, 0), 3) << codecs[row, MODE_SHIFT]
+        bits |= min(max(fault_state, 0), 3) << codecs[row, FAULT_STATE_SHIFT]
+    spare = codecs[row, VERDICT_BITS]
+    raw = raw << spare | min(max(verdict, 0), (1 << spare) - 1)
+    data = raw << 32 | (tick & 0xFFFF) << 16 | bits << 8
+    word: int = data | crc_of(data, codecs[row, CRC])
+    return word
+
+
+@compiled
+def crc_of(data: int, of_id: int) -> int:
+    """The CRC of a frame's 8 bytes, given the CRC of zeros with the same data identifier."""
+    crc = of_id
+    for byte in range(1, FRAME_BYTES):
+        crc ^= CRC_TABLES[byte - 1, data >> (8 * byte) & 255]
+    return crc
 
 
 def raw_values(codec: MessageCodec, values: FloatArray) -> Ints:
@@ -111,15 +183,31 @@ def _raw(
     raw_minimum, raw_maximum, not_available = ends
     raw = np.empty(len(values), np.int64)
     for k in range(len(values)):
-        if math.isnan(values[k]):
-            raw[k] = not_available
-        elif values[k] >= maximum:
-            raw[k] = raw_maximum
-        elif values[k] <= minimum:
-            raw[k] = raw_minimum
-        else:
-            raw[k] = int(np.rint(values[k] / lsb))
+        raw[k] = raw_value(
+            values[k], lsb, minimum, maximum, raw_minimum, raw_maximum, not_available
+        )
     return raw
+
+
+@compiled
+def raw_value(
+    value: float,
+    lsb: float,
+    minimum: float,
+    maximum: float,
+    raw_minimum: float,
+    raw_maximum: float,
+    not_available: float,
+) -> float:
+    """The raw value of ``value``; see `MessageCodec.to_raw`."""
+    if math.isnan(value):
+        return not_available
+    if value >= maximum:
+        return raw_maximum
+    if value <= minimum:
+        return raw_minimum
+    rounded: float = np.rint(value / lsb)
+    return rounded
 
 
 def quantised(codec: MessageCodec, values: FloatArray) -> FloatArray:

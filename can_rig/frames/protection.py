@@ -129,6 +129,19 @@ class Checker:
         self._counts = [0] * len(CheckStatus)
 
     @property
+    def expected(self) -> int | None:
+        """The counter of a next frame that is OK; None where another status is next."""
+        return self._next
+
+    def go_on(self, frames: int) -> None:
+        """Count frames that were found OK elsewhere, one in each of as many calls."""
+        if frames and self._next is not None:
+            self._last = (self._next + frames - 1) % COUNTERS
+            self._next = _AFTER[self._last]
+            self._window = self.max_delta_counter
+            self._counts[_OK] += frames
+
+    @property
     def counts(self) -> dict[CheckStatus, int]:
         """Number of frames with each status since the start."""
         return dict(zip(CheckStatus, self._counts, strict=True))
@@ -187,17 +200,13 @@ class Checker:
         return status
 
 
-class Unprotected:
+class Unprotected(Checker):
     """The receiving end of a frame without protection: only the length decides."""
 
-    def __init__(self, length: int) -> None:
-        self._length = length
-        self._counts = [0] * len(CheckStatus)
+    __slots__ = ()
 
-    @property
-    def counts(self) -> dict[CheckStatus, int]:
-        """As that of `Checker`."""
-        return dict(zip(CheckStatus, self._counts, strict=True))
+    def __init__(self, length: int) -> None:
+        super().__init__(0, length=length)
 
     def check(self, data: bytearray) -> CheckStatus:
         """As that of `Checker`."""
@@ -208,8 +217,3 @@ class Unprotected:
     def reject(self, data: bytearray) -> None:
         """As that of `Checker`."""
         self._counts[_WRONG_TICK if len(data) == self._length else _WRONG_LENGTH] += 1
-
-    def no_new_data(self) -> CheckStatus:
-        """As that of `Checker`."""
-        self._counts[CheckStatus.NO_NEW_DATA] += 1
-        return CheckStatus.NO_NEW_DATA

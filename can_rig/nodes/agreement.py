@@ -95,7 +95,8 @@ class Agreement:
         self._keys = list(keys_of(scenario.as_dict()))
         digests = [digest(key, value) for key, value in self._keys]
         self._digests = [digest("", digests), *digests]
-        self._bus = bus
+        self.bus: Final = bus
+        """The wrapped bus."""
         self._number = secrets.randbits(32)
         self._send = PersistentSender(bus, UNSETTLED_S, clock)
         self._clock = clock
@@ -110,10 +111,10 @@ class Agreement:
     @property
     def lost_frames(self) -> int:
         """Frames that the bus dropped unread."""
-        return int(getattr(self._bus, "lost_frames", 0))
+        return int(getattr(self.bus, "lost_frames", 0))
 
     def announce(self) -> None:
-        """Say which scenario this node has, and ask for another node of its kind."""
+        """Send the digest of this node's scenario, and ask for another node of the same kind."""
         self._say(WHOLE)
         self.ask()
 
@@ -123,7 +124,7 @@ class Agreement:
 
     def send(self, msg: can.Message) -> None:
         """As the bus."""
-        self._bus.send(msg)
+        self.bus.send(msg)
 
     def recv(self, timeout: float | None = None) -> can.Message | None:
         """As the bus, without the frames of the comparison; nothing once the scenarios differ.
@@ -135,7 +136,7 @@ class Agreement:
         end_ns = self._clock.now_ns() + round((timeout or 0.0) * NS_PER_S)
         while True:
             left_s = max(0.0, (end_ns - self._clock.now_ns()) / NS_PER_S)
-            message = self._bus.recv(left_s)
+            message = self.bus.recv(left_s)
             # a foreign frame with the same identifier fails the check, and belongs into the log
             if message is not None and (said := self._other_frame.read(message)) is not None:
                 self._hear(said)
@@ -155,7 +156,7 @@ class Agreement:
         message = self._own_frame.message(said)
         if self.settled:
             with suppress(can.CanError):  # the run comes first
-                self._bus.send(message)
+                self.bus.send(message)
         else:
             self._send(message)
 
@@ -216,7 +217,7 @@ def is_shared(bus_name: str) -> bool:
 
 
 def own_bus() -> str:
-    """The bus of a run of this process for which no bus was named."""
+    """The private bus of a run of this process, without ``--bus``."""
     return f"local:run-{os.getpid()}"
 
 
@@ -229,7 +230,7 @@ def require_alone(scenario: Scenario, bus_name: str, fd: bool) -> None:
         fd: the bus carries CAN FD.
 
     Raises:
-        BusError: another plant or controller node has answered, or there is no such bus.
+        BusError: an answer from another plant or controller node, or a missing bus.
     """
     identifiers = [ComparisonFrame(each).frame_id for each in SENDERS]
     with open_for_node(bus_name, identifiers, False, fd) as bus:

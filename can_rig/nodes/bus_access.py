@@ -9,6 +9,7 @@ import signal
 from collections import Counter
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from types import FrameType
 from typing import Final, Protocol, Self
 
@@ -67,15 +68,22 @@ class PersistentSender:
         try:
             self._bus.send(message)
         except can.CanError as error:
-            self._insist(message, error)
+            self._insist(partial(self._bus.send, message), error)
 
-    def _insist(self, message: can.Message, error: can.CanError) -> None:
+    def burst(self, send: Callable[[memoryview], None], frames: memoryview) -> None:
+        """Send several frames at once; see ``LocalBus.send_burst``."""
+        try:
+            send(frames)
+        except can.CanError as error:
+            self._insist(partial(send, frames), error)
+
+    def _insist(self, send: Callable[[], None], error: can.CanError) -> None:
         deadline_ns = self._clock.now_ns() + round(self._within_s * NS_PER_S)
         while self._clock.now_ns() < deadline_ns:
             self.errors[one_line(error)] += 1
             pause(self._clock, RETRY_S)
             try:
-                self._bus.send(message)
+                send()
             except can.CanError as again:
                 error = again
             else:
@@ -163,6 +171,15 @@ class StopRequest:
             if signal.getsignal(number) is not signal.SIG_IGN:  # nohup
                 signal.signal(number, self._want)
         return self
+
+    def require_none(self) -> None:
+        """Do nothing, unless a stop was requested.
+
+        Raises:
+            Interrupted: a stop was requested.
+        """
+        if self.wanted:
+            raise Interrupted
 
     def _want(self, _signal: int, _frame: FrameType | None) -> None:
         self.wanted = True

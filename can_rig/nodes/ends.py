@@ -7,27 +7,49 @@ end receives the plant's frames and sends the answer.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from itertools import chain
 from typing import Final
 
 import can
 import numpy as np
 
-from can_rig.frames.codec import Record, ticks_ahead
+from can_rig.buses.local.bus import LocalBus
+from can_rig.frames.codec import MessageCodec, Record, ticks_ahead
 from can_rig.frames.endpoints import Receiver, Transmitter
 from can_rig.frames.network import Network
-from can_rig.nodes.bus_access import Send
-from can_rig.nodes.recording import Log, PlantRecorder
+from can_rig.nodes.bursts import Bursts
+from can_rig.nodes.bus_access import PersistentSender, Send
+from can_rig.nodes.recording import CandumpLines, Log, PlantRecorder
 from can_rig.plant.faults.frame_faults import SENSOR_PLACE, FrameFaults
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.driving import controls, speeds_at_ticks
 from can_rig.scenario.reference import reference, refuse_saturation
 from can_rig.scenario.settings import Scenario
-from firmware_model.firmware import PYTHON_LAW, Firmware, Law
+from firmware_model.firmware import PYTHON_LAW, Answer, Firmware, Law
 from firmware_model.target.structs import Record as Memory
 
 COMMANDS: Final = 2
 """What is received is numbered: the commands first, then the status."""
+
+
+def bursts_of(
+    network: Network,
+    send: Send,
+    codecs: Sequence[MessageCodec],
+    receivers: Sequence[Receiver],
+    healthy: bool,
+    local: LocalBus | None,
+    lines: CandumpLines | None = None,
+) -> Bursts | None:
+    """Access to the frames as bursts, where bus, network and sender allow bursts.
+
+    ``healthy`` says that no frame fault changes the frames of ``codecs``; see ``Bursts``.
+    """
+    if local is None or not healthy or not local.bursts or not network.is_the_rigs:
+        return None
+    assert isinstance(send, PersistentSender)
+    return Bursts(local, send, codecs, receivers, lines)
 
 
 class PlantEnd:
@@ -41,6 +63,7 @@ class PlantEnd:
         log: gets every sent frame; None records nothing.
         reports: gets the plant's report of every tick; None records nothing.
         changing: whether the faults may change during the run.
+        local: the bus behind ``send`` and the log's lines, for frames as bursts.
 
     Raises:
         ScenarioError: a reference beyond the range of its frame, an invalid plant.
@@ -54,6 +77,7 @@ class PlantEnd:
         log: Log | None,
         reports: PlantRecorder | None = None,
         changing: bool = False,
+        local: tuple[LocalBus | None, CandumpLines | None] = (None, None),
     ) -> None:
         self.plant: Final = SimulatedPlant(scenario, changing)
         self.reference_offset = 0.0
@@ -74,6 +98,16 @@ class PlantEnd:
         )
         self._by_id = {each.codec.frame_id: at for at, each in enumerate(self._receivers)}
         self._offered: tuple[can.Message, ...] = ()
+        self._sampled: tuple[int, tuple[float, float, float]] = (0, (0.0, 0.0, 0.0))
+        self.bursts: Final = bursts_of(
+            network,
+            send,
+            network.on_the_bus[: network.offered],
+            self._receivers,
+            not self._faults.concerns(SENSOR_PLACE),
+            *local,
+        )
+        """Access to the frames as bursts; None: frame by frame."""
 
     def change_faults(self, scenario: Scenario) -> None:
         """From the next tick on, the faults of ``scenario``."""
@@ -82,6 +116,11 @@ class PlantEnd:
 
     def sample(self, tick: int) -> None:
         """Measure D* of ``tick`` and pack its frames."""
+        if self.bursts is not None:
+            wanted, measured = self._reference.item(tick), self.plant.measure()
+            speed = () if self._send_speed is None else (self._speeds.item(tick),)
+            self._sampled = tick, (*speed, wanted, measured, 0.0)[:3]
+            return
         wanted = self._reference.item(tick) + self.reference_offset
         reference = self._send_reference.frame(wanted, tick)
         own = self._send_feedback.frame(self.plant.measure(), tick)
@@ -96,6 +135,9 @@ class PlantEnd:
 
     def send_sample(self) -> None:
         """Send what was sampled."""
+        if self.bursts is not None:
+            self.bursts.send(*self._sampled)
+            return
         for message in self._offered:
             self._send(message)
             if self._log is not None:
@@ -103,6 +145,8 @@ class PlantEnd:
 
     def repeat(self) -> None:
         """Send the offer again, for a controller that starts late; the log has one copy."""
+        if self.bursts is not None:
+            self.bursts.repeat()
         for message in self._offered:
             self._send(message)
 
@@ -143,9 +187,12 @@ class ControllerEnd:
         scenario: the run; its frame faults act on the answer.
         network: the frames of the run.
         send: sends a frame.
+        local: the bus behind ``send``, for frames as bursts.
     """
 
-    def __init__(self, scenario: Scenario, network: Network, send: Send) -> None:
+    def __init__(
+        self, scenario: Scenario, network: Network, send: Send, local: LocalBus | None = None
+    ) -> None:
         self.reference: Final = Receiver(network.reference)
         self.feedback: Final = Receiver(network.feedback)
         self.speed: Final = None if network.speed is None else Receiver(network.speed)
@@ -154,6 +201,19 @@ class ControllerEnd:
         self._status = Transmitter(network.status)
         self.faults: Final = FrameFaults(scenario, network)
         """Those of the answer."""
+        answers = (network.command_1, network.command_2, network.status)
+        healthy = not (self.faults.concerns(0) or self.faults.concerns(1))
+        self.bursts: Final = bursts_of(network, send, answers, self._receivers, healthy, local)
+        """Access to the frames as bursts; None: frame by frame."""
+
+    def send_answer(self, tick: int, answer: Answer) -> None:
+        """Send commands and status of ``tick``."""
+        command_1, command_2, estimate, *codes = answer
+        if self.bursts is not None:
+            self.bursts.send(tick, (command_1, command_2, estimate), *codes)
+            return
+        self.send_commands(tick, command_1, command_2)
+        self.send_status(tick, estimate, *codes)
 
     def send_commands(self, tick: int, command_1: float, command_2: float) -> None:
         """Send both commands of ``tick``, after the scheduled frame faults."""

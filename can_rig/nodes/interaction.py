@@ -6,7 +6,7 @@ from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
 if TYPE_CHECKING:  # python-can is not needed for --help
-    from can_rig.nodes.recorded_commands import Touch
+    from can_rig.nodes.operating import Touch
 
 
 @dataclass(frozen=True)

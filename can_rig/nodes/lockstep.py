@@ -16,13 +16,14 @@ from typing import Final, Protocol
 
 import can
 
+from can_rig.buses.local.bus import LocalBus
 from can_rig.errors import ExportError, ScenarioError
 from can_rig.export.controllers import Application, Controller
 from can_rig.export.ecus import COUNTS, Ecu, rejected
 from can_rig.frames.codec import WIRE_TICKS, Record, tick_from
 from can_rig.frames.endpoints import Receiver
 from can_rig.frames.network import Network
-from can_rig.nodes.bus_access import Interrupted, NodeBus, Send, Watchdog
+from can_rig.nodes.bus_access import NodeBus, Send, Watchdog
 from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock
 from can_rig.nodes.ends import COMMANDS, ControllerEnd, PlantEnd, started
 from can_rig.nodes.interaction import UNTOUCHED, Interaction
@@ -55,6 +56,7 @@ class PlantNode:
         reports: gets the plant's report of every tick; None records nothing.
         interaction: permitted commands during the run.
         clock: the time, for a run with interaction.
+        local: the bus behind ``send``, for frames as bursts; None: frame by frame.
 
     Raises:
         ScenarioError: a reference beyond the range of its frame, an invalid plant, frames
@@ -70,40 +72,46 @@ class PlantNode:
         reports: PlantRecorder | None = None,
         interaction: Interaction = UNTOUCHED,
         clock: Clock = SYSTEM_CLOCK,
+        local: LocalBus | None = None,
     ) -> None:
         require_ticks(scenario, network)
         self.ticks: Final = scenario.ticks
         self._recorder = recorder
         self._others_send = False
-        self._end = PlantEnd(scenario, network, send, recorder, reports, interaction.injectable)
+        self._end = PlantEnd(
+            scenario,
+            network,
+            send,
+            recorder,
+            reports,
+            interaction.injectable,
+            (local, recorder.lines if recorder else None),
+        )
         self._control = RunControl(interaction, scenario, self._end, send, clock)
 
-    def run(self, watchdog: Watchdog, on_tick: Callable[[int], None]) -> int:
-        """Run to the end or to a stop request; the number of ticks completed.
+    def carry(
+        self, watchdog: Watchdog, tick: int, answer: Callable[[], object] | None = None
+    ) -> int:
+        """Carry one tick; see ``drive``.
+
+        Args:
+            watchdog: receives from the bus.
+            tick: the tick.
+            answer: lets a controller node in this process answer; None: another process has the
+                controller node.
 
         Raises:
             SilentNodeError: the controller node is silent.
             BusLostError: the bus carries nothing any more.
-        """
-        for tick in range(self.ticks):
-            try:
-                if watchdog.stop.wanted:
-                    return tick
-                self.begin(tick, watchdog)
-                self.offer(tick)
-                self.collect(tick, watchdog)
-            except Interrupted:
-                return tick
-            on_tick(tick + 1)
-        return self.ticks
-
-    def begin(self, tick: int, watchdog: Watchdog) -> None:
-        """Wait until ``tick`` may begin, where the run is held or paused.
-
-        Raises:
             Interrupted: a stop was requested.
         """
+        watchdog.stop.require_none()
         self._control.begin(tick, watchdog, self._overhear)
+        self.offer(tick)
+        if answer is not None:
+            answer()
+        self.collect(tick, watchdog)
+        return tick + 1
 
     def offer(self, tick: int) -> None:
         """Start ``tick``: sample D*, send the reference and the feedback."""
@@ -122,6 +130,17 @@ class PlantNode:
         Raises:
             SilentNodeError, BusLostError, Interrupted: see ``Watchdog.receive``.
         """
+        if self._end.bursts is not None:
+            found = self._end.bursts.receive(tick)
+            if found is not None:
+                watchdog.hear()
+                command_1, command_2, _ = found
+                self._end.advance(
+                    tick,
+                    None if math.isnan(command_1) else command_1,
+                    None if math.isnan(command_2) else command_2,
+                )
+                return
         commands: list[float | None] = [None, None]
         while True:
             message = watchdog.receive(tick)
@@ -201,19 +220,16 @@ class AnsweringNode(ABC):
     def take(self, message: can.Message) -> bool:
         """Receive a frame; returns True if the frame completed a tick, which is then answered."""
 
-    def run(self, watchdog: Watchdog, on_tick: Callable[[int], None]) -> int:
-        """Answer ticks to the end of the run or to a stop request; the number answered.
+    def carry(self, watchdog: Watchdog, _tick: int = 0) -> int:
+        """Answer one tick; see ``drive``.
 
         Raises:
             SilentNodeError: the plant node is silent.
             BusLostError: the bus carries nothing any more.
+            Interrupted: a stop was requested.
         """
-        while self.tick < self.ticks and not watchdog.stop.wanted:
-            try:
-                self.serve(watchdog)
-            except Interrupted:
-                break
-            on_tick(self.tick)
+        watchdog.stop.require_none()
+        self.serve(watchdog)
         return self.tick
 
     def serve(self, watchdog: Watchdog) -> None:
@@ -225,6 +241,9 @@ class AnsweringNode(ABC):
         while not self.take(watchdog.receive(self.tick)):
             watchdog.go_on_waiting(self.tick)
         watchdog.hear()
+
+
+NO_REFERENCE: Final = Record(math.nan, -1)
 
 
 class Actuation(Protocol):
@@ -246,6 +265,8 @@ class ControllerNode(AnsweringNode):
         send: sends a frame.
         actuation: command timing of a recorded real-time run; None: every answer is in time.
         law: the implementation of the control law.
+        local: the bus behind ``send``, for frames as bursts; None: frame by frame. A node with
+            bursts follows no command of an operator.
 
     Raises:
         ScenarioError: the design fails.
@@ -258,13 +279,14 @@ class ControllerNode(AnsweringNode):
         send: Send,
         actuation: Actuation | None = None,
         law: Law = PYTHON_LAW,
+        local: LocalBus | None = None,
     ) -> None:
         self._actuation = actuation
         self.ticks = scenario.ticks
-        self._end = ControllerEnd(scenario, network, send)
+        self._end = ControllerEnd(scenario, network, send, local)
         self._followed = FollowedFaults(scenario, self._end.faults)
         _, self._firmware = started(scenario, network, law)
-        self._reference_now = Record(math.nan, -1)
+        self._reference_now = NO_REFERENCE
         self._tick = 0  # the next one
         self._expected: int | None = None  # the first contact sets the tick
         self._first_reference: can.Message | None = None
@@ -275,9 +297,23 @@ class ControllerNode(AnsweringNode):
         """The tick that is answered next."""
         return self._tick
 
+    def serve(self, watchdog: Watchdog) -> None:
+        """See ``AnsweringNode``."""
+        if self._end.bursts is not None and self._expected is not None:
+            found = self._end.bursts.receive(self._expected)
+            if found is not None:
+                *speed, reference, measurement = found
+                if speed:
+                    self._firmware.change_speed(speed[0])
+                self._reference_now = NO_REFERENCE
+                self._respond(self._expected, reference, measurement)
+                watchdog.hear()
+                return
+        super().serve(watchdog)
+
     def take(self, message: can.Message) -> bool:
         """Receive a frame; returns True if the frame completed a tick, which is then answered."""
-        if self._followed.take(message, self._tick):
+        if self._end.bursts is None and self._followed.take(message, self._tick):
             return False
         if self._expected is None and not self._first_contact(message):
             return False
@@ -340,16 +376,16 @@ class ControllerNode(AnsweringNode):
         tick = tick_from(wire_tick, self._tick)
         now = self._reference_now
         reference = now.value if now.tick == wire_tick else math.nan  # none: hold, and say so
+        self._respond(tick, reference, measurement)
+        self._end.end_tick()
+
+    def _respond(self, tick: int, reference: float, measurement: float) -> None:
         if self._actuation is not None and not self._actuation.begin(tick, self._firmware):
             reference = measurement = math.nan
         answer = self._firmware.step(reference, measurement)
         if self._actuation is not None:
             self._actuation.send(tick, (answer.command_1, answer.command_2))
-        self._end.send_commands(tick, answer.command_1, answer.command_2)
-        self._end.send_status(
-            tick, answer.fault_estimate, answer.mode, answer.fault_state, answer.verdict
-        )
-        self._end.end_tick()
+        self._end.send_answer(tick, answer)
         self._tick = self._expected = tick + 1
 
     def rejected(self) -> dict[str, dict[str, int]]:
@@ -410,11 +446,15 @@ class EcuNode(AnsweringNode):
 
 @contextmanager
 def lockstep_controller(
-    scenario: Scenario, network: Network, send: Send, controller: Controller
+    scenario: Scenario,
+    network: Network,
+    send: Send,
+    controller: Controller,
+    local: LocalBus | None = None,
 ) -> Iterator[ControllerNode | EcuNode]:
     """The controller node in lockstep; see ``ControllerNode``."""
     if not isinstance(controller, Application):
-        yield ControllerNode(scenario, network, send, law=controller)
+        yield ControllerNode(scenario, network, send, law=controller, local=local)
         return
     ecu = controller.start()
     try:

@@ -15,7 +15,7 @@ import time
 import warnings
 from collections.abc import Callable
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 from multiprocessing.connection import Connection, wait
 from multiprocessing.context import ForkProcess
@@ -23,14 +23,18 @@ from pathlib import Path
 from typing import Any, Final
 
 from can_rig.errors import RigError, SilentNodeError, one_line
-from can_rig.export.controllers import PYTHON, Controller
 from can_rig.nodes.agreement import is_shared
-from can_rig.nodes.bus_access import DEFAULT_TIMEOUTS, StopRequest, Timeouts
+from can_rig.nodes.bursts import warm_up
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.clock import OnTick, Progress, Throttled, no_progress
-from can_rig.nodes.interaction import UNTOUCHED, Interaction
-from can_rig.nodes.runner import NodeName, run_controller, run_plant, without_garbage_pauses
+from can_rig.nodes.runner import (
+    NodeName,
+    RunOptions,
+    run_controller,
+    run_plant,
+)
 from can_rig.nodes.scheduling import one_core
-from can_rig.nodes.summary import NodeSummary
+from can_rig.nodes.ticks import NodeSummary, without_garbage_pauses
 from can_rig.scenario.settings import Scenario
 
 ENDS_WITHIN_S: Final = 4.0
@@ -40,6 +44,8 @@ STOPPING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 
 Report = Callable[..., None]
 """Tells the parent process something by name: ``ready``, ``ticks``, ``summary``, ``error``."""
+
+DEFAULT: Final = RunOptions()
 
 Node = Callable[[StopRequest, Report], NodeSummary]
 
@@ -144,10 +150,7 @@ def run_processes(
     log: Path,
     stop: StopRequest,
     progress: Progress = no_progress,
-    real_time: bool = False,
-    timeouts: Timeouts = DEFAULT_TIMEOUTS,
-    controller: Controller = PYTHON,
-    interaction: Interaction = UNTOUCHED,
+    options: RunOptions = DEFAULT,
 ) -> NodeSummary:
     """Run the plant and the controller as two processes, in lockstep on one core where possible.
 
@@ -157,10 +160,8 @@ def run_processes(
         log: path of the plant node's log.
         stop: ends the run after a tick.
         progress: entered after both forks.
-        real_time: by the wall clock, with a separate core for each node if possible.
-        timeouts: longest permitted silence of each node.
-        controller: the implementation of the controller.
-        interaction: permitted commands during the run.
+        options: in real time with a separate core for each node if possible; whether the bus is
+            shared follows from its name.
 
     Returns:
         The summary; a stopped run has fewer ticks than the scenario.
@@ -170,17 +171,18 @@ def run_processes(
         RigError: a node refused to start; the node's error line gives the reason.
     """
     processes: list[NodeProcess] = []
+    options = replace(options, shared=is_shared(bus))
+    if options.bursts:
+        warm_up()
     try:
         # Forked processes search no garbage among the objects of this process either.
-        with nullcontext() if real_time else one_core(), without_garbage_pauses():
-            controller_node = partial(_controller, scenario, bus, real_time, timeouts, controller)
+        with nullcontext() if options.real_time else one_core(), without_garbage_pauses():
+            controller_node = partial(_controller, scenario, bus, options)
             first = NodeProcess.fork("controller", controller_node, processes)
             processes.append(first)  # first: a waiting plant repeats its offer on the bus
             _watch(processes, stop, until=lambda: "ready" in first.said)
             if "ready" in first.said and not stop.wanted:
-                plant_node = partial(
-                    _plant, scenario, bus, real_time, timeouts, log, interaction, is_shared(bus)
-                )
+                plant_node = partial(_plant, scenario, bus, log, options)
                 processes.append(NodeProcess.fork("plant", plant_node, processes))
         with progress() as on_tick:
             _watch(processes, stop, on_tick=on_tick)
@@ -191,44 +193,17 @@ def run_processes(
 
 
 def _controller(
-    scenario: Scenario,
-    bus: str,
-    real_time: bool,
-    timeouts: Timeouts,
-    controller: Controller,
-    stop: StopRequest,
-    report: Report,
+    scenario: Scenario, bus: str, options: RunOptions, stop: StopRequest, report: Report
 ) -> NodeSummary:
     on_tick = Throttled(lambda tick: report(ticks=tick))
-    on_ready = partial(report, ready=True)
-    return run_controller(
-        scenario, bus, timeouts, stop, on_ready, on_tick, real_time=real_time, controller=controller
-    )
+    return run_controller(scenario, bus, stop, partial(report, ready=True), on_tick, options)
 
 
 def _plant(
-    scenario: Scenario,
-    bus: str,
-    real_time: bool,
-    timeouts: Timeouts,
-    log: Path,
-    interaction: Interaction,
-    shared: bool,
-    stop: StopRequest,
-    report: Report,
+    scenario: Scenario, bus: str, log: Path, options: RunOptions, stop: StopRequest, report: Report
 ) -> NodeSummary:
     on_tick = Throttled(lambda tick: report(ticks=tick))
-    return run_plant(
-        scenario,
-        bus,
-        log,
-        timeouts,
-        stop,
-        on_tick,
-        real_time=real_time,
-        shared=shared,
-        interaction=interaction,
-    )
+    return run_plant(scenario, bus, log, stop, on_tick, options)
 
 
 def _watch(

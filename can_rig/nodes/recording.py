@@ -9,7 +9,7 @@ from __future__ import annotations
 import io
 import math
 import threading
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -45,7 +45,7 @@ class Log(Protocol):
 
 
 def is_stream(path: Path) -> bool:
-    """Whether what is written there goes to a pipe or a device, which have nothing to lose."""
+    """Whether ``path`` is a pipe or a device, where no earlier content can be lost."""
     return path.exists() and not path.is_file() and not path.is_dir()
 
 
@@ -59,48 +59,45 @@ class LogFile:
     def __init__(self, path: Path) -> None:
         self._path = path
         try:
-            self._file = path.open("wb" if is_stream(path) else "xb")
+            self._file = path.open("wb" if is_stream(path) else "xb", buffering=0)
         except OSError as error:
             raise RunFolderError(f"{path}: cannot be opened: {error.strerror}") from None
 
-    def write(self, lines: list[str]) -> None:
+    def write(self, text: bytes | memoryview) -> None:
         """Hand the lines to the operating system."""
-        self.write_bytes("".join(lines).encode("ascii"))
-
-    def write_bytes(self, text: bytes | memoryview) -> None:
-        """The same of lines that are joined and encoded."""
         try:
-            self._file.write(text)
-            self._file.flush()
+            written = self._file.write(text)
+            while written < len(text):
+                written += self._file.write(text[written:])
         except OSError as error:
             raise RunFolderError(f"{self._path}: cannot be written: {error.strerror}") from None
 
     def close(self) -> None:
-        """Close it; what could not be written has been said by ``write``."""
+        """Close the file; ``write`` has reported every failure."""
         with suppress(OSError):
             self._file.close()
 
 
 class CandumpLines:
-    """Frames as lines of candump, in memory; no frame is earlier than the one before it.
+    """Frames as lines of candump, in memory; times never decrease.
 
     Frames of the recording node are marked T, all others R.
     """
 
     def __init__(self) -> None:
-        self.waiting: list[str] = []
+        self.waiting: list[bytes] = []
         """Lines since the last ``take``."""
-        self._time_us = 0
-        self._heads: dict[int, str] = {}  # identifier → what stands between time and data
+        self.time_us = 0
+        """The next frame's time."""
 
     def at(self, time_us: int) -> None:
         """The next frame's time, unless an earlier frame was later; the others follow by 1 µs."""
-        self._time_us = max(self._time_us, time_us)
+        self.time_us = max(self.time_us, time_us)
 
     def record(self, message: can.Message, sent: bool) -> None:
         """Note one frame, ``sent`` by this node or received."""
-        time_us = self._time_us
-        self._time_us += 1  # candump's resolution keeps the frames of a tick in order
+        time_us = self.time_us
+        self.time_us += 1  # candump's resolution keeps the frames of a tick in order
         if (
             message.is_extended_id
             or message.is_remote_frame
@@ -109,19 +106,22 @@ class CandumpLines:
         ):
             self.waiting.append(_other_line(message, sent, time_us))
             return
-        head = self._heads.get(message.arbitration_id)
-        if head is None:
-            head = f") {CHANNEL} {message.arbitration_id:03X}#"
-            self._heads[message.arbitration_id] = head
         # A plain data frame, for a third of what python-can's writer takes.
-        self.waiting.append(
-            f"({time_us // 1_000_000}.{time_us % 1_000_000:06d}{head}"
-            f"{message.data.hex().upper()} {'T' if sent else 'R'}\n"
+        line = (
+            f"({time_us // 1_000_000}.{time_us % 1_000_000:06d}) {CHANNEL} "
+            f"{message.arbitration_id:03X}#{message.data.hex().upper()} {'T' if sent else 'R'}\n"
         )
+        self.waiting.append(line.encode("ascii"))
 
-    def take(self) -> list[str]:
+    def add(self, lines: bytes, frames: int) -> None:
+        """Note the lines of as many frames, the first at ``time_us``."""
+        self.waiting.append(lines)
+        self.time_us += frames
+
+    def take(self) -> bytes:
         """The lines that wait."""
-        lines, self.waiting = self.waiting, []
+        lines = b"".join(self.waiting)
+        self.waiting.clear()
         return lines
 
 
@@ -140,13 +140,13 @@ class Recorder:
     def __init__(self, path: Path, tick_ns: int) -> None:
         self._tick_ns = tick_ns
         self._file = LogFile(path)
-        self._lines = CandumpLines()
-        self.record = self._lines.record
+        self.lines = CandumpLines()
+        self.record = self.lines.record
 
     def begin_tick(self, tick: int) -> None:
         """Put the previous tick on disk; the next frame is the first of ``tick``."""
-        self._file.write(self._lines.take())
-        self._lines.at(tick * self._tick_ns // 1000)
+        self._file.write(self.lines.take())
+        self.lines.at(tick * self._tick_ns // 1000)
 
     def __enter__(self) -> Self:
         return self
@@ -158,23 +158,24 @@ class Recorder:
         traceback: TracebackType | None,
     ) -> None:
         try:
-            self._file.write(self._lines.take())
+            self._file.write(self.lines.take())
         finally:
             self._file.close()
 
 
-def _other_line(message: can.Message, sent: bool, time_us: int) -> str:
+def _other_line(message: can.Message, sent: bool, time_us: int) -> bytes:
     """The line of an extended, remote, error or FD frame, by python-can's own writer."""
     message.timestamp, message.channel, message.is_rx = time_us * 1e-6, CHANNEL, not sent
     text = io.StringIO()
     CanutilsLogWriter(text).on_message_received(message)
-    return text.getvalue()
+    return text.getvalue().encode("ascii")
 
 
-HEXADECIMAL: Final = np.frombuffer(b"0123456789ABCDEF", np.uint8)
-SECONDS_DIGITS: Final = 10
-LINE_BYTES: Final = 1 + SECONDS_DIGITS + 7 + len(f") {CHANNEL} 7FF#") + 2 * FRAME_BYTES + 3
-"""No line is longer."""
+_HEXADECIMAL: Final = np.frombuffer(b"0123456789ABCDEF", np.uint8)
+_CHANNEL: Final = np.frombuffer(f") {CHANNEL} ".encode("ascii"), np.uint8)
+_SECONDS_DIGITS: Final = 10
+LINE_BYTES: Final = 1 + _SECONDS_DIGITS + 7 + len(f") {CHANNEL} 7FF#") + 2 * FRAME_BYTES + 3
+"""No line of a classic frame with an 11-bit identifier is longer."""
 
 
 def candump_bytes(
@@ -193,55 +194,72 @@ def candump_bytes(
         ids: the identifier of each frame of a tick.
         own: how many of the first ones the recording node has sent itself.
     """
-    heads = np.frombuffer(
-        b"".join(f") {CHANNEL} {identifier:03X}#".encode("ascii") for identifier in ids), np.uint8
-    ).reshape(len(ids), -1)
     text = np.empty(int(there.sum()) * LINE_BYTES, dtype=np.uint8)
-    length = _lines(data, there, first_us, heads, own, text)
-    return text[:length].data
+    words = data.view("<i8")[:, :, 0]
+    return text[: _lines(words, there, first_us, np.array(ids), own, text)].data
 
 
 @compiled
-def _lines(data: Any, there: Any, first_us: Any, heads: Any, own: int, text: Any) -> int:
-    zero, at = 48, 0
-    for tick in range(data.shape[0]):
+def _lines(words: Any, there: Any, first_us: Any, ids: Any, own: int, text: Any) -> int:
+    at = 0
+    for tick in range(words.shape[0]):
         time_us = first_us[tick]
-        for frame in range(data.shape[1]):
-            if not there[tick, frame]:
-                continue
-            text[at] = 40  # (
-            at += 1
-            seconds, part = time_us // 1_000_000, time_us % 1_000_000
-            digits, rest = 1, seconds // 10
-            while rest > 0:
-                digits += 1
-                rest //= 10
-            for place in range(digits):
-                text[at + digits - 1 - place] = zero + seconds % 10
-                seconds //= 10
-            at += digits
-            text[at] = 46  # .
-            for place in range(6):
-                text[at + 6 - place] = zero + part % 10
-                part //= 10
-            at += 7
-            for byte in heads[frame]:
-                text[at] = byte
-                at += 1
-            for byte in data[tick, frame]:
-                text[at] = HEXADECIMAL[byte >> 4]
-                text[at + 1] = HEXADECIMAL[byte & 15]
-                at += 2
-            text[at] = 32
-            text[at + 1] = 84 if frame < own else 82  # T, R
-            text[at + 2] = 10
-            at += 3
-            time_us += 1
+        for frame in range(words.shape[1]):
+            if there[tick, frame]:
+                at = write_line(text, at, time_us, ids[frame], words[tick, frame], frame < own)
+                time_us += 1
     return at
+
+
+@compiled
+def write_line(text: Any, at: int, time_us: int, identifier: int, data: int, sent: bool) -> int:
+    """Write the candump line of a classic frame of 8 bytes; returns the place behind the line.
+
+    Args:
+        text: for the line, characters.
+        at: the place of the line in ``text``.
+        time_us: the frame's time.
+        identifier: of 11 bits.
+        data: the frame's bytes, the lowest first.
+        sent: by the recording node.
+    """
+    text[at] = 40  # (
+    seconds, part = time_us // 1_000_000, time_us % 1_000_000
+    digits, rest = 1, seconds // 10
+    while rest > 0:
+        digits += 1
+        rest //= 10
+    for place in range(digits):
+        text[at + digits - place] = 48 + seconds % 10
+        seconds //= 10
+    at += digits + 1
+    text[at] = 46  # .
+    for place in range(6):
+        text[at + 6 - place] = 48 + part % 10
+        part //= 10
+    at += 7
+    for byte in _CHANNEL:
+        text[at] = byte
+        at += 1
+    for digit in range(3):
+        text[at + digit] = _HEXADECIMAL[identifier >> (8 - 4 * digit) & 15]
+    text[at + 3] = 35  # #
+    at += 4
+    for byte in range(FRAME_BYTES):
+        text[at] = _HEXADECIMAL[data >> (8 * byte + 4) & 15]
+        text[at + 1] = _HEXADECIMAL[data >> (8 * byte) & 15]
+        at += 2
+    text[at] = 32
+    text[at + 1] = 84 if sent else 82  # T, R
+    text[at + 2] = 10
+    return at + 3
 
 
 BUFFER: Final = 1 << 20
 """Bytes between two writes: a slow disk holds up no more than one tick in ten thousand."""
+
+ROWS: Final = 256
+"""Rows that are turned into text at once."""
 
 
 class PlantRecorder:
@@ -257,6 +275,7 @@ class PlantRecorder:
     def __init__(self, log: Path) -> None:
         self._path = plant_signals_path(log)
         self._names: tuple[str, ...] = ()
+        self._rows: list[tuple[float, ...]] = []
         try:
             self._file = self._path.open("xb", BUFFER)
         except OSError as error:
@@ -264,26 +283,43 @@ class PlantRecorder:
 
     def record(self, tick: int, signals: Mapping[str, float]) -> None:
         """Note the signals of ``tick``, the same ones in each."""
-        names = self._names or tuple(signals)
-        self._write(names, [(tick, *(signals.get(name, math.nan) for name in names))])
+        if not self._names:
+            self._write_names(signals)
+        if tuple(signals) == self._names:
+            self._rows.append((tick, *signals.values()))
+        else:
+            self._rows.append((tick, *(signals.get(name, math.nan) for name in self._names)))
+        if len(self._rows) == ROWS:
+            self._write_rows()
 
     def record_columns(self, first_tick: int, columns: Mapping[str, FloatArray]) -> None:
         """Note the signals of the ticks from ``first_tick`` on, (ticks,) each."""
+        if not self._names:
+            self._write_names(columns)
         values = [column.tolist() for column in columns.values()]
         ticks = range(first_tick, first_tick + len(values[0]))
-        self._write(tuple(columns), list(zip(ticks, *values, strict=True)))
+        self._rows.extend(zip(ticks, *values, strict=True))
+        self._write_rows()
 
-    def _write(self, names: tuple[str, ...], rows: Sequence[tuple[float, ...]]) -> None:
+    def _write_names(self, names: Iterable[str]) -> None:
+        self._names = tuple(names)
+        self._write(",".join(("tick", *self._names)).encode() + b"\n")
+
+    def _write_rows(self) -> None:
         """Rows of a tick and its signals, in as few digits as tell each value from all others."""
-        # A plant that runs interpreted has numbers of NumPy's, which are floats to all but orjson.
+        rows, self._rows = self._rows, []
+        # An interpreted plant gives NumPy's numbers, which orjson does not take for floats.
         text = orjson.dumps(rows, default=float)[2:-2].replace(b"],[", b"\n")
         if b"null" in text:  # JSON has no inf and no nan
-            text = "\n".join(",".join(map(str, row)) for row in rows).encode()
+            lines = zip(text.split(b"\n"), rows, strict=True)
+            text = b"\n".join(
+                ",".join(map(str, row)).encode() if b"null" in line else line for line, row in lines
+            )
+        self._write(text + b"\n")
+
+    def _write(self, text: bytes) -> None:
         try:
-            if not self._names:
-                self._names = names
-                self._file.write(",".join(("tick", *names)).encode() + b"\n")
-            self._file.write(text + b"\n")
+            self._file.write(text)
         except OSError as error:
             raise RunFolderError(f"{self._path}: cannot be written: {error.strerror}") from None
 
@@ -296,7 +332,10 @@ class PlantRecorder:
         error: BaseException | None,
         traceback: TracebackType | None,
     ) -> None:
-        with suppress(OSError):  # a full disk has been said by ``record``, or by the log
+        with suppress(OSError, RunFolderError):  # the log has said that a disk is full
+            if self._rows:
+                self._write_rows()
+        with suppress(OSError):
             self._file.close()
 
 
@@ -314,7 +353,7 @@ class RealTimeRecorder:
         self._file = LogFile(path)
         self._lines = CandumpLines()
         self.record = self._lines.record
-        self._queue: SimpleQueue[list[str]] = SimpleQueue()  # an empty list is the last
+        self._queue: SimpleQueue[bytes] = SimpleQueue()  # empty bytes are the last
         self._writer: threading.Thread | None = None
         self._failure: RunFolderError | None = None
 
@@ -357,7 +396,7 @@ class RealTimeRecorder:
         try:
             self.flush()
             if self._writer is not None:
-                self._queue.put([])
+                self._queue.put(b"")
                 self._writer.join()
             if self._failure is not None:
                 raise self._failure

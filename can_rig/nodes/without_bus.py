@@ -7,6 +7,7 @@ from __future__ import annotations
 
 from contextlib import ExitStack
 from pathlib import Path
+from typing import Self
 
 import numpy as np
 
@@ -14,12 +15,12 @@ from can_rig import paged
 from can_rig.frames.frame_columns import payloads
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import StopRequest
-from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, OnTick
+from can_rig.nodes.clock import OnTick
 from can_rig.nodes.recording import LogFile, PlantRecorder, candump_bytes
-from can_rig.nodes.summary import NodeSummary, RunColumns
+from can_rig.nodes.ticks import NodeSummary, RunColumns, timed
 from can_rig.plant.behind import LinearBehind, PlantBehind
 from can_rig.plant.changing_car import plant_of
-from can_rig.plant.faults.delivery import delivery
+from can_rig.plant.faults.frame_faults import delivery
 from can_rig.plant.frameless import carried
 from can_rig.plant.in_windows import LoopInWindows
 from can_rig.scenario.build import network_of
@@ -30,11 +31,21 @@ from firmware_model.target.structs import FloatArray
 def run_without_bus(
     scenario: Scenario, log: Path, stop: StopRequest, on_tick: OnTick
 ) -> NodeSummary:
-    """Both nodes and no bus; the log is that of two processes, byte for byte."""
-    run = RunWithoutBus(scenario, log)
-    wall_s = run.run(stop, on_tick)
-    rate = run.ticks / wall_s
-    return NodeSummary(run.ticks, wall_s, run.rejected(), {}, None, run.columns, rate)
+    """Both nodes and no bus; the log is that of two processes, byte for byte.
+
+    Raises:
+        RigError: an exception in the user's plant class; the log has every sent frame.
+    """
+    with RunWithoutBus(scenario, log) as run:
+
+        def carry(_tick: int) -> int:
+            stop.require_none()
+            return run.carry()
+
+        summary = timed(carry, scenario.ticks, on_tick)
+    summary.rejected_frames, summary.columns = run.rejected(), run.columns
+    summary.ticks_per_s = summary.ticks / summary.wall_s if summary.wall_s else 0.0
+    return summary
 
 
 class RunWithoutBus:
@@ -68,22 +79,20 @@ class RunWithoutBus:
         )
         self._run.loop.run(0)  # compiles, or loads what was compiled, before the first tick
 
-    def run(self, stop: StopRequest, on_tick: OnTick) -> float:
-        """Go on to the end or to a stop request; how long that took, s.
+    def __enter__(self) -> Self:
+        return self
 
-        Raises:
-            RigError: a plant of one's own fails; what was sent by then is recorded.
-        """
-        start_ns = SYSTEM_CLOCK.now_ns()
-        with self._files:
-            while self.ticks < self._scenario.ticks and not stop.wanted:
-                begin = self.ticks
-                try:
-                    self._run.run()
-                finally:
-                    self._record(range(begin, self.ticks))
-                on_tick(self.ticks)
-        return (SYSTEM_CLOCK.now_ns() - start_ns) / NS_PER_S
+    def __exit__(self, *_error: object) -> None:
+        self._files.close()
+
+    def carry(self) -> int:
+        """Carry a block of ticks; returns the number of ticks completed; see ``drive``."""
+        begin = self.ticks
+        try:
+            self._run.run()
+        finally:
+            self._record(range(begin, self.ticks))
+        return self.ticks
 
     @property
     def ticks(self) -> int:
@@ -141,7 +150,7 @@ class RunWithoutBus:
         there[:, own : own + 2] = inputs.delivery.sent[some]
         first_us = np.array(ticks, dtype=np.int64) * self._scenario.tick_ns // 1000
         lines = candump_bytes(data, there, first_us, network.identifiers, own)
-        self._log.write_bytes(lines)
+        self._log.write(lines)
         self._keep(self._frames, ticks, carried(trace, inputs.delivery, some, network))
         if self._linear is not None:
             loop = self._run.loop

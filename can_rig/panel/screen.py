@@ -24,7 +24,7 @@ from can_rig.errors import RigError
 from can_rig.files import atomic
 from can_rig.frames import operator_frames
 from can_rig.logs.columns import EVIDENCE
-from can_rig.nodes.recorded_commands import done, touches
+from can_rig.nodes.operating import done, touches
 from can_rig.panel.live import COLUMNS
 from can_rig.panel.session import Session
 from can_rig.results.isolation import in_words

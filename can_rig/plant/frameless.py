@@ -20,7 +20,7 @@ from can_rig.frames.network import Network
 from can_rig.plant.actuators import actuator_limits
 from can_rig.plant.behind import PlantBehind
 from can_rig.plant.changing_car import linear_plant, plant_of
-from can_rig.plant.faults.delivery import Delivery, delivery
+from can_rig.plant.faults.frame_faults import Delivery, delivery
 from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.plant.sensor import noise
 from can_rig.scenario.build import network_of

@@ -16,7 +16,7 @@ from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
 from can_rig.plant.behind import LinearBehind
 from can_rig.plant.changing_car import plant_of
-from can_rig.plant.faults.delivery import Delivery, delivery
+from can_rig.plant.faults.frame_faults import Delivery, delivery
 from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.plant.frameless import Inputs, UntilItFails, simulation, with_replaced
 from can_rig.plant.sensor import NoiseColumns

@@ -81,7 +81,7 @@ def load_plant(kind: str, settings: PlantSettings) -> PlantProtocol:
     """
     if settings.is_fmu:
         require("fmpy", "fmu")
-        from can_rig.plant.fmu.plant import load_fmu  # noqa: PLC0415 (FMPy takes a second)
+        from can_rig.plant.fmu import load_fmu  # noqa: PLC0415 (FMPy takes a second)
 
         return load_fmu(settings)
     plant_class = _find(kind)

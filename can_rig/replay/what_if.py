@@ -16,8 +16,8 @@ from can_rig.logs.log import ALL, Window
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.clock import Progress, no_progress
 from can_rig.nodes.interaction import UNTOUCHED, Interaction
-from can_rig.nodes.recorded_commands import Touch, Touches
-from can_rig.results.execution import Execution, RunOptions, execute, refuse
+from can_rig.nodes.operating import Touch, Touches
+from can_rig.results.execution import Execution, Options, execute, refuse
 from can_rig.results.run_folder import WHAT_IF, log_of
 from can_rig.results.signals import Signals, read_signals, signals_of, with_plant_signals
 from can_rig.results.source import Reading, Source, reference_csv, source_of
@@ -121,7 +121,7 @@ def what_if(
         raise LogError(f"{out}: is the log itself; choose another --out")
     reference = reference_csv(asked.logged)
     refuse(replace(asked.scenario, reference=ReferenceSettings()), allow_unstable)
-    options = RunOptions(
+    options = Options(
         force=force,
         progress=progress,
         reference_csv=reference,

@@ -19,14 +19,14 @@ from can_rig.files import atomic
 from can_rig.folders import NewFolder, default_folder
 from can_rig.frames.network import Network
 from can_rig.nodes.agreement import is_shared, own_bus, require_alone
-from can_rig.nodes.bus_access import DEFAULT_TIMEOUTS, StopRequest, Timeouts
+from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.clock import Progress, Throttled, no_progress
-from can_rig.nodes.interaction import UNTOUCHED, Interaction
+from can_rig.nodes.interaction import UNTOUCHED
 from can_rig.nodes.lockstep import require_ticks
 from can_rig.nodes.processes import run_processes
 from can_rig.nodes.realtime.timing import require_causal
-from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.summary import NodeSummary, RunColumns
+from can_rig.nodes.runner import RunOptions, run_in_process
+from can_rig.nodes.ticks import NodeSummary, RunColumns
 from can_rig.nodes.without_bus import run_without_bus
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.results.metrics import Metrics
@@ -66,13 +66,11 @@ class Execution:
         return INTERRUPTED if self.outcome.outcome == INTERRUPTED_RUN else 0
 
 
-Runner = Callable[[Scenario, Path, StopRequest, "RunOptions"], NodeSummary]
-"""Runs a scenario and writes the log at the path; ``RunOptions.bus`` is known."""
+Runner = Callable[[Scenario, Path, StopRequest, "Options"], NodeSummary]
+"""Runs a scenario and writes the log at the path; ``Options.bus`` is known."""
 
 
-def in_process(
-    scenario: Scenario, log: Path, stop: StopRequest, options: RunOptions
-) -> NodeSummary:
+def in_process(scenario: Scenario, log: Path, stop: StopRequest, options: Options) -> NodeSummary:
     """Both nodes in this process: in turns on a bus, or many ticks at once without a bus."""
     bus, controller = str(options.bus), options.controller
     with options.progress() as on_tick:
@@ -86,42 +84,24 @@ def in_process(
 
 
 def two_processes(
-    scenario: Scenario, log: Path, stop: StopRequest, options: RunOptions
+    scenario: Scenario, log: Path, stop: StopRequest, options: Options
 ) -> NodeSummary:
-    """Each node in a process of its own, in lockstep; for ``real_time`` by the wall clock."""
-    return run_processes(
-        scenario,
-        str(options.bus),
-        log,
-        stop,
-        options.progress,
-        options.runner is real_time,
-        options.timeouts,
-        options.controller,
-        options.interaction,
-    )
-
-
-def real_time(scenario: Scenario, log: Path, stop: StopRequest, options: RunOptions) -> NodeSummary:
-    """Each node in a process of its own, by the wall clock."""
-    return two_processes(scenario, log, stop, options)
+    """Each node in a process of its own."""
+    return run_processes(scenario, str(options.bus), log, stop, options.progress, options)
 
 
 @dataclass(frozen=True)
-class RunOptions:
+class Options(RunOptions):
     """The way to execute a run.
 
     Attributes:
         force: replace an existing run.
         bus: name of the bus; None: ``NO_BUS`` in this process, otherwise a new local bus.
-        runner: ``in_process``, ``two_processes`` or ``real_time``.
+        runner: ``in_process`` or ``two_processes``.
         progress: shows the progress.
         reference_csv: lines of a reference that replaces the scenario's; stored in the folder as
             ``REFERENCE``.
         report: also draw the reports.
-        timeouts: longest permitted silence of each node.
-        controller: the implementation of the controller.
-        interaction: permitted commands during the run.
     """
 
     force: bool = False
@@ -130,9 +110,6 @@ class RunOptions:
     progress: Progress = no_progress
     reference_csv: Iterable[str] | None = None
     report: bool = True
-    timeouts: Timeouts = DEFAULT_TIMEOUTS
-    controller: Controller = PYTHON
-    interaction: Interaction = UNTOUCHED
 
 
 def refuse(scenario: Scenario, allow_unstable: bool = False) -> None:
@@ -150,7 +127,7 @@ def refuse(scenario: Scenario, allow_unstable: bool = False) -> None:
 
 
 def execute(
-    scenario: Scenario, out: Path | None, stop: StopRequest, options: RunOptions | None = None
+    scenario: Scenario, out: Path | None, stop: StopRequest, options: Options | None = None
 ) -> Execution | None:
     """Run a scenario that passed ``refuse``, and leave the run's folder.
 
@@ -169,7 +146,7 @@ def execute(
             the line says where.
         RigError: a failure before the first recorded frame; no folder is left.
     """
-    options = options or RunOptions()
+    options = options or Options()
     network = network_of(scenario)
     runner, interaction = options.runner, options.interaction
     if options.bus is None:
@@ -177,7 +154,7 @@ def execute(
         without = not needs_bus and _needs_no_bus(scenario, network, options.controller)
         options = replace(options, bus=NO_BUS if without else own_bus())
     bus = str(options.bus)
-    if runner is real_time:
+    if options.real_time:
         require_causal(scenario)
     else:
         require_ticks(scenario, network)
@@ -197,7 +174,7 @@ def execute(
             folder.give_up()
             raise
         log = folder.making / LOG
-        outcome = Outcome(bus, realtime={} if runner is real_time else None)
+        outcome = Outcome(bus, realtime={} if options.real_time else None)
         columns, failure = _run(lambda: runner(made_here, log, stop, options), scenario, outcome)
         if not RUN_FOLDER.recorded(folder.making):
             folder.give_up()

@@ -17,7 +17,7 @@ from can_rig.folders import Kind
 from can_rig.frames.network import Network
 from can_rig.logs.compression import compress, stored
 from can_rig.logs.plant_signals import plant_signals_path
-from can_rig.nodes.summary import RunColumns
+from can_rig.nodes.ticks import RunColumns
 from can_rig.results.isolation import whose_fault, with_verdict
 from can_rig.results.metrics import Metrics, fault_metrics, metrics
 from can_rig.results.signals import Signals, read_signals, signals_of_columns

@@ -20,8 +20,8 @@ from can_rig.logs.columns import ON_THE_BUS
 from can_rig.logs.frames import ERROR, REMOTE
 from can_rig.logs.plant_signals import PlantSignals, read_plant_signals
 from can_rig.logs.reading import read_log
-from can_rig.nodes.summary import RunColumns
-from can_rig.plant.faults.delivery import Delivery
+from can_rig.nodes.ticks import RunColumns
+from can_rig.plant.faults.frame_faults import Delivery
 from can_rig.plant.frameless import carried
 from can_rig.scenario.plant_settings import PlantSettings
 from firmware_model.analysis.trace import Trace

@@ -16,7 +16,7 @@ from can_rig.frames.network import Network
 from can_rig.logs.frames import Frames
 from can_rig.logs.log import ALL, Log, Window
 from can_rig.logs.reading import read_log
-from can_rig.nodes.recorded_commands import done, touches
+from can_rig.nodes.operating import done, touches
 from can_rig.results.run_folder import LOG, log_of, recorded_scenario
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.settings import ReferenceSettings, Scenario

@@ -273,11 +273,12 @@ def controller_table(scenario: Scenario, network: Network | None) -> Record:
     return _table(scenario, network).copy()
 
 
-def _sources_of_table(scenario: Scenario, network: Network | None) -> tuple[object, ...]:
+def sources_of_table(scenario: Scenario, network: Network | None) -> tuple[object, ...]:
+    """Every setting of the controller's table; faults, noise and references have no influence."""
     return target(scenario, network), scenario.model, scenario.design, scenario.budget
 
 
-@remembered(MOST_TABLES, by=_sources_of_table)
+@remembered(MOST_TABLES, by=sources_of_table)
 def _table(scenario: Scenario, network: Network | None) -> Record:
     try:
         place = replace(target(scenario, network), mismatch=mismatch(scenario))

@@ -15,6 +15,7 @@ from can_rig.scenario.build import (
     controller_table,
     mismatch,
     other_plants,
+    sources_of_table,
     target,
 )
 from can_rig.scenario.fault_settings import FaultSettings
@@ -108,7 +109,8 @@ def controls(scenario: Scenario, network: Network | None) -> Scheduled:
     speeds = design_speeds(scenario)
     if len(speeds) == 1:
         return Scheduled(None, controller_table(frozen(scenario, speeds[0]), network))
-    return _scheduled(_without_run(scenario, speeds), network)
+    several = replace(scenario, design=replace(scenario.design, speeds_mps=speeds))
+    return _scheduled(several, network)
 
 
 def design_speeds(scenario: Scenario) -> tuple[float, ...]:
@@ -147,25 +149,7 @@ def at_speed_of(scenario: Scenario, fault: FaultSettings) -> Scenario:
     return frozen(scenario, float(speed[0]))
 
 
-def _without_run(scenario: Scenario, speeds: tuple[float, ...]) -> Scenario:
-    """Only the parts that determine the schedule, so that equal parts share one computation."""
-    usual = Scenario(name=scenario.name)
-    return replace(
-        scenario,
-        description="",
-        seed=0,
-        reference=usual.reference,
-        fault=(),
-        drive=DriveSettings(speed_mps=speeds[0]),
-        design=replace(scenario.design, speeds_mps=speeds),
-    )
-
-
-def _sources_of_schedule(scenario: Scenario, network: Network | None) -> tuple[object, ...]:
-    return scenario, target(scenario, network)
-
-
-@remembered(4, by=_sources_of_schedule)
+@remembered(4, by=sources_of_table)
 def _scheduled(scenario: Scenario, network: Network | None) -> Scheduled:
     speeds = scenario.design.speeds_mps or ()
     middle = mismatch(frozen(scenario, speeds[len(speeds) // 2]))

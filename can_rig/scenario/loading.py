@@ -161,12 +161,8 @@ def require_kinds(name: str, values: Mapping[str, Any]) -> None:
     Raises:
         ScenarioError: the wrong key, and the right setting.
     """
-    faults = values.get(FAULT)
-    for number, fault in enumerate(faults if isinstance(faults, list) else [faults]):
-        if not isinstance(fault, Mapping) or not fault:
-            continue
-        where = f"{FAULT}.{number}" if isinstance(faults, list) else FAULT
-        if "kind" not in fault:
+    for where, fault in _faults(values.get(FAULT)):
+        if fault and "kind" not in fault:
             raise ScenarioError(
                 f"scenario {name}: {where}.kind: must be set where {where}.{next(iter(fault))} is: "
                 "'actuator-dead', 'frames-missing', 'sensor-biased', ..., or 'none'"
@@ -186,17 +182,22 @@ def require_own_numbers(name: str, faults: Any) -> None:
     Raises:
         ScenarioError: the wrong key, and the right setting.
     """
-    for number, fault in enumerate(faults if isinstance(faults, list) else [faults]):
-        kind = fault.get("kind") if isinstance(fault, Mapping) else None
+    for where, fault in _faults(faults):
+        kind = fault.get("kind")
         own = NUMBER.get(kind) if isinstance(kind, str) else None
-        if own is None or own in fault:
-            continue
-        for key in sorted(UNSET & fault.keys()):
-            where = f"{FAULT}.{number}" if isinstance(faults, list) else FAULT
+        for key in sorted(UNSET & fault.keys()) if own and own not in fault else ():
             raise ScenarioError(
-                f"scenario {name}: {where}.{key} = {fault[key]!r}: says nothing of "
-                f"{kind!r}; must be {where}.{own}"
+                f"scenario {name}: {where}.{key} = {fault[key]!r}: has no effect for {kind!r}; "
+                f"must be {where}.{own}"
             )
+
+
+def _faults(written: Any) -> Iterator[tuple[str, Mapping[str, Any]]]:
+    """Key and table of each written fault, by number in a list."""
+    several = isinstance(written, list)
+    for number, fault in enumerate(written if several else [written]):
+        if isinstance(fault, Mapping):
+            yield (f"{FAULT}.{number}" if several else FAULT), fault
 
 
 LATENCY, FROM_BUS = "latency_ticks", "from-bus"

@@ -188,7 +188,7 @@ def lane_change(
     A sine period to the side, half a period of zero, the opposite sine period back. A sine's
     integral over its period is zero: as a lateral acceleration, each sine ends with zero lateral
     speed, displaced by 2πA/ω²; both together end on the initial lane. r is continuous, zero at
-    begin and end; its slope, at most Aω, jumps there.
+    begin and end; the slope of r, at most Aω, jumps there.
     """
     phase = frequency_rad_per_s * (time_s - LANE_CHANGE_S) / (2.0 * np.pi)  # in periods
     out, back = (phase >= 0.0) & (phase < 1.0), (phase >= 1.5) & (phase < 2.5)

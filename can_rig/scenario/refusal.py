@@ -56,7 +56,7 @@ def refusal(error: ValidationError, settings: type[Any], where: str = "") -> str
 
 
 def _as_toml(value: Any) -> str:
-    """How TOML has a number that it does not know as this text: .5, 1., 1e3 with a comma."""
+    """TOML's spelling of a number in another notation: .5, 1., 1e3 with a comma."""
     try:
         number = float(value) if isinstance(value, str) else math.nan
     except ValueError:

@@ -402,21 +402,17 @@ def _refuse_speeds(scenario: Scenario) -> None:
 
 def _refuse_limits_of_the_model(model: PlantSettings) -> None:
     """Refuse limits in ``model``: the controller's limits belong in ``limits`` only."""
-    torque, force = model.torque_actuator, model.force_difference_actuator
-    for key, value, instead in (
-        ("torque_actuator.limit_nm", torque.limit_nm, "torque_nm"),
-        ("torque_actuator.rate_nm_per_s", torque.rate_nm_per_s, "torque_rate_nm_per_s"),
-        ("force_difference_actuator.limit_n", force.limit_n, "force_difference_n"),
-        (
-            "force_difference_actuator.rate_n_per_s",
-            force.rate_n_per_s,
-            "force_difference_rate_n_per_s",
-        ),
+    for actuator, key, instead in (
+        ("torque_actuator", "limit_nm", "torque_nm"),
+        ("torque_actuator", "rate_nm_per_s", "torque_rate_nm_per_s"),
+        ("force_difference_actuator", "limit_n", "force_difference_n"),
+        ("force_difference_actuator", "rate_n_per_s", "force_difference_rate_n_per_s"),
     ):
+        value = getattr(getattr(model, actuator), key)
         if value is not None:
             raise ValueError(
-                f"model.{key} = {value:g}: must be limits.{instead}, "
-                "which is what the controller believes of it"
+                f"model.{actuator}.{key} = {value:g}: must be limits.{instead}, the controller's "
+                "belief about the actuator"
             )
 
 

@@ -29,8 +29,8 @@ from firmware_model.target.structs import FloatArray
 
 START_S = 0.02  # of a closed loop, shown enlarged
 OPEN_LOOP = "chapter-2"  # the shipped scenario of Fig. 2.4
-# : keys that keep the figure's identity
 SETTINGS = ("tick_s", "duration_s", "latency_ticks", "design.", "limits.", "plant.", "fault.at_s")
+"""Keys, or the beginnings of keys, that keep the figure's identity."""
 
 
 @dataclass(frozen=True)
@@ -94,7 +94,7 @@ def compare(settings: Sequence[str] = ()) -> list[Comparison]:
 
 @dataclass(frozen=True)
 class _Loop:
-    """One run of the firmware, and the continuous loop for comparison."""
+    """One run of the firmware, and the continuous loop beside the run."""
 
     scenario: Scenario
     sampled: Solution
@@ -181,18 +181,6 @@ def _compared(figure: str, caption: str, loop: _Loop, *curves: Curve) -> Compari
     return Comparison(figure, caption, unit, loop.scenario, loop.continuous.time_s, curves)
 
 
-def _fig_2_2(settings: Sequence[str]) -> Comparison:
-    return _healthy("2.2", load(OPEN_LOOP, settings))
-
-
-def _fig_2_3(settings: Sequence[str]) -> Comparison:
-    return _lost_from_the_start("2.3", load(OPEN_LOOP, settings))
-
-
-def _fig_2_4(settings: Sequence[str]) -> Comparison:
-    return _compensated("2.4", load(OPEN_LOOP, settings))
-
-
 def _healthy(figure: str, scenario: Scenario) -> Comparison:
     return _estimated(figure, "while the plant is healthy", both(scenario.healthy))
 
@@ -228,14 +216,6 @@ def _compensated(figure: str, scenario: Scenario) -> Comparison:
     return _compared(figure, f"$y$ and $G_2 u_2$, {lost}", loop, y, model_2)
 
 
-def _fig_3_5(settings: Sequence[str]) -> Comparison:
-    return _error("3.5", "thesis-step", "$r = 1$ m/s²", settings)
-
-
-def _fig_3_6(settings: Sequence[str]) -> Comparison:
-    return _error("3.6", "thesis-sine", "$r = \\sin 5t$ m/s²", settings)
-
-
 def _error(figure: str, name: str, signal: str, settings: Sequence[str]) -> Comparison:
     """The thesis drew its figures from the printed coefficients: the ``published`` car."""
     chosen = [f"plant.variant={variant}" for variant in ("published", "physics")]
@@ -249,4 +229,11 @@ def _error(figure: str, name: str, signal: str, settings: Sequence[str]) -> Comp
     return replace(comparison, start=(start.time_s, start.error))
 
 
-MAKERS = {"2.2": _fig_2_2, "2.3": _fig_2_3, "2.4": _fig_2_4, "3.5": _fig_3_5, "3.6": _fig_3_6}
+MAKERS: dict[str, Callable[[Sequence[str]], Comparison]] = {
+    "2.2": lambda settings: _healthy("2.2", load(OPEN_LOOP, settings)),
+    "2.3": lambda settings: _lost_from_the_start("2.3", load(OPEN_LOOP, settings)),
+    "2.4": lambda settings: _compensated("2.4", load(OPEN_LOOP, settings)),
+    "3.5": lambda settings: _error("3.5", "thesis-step", "$r = 1$ m/s²", settings),
+    "3.6": lambda settings: _error("3.6", "thesis-sine", "$r = \\sin 5t$ m/s²", settings),
+}
+"""The thesis's figures by number, from ``--set`` changes."""

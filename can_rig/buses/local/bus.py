@@ -9,6 +9,10 @@ A sender reads the directory again whenever the count in its file ``.can-generat
 Every node maps the count file. A joining node binds its socket, then increments the count before
 its constructor returns: a sender only reads a word of memory, without a system call, and cannot
 miss a node. A lock on the file orders joining, leaving and the removal of dead sockets.
+
+A frame is a datagram: a header of fixed size, then the payload. A burst is a datagram of several
+classic frames of 8 bytes. Only nodes that have joined for bursts get bursts; every other node gets
+each frame of a burst as a datagram, so its descriptor is readable while frames wait.
 """
 
 from __future__ import annotations
@@ -33,18 +37,33 @@ from can import (
 )
 from can.typechecking import AutoDetectedConfig, Channel
 
-from can_rig.buses.local.directory import RETRY_S, Directory, bus_root
+from can_rig.buses.local.directory import RETRY_S, Directory, bus_root, takes_bursts
 
-HEADER: Final = struct.Struct("<dIBB")
+HEADER: Final = struct.Struct("<dIBBxx")
 """Time stamp [s], identifier, flags, DLC."""
 
-MAX_BYTES: Final = HEADER.size + 64
+PLAIN_BYTES: Final = HEADER.size + 8
+"""Length of a classic frame of 8 bytes."""
+
+BURST_MOST: Final = 4
+"""Frames of the longest burst."""
+
+MAX_BYTES: Final = max(HEADER.size + 64, BURST_MOST * PLAIN_BYTES)
+_BURSTS: Final = {count * PLAIN_BYTES for count in range(2, BURST_MOST + 1)}
+_FLAGS_AT: Final = 12
 
 EXTENDED, REMOTE, ERROR, FD, BRS, ESI, OWN, CUT_OFF = (1 << bit for bit in range(8))
 """Flags. OWN: sent by the receiver itself; CUT_OFF: not a frame, but a sender's last datagram."""
 
 CUT_OFF_NOTICE: Final = HEADER.pack(0.0, 0, CUT_OFF, 0)
 """A sender's notice to a listener before cutting the listener off."""
+
+
+def frames_of(datagram: bytes) -> list[bytes]:
+    """The frames of a datagram."""
+    if len(datagram) not in _BURSTS or datagram[_FLAGS_AT] & FD:
+        return [datagram]
+    return [datagram[at : at + PLAIN_BYTES] for at in range(0, len(datagram), PLAIN_BYTES)]
 
 
 def flags_of(msg: Message) -> int:
@@ -97,6 +116,7 @@ class Peer:
 
     def __init__(self, name: str, link: socket.socket, limit: int, cut_off_notice: bytes) -> None:
         self.name = name
+        self.takes_bursts = takes_bursts(name)
         self.cut_off = False
         self._link = link
         self._limit = limit
@@ -106,7 +126,7 @@ class Peer:
         self._drainer: threading.Thread | None = None
         self._closing = False
 
-    def offer(self, frame: bytes) -> bool:
+    def offer(self, frame: bytes | memoryview) -> bool:
         """Send a frame now or after the backlog; False if the listener is gone or cut off."""
         if not self._backlog:
             try:
@@ -122,7 +142,7 @@ class Peer:
             if self.cut_off:
                 return True  # another thread has just cut the listener off, and reports the cut
             self.cut_off = len(self._backlog) >= self._limit
-            self._backlog.append(self._cut_off_notice if self.cut_off else frame)
+            self._backlog.append(self._cut_off_notice if self.cut_off else bytes(frame))
             if self._drainer is None:
                 self._drainer = threading.Thread(target=self._drain, daemon=True)
                 self._drainer.start()
@@ -193,6 +213,8 @@ class LocalBus(BusABC):
             listener with more unread frames is cut off and cannot stop the other listeners: the
             sender logs a warning and continues; the listener gets every frame sent before the cut,
             followed by a `can.CanOperationError`. For flow control, call `send` with a timeout.
+        bursts: join for bursts, which `recv_burst` reads whole and ``recv`` frame by frame; the
+            descriptor then is not readable for the later frames of a burst.
         **kwargs: as of `can.BusABC`; like other buses, ignores what python-can's own programs give
             to every bus.
 
@@ -207,6 +229,7 @@ class LocalBus(BusABC):
         preserve_timestamps: bool = False,
         fd: bool = False,
         tx_backlog: int = 200_000,
+        bursts: bool = False,
         **kwargs: Any,
     ) -> None:
         if not isinstance(tx_backlog, int):
@@ -224,9 +247,12 @@ class LocalBus(BusABC):
         self._own: Peer | None = None
         self._timeout: float | None = None  # the value of SO_RCVTIMEO
         self._seen = -1
+        self._unread: deque[bytes] = deque()  # frames of a datagram that has been read
+        self.bursts = bursts and not (receive_own_messages or preserve_timestamps)
+        """Whether `send_burst` and `recv_burst` may be called."""
         try:
             self._directory = Directory(self.channel)
-            self._socket, self._name = self._directory.join()
+            self._socket, self._name = self._directory.join(self.bursts)
         except OSError as error:
             message = f"cannot join local bus {self.channel}: {error}"
             raise CanInitializationError(message) from error
@@ -266,6 +292,43 @@ class LocalBus(BusABC):
             if not self._own.offer(frame):
                 self._drop(self._own)
 
+    def send_burst(self, frames: memoryview) -> None:
+        """Send classic frames of 8 bytes, each behind its header, as `send` does.
+
+        Raises:
+            can.CanOperationError: the bus is closed.
+        """
+        if self._generation[0] != self._seen:
+            self._rescan()
+        for peer in self._peers:
+            for part in (frames,) if peer.takes_bursts else frames_of(bytes(frames)):
+                if not peer.offer(part):
+                    self._drop(peer)
+                    break
+
+    def recv_burst(self, buffer: memoryview, timeout: float) -> int:
+        """Read the next datagram, at most ``MAX_BYTES``, into ``buffer``.
+
+        Args:
+            buffer: for the datagram.
+            timeout: in seconds, at least 0.05.
+
+        Returns:
+            the length; 0 after a timeout or an error, and while ``recv`` has frames of a datagram.
+        """
+        if self._unread:
+            return 0
+        try:
+            if timeout != self._timeout:
+                self._set_receive_timeout(timeout)
+            return self._socket.recv_into(buffer)
+        except OSError:
+            return 0
+
+    def unread(self, datagram: bytes) -> None:
+        """Give back a datagram from ``recv_burst``, so that ``recv`` finds its frames."""
+        self._unread.extend(frames_of(datagram))
+
     def recv(self, timeout: float | None = None) -> Message | None:
         """As `can.BusABC.recv`, but faster by a sixth while no filter is set."""
         if self._filters is None:
@@ -274,7 +337,9 @@ class LocalBus(BusABC):
 
     def _recv_internal(self, timeout: float | None) -> tuple[Message | None, bool]:
         try:
-            if timeout is None or timeout >= _COARSE_S:
+            if self._unread:
+                datagram = self._unread.popleft()
+            elif timeout is None or timeout >= _COARSE_S:
                 if timeout != self._timeout:
                     self._set_receive_timeout(timeout)
                 datagram = self._socket.recv(MAX_BYTES)
@@ -289,6 +354,9 @@ class LocalBus(BusABC):
             raise CanOperationError(f"cannot receive from {self}: {error}") from error
         if not datagram:  # the signal of shutdown() in another thread to a waiting receiver
             self._check_if_open()
+        if self.bursts and len(datagram) in _BURSTS:
+            datagram, *others = frames_of(datagram)
+            self._unread.extend(others)
         received, flags = message(datagram, self.channel)
         if flags & CUT_OFF:
             raise CanOperationError(f"cut off from a sender on {self}: too many frames unread")

@@ -20,7 +20,8 @@ from can import CanInitializationError
 
 RETRY_S: Final = 0.1  # how long a drainer waits for room until it checks whether to stop
 GENERATION: Final = ".can-generation"
-NODE_NAME: Final = re.compile(r"\d+-[0-9a-f]{6}\.node")  # process id, and a random part
+NODE_NAME: Final = re.compile(r"\d+[-+][0-9a-f]{6}\.node")
+"""Process id, whether the node takes bursts, and a random part."""
 PATH_MAX: Final = 107 - len("/4194304-012345.node")  # sun_path holds 107 bytes and a NUL
 
 
@@ -86,9 +87,9 @@ class Directory:
         finally:
             fcntl.flock(self._file, fcntl.LOCK_UN)
 
-    def join(self) -> tuple[socket.socket, str]:
+    def join(self, bursts: bool = False) -> tuple[socket.socket, str]:
         """Bind and count the socket of a new node; return the socket and its name."""
-        name = f"{os.getpid()}-{secrets.token_hex(3)}.node"
+        name = f"{os.getpid()}{'+' if bursts else '-'}{secrets.token_hex(3)}.node"
         node = socket.socket(socket.AF_UNIX, socket.SOCK_DGRAM)
         with self._locked():
             node.bind(str(self._path / name))
@@ -153,6 +154,11 @@ def _remove_if_abandoned(path: Path) -> None:
         for name in nodes:
             (path / name).unlink(missing_ok=True)
         _take_away(path)
+
+
+def takes_bursts(name: str) -> bool:
+    """Whether the node with this name takes several frames in one datagram."""
+    return "+" in name
 
 
 def _nodes(path: Path) -> list[str]:

@@ -13,7 +13,7 @@ from can_rig.cli.runs.node import end_of_node, node_options, node_progress
 from can_rig.export.controllers import controller_of
 from can_rig.nodes.bus_access import StopRequest, Timeouts
 from can_rig.nodes.clock import Throttled
-from can_rig.nodes.runner import run_controller
+from can_rig.nodes.runner import RunOptions, run_controller
 
 
 @click.command("controller")
@@ -48,13 +48,10 @@ def command(
         summary = run_controller(
             chosen,
             bus,
-            timeouts,
             stop,
             on_ready,
             Throttled(on_tick),
-            real_time=real_time,
-            by_hand=True,
-            controller=running,
+            RunOptions(real_time, by_hand=True, timeouts=timeouts, controller=running),
         )
         on_tick(summary.ticks)
     sys.exit(end_of_node(chosen, summary, as_json))

@@ -21,7 +21,7 @@ from can_rig.cli.progress import counting
 from can_rig.errors import INTERRUPTED, RigError
 from can_rig.nodes.clock import OnTick
 from can_rig.nodes.realtime import timing
-from can_rig.nodes.summary import NodeSummary
+from can_rig.nodes.ticks import NodeSummary
 from can_rig.scenario.settings import Scenario
 
 

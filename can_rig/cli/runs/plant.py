@@ -20,7 +20,7 @@ from can_rig.errors import LogError
 from can_rig.nodes.bus_access import StopRequest, Timeouts
 from can_rig.nodes.clock import Throttled
 from can_rig.nodes.recording import recorded_log
-from can_rig.nodes.runner import run_plant
+from can_rig.nodes.runner import RunOptions, run_plant
 
 OTHER_FORMATS = {".asc", ".blf", ".trc", ".mf4", ".gz"}
 """Of logs; a node writes candump lines as it goes."""
@@ -66,12 +66,9 @@ def command(
             chosen,
             bus,
             recording.path,
-            timeouts,
             stop,
             recording.before(Throttled(on_tick)),
-            real_time=real_time,
-            by_hand=True,
-            interaction=interaction,
+            RunOptions(real_time, by_hand=True, timeouts=timeouts, interaction=interaction),
         )
         on_tick(summary.ticks)
     sys.exit(end_of_node(chosen, summary, as_json))

@@ -30,7 +30,7 @@ from can_rig.logs.writing import refuse_log, write_log
 from can_rig.nodes.bus_access import DEFAULT_TIMEOUTS, StopRequest, Timeouts
 from can_rig.nodes.interaction import UNTOUCHED, Interaction
 from can_rig.results import execution
-from can_rig.results.execution import RunOptions, refuse
+from can_rig.results.execution import Options, refuse
 from can_rig.results.run_folder import log_of
 
 
@@ -92,10 +92,11 @@ def command(
         refuse_log(path, force)
     running = controller_of(controller, chosen)
     runner = execution.in_process if in_process else execution.two_processes
-    options = RunOptions(
+    options = Options(
         force=force,
         bus=bus,
-        runner=execution.real_time if real_time else runner,
+        runner=runner,
+        real_time=real_time,
         progress=lambda: counting(chosen.name, "ticks", chosen.ticks),
         controller=running,
         timeouts=_timeouts(silence_s, interaction),

@@ -16,7 +16,6 @@ wrong time, and the run ends when the plant node falls silent.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from functools import partial
 from typing import Final, NamedTuple
 
@@ -121,8 +120,8 @@ class RealTimeControllerNode:
         self._restart: BumplessRestart | None = self._new_restart()
         self._waiting: list[Sample] = []
 
-    def run(self, watchdog: Watchdog, on_tick: Callable[[int], None]) -> int:
-        """Answer ticks to the end of the run or to a stop request; returns the last tick.
+    def carry(self, watchdog: Watchdog, tick: int) -> int:
+        """Answer samples until ``tick`` is over; see ``drive``.
 
         Frames without a tick hide the number of missed frames and therefore the last tick: such a
         run ends with the silence of the plant node.
@@ -130,18 +129,16 @@ class RealTimeControllerNode:
         Raises:
             SilentNodeError: the plant node is silent.
             BusError: another controller node is at work.
+            Interrupted: a stop was requested.
         """
-        while self._tick < self.ticks and not watchdog.stop.wanted:
+        while self._tick <= tick:
+            watchdog.stop.require_none()
             try:
                 self.serve(watchdog)
-            except Interrupted:
-                break
             except SilentNodeError:
                 if self._end.feedback.codec.layout.has_tick or self._tick == 0:
                     raise
-                break
-            if self._tick > 0:
-                on_tick(self._tick)
+                raise Interrupted from None
         return self._tick
 
     def serve(self, watchdog: Watchdog) -> None:

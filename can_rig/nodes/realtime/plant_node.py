@@ -20,7 +20,6 @@ always wall-clock time.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import replace
 from typing import Any, Final
 
@@ -82,46 +81,49 @@ class RealTimePlantNode:
         self._sent_ns = [0] * self._latency_ticks
         self._schedule = Schedule(clock.now_ns(), scenario.tick_ns)
         self._guard_ns = min(GUARD_NS, scenario.tick_ns // 4)
+        self._waits = True  # for the controller's first answer
+        self._ended = False
         self._answered = False  # the status of tick 0 has come
         self._heard_ns = 0
 
-    def run(self, watchdog: Watchdog, on_tick: Callable[[int], None]) -> int:
-        """Run to the end or to a stop request; returns the number of completed ticks.
+    def carry(self, watchdog: Watchdog, tick: int) -> int:
+        """Carry the tick under way to the next deadline, and begin the next tick; see ``drive``.
 
         The clock starts with the controller node's answer to tick 0; until then the node repeats
         the offer of tick 0.
 
         Raises:
             SilentNodeError: no controller node came, or the controller is silent for too long.
+            Interrupted: a stop was requested.
         """
-        try:
+        if self._ended:
+            raise Interrupted
+        if self._waits:
             self._meet(watchdog)
-        except Interrupted:
-            return 0
-        tick = 0
-        self._schedule = Schedule(self._clock.now_ns(), self._schedule.tick_ns)
-        self._heard_ns = self._schedule.start_ns
-        self._follow(tick)
-        while True:
-            deadline_ns = self._schedule.deadline_ns(tick + 1)
-            self._receive_until(deadline_ns - self._guard_ns, tick)
-            self._clock.sleep_until(deadline_ns)
-            now_ns = self._clock.now_ns()
-            self._take_in(tick)
-            if watchdog.stop.wanted or tick + 1 == self.ticks:
-                return tick + 1
-            due, tick = tick + 1, self._skip(tick + 1, now_ns)
-            if self._recorder is not None:
-                self._recorder.at(now_ns - self._schedule.start_ns)
-            # Right after the last look at the bus: the time stamp shows late commands.
-            self._end.send_sample()
-            self.timing.woke(due, now_ns - deadline_ns)
-            self.timing.skipped(tick - due)
-            self._latch(tick)
-            self._sent_ns[tick % self._latency_ticks] = now_ns
+            self._waits = False
+            self._schedule = Schedule(self._clock.now_ns(), self._schedule.tick_ns)
+            self._heard_ns = self._schedule.start_ns
             self._follow(tick)
-            self._watch(tick, now_ns, watchdog)
-            on_tick(tick)
+        deadline_ns = self._schedule.deadline_ns(tick + 1)
+        self._receive_until(deadline_ns - self._guard_ns, tick)
+        self._clock.sleep_until(deadline_ns)
+        now_ns = self._clock.now_ns()
+        self._take_in(tick)
+        self._ended = watchdog.stop.wanted
+        if self._ended or tick + 1 == self.ticks:
+            return tick + 1
+        due, tick = tick + 1, self._skip(tick + 1, now_ns)
+        if self._recorder is not None:
+            self._recorder.at(now_ns - self._schedule.start_ns)
+        # Right after the last look at the bus: the time stamp shows late commands.
+        self._end.send_sample()
+        self.timing.woke(due, now_ns - deadline_ns)
+        self.timing.skipped(tick - due)
+        self._latch(tick)
+        self._sent_ns[tick % self._latency_ticks] = now_ns
+        self._follow(tick)
+        self._watch(tick, now_ns, watchdog)
+        return tick
 
     def repeat(self) -> None:
         """Send the offer of tick 0 again, for a controller that starts late."""

@@ -5,12 +5,12 @@ from D*, and filter memories that match neither car nor reference. Started from 
 the control error with a raw step, and F1 would take the car's remaining motion for a lost channel.
 The controller therefore
 
-1. listens for ``LISTEN_S`` and sends no command. No command drives the car during listening, so D*
-is the free response of F1's own model of the car. F1 starts from the state of least energy that
-explains the received samples (least squares, regularised in the norm of the observability Gramian
-by the expected noise): d̂ starts at zero. Under noise, few samples leave the further motion
-uncertain, so the decision gets the variance of the predicted motion, and takes no error within this
-variance for a fault.
+1. listens for ``LISTEN_S`` and sends no command. After the actuators' hold time no command drives
+the car, so D* is the free response of F1's own model of the car. F1 starts from the state of least
+energy that explains the received samples (least squares, regularised in the norm of the
+observability Gramian by the expected noise): d̂ starts at zero. Under noise, few samples leave the
+further motion uncertain, so the decision gets the variance of the predicted motion, and takes no
+error within this variance for a fault.
 2. starts C at rest, like the actuators, and makes C follow, from the free motion of D*,
 
        r' = y_free + w (r - y_free),    w = s³(10 - 15 s + 6 s²),  s = t / RETURN_S
@@ -25,8 +25,8 @@ torques, and X_diff takes over as after any loss.
 
 Actuators that hold a command for longer than half of the listening may still act at the end of
 listening. The actuator state is then unknown, so the loop starts at the settled state for D*, with
-a variance as large as D*. An unstable plant gets the same start: F1's models are stable, so no
-model motion matches the plant's.
+a standard deviation as large as D*. An unstable plant gets the same start: F1's models are stable,
+so no model motion matches the plant's.
 """
 
 from __future__ import annotations

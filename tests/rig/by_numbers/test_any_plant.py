@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 import re
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -25,6 +26,7 @@ from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
 from firmware_model.target.status import FaultState
 from tests.rig.by_numbers.by_control import loop, step_response
+from tests.rig.by_numbers.plants import PLANTS, written
 
 NAMES = ("nonminimum-phase", "oversteering", "pendulum", "satellite")
 LINEAR = (
@@ -50,11 +52,12 @@ def test_the_step_the_loss_and_its_peak_are_python_controls(name: str) -> None:
 @pytest.mark.parametrize(
     ("left", "compensation"), [(HEALTHY, "off"), (HEALTHY, "always"), (TORQUE_DEAD, "always")]
 )
-@pytest.mark.parametrize("name", NAMES)
+@pytest.mark.parametrize("name", [*NAMES, *PLANTS])
 def test_the_margins_are_python_controls(
-    name: str, left: tuple[float, float], compensation: str
+    name: str, left: tuple[float, float], compensation: str, tmp_path: Path
 ) -> None:
-    scenario = load(name, (*LINEAR, f"design.compensation={compensation}"))
+    file = written(tmp_path, name) if name in PLANTS else name
+    scenario = load(file, (*LINEAR, f"design.compensation={compensation}"))
     table, plant = controller_table(scenario, None), continuous_plant(scenario.plant)
     found = margins(table, plant, scenario.tick_s, left)
     whole = loop(scenario, left)

@@ -1,4 +1,4 @@
-"""What runs of a campaign have in common is computed once, and none of them shows it."""
+"""Runs share computations, and every run equals the same run computed alone."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from can_rig.campaigns.settings import campaign_of, read_campaign
 from can_rig.plant.frameless import frameless
 from can_rig.results.counterfactual import loop_of, signals_without_log
 from can_rig.results.metrics import metrics_of
-from can_rig.scenario.build import network_of
+from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.loading import shipped
 
 SHORT = ["duration_s=0.2", "fault.at_s=0.1"]
@@ -130,3 +130,16 @@ def test_settings_are_hashable_and_every_digit_counts() -> None:
     kinds = [load("ideal", ["plant.kind=a:B", f"plant.parameters.x={x}"]) for x in ("1", "true")]
     assert hash(kinds[0]) != hash(kinds[1])
     assert all(hash(load(name)) for name in shipped())
+
+
+@pytest.mark.parametrize(
+    ("setting", "same"),
+    [("budget.box=0.1", False), ("design.tau_q_s=0.02", False), ("model.mass_kg=1500", False),
+     ("model.torque_actuator.lag_s=0.01", False), ("limits.torque_nm=5", False),
+     ("latency_ticks=2", False), ("seed=3", True), ("fault={kind='none', at_s=2}", True),
+     ("reference.amplitude_mps2=2", True)],
+)  # fmt: skip
+def test_a_table_follows_from_every_setting_of_the_controller(setting: str, same: bool) -> None:
+    usual, other = (load("default", settings) for settings in ((), (setting,)))
+    tables = [controller_table(each, network_of(each)).tobytes() for each in (usual, other)]
+    assert (tables[0] == tables[1]) == same

@@ -1,4 +1,4 @@
-"""Expressions over metrics: what they say, and that nothing else can stand in one."""
+"""Requirements: the verdict and the margin of an expression, and refused syntax."""
 
 from __future__ import annotations
 

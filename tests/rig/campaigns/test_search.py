@@ -10,20 +10,19 @@ from typing import Any
 
 import numpy as np
 import pytest
-from pyarrow import parquet
 
-from can_rig.campaigns.execution import GENERATION, CampaignFolder, Search, execute, open_folder
+from can_rig.campaigns.execution import GENERATION, CampaignFolder, Search
 from can_rig.campaigns.plan import Plan, plan
 from can_rig.campaigns.report import write_report
 from can_rig.campaigns.rows import read_columns, requirements_of
-from can_rig.campaigns.settings import campaign_of, read_campaign
+from can_rig.campaigns.settings import read_campaign
 from can_rig.campaigns.statistics import found, summarise
-from can_rig.campaigns.workers import serially
 from can_rig.errors import ScenarioError
+from tests.rig.campaigns import running
+from tests.rig.campaigns.running import ran, rows
 
 BUDGET = 40
-SHORT: dict[str, Any] = {
-    "settings": {"duration_s": 0.06, "fault.at_s": 0.03, "fault.kind": "actuator-dead"},
+SEARCH: dict[str, Any] = {
     "axes": {
         "fault.left": {"range": [0.0, 0.9]},
         "plant.sensor.noise_mps2": {"range": [1e-4, 1e-2], "scale": "log"},
@@ -35,39 +34,31 @@ SHORT: dict[str, Any] = {
 
 
 def planned(**values: Any) -> Plan:
-    return plan(campaign_of("some", {**SHORT, **values}))
-
-
-def ran(path: Path, stops: int = 0) -> CampaignFolder:
-    """The search, stopped so often after two blocks."""
-    some, folder = planned(), open_folder(path, planned(), resume=False, force=False)
-    for _ in range(stops):
-        left = iter([False] * 2)
-        assert not execute(folder, serially(some), lambda left=left: next(left, True), str)
-    assert execute(folder, serially(some), lambda: False, str)
-    return folder
+    return running.planned(**{**SEARCH, **values})
 
 
 @pytest.fixture(scope="module")
 def done(tmp_path_factory: pytest.TempPathFactory) -> CampaignFolder:
-    return ran(tmp_path_factory.mktemp("search") / "one")
+    return ran(tmp_path_factory.mktemp("search") / "one", planned())
 
 
 def test_the_search_and_as_many_random_runs_share_a_table(done: CampaignFolder) -> None:
-    rows = parquet.read_table(done.table).to_pylist()
-    assert [row["run"] for row in rows] == list(range(2 * BUDGET))
-    assert [row["method"] for row in rows] == ["search"] * BUDGET + ["random"] * BUDGET
-    searched, drawn = rows[:BUDGET], rows[BUDGET:]
+    table = rows(done)
+    assert [row["run"] for row in table] == list(range(2 * BUDGET))
+    assert [row["method"] for row in table] == ["search"] * BUDGET + ["random"] * BUDGET
+    searched, drawn = table[:BUDGET], table[BUDGET:]
     # So few runs need not find the very worst one, but they gather where the margin is small.
     later = [row["margin.small"] for row in searched[BUDGET // 2 :]]
     assert fmean(later) < fmean(row["margin.small"] for row in drawn)
     some = planned()
     assert drawn[3]["fault.left"] == some.values_of(BUDGET + 3)["fault.left"]
-    assert all(0.0 <= row["fault.left"] <= 0.9 for row in rows)
+    assert all(0.0 <= row["fault.left"] <= 0.9 for row in table)
 
 
 def test_an_interruption_changes_nothing(done: CampaignFolder, tmp_path: Path) -> None:
-    assert ran(tmp_path / "stopped", stops=2).table.read_bytes() == done.table.read_bytes()
+    assert (
+        ran(tmp_path / "stopped", planned(), stops=2).table.read_bytes() == done.table.read_bytes()
+    )
 
 
 def test_the_report_is_of_the_random_runs_and_says_what_was_found(done: CampaignFolder) -> None:

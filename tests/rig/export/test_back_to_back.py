@@ -53,7 +53,7 @@ def expected(precision: Precision, blends: bool = False) -> bytes:
 
 
 def differing(answers: bytes, precision: Precision, blends: bool = False) -> int:
-    """Of the states of all trials, those that differ from Python's."""
+    """Number of states that differ from Python's."""
     return different(expected(precision, blends), answers, trials(precision, blends))
 
 
@@ -117,20 +117,16 @@ def test_inputs_that_are_missing_are_held() -> None:
     assert mode == 2
 
 
-def sanitizes(compiler: str) -> bool:
-    """Whether it can: the libraries that this takes are packages of their own."""
-    command = [compiler, *SANITIZED, "-x", "c", "-", "-o", "/dev/null"]
+@pytest.fixture(scope="module")
+def sanitizers() -> None:
+    """The libraries that this takes are packages of their own."""
+    command = ["gcc", *SANITIZED, "-x", "c", "-", "-o", "/dev/null"]
     program = b"int main(void) { return 0; }"
-    return (
-        shutil.which(compiler) is not None
-        and not subprocess.run(command, input=program, capture_output=True, check=False).returncode
-    )
+    if subprocess.run(command, input=program, capture_output=True, check=False).returncode:
+        pytest.skip("gcc has no sanitizers here")
 
 
-NEEDS_SANITIZERS = pytest.mark.skipif(not sanitizes("gcc"), reason="gcc has no sanitizers here")
-
-
-@NEEDS_SANITIZERS
+@pytest.mark.usefixtures("sanitizers")
 @pytest.mark.parametrize(
     ("precision", "blends"), [("float64", False), ("float32", False), ("float64", True)]
 )
@@ -140,7 +136,7 @@ def test_no_sanitizer_stops_the_law(precision: Precision, blends: bool) -> None:
     assert differing(answers, precision, blends) == 0
 
 
-@NEEDS_SANITIZERS
+@pytest.mark.usefixtures("sanitizers")
 def test_no_sanitizer_stops_the_node() -> None:
     scenario = load("default", [])
     node = application(scenario)
@@ -150,7 +146,7 @@ def test_no_sanitizer_stops_the_node() -> None:
     assert len(on_host(program, orders)) > 30_000
 
 
-@NEEDS_SANITIZERS
+@pytest.mark.usefixtures("sanitizers")
 def test_a_sanitizer_stops_what_is_wrong() -> None:
     files = dict(law_files("float64"))
     files["exponential.c"] = files["exponential.c"].replace("(int32_t)n;", "(int32_t)(n + 1e30);")

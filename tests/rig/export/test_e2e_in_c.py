@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import ctypes
 import math
+from functools import cache
 
 import pytest
 from e2e.p01 import e2e_p01_check
@@ -18,11 +19,18 @@ from can_rig.scenario.build import network_of
 
 SCENARIO = load("default", [])
 NETWORK = network_of(SCENARIO)
-C = ctypes.CDLL(str(host_library(SCENARIO)))
-C.e2e_check.restype = C.e2e_intact.restype = ctypes.c_bool
-C.frame_value.restype = ctypes.c_double
-C.frame_tick.restype = ctypes.c_uint16
-C.frame_pack.argtypes = [ctypes.c_void_p, ctypes.c_double, ctypes.c_uint16, ctypes.c_void_p]
+
+
+@cache
+def c() -> ctypes.CDLL:
+    """The node in C, for its functions."""
+    found = ctypes.CDLL(str(host_library(SCENARIO)))
+    found.e2e_check.restype = found.e2e_intact.restype = ctypes.c_bool
+    found.frame_value.restype = ctypes.c_double
+    found.frame_tick.restype = ctypes.c_uint16
+    argtypes = [ctypes.c_void_p, ctypes.c_double, ctypes.c_uint16, ctypes.c_void_p]
+    found.frame_pack.argtypes = argtypes
+    return found
 
 
 class CheckerInC(ctypes.Structure):
@@ -38,18 +46,18 @@ class ProtectorInC(ctypes.Structure):
 
 
 def definition(codec: MessageCodec) -> int:
-    return ctypes.addressof(ctypes.c_char.in_dll(C, f"frame_{codec.role}"))
+    return ctypes.addressof(ctypes.c_char.in_dll(c(), f"frame_{codec.role}"))
 
 
 @given(data_id=st.integers(0, 0xFFFF), payloads=st.lists(st.binary(min_size=8, max_size=8)))
 def test_protected_frames_are_those_of_the_library(data_id: int, payloads: list[bytes]) -> None:
     ours, protector = Protector(data_id), ProtectorInC()
-    C.e2e_protector_init(ctypes.byref(protector), data_id)
+    c().e2e_protector_init(ctypes.byref(protector), data_id)
     for payload in payloads:
         expected = bytearray(payload)
         ours.protect(expected)
         data = ctypes.create_string_buffer(payload, 8)
-        C.e2e_protect(ctypes.byref(protector), data)
+        c().e2e_protect(ctypes.byref(protector), data)
         assert data.raw == bytes(expected)
 
 
@@ -64,12 +72,12 @@ EVENTS = st.one_of(
 @given(st.lists(EVENTS, max_size=60))
 def test_frames_are_judged_as_by_the_rig(events: list[tuple[str, int]]) -> None:
     ours, checker, counter = Checker(0x123), CheckerInC(), 0
-    C.e2e_checker_init(ctypes.byref(checker), 0x123)
+    c().e2e_checker_init(ctypes.byref(checker), 0x123)
     for what, number in events:
         counter = (counter + 1) % 15 if what == "next" else number
         protector = ProtectorInC(0x123, counter)
         buffer = ctypes.create_string_buffer(bytes(range(8)), 8)
-        C.e2e_protect(ctypes.byref(protector), buffer)
+        c().e2e_protect(ctypes.byref(protector), buffer)
         frame = bytearray(buffer.raw)
         assert e2e_p01_check(frame, 0x123) == (counter < 15)
         if "damaged" in what:
@@ -78,13 +86,13 @@ def test_frames_are_judged_as_by_the_rig(events: list[tuple[str, int]]) -> None:
             del frame[5:]
         if what == "none":
             ours.no_new_data()
-            C.e2e_no_new_data(ctypes.byref(checker))
+            c().e2e_no_new_data(ctypes.byref(checker))
         elif what.startswith("other"):
             ours.reject(frame)
-            C.e2e_reject(ctypes.byref(checker), bytes(frame), len(frame))
+            c().e2e_reject(ctypes.byref(checker), bytes(frame), len(frame))
         else:
             usable = ours.check(frame) in USABLE
-            assert C.e2e_check(ctypes.byref(checker), bytes(frame), len(frame)) == usable
+            assert c().e2e_check(ctypes.byref(checker), bytes(frame), len(frame)) == usable
         assert list(checker.counts) == list(ours.counts.values())
 
 
@@ -96,9 +104,9 @@ def test_frames_are_judged_as_by_the_rig(events: list[tuple[str, int]]) -> None:
 )  # fmt: skip
 def test_values_are_packed_as_by_the_rig(codec: MessageCodec, value: float, tick: int) -> None:
     data = ctypes.create_string_buffer(8)
-    C.frame_pack(definition(codec), value, tick, data)
+    c().frame_pack(definition(codec), value, tick, data)
     assert data.raw == bytes(codec.encode(value, tick))
-    assert C.frame_tick(data) == tick
+    assert c().frame_tick(data) == tick
 
 
 @pytest.mark.parametrize("codec", list(NETWORK), ids=lambda codec: codec.role)
@@ -106,7 +114,7 @@ def test_the_ends_of_a_range_are_packed_as_by_the_rig(codec: MessageCodec) -> No
     for end in (codec.minimum, codec.maximum, 0.0, math.nan):
         for value in (end, math.nextafter(end, math.inf), math.nextafter(end, -math.inf)):
             data = ctypes.create_string_buffer(8)
-            C.frame_pack(definition(codec), value, 0, data)
+            c().frame_pack(definition(codec), value, 0, data)
             assert data.raw == bytes(codec.encode(value, 0))
 
 
@@ -114,5 +122,5 @@ def test_the_ends_of_a_range_are_packed_as_by_the_rig(codec: MessageCodec) -> No
 @given(data=st.binary(min_size=8, max_size=8))
 def test_bytes_are_read_as_by_the_rig(codec: MessageCodec, data: bytes) -> None:
     expected = codec.decode(data).value
-    found = C.frame_value(ctypes.c_void_p(definition(codec)), data)
+    found = c().frame_value(ctypes.c_void_p(definition(codec)), data)
     assert found == expected or (math.isnan(found) and math.isnan(expected))

@@ -1,4 +1,4 @@
-"""What ``--report`` says of exported files: each tool finds what is wrong, and nothing here.
+"""The output of ``--report``: each tool finds planted errors, and none in exported files.
 
 Costs on emulated boards are compared with something known.
 """

@@ -1,4 +1,4 @@
-"""The exported folder: what stands in it, that it builds without a warning, and that it runs."""
+"""The exported folder: its content, its build without a warning, and its answers."""
 
 from __future__ import annotations
 
@@ -30,7 +30,7 @@ from tests.rig.export.shared import PRECISIONS, STRICT, run
 
 
 def test_clang_does_not_warn(folder: Path) -> None:
-    """Nor gcc, with which ``built`` has made it."""
+    """The fixture ``built`` compiles with gcc, where every warning is an error."""
     if shutil.which("clang") is None:
         pytest.skip("clang is not installed")
     sources = {path.name: path.read_text(encoding="utf-8") for path in folder.glob("*.[ch]")}

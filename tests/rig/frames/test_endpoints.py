@@ -84,16 +84,6 @@ def test_a_damaged_frame_was_there_but_one_of_another_tick_was_not():
     assert missing(receiver) == 1
 
 
-def test_a_receiver_tolerates_one_lost_frame_that_it_has_not_noticed():
-    codec = load_network(STEER_BY_WIRE).command_1
-    for lost, usable in ((1, True), (2, False)):
-        transmitter, receiver = Transmitter(codec), Receiver(codec)
-        assert receiver.accept(transmitter.frame(1.0, 0)) is not None
-        for _ in range(lost):
-            transmitter.frame(1.0, 0)
-        assert (receiver.accept(transmitter.frame(1.0, 0)) is not None) is usable
-
-
 @pytest.mark.parametrize("kind", ["is_extended_id", "is_remote_frame", "is_error_frame"])
 def test_a_frame_of_another_kind_with_the_same_number_touches_nothing(kind):
     codec = load_network(STEER_BY_WIRE).feedback

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import deque
 from collections.abc import Callable
+from functools import partial
 
 import can
 
@@ -11,6 +12,7 @@ from can_rig.assessment.resolve import load
 from can_rig.frames.codec import tick_on
 from can_rig.nodes.bus_access import StopRequest, Timeouts, Watchdog
 from can_rig.nodes.lockstep import ControllerNode, PlantNode
+from can_rig.nodes.ticks import drive
 from can_rig.scenario.build import network_of
 from tests.clock import TurnedClock
 
@@ -51,10 +53,13 @@ class Ends:
         self.answers.append(message)
 
     def run_controller(self) -> int:
-        return self.controller.run(self.watchdog(self.next_offer, "plant"), self.on_tick)
+        return self.drive(self.controller, self.watchdog(self.next_offer, "plant"))
 
     def run_plant(self) -> int:
-        return self.plant.run(self.watchdog(self.next_answer, "controller"), self.on_tick)
+        return self.drive(self.plant, self.watchdog(self.next_answer, "controller"))
+
+    def drive(self, node: PlantNode | ControllerNode, watchdog: Watchdog) -> int:
+        return drive(partial(node.carry, watchdog), node.ticks, self.on_tick)
 
     def next_offer(self) -> deque[can.Message]:
         if not self.offers and self.offered < self.silent_from:

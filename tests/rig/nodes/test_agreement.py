@@ -16,7 +16,7 @@ from can_rig.frames.comparison_frames import ASKED, PRESENT, Comparison, Compari
 from can_rig.nodes import runner
 from can_rig.nodes.agreement import UNSETTLED_S, Agreement, keys_of
 from can_rig.nodes.bus_access import StopRequest, Timeouts
-from can_rig.nodes.runner import run_controller, run_plant
+from can_rig.nodes.runner import RunOptions, run_controller, run_plant
 from can_rig.scenario.loading import shipped
 from tests.clock import TurnedClock
 from tests.helpers import DBC, NAMES, record, start
@@ -28,7 +28,7 @@ SHORT = ["duration_s=0.3"]
 def both_by_hand(bus, plant, controller, log=None, real_time=False):
     """What each of two nodes in this process ended with; the controller listens first."""
     ended, ready = {}, threading.Event()
-    timeouts, options = Timeouts(20.0, 20.0), {"real_time": real_time, "by_hand": True}
+    chosen = RunOptions(real_time, by_hand=True, timeouts=Timeouts(20.0, 20.0))
 
     def run(name, node):
         try:
@@ -39,12 +39,12 @@ def both_by_hand(bus, plant, controller, log=None, real_time=False):
     def plant_node():
         ready.wait()
         stop = StopRequest()
-        return run_plant(plant, bus, log, timeouts, stop, lambda tick: None, **options)
+        return run_plant(plant, bus, log, stop, lambda tick: None, chosen)
 
     thread = threading.Thread(target=run, args=("plant", plant_node))
     thread.start()
     run("controller", lambda: run_controller(
-        controller, bus, timeouts, StopRequest(), ready.set, lambda tick: None, **options
+        controller, bus, StopRequest(), ready.set, lambda tick: None, chosen
     ))  # fmt: skip
     ready.set()
     thread.join(60.0)
@@ -294,9 +294,11 @@ def test_a_rig_on_the_bus_of_another_is_refused_and_the_first_goes_on(second, tm
 def test_a_damaged_frame_and_an_unknown_key_say_nothing(key):
     end = End()
     end.say(key, 1)
-    if key < 100:
-        end.wire.waiting[0].data[5] ^= 1
     end.wire.waiting.append(DATA)
+    if key < 100:  # not of the comparison, so of somebody else, and for the log
+        damaged = end.wire.waiting[0]
+        damaged.data[5] ^= 1
+        assert end.agreement.recv(0.05) is damaged
     assert end.agreement.recv(0.05) is DATA
     assert end.said() == []
 
@@ -326,6 +328,6 @@ def test_the_frames_are_those_of_the_dbc():
 def test_a_node_that_is_alone_says_so_as_before(tmp_path):
     with open_bus(f"local:{tmp_path / 'bus'}"), pytest.raises(SilentNodeError):
         run_plant(
-            load("thesis-step", SHORT), f"local:{tmp_path / 'bus'}", None, Timeouts(0.3, 0.3),
-            StopRequest(), lambda tick: None, by_hand=True,
+            load("thesis-step", SHORT), f"local:{tmp_path / 'bus'}", None, StopRequest(),
+            lambda tick: None, RunOptions(by_hand=True, timeouts=Timeouts(0.3, 0.3)),
         )  # fmt: skip

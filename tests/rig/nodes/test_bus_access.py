@@ -1,15 +1,24 @@
-"""A bus that refuses: how often it is asked again, for how long, and what is said of it."""
+"""A bus that refuses or is full of others: how long a node waits, and what the node says then."""
 
 from __future__ import annotations
 
 import errno
+import signal
 from collections import Counter
 
 import can
 import pytest
 
-from can_rig.errors import BusLostError
-from can_rig.nodes.bus_access import PersistentSender, TolerantBus, bus_events
+from can_rig.errors import BusLostError, SilentNodeError
+from can_rig.nodes.bus_access import (
+    Interrupted,
+    PersistentSender,
+    StopRequest,
+    Timeouts,
+    TolerantBus,
+    Watchdog,
+    bus_events,
+)
 from tests.clock import TurnedClock
 from tests.rig.nodes.refusing import FRAME, Refusing
 
@@ -110,3 +119,173 @@ def test_the_events_of_a_bus_are_all_that_occurred(clock: TurnedClock) -> None:
     with Refusing(clock, 0) as bus:  # which counts no lost frames
         assert bus_events("controller", bus, Counter({"full": 1})) == {"controller": {"full": 1}}
         assert bus_events("controller", bus) == {}
+
+
+def test_a_receive_error_that_passes_is_counted_and_nothing_else(clock):
+    with Refusing(clock, 3, errno.ENETDOWN) as bus:
+        bus.sent.append(FRAME)
+        watchdog = Watchdog(bus, "plant", Timeouts(10.0, 10.0), StopRequest(), clock=clock)
+        assert watchdog.receive(0) is FRAME
+        assert sum(watchdog.errors.values()) == 3
+
+
+def test_after_a_receive_error_the_silence_is_the_bus_s(clock):
+    with Refusing(clock, 1, errno.ENETDOWN) as bus:
+        watchdog = Watchdog(bus, "plant", Timeouts(0.05, 0.05), StopRequest(), clock=clock)
+        with pytest.raises(BusLostError, match="has been down"):
+            watchdog.receive(0)
+
+
+def test_an_error_before_the_partner_was_heard_again_does_not_explain_a_later_silence(clock):
+    with Refusing(clock, 1, errno.ENETDOWN) as bus:
+        bus.sent.append(FRAME)
+        watchdog = Watchdog(bus, "plant", Timeouts(0.05, 0.05), StopRequest(), clock=clock)
+        watchdog.receive(0)
+        watchdog.hear()
+        bus.sent.clear()
+        with pytest.raises(SilentNodeError, match=r"no frame from the plant node for 0\.05 s"):
+            watchdog.receive(1)
+
+
+def test_a_node_alone_repeats_its_offer_though_others_talk_all_the_time(clock):
+    """Or a node that comes late would wait for silence on a busy bus."""
+    offers = []
+    with Refusing(clock, 0) as bus:
+        bus.sent.append(FRAME)
+        watchdog = Watchdog(
+            bus,
+            "plant",
+            Timeouts(1.6, 1.6),
+            StopRequest(),
+            while_alone=lambda: offers.append(1),
+            clock=clock,
+        )
+        with pytest.raises(SilentNodeError):
+            while True:
+                watchdog.receive(0)
+                watchdog.go_on_waiting(0)
+    assert len(offers) == 6  # every 0.25 s of 1.6 s, not with every frame
+
+
+@pytest.mark.parametrize("every_s", [0.001, 0.04, 0.09])
+def test_a_trickle_of_frames_that_are_not_the_partner_s_does_not_make_it_any_less_silent(
+    every_s, clock
+):
+    """Each short silence between them counts; only their sum is longer than the watchdog allows."""
+    with Refusing(clock, 0) as bus:
+        watchdog = Watchdog(bus, "plant", Timeouts(60.0, 1.0), StopRequest(), clock=clock)
+        watchdog.hear()
+        with pytest.raises(SilentNodeError, match="for 1 s"):
+            while True:
+                watchdog.go_on_waiting(0)
+                clock.pass_s(every_s)
+                assert clock.now_s < 1.5
+    assert clock.now_s == pytest.approx(1.0, abs=2 * every_s)
+
+
+def test_the_partner_s_frames_start_the_silence_anew(clock):
+    with Refusing(clock, 0) as bus:
+        watchdog = Watchdog(bus, "plant", Timeouts(1.0, 1.0), StopRequest(), clock=clock)
+        for _ in range(10):
+            for _ in range(9):
+                watchdog.go_on_waiting(0)
+                clock.pass_s(0.09)
+            watchdog.hear()
+    assert clock.now_s > 8.0
+
+
+def test_time_that_this_node_slept_through_is_not_silence_however_often(clock):
+    """It counts as the longest look between two polls, and no more."""
+    with Refusing(clock, 0) as bus:
+        watchdog = Watchdog(bus, "plant", Timeouts(1.0, 1.0), StopRequest(), clock=clock)
+        for _ in range(10):  # 0.1 s each at most: the eleventh look is one too many
+            watchdog.go_on_waiting(0)
+            clock.pass_s(30.0)
+        with pytest.raises(SilentNodeError):
+            watchdog.go_on_waiting(0)
+
+
+def test_while_the_bus_fails_it_is_asked_every_millisecond(clock):
+    """Not in a hot loop, which would take the processor that the other node needs."""
+    with Refusing(clock, 10**9, errno.ENETDOWN) as bus:
+        watchdog = Watchdog(bus, "plant", Timeouts(0.05, 0.05), StopRequest(), clock=clock)
+        with pytest.raises(BusLostError):
+            watchdog.receive(0)
+        assert bus.asked == 51
+
+
+def test_an_offer_is_repeated_every_quarter_of_a_second_until_the_partner_is_heard(clock):
+    offers = []
+    with Refusing(clock, 0) as bus:
+        watchdog = Watchdog(
+            bus, "plant", Timeouts(1.0, 1.0), StopRequest(),
+            while_alone=lambda: offers.append(clock.now_s), clock=clock,
+        )  # fmt: skip
+        watchdog.go_on_waiting(0)
+        for _ in range(11):
+            clock.pass_s(0.05)
+            watchdog.go_on_waiting(0)
+        assert offers == pytest.approx([0.25, 0.5])
+        watchdog.hear()
+        with pytest.raises(SilentNodeError):
+            watchdog.receive(0)
+        assert len(offers) == 2
+
+
+@pytest.mark.parametrize("heard", [False, True])
+def test_the_allowed_silence_is_exact(heard, clock):
+    """Every nanosecond of it may be needed: 0.1 s is what one look counts at most."""
+    with Refusing(clock, 0) as bus:
+        watchdog = Watchdog(bus, "plant", Timeouts(0.1, 0.1), StopRequest(), clock=clock)
+        if heard:
+            watchdog.go_on_waiting(0)
+            clock.pass_s(0.07)
+            watchdog.go_on_waiting(0)
+            watchdog.hear()
+            clock.pass_s(0.05)  # of its own work, before it waits again
+        watchdog.go_on_waiting(0)
+        clock.ns += 99_999_999
+        watchdog.go_on_waiting(0)
+        clock.ns += 1
+        with pytest.raises(SilentNodeError):
+            watchdog.go_on_waiting(0)
+
+
+def test_without_other_words_a_minute_is_allowed_for_the_start_and_a_second_after_it(clock):
+    with Refusing(clock, 0) as bus:
+        watchdog = Watchdog(bus, "plant", Timeouts(), StopRequest(), clock=clock)
+        with pytest.raises(SilentNodeError, match="for 60 s"):
+            watchdog.receive(0)
+        watchdog.hear()
+        with pytest.raises(SilentNodeError, match="for 1 s"):
+            watchdog.receive(0)
+
+
+@pytest.fixture
+def handlers():
+    """Those of the tests, given back."""
+    numbers = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
+    before = {number: signal.getsignal(number) for number in numbers}
+    yield
+    for number, handler in before.items():
+        signal.signal(number, handler)
+
+
+@pytest.mark.usefixtures("handlers")
+@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
+def test_a_signal_is_a_wish_to_stop_and_stays_one(number, clock):
+    signal.signal(number, signal.SIG_DFL)
+    stop = StopRequest().on_signals()
+    for _ in range(2):  # whoever presses Ctrl-C twice does not cut the tick short either
+        signal.raise_signal(number)
+        assert stop.wanted
+    with Refusing(clock, 0) as bus, pytest.raises(Interrupted):
+        Watchdog(bus, "plant", Timeouts(), stop, clock=clock).receive(0)
+
+
+@pytest.mark.usefixtures("handlers")
+def test_what_nohup_ignores_stays_ignored():
+    signal.signal(signal.SIGHUP, signal.SIG_IGN)
+    stop = StopRequest().on_signals()
+    signal.raise_signal(signal.SIGHUP)
+    assert not stop.wanted

@@ -1,13 +1,27 @@
-"""The loop of each node in lockstep: to the end, or to a stop request, and no frame further."""
+"""Each node in lockstep: its loop, what it makes of its frames, the plant node's log."""
 
 from __future__ import annotations
 
+import math
+from collections import deque
+from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
+
 import can
+import numpy as np
 import pytest
 
-from can_rig.errors import SilentNodeError
-from can_rig.frames.codec import tick_on
-from tests.rig.nodes.ends import ANSWER, OFFER, TICKS, Ends, order
+from can_rig.errors import ScenarioError, SilentNodeError
+from can_rig.frames.codec import MessageCodec, tick_on
+from can_rig.frames.endpoints import Transmitter
+from can_rig.nodes.bus_access import StopRequest, Timeouts, Watchdog
+from can_rig.nodes.lockstep import ControllerNode, PlantNode
+from can_rig.nodes.recording import Recorder
+from can_rig.plant.simulated import SimulatedPlant
+from firmware_model.firmware import Firmware
+from tests.clock import TurnedClock
+from tests.rig.nodes.ends import ANSWER, NETWORK, OFFER, SCENARIO, SINE, TICKS, Ends, order
 
 
 def test_the_controller_answers_every_tick_and_ends() -> None:
@@ -83,3 +97,271 @@ def test_an_offer_is_repeated_as_it_was() -> None:
     first, again = ends.sent_by_plant[:2], ends.sent_by_plant[2:]
     assert [bytes(m.data) for m in again] == [bytes(m.data) for m in first]
     assert order(again) == order(first) == [(i, 0) for i in OFFER]
+
+
+def modes(ends: Ends) -> list[str]:
+    """Of the controller's statuses so far."""
+    statuses = [m for m in ends.sent_by_controller if m.arbitration_id == ANSWER[-1]]
+    return [NETWORK.status.modes[NETWORK.status.decode(m.data).mode] for m in statuses]
+
+
+def test_a_missed_tick_is_held_and_answered() -> None:
+    """Whoever knows that the plant went on says so; it is a tick without any input."""
+    ends = Ends()
+    assert ends.controller.expected is None
+    ends.plant.offer(0)
+    for message in list(ends.offers):
+        ends.controller.take(message)
+    assert ends.controller.expected == 1
+    ends.controller.miss()
+    assert ends.controller.expected == 2
+    assert order(ends.sent_by_controller) == [(i, tick) for tick in range(2) for i in ANSWER]
+    assert modes(ends) == ["RUN", "HOLD"]
+
+
+def test_a_reference_of_another_tick_is_not_used() -> None:
+    """The reference of a tick may be lost; that of the tick before does not stand in for it."""
+    ends = Ends()
+    ends.plant.offer(0)
+    reference, feedback = ends.offers
+    assert not ends.controller.take(reference)
+    assert ends.controller.take(feedback)
+    ends.offers.clear()
+    ends.plant.offer(1)
+    assert ends.controller.take(ends.offers[-1])  # without its reference
+    assert modes(ends) == ["RUN", "HOLD"]
+    ends.plant.offer(2)
+    damaged, feedback = list(ends.offers)[-2:]
+    damaged.data[5] ^= 1
+    assert not ends.controller.take(damaged)
+    assert ends.controller.take(feedback)
+    ends.plant.offer(3)
+    assert [ends.controller.take(message) for message in list(ends.offers)[-2:]] == [False, True]
+    assert modes(ends) == ["RUN", "HOLD", "HOLD", "RUN"]
+    rejected = {"DSTAR_REFERENCE": {"no_new_data": 1, "wrong_crc": 1}, "DSTAR_FEEDBACK": {}}
+    assert ends.controller.rejected() == rejected
+
+
+def test_frames_of_two_ticks_are_no_first_contact() -> None:
+    ends = Ends()
+    ends.plant.offer(0)
+    reference, _ = ends.offers
+    ends.plant.offer(1)
+    assert [ends.controller.take(message) for message in (reference, ends.offers[-1])] == [
+        False
+    ] * 2
+    assert ends.controller.expected is None
+
+
+def damaged(message: can.Message) -> can.Message:
+    changed = can.Message(
+        arbitration_id=message.arbitration_id, is_extended_id=False, data=bytes(message.data)
+    )
+    changed.data[5] ^= 1
+    return changed
+
+
+def elsewhere(message: can.Message) -> can.Message:
+    return can.Message(arbitration_id=0x700, is_extended_id=False, data=bytes(message.data))
+
+
+def test_only_two_intact_frames_of_their_own_identifiers_are_a_first_contact() -> None:
+    ends = Ends()
+    ends.plant.offer(0)
+    reference, feedback = ends.offers
+    for pair in (
+        (damaged(reference), feedback),
+        (reference, damaged(feedback)),
+        (reference, elsewhere(feedback)),
+        (elsewhere(reference), feedback),
+    ):
+        ends.controller = ControllerNode(SCENARIO, NETWORK, ends.from_controller)
+        assert [ends.controller.take(message) for message in pair] == [False, False]
+        assert ends.controller.expected is None
+    assert ends.sent_by_controller == []
+
+
+class Recorded:
+    """A replay in which one tick was not answered."""
+
+    def __init__(self, unanswered: int) -> None:
+        self.unanswered = unanswered
+        self.begun: list[int] = []
+        self.sent: list[tuple[int, tuple[float, float]]] = []
+
+    def begin(self, tick: int, firmware: Firmware) -> bool:
+        self.begun.append(tick)
+        return tick != self.unanswered
+
+    def send(self, tick: int, commands: tuple[float, float]) -> None:
+        self.sent.append((tick, commands))
+
+
+def test_a_replay_holds_where_the_recorded_controller_did_not_answer() -> None:
+    ends, actuation = Ends(), Recorded(3)
+    ends.controller = ControllerNode(SCENARIO, NETWORK, ends.from_controller, actuation)
+    ends.silent_from = 6
+    assert ends.run_controller() == 6
+    assert actuation.begun == [0, 1, 2, 3, 4, 5]
+    assert modes(ends) == ["RUN", "RUN", "RUN", "HOLD", "RUN", "RUN"]
+    assert [tick for tick, _ in actuation.sent] == [0, 1, 2, 3, 4, 5]
+    for at, codec in enumerate((NETWORK.command_1, NETWORK.command_2)):
+        commands = [codec.quantise(pair[at]) for _, pair in actuation.sent]
+        assert values_of(codec, ends.sent_by_controller) == commands
+    assert actuation.sent[3][1] == actuation.sent[2][1]
+
+
+def values_of(codec: MessageCodec, messages: list[can.Message]) -> list[float]:
+    return [codec.decode(m.data).value for m in messages if m.arbitration_id == codec.frame_id]
+
+
+@pytest.mark.parametrize("channel", [0, 1])
+def test_the_plant_takes_the_commands_of_each_tick_and_counts_those_it_misses(channel: int) -> None:
+    """Both before their status; a tick without one of them is a tick without that."""
+    ends = Ends()
+    ends.plant = PlantNode(SINE, NETWORK, ends.from_plant)
+    missed = range(12, 15)
+    take = ends.controller.take
+
+    def without(message: can.Message) -> bool:
+        answered = take(message)
+        if answered and tick_on(message.data) in missed:
+            del ends.answers[channel - 3]
+        return answered
+
+    ends.controller.take = without
+    assert ends.run_plant() == TICKS
+    codecs = NETWORK.command_1, NETWORK.command_2
+    sent = [values_of(codec, ends.sent_by_controller) for codec in codecs]
+    car, expected = SimulatedPlant(SINE), []
+    for tick, pair in enumerate(zip(*sent, strict=True)):
+        expected.append(NETWORK.feedback.quantise(car.measure()))
+        came = [None if tick in missed and at == channel else u for at, u in enumerate(pair)]
+        car.advance(tick, *came)
+    assert values_of(NETWORK.feedback, ends.sent_by_plant) == expected
+    assert np.ptp(expected) > 1e-3
+    counts = {codec.name: {} for codec in (*codecs, NETWORK.status)}
+    counts[codecs[channel].name] = {"no_new_data": 3}
+    assert ends.plant.rejected() == counts
+
+
+def test_a_command_that_is_not_available_is_none() -> None:
+    ends = Ends()
+    ends.plant = PlantNode(SINE, NETWORK, ends.from_plant)
+    for codec in (NETWORK.command_1, NETWORK.command_2):
+        sender = Transmitter(codec)
+        ends.answers.append(sender.frame(math.nan, 0))
+    ends.answers.append(Transmitter(NETWORK.status).frame(0.0, 0))
+    ends.plant.offer(0)
+    ends.plant.collect(0, ends.watchdog(lambda: ends.answers, "controller"))
+    ends.plant.offer(1)
+    assert values_of(NETWORK.feedback, ends.sent_by_plant) == [0.0, 0.0]
+
+
+def test_frames_without_a_tick_are_refused() -> None:
+    network: Any = SimpleNamespace(has_ticks=False)
+    with pytest.raises(ScenarioError, match=r"network\.tick: must name the signal"):
+        PlantNode(SCENARIO, network, lambda message: None)
+
+
+def test_each_tick_begins_in_the_log_at_its_own_time(tmp_path: Path) -> None:
+    path = tmp_path / "a.log"
+    with Recorder(path, SCENARIO.tick_ns) as recorder:
+        node = PlantNode(SCENARIO, NETWORK, lambda message: None, recorder)
+        for tick in (0, 1, 7):
+            node.offer(tick)
+    times_us = [int(line[1:9].replace(".", "")) for line in path.read_text().splitlines()]
+    assert times_us == [0, 1, 1000, 1001, 7000, 7001]
+
+
+class Late:
+    """A bus on which frames of others are still waiting when the run is over."""
+
+    def __init__(self, clock: TurnedClock, stamps_s: list[float], error: bool = False) -> None:
+        self.clock, self.error = clock, error
+        self.waiting = deque(
+            can.Message(timestamp=s, arbitration_id=0x700, is_extended_id=False) for s in stamps_s
+        )
+
+    def recv(self, timeout: float) -> can.Message | None:
+        if self.waiting:
+            self.clock.pass_s(timeout / 4)
+            return self.waiting.popleft()
+        if self.error:
+            raise can.CanOperationError("gone")
+        self.clock.pass_s(timeout)
+        return None
+
+
+QUIET_S = 0.02  # with nothing on the bus for so long, nothing is on its way any more
+QUIET_AMONG_OTHERS_S = 0.25  # where others send, one of them may wait for its processor
+UNREAD_S = 10.0  # and no longer, whatever the time stamps say
+
+
+def rest_of(path: Path, stamps_s: list[float], error: bool = False) -> tuple[int, float]:
+    """How many of the frames that were waiting are in the log, and how long that took [s]."""
+    clock = TurnedClock(5_000_000_000)
+    with Recorder(path, SCENARIO.tick_ns) as recorder:
+        node = PlantNode(SCENARIO, NETWORK, lambda message: None, recorder)
+        node.offer(0)
+        node.record_the_rest(Late(clock, stamps_s, error), clock)
+    lines = [line for line in path.read_text().splitlines() if " 700#" in line]
+    assert all(line.endswith(" R") for line in lines)
+    return len(lines), clock.now_s - 5.0
+
+
+def after_a_tick_among_others(recorder: Recorder) -> PlantNode:
+    """Of which a command is missing, and in which a frame of another came."""
+    bus = deque([can.Message(arbitration_id=0x700, is_extended_id=False)])
+    bus += [Transmitter(codec).frame(0.0, 0) for codec in (NETWORK.command_1, NETWORK.status)]
+
+    class Bus:
+        def recv(self, timeout: float) -> can.Message:
+            return bus.popleft()
+
+    node = PlantNode(SCENARIO, NETWORK, lambda message: None, recorder)
+    node.offer(0)
+    node.collect(0, Watchdog(Bus(), "controller", Timeouts(1.0, 1.0), StopRequest()))
+    return node
+
+
+def test_what_others_sent_by_the_end_is_in_the_log_and_nothing_later(tmp_path: Path) -> None:
+    found, took_s = rest_of(tmp_path / "a.log", [4.0, 4.9, 5.0, 5.001, 4.5])
+    assert found == 3
+    assert took_s == pytest.approx(4 * QUIET_S / 4)
+
+
+def test_a_quiet_or_a_failing_bus_ends_the_wait(tmp_path: Path) -> None:
+    assert rest_of(tmp_path / "a.log", [4.0]) == (1, pytest.approx(1.25 * QUIET_S))
+    assert rest_of(tmp_path / "b.log", [4.0], error=True) == (1, pytest.approx(0.25 * QUIET_S))
+
+
+def test_among_others_the_wait_is_longer(tmp_path: Path) -> None:
+    """Before the end one of them sent, so a frame of the run may still wait to be sent."""
+    clock = TurnedClock(5_000_000_000)
+    with Recorder(tmp_path / "a.log", SCENARIO.tick_ns) as recorder:
+        node = after_a_tick_among_others(recorder)
+        node.record_the_rest(Late(clock, []), clock)
+    assert clock.now_s - 5.0 == pytest.approx(QUIET_AMONG_OTHERS_S)
+
+
+def test_a_bus_whose_stamps_say_nothing_is_not_read_for_ever(tmp_path: Path) -> None:
+    found, took_s = rest_of(tmp_path / "a.log", [0.0] * 3000)
+    assert took_s == pytest.approx(UNREAD_S)
+    assert found == UNREAD_S / (QUIET_S / 4)
+
+
+def test_without_a_log_nothing_is_read() -> None:
+    clock = TurnedClock()
+    PlantNode(SCENARIO, NETWORK, lambda message: None).record_the_rest(Late(clock, [0.0]), clock)
+    assert clock.ns == 0
+
+
+def test_every_frame_of_a_tick_is_in_the_log_with_who_sent_it(tmp_path: Path) -> None:
+    """Those of others too, and of no use."""
+    path = tmp_path / "a.log"
+    with Recorder(path, SCENARIO.tick_ns) as recorder:
+        after_a_tick_among_others(recorder)
+    words = [line.split() for line in path.read_text().splitlines()]
+    sent = [(frame.partition("#")[0], by) for _, _, frame, by in words]
+    assert sent == [("100", "T"), ("101", "T"), ("700", "R"), ("110", "R"), ("120", "R")]

@@ -3,7 +3,6 @@
 import can
 import numpy as np
 import pytest
-from scipy.signal import cont2discrete
 
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
@@ -13,11 +12,10 @@ from can_rig.nodes.lockstep import ControllerNode, PlantNode
 from can_rig.nodes.recording import Recorder
 from can_rig.nodes.runner import run_in_process
 from can_rig.scenario.build import network_of
-from firmware_model.design.vehicle import VehicleParameters, vehicle_state_space
 from tests.helpers import NAMES, decoded, record
+from tests.rig.nodes.world import LSB, dstar_under
 
 SHORT = ["duration_s=0.3"]
-LSB = 1e-8  # of D* on the wire
 FAULT_TICK = 100
 
 
@@ -163,17 +161,6 @@ def test_intact_frames_of_another_tick_before_the_run_are_not_its_beginning(forg
 
 
 # --- faults, end to end ------------------------------------------------------------------------
-
-
-def dstar_under(commands):
-    """D* of the car of Table 3.2 under held commands, by scipy's zero-order hold."""
-    a, b, c = vehicle_state_space(VehicleParameters())
-    phi, gamma, *_ = cont2discrete((a, b, c, np.zeros((1, 2))), 0.001, "zoh")
-    state, out = np.zeros(len(a)), []
-    for pair in commands:
-        out.append((c @ state).item())
-        state = phi @ state + gamma @ pair
-    return np.array(out)
 
 
 def missing_as_nan(log, channel, lost):

@@ -7,6 +7,7 @@ import threading
 import time
 from collections.abc import Iterator
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
 
 import can
@@ -19,8 +20,7 @@ from can_rig.frames.operator_frames import Command
 from can_rig.logs.reading import read_log
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.interaction import Interaction
-from can_rig.nodes.operating import operate
-from can_rig.nodes.recorded_commands import done, touches
+from can_rig.nodes.operating import done, operate, touches
 from can_rig.nodes.runner import run_controller, run_in_process, run_plant
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
@@ -43,13 +43,14 @@ def two_nodes(scenario: Scenario, bus: str, log: Path) -> Iterator[None]:
     """A run that can be touched, on a bus; the block begins with it, and it ends by itself."""
     stop, ready = StopRequest(), threading.Event()
     interaction = Interaction(injectable=True, pace=0.05)  # until somebody pauses it
+    options = replace(PATIENT, interaction=interaction)
 
     def controller() -> None:
-        run_controller(scenario, bus, PATIENT, stop, ready.set, lambda _: None)
+        run_controller(scenario, bus, stop, ready.set, lambda _: None, options)
 
     def plant() -> None:
         ready.wait(TIMEOUT_S)
-        run_plant(scenario, bus, log, PATIENT, stop, lambda _: None, interaction=interaction)
+        run_plant(scenario, bus, log, stop, lambda _: None, options)
 
     threads = [threading.Thread(target=each) for each in (controller, plant)]
     for thread in threads:

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 
-from can_rig.nodes.runner import without_garbage_pauses
+from can_rig.nodes.ticks import without_garbage_pauses
 from tests.helpers import DBC, record, rig, start
 from tests.rig.nodes.running import FILES, folder_is_complete, one_line, whole_ticks
 

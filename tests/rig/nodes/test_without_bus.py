@@ -21,7 +21,7 @@ from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.without_bus import run_without_bus
 from can_rig.plant import in_windows
-from can_rig.results.execution import NO_BUS, RunOptions, execute
+from can_rig.results.execution import NO_BUS, Options, execute
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import shipped
@@ -73,7 +73,7 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 def folders(scenario: Scenario, where: Path) -> Iterator[dict[str, Any]]:
     """Every file of a run without a bus, and of one on a bus."""
     for name, bus in (("without", None), ("with", "virtual:compared")):
-        done = execute(scenario, where / name, StopRequest(), RunOptions(bus=bus, report=False))
+        done = execute(scenario, where / name, StopRequest(), Options(bus=bus, report=False))
         assert done is not None
         assert (done.outcome.bus == NO_BUS) == (bus is None)
         files: dict[str, Any] = {file.name: file.read_bytes() for file in done.folder.iterdir()}
@@ -123,19 +123,6 @@ def test_a_plant_that_fails_leaves_what_was_sent_by_then(
         ours, theirs = (log.with_suffix(suffix).read_bytes() for log in logs)
         assert ours == theirs
         assert ours.count(b"\n") > 50
-
-
-def test_a_stop_leaves_whole_ticks(tmp_path: Path) -> None:
-    scenario, stop = load("default", ["duration_s=0.5"]), StopRequest()
-
-    def on_tick(tick: int) -> None:
-        stop.wanted = tick >= 97
-
-    log, whole = tmp_path / "stopped.log", tmp_path / "whole.log"
-    summary = run_without_bus(scenario, log, stop, on_tick)
-    run_without_bus(scenario, whole, StopRequest(), lambda tick: None)
-    assert summary.ticks == 97
-    assert log.read_text().splitlines() == whole.read_text().splitlines()[: 97 * 5]
 
 
 @given(

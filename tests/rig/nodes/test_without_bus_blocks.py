@@ -6,6 +6,7 @@ import csv
 import os
 from collections.abc import Callable
 from contextlib import suppress
+from functools import partial
 from pathlib import Path
 
 import numpy as np
@@ -15,7 +16,7 @@ from can_rig.assessment.resolve import load
 from can_rig.nodes import without_bus
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
-from can_rig.nodes.summary import NodeSummary
+from can_rig.nodes.ticks import NodeSummary, timed
 from can_rig.nodes.without_bus import RunWithoutBus, run_without_bus
 from can_rig.plant import in_windows
 from can_rig.scenario.settings import Scenario
@@ -93,7 +94,7 @@ def test_it_says_after_each_block_how_far_it_is_and_how_long_it_took(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     clock, done = TurnedClock(7_000_000_000), []
-    monkeypatch.setattr(without_bus, "SYSTEM_CLOCK", clock)
+    monkeypatch.setattr(without_bus, "timed", partial(timed, clock=clock))
 
     def on_tick(tick: int) -> None:
         done.append(tick)
@@ -128,9 +129,9 @@ def test_a_plant_of_one_s_own_has_no_columns_but_its_file(tmp_path: Path) -> Non
 
 
 def test_both_files_are_closed_at_the_end(tmp_path: Path) -> None:
-    run = RunWithoutBus(load("default", RUN), tmp_path / "a.log")
-    assert len(open_files(tmp_path)) == 2
-    run.run(*stopped_at(BLOCK))
+    with RunWithoutBus(load("default", RUN), tmp_path / "a.log") as run:
+        assert len(open_files(tmp_path)) == 2
+        run.carry()
     assert open_files(tmp_path) == []
 
 

@@ -3,6 +3,7 @@
 import heapq
 import itertools
 import math
+from functools import partial
 
 import can
 import numpy as np
@@ -13,6 +14,7 @@ from can_rig.nodes.bus_access import StopRequest, Timeouts, Watchdog
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode
 from can_rig.nodes.realtime.plant_node import RealTimePlantNode
 from can_rig.nodes.recording import RealTimeRecorder
+from can_rig.nodes.ticks import drive
 from can_rig.scenario.build import network_of
 from firmware_model.design.vehicle import VehicleParameters, vehicle_state_space
 
@@ -113,7 +115,7 @@ class World:
         plant = RealTimePlantNode(self.scenario, self.network, self, recorder, self)
         watchdog = Watchdog(self, "controller", waiting, stop or StopRequest())
         try:
-            ticks = plant.run(watchdog, on_tick)
+            ticks = drive(partial(plant.carry, watchdog), plant.ticks, on_tick)
         finally:
             if recorder is not None:
                 recorder.__exit__(None, None, None)

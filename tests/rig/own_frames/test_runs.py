@@ -5,6 +5,7 @@ from __future__ import annotations
 import re
 import subprocess
 import sys
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -17,6 +18,7 @@ from can_rig.errors import DbcError, ScenarioError, SilentNodeError
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.clock import SystemClock
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode
+from can_rig.nodes.ticks import drive
 from can_rig.plant.frameless import frameless
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
@@ -168,6 +170,10 @@ class NoBus:
     def recv(self, timeout: float) -> None: ...
 
 
+def driven(node: RealTimeControllerNode, watchdog: Any) -> int:
+    return drive(partial(node.carry, watchdog), node.ticks, lambda _: None)
+
+
 @pytest.mark.parametrize("tick", ["", "Count"])
 def test_where_frames_have_no_tick_silence_is_the_end(tick: str) -> None:
     scenario = load("default", [*CHASSIS, *options(MOTOROLA, SIGNALS, tick)])
@@ -177,16 +183,16 @@ def test_where_frames_have_no_tick_silence_is_the_end(tick: str) -> None:
         return RealTimeControllerNode(scenario, network, NoBus(), SystemClock())  # type: ignore[arg-type]
 
     with pytest.raises(SilentNodeError):
-        node().run(Heard([]), lambda _: None)
+        driven(node(), Heard([]))
     feedback = network.feedback
     data = feedback.encode(0.0, 0)
     wide = feedback.extended
     frames = [can.Message(arbitration_id=feedback.frame_id, is_extended_id=wide, data=data)]
     if not tick:
-        assert node().run(Heard(3 * frames), lambda _: None) == 3
+        assert driven(node(), Heard(3 * frames)) == 3
         return
     with pytest.raises(SilentNodeError):
-        node().run(Heard(frames), lambda _: None)
+        driven(node(), Heard(frames))
 
 
 def test_check_and_bus_say_what_the_frames_cannot(tmp_path: Path) -> None:

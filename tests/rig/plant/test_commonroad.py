@@ -73,7 +73,7 @@ def test_it_reports_its_motion():
 
 
 def test_behind_lags_it_is_driven_in_parts_of_a_tick():
-    """And settles where it does without them: a lag has unity gain."""
+    """The steady output is the same without lags: a lag has unity gain."""
     lagging = scenario("st", "plant.torque_actuator.lag_s=0.02", "plant.sensor.corner_hz=20")
     ends = []
     for chosen in (scenario("st"), lagging):

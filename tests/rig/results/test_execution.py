@@ -18,9 +18,9 @@ from matplotlib.figure import Figure
 from can_rig.assessment.resolve import load
 from can_rig.errors import INTERRUPTED, RigError, RunFolderError, SilentNodeError
 from can_rig.nodes.bus_access import StopRequest
-from can_rig.nodes.summary import NodeSummary
+from can_rig.nodes.ticks import NodeSummary
 from can_rig.results import execution
-from can_rig.results.execution import RunOptions, execute
+from can_rig.results.execution import Options, execute
 from can_rig.results.run_folder import recorded_scenario
 from tests.helpers import asked, record
 
@@ -78,7 +78,7 @@ def test_the_old_run_stands_until_the_new_one_is_whole(there: Path, tmp_path: Pa
 
     stop = StopRequest()
     done = execute(
-        SCENARIO, there, stop, RunOptions(force=True, progress=lambda: nullcontext(on_tick))
+        SCENARIO, there, stop, Options(force=True, progress=lambda: nullcontext(on_tick))
     )
     assert done is not None
     assert (done.folder, done.exit_status) == (there, 0)
@@ -99,16 +99,16 @@ def test_where_the_closing_files_cannot_be_written_both_runs_are_kept(
     with monkeypatch.context() as patch:
         patch.setattr(*writer, full)
         with pytest.raises(RunFolderError, match="No space left on device") as caught:
-            execute(SCENARIO, there, StopRequest(), RunOptions(force=True))
+            execute(SCENARIO, there, StopRequest(), Options(force=True))
     unfinished = tmp_path / "demo.unfinished"
     assert f"what was recorded is in {unfinished / 'bus.log'}" in str(caught.value)
     assert contents(there) == before
     assert (unfinished / "bus.log").read_bytes() == before["bus.log"]  # of the same scenario
     assert {path.name for path in tmp_path.iterdir()} == {"demo", "demo.unfinished"}
     with pytest.raises(RunFolderError, match=r"demo\.unfinished: holds what an earlier command"):
-        execute(SCENARIO, there, StopRequest(), RunOptions(force=True))
+        execute(SCENARIO, there, StopRequest(), Options(force=True))
     shutil.rmtree(unfinished)
-    assert execute(SCENARIO, there, StopRequest(), RunOptions(force=True)) is not None
+    assert execute(SCENARIO, there, StopRequest(), Options(force=True)) is not None
 
 
 @pytest.mark.parametrize("force", [False, True])
@@ -116,7 +116,7 @@ def test_a_run_that_fails_keeps_what_it_recorded(force: bool, there: Path, tmp_p
     out = there if force else tmp_path / "other"
     (tmp_path / "source").mkdir()
     runner = recorded(tmp_path / "source", 32, SilentNodeError("the plant node was ended"))
-    done = execute(SCENARIO, out, StopRequest(), RunOptions(force=force, runner=runner))
+    done = execute(SCENARIO, out, StopRequest(), Options(force=force, runner=runner))
     assert done is not None
     assert done.exit_status == SilentNodeError.exit_status
     assert str(done.failure) == "the plant node was ended"
@@ -136,11 +136,10 @@ def test_a_run_that_records_nothing_replaces_nothing(
     for out, force in ((there, True), (tmp_path / "new", False)):
         if isinstance(ending, RigError):
             with pytest.raises(RigError, match="refused"):
-                execute(SCENARIO, out, StopRequest(), RunOptions(force=force, runner=runner))
+                execute(SCENARIO, out, StopRequest(), Options(force=force, runner=runner))
         else:
             assert (
-                execute(SCENARIO, out, StopRequest(), RunOptions(force=force, runner=runner))
-                is None
+                execute(SCENARIO, out, StopRequest(), Options(force=force, runner=runner)) is None
             )
     assert contents(there) == before
     assert {path.name for path in tmp_path.iterdir()} == {"demo", "source"}
@@ -154,7 +153,7 @@ def test_what_the_nodes_say_is_in_the_summary(tmp_path: Path) -> None:
         SCENARIO,
         tmp_path / "r",
         StopRequest(),
-        RunOptions(runner=recorded(tmp_path / "source", 100, said)),
+        Options(runner=recorded(tmp_path / "source", 100, said)),
     )
     assert done is not None
     assert done.exit_status == 0
@@ -167,7 +166,7 @@ def test_a_stopped_run_says_so(tmp_path: Path) -> None:
     stop = StopRequest()
     (tmp_path / "source").mkdir()
     runner = recorded(tmp_path / "source", 25, NodeSummary(5, 0.1, {}, {}))
-    done = execute(SCENARIO, tmp_path / "r", stop, RunOptions(runner=runner))
+    done = execute(SCENARIO, tmp_path / "r", stop, Options(runner=runner))
     assert done is not None
     assert (done.exit_status, summary_of(tmp_path / "r")["outcome"]) == (INTERRUPTED, "interrupted")
 

@@ -15,7 +15,7 @@ from can_rig import paged
 from can_rig.assessment.resolve import load
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.plant import in_windows
-from can_rig.results.execution import Execution, RunOptions, execute
+from can_rig.results.execution import Execution, Options, execute
 from can_rig.views.recorded_run import RecordedRun
 from tests.helpers import asked
 
@@ -45,7 +45,7 @@ def long_from(ticks: int, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def run(folder: Path, *settings: str, bus: str | None = None) -> Execution:
     scenario = load("default", ["duration_s=0.7", *settings])
-    done = execute(scenario, folder, StopRequest(), RunOptions(bus=bus))
+    done = execute(scenario, folder, StopRequest(), Options(bus=bus))
     assert done is not None
     return done
 
@@ -119,7 +119,7 @@ def test_a_what_if_of_a_long_run_is_that_of_a_short_one(
 def test_a_long_run_is_replaced_as_any_other(folders: Path, tmp_path: Path) -> None:
     made = RecordedRun.load(folders / "long").save(tmp_path / "again")
     scenario = load("default", ["duration_s=0.01"])
-    assert execute(scenario, made, StopRequest(), RunOptions(force=True)) is not None
+    assert execute(scenario, made, StopRequest(), Options(force=True)) is not None
     assert sorted(path.name for path in made.iterdir() if path.suffix == ".gz") == []
 
 

@@ -19,34 +19,6 @@ from firmware_model.design.vehicle import VehicleParameters
 CAR = [field.name for field in dataclasses.fields(VehicleParameters)]
 SCHEMA = TypeAdapter(PlantSettings).json_schema()["properties"]
 
-LINES = {
-    "design.tau_s=-1": "design.tau_s = -1: must be greater than 0",
-    "design.alpha=9": "design.alpha = 9: must be at most 8",
-    "design.estimator=euler": "design.estimator = 'euler': "
-    "must be 'tustin', 'tustin-held', 'zoh' or 'kalman'",
-    "plant.mass_kg=1e-300": "plant.mass_kg = 1e-300: must be at least 10",
-    "plant.mass_kg=heavy": "plant.mass_kg = 'heavy': must be a valid number",
-    "plant.speed_mps=1e6": "plant.speed_mps = 1000000.0: must be at most 200",
-    "plant.lateral_weight=1.5": "plant.lateral_weight = 1.5: must be at most 1",
-    "plant.kind=boat": "plant.kind = 'boat': must be steer-by-wire, transfer-functions, "
-    "state-space, fmu:FILE.fmu or package.module:Class",
-    "fault.left=1": "fault.left = 1: must be less than 1",
-    "tick_s=0": "tick_s = 0: must be at least 0.00001",
-    "tick_s=nan": "tick_s = nan: must be a finite number",
-    "reference=step": "reference = 'step': must be a table",
-    "duration_s=0.0005": "duration_s = 0.0005: must be at least one tick (0.001 s)",
-    "reference.kind=csv": 'reference.file: must name the CSV file of a reference of kind "csv"',
-}
-
-
-@pytest.mark.parametrize(("setting", "line"), LINES.items(), ids=LINES)
-def test_a_value_out_of_bounds_is_one_line_with_key_value_and_bound(
-    setting: str, line: str
-) -> None:
-    with pytest.raises(ScenarioError) as caught, warnings.catch_warnings(action="error"):
-        load("thesis-step", [setting])
-    assert str(caught.value) == f"scenario thesis-step: {line}"
-
 
 @pytest.mark.parametrize("key", CAR)
 def test_every_parameter_of_the_car_has_two_bounds_around_its_default(key: str) -> None:

@@ -23,31 +23,6 @@ from can_rig.scenario.driving import (
 from can_rig.scenario.reference import reference
 
 RAMP = "drive.ramps=[[1, 10], [3, 16]]"
-REFUSED = {
-    ("drive.speed_mps=10", "drive.ramps=[[0, 10]]"): "drive.ramps: must not stand beside speed_mps",
-    ("drive.ramps=[[2, 10], [1, 12]]",): "time 1 s after 2 s: times must increase",
-    ("drive.speed_mps=0.5",): "drive.speed_mps = 0.5: must be at least 1",
-    ("drive.ramps=[[0, 10], [1, 101]]",): "must be at most 100",
-    ("design.speeds_mps=[10, 12]",): "design.speeds_mps: must not be set without a drive",
-    (RAMP, "design.speeds_mps=[12, 10]"): "design.speeds_mps: 10 after 12: must increase",
-    (RAMP, "plant.kind=can_rig.plant.nonlinear_car:NonlinearCar"): "must be steer-by-wire",
-    ("reference.kind=driver",): "lane_changes_s: must have a time",
-    ("reference={lane_changes_s=[1.0]}",): "reference.kind: must be 'driver' where reference.lane_",
-    (
-        "reference={kind='driver', lane_changes_s=[1.0], amplitude_mps2=-1}",
-    ): "reference.amplitude_mps2 = -1: must be greater than 0",
-    ("drive.ramps=[[0, 5], [1]]",): "drive.ramps.1 = [1]: must have one more value",
-    ("fault=3",): "fault = 3: must be a table, or several",
-}
-
-
-@pytest.mark.parametrize("settings", REFUSED)
-def test_what_is_no_drive_is_refused_in_one_line(settings: tuple[str, ...]) -> None:
-    with pytest.raises(ScenarioError) as refused:
-        load("default", settings)
-    line = str(refused.value)
-    assert REFUSED[settings] in line
-    assert "\n" not in line
 
 
 def test_straight_lines_between_pairs_whose_ends_are_held() -> None:

@@ -74,20 +74,6 @@ def test_what_is_wrong_is_named_with_its_number(several: str, setting: str, said
         load(several, [setting])
 
 
-@pytest.mark.parametrize(
-    ("settings", "said"),
-    [
-        (["fault.kind=actuator-stuck", "fault.channel=sensor"],
-         r"fault.channel = 'sensor': must be torque or force-difference for 'actuator-stuck'"),
-        (["fault.kind=frames-forged"], r"fault.value: must be set for 'frames-forged'"),
-        (["fault.late_ticks=0"], r"fault.late_ticks = 0: must be at least 1"),
-    ],
-)  # fmt: skip
-def test_one_table_has_no_number(settings: list[str], said: str) -> None:
-    with pytest.raises(ScenarioError, match=said):
-        load("default", settings)
-
-
 def test_what_is_recorded_is_read_back(several: str) -> None:
     for scenario in (load(several), load("default"), load("default").healthy):
         again = load_run(scenario.as_dict())

@@ -84,13 +84,6 @@ OTHER = {
 
 def test_every_shipped_scenario_loads_and_its_controller_can_be_built():
     assert list(shipped()) == sorted(shipped())
-    assert {"thesis-step", "thesis-sine", "no-compensation", "chapter-2", "nonlinear-car"} <= set(
-        shipped()
-    )
-    assert {"default", "noisy", "slow-bus", "lane-change", "highway", "partial-loss"} <= set(
-        shipped()
-    )
-    assert {"ideal", "chassis-can", "chassis-can-coarse"} <= set(shipped())
     for name in shipped():
         scenario = load(name)
         assert scenario.name == name
@@ -109,28 +102,13 @@ def test_the_defaults_are_the_thesis_s():
     assert load("no-compensation").design.compensation == "off"
 
 
-def test_the_scenarios_of_use_are_what_their_names_say():
-    default = load("default")
-    assert (default.tick_s, default.latency_ticks, default.bus.bitrate) == (0.001, 1, 1_000_000)
-    assert (default.plant.variant, default.plant.sensor.noise_mps2) == ("physics", 0.005)
-    assert default.plant.torque_actuator.lag_s == default.model.torque_actuator.lag_s == 0.005
-    assert default.plant.force_difference_actuator.lag_s == 0.015
-    assert (default.budget.box, default.budget.actuator_box) == (0.2, 0.3)
-    assert default.limits.torque_nm is not None
-    assert default.limits.force_difference_n is not None
-    ideal = load("ideal").plant
+def test_what_the_shipped_scenarios_say_of_their_bus_and_actuators_holds():
+    default, ideal, slow = load("default"), load("ideal").plant, load("slow-bus")
+    assert default.plant.torque_actuator.lag_s == default.model.torque_actuator.lag_s > 0.0
+    assert None not in (default.limits.torque_nm, default.limits.force_difference_n)
     assert ideal.torque_actuator == ideal.torque_actuator.__class__()
-    assert ideal.sensor.noise_mps2 == 0.0
-    chassis, coarse = load("chassis-can"), load("chassis-can-coarse")
-    assert (chassis.tick_s, coarse.tick_s, chassis.bus.bitrate) == (0.01, 0.02, 500_000)
-    assert (coarse.plant.sensor.resolution_mps2, coarse.plant.sensor.corner_hz) == (0.05, 18.0)
-    slow = load("slow-bus")
-    assert (slow.tick_s, slow.latency_ticks, slow.bus.bitrate) == (0.002, 2, 500_000)
     assert load("slow-bus", ["latency_ticks=from-bus"]).latency_ticks <= slow.latency_ticks
-    assert load("noisy").plant.sensor.noise_mps2 > 0.0
-    assert load("highway").plant.speed_mps == load("highway").model.speed_mps == 30.0
-    assert load("lane-change").reference.kind == "lane-change"
-    assert load("partial-loss").loss.left == 0.5
+    assert load("highway").plant.speed_mps == load("highway").model.speed_mps
 
 
 def test_the_list_of_changes_below_names_every_key():
@@ -196,68 +174,6 @@ def test_a_typo_in_any_key_gets_the_right_suggestion(key):
     with pytest.raises(ScenarioError, match="unknown key") as caught:
         load("thesis-step", [f"{wrong}=1"])
     assert str(caught.value).endswith(f"did you mean {key.rpartition('.')[2]}?")
-
-
-BAD = [
-    ("tick_s=0", "tick_s"), ("tick_s=-0.001", "tick_s"), ("tick_s=nan", "tick_s"),
-    ("tick_s=inf", "tick_s"), ("tick_s=fast", "tick_s"), ("tick_s=2", "tick_s"),
-    ("tick_s=0.0000123456789", "nanoseconds"), ("tick_s=true", "tick_s"),
-    ("duration_s=0", "duration_s"), ("duration_s=-1", "duration_s"), ("duration_s=", "duration_s"),
-    ("duration_s=0.0005", "duration_s"), ("duration_s=1e7", "duration_s"),
-    ("duration_s=1e6", "10000000 ticks"), ("duration_s=[1]", "duration_s"),
-    ("latency_ticks=-1", "latency_ticks"), ("latency_ticks=65", "latency_ticks"),
-    ("latency_ticks=1.5", "latency_ticks"), ("seed=-1", "seed"), ("seed=x", "seed"),
-    ("plant.mass_kg=0", "plant.mass_kg"), ("plant.mass_kg=-1400", "plant.mass_kg"),
-    ("plant.mass_kg='heavy'", "plant.mass_kg"), ("plant.kind=boat", "plant.kind"),
-    ("plant.friction=0", "plant.friction"), ("model.kind=a:B", "model.kind"),
-    ("model.speed_mps=nan", "model.speed_mps"), ("plant.lateral_weight=1.5", "lateral_weight"),
-    ("plant={mas=1}", "plant.mas: unknown key"),
-    ("plant.a=1", "plant.a = 1: must be a list"), ("plant=5", "plant"), ("plant=fast", "plant"),
-    ("model=5", "model"), ("design.tau_s=0", "design.tau_s"), ("design.alpha=0", "design.alpha"),
-    ("design.alpha=9", "design.alpha"), ("design.alpha_q=0", "design.alpha_q"),
-    ("budget.box=1", "budget.box = 1: must be less than 1"), ("budget.box=-0.1", "budget.box"),
-    ("budget.actuator_box=1", "budget.actuator_box = 1: must be less than 1"),
-    ("budget.false_alarms_per_hour=0", "budget.false_alarms_per_hour = 0: must be greater than 0"),
-    ("budget.suspicions_per_hour=-1", "budget.suspicions_per_hour = -1: must be greater than 0"),
-    ("budget.false_alarms_per_hour=inf", "budget.false_alarms_per_hour"),
-    ("budget.falsealarms_per_hour=1", "unknown key; did you mean false_alarms_per_hour?"),
-    ("budget.boxes=0.2", "budget.boxes: unknown key; did you mean box?"),
-    ("design.fault_threshold_mps2=0.02", "design.fault_threshold_mps2: unknown key"),
-    ("design.compensation=maybe", "design.compensation"), ("design.estimator=euler", "estimator"),
-    ("reference=5", "reference"), ("reference=step", "reference"),
-    ("reference.file=5", "reference.file"), ("reference.kind=csv", "reference.file"),
-    ("reference.kind=square", "reference.kind"), ("reference.amplitude_mps2=nan", "amplitude_mps2"),
-    ("reference.frequency_rad_per_s=0", "frequency_rad_per_s"),
-    ("fault.kind=dead", "fault.kind"), ("fault.channel=rear", "fault.channel"),
-    ("fault.at_s=-1", "fault.at_s"), ("fault.for_s=0", "fault.for_s"),
-    ("fault.left=1", "fault.left"), ("fault.left=-0.1", "fault.left"), ("fault.left=nan", "left"),
-    ("plant.sensor.noise_mps2=-0.1", "plant.sensor.noise_mps2"),
-    ("limits.torque_nm=0", "torque_nm"),
-    ("limits.force_difference_n=-5", "force_difference_n"), ("actuator.hold_s=-1", "hold_s"),
-    ("design.probe_rad_per_s=1e-300", "design.probe_rad_per_s = 1e-300: must be at least 0.01"),
-    ("reference.amplitude_mps2=1e300", "amplitude_mps2 = 1e+300: must be at most 1000000"),
-    ("reference.amplitude_mps2=-1000001", "reference.amplitude_mps2"),
-    ("plant.friction=1e300", "plant.friction = 1e+300: must be at most 10"),
-    ("fault.at_s=1e300", "fault.at_s = 1e+300: must be at most 1000000"),
-    ("fault.for_s=1e300", "fault.for_s = 1e+300: must be at most 1000000"),
-    ("actuator.hold_s=1e307", "actuator.hold_s = 1e+307: must be at most 1000000"),
-    ("seed", "KEY=VALUE"), ("=5", "KEY=VALUE"), ("plant.=5", "KEY=VALUE"), ("", "KEY=VALUE"),
-    ("tick_s.x=5", "tick_s"), ("plant.mass_kg.x=5", "mass_kg"), ("name=other", "name: unknown key"),
-    ("seed=2024-01-01", "seed"), ("fault.for_s=none", "fault.for_s"),
-    ("fault={at_s=5.0}", "fault.kind: must be set where fault.at_s is"),
-    ("fault=[{kind='none'}, {left=0.5}]", "fault.1.kind: must be set where fault.1.left is"),
-    ("fault={knid='actuator-dead'}", "fault.knid: unknown key; did you mean kind?"),
-]  # fmt: skip
-
-
-@pytest.mark.parametrize(("setting", "named"), BAD, ids=[setting for setting, _ in BAD])
-def test_a_bad_value_is_one_line_that_names_the_key(setting, named):
-    with pytest.raises(ScenarioError) as caught:
-        load("thesis-step", [setting])
-    message = str(caught.value)
-    assert named in message
-    assert "\n" not in message
-    assert len(message) < 400
 
 
 LIMITS = [

@@ -39,7 +39,7 @@ def test_a_file_that_cannot_be_read():
         ('[plant]\nkind = "fmu:"\n', "plant.kind = 'fmu:': must be .*fmu:FILE.fmu"),
         (
             '[fault]\nkind = "sensor-biased"\nvalue = 0.5\n',
-            "fault.value = 0.5: says nothing of 'sensor-biased'; must be fault.bias_mps2",
+            "fault.value = 0.5: has no effect for 'sensor-biased'; must be fault.bias_mps2",
         ),
         ('[[fault]]\nkind = "actuator-dead"\nvalue = 0.5\n', "must be fault.0.left"),
         ('[reference]\nkind = "csv"\nfile = ""\n', "reference.file: must name the CSV file"),

@@ -60,41 +60,6 @@ def test_what_a_run_believed_as_it_was_follows_the_plant_in_another_run():
     assert again.model.sensor.corner_hz == 90
 
 
-@pytest.mark.parametrize(
-    ("settings", "line"),
-    [
-        (["plant.torque_actuator.lag_s=-0.01"],
-         "plant.torque_actuator.lag_s = -0.01: must be at least 0"),
-        (["model.force_difference_actuator.lag_s=-1"], "model.force_difference_actuator.lag_s"),
-        (["plant.torque_actuator.lag_s=1e-9"], "must be 0 (none) or at least 1e-06 s"),
-        (["plant.torque_actuator.lag_s=0.01",
-          "plant.torque_actuator.natural_frequency_rad_per_s=100"],
-         "plant.torque_actuator.lag_s = 0.01: must not stand beside natural_frequency_rad_per_s"),
-        (["plant.torque_actuator.rate_nm_per_s=0"],
-         "plant.torque_actuator.rate_nm_per_s = 0: must be greater than 0"),
-        (["plant.force_difference_actuator.limit_n=0"], "limit_n = 0: must be greater than 0"),
-        (["plant.torque_actuator.damping=0"], "damping = 0: must be greater than 0"),
-        (["plant.sensor.corner_hz=0"], "plant.sensor.corner_hz = 0: must be at least 0.001"),
-        (["plant.sensor.resolution_mps2=-1"], "resolution_mps2 = -1: must be at least 0"),
-        (["plant.torque_actuator.dead_time_s=0.065"],
-         "plant.torque_actuator.dead_time_s = 0.065: must be at most 0.064 s, 64 ticks"),
-        (["plant.sensor.dead_time_s=0.04", "plant.torque_actuator.dead_time_s=0.03"],
-         "must be at most 0.024 s beside plant.sensor.dead_time_s = 0.04, 64 ticks in all"),
-        (["model.torque_actuator.limit_nm=5"],
-         "model.torque_actuator.limit_nm = 5: must be limits.torque_nm"),
-        (["plant.torque_actuator.lag=0.01"], "did you mean lag_s?"),
-        (["plant.parameters.x=[1]", "plant.kind=a:B"],
-         "plant.parameters.x = [1]: must be a number, a text, true or false"),
-        (["plant.parameters.x=1"], "plant.parameters.x = 1: must not be set for kind"),
-    ],
-)  # fmt: skip
-def test_bad_input_is_one_line_that_names_the_key(settings, line):
-    with pytest.raises(ScenarioError) as refused:
-        load("default", settings)
-    assert line in str(refused.value)
-    assert "\n" not in str(refused.value)
-
-
 def test_orders_that_the_lags_make_too_small_are_named_with_the_least():
     with pytest.raises(ScenarioError, match=r"alpha_q = 2: .* must be at least 3"):
         continuous_design(

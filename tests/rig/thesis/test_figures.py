@@ -10,19 +10,18 @@ from pathlib import Path
 import control
 import numpy as np
 import pytest
-from click.testing import CliRunner
 from scipy import integrate, signal
 
 from can_rig.assessment.resolve import load
-from can_rig.cli.main import main
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_design, continuous_plant
 from can_rig.scenario.settings import Scenario
 from can_rig.thesis.comparisons import Comparison, both, compare, compare_scenario
 from can_rig.thesis.continuous import OUTPUTS, closed_loop, solve
-from can_rig.thesis.figures import draw_figures, refuse_existing
+from can_rig.thesis.figures import refuse_existing
 from firmware_model.design.factors.realisation import realised
 from firmware_model.target.structs import FloatArray
+from tests.helpers import asked
 
 VARIANTS = ("published", "physics")
 LOST_AT_S = 10.0
@@ -240,18 +239,6 @@ def short() -> Sequence[Comparison]:
     return compare(["duration_s=0.2", "fault.at_s=0.1"])
 
 
-@pytest.mark.filterwarnings("error")
-def test_every_figure_is_a_png_of_print_size(tmp_path: Path, short: Sequence[Comparison]) -> None:
-    paths = draw_figures(tmp_path / "new", short, force=False)
-    assert [path.name for path in paths] == [
-        f"fig-{figure}.png" for figure in ("2.2", "2.3", "2.4", "3.5", "3.6")
-    ]
-    for path in paths:
-        data = path.read_bytes()
-        width, height = struct.unpack(">II", data[16:24])
-        assert data.startswith(b"\x89PNG") and width >= 1800 and height >= 1200
-
-
 def test_distance_after_the_loss(short: Sequence[Comparison]) -> None:
     healthy, *_, error, _ = short
     assert healthy.distance_after_loss(healthy.curves[0]) is None
@@ -261,22 +248,18 @@ def test_distance_after_the_loss(short: Sequence[Comparison]) -> None:
     assert error.distance(curve) > since.max()
 
 
-def test_the_command(tmp_path: Path) -> None:
-    out = tmp_path / "figures"
-    arguments = [
-        "figures",
-        "--out",
-        str(out),
-        "--set",
-        "duration_s=0.05",
-        "--set",
-        "fault.at_s=0.02",
-    ]
-    first = CliRunner().invoke(main, arguments)
-    assert first.exit_code == 0, first.output
-    for figure in ("2.2", "2.3", "2.4", "3.5", "3.6"):
-        assert (out / f"fig-{figure}.png").is_file()
-        assert f"\n{figure} " in first.output
-    again = CliRunner().invoke(main, arguments)
-    assert again.exit_code == 2
-    refuse_existing(out, force=True)
+@pytest.mark.filterwarnings("error")
+def test_the_command_draws_every_figure_of_print_size(tmp_path: Path) -> None:
+    words = ("figures", "--out", tmp_path / "new", "--set", "duration_s=0.05", "--set",
+             "fault.at_s=0.02")  # fmt: skip
+    first = asked(*words)
+    assert first.returncode == 0, first.stderr
+    figures = ("2.2", "2.3", "2.4", "3.5", "3.6")
+    assert {each.name for each in (tmp_path / "new").iterdir()} == {f"fig-{n}.png" for n in figures}
+    for figure in figures:
+        assert f"\n{figure} " in first.stdout
+        data = (tmp_path / "new" / f"fig-{figure}.png").read_bytes()
+        width, height = struct.unpack(">II", data[16:24])
+        assert data.startswith(b"\x89PNG") and width >= 1800 and height >= 1200
+    assert asked(*words).returncode == 2
+    refuse_existing(tmp_path / "new", force=True)

@@ -118,7 +118,7 @@ def _other(version: int, name: str, vr: int, old: str, new: str, causality: str,
 
 
 def _rest(version: int) -> str:
-    """All functions of FMI, for those that ``linear.c`` has not."""
+    """Stubs of the FMI functions that ``linear.c`` lacks."""
     names = {name for each in CLASSES[version] for name, _ in inspect.getmembers(each)}
     wanted = sorted(name for name in names if name.startswith(f"fmi{version}"))
     return "".join(f"__attribute__((weak)) int {name}(void) {{ return 3; }}\n" for name in wanted)

@@ -15,7 +15,7 @@ from scipy.linalg import expm
 from can_rig.assessment.resolve import load
 from can_rig.errors import RigError
 from can_rig.plant.behind import plant_behind
-from can_rig.plant.fmu.description import CO_SIMULATION, MODEL_EXCHANGE
+from can_rig.plant.fmu_file import CO_SIMULATION, MODEL_EXCHANGE
 from can_rig.plant.protocol import GuardedPlant, load_plant
 from can_rig.scenario.build import continuous_car
 from can_rig.scenario.plant_settings import PlantSettings
@@ -220,7 +220,7 @@ TOOLS = {
 
 @pytest.mark.parametrize("package", TOOLS)
 def test_an_fmu_of_pythonfmu_writes_the_log_of_the_class_of_the_same_equations(package, tmp_path):
-    module = f"lag_of_{package}.py"  # all of them are imported into this process
+    module = f"lag_of_{package}.py"  # this process imports both modules
     (tmp_path / module).write_text(LAG.format(package=package, **TOOLS[package]))
     command = [sys.executable, "-m", package, "build", "-f", module]
     subprocess.run(command, check=True, capture_output=True, timeout=100)

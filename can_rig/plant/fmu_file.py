@@ -1,4 +1,7 @@
-"""An FMU's model description, and the variables and parameters that a scenario names."""
+"""An FMU's file: its model description with the scenario's names resolved, and its unpacking.
+
+A ZIP archive may claim and hold anything, so the bounds count the bytes that come out.
+"""
 
 from __future__ import annotations
 
@@ -6,7 +9,7 @@ import difflib
 import zipfile
 from collections.abc import Collection, Iterable
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 from typing import Any, Final, NamedTuple
 
 import fmpy
@@ -15,7 +18,6 @@ from fmpy.simulation import settable_in_initialization_mode, settable_in_instant
 
 from can_rig.errors import ScenarioError, one_line
 from can_rig.logs.columns import TAKEN
-from can_rig.plant.fmu.unpacking import refuse_large_description
 from can_rig.scenario.plant_settings import FMU, SIGNALS, PlantSettings, flat_parameters
 
 CO_SIMULATION: Final = "co-simulation"
@@ -27,6 +29,15 @@ REAL: Final = ("Real", "Float64", "Float32")
 WHOLE: Final = ("Integer", "Int8", "UInt8", "Int16", "UInt16", "Int32", "UInt32", "Int64", "UInt64")
 NUMBERS: Final = (*REAL, *WHOLE, "Boolean", "Enumeration")
 SHOWN: Final = 8  # names in a message
+
+DESCRIPTION: Final = "modelDescription.xml"
+MEBIBYTE: Final = 1 << 20
+LARGEST: Final = 512 * MEBIBYTE
+"""Of all files together."""
+LARGEST_DESCRIPTION: Final = 64 * MEBIBYTE
+LARGEST_RATIO: Final = 100
+"""Of all files together to the archive, once they are larger than a description may be."""
+MOST_FILES: Final = 10_000
 
 
 class Variable(NamedTuple):
@@ -255,3 +266,63 @@ def _a(word: str) -> str:
 
 def _refused(settings: PlantSettings, reason: str) -> ScenarioError:
     return ScenarioError(f"plant.kind = {settings.kind!r}: {reason}")
+
+
+class UnpackingError(Exception):
+    """An archive beyond the bounds, or with a path that leads out of its folder."""
+
+
+def unpack(path: Path, folder: Path) -> None:
+    """The files of the archive ``path`` below ``folder``, which exists.
+
+    Raises:
+        UnpackingError: see there; some files may have been written.
+        OSError, zipfile.BadZipFile: as of ``zipfile``.
+    """
+    bound = min(LARGEST, max(LARGEST_DESCRIPTION, LARGEST_RATIO * path.stat().st_size))
+    with zipfile.ZipFile(path) as archive:
+        if len(archive.infolist()) > MOST_FILES:
+            raise UnpackingError(f"it holds more than {MOST_FILES} files")
+        left = bound
+        for member in archive.infolist():
+            target = folder / _inside(member.filename)
+            if member.is_dir():
+                target.mkdir(parents=True, exist_ok=True)
+                continue
+            target.parent.mkdir(parents=True, exist_ok=True)
+            with archive.open(member) as source, target.open("wb") as file:
+                while chunk := source.read(MEBIBYTE):
+                    left -= len(chunk)
+                    if left < 0:
+                        raise UnpackingError(
+                            f"it unpacks to more than {bound // MEBIBYTE} MiB; at most "
+                            f"{LARGEST_RATIO} times its own size and {LARGEST // MEBIBYTE} MiB "
+                            "are unpacked"
+                        )
+                    file.write(chunk)
+
+
+def refuse_large_description(path: Path) -> None:
+    """Before a parser reads it.
+
+    Raises:
+        UnpackingError: it is larger than ``LARGEST_DESCRIPTION``.
+        KeyError: there is none.
+        OSError, zipfile.BadZipFile: as of ``zipfile``.
+    """
+    read = 0
+    with zipfile.ZipFile(path) as archive, archive.open(DESCRIPTION) as source:
+        while chunk := source.read(MEBIBYTE):
+            read += len(chunk)
+            if read > LARGEST_DESCRIPTION:
+                raise UnpackingError(
+                    f"{DESCRIPTION} is larger than {LARGEST_DESCRIPTION // MEBIBYTE} MiB"
+                )
+
+
+def _inside(name: str) -> PurePosixPath:
+    """A path of the archive that stays in the folder it is unpacked to."""
+    path = PurePosixPath(name)
+    if path.is_absolute() or ".." in path.parts or "\\" in name or ":" in name:
+        raise UnpackingError(f"it holds the path {name!r}, which must stay in the FMU's folder")
+    return path

@@ -1,15 +1,33 @@
-"""Steps from tick to tick with both inputs held, by the FMU's own solver or by CVODE."""
+"""An FMU, the model file of another tool, as a plant class: FMI 2 and 3, through FMPy.
+
+The FMU is unpacked, loaded and put at rest, advanced from tick to tick with both inputs held by its
+own solver or by CVODE, and removed together with its ``Instance``.
+"""
 
 from __future__ import annotations
 
 import math
+import os
+import shutil
+from collections.abc import Iterator
+from contextlib import chdir, contextmanager, suppress
+from multiprocessing.util import Finalize
+from pathlib import Path
+from tempfile import mkdtemp
 from types import SimpleNamespace
-from typing import Any, Final, Protocol
+from typing import Any, Final
 
+import fmpy
+from fmpy.simulation import (
+    apply_start_values,
+    settable_in_initialization_mode,
+    settable_in_instantiated,
+)
 from fmpy.sundials import CVodeSolver
 
-from can_rig.errors import one_line
-from can_rig.plant.fmu.instance import FmuError, Instance
+from can_rig.errors import ScenarioError, one_line
+from can_rig.plant.fmu_file import Description, Variable, describe, unpack
+from can_rig.scenario.plant_settings import PlantSettings
 
 TOLERANCE: Final = 1e-10
 """Relative tolerance of CVODE; each state's nominal value scales the absolute tolerance."""
@@ -21,20 +39,139 @@ CLOSE: Final = 1e-9
 """Share of a step; two moments within this share count as equal."""
 
 
-class Stepping(Protocol):
-    """Advances an FMU in time."""
+def load_fmu(settings: PlantSettings) -> FmuPlant:
+    """The FMU of ``plant.kind``, at rest.
 
-    def step(self, dt_s: float, first: float, second: float) -> None:
-        """Advance by ``dt_s`` seconds, with both inputs held.
+    Raises:
+        ScenarioError: no FMU, a failing start, or a name unknown to the FMU.
+    """
+    description = describe(settings)
+    try:
+        return FmuPlant(description)
+    except FmuError as error:
+        raise ScenarioError(f"plant.kind = {settings.kind!r}: does not start: {error}") from None
+
+
+class FmuPlant:
+    """See ``plant.protocol.ReportingPlant``.
+
+    Raises:
+        FmuError: see ``Instance``.
+    """
+
+    def __init__(self, description: Description) -> None:
+        self._description = description
+        self.reset()
+
+    def reset(self) -> None:
+        """Return to rest by a new instance, because the reset of some FMUs fails.
 
         Raises:
-            Exception: any failure of FMPy or the FMU; see ``Instance.explained``.
+            FmuError: see ``Instance``.
         """
+        self._instance = Instance(self._description)
+        kind = CoSimulation if self._description.co_simulation else ModelExchange
+        with self._instance.explained():
+            self._stepping = kind(self._instance)
+
+    def advance(self, dt_s: float, torque_nm: float, force_difference_n: float) -> float:
+        """The output ``dt_s`` seconds later; the inputs keep their values until then.
+
+        Raises:
+            FmuError: the FMU or CVODE fails.
+        """
+        with self._instance.explained():
+            self._stepping.step(dt_s, torque_nm, force_difference_n)
+            return self._instance.read(self._description.output)
+
+    def signals(self) -> dict[str, float]:
+        """The variables in ``plant.variables`` besides the inputs and the output.
+
+        Raises:
+            FmuError: the FMU fails.
+        """
+        with self._instance.explained():
+            signals = self._description.signals
+            return {name: self._instance.read(variable) for name, variable in signals.items()}
 
 
-def stepping(instance: Instance) -> Stepping:
-    """Choose the stepping for the FMI type."""
-    return CoSimulation(instance) if instance.description.co_simulation else ModelExchange(instance)
+class FmuError(Exception):
+    """An FMU that violates FMI, or reports an error."""
+
+
+class Instance:
+    """An FMU at rest at 0 s, its inputs 0, its parameters set.
+
+    Each instance has a folder and a library, so two instances never share an FMU's static memory.
+
+    Raises:
+        FmuError: a failure while loading or starting the FMU.
+    """
+
+    def __init__(self, description: Description) -> None:
+        self._said = _Said()
+        self.description = description
+        folder = mkdtemp(prefix="can-rig-fmu-")
+        # multiprocessing's Finalize, because a forked node ends without running Python's atexit.
+        Finalize(self, shutil.rmtree, (folder, True), exitpriority=0)
+        # FMPy changes to a library's folder, and stays there after a failed load.
+        with chdir(Path.cwd()), self.explained(hidden=f"{folder}{os.sep}"):
+            unpack(description.path, Path(folder))
+            self.fmu = fmpy.simulation.instantiate_fmu(
+                folder,
+                description.model,
+                "CoSimulation" if description.co_simulation else "ModelExchange",
+                logger=self._said.hear,
+            )
+            Finalize(self, _free, (self.fmu,), exitpriority=1)
+            self._start()
+
+    def _start(self) -> None:
+        fmu, model, parameters = self.fmu, self.description.model, self.description.parameters
+        if model.fmiVersion.startswith("2"):
+            fmu.setupExperiment(startTime=0.0)
+        left = apply_start_values(fmu, model, parameters, settable_in_instantiated)
+        fmu.enterInitializationMode()
+        apply_start_values(fmu, model, left, settable_in_initialization_mode)
+        self.write_inputs(0.0, 0.0)
+        fmu.exitInitializationMode()
+
+    def write_inputs(self, first: float, second: float) -> None:
+        """Set both inputs; inside ``explained``."""
+        for variable, value in zip(self.description.inputs, (first, second), strict=True):
+            getattr(self.fmu, f"set{variable.access}")([variable.reference], [value])
+
+    def read(self, variable: Variable) -> float:
+        """The present value; inside ``explained``."""
+        return float(getattr(self.fmu, f"get{variable.access}")([variable.reference])[0])
+
+    @contextmanager
+    def explained(self, hidden: str = "") -> Iterator[None]:
+        """Turn every failure in this context into an ``FmuError`` with the FMU's last message."""
+        try:
+            yield
+        except Exception as error:
+            reason = one_line(error).replace(hidden, "").rstrip(".")
+            said = f"; the FMU says: {self._said.last}" if self._said.last else ""
+            raise FmuError(f"{reason}{said}") from None
+
+
+class _Said:
+    """The last message of an FMU, apart from its ``Instance``: the callback must not keep that."""
+
+    def __init__(self) -> None:
+        self.last = ""
+
+    def hear(self, *arguments: Any) -> None:
+        """Callback of FMI 2 and 3; the last argument is the message."""
+        message = arguments[-1]
+        if isinstance(message, bytes):
+            self.last = " ".join(message.decode(errors="replace").split())
+
+
+def _free(fmu: Any) -> None:
+    with suppress(Exception):  # the FMU has no further message
+        fmu.freeInstance()
 
 
 class CoSimulation:
@@ -46,7 +183,7 @@ class CoSimulation:
         self._own_step_s = instance.description.model.coSimulation.fixedInternalStepSize
 
     def step(self, dt_s: float, first: float, second: float) -> None:
-        """See ``Stepping``."""
+        """Advance by ``dt_s`` seconds, with both inputs held; any exception is the FMU's."""
         own_s = None if self._own_step_s is None else float(self._own_step_s)
         if own_s is not None and (
             dt_s < own_s or abs(dt_s / own_s - round(dt_s / own_s)) > CLOSE * dt_s / own_s
@@ -99,7 +236,7 @@ class ModelExchange:
         )
 
     def step(self, dt_s: float, first: float, second: float) -> None:
-        """See ``Stepping``."""
+        """See ``CoSimulation``."""
         end_s, tiny_s = self._time_s + dt_s, CLOSE * dt_s
         self._event(first, second)
         events = 0

@@ -1,0 +1,156 @@
+"""What a scenario may not say: one line that names the key, wherever the key stands."""
+
+from __future__ import annotations
+
+import warnings
+
+import pytest
+
+from can_rig.assessment.resolve import load
+from can_rig.errors import ScenarioError
+
+RAMP = "drive.ramps=[[1, 10], [3, 16]]"
+EXACT = {
+    "design.tau_s=-1": "design.tau_s = -1: must be greater than 0",
+    "design.alpha=9": "design.alpha = 9: must be at most 8",
+    "design.estimator=euler": "design.estimator = 'euler': "
+    "must be 'tustin', 'tustin-held', 'zoh' or 'kalman'",
+    "plant.mass_kg=1e-300": "plant.mass_kg = 1e-300: must be at least 10",
+    "plant.mass_kg=heavy": "plant.mass_kg = 'heavy': must be a valid number",
+    "plant.speed_mps=1e6": "plant.speed_mps = 1000000.0: must be at most 200",
+    "plant.lateral_weight=1.5": "plant.lateral_weight = 1.5: must be at most 1",
+    "plant.kind=boat": "plant.kind = 'boat': must be steer-by-wire, transfer-functions, "
+    "state-space, fmu:FILE.fmu or package.module:Class",
+    "fault.left=1": "fault.left = 1: must be less than 1",
+    "tick_s=0": "tick_s = 0: must be at least 0.00001",
+    "tick_s=nan": "tick_s = nan: must be a finite number",
+    "reference=step": "reference = 'step': must be a table",
+    "duration_s=0.0005": "duration_s = 0.0005: must be at least one tick (0.001 s)",
+    "reference.kind=csv": 'reference.file: must name the CSV file of a reference of kind "csv"',
+}
+VALUES = {
+    "tick_s": "-0.001 inf fast 2 true", "duration_s": "0 -1 1e7 [1]", "latency_ticks": "-1 65 1.5",
+    "seed": "-1 x 2024-01-01", "plant.mass_kg": "0 -1400 'heavy'", "plant.friction": "0",
+    "model.kind": "a:B", "model.speed_mps": "nan", "plant": "5 fast", "model": "5",
+    "design.tau_s": "0", "design.alpha": "0", "design.alpha_q": "0", "budget.box": "-0.1",
+    "budget.false_alarms_per_hour": "inf", "design.compensation": "maybe", "reference": "5",
+    "reference.file": "5", "reference.kind": "square", "reference.amplitude_mps2": "nan -1000001",
+    "reference.frequency_rad_per_s": "0", "fault.kind": "dead", "fault.channel": "rear",
+    "fault.at_s": "-1", "fault.for_s": "0 none", "fault.left": "-0.1 nan",
+    "plant.sensor.noise_mps2": "-0.1", "limits.torque_nm": "0", "limits.force_difference_n": "-5",
+    "actuator.hold_s": "-1",
+}  # fmt: skip
+"""By key, values that are refused in a line with the key."""
+PARTS = {
+    "tick_s=0.0000123456789": "nanoseconds", "duration_s=1e6": "10000000 ticks",
+    "plant={mas=1}": "plant.mas: unknown key", "plant.a=1": "plant.a = 1: must be a list",
+    "budget.box=1": "budget.box = 1: must be less than 1",
+    "budget.actuator_box=1": "budget.actuator_box = 1: must be less than 1",
+    "budget.false_alarms_per_hour=0": "budget.false_alarms_per_hour = 0: must be greater than 0",
+    "budget.suspicions_per_hour=-1": "budget.suspicions_per_hour = -1: must be greater than 0",
+    "budget.falsealarms_per_hour=1": "unknown key; did you mean false_alarms_per_hour?",
+    "budget.boxes=0.2": "budget.boxes: unknown key; did you mean box?",
+    "design.fault_threshold_mps2=0.02": "design.fault_threshold_mps2: unknown key",
+    "design.probe_rad_per_s=1e-300": "design.probe_rad_per_s = 1e-300: must be at least 0.01",
+    "reference.amplitude_mps2=1e300": "amplitude_mps2 = 1e+300: must be at most 1000000",
+    "plant.friction=1e300": "plant.friction = 1e+300: must be at most 10",
+    "fault.at_s=1e300": "fault.at_s = 1e+300: must be at most 1000000",
+    "fault.for_s=1e300": "fault.for_s = 1e+300: must be at most 1000000",
+    "actuator.hold_s=1e307": "actuator.hold_s = 1e+307: must be at most 1000000",
+    "seed": "KEY=VALUE", "=5": "KEY=VALUE", "plant.=5": "KEY=VALUE", "": "KEY=VALUE",
+    "tick_s.x=5": "tick_s", "plant.mass_kg.x=5": "mass_kg", "name=other": "name: unknown key",
+    "fault={at_s=5.0}": "fault.kind: must be set where fault.at_s is",
+    "fault=[{kind='none'}, {left=0.5}]": "fault.1.kind: must be set where fault.1.left is",
+    "fault={knid='actuator-dead'}": "fault.knid: unknown key; did you mean kind?",
+    "duration_s=": "duration_s",
+}  # fmt: skip
+DEFAULT = {
+    ("plant.output.name='rate'",): "plant.output: must not be set for kind = 'steer-by",
+    ("drive.speed_mps=10", "drive.ramps=[[0, 10]]"): "drive.ramps: must not stand beside speed_mps",
+    ("drive.ramps=[[2, 10], [1, 12]]",): "time 1 s after 2 s: times must increase",
+    ("drive.speed_mps=0.5",): "drive.speed_mps = 0.5: must be at least 1",
+    ("drive.ramps=[[0, 10], [1, 101]]",): "must be at most 100",
+    ("design.speeds_mps=[10, 12]",): "design.speeds_mps: must not be set without a drive",
+    (RAMP, "design.speeds_mps=[12, 10]"): "design.speeds_mps: 10 after 12: must increase",
+    (RAMP, "plant.kind=can_rig.plant.nonlinear_car:NonlinearCar"): "must be steer-by-wire",
+    ("reference.kind=driver",): "lane_changes_s: must have a time",
+    ("reference={lane_changes_s=[1.0]}",): "reference.kind: must be 'driver' where reference.lane_",
+    ("reference={kind='driver', lane_changes_s=[1.0], amplitude_mps2=-1}",):
+        "reference.amplitude_mps2 = -1: must be greater than 0",
+    ("drive.ramps=[[0, 5], [1]]",): "drive.ramps.1 = [1]: must have one more value",
+    ("fault=3",): "fault = 3: must be a table, or several",
+    ("fault.kind=actuator-stuck", "fault.channel=sensor"):
+        "fault.channel = 'sensor': must be torque or force-difference for 'actuator-stuck'",
+    ("fault.kind=frames-forged",): "fault.value: must be set for 'frames-forged'",
+    ("fault.late_ticks=0",): "fault.late_ticks = 0: must be at least 1",
+    ("plant.torque_actuator.lag_s=-0.01",):
+        "plant.torque_actuator.lag_s = -0.01: must be at least 0",
+    ("model.force_difference_actuator.lag_s=-1",): "model.force_difference_actuator.lag_s",
+    ("plant.torque_actuator.lag_s=1e-9",): "must be 0 (none) or at least 1e-06 s",
+    ("plant.torque_actuator.lag_s=0.01", "plant.torque_actuator.natural_frequency_rad_per_s=100"):
+        "plant.torque_actuator.lag_s = 0.01: must not stand beside natural_frequency_rad_per_s",
+    ("plant.torque_actuator.rate_nm_per_s=0",):
+        "plant.torque_actuator.rate_nm_per_s = 0: must be greater than 0",
+    ("plant.force_difference_actuator.limit_n=0",): "limit_n = 0: must be greater than 0",
+    ("plant.torque_actuator.damping=0",): "damping = 0: must be greater than 0",
+    ("plant.sensor.corner_hz=0",): "plant.sensor.corner_hz = 0: must be at least 0.001",
+    ("plant.sensor.resolution_mps2=-1",): "resolution_mps2 = -1: must be at least 0",
+    ("plant.torque_actuator.dead_time_s=0.065",):
+        "plant.torque_actuator.dead_time_s = 0.065: must be at most 0.064 s, 64 ticks",
+    ("plant.sensor.dead_time_s=0.04", "plant.torque_actuator.dead_time_s=0.03"):
+        "must be at most 0.024 s beside plant.sensor.dead_time_s = 0.04, 64 ticks in all",
+    ("model.torque_actuator.limit_nm=5",):
+        "model.torque_actuator.limit_nm = 5: must be limits.torque_nm",
+    ("plant.torque_actuator.lag=0.01",): "did you mean lag_s?",
+    ("plant.parameters.x=[1]", "plant.kind=a:B"):
+        "plant.parameters.x = [1]: must be a number, a text, true or false",
+    ("plant.parameters.x=1",): "plant.parameters.x = 1: must not be set for kind",
+}  # fmt: skip
+SS = "plant={kind='state-space', "
+BY_NUMBERS = {
+    SS
+    + "a=[[-1]], b=[[1, 1]], c=[1], mass_kg=900}": "mass_kg = 900: must not be set for kind = 's",
+    "plant.kind=state-space": "g1: must not be set for kind = 'state-space'; kind = 'trans",
+    "plant={kind='state-space'}": "plant.a: must be set for kind = 'state-space', which has a, b",
+    SS + "a=[[-1]], b=[[1, 1]]}": "plant.c: must be set",
+    SS + "a=[[-1, 0]], b=[[1, 1]], c=[1]}": "plant.a[0]: has length 2: must have 1",
+    SS + "a=[[-1]], b=[[1]], c=[1]}": "plant.b[0]: has length 1: must have 2",
+    SS + "a=[[-1]], b=[[1, 1], [0, 1]], c=[1]}": "plant.b: has 2 rows: must have 1, as many as a",
+    SS + "a=[[-1]], b=[[1, 1]], c=[1, 0]}": "plant.c: has length 2: must have 1",
+    SS + "a=[[-1]], b=[[1, 1e300]], c=[1]}": "plant.b[0] = 1e+300: must be at most 1e+100",
+    SS + "a=[['x']], b=[[1, 1]], c=[1]}": "plant.a.0.0 = 'x': must be a valid number",
+    "plant={kind='transfer-functions', g1={num=[1], den=[1, 1]}}": "plant.g2: must be set",
+    "plant.g1={num=[1]}": "plant.g1.den: must be given beside num",
+    "plant.g1={poles=[-1]}": "plant.g1.gain: must be given beside poles",
+    "plant.g1.num=[1]": "plant.g1.zeros: must not stand beside num",
+    "plant.g1={num=[1], den=[0, 0]}": "plant.g1.den = [0.0, 0.0]: must have a coefficient other",
+    "plant.g1.poles=[-1, 'fast']": "plant.g1.poles[1] = 'fast': must be a number, or [real, imag",
+    "plant.g1.poles=[[-1, -2]]": "plant.g1.poles[0] = [-1, -2]: must have an imaginary part above",
+    "plant.g1.poles=[[-1, 2, 3]]": "plant.g1.poles[0] = [-1, 2, 3]: must be a number, or [real",
+    "plant.g1.poles=[true]": "plant.g1.poles[0] = True: must be a number",
+    "plant.g1.pole=[-1]": "plant.g1.pole: unknown key; did you mean poles?",
+    "plant.input_1={nme='rudder'}": "plant.input_1.nme: unknown key; did you mean name?",
+    "plant.input_1={x='rudder'}": "plant.input_1.x: unknown key; known: name, unit",
+    "plant.input_1.name=''": "plant.input_1.name = '': must be a word or more",
+    "model.input_1.name='rudder'": "model.input_1: must be plant.input_1; a signal has one name",
+    'plant.output.unit="\\u0007"': "plant.output.unit = ",
+}
+REFUSED = [
+    *(("thesis-step", (given,), f"scenario thesis-step: {line}") for given, line in EXACT.items()),
+    *(("thesis-step", (f"{k}={v}",), k) for k, values in VALUES.items() for v in values.split()),
+    *(("thesis-step", (given,), part) for given, part in PARTS.items()),
+    *(("default", settings, part) for settings, part in DEFAULT.items()),
+    *(("chapter-2", (given,), part) for given, part in BY_NUMBERS.items()),
+]
+
+
+@pytest.mark.parametrize(("name", "settings", "line"), REFUSED)
+def test_what_a_scenario_may_not_say_is_one_line_that_names_the_key(
+    name: str, settings: tuple[str, ...], line: str
+) -> None:
+    with pytest.raises(ScenarioError) as caught, warnings.catch_warnings(action="error"):
+        load(name, settings)
+    message = str(caught.value)
+    assert message == line if line.startswith("scenario ") else line in message
+    assert "\n" not in message
+    assert len(message) < 400
