@@ -2,10 +2,14 @@
 
 import os
 
-from can_rig.cli.garbage import collect_nothing
-from can_rig.cli.interrupts import end_at_once
-from can_rig.cli.libraries import leave_out, silence
-from can_rig.cli.streams import refusals_in_one_line, write_what_can_be_written
+from can_rig.cli.startup import (
+    collect_nothing,
+    end_at_once,
+    leave_out,
+    refusals_in_one_line,
+    silence,
+    write_what_can_be_written,
+)
 
 
 def main() -> None:

@@ -11,7 +11,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from firmware_model.discretisation.single_filter.filters import Filter, discretise
+    from firmware_model.discretisation.filters import Filter, discretise
 
 __all__ = ["Filter", "discretise"]
 
@@ -20,7 +20,7 @@ def __getattr__(name: str) -> Any:
     """Load a public name when it is first asked for: importing the package alone costs nothing."""
     if name not in __all__:
         raise AttributeError(f"module {__name__!r} has no attribute {name!r}")
-    return getattr(import_module("firmware_model.discretisation.single_filter.filters"), name)
+    return getattr(import_module("firmware_model.discretisation.filters"), name)
 
 
 def __dir__() -> list[str]:

@@ -32,8 +32,7 @@ from can_rig.scenario.build import continuous_plant, controller_table, slowness,
 from can_rig.scenario.fault_settings import CHANNELS, Channel, FaultSettings
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import LimitSettings, Scenario
-from firmware_model.analysis.simulation import Simulation
-from firmware_model.analysis.trace import Trace
+from firmware_model.analysis.simulation import Simulation, Trace
 from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray, Record

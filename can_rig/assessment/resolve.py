@@ -11,7 +11,7 @@ from typing import Any
 
 from pydantic import ValidationError
 
-from can_rig.assessment.bus_timing.timing import latency_ticks
+from can_rig.assessment.bus_timing import latency_ticks
 from can_rig.errors import RigError, ScenarioError
 from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import FROM_BUS, LATENCY, Draft, of_run, read

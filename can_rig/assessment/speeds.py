@@ -16,9 +16,9 @@ from can_rig.assessment.stability import (
     DEAD,
     StabilityCheck,
     check_stability,
+    finite_or_null,
     refuse_unstable,
 )
-from can_rig.assessment.stability_table import finite_or_null
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_plant, network_of
 from can_rig.scenario.driving import controls, frozen, speed_profile

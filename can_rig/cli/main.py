@@ -11,32 +11,31 @@ from typing import Any, Final, NoReturn
 import click
 from click.shell_completion import CompletionItem
 
-from can_rig.cli.compilation import announce_compilation
-from can_rig.cli.garbage import collect_again
-from can_rig.cli.interrupts import raise_again
+from can_rig.cli.startup import announce_compilation, collect_again, raise_again
 from can_rig.errors import INTERRUPTED, RigError
 
 COMMANDS: Final = {
-    "run": ("runs.run", "Run both nodes through SCENARIO and collect the run folder."),
-    "campaign": ("runs.campaign", "Run thousands of variants of a scenario, and report."),
-    "plant": ("runs.plant", "Run the plant node: the simulated car."),
-    "controller": ("runs.controller", "Run the controller node: the firmware."),
-    "inject": ("runs.inject", "Touch a run that goes on: faults injected, cleared; a pause."),
-    "panel": ("runs.panel", "Watch and touch a run in a browser."),
-    "scenarios": ("design.scenarios", "List the scenarios that come with the package."),
-    "check": ("design.check", "Say whether SCENARIO's loop is stable, and by how much."),
-    "bus": ("design.bus", "Say when the frames arrive at worst, and the latency that follows."),
-    "tune": ("design.tune", "Choose the tuning with the least peak after a loss of the torque."),
-    "export": ("design.export", "Write SCENARIO's controller as C99."),
-    "figures": ("design.figures", "Draw the thesis's figures: firmware over continuous loop."),
-    "decode": ("logs.decode", "Decode LOG through a DBC into tables."),
-    "convert": ("logs.convert", "Write LOG in another format."),
-    "stats": ("logs.stats", "Say what is in LOG: identifiers, rates, jitter, gaps, bus load."),
-    "replay": ("logs.replay", "Drive today's controller with LOG, and compare."),
-    "plot": ("logs.plot", "Draw SIGNALs of LOG."),
-    "diff": ("logs.diff", "Compare two runs, signal by signal."),
+    "run": ("run", "Run both nodes through SCENARIO and write the run folder."),
+    "campaign": ("campaign", "Run thousands of variants of a scenario, and report."),
+    "plant": ("nodes:plant", "Run the plant node: the simulated car."),
+    "controller": ("nodes:controller_node", "Run the controller node: the firmware."),
+    "inject": ("inject", "Inject or clear a fault in a running simulation, or pause it."),
+    "panel": ("panel", "Watch and control a run in a browser."),
+    "scenarios": ("scenarios", "List the scenarios that come with the package."),
+    "check": ("check", "Check whether SCENARIO's loop is stable, and by which margins."),
+    "bus": ("bus", "Compute worst-case arrival times of the frames, and the latency."),
+    "tune": ("tune", "Choose the tuning with the least peak after a loss of the torque."),
+    "export": ("export", "Write SCENARIO's controller as C99."),
+    "figures": ("figures", "Draw the thesis's figures: firmware over continuous loop."),
+    "decode": ("decode", "Decode LOG through a DBC into tables."),
+    "convert": ("convert", "Write LOG in another format."),
+    "stats": ("stats", "Summarise LOG: identifiers, rates, jitter, gaps, bus load."),
+    "replay": ("replay", "Feed LOG to today's controller, and compare the answers."),
+    "plot": ("plot", "Draw SIGNALs of LOG."),
+    "diff": ("diff", "Compare two runs, signal by signal."),
 }
-"""Name → module, in which ``command`` is the command, and the line that ``--help`` shows."""
+"""Name → module, where ``command`` or the name behind the colon is the command, and the line of
+``--help``."""
 
 
 class Commands(click.Group):
@@ -50,11 +49,11 @@ class Commands(click.Group):
         """The command ``cmd_name``, imported."""
         if cmd_name not in COMMANDS:
             return None
-        module = import_module(f"can_rig.cli.{COMMANDS[cmd_name][0]}")
+        module, _, name = COMMANDS[cmd_name][0].partition(":")
+        command: click.Command = getattr(import_module(f"can_rig.cli.{module}"), name or "command")
         collect_again()
         raise_again()
         announce_compilation()
-        command: click.Command = module.command
         return command
 
     def format_commands(self, ctx: click.Context, formatter: click.HelpFormatter) -> None:

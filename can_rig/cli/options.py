@@ -11,7 +11,7 @@ from click.shell_completion import CompletionItem
 
 from can_rig.export import CONTROLLERS, SERIAL
 from can_rig.nodes.interaction import Interaction
-from can_rig.scenario.loading import shipped
+from can_rig.scenario import shipped
 
 Completions = list[CompletionItem]
 Function = TypeVar("Function", bound=Callable[..., Any])

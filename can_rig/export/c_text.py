@@ -9,7 +9,7 @@ from typing import Final
 
 import numpy as np
 
-from firmware_model.discretisation.single_filter.c_source import KEYWORDS
+from firmware_model.discretisation.filters import KEYWORDS
 from firmware_model.target.structs import Precision
 
 WIDTH: Final = 100

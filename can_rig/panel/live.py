@@ -13,7 +13,7 @@ from typing import Any, Final
 import can
 import numpy as np
 
-from can_rig.assessment.bus_timing.frame_length import FrameError, worst_case_bits
+from can_rig.assessment.frame_length import FrameError, worst_case_bits
 from can_rig.drawing.names import names_of
 from can_rig.drawing.thinning import BUCKET_S, Decimator
 from can_rig.errors import one_line

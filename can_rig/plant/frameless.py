@@ -31,8 +31,7 @@ from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.hardware import BY, HEALTHY, NO_FAULTS, REPLACED, frame_of
 from firmware_model.analysis.sampled_plant import SampledPlant
-from firmware_model.analysis.simulation import AnyPlant, Simulation
-from firmware_model.analysis.trace import Trace
+from firmware_model.analysis.simulation import AnyPlant, Simulation, Trace
 from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.target import controller
 from firmware_model.target.structs import FloatArray, RecordArray

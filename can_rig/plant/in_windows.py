@@ -25,8 +25,7 @@ from can_rig.scenario.driving import controls, speeds_at_ticks
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import SampledPlant
-from firmware_model.analysis.simulation import AnyPlant, Simulation
-from firmware_model.analysis.trace import BoolArray
+from firmware_model.analysis.simulation import AnyPlant, BoolArray, Simulation
 from firmware_model.target.structs import FloatArray
 
 Values = TypeVar("Values", FloatArray, BoolArray)

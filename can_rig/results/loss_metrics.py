@@ -12,7 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig.assessment.unavoidable import Unavoidable, can_be_told, unavoidable
+from can_rig.assessment.limitations import Unavoidable, can_be_told, unavoidable
 from can_rig.results.counterfactual import (
     deviation_from,
     fault_free,

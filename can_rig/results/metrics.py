@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig import paged
-from can_rig.assessment.control_authority import control_authority
+from can_rig.assessment.limitations import control_authority
 from can_rig.drawing.names import fault_in_words, names_of, with_unit
 from can_rig.results.counterfactual import (
     deviation_from,

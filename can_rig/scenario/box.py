@@ -14,7 +14,7 @@ from dataclasses import replace
 from typing import Any, Final
 
 from can_rig.scenario.plant_settings import STATE_SPACE, TRANSFER_FUNCTIONS, PlantSettings
-from firmware_model.design.factors.coprime import unstable
+from firmware_model.design.factors import unstable
 
 CAR: Final = (
     "mass_kg",

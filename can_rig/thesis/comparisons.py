@@ -23,7 +23,7 @@ from can_rig.scenario.settings import Scenario
 from can_rig.thesis.continuous import Solution, solve
 from firmware_model.analysis.sampled_plant import SampledPlant, advance_plant, measure_plant, sample
 from firmware_model.analysis.simulation import simulate
-from firmware_model.design.factors.coprime import unstable
+from firmware_model.design.factors import unstable
 from firmware_model.design.plants import Plant
 from firmware_model.target.structs import FloatArray
 

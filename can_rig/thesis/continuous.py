@@ -27,7 +27,7 @@ from can_rig.scenario.build import continuous_design, continuous_plant
 from can_rig.scenario.fault_settings import CHANNELS
 from can_rig.scenario.settings import Scenario
 from firmware_model.design.continuous_design import ContinuousDesign
-from firmware_model.design.factors.realisation import realised
+from firmware_model.design.factors import realised
 from firmware_model.design.plants import Plant
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.target.structs import FloatArray

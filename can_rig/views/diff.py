@@ -11,8 +11,7 @@ import numpy as np
 
 from can_rig import paged
 from can_rig.errors import LogError
-from can_rig.scenario.loading import FAULT
-from can_rig.scenario.settings import Scenario
+from can_rig.scenario.settings import LISTS, Scenario
 from can_rig.views.signal_table import SignalTable, in_s
 from firmware_model.target.structs import FloatArray
 
@@ -65,7 +64,7 @@ def _leaves(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]
     for key, value in values.items():
         if isinstance(value, Mapping):
             yield from _leaves(f"{prefix}{key}.", value)
-        elif key == FAULT:  # a list of faults
+        elif key in LISTS:
             numbered = {str(number): fault for number, fault in enumerate(value)}
             yield from _leaves(f"{prefix}{key}.", numbered)
         else:

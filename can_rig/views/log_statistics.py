@@ -14,7 +14,7 @@ from typing import Any, Final
 import numpy as np
 from numpy.typing import NDArray
 
-from can_rig.assessment.bus_timing.frame_length import worst_case_bits
+from can_rig.assessment.frame_length import worst_case_bits
 from can_rig.frames.foreign_frames import FD_LENGTHS
 from can_rig.logs.frames import (
     BITRATE_SWITCH,

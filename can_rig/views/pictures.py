@@ -17,7 +17,7 @@ from can_rig.drawing import style
 from can_rig.drawing.names import printed
 from can_rig.drawing.thinning import thinned
 from can_rig.logs.frames import NS_PER_S
-from can_rig.scenario.fault_settings import FaultSettings
+from can_rig.scenario.settings import Scenario
 from can_rig.views.diff import Difference, SignalDifference
 from can_rig.views.log_statistics import LogStatistics
 from can_rig.views.signal_table import SignalTable, titles
@@ -108,7 +108,7 @@ def _draw(
         axis.axvline(signal.first_at_s, color=style.INK, lw=0.8, ls=style.DOTTED)
     if span_s is not None:
         axis.set_xlim(*span_s)
-    style.shade_faults(axis, b.faults)
+    style.shade_all(axis, b.scenario)
 
 
 FIRST_DATE_NS: Final = 10**9 * NS_PER_S
@@ -121,7 +121,7 @@ def plot_page(
     messages: Mapping[str, MessageColumns],
     signals: Sequence[Pair],
     start_ns: int,
-    faults: Sequence[FaultSettings] = (),
+    scenario: Scenario | None = None,
 ) -> Figure:
     """The page.
 
@@ -129,7 +129,7 @@ def plot_page(
         messages: decoded columns by name.
         signals: message and signal of each curve.
         start_ns: when the recording began; if the start is a date, the axis counts from the date.
-        faults: their times are shaded.
+        scenario: the times of its faults and disturbances are shaded.
     """
     panels: dict[tuple[str, str], list[Pair]] = {}
     for message, signal in signals:
@@ -156,7 +156,7 @@ def plot_page(
             _words(axis, messages[pairs[0][0]], pairs[0][1])
         _name(axis, [signal for _, signal in pairs], unit if kind == "unit" else "")
     for axis in axes if not dated else ():
-        style.shade_faults(axis, faults)
+        style.shade_all(axis, scenario)
     axes[-1].set_xlabel(_time_label(start_ns) if dated else "time in s")
     figure.align_ylabels(axes)
     return figure

@@ -9,9 +9,11 @@ the plant's own ``follow``.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from typing import Any, Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from firmware_model.analysis import hardware
 from firmware_model.analysis.loop import (
@@ -27,11 +29,39 @@ from firmware_model.analysis.loop import (
     tick,
 )
 from firmware_model.analysis.sampled_plant import SampledPlant
-from firmware_model.analysis.trace import BoolArray, Trace
 from firmware_model.target import controller
 from firmware_model.target.layout import precision_of
 from firmware_model.target.schedule import STATE, change_first_speed
 from firmware_model.target.structs import FloatArray, Record, RecordArray, record_type
+
+BoolArray = NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class Trace:
+    """One value a tick, each of shape (ticks,)."""
+
+    time_s: FloatArray
+    reference: FloatArray
+    measurement: FloatArray
+    """The plant's output y, before its sensor."""
+    measured: FloatArray
+    """y as the controller gets it: by the sensor, with bias and noise, on the grid of its frame."""
+    command_1: FloatArray
+    command_2: FloatArray
+    fault_estimate: FloatArray
+    fault_state: NDArray[np.int64]
+    mode: NDArray[np.int64]
+    verdict: NDArray[np.int64]
+    """Whose fault it is: a ``Verdict``."""
+    evidence: FloatArray
+    """The log-likelihood ratio of a loss, or of the return of a lost channel."""
+
+    @property
+    def error(self) -> FloatArray:
+        """e = r - y (3.41)."""
+        return self.reference - self.measurement
+
 
 Vectors = tuple[FloatArray, FloatArray, FloatArray, FloatArray, BoolArray]
 

@@ -17,7 +17,7 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from firmware_model.design.factors.coprime import left_coprime
+from firmware_model.design.factors import left_coprime
 from firmware_model.design.zpk import ZeroPoleGain
 
 STEP = 0.05  # share of the box for a linear difference

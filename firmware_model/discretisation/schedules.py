@@ -12,11 +12,10 @@ from itertools import pairwise
 import numpy as np
 
 from firmware_model.design.continuous_design import ContinuousDesign
-from firmware_model.design.factors.coprime import unstable
+from firmware_model.design.factors import unstable
 from firmware_model.design.plants import Plant
 from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.discretisation.law.paired import paired_alike
-from firmware_model.discretisation.law.turning import turn
+from firmware_model.discretisation.paired import paired_alike, turn
 from firmware_model.discretisation.sections import Sections, make_up_gain
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target

@@ -15,8 +15,8 @@ import numpy as np
 from scipy import linalg
 
 from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.discretisation.held_input import refined
 from firmware_model.discretisation.sections import ComplexArray
-from firmware_model.discretisation.zeros import refined
 from firmware_model.errors import ParameterError
 from firmware_model.target.structs import FloatArray
 

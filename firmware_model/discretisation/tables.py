@@ -1,29 +1,127 @@
-"""A continuous design, discretised at a tick, as the constant table that ``step`` runs from."""
+"""A continuous design, discretised at a tick, as the constant table that ``step`` runs from.
+
+The table has the filters of the law, the delays around them, the gains of the loops within one
+tick, and the constants of ``target.fault_decision.hypotheses``.
+"""
 
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
 
 import numpy as np
 
 from firmware_model.design.continuous_design import ContinuousDesign
 from firmware_model.design.mismatch import STEP
 from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.discretisation.law.coprime import SampledFactors, sampled_factors, sampled_over
-from firmware_model.discretisation.law.hypotheses import fill_hypotheses
-from firmware_model.discretisation.law.loop_gains import (
-    Filters,
-    algebraic_loop_gain,
-    dead_ticks,
-    tracking_loop_gain,
-)
+from firmware_model.discretisation.coprime import SampledFactors, sampled_factors, sampled_over
 from firmware_model.discretisation.sections import Sections, make_up_gain
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import tustin
 from firmware_model.errors import DesignError, ParameterError
 from firmware_model.target.fault_decision.covariance import LOSS_STATES, MAX_DIRECTIONS
 from firmware_model.target.layout import table_type
-from firmware_model.target.structs import MAX_SECTIONS, Precision, Record
+from firmware_model.target.structs import MAX_LATENCY_TICKS, MAX_SECTIONS, Precision, Record
+
+AHEAD = 2.0  # least ratio of a found fault's evidence to faults at other places
+SENSOR_AHEAD = 3.0  # the ratio for a sensor fault, where an error costs a compensation
+LEAST_SHARE, MOST_SHARE = 0.5, 1.5  # share of a lost force; of a channel in another car
+MOTION = 3.0  # deviations of the noise for a moved car
+LEAST_CHANCE = 1e-6  # chance of a repeated number: no sensor is finer
+
+
+def fill_hypotheses(table: Record, target: Target) -> None:
+    """Fill in the constants; the decision and the test have their constants already."""
+    constants, signatures = table.hypotheses, table.hypotheses.signatures
+    constants.ahead = AHEAD
+    constants.sensor_ahead = SENSOR_AHEAD
+    constants.jump = table.decision.suspect
+    constants.both_lost = table.decision.recover
+    signatures.candidate.restart = table.sequential_test.restart
+    signatures.candidate.lifetime = table.decision.horizon
+    signatures.candidate.promising = table.decision.suspect
+    for limits, least, most in (
+        (constants.torque_lost, -MOST_SHARE, MOST_SHARE),
+        (signatures.torque_offset, -target.limit_1, target.limit_1),
+        (signatures.force_lost, LEAST_SHARE, MOST_SHARE),
+        (signatures.sensor_biased, -math.inf, math.inf),
+        (signatures.sensor_drifting, -math.inf, math.inf),
+        (constants.frozen.size_of_one, 1.0, 1.0),
+    ):
+        limits.least, limits.most = least, most
+    fill_frozen(constants.frozen, target)
+
+
+def fill_frozen(frozen: Record, target: Target) -> None:
+    """Numbers that repeat anyway (a perfect sensor on a car at rest) are no evidence."""
+    frozen.repetition = repetition(target)
+    frozen.least_motion = math.inf
+    if frozen.repetition > 0.0:
+        frozen.least_motion = MOTION * math.hypot(target.noise_rms, target.resolution)
+
+
+def repetition(target: Target) -> float:
+    """-ln of the chance that the noise of two ticks in a row falls into one step of the sensor.
+
+    The difference has a density of 1/(√(2π) σ) at most; 0 where the bound gives no information.
+    """
+    change = target.noise_rms * math.sqrt(2.0 * (1.0 - target.noise_pole))
+    chance = target.resolution / (math.sqrt(2.0 * math.pi) * change) if change > 0.0 else 1.0
+    return -math.log(min(max(chance, LEAST_CHANCE), 1.0))
+
+
+@dataclass(frozen=True)
+class Filters:
+    """The discretised filters of the control law, for whoever wants to look at them."""
+
+    tracking: Sections
+    estimator_1: Sections
+    estimator_2: Sections
+    measurement: Sections
+    stabiliser: Sections | None
+    one_plus_q: Sections
+    compensator: Sections
+
+
+def dead_ticks(design: ContinuousDesign, target: Target) -> tuple[int, int]:
+    """The dead times that the design knows of, from each command to the measurement, in ticks.
+
+    Raises:
+        ParameterError: more than the controller's rings hold.
+    """
+    first, second = (
+        round(dead_time_s / target.tick_s) for dead_time_s in design.plant.path_dead_times_s
+    )
+    for channel, ticks in ((1, first), (2, second)):
+        if ticks > MAX_LATENCY_TICKS:
+            raise ParameterError(
+                f"dead time of channel {channel}: {ticks} ticks; must be at most "
+                f"{MAX_LATENCY_TICKS}, {MAX_LATENCY_TICKS * target.tick_s:g} s"
+            )
+    return first, second
+
+
+def algebraic_loop_gain(filters: Filters, delay_ticks: int) -> float:
+    """Gain of the loop d̂ → u2 → d̂ within one tick: F̂, G2 and 1 + Q at z → ∞; T/(2τ+T) for α = 1.
+
+    A delay of u2, by the bus or by a dead time, opens the loop: gain 0.
+    """
+    if delay_ticks > 0:
+        return 0.0
+    return (
+        filters.compensator.feedthrough
+        * filters.estimator_2.feedthrough
+        * filters.one_plus_q.feedthrough
+    )
+
+
+def tracking_loop_gain(filters: Filters, target: Target, dead: tuple[int, int]) -> float:
+    """Gain of the loop u1 → N1 u1 → u1 within one tick: U, N1 and R at z → ∞."""
+    gain = filters.stabiliser.feedthrough if filters.stabiliser else 0.0
+    if target.latency_ticks + dead[0] > 0:
+        return gain
+    return gain + filters.tracking.feedthrough * filters.estimator_1.feedthrough
+
 
 SLOWEST_TRANSFER_S = 0.05  # some time constants of w (1/17.7 s for this car)
 HASTE = 2.0  # pace of a transfer relative to the detection time

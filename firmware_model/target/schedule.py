@@ -2,7 +2,7 @@
 
 **Coefficients.** Between two neighbouring designs each coefficient is a straight line over 1/V; the
 car's matrices are polynomials in 1/V. Every filter has the same poles in the same section at all
-speeds (``discretisation.law.paired``), so that a coefficient has one meaning.
+speeds (``discretisation.paired``), so that a coefficient has one meaning.
 
 **States.** The meaning of a section's memory changes with the speed: the accumulators are s = T(V)
 x, with x the state of the car (side slip, yaw rate, steering) and the actuator. The car's state

@@ -2,7 +2,7 @@
 
 Each assertion takes a ``Filter`` of ``discretise`` and raises ``AssertionError`` with one line: the
 place, the deviation from theory, and the allowed deviation. The default tolerance comes from the
-coefficients: the bound of the rounding error (``single_filter.rounding``). Invalid filters,
+coefficients: the bound of the rounding error (``discretisation.rounding``). Invalid filters,
 frequencies or samples raise ``ParameterError``.
 
 No other room imports this room.

@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.discretisation import rounding
+from firmware_model.discretisation.filters import Filter
 from firmware_model.discretisation.held_input import response, sampled
 from firmware_model.discretisation.sections import ComplexArray
-from firmware_model.discretisation.single_filter import rounding
-from firmware_model.discretisation.single_filter.filters import Filter
 from firmware_model.discretisation.systems import continuous, zero_pole_gain
 from firmware_model.discretisation.tustin import image_of_infinity
 from firmware_model.errors import ParameterError

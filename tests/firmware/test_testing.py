@@ -12,8 +12,8 @@ from scipy import signal
 
 from firmware_model import Filter, discretise, testing
 from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.discretisation.rounding import run_error
 from firmware_model.discretisation.sections import Sections
-from firmware_model.discretisation.single_filter.rounding import run_error
 from firmware_model.errors import ParameterError
 from firmware_model.target.filters import biquad
 

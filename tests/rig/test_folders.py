@@ -104,7 +104,7 @@ def no_cluster(*_: object) -> Iterator[None]:
 def test_a_campaign_that_does_not_begin_takes_nothing_away(
     there: bool, results: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("can_rig.cli.runs.campaign.computing", no_cluster)
+    monkeypatch.setattr("can_rig.cli.campaign.computing", no_cluster)
     out = tmp_path / "out"
     if there:
         shutil.copytree(results / "campaign", out)
@@ -128,7 +128,7 @@ def test_an_interrupted_campaign_replaces_the_old_one_once_it_is_whole(
     notes, before = with_notes(out), contents(out)
     words = [*COMMANDS["campaign"], "--seed", 7, "--out", out]
     with monkeypatch.context() as patch:
-        patch.setattr("can_rig.cli.runs.campaign.write_report", full)
+        patch.setattr("can_rig.cli.campaign.write_report", full)
         assert asked(*words, "--force").returncode == 2
     assert contents(out) == before
     again = asked(*words, "--force")

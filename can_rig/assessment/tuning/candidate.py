@@ -1,28 +1,159 @@
-"""A candidate of ``can-rig tune``: noise, and response to a loss of the torque."""
+"""A candidate of ``can-rig tune``: noise, response to a loss of the torque, every car of the box.
+
+Refused candidates are counted by reason; the counts give the most helpful change.
+"""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable
+from collections import Counter
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from enum import StrEnum
 from itertools import product
 
 import numpy as np
 
+from can_rig.assessment.drives import Drives, Finding
+from can_rig.assessment.limitations import unavoidable
 from can_rig.assessment.tuning.box import Car, is_stable, loops
-from can_rig.assessment.tuning.refusals import Refusal
-from can_rig.assessment.unavoidable import unavoidable
+from can_rig.drawing.names import names_of, with_unit
 from can_rig.errors import ScenarioError
-from can_rig.scenario.build import continuous_design, continuous_plant, slowness, target
+from can_rig.scenario.build import continuous_design, continuous_plant, network_of, slowness, target
+from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import DesignSettings, Scenario
 from firmware_model.analysis.margins import noise_gain, peak_sensitivity
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
-from firmware_model.design.factors.coprime import unstable
+from firmware_model.design.factors import unstable
 from firmware_model.discretisation.tables import build
 from firmware_model.errors import DesignError
 from firmware_model.target.structs import FloatArray, Record
+
+
+class Refusal(StrEnum):
+    """The first test that a tuning fails, in the order of the tests."""
+
+    DESIGN = "no such design, or none that can be discretised"
+    NOMINAL = "unstable with the nominal {car}"
+    NOMINAL_SPARE = "unstable with the nominal {car}, only because of the ticks to spare"
+    THIN = "the peak |S| above budget.peak_sensitivity with the nominal {car}"
+    NOISE = "noise in a command without bound"
+    TORQUE_NOISE = "{first} noise above --torque-noise-limit"
+    FORCE_NOISE = "{second} noise above --noise-limit"
+    TRANSIENT = "the transient after the loss does not decay with the nominal {car}"
+    BOX = "unstable with a {car} of the box"
+    BOX_SPARE = "unstable with a {car} of the box, only because of the ticks to spare"
+    FALSE_ALARM = "a {car} of the box is taken for one that has lost {first_said}"
+    REST_SPARE = "a {car} of the box does not come to rest, only because of the ticks to spare"
+    REST = "a {car} of the box does not come to rest"
+    BOTH_LIMITS = "a {car} of the box does not come to rest because of the limits of both commands"
+    TORQUE_LIMIT = "a {car} of the box does not come to rest because of the limit of {first_said}"
+    FORCE_LIMIT = "a {car} of the box does not come to rest because of the limit of {second}"
+
+    def text(self, plant: PlantSettings) -> str:
+        """In the words of ``plant``."""
+        _, first, second = names_of(plant)
+        return str(self).format(
+            car=plant.noun,
+            first=first.short,
+            first_said=first.said,
+            second=second.short,
+        )
+
+
+class NoTuningError(ScenarioError):
+    """No tuning passes every test.
+
+    Attributes:
+        refusals: how many fail each test; ``rows`` in words, in the order of the tests.
+        advice: which change would help most.
+    """
+
+    exit_status = 1
+
+    def __init__(self, scenario: Scenario, refusals: Counter[Refusal], advice: str) -> None:
+        self.refusals = refusals
+        self.rows = [
+            (reason.text(scenario.plant), refusals[reason])
+            for reason in Refusal
+            if refusals[reason]
+        ]
+        self.advice = advice
+        tried = refusals.total()
+        most, count = refusals.most_common(1)[0]
+        super().__init__(
+            f"scenario {scenario.name}: none of {tried} tunings passes; {count}: "
+            f"{most.text(scenario.plant)}; {advice}"
+        )
+
+
+def refusals_as_dict(refusals: Counter[Refusal]) -> dict[str, int]:
+    """For JSON: numbers by the names of the reasons."""
+    return {reason.name.lower(): refusals[reason] for reason in Refusal if refusals[reason]}
+
+
+def advice(scenario: Scenario, cars: Iterable[Car], refusals: Counter[Refusal]) -> str:
+    """The change that admits the tunings with the most tests passed.
+
+    A tuning that fails a late test has passed all earlier tests, so a single change suffices.
+    """
+    furthest = [reason for reason in Refusal if refusals[reason]][-1]
+    if furthest in _AT_REST:
+        furthest = max(_AT_REST, key=lambda reason: refusals[reason])
+    needs = zip(
+        *(car.steady_commands(scenario.reference.amplitude_mps2) for car in cars), strict=True
+    )
+    torque_nm, force_n = (max(need) for need in needs)
+    limits, (_, first, second) = scenario.limits, names_of(scenario.plant)
+    car = scenario.plant.noun
+
+    def need(size: float, unit: str) -> str:
+        return f"the most demanding {car} needs {with_unit(f'{size:.4g}', unit)} to hold the step"
+
+    return _ADVICE[furthest].format(
+        car=car,
+        torque=_limit("limits.torque_nm", limits.torque_nm, torque_nm, need(torque_nm, first.unit)),
+        force=_limit(
+            "limits.force_difference_n",
+            limits.force_difference_n,
+            force_n,
+            need(force_n, second.unit),
+        ),
+    )
+
+
+def _limit(key: str, limit: float | None, needed: float, need: str) -> str:
+    if limit is None:
+        return f"{key} is not set, and {need}"
+    if needed > limit:
+        return f"{key} = {limit:g} must be larger: {need}"
+    return f"{key} = {limit:g} must leave more room for the transient: {need}"
+
+
+_AT_REST = (Refusal.FORCE_LIMIT, Refusal.TORQUE_LIMIT, Refusal.BOTH_LIMITS, Refusal.REST)
+_FASTER = "a smaller latency_ticks or a shorter tick_s would help most"
+_SMALLER = "a smaller --box or a smaller reference.amplitude_mps2 would help too"
+_ADVICE = {
+    Refusal.DESIGN: "the {car} must be one that can be designed for; can-rig check says why",
+    Refusal.NOMINAL: _FASTER,
+    Refusal.NOMINAL_SPARE: "fewer --spare-ticks would help most",
+    Refusal.THIN: "a larger budget.peak_sensitivity would help most, or " + _FASTER,
+    Refusal.NOISE: _FASTER,
+    Refusal.TORQUE_NOISE: "a larger --torque-noise-limit would help most",
+    Refusal.FORCE_NOISE: "a larger --noise-limit would help most",
+    Refusal.TRANSIENT: "wider limits would help most: {torque}; {force}",
+    Refusal.BOX: "a smaller --box would help most",
+    Refusal.BOX_SPARE: "fewer --spare-ticks or a smaller --box would help most",
+    Refusal.FALSE_ALARM: "a larger budget.box, or a smaller --box, would help most",
+    Refusal.REST_SPARE: "fewer --spare-ticks or a smaller --box would help most",
+    Refusal.REST: "a smaller --box would help most",
+    Refusal.BOTH_LIMITS: "{torque}; {force}; " + _SMALLER,
+    Refusal.TORQUE_LIMIT: "{torque}; " + _SMALLER,
+    Refusal.FORCE_LIMIT: "{force}; " + _SMALLER,
+}
+
 
 Values = tuple[float, int, float, int]  # τ, α, τ_q, α_q
 
@@ -198,3 +329,86 @@ def _round_numbers(series: Iterable[float], low: float, high: float) -> list[flo
     decades = range(math.floor(math.log10(low)), math.ceil(math.log10(high)) + 1)
     numbers = [float(f"{number}e{decade}") for decade in decades for number in series]
     return [number for number in numbers if low * (1 - 1e-9) <= number <= high * (1 + 1e-9)]
+
+
+AT_REST = 0.05  # largest error at rest, as a share of the step
+
+
+def box_refusal(
+    scenario: Scenario, table: Record, cars: Sequence[Car], spare_ticks: int
+) -> tuple[Refusal, Car | None] | None:
+    """The first failed test of ``scenario``'s tuning, and the failing drive's car.
+
+    None: it fails none.
+
+    The tests cover the linear loop with each car, a drive of each car with limits and noise, and a
+    drive with the spare ticks.
+    """
+    if not is_stable(table, cars, scenario.tick_s, spare_ticks):
+        stable = is_stable(table, cars, scenario.tick_s, 0)
+        return (Refusal.BOX_SPARE if stable else Refusal.BOX), None
+    stepped = replace(scenario, reference=replace(scenario.reference, kind="step"))
+    if continuous_plant(scenario.model).integrates:
+        stepped = scenario  # at rest no command would show the loss
+    drives = Drives(stepped, network_of(scenario))
+    for car in cars:
+        plant = with_sensor_and_limits(car.settings, scenario.plant)
+        found = _finding(drives, plant)
+        if found is not None and found.false_alarm:
+            return Refusal.FALSE_ALARM, car
+        if found is not None:
+            return _limit_at_fault(stepped, plant), car
+        if spare_ticks > 0:
+            late = _finding(drives, _late(plant, spare_ticks * scenario.tick_s))
+            if late is not None and not late.false_alarm:
+                return Refusal.REST_SPARE, car
+    return None
+
+
+def has_control_authority(scenario: Scenario, car: Car) -> bool:
+    """Whether X_diff alone can hold the step with ``car``; otherwise no tuning comes to rest."""
+    _, force_n = car.steady_commands(scenario.reference.amplitude_mps2)
+    return (1.0 - AT_REST) * force_n <= target(scenario, None).limit_2
+
+
+def with_sensor_and_limits(car: PlantSettings, own: PlantSettings) -> PlantSettings:
+    """``car``, which is near the model, with the sensor and the limits of the scenario's plant."""
+    torque, force = own.torque_actuator, own.force_difference_actuator
+    return replace(
+        car,
+        sensor=own.sensor,
+        torque_actuator=replace(
+            car.torque_actuator, limit_nm=torque.limit_nm, rate_nm_per_s=torque.rate_nm_per_s
+        ),
+        force_difference_actuator=replace(
+            car.force_difference_actuator, limit_n=force.limit_n, rate_n_per_s=force.rate_n_per_s
+        ),
+    )
+
+
+def _finding(drives: Drives, plant: PlantSettings) -> Finding | None:
+    return next(drives.findings("", plant, "torque dead"), None)
+
+
+def _limit_at_fault(scenario: Scenario, plant: PlantSettings) -> Refusal:
+    """The limit that keeps D* of ``plant`` from rest."""
+    for refusal, without in (
+        (Refusal.FORCE_LIMIT, ("force_difference_n",)),
+        (Refusal.TORQUE_LIMIT, ("torque_nm",)),
+        (Refusal.BOTH_LIMITS, ("force_difference_n", "torque_nm")),
+    ):
+        limits = replace(scenario.limits, **dict.fromkeys(without))
+        drives = Drives(replace(scenario, limits=limits), network_of(scenario))
+        if _finding(drives, plant) is None:
+            return refusal
+    return Refusal.REST
+
+
+def _late(plant: PlantSettings, delay_s: float) -> PlantSettings:
+    """``plant`` with actuators delayed further by ``delay_s``."""
+    torque, force = plant.torque_actuator, plant.force_difference_actuator
+    return replace(
+        plant,
+        torque_actuator=replace(torque, dead_time_s=torque.dead_time_s + delay_s),
+        force_difference_actuator=replace(force, dead_time_s=force.dead_time_s + delay_s),
+    )

@@ -7,8 +7,7 @@ from collections.abc import Iterator
 from typing import Any
 
 from can_rig.assessment.tuning.box import MAX_DELAY_TICKS
-from can_rig.assessment.tuning.candidate import Tuning
-from can_rig.assessment.tuning.refusals import refusals_as_dict
+from can_rig.assessment.tuning.candidate import Tuning, refusals_as_dict
 from can_rig.assessment.tuning.search import EQUAL_PEAKS, Tunings
 from can_rig.drawing.names import names_of, ticks_text, with_unit
 

@@ -26,14 +26,17 @@ from functools import partial
 
 from can_rig.assessment.tuning.box import Car, delay_margin
 from can_rig.assessment.tuning.candidate import (
+    NoTuningError,
+    Refusal,
     Tuning,
     Values,
+    advice,
     assess,
+    box_refusal,
     grid,
+    has_control_authority,
     trusting_table,
 )
-from can_rig.assessment.tuning.refusals import NoTuningError, Refusal, advice
-from can_rig.assessment.tuning.robustness import box_refusal, has_control_authority
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.settings import Scenario

@@ -25,7 +25,7 @@ from can_rig.frames.network import Network
 from can_rig.frames.protection import COUNTERS
 from can_rig.scenario.fault_settings import PLACES, FaultSettings
 from can_rig.scenario.settings import Scenario
-from firmware_model.analysis.trace import BoolArray
+from firmware_model.analysis.simulation import BoolArray
 
 SENSOR_PLACE: Final = 2
 """Place number of the D* frame, behind both commands."""

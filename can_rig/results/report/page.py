@@ -10,9 +10,16 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from can_rig import paged
-from can_rig.assessment.control_authority import control_authority
+from can_rig.assessment.limitations import control_authority
 from can_rig.drawing import style
-from can_rig.drawing.names import Names, fault_in_words, fault_label, names_of, ticks_text
+from can_rig.drawing.names import (
+    Names,
+    disturbance_in_words,
+    fault_in_words,
+    fault_label,
+    names_of,
+    ticks_text,
+)
 from can_rig.drawing.style import BLUE, DASHED, INK, ORANGE, legend_above
 from can_rig.drawing.thinning import thinned
 from can_rig.frames.network import Network
@@ -33,15 +40,16 @@ from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray
 
 MOST_LINES: Final = 6
-"""Lines for faults."""
+"""Lines for faults, and for disturbances."""
 
 
 def page_title(scenario: Scenario, names: Names, signals: Signals) -> str:
-    """The scenario and its faults; the car, the bus and the compensation; an early end."""
+    """The scenario, its faults and disturbances; car, bus and compensation; an early end."""
     tick = f"tick {scenario.tick_s * 1e3:g} ms, latency {ticks_text(scenario.latency_ticks)}"
     compensation = scenario.design.compensation.replace("-", " ")
     return (
         f"{scenario.name}: {_faults(scenario, names, _end_s(scenario, signals))}"
+        f"{_disturbances(scenario, _end_s(scenario, signals))}"
         f"\n{_car(scenario.plant)}; {tick}; compensation {compensation}"
         f"{_ended_early(scenario, signals)}"
     )
@@ -56,6 +64,13 @@ def _faults(scenario: Scenario, names: Names, end_s: float) -> str:
     if len(words) > MOST_LINES:
         lines.append(f"and {len(words) - MOST_LINES} more")
     return "\n".join((f"{len(words)} faults", *lines))
+
+
+def _disturbances(scenario: Scenario, end_s: float) -> str:
+    """The disturbances in words, a line each."""
+    lines = [disturbance_in_words(each, end_s) for each in scenario.disturbances[:MOST_LINES]]
+    more = len(scenario.disturbances) - len(lines)
+    return "".join(f"\n{line}" for line in (*lines, *([f"and {more} more"] if more else [])))
 
 
 def _end_s(scenario: Scenario, signals: Signals) -> float:
@@ -299,10 +314,10 @@ def _time_axis(axes: list[Axes], scenario: Scenario, signals: Signals) -> None:
 
 
 def _mark_loss(axes: list[Axes], scenario: Scenario, names: Names) -> None:
-    """Shade the time of each fault with its name; several faults with the numbers of the title."""
+    """Shade the times, and name each fault once; several by the numbers of the title."""
     low, high = axes[0].get_xlim()
     for number, fault in enumerate(scenario.faults, 1):
-        starts_s = [style.shade_fault(axis, fault) for axis in axes]
+        starts_s = [style.shade(axis, fault) for axis in axes]
         start_s = starts_s[0]
         if start_s is None:
             continue
@@ -318,6 +333,9 @@ def _mark_loss(axes: list[Axes], scenario: Scenario, names: Names) -> None:
             fontsize=9,
             annotation_clip=False,
         )
+    for disturbance in scenario.disturbances:
+        for axis in axes:
+            style.shade(axis, disturbance)
 
 
 def draw_timing(axis: Axes, tick_s: float, realtime: dict[str, Any]) -> None:

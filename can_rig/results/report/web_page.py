@@ -20,7 +20,7 @@ import numpy as np
 from can_rig import paged
 from can_rig.drawing import style, uplot
 from can_rig.drawing.html import Code, page, table
-from can_rig.drawing.names import fault_label, names_of, printed
+from can_rig.drawing.names import Names, disturbance_label, fault_label, names_of, printed
 from can_rig.frames.network import Network
 from can_rig.logs.columns import SPEED, TRUE_OUTPUT, VERDICT
 from can_rig.results.counterfactual import applied_commands
@@ -28,6 +28,8 @@ from can_rig.results.isolation import in_words
 from can_rig.results.metrics import Metrics
 from can_rig.results.report.page import apart, compared_with, counterpart, page_title
 from can_rig.results.signals import Signals
+from can_rig.scenario.disturbance_settings import DisturbanceSettings
+from can_rig.scenario.fault_settings import FaultSettings
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.status import Verdict
 from firmware_model.target.structs import FloatArray
@@ -188,16 +190,19 @@ class Event(NamedTuple):
 
 
 def events(scenario: Scenario, network: Network, signals: Signals) -> list[Event]:
-    """Begin and end of faults and every change of the controller's state, in order of time."""
+    """Faults and disturbances from begin to end, and each change of the state, in time order."""
     names = names_of(scenario.plant)
     end_s = float(signals.time_s[-1]) + scenario.tick_s if len(signals) else 0.0
     found: list[Event] = []
-    for fault in scenario.faults:
-        label = fault_label(fault, names)
-        if fault.at_s < end_s:
-            found.append(Event(fault.at_s, f"fault begins: {label}"))
-        if fault.for_s is not None and fault.at_s + fault.for_s < end_s:
-            found.append(Event(fault.at_s + fault.for_s, f"fault ends: {label}"))
+    from_outside: list[tuple[str, FaultSettings | DisturbanceSettings, str]] = [
+        *(("fault", each, fault_label(each, names)) for each in scenario.faults),
+        *(("disturbance", each, disturbance_label(each)) for each in scenario.disturbances),
+    ]
+    for noun, each, label in from_outside:
+        if each.at_s < end_s:
+            found.append(Event(each.at_s, f"{noun} begins: {label}"))
+        if each.for_s is not None and each.at_s + each.for_s < end_s:
+            found.append(Event(each.at_s + each.for_s, f"{noun} ends: {label}"))
     found += _changes("mode", signals.time_s, signals.mode, network.status.modes)
     states = network.status.fault_states
     found += _changes("fault state", signals.time_s, signals.fault_state, states)
@@ -252,11 +257,12 @@ def web_page(
     title, *lines = page_title(scenario, names, signals).split("\n")
     shades = [
         {
-            "label": fault_label(fault, names),
-            "begin": fault.at_s,
-            "end": None if fault.for_s is None else fault.at_s + fault.for_s,
+            "label": label,
+            "color": color,
+            "begin": each.at_s,
+            "end": None if each.for_s is None else each.at_s + each.for_s,
         }
-        for fault in scenario.faults
+        for label, color, each in _to_shade(scenario, names)
     ]
     drawn = packed(signals.time_s, panels(scenario, network, signals)) | {"shades": shades}
     happened = events(scenario, network, signals)
@@ -281,6 +287,16 @@ def web_page(
         f"<script>{_own_script()}</script>",
     ]
     return page(title, parts, uplot.style() + STYLE)
+
+
+def _to_shade(
+    scenario: Scenario, names: Names
+) -> Iterator[tuple[str, str, FaultSettings | DisturbanceSettings]]:
+    """Label and color of every fault and disturbance."""
+    for fault in scenario.faults:
+        yield fault_label(fault, names), style.SHADE, fault
+    for disturbance in scenario.disturbances:
+        yield disturbance_label(disturbance), style.SKY, disturbance
 
 
 def _of_faults(faults: list[dict[str, Any]]) -> Iterator[str]:

@@ -1,7 +1,7 @@
 """The fault estimator d̂ = (1 + Q)(G1 u1 + G2 u2 - y) of (2.1): the model of the plant, its bus.
 
 For an unstable plant the models are N1 and N2 of the left-coprime factors, compared with M y
-(``discretisation.law.coprime``); a stable plant has M = 1.
+(``discretisation.coprime``); a stable plant has M = 1.
 
 The model gets each command together with the plant, ``latency_ticks`` after the computation. Held
 commands count too: an actuator without a new command keeps the last command. A delivered command

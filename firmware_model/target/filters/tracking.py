@@ -14,7 +14,7 @@ After a loss channel 2 closes the loop. The shortfall of channel 2, G2 (asked - 
 subtracted from the model's output: so the limits of channel 2 are outside the loop too.
 
 For an unstable plant the model is N1, and a filter R of the command stabilises the plant:
-u1 = Q (r - y + N1 u1) + R u1 (``design.tracking``). Then limits have to stay in the loop.
+u1 = Q (r - y + N1 u1) + R u1 (``design.continuous_design``). Then limits have to stay in the loop.
 """
 
 from __future__ import annotations

@@ -8,7 +8,7 @@ from collections.abc import Callable
 import pytest
 from scipy.optimize import brentq
 
-from firmware_model.analysis.delay_margin import zero
+from firmware_model.analysis.margins import zero
 
 
 @pytest.mark.parametrize(

@@ -8,10 +8,11 @@ from typing import Any
 import numpy as np
 import pytest
 
-from firmware_model.analysis.delay_margin import EXACT_DELAY_TICKS, delay_margins
 from firmware_model.analysis.margins import (
+    EXACT_DELAY_TICKS,
     HEALTHY,
     TORQUE_DEAD,
+    delay_margins,
     is_stable_in,
     largest_latency_survived,
     margins,

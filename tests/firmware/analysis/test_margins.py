@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 from scipy.optimize import brentq
 
-from firmware_model.analysis.lumping import lumped
 from firmware_model.analysis.margins import (
     HEALTHY,
     TORQUE_DEAD,
@@ -20,7 +19,7 @@ from firmware_model.analysis.margins import (
     noise_gain,
     peak_sensitivity,
 )
-from firmware_model.analysis.sampled_loop import linear_controller, sampled_loop
+from firmware_model.analysis.sampled_loop import linear_controller, lumped, sampled_loop
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
 from firmware_model.design.continuous_design import ContinuousDesign, DesignSpecification, design

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+from typing import Any
+
 import numpy as np
 import pytest
 
-from firmware_model.analysis.hardware import EXACT_FRAMES, SENSOR, frame_of
+from firmware_model.analysis.hardware import EXACT_FRAMES, GAIN, HEALTHY, SENSOR, SLEW, frame_of
 from firmware_model.analysis.sampled_plant import SampledPlant, follow_plant, sample
-from firmware_model.analysis.simulation import Simulation, simulate
-from firmware_model.analysis.trace import Trace
+from firmware_model.analysis.simulation import Simulation, Trace, simulate
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from tests.firmware.analysis.loops import CAR, SLOW
+from tests.firmware.scheduled import SPEEDS, scheduled
 
 TICK_S = 0.001
 TICKS = 40
@@ -126,3 +129,48 @@ def test_a_run_goes_on_from_another_that_was_the_same_so_far() -> None:
         np.testing.assert_array_equal(getattr(branch.trace, name), getattr(whole.trace, name))
     np.testing.assert_array_equal(branch.reached, whole.reached)
     assert (before.trace.measured != branch.trace.measured).any()
+
+
+@pytest.mark.parametrize("changing", [False, True], ids=["dead times", "changing speed"])
+def test_a_window_that_moves_on_sees_the_same_run(changing: bool) -> None:
+    """The rings of a plant with dead times turn; a drive brings the speeds of the next ticks."""
+    designs = scheduled(cars=1)
+    late = sample(replace(CAR, dead_times_s=(0.0023, 0.004), sensor_dead_time_s=0.0015), TICK_S)
+    speed = np.linspace(SPEEDS[0], SPEEDS[-1], TICKS)
+    noise = np.random.default_rng(3).normal(0.0, 0.01, TICKS)
+    weak = np.tile(HEALTHY, (TICKS, 3, 1))
+    weak[:, 0, GAIN] = np.linspace(1.0, 0.5, TICKS)
+    weak[LOST_AT + 12 :, 1, SLEW] = 0.1
+    used = np.ones((TICKS, 2), dtype=np.bool_)
+    used[LOST_AT : LOST_AT + 2] = False
+
+    def loop(ticks: range) -> Simulation:
+        more: dict[str, Any] = {}
+        if changing:
+            more = {"tick_s": TICK_S, "schedule": designs.schedule, "speed": speed[ticks]}
+        return Simulation(
+            designs.table if changing else TABLE, Recorded() if changing else late,
+            REFERENCE[ticks].copy(), noise=noise[ticks].copy(),
+            arrives=used[ticks].copy(), faults=weak[ticks].copy(), **more,
+        )  # fmt: skip
+
+    whole = loop(range(TICKS))
+    whole.run()
+    seen, length, keep, first = [], 16, 8, 0
+    window = loop(range(length))
+    while True:
+        begin = window.done
+        window.run()
+        seen.append(window.trace.measured[begin:].copy())
+        if first + window.done == TICKS:
+            break
+        first += length - keep
+        ticks = slice(first, first + length)
+        nothing = np.zeros(length)
+        inputs = (REFERENCE[ticks], nothing, noise[ticks], np.ones((length, 2)), used[ticks])
+        window.move_on(keep, inputs, weak[ticks], speed[ticks] if changing else None)
+    np.testing.assert_array_equal(np.concatenate(seen), whole.trace.measured)
+    for name in ("measurement", "command_1", "command_2", "fault_estimate", "mode"):
+        own, expected = (getattr(run.trace, name) for run in (window, whole))
+        np.testing.assert_array_equal(own[keep:], expected[keep - length :])
+    np.testing.assert_array_equal(window.reached, whole.reached[:, -length:])

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from firmware_model.design.factors.coprime import left_coprime, unstable
+from firmware_model.design.continuous_design import tracking
+from firmware_model.design.factors import left_coprime, unstable
 from firmware_model.design.plants import Plant
-from firmware_model.design.tracking import tracking
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.errors import UnstablePlantError
 from tests.firmware.design.test_plants import _assert_channels_are_the_state_space

@@ -3,8 +3,7 @@
 import numpy as np
 import pytest
 
-from firmware_model.design.compensator import compensator
-from firmware_model.design.factorisation import inner_outer
+from firmware_model.design.continuous_design import compensator, inner_outer
 from firmware_model.design.plants import chapter_2, steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.errors import AxisZeroError, ImproperError, ParameterError

@@ -6,11 +6,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from firmware_model.design.compensator import compensator
-from firmware_model.design.continuous_design import DesignSpecification, design
-from firmware_model.design.estimator import fault_estimator
+from firmware_model.design.continuous_design import (
+    DesignSpecification,
+    compensator,
+    design,
+    fault_estimator,
+    tracking,
+)
 from firmware_model.design.plants import Plant, chapter_2, steer_by_wire
-from firmware_model.design.tracking import tracking
 from firmware_model.design.vehicle import TABLE_3_2
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.errors import (

@@ -5,7 +5,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_model.design.factorisation import inner_outer
+from firmware_model.design.continuous_design import inner_outer
 from firmware_model.design.plants import chapter_2, steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.errors import (

@@ -8,9 +8,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import integrate
 
-from firmware_model.design.factors.coprime import unstable
-from firmware_model.design.factors.limitations import limitations
-from firmware_model.design.tracking import tracking
+from firmware_model.design.continuous_design import tracking
+from firmware_model.design.factors import limitations, unstable
 from firmware_model.design.zpk import ZeroPoleGain
 from tests.firmware.design.test_any_plant import channels
 

@@ -11,7 +11,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from scipy import linalg
 
-from firmware_model.design.factors.coprime import unstable
+from firmware_model.design.factors import unstable
 from firmware_model.design.plants import Plant, chapter_2, numerators, steer_by_wire
 from firmware_model.design.vehicle import TABLE_3_2, VehicleParameters
 from firmware_model.design.zpk import ZeroPoleGain

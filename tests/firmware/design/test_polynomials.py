@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from firmware_model.design.factors.polynomials import congruent, monic
+from firmware_model.design.factors import congruent, monic
 
 
 @pytest.mark.parametrize("roots", [(), (2.0,), (1.0, -3.0), (0.5 + 2.0j, 0.5 - 2.0j, 4.0)])

@@ -6,9 +6,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from firmware_model.design.factors.interpolation import roots_of_one_less_one
+from firmware_model.design.continuous_design import tracking
+from firmware_model.design.factors import roots_of_one_less_one
 from firmware_model.design.plants import Plant, chapter_2, steer_by_wire
-from firmware_model.design.tracking import tracking
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.errors import (
     AxisZeroError,

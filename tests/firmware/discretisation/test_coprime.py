@@ -6,7 +6,7 @@ from scipy import signal
 
 from firmware_model.design.plants import Plant, steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.discretisation.law.coprime import sampled_factors
+from firmware_model.discretisation.coprime import sampled_factors
 from firmware_model.discretisation.rules import Rule
 from firmware_model.discretisation.tustin import RULES, zoh
 

@@ -10,7 +10,7 @@ import pytest
 from scipy import signal
 
 from firmware_model import discretise, testing
-from firmware_model.discretisation.single_filter.rounding import ROUNDING, of_sections, of_system
+from firmware_model.discretisation.rounding import ROUNDING, of_sections, of_system
 from firmware_model.discretisation.systems import continuous
 from tests.firmware.discretisation.random_filters import (
     random_filter,

@@ -10,13 +10,13 @@ from numpy.typing import NDArray
 from scipy import signal
 
 from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.discretisation.sections import Sections
-from firmware_model.discretisation.single_filter.rounding import (
+from firmware_model.discretisation.rounding import (
     ROUNDING,
     of_sections,
     of_system,
     run_error,
 )
+from firmware_model.discretisation.sections import Sections
 from firmware_model.discretisation.systems import Polynomials, StateSpace
 
 TICK_S = 1e-3

@@ -11,8 +11,7 @@ from firmware_model.design.actuator_dynamics import Stage, behind
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.plants import Plant, steer_by_wire
 from firmware_model.design.vehicle import TABLE_3_2
-from firmware_model.discretisation.law.paired import followed, groups, paired_alike
-from firmware_model.discretisation.law.turning import turn
+from firmware_model.discretisation.paired import followed, groups, paired_alike, turn
 from firmware_model.discretisation.schedules import AtSpeed, schedule
 from firmware_model.discretisation.sections import from_delta_zpk
 from firmware_model.discretisation.tustin import zoh

@@ -17,9 +17,8 @@ from firmware_model.design.continuous_design import (
 )
 from firmware_model.design.plants import chapter_2, steer_by_wire
 from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.discretisation.law.loop_gains import algebraic_loop_gain
 from firmware_model.discretisation.sections import Sections
-from firmware_model.discretisation.tables import build, discretise
+from firmware_model.discretisation.tables import algebraic_loop_gain, build, discretise
 from firmware_model.discretisation.targets import Target
 from firmware_model.errors import DesignError, ParameterError
 from firmware_model.target.structs import MAX_LATENCY_TICKS

@@ -13,8 +13,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 from scipy import signal
 
+from firmware_model.design.continuous_design import tracking
 from firmware_model.design.plants import chapter_2, steer_by_wire
-from firmware_model.design.tracking import tracking
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.sections import Sections, from_delta_zpk
 from firmware_model.discretisation.tustin import tustin, tustin_held, zoh

@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from firmware_model.discretisation import zeros
-from firmware_model.discretisation.zeros import refined
+from firmware_model.discretisation import held_input
+from firmware_model.discretisation.held_input import refined
 
 A, B = np.array([[-1.0, 0.0], [0.0, -3.0]]), np.ones((2, 1))
 POLES = np.array([-1.0, -3.0], np.complex128)
@@ -51,7 +51,7 @@ def test_real_zeros_and_pairs_are_refined_at_once() -> None:
 
 def test_pairs_stay_conjugate_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> None:
     """Also on their way, where the others are summed in another order for each of a pair."""
-    monkeypatch.setattr(zeros, "REFINEMENTS", 1)
+    monkeypatch.setattr(held_input, "REFINEMENTS", 1)
     for error in np.linspace(0.001, 0.1, 50):
         found = refined(*parallel(), PLACES, rough(error))
         assert found[4:] == [zero.conjugate() for zero in found[2:4]]
@@ -59,7 +59,7 @@ def test_pairs_stay_conjugate_to_the_bit(monkeypatch: pytest.MonkeyPatch) -> Non
 
 def test_a_step_triples_the_digits(monkeypatch: pytest.MonkeyPatch) -> None:
     """Newton's alone, without the other zeros and the poles, would double them."""
-    monkeypatch.setattr(zeros, "REFINEMENTS", 1)
+    monkeypatch.setattr(held_input, "REFINEMENTS", 1)
     found = refined(*parallel(), PLACES, rough(1e-4))
     np.testing.assert_allclose(np.sort_complex(found), np.sort_complex(ZEROS), rtol=1e-10)
 

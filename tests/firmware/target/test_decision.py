@@ -6,8 +6,7 @@ import numpy as np
 import pytest
 
 from firmware_model.analysis.sampled_plant import sample
-from firmware_model.analysis.simulation import simulate
-from firmware_model.analysis.trace import Trace
+from firmware_model.analysis.simulation import Trace, simulate
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.plants import chapter_2, steer_by_wire
 from firmware_model.discretisation.tables import build

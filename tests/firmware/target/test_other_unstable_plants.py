@@ -13,7 +13,7 @@ from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.mismatch import STEP, Channels, Mismatch
 from firmware_model.design.plants import Plant
 from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.discretisation.law.coprime import sampled_factors, sampled_over
+from firmware_model.discretisation.coprime import sampled_factors, sampled_over
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.target import controller

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 from scipy import signal
 
 from firmware_model.analysis.sampled_plant import sample
-from firmware_model.analysis.simulation import simulate
-from firmware_model.analysis.trace import Trace
+from firmware_model.analysis.simulation import Trace, simulate
 from firmware_model.design.continuous_design import DesignSpecification, design
 from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.sections import Sections, make_up_gain

@@ -10,12 +10,12 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from can_rig.assessment.bus_timing.frame_length import frame_bits
-from can_rig.assessment.bus_timing.timing import (
+from can_rig.assessment.bus_timing import (
     TimingError,
     latency_ticks,
     network_timing,
 )
+from can_rig.assessment.frame_length import frame_bits
 from can_rig.frames.network import load_network
 from tests.helpers import DBC
 from tests.rig.assessment.simulated_bus import simulate

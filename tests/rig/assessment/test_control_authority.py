@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from can_rig.assessment.control_authority import ControlAuthority, control_authority
+from can_rig.assessment.limitations import ControlAuthority, control_authority
 from can_rig.assessment.resolve import load
 from can_rig.plant.nonlinear_car import NonlinearCar
 from can_rig.scenario.build import network_of

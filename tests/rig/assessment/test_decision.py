@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from can_rig.assessment.decision import decision_figures
 from can_rig.assessment.resolve import load
+from can_rig.assessment.stability import decision_figures
 from can_rig.plant.frameless import frameless
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario

@@ -8,7 +8,7 @@ from can import Message
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from can_rig.assessment.bus_timing.frame_length import (
+from can_rig.assessment.frame_length import (
     FD_LENGTHS,
     INTERMISSION_BITS,
     FrameBits,

@@ -4,7 +4,7 @@ import json
 
 import pytest
 
-from can_rig.assessment.bus_timing.timing import latency_ticks
+from can_rig.assessment.bus_timing import latency_ticks
 from can_rig.assessment.resolve import load, load_run, resolve
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import network_of

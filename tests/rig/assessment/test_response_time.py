@@ -9,8 +9,7 @@ import pytest
 from hypothesis import example, given
 from hypothesis import strategies as st
 
-from can_rig.assessment.bus_timing.frame_length import FrameBits, FrameError, worst_case_bits
-from can_rig.assessment.bus_timing.response_time import (
+from can_rig.assessment.bus_timing import (
     AnalysisError,
     Errors,
     PeriodicFrame,
@@ -18,6 +17,7 @@ from can_rig.assessment.bus_timing.response_time import (
     response_times,
     utilisation,
 )
+from can_rig.assessment.frame_length import FrameBits, FrameError, worst_case_bits
 from tests.rig.assessment.simulated_bus import simulate
 
 BITS = worst_case_bits(7)  # 125 with the intermission: 1 ms at 125 kbit/s

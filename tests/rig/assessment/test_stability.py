@@ -16,7 +16,7 @@ import pytest
 from can_rig.assessment.resolve import load
 from can_rig.assessment.stability import check_stability, refuse_unstable, stable_tuning
 from can_rig.errors import ScenarioError
-from can_rig.scenario.loading import shipped
+from can_rig.scenario import shipped
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, margins
 from firmware_model.analysis.sampled_loop import linear_controller, sampled_loop
 from firmware_model.analysis.sampled_plant import sample

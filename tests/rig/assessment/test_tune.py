@@ -21,14 +21,12 @@ from can_rig.assessment.tuning.box import (
     laws,
     parameter_ranges,
 )
-from can_rig.assessment.tuning.candidate import Tuning, trusting_table, with_tuning
+from can_rig.assessment.tuning.candidate import Tuning, box_refusal, trusting_table, with_tuning
 from can_rig.assessment.tuning.report import as_dict, options, rows
-from can_rig.assessment.tuning.robustness import box_refusal
 from can_rig.assessment.tuning.search import LONGEST_FRONT, Tunings, tune
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.settings import Scenario
-from firmware_model.analysis.delay_margin import delay_margins
-from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, law_in
+from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, delay_margins, law_in
 from firmware_model.analysis.sampled_loop import linear_controller, sampled_loop
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 from scipy.linalg import toeplitz
 
+from can_rig.assessment.limitations import unavoidable
 from can_rig.assessment.resolve import load
-from can_rig.assessment.unavoidable import unavoidable
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import FloatArray

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 
-from can_rig.scenario.loading import shipped
+from can_rig.scenario import shipped
 from tests.helpers import asked, rig, start
 
 RUN = ["run", "thesis-step", "--in-process", "--set", "duration_s=0.05"]

@@ -52,7 +52,7 @@ def test_a_light_command_imports_nothing_heavy(arguments: list[str], without: se
 
 HIDDEN = """
 import sys
-from can_rig.cli.libraries import leave_out
+from can_rig.cli.startup import leave_out
 leave_out()
 import can
 assert "pandas" not in sys.modules
@@ -93,7 +93,7 @@ def test_an_unknown_command_gets_a_suggestion_or_none_but_no_traceback() -> None
 COLLECTED = """
 import atexit, gc, sys
 atexit.register(lambda: print(gc.isenabled(), gc.get_freeze_count() > 10_000))
-from can_rig.cli.design import check
+from can_rig.cli import check
 from can_rig.assessment import resolve
 
 def seen(draft):

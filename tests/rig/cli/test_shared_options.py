@@ -10,9 +10,9 @@ import pytest
 from click.shell_completion import BashComplete
 
 from can_rig.buses.bus import _quiet
-from can_rig.cli.design import scenarios
+from can_rig.cli import scenarios
 from can_rig.cli.main import COMMANDS, main
-from can_rig.scenario.loading import shipped
+from can_rig.scenario import shipped
 from tests.helpers import asked, rig
 
 RUN = ("run", "thesis-step", "--set", "duration_s=0.05")

@@ -45,8 +45,8 @@ from can_rig.export.law import real_header
 from can_rig.export.programs import random_frames
 from can_rig.frames.endpoints import Transmitter
 from can_rig.nodes.lockstep import ControllerNode, EcuNode
+from can_rig.scenario import shipped
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import shipped
 from tests.rig.export.conftest import Built
 from tests.rig.export.shared import EMULATED, log_of
 from tests.rig.replay.recorded import DRIVES, WithRecordedConstants, replayed, scenario_of

@@ -93,7 +93,7 @@ def test_a_tool_that_is_not_installed_is_named(
     """The rest is reported, whatever else this machine lacks."""
     there = shutil.which
     monkeypatch.setattr(shutil, "which", lambda name: None if name in missing else there(name))
-    monkeypatch.setattr("can_rig.cli.design.export.exported", few_files)
+    monkeypatch.setattr("can_rig.cli.export.exported", few_files)
     monkeypatch.setattr("can_rig.export.findings.coverage", lambda scenario: NOTHING)
     monkeypatch.setattr("can_rig.export.costs.cost", lambda *of: FREE)
     command = ["export", "default", "--set", "duration_s=0.05", "--report", "--out"]

@@ -17,7 +17,7 @@ from can_rig.nodes import runner
 from can_rig.nodes.agreement import UNSETTLED_S, Agreement, keys_of
 from can_rig.nodes.bus_access import StopRequest, Timeouts
 from can_rig.nodes.runner import RunOptions, run_controller, run_plant
-from can_rig.scenario.loading import shipped
+from can_rig.scenario import shipped
 from tests.clock import TurnedClock
 from tests.helpers import DBC, NAMES, record, start
 from tests.rig.nodes.running import one_line
@@ -63,10 +63,11 @@ def both_by_hand(bus, plant, controller, log=None, real_time=False):
         ("fault.at_s=0.2", "fault.at_s"),
         ("plant.sensor.noise_mps2=0.001", "plant.sensor.noise_mps2"),
         ("limits.torque_nm=300", "limits.torque_nm"),
+        ("disturbance.kind=gust disturbance.force_n=50", "disturbance.kind"),
     ],
 )
 def test_both_end_and_name_the_first_key_that_differs(setting, key, tmp_path):
-    one, other = load("thesis-step", SHORT), load("thesis-step", [*SHORT, setting])
+    one, other = load("thesis-step", SHORT), load("thesis-step", [*SHORT, *setting.split()])
     for plant, controller in ((one, other), (other, one)):
         ended = both_by_hand(f"local:{tmp_path / 'bus'}", plant, controller)
         for name, partner in (("plant", "controller"), ("controller", "plant")):

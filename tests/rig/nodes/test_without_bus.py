@@ -23,8 +23,8 @@ from can_rig.nodes.without_bus import run_without_bus
 from can_rig.plant import in_windows
 from can_rig.results.execution import NO_BUS, Options, execute
 from can_rig.results.signals import read_signals
+from can_rig.scenario import shipped
 from can_rig.scenario.build import network_of
-from can_rig.scenario.loading import shipped
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.status import Verdict
 from tests.rig.replay.recorded import DRIVES, log_of, scenario_of

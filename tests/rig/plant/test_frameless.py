@@ -17,7 +17,7 @@ from can_rig.results.counterfactual import signals_without_log
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.fault_settings import PLACES, FaultKind
-from firmware_model.analysis.trace import Trace
+from firmware_model.analysis.simulation import Trace
 from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.target.status import Mode
 from tests.helpers import record

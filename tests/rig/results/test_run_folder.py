@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 from matplotlib.figure import Figure
 
-from can_rig.cli.runs.closing import closing_table
+from can_rig.cli.run import closing_table
 from can_rig.errors import RunFolderError
 from can_rig.results.run_folder import LOG, REPORT, SIGNALS, SUMMARY, Outcome, finish
 from can_rig.results.signals import Signals

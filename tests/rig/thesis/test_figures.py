@@ -19,7 +19,7 @@ from can_rig.scenario.settings import Scenario
 from can_rig.thesis.comparisons import Comparison, both, compare, compare_scenario
 from can_rig.thesis.continuous import OUTPUTS, closed_loop, solve
 from can_rig.thesis.figures import refuse_existing
-from firmware_model.design.factors.realisation import realised
+from firmware_model.design.factors import realised
 from firmware_model.target.structs import FloatArray
 from tests.helpers import asked
 

@@ -1,0 +1,208 @@
+"""The bits of a frame on the wire: exactly from its contents, and in the worst case.
+
+After five equal bits the sender inserts one of the other value, which itself counts towards the
+next five (ISO 11898-1, bit stuffing). The stuffed bits, and the remaining bits:
+
+| frame       | dynamically stuffed, s bytes of data                              |
+|-------------|-------------------------------------------------------------------|
+| classic, 11 | SOF ID RTR IDE r0 DLC data CRC: 34 + 8 s bits                     |
+| classic, 29 | SOF ID SRR IDE ID RTR r1 r0 DLC data CRC: 54 + 8 s                |
+| FD, 11      | SOF ID RRS IDE FDF res BRS ESI DLC data: 22 + 8 s                 |
+| FD, 29      | SOF ID SRR IDE ID RRS FDF res BRS ESI DLC data: 41 + 8 s          |
+
+In FD frames a stuff count of 4 bits and a CRC of 17 follow, of 21 above 16 bytes, with a fixed
+stuff bit before their first bit and after every fourth. All frames end in 10 bits without stuffing:
+CRC delimiter, ACK slot, ACK delimiter, and seven for the end of frame.
+
+A remote frame counts as a classic frame with s = 0. The intermission of 3 bits separates frames:
+`FrameBits` excludes the intermission, `duration_s` and `on_the_bus` add the 3 bits.
+"""
+
+from __future__ import annotations
+
+from fractions import Fraction
+from typing import Final, NamedTuple
+
+from can import Message
+
+from can_rig.errors import RigError
+from can_rig.frames.foreign_frames import FD_LENGTHS
+
+INTERMISSION_BITS: Final = 3
+"""Recessive bits after the end of frame before the next start of frame."""
+
+CLASSIC_BYTES: Final = 8
+
+_CRC_15: Final = 1 << 15 | 0x4599
+_TAIL_BITS: Final = 10  # CRC delimiter, ACK slot, ACK delimiter, end of frame
+_STUFF_COUNT_BITS: Final = 4  # three, Gray-coded, and their parity
+_LENGTH_OF_CRC_17: Final = 16  # longest data of an FD frame with the short CRC [bytes]
+
+
+class FrameError(RigError):
+    """A frame or a bit rate outside the CAN standard."""
+
+
+class FrameBits(NamedTuple):
+    """Length of a frame from its start-of-frame bit to the last of its end-of-frame bits."""
+
+    nominal: int
+    """Bits at the nominal bit rate: all bits, unless the frame switches its bit rate."""
+    data: int = 0
+    """Bits at the data bit rate."""
+
+    @property
+    def total(self) -> int:
+        """All bits, without the intermission."""
+        return self.nominal + self.data
+
+    @property
+    def on_the_bus(self) -> int:
+        """All bits until the next frame can start: with the intermission."""
+        return self.total + INTERMISSION_BITS
+
+    def duration_s(
+        self, bitrate: int, data_bitrate: int | None = None, *, intermission: bool = True
+    ) -> Fraction:
+        """How long the frame occupies the bus [s], exactly.
+
+        Args:
+            bitrate: nominal bit rate [bit/s].
+            data_bitrate: of the data phase [bit/s]; None where no frame switches.
+            intermission: whether the 3 bits after the frame count. Include the intermission for the
+                next frame's earliest start; exclude the intermission for a receiver's arrival time.
+
+        Raises:
+            FrameError: a bit rate not above 0; a data bit rate missing or below the nominal one.
+        """
+        if bitrate <= 0:
+            raise FrameError(f"bit rate {bitrate} bit/s: must be above 0")
+        after = INTERMISSION_BITS if intermission else 0
+        duration = Fraction(self.nominal + after, bitrate)
+        if self.data:
+            if data_bitrate is None or data_bitrate < bitrate:
+                raise FrameError(
+                    f"data bit rate {data_bitrate} bit/s: must be the nominal one ({bitrate}) or "
+                    "above for frames that switch"
+                )
+            duration += Fraction(self.data, data_bitrate)
+        return duration
+
+
+def frame_bits(message: Message) -> FrameBits:
+    """The exact length of one frame, including the stuff bits of its identifier and data.
+
+    Raises:
+        FrameError: an error frame; a length or an identifier outside the standard.
+    """
+    remote = message.is_remote_frame
+    length = message.dlc  # python-can: in bytes for FD frames too
+    _require_length(length, message.is_fd)
+    if message.is_error_frame or (remote and message.is_fd):
+        raise FrameError(f"{message}: must be a data frame or a remote one; others have no length")
+    if not remote and len(message.data) != length:
+        raise FrameError(f"{message}: {len(message.data)} bytes of data; must be {length}")
+    if message.arbitration_id >> (29 if message.is_extended_id else 11):
+        raise FrameError(f"identifier 0x{message.arbitration_id:X}: must have 11 or 29 bits")
+    bits = _control(message) + "".join(f"{byte:08b}" for byte in message.data if not remote)
+    if not message.is_fd:
+        bits += f"{_crc_15(bits):015b}"
+        return FrameBits(len(bits) + len(_stuffed_after(bits)) + _TAIL_BITS)
+    # At the end of the data the first fixed stuff bit takes the place of a dynamic one.
+    stuffed_after = [place for place in _stuffed_after(bits) if place < len(bits)]
+    arbitration = _arbitration_bits(message.is_extended_id)
+    early = sum(place < arbitration for place in stuffed_after)
+    late = len(stuffed_after) - early
+    return _fd_bits(length, message.is_extended_id, message.bitrate_switch, early, late)
+
+
+def worst_case_bits(
+    length: int,
+    *,
+    extended: bool = False,
+    remote: bool = False,
+    fd: bool = False,
+    brs: bool = False,
+) -> FrameBits:
+    """The largest number of bits of a frame with `length` bytes, for any contents.
+
+    n stuffable bits take at most (n - 1) // 4 stuff bits: one after the first five bits, then one
+    after every four bits. Including the intermission, a classic frame has (Davis et al. 2007) g + 8
+    s + 13 + (g + 8 s - 1) // 4 bits, g = 34 or 54. In FD frames the first fixed stuff bit replaces
+    a stuff bit after the last bit, giving (n - 2) // 4.
+
+    Raises:
+        FrameError: a length outside the standard.
+    """
+    _require_length(length, fd)
+    if not fd:
+        bits = (54 if extended else 34) + (0 if remote else 8 * length)
+        return FrameBits(bits + (bits - 1) // 4 + _TAIL_BITS)
+    arbitration = _arbitration_bits(extended)
+    early = (arbitration - 2) // 4  # all at the slower rate, the longest duration
+    late = (arbitration + 5 + 8 * length - 2) // 4 - early
+    return _fd_bits(length, extended, brs, early, late)
+
+
+def _require_length(length: int, fd: bool) -> None:
+    if length not in (FD_LENGTHS if fd else range(CLASSIC_BYTES + 1)):
+        kind = "an FD" if fd else "a classic"
+        possible = "0 to 8, 12, 16, 20, 24, 32, 48 or 64" if fd else "0 to 8"
+        raise FrameError(f"{kind} frame of {length} bytes: must have {possible}")
+
+
+def _control(message: Message) -> str:
+    """The bits from the start of frame to the DLC; recessive is 1."""
+    identifier = message.arbitration_id
+    if message.is_extended_id:  # the base identifier, SRR and IDE recessive, the extension
+        start = f"0{identifier >> 18:011b}11{identifier & 0x3FFFF:018b}"
+    else:
+        start = f"0{identifier:011b}"
+    ide = "" if message.is_extended_id else "0"
+    if message.is_fd:
+        switches, passive = message.bitrate_switch, message.error_state_indicator
+        dlc = FD_LENGTHS.index(message.dlc)
+        return f"{start}0{ide}10{switches:b}{passive:b}{dlc:04b}"  # RRS, IDE, FDF, res
+    reserved = "00" if message.is_extended_id else "0"
+    return f"{start}{message.is_remote_frame:b}{ide}{reserved}{message.dlc:04b}"
+
+
+def _crc_15(bits: str) -> int:
+    """Remainder of the bits, followed by 15 zeros, divided by x^15+x^14+x^10+x^8+x^7+x^4+x^3+1."""
+    remainder = int(bits, 2) << 15
+    while (excess := remainder.bit_length() - _CRC_15.bit_length()) >= 0:
+        remainder ^= _CRC_15 << excess
+    return remainder
+
+
+def _stuffed_after(bits: str) -> list[int]:
+    """For each stuff bit, the number of `bits` before the stuff bit."""
+    places = []
+    run, last = 0, ""
+    for sent, bit in enumerate(bits, start=1):
+        run = run + 1 if bit == last else 1
+        last = bit
+        if run == 5:
+            places.append(sent)
+            run, last = 1, "0" if bit == "1" else "1"  # the stuff bit is the first of the next run
+    return places
+
+
+def _arbitration_bits(extended: bool) -> int:
+    """Bits of an FD frame from the start of frame to BRS, unstuffed."""
+    return 36 if extended else 17
+
+
+def _fd_bits(length: int, extended: bool, brs: bool, early: int, late: int) -> FrameBits:
+    """An FD frame with `early` dynamic stuff bits before its BRS bit and `late` bits after BRS.
+
+    The rate switches at the sample points of BRS and of the CRC delimiter, so both bits are partly
+    nominal and partly data. Together both bits last one bit of each rate, for any sample points.
+    Here BRS counts as nominal.
+    """
+    crc = 17 if length <= _LENGTH_OF_CRC_17 else 21
+    check = _STUFF_COUNT_BITS + crc
+    fixed = -(-check // 4)  # a stuff bit before the first bit and after every fourth bit
+    nominal = _arbitration_bits(extended) + early + _TAIL_BITS - 1
+    data = 1 + 4 + 8 * length + late + check + fixed + 1  # ESI, DLC, ..., CRC delimiter
+    return FrameBits(nominal, data) if brs else FrameBits(nominal + data)

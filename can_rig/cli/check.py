@@ -1,0 +1,33 @@
+"""``can-rig check``."""
+
+from __future__ import annotations
+
+import sys
+
+import click
+
+from can_rig.assessment.resolve import load
+from can_rig.assessment.speeds import check
+from can_rig.assessment.stability import table_rows
+from can_rig.cli.options import json_option, scenario_options
+from can_rig.cli.output import explain, json_line, say, show_beside
+from can_rig.cli.progress import car_bar
+
+
+@click.command("check")
+@scenario_options
+@json_option("The figures as one JSON object.")
+def command(scenario: str, settings: tuple[str, ...], as_json: bool) -> None:
+    """Check whether SCENARIO's loop is stable, healthy and faulted, and by which margins.
+
+    Exit status: 0 stable; 1 not, or with a thin margin.
+    """
+    with car_bar() as on_car:
+        result = check(load(scenario, settings), on_car)
+    if as_json:
+        json_line(**result.as_dict())
+    else:
+        show_beside(*table_rows(result.states))
+        explain(*result.notes, *result.scenario.notes)
+        say(result.verdict)
+    sys.exit(0 if result.stable else 1)

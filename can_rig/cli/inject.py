@@ -1,0 +1,109 @@
+"""``can-rig inject``: one command to a plant node started with --injectable."""
+
+from __future__ import annotations
+
+import re
+from typing import Final
+
+import click
+
+from can_rig.buses.bus import open_bus
+from can_rig.cli.options import bus_option
+from can_rig.cli.output import say
+from can_rig.frames import operator_frames
+from can_rig.nodes.operating import operate
+
+DO: dict[str, operator_frames.Action] = {
+    "clear": "CLEAR",
+    "reference": "MOVE_REFERENCE",
+    "pace": "PACE",
+    "pause": "PAUSE",
+    "step": "STEP",
+}
+
+NEGATIVE: Final = re.compile(r"-\.?\d")
+
+
+def _kinds(place: str) -> dict[str, str]:
+    """What can be wrong with ``place``: the word on the command line → the kind."""
+    prefix = "sensor-" if place == "sensor" else "actuator-"
+    its = (kind for kind in operator_frames.kinds() if kind.startswith((prefix, "frames-")))
+    return {kind.removeprefix(prefix): kind for kind in its}
+
+
+class _WithNegatives(click.Command):
+    """A command with negative numbers as arguments, although such numbers look like options."""
+
+    def parse_args(self, ctx: click.Context, args: list[str]) -> list[str]:
+        """Take negative numbers for arguments where no option asks for its value."""
+        options = {name for each in self.params for name in each.opts if name.startswith("-")}
+        numbers = [
+            at
+            for at, word in enumerate(args)
+            if NEGATIVE.match(word) and not (at and args[at - 1] in options)
+        ]
+        if numbers and "--" not in args:
+            rest = [word for at, word in enumerate(args) if at not in numbers]
+            args = [*rest, "--", *(args[at] for at in numbers)]
+        return super().parse_args(ctx, args)
+
+
+@click.command("inject", cls=_WithNegatives)
+@click.argument("what", type=click.Choice([*operator_frames.places(), *DO]), metavar="WHAT")
+@click.argument("how", required=False)
+@bus_option("local", "local")
+@click.option(
+    "--for",
+    "for_s",
+    type=click.FloatRange(operator_frames.SHORTEST_S, operator_frames.LONGEST_S),
+    metavar="S",
+    help=f"Seconds that a fault lasts, {operator_frames.SHORTEST_S:g} to "
+    f"{operator_frames.LONGEST_S:g} in steps of 0.1.  [default: until it is cleared]",
+)
+@click.option("--value", type=float, help="The fault's one number, in the unit of what fails.")
+def command(what: str, how: str | None, bus: str, for_s: float | None, value: float | None) -> None:
+    """Inject or clear a fault in a running simulation: inject torque dead --for 2, inject clear.
+
+    WHAT is torque, force-difference or sensor, with a failure HOW: dead (--value: the remaining
+    share), stuck, offset, drift, oscillating, rate-limited, late; a sensor is biased rather than
+    offset. The frames of each can fail too: missing, corrupted, repeated, late or forged, as in
+    frames-late. Or WHAT is clear [all or one target], reference MPS2 (added to the scenario's
+    reference), pace TIMES-REAL-TIME (also ends a pause), pause, or step TICKS (of a paused run).
+    """
+    asked = _command(what, how, for_s, value)
+    with open_bus(bus) as opened:
+        operate(opened, bus, asked)
+    say(f"{_said(what, how)}: done")
+
+
+def _said(what: str, how: str | None) -> str:
+    return what if how is None else f"{what} {how}"
+
+
+def _command(
+    what: str, how: str | None, for_s: float | None, value: float | None
+) -> operator_frames.Command:
+    if what in operator_frames.places():
+        kinds = _kinds(what)
+        if how not in kinds:
+            raise click.UsageError(f"{_said(what, how)}: must be one of {', '.join(kinds)}")
+        return operator_frames.Command("INJECT", kinds[how], what, value, for_s)
+    if for_s is not None or value is not None:
+        raise click.UsageError(f"{what}: --for and --value are those of a fault")
+    if what == "clear":
+        place = how or operator_frames.ALL
+        if place not in (operator_frames.ALL, *operator_frames.places()):
+            raise click.UsageError(
+                f"clear {how}: must be one of {', '.join(operator_frames.places())}, "
+                "or nothing for all"
+            )
+        return operator_frames.Command("CLEAR", place=place)
+    if what == "pause":
+        if how is not None:
+            raise click.UsageError(f"pause {how}: nothing must follow; pace goes on")
+        return operator_frames.Command("PAUSE")
+    try:
+        number = float(how if how is not None else "1" if what == "step" else "")
+    except ValueError:
+        raise click.UsageError(f"{_said(what, how)}: must be followed by a number") from None
+    return operator_frames.Command(DO[what], value=number)

@@ -1,0 +1,38 @@
+"""``can-rig panel``: a web page on this machine to watch and touch a run."""
+
+from __future__ import annotations
+
+import click
+
+from can_rig.assessment.resolve import load
+from can_rig.cli.options import bus_name, scenario_options
+from can_rig.cli.output import say
+from can_rig.scenario import shipped
+
+
+@click.command("panel")
+@scenario_options
+@click.option(
+    "--bus",
+    callback=bus_name,
+    metavar="NAME",
+    help="Show nodes that run on this bus, and start none.  [default: a local bus of its own]",
+)
+@click.option("--allow-control", is_flag=True, help="With --bus: send what the page asks for too.")
+@click.option(
+    "--port", type=click.IntRange(0, 65535), default=0, help="Of 127.0.0.1.  [default: a free one]"
+)
+def command(
+    scenario: str, settings: tuple[str, ...], bus: str | None, allow_control: bool, port: int
+) -> None:
+    """Watch and control a run of SCENARIO in a browser on this machine.
+
+    The command prints two addresses, each with a token of this start: an address for watching and
+    touching the run, and an address for watching only.
+    """
+    from can_rig.panel.server import Shown, serve  # noqa: PLC0415 (aiohttp is slow to import)
+
+    chosen = load(scenario, settings)
+    names = [] if bus else list(shipped())
+    sends = allow_control or bus is None
+    serve(Shown(chosen, scenario, settings, names, bus, sends, port), say)

@@ -1,0 +1,119 @@
+"""``can-rig plot``: signals of any log through any DBC, drawn for print."""
+
+from __future__ import annotations
+
+import difflib
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+
+import click
+
+from can_rig import paged
+from can_rig.cli.databases import databases_of
+from can_rig.cli.options import (
+    channel_option,
+    dbc_options,
+    force_option,
+    log_argument,
+    window_options,
+)
+from can_rig.cli.output import note, say
+from can_rig.cli.progress import reading
+from can_rig.decoding.decode import Decoder
+from can_rig.decoding.message_columns import MessageColumns, joined
+from can_rig.decoding.message_decoder import MessageDecoder
+from can_rig.errors import DbcError, LogError
+from can_rig.files import atomic, refuse_picture
+from can_rig.logs.log import window_of
+from can_rig.logs.reading import read_log
+from can_rig.results.source import log_path
+from can_rig.views.pictures import plot_page
+from can_rig.views.signal_table import scenario_of
+
+
+@click.command("plot")
+@log_argument
+@click.argument("signals", nargs=-1, required=True, metavar="SIGNAL...")
+@dbc_options
+@channel_option
+@window_options
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="The picture, FILE.png, .svg or .pdf.  [default: the log's name, .png]",
+)
+@force_option
+def command(
+    log: Path,
+    signals: tuple[str, ...],
+    dbc: tuple[str, ...],
+    no_strict: bool,
+    channel: str | None,
+    from_s: float | None,
+    to_s: float | None,
+    out: Path | None,
+    force: bool,
+) -> None:
+    """Draw SIGNALs of LOG: MESSAGE.Signal, or Signal if a single message has it."""
+    out = out or Path(f"{_bare(log)}.png")
+    refuse_picture(out, force)
+    databases = databases_of(log, dbc, not no_strict)
+    every = Decoder(databases).messages
+    wanted = [resolve(every, name) for name in signals]
+    decoder = Decoder(databases, None, {f"{m}.{s}" for m, s in wanted}, channel)
+    source = read_log(log_path(log), window=window_of(from_s, to_s))
+    parts: dict[str, list[MessageColumns]] = {}
+    for frames in reading(source, "reading"):
+        for name, columns in decoder.decode(frames).items():
+            before = parts.setdefault(name, [])
+            before.append(columns)
+            if sum(map(len, before[1:])) > paged.PAGED_ROWS:
+                before[:] = [joined(before)]
+    found = {name: joined(columns) for name, columns in parts.items()}
+    drawn = [pair for pair in wanted if len(found.get(pair[0], ()))]
+    absent = sorted({message for message, _ in wanted if not len(found.get(message, ()))})
+    if not drawn:
+        nothing = decoder.nothing_on_channel or f"no frame of {', '.join(absent)} can be decoded"
+        raise LogError(f"{source.path}: {nothing}")
+    run = scenario_of(log) if log.is_dir() else None
+    page = plot_page(found, drawn, source.start_ns, run)
+    with atomic(out, force=force) as part:
+        page.savefig(part, dpi=150)
+    note(source.notice, f"no frame of {', '.join(absent)}" if absent else None)
+    say(f"picture in {out}")
+
+
+def resolve(messages: Mapping[str, MessageDecoder], name: str) -> tuple[str, str]:
+    """Message and signal for ``MESSAGE.Signal``, or for ``Signal`` of a single message.
+
+    Raises:
+        DbcError: no message or several messages have the signal.
+    """
+    every = [(message, signal) for message in messages for signal in messages[message].signals]
+    found = [pair for pair in every if name in (pair[1], ".".join(pair))]
+    if len(found) == 1:
+        return found[0]
+    if found:
+        raise DbcError(
+            f"signal {name} is in more than one message; "
+            f"must be {' or '.join('.'.join(pair) for pair in found[:4])}"
+        )
+    by_lower = {}
+    for pair in every:
+        by_lower[pair[1].lower()] = pair[1]
+        by_lower[".".join(pair).lower()] = ".".join(pair)
+    near = difflib.get_close_matches(name.lower(), by_lower, 3, 0.5)
+    hint = " or ".join(by_lower[key] for key in near)
+    if not hint:  # of the rig's messages each has a checksum, a counter and a tick
+        often = Counter(signal for _, signal in every)
+        hint = ", ".join([signal for signal in often if often[signal] == 1][:6]) or "none"
+        raise DbcError(f"no signal {name} in the database; it has {hint}, …")
+    raise DbcError(f"no signal {name} in the database; did you mean {hint}?")
+
+
+def _bare(path: Path) -> str:
+    """The name of a log without the suffixes of its format."""
+    name = path.resolve().name.removesuffix(".gz")
+    return name if path.is_dir() else Path(name).stem

@@ -1,0 +1,149 @@
+"""The process around a command, before anything heavy is imported.
+
+Ctrl-C ends an import without a traceback; garbage collection is off during imports; libraries lose
+unused optional dependencies and keep silent; errors of the operating system become one line; and a
+note comes before the control law compiles.
+"""
+
+from __future__ import annotations
+
+import atexit
+import errno
+import gc
+import logging
+import os
+import signal
+import sys
+import warnings
+from collections.abc import Iterator
+from contextlib import contextmanager, suppress
+
+from can_rig.errors import INTERRUPTED, RigError, one_line
+
+
+def end_at_once() -> None:
+    """From here on Ctrl-C ends the process silently: no file needs cleaning up yet."""
+    if signal.getsignal(signal.SIGINT) is signal.default_int_handler:  # nohup: it is ignored
+        signal.signal(signal.SIGINT, _end)
+
+
+def raise_again() -> None:
+    """From here on Ctrl-C raises ``KeyboardInterrupt``, so half-written files are removed."""
+    if signal.getsignal(signal.SIGINT) is _end:
+        signal.signal(signal.SIGINT, signal.default_int_handler)
+
+
+def _end(_number: int, _frame: object) -> None:
+    os._exit(INTERRUPTED)
+
+
+def collect_nothing() -> None:
+    """Switch garbage collection off from here on, at process exit too.
+
+    Hundreds of thousands of imported objects stay alive; Python would search the growing heap again
+    and again, a third of the time of a short command.
+    """
+    gc.disable()
+    atexit.register(gc.freeze)
+
+
+def collect_again() -> None:
+    """Switch garbage collection on again, except for imported objects."""
+    if not gc.isenabled():
+        gc.freeze()
+        gc.enable()
+
+
+_NOT_WANTED = {
+    "asammdf": ("can.io.mf4", "MF4Writer"),
+    "coverage": ("numba.misc.coverage_support", "coverage_available"),
+}
+"""By name: which module imports it if it can, and what that module has once it is imported.
+
+Asammdf brings pandas with it, most of a second that only .mf4 logs need, and ``can_rig.logs`` calls
+it itself. Coverage would be told which lines numba compiles.
+"""
+
+
+class _WithoutThem:
+    """Hides optional dependencies from a single importing module."""
+
+    @staticmethod
+    def find_spec(name: str, _path: object, _target: object = None) -> None:
+        """Refuse a hidden dependency while the importing module is being imported."""
+        if name not in _NOT_WANTED:
+            return
+        asking, has = _NOT_WANTED[name]
+        importer = sys.modules.get(asking)
+        if importer is not None and not hasattr(importer, has):
+            raise ModuleNotFoundError(f"{name} is left out of {asking}", name=name)
+
+
+def silence() -> None:
+    """Silence a library's remarks on bad input; the command's own error line names the fault."""
+    logging.getLogger().addHandler(logging.NullHandler())
+    if not sys.warnoptions:
+        warnings.simplefilter("ignore")
+
+
+def leave_out() -> None:
+    """Hide dependencies in this process alone; programs that import ``can_rig`` see them all."""
+    sys.meta_path.insert(0, _WithoutThem)
+
+
+_OF_A_STREAM = {errno.ENOSPC, errno.EIO, errno.EBADF}
+"""Errors that name no file when they concern standard output."""
+
+
+def write_what_can_be_written() -> None:
+    """A terminal that has no ² shows a question mark; what can be shown is shown."""
+    for stream in (sys.stdout, sys.stderr):
+        if stream is not None:  # closed by the shell
+            stream.reconfigure(errors="replace")  # type: ignore[union-attr]
+
+
+@contextmanager
+def refusals_in_one_line() -> Iterator[None]:
+    """A full disk, too many open files and the like end the command with one line.
+
+    Output that still waits is written before the context is left, because afterwards Python would
+    print a traceback for it.
+    """
+    try:
+        try:
+            yield
+        finally:
+            if sys.stdout is not None:
+                sys.stdout.flush()
+    except BrokenPipeError:  # whoever read it, such as head, has seen enough
+        sys.stdout = None
+        sys.exit(1)
+    except OSError as error:
+        with suppress(OSError):  # standard error may be full too
+            print(f"error: {_reason(error)}", file=sys.stderr)
+        sys.stdout = None  # Python flushes it once more
+        sys.unraisablehook = lambda _: None  # of what was half made, such as an event loop
+        sys.exit(RigError.exit_status)
+
+
+def _reason(error: OSError) -> str:
+    reason = error.strerror or one_line(error)
+    if error.filename is not None:
+        return f"{error.filename}: {reason}"
+    if error.errno in _OF_A_STREAM:
+        return f"standard output cannot be written: {reason}"
+    return reason
+
+
+def announce_compilation() -> None:
+    """From here on print a note before the control law compiles."""
+    if "firmware_model.compiled" in sys.modules:
+        from firmware_model.compiled import tell_when_compiling  # noqa: PLC0415 (is there already)
+
+        tell_when_compiling(_tell)
+
+
+def _tell() -> None:
+    from can_rig.cli.output import note  # noqa: PLC0415 (hardly ever)
+
+    note("compiling the control law, once for this version on this machine: most of a minute")

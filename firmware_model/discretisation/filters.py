@@ -1,0 +1,448 @@
+"""A single discretised filter from any continuous filter, for unit tests.
+
+Also as a pair of C files: constants, and the lines of `target.filters.biquad`. `can_rig.export`
+translates the same loops; a test compares both texts.
+"""
+
+from __future__ import annotations
+
+import math
+import re
+import textwrap
+from collections.abc import Sequence
+from string import Template
+from typing import Final, cast
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from firmware_model.compiled import compiled
+from firmware_model.discretisation.rules import Rule
+from firmware_model.discretisation.sections import ComplexArray, Sections
+from firmware_model.discretisation.systems import zero_pole_gain
+from firmware_model.discretisation.tustin import RULES, tustin
+from firmware_model.errors import ParameterError
+from firmware_model.target.filters import biquad
+from firmware_model.target.structs import (
+    MAX_SECTIONS,
+    FloatArray,
+    Precision,
+    Record,
+    RecordArray,
+    record_type,
+)
+
+KEYWORDS: Final = """
+    auto break case char const continue default do double else enum extern float for goto if inline
+    int long register restrict return short signed sizeof static struct switch typedef union
+    unsigned void volatile while alignas alignof asm bool constexpr false nullptr static_assert
+    thread_local true typeof
+"""
+CPP_KEYWORDS: Final = """
+    and and_eq bitand bitor catch char8_t char16_t char32_t class co_await co_return co_yield compl
+    concept const_cast consteval constinit decltype delete dynamic_cast explicit export friend
+    mutable namespace new noexcept not not_eq operator or or_eq private protected public
+    reinterpret_cast requires static_cast template this throw try typeid typename using virtual
+    wchar_t xor xor_eq
+"""
+LIBRARY: Final = r"""
+    NULL EOF errno assert offsetof signbit NAN INFINITY HUGE_VAL I complex imaginary noreturn stdin
+    stdout stderr (FLT|DBL|LDBL)_\w+ U?INT\w*_(MAX|MIN|C) u?int\w*_t
+    (size|ptrdiff|float|double|l?l?div|clock|time)_t va_list tm FILE
+"""
+TAKEN: Final = {
+    KEYWORDS: "a keyword of C",
+    CPP_KEYWORDS: "a keyword of C++, which may include the header",
+    LIBRARY: "a name of the C library",
+}
+
+HEADER: Final = Template("""\
+/* $what
+ *
+ * A tick is ${name}_step with one sample. Answers and state have the same bits as those of
+ * Filter.step of firmware_model: real numbers are $real, and rounded after every operation.
+ * The state is the caller's memory; all of it zero, the filter is at rest.
+ */
+#ifndef ${guard}_H
+#define ${guard}_H
+
+#define ${guard}_SECTIONS $sections
+
+#ifdef __cplusplus
+extern "C" {
+#endif
+
+/* State: second-order sections, transposed direct form II in delta = z - 1. */
+struct $name {
+    $real accumulators[${guard}_SECTIONS][2]; /* s1, s2, a row a section */
+};
+
+/* The answer to the sample u, and the state one tick later. */
+$real ${name}_step(struct $name *state, $real u);
+
+/* Put the filter into its steady state for a constant input u; returns the output.
+ *
+ * A section that integrates has no steady state unless u is zero: it is left at rest.
+ */
+$real ${name}_reset(struct $name *state, $real u);
+
+#ifdef __cplusplus
+}
+#endif
+
+#endif
+""")
+
+SOURCE: Final = Template("""\
+#include "$name.h"
+
+#include <float.h>
+#include <stdint.h>
+
+#if defined(__FAST_MATH__) || (defined(__FINITE_MATH_ONLY__) && __FINITE_MATH_ONLY__ != 0) || \\
+    defined(__ASSOCIATIVE_MATH__) || defined(__RECIPROCAL_MATH__) || defined(__NO_SIGNED_ZEROS__)
+#error "the filter needs IEEE 754 arithmetic: compile without -ffast-math and its parts"
+#endif
+#if defined(FLT_EVAL_METHOD) && FLT_EVAL_METHOD != 0
+#error "the filter must be rounded after every operation: FLT_EVAL_METHOD must be 0"
+#endif
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+
+/* beta0, beta1, beta2, alpha1, alpha2, a row a section; gcc needs -ffp-contract=off. */
+static const $real coefficients[${guard}_SECTIONS][5] = {
+$rows
+};
+
+$real ${name}_step(struct $name *state, $real u)
+{
+    $real (*s)[2] = state->accumulators;
+    for (int32_t i = 0; i < ${guard}_SECTIONS; i++) {
+        const $real y = coefficients[i][0] * u + s[i][0];
+        s[i][0] += coefficients[i][1] * u - coefficients[i][3] * y + s[i][1];
+        s[i][1] += coefficients[i][2] * u - coefficients[i][4] * y;
+        u = y;
+    }
+    return u;
+}
+
+$real ${name}_reset(struct $name *state, $real u)
+{
+    $real (*s)[2] = state->accumulators;
+    for (int32_t i = 0; i < ${guard}_SECTIONS; i++) {
+        const $real b0 = coefficients[i][0];
+        const $real b1 = coefficients[i][1];
+        const $real b2 = coefficients[i][2];
+        const $real a1 = coefficients[i][3];
+        const $real a2 = coefficients[i][4];
+        $real y = u * b0;
+        if (a2 != $zero) {
+            y = u * b2 / a2;
+        } else if (a1 != $zero) {
+            y = u * b1 / a1;
+        }
+        s[i][0] = y - b0 * u;
+        s[i][1] = a1 * y - b1 * u;
+        u = y;
+    }
+    return u;
+}
+""")
+
+
+def c_source(
+    coefficients: FloatArray, precision: Precision, name: str, what: str
+) -> dict[str, str]:
+    """``name.h`` and ``name.c`` of a cascade of sections, text by file name.
+
+    Args:
+        coefficients: β0, β1, β2, α1, α2, exact in ``precision``, shape (sections, 5).
+        precision: of coefficients, state and arithmetic.
+        name: name of the files and of the state's struct, and prefix of the functions.
+        what: description of the filter.
+
+    Raises:
+        ParameterError: ``name`` is no C identifier, or a reserved name of C or C++.
+    """
+    if not re.fullmatch("[A-Za-z][A-Za-z0-9_]*", name):
+        raise ParameterError(
+            f"name = {name!r}: must be a name in C, a letter and then letters, digits or _"
+        )
+    for taken, owner in TAKEN.items():
+        if re.fullmatch("|".join(taken.split()), name):
+            raise ParameterError(f"name = {name!r}: is {owner}, must be another name")
+    words = {
+        "name": name,
+        "guard": name.upper(),
+        "real": "float" if precision == "float32" else "double",
+        "zero": _literal(0.0, precision),
+        "sections": str(len(coefficients)),
+        "rows": "\n".join(_row(row, precision) for row in coefficients),
+        "what": "\n * ".join(textwrap.wrap(what, 96)),
+    }
+    return {f"{name}.h": HEADER.substitute(words), f"{name}.c": SOURCE.substitute(words)}
+
+
+def _row(row: FloatArray, precision: Precision) -> str:
+    return f"    {{{', '.join(_literal(float(each), precision) for each in row)}}},"
+
+
+def _literal(value: float, precision: Precision) -> str:
+    """The shortest literal with exactly this value."""
+    if precision == "float64":
+        return repr(value)
+    shortest = str(np.float32(value))
+    return f"{shortest if '.' in shortest or 'e' in shortest else shortest + '.0'}f"
+
+
+class Filter:
+    """A discretised filter with a private state: ``step`` is ``biquad.advance``.
+
+    Attributes:
+        sections: the second-order sections, with the stored coefficients.
+        tick_s: sampling period, seconds.
+        rule: the discretisation.
+        prewarp_rad_per_s: the frequency at which Tustin kept the response, or None.
+        precision: of coefficients, state and arithmetic.
+        cascade: the same constants as the record of ``biquad.CONSTANTS`` that runs. Read-only.
+    """
+
+    def __init__(
+        self,
+        sections: Sections,
+        rule: Rule,
+        prewarp_rad_per_s: float | None,
+        precision: Precision,
+    ) -> None:
+        """Store ``sections`` in ``precision``; ``discretise`` makes them."""
+        self._exact = sections
+        stored = _stored(sections.coefficients, precision)
+        self.sections = Sections(stored.astype(np.float64), sections.tick_s)
+        self.tick_s = sections.tick_s
+        self.rule = rule
+        self.prewarp_rad_per_s = prewarp_rad_per_s
+        self.precision = precision
+        self._cascades = np.zeros(1, record_type(biquad.CONSTANTS, precision))
+        self._cascades["n"] = len(stored)
+        self._cascades["coefficients"][0, : len(stored)] = stored
+        self._cascades.flags.writeable = False
+        self.cascade: Record = self._cascades[0]  # a record taken earlier could still be written
+        self._states = np.zeros(1, record_type(biquad.STATE, precision))
+
+    def in_precision(self, precision: Precision) -> Filter:
+        """The same filter at rest, stored and computed in ``precision``.
+
+        Raises:
+            ParameterError: an unknown precision, or a precision too small for a coefficient.
+        """
+        _require_precision(precision)
+        return Filter(self._exact, self.rule, self.prewarp_rad_per_s, precision)
+
+    def step(self, u: float) -> float:
+        """The answer to the sample ``u``, and the state one tick later."""
+        return float(biquad.advance(self.cascade, self._states[0], self._real(u)))
+
+    def run(self, u: ArrayLike) -> FloatArray:
+        """The answers to the samples ``u``, shape (n,), in the filter's precision.
+
+        The run continues from the state after the last call.
+
+        Raises:
+            ParameterError: ``u`` is not one row of real numbers.
+        """
+        samples = np.asarray(u)
+        if samples.ndim != 1 or samples.dtype.kind not in "iufb":
+            raise ParameterError(f"u has shape {samples.shape}: must be one row of real samples")
+        inputs = np.ascontiguousarray(samples, self.precision)
+        outputs = np.empty_like(inputs)
+        _run(self._cascades, self._states, inputs, outputs)
+        return outputs
+
+    def reset(self, u: float = 0.0) -> float:
+        """Settle into the steady state for a constant input ``u``; returns the output there.
+
+        A section that integrates has no steady state unless its input is zero: it is left at rest.
+        """
+        return float(biquad.settle(self.cascade, self._states[0], self._real(u)))
+
+    def frequency_response(self, rad_per_s: ArrayLike) -> ComplexArray:
+        """H(e^{jωT}) of the stored coefficients at ω, an array of any shape, in rad/s."""
+        return self.sections.at_delta(_on_circle(np.asarray(rad_per_s, np.float64) * self.tick_s))
+
+    @property
+    def poles(self) -> ComplexArray:
+        """Poles in z, shape (order,)."""
+        delta = [np.roots(below) for _, below in map(_fraction, self.sections.coefficients)]
+        return 1.0 + np.concatenate(delta).astype(np.complex128)
+
+    @property
+    def order(self) -> int:
+        """The number of poles."""
+        return len(self.poles)
+
+    @property
+    def dc_gain(self) -> float:
+        """The limit for z → 1; an infinity where the filter integrates."""
+        gain, zeros = 1.0, 0.0
+        for above, below in map(_fraction, self.sections.coefficients):
+            (numerator, order), (denominator, poles) = _lowest(above), _lowest(below)
+            gain *= numerator / denominator
+            zeros += order - poles
+        return gain if zeros == 0 else 0.0 if zeros > 0 else math.copysign(math.inf, gain)
+
+    @property
+    def is_stable(self) -> bool:
+        """Whether the stored coefficients have every pole inside the unit circle."""
+        # |1 + δ| < 1 from δ: near z = 1, δ has more digits than z
+        delta = [np.roots(below) for _, below in map(_fraction, self.sections.coefficients)]
+        return all(2.0 * d.real + abs(d) ** 2 < 0.0 for d in np.concatenate(delta))
+
+    def to_scipy_sos(self) -> FloatArray:
+        """The sections in powers of 1/z for ``scipy.signal.sosfilt``, shape (sections, 6).
+
+        For a filter slow relative to the tick, standard sections have fewer digits than sections in
+        δ.
+        """
+        return self.sections.sos
+
+    def to_c(self, name: str = "filter") -> dict[str, str]:
+        """The filter as complete C99, text by file name: ``name.h`` and ``name.c``.
+
+        ``name_step`` and ``name_reset`` return the same bits as ``step`` and ``reset``.
+
+        Args:
+            name: name of the files and of the state's struct, and prefix of the functions.
+
+        Raises:
+            ParameterError: ``name`` is no C identifier.
+        """
+        return c_source(self.sections.coefficients, self.precision, name, repr(self)[1:-1])
+
+    def __repr__(self) -> str:
+        """Order, rule, tick, precision, DC gain, and how near the poles are to the circle."""
+        rule: str = self.rule
+        if self.prewarp_rad_per_s is not None:
+            rule += f" prewarped at {self.prewarp_rad_per_s:g} rad/s"
+        radius = f", largest |pole| {np.abs(self.poles).max():.6g}" if self.order else ""
+        return (
+            f"<Filter of order {self.order}, {rule}, tick {self.tick_s:g} s, {self.precision}: "
+            f"DC gain {self.dc_gain:.6g}{radius}>"
+        )
+
+    def _real(self, u: float) -> float:
+        return cast(float, np.float32(u)) if self.precision == "float32" else float(u)
+
+
+def discretise(
+    system: object,
+    tick_s: float,
+    rule: Rule = "tustin",
+    *,
+    prewarp_rad_per_s: float | None = None,
+    precision: Precision = "float64",
+) -> Filter:
+    """A continuous filter as the second-order sections that the firmware runs.
+
+    The gain is spread over the sections by powers of two, so float32 holds every signal between
+    sections; powers of two change no bit of an answer.
+
+    Args:
+        system: one input, one output: a ``TransferFunction`` or ``StateSpace`` of python-control
+            or ``scipy.signal``, a ``ZerosPolesGain``, a ``ZeroPoleGain``, or ``(num, den)`` with
+            the highest power of s first.
+        tick_s: sampling period, seconds.
+        rule: ``tustin``; ``tustin-held``, for an input held over each tick; or ``zoh``, exact for a
+            held input.
+        prewarp_rad_per_s: frequency at which ``tustin`` keeps the response exactly.
+        precision: ``float64`` or ``float32``, of coefficients, state and arithmetic.
+
+    Raises:
+        ParameterError: an invalid filter, tick, rule or precision; an order above 16.
+        ImproperError: more zeros than poles, or feedthrough with ``tustin-held``.
+    """
+    if not _is_number(tick_s):
+        raise ParameterError(f"tick_s = {tick_s!r}: must be one number of seconds (one rate)")
+    if not (isinstance(rule, str) and rule in RULES):
+        raise ParameterError(f"rule = {rule!r}: must be one of {', '.join(RULES)}")
+    _require_precision(precision)
+    if not (prewarp_rad_per_s is None or _is_number(prewarp_rad_per_s)):
+        raise ParameterError(f"prewarp_rad_per_s = {prewarp_rad_per_s!r}: must be one frequency")
+    if rule != "tustin" and prewarp_rad_per_s is not None:
+        raise ParameterError(f"prewarp_rad_per_s with rule = {rule}: must be left out, or tustin")
+    g = zero_pole_gain(system)
+    if g.order > 2 * MAX_SECTIONS:
+        raise ParameterError(
+            f"a filter of order {g.order}: must be of order {2 * MAX_SECTIONS} or less, which is "
+            "what the controller's layout holds; split it into filters in series"
+        )
+    tick_s = float(tick_s)
+    sections = tustin(g, tick_s, prewarp_rad_per_s) if rule == "tustin" else RULES[rule](g, tick_s)
+    return Filter(_spread(sections), rule, prewarp_rad_per_s, precision)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float | np.floating) and not isinstance(value, bool)
+
+
+def _require_precision(precision: object) -> None:
+    if not (isinstance(precision, str) and precision in ("float64", "float32")):
+        raise ParameterError(f"precision = {precision!r}: must be float64 or float32")
+
+
+@compiled
+def _run(cascades: RecordArray, states: RecordArray, u: FloatArray, y: FloatArray) -> None:
+    for k in range(len(u)):
+        y[k] = biquad.advance(cascades[0], states[0], u[k])
+
+
+def _stored(coefficients: FloatArray, precision: Precision) -> FloatArray:
+    """The coefficients in ``precision``; ``ParameterError`` for a coefficient out of range."""
+    with np.errstate(over="ignore", under="ignore"):
+        stored = coefficients.astype(precision)
+    least = np.finfo(precision).tiny
+    lost = ~np.isfinite(stored) | ((np.abs(stored) < least) & (coefficients != 0.0))
+    if lost.any():
+        raise ParameterError(
+            f"a coefficient of {coefficients[lost][0]:.3g} is outside the range of {precision}: "
+            "poles must be faster or the tick longer"
+        )
+    return cast(FloatArray, stored)
+
+
+def _spread(sections: Sections) -> Sections:
+    """The same filter with gains of the same size in all sections, by powers of two."""
+    poles = np.angle(sections.poles)
+    delta = _on_circle(np.array([*poles[poles > 0.0], 1e-9, math.pi / 2.0, math.pi]))
+    exponents = []
+    for row in sections.coefficients:
+        with np.errstate(divide="ignore", invalid="ignore"):  # a pole on the circle
+            size = np.abs(Sections(row[None].copy(), sections.tick_s).at_delta(delta)).max()
+        exponents.append(int(np.frexp(size)[1]) if np.isfinite(size) else 0)
+    share, left = divmod(sum(exponents), len(exponents))
+    coefficients = sections.coefficients.copy()
+    for i, exponent in enumerate(exponents):
+        coefficients[i, :3] = np.ldexp(coefficients[i, :3], share + (i < left) - exponent)
+    return Sections(coefficients, sections.tick_s)
+
+
+def _on_circle(angles: FloatArray) -> ComplexArray:
+    """e^{jθ} - 1 at θ in radians, any shape, with all digits near θ = 0."""
+    half = 0.5 * angles
+    return np.asarray(2j * np.sin(half) * np.exp(1j * half))
+
+
+def _fraction(row: FloatArray) -> tuple[Sequence[float], Sequence[float]]:
+    """Numerator and denominator in δ, without the δ/δ of a section of lower order."""
+    above, below = [float(b) for b in row[:3]], [1.0, *(float(a) for a in row[3:])]
+    while above[-1] == 0.0 and below[-1] == 0.0:
+        del above[-1], below[-1]
+    return above, below
+
+
+def _lowest(polynomial: Sequence[float]) -> tuple[float, float]:
+    """The coefficient of the lowest non-zero power of δ, and the power; for zero, 0 and ∞."""
+    for power, coefficient in enumerate(reversed(polynomial)):
+        if coefficient != 0.0:
+            return coefficient, power
+    return 0.0, math.inf
