@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from can_rig import paged
 from can_rig.assessment.limitations import Unavoidable, can_be_told, unavoidable
 from can_rig.results.counterfactual import (
     deviation_from,
@@ -123,13 +124,13 @@ def detection_of(scenario: Scenario, signals: Signals, at: int) -> Detection:
     said = _claims(signals, fault.place)
     found = _own(said, shown)
     if fault.place == TORQUE and signals.verdict is not None:
-        found &= ~np.isin(_held(signals.verdict), NOT_THE_TORQUE)
+        found &= ~_among(_held(signals.verdict), *NOT_THE_TORQUE)
     delay_s = _delay(scenario, signals, fault, found)
     suspected = found
     if fault.place == TORQUE:
         suspected = found | _own(_suspicions(signals), shown)
     suspected_s = _delay(scenario, signals, fault, suspected)
-    last = int(np.flatnonzero(shown)[-1])
+    last = len(shown) - 1 - int(np.argmax(shown[::-1]))
     if said[last] and delay_s is not None:
         return Detection(suspected_s, delay_s, missed_detection=False)
     begun = int(np.flatnonzero(_begins(said)[: last + 1])[-1]) if said[last] else last
@@ -141,24 +142,40 @@ def detection_of(scenario: Scenario, signals: Signals, at: int) -> Detection:
     return Detection(suspected_s, None, _could_show(scenario, signals, at) or None)
 
 
-def _held(codes: FloatArray) -> FloatArray:
+def _held(codes: FloatArray) -> NDArray[np.int16]:
     """``codes`` without gaps: the last known code stays; 0 before the first code."""
-    rows = np.where(np.isfinite(codes), np.arange(1, len(codes) + 1), 0)
-    return np.append(0.0, codes)[np.maximum.accumulate(rows)]
+    return _last(codes, np.isfinite(codes))
+
+
+def _last(values: FloatArray | Mask, known: Mask) -> NDArray[np.int16]:
+    """The last known value in each tick, in little memory for a long run."""
+    held, last = np.zeros(len(values), dtype=np.int16), 0
+    for rows in paged.blocks(len(values)):
+        places = np.where(known[rows], np.arange(1, rows.stop - rows.start + 1), 0)
+        held[rows] = np.append(last, values[rows])[np.maximum.accumulate(places)]
+        last = held[rows.stop - 1]
+    return held
+
+
+def _among(codes: NDArray[np.int16], *wanted: int) -> Mask:
+    """``np.isin`` without its copy in 64 bits."""
+    found = np.zeros(len(codes), dtype=np.bool_)
+    for code in wanted:
+        found |= codes == code
+    return found
 
 
 def _claims(signals: Signals, place: str) -> Mask:
     """The ticks with a claim that this channel is lost."""
     if place == TORQUE:
-        confirmed: Mask = _held(signals.fault_state) == FaultState.CONFIRMED
-        return confirmed
+        return _among(_held(signals.fault_state), FaultState.CONFIRMED)
     if signals.verdict is None:
         return np.zeros(len(signals), dtype=np.bool_)
-    return np.isin(_held(signals.verdict), (Verdict.FORCE_LOST, Verdict.BOTH_LOST))
+    return _among(_held(signals.verdict), Verdict.FORCE_LOST, Verdict.BOTH_LOST)
 
 
 def _suspicions(signals: Signals) -> Mask:
-    return np.isin(_held(signals.fault_state), (FaultState.SUSPECTED, FaultState.CONFIRMED))
+    return _among(_held(signals.fault_state), FaultState.SUSPECTED, FaultState.CONFIRMED)
 
 
 def _begins(state: Mask) -> Mask:
@@ -168,15 +185,18 @@ def _begins(state: Mask) -> Mask:
 
 def _own(said: Mask, shown: Mask) -> Mask:
     """The ticks of a loss with a claim that began in the loss."""
-    rows = np.where(_begins(said), np.arange(len(said)), 0)
-    return said & shown & shown[np.maximum.accumulate(rows)]
+    own: Mask = said & shown & (_last(shown, _begins(said)) != 0)
+    return own
 
 
 def _there(scenario: Scenario, signals: Signals, fault: FaultSettings, late_ns: int = 0) -> Mask:
     """The ticks of a fault, shifted by ``late_ns``."""
-    time_ns = np.rint(signals.time_s / scenario.tick_s).astype(np.int64) * scenario.tick_ns
     begin_ns, end_ns = fault.span_ns
-    there: Mask = (time_ns - late_ns >= begin_ns) & (time_ns - late_ns < end_ns)
+    there = np.zeros(len(signals), dtype=np.bool_)
+    for rows in paged.blocks(len(signals)):
+        ticks = np.rint(signals.time_s[rows] / scenario.tick_s).astype(np.int64)
+        time_ns = ticks * scenario.tick_ns - late_ns
+        there[rows] = (time_ns >= begin_ns) & (time_ns < end_ns)
     return there
 
 

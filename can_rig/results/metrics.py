@@ -105,32 +105,32 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
     alone = scenario.faults[0] if len(scenario.faults) == 1 else None
     bound = None if alone is None else unavoidable_deviation(scenario, signals, alone)
     unavoidable = None if bound is None else bound.deviation_mps2
-    peak = peak_of(deviation[window.after])
+    peak = peak_of(deviation, window.after)
     decided = decision_metrics(scenario, signals)
     delay, least_s = decided["detection_delay_s"], None
     if bound is not None:
         least_s = round(bound.detection_ticks * scenario.tick_s, 9)
     return {
-        "error_before_fault_mps2": peak_of(error[window.settled_before]),
-        "error_peak_after_fault_mps2": peak_of(error[window.after]),
-        "error_peak_while_lost_mps2": peak_of(error[window.lost]),
-        "error_settled_after_fault_mps2": peak_of(error[window.settled_after]),
+        "error_before_fault_mps2": peak_of(error, window.settled_before),
+        "error_peak_after_fault_mps2": peak_of(error, window.after),
+        "error_peak_while_lost_mps2": peak_of(error, window.lost),
+        "error_settled_after_fault_mps2": peak_of(error, window.settled_after),
         "error_integral_after_fault_mps": _integral(error[window.after], scenario.tick_s),
         "deviation_peak_after_fault_mps2": peak,
         "unavoidable_deviation_mps2": unavoidable,
         "unavoidable_detection_delay_s": least_s,
         "detection_over_unavoidable": delay / least_s if delay and least_s else None,
         "deviation_over_unavoidable": peak / unavoidable if peak and unavoidable else None,
-        "deviation_settled_after_fault_mps2": peak_of(deviation[window.settled_after]),
-        "fault_estimate_peak_before_fault_mps2": peak_of(estimate[window.before]),
-        "fault_estimate_peak_while_lost_mps2": peak_of(estimate[window.lost]),
-        "fault_estimate_settled_mps2": peak_of(estimate[window.settled_after]),
+        "deviation_settled_after_fault_mps2": peak_of(deviation, window.settled_after),
+        "fault_estimate_peak_before_fault_mps2": peak_of(estimate, window.before),
+        "fault_estimate_peak_while_lost_mps2": peak_of(estimate, window.lost),
+        "fault_estimate_settled_mps2": peak_of(estimate, window.settled_after),
         **decided,
         "torque_peak_nm": peak_of(torque),
         "torque_at_fault_nm": peak_of(torque[np.flatnonzero(window.after)[:1]]),
-        "torque_peak_after_fault_nm": peak_of(torque[window.after]),
+        "torque_peak_after_fault_nm": peak_of(torque, window.after),
         "force_difference_peak_n": peak_of(force),
-        "force_difference_settled_n": peak_of(force[settled]),
+        "force_difference_settled_n": peak_of(force, settled),
         "force_difference_noise_rms_n": _noise_rms(scenario, signals, window.settled_before),
         "force_difference_needed_n": None if authority is None else authority.needed_n,
         "force_difference_available_n": None if authority is None else authority.available_n,
@@ -204,23 +204,25 @@ def rows(values: Metrics, plant: PlantSettings) -> list[tuple[str, str]]:
     return out
 
 
-def peak_of(values: FloatArray) -> float | None:
-    """The largest finite value; None without a finite value."""
-    paged.let_go()
-    largest = float(values.max(initial=-math.inf))
-    if not math.isfinite(largest):  # a nan or an infinite value, or no value
-        finite = values[np.isfinite(values)]
-        return float(finite.max()) if len(finite) else None
-    return largest
+def peak_of(values: FloatArray, among: Mask | None = None) -> float | None:
+    """The largest finite value ``among`` these ticks; None without a finite value."""
+    largest = -math.inf
+    for rows in paged.blocks(len(values)):
+        known = np.isfinite(values[rows])
+        if among is not None:
+            known &= among[rows]
+        largest = float(np.max(values[rows], where=known, initial=largest))
+    return largest if math.isfinite(largest) else None
 
 
 def _end(time_ns: FloatArray, part: Mask, wanted_s: float) -> Mask:
     """The last ``wanted_s`` of a part of the run, at most its second half."""
-    inside = time_ns[part]
-    if not len(inside):
+    if not part.any():
         return part
-    length_ns = min(round(wanted_s * 1e9), int(inside[-1] - inside[0]) // 2)
-    end: Mask = part & (time_ns >= inside[-1] - length_ns)
+    first_ns = time_ns[np.argmax(part)]
+    last_ns = time_ns[len(part) - 1 - np.argmax(part[::-1])]
+    length_ns = min(round(wanted_s * 1e9), int(last_ns - first_ns) // 2)
+    end: Mask = part & (time_ns >= last_ns - length_ns)
     return end
 
 
@@ -296,10 +298,10 @@ def _of(scenario: Scenario, signals: Signals, at: int) -> dict[str, Any]:
     if window.after.any():
         deviation = deviation_from(scenario, signals, without_fault(scenario, at, signals))
     values |= {
-        "deviation_peak_mps2": peak_of(deviation[window.after]),
-        "deviation_settled_mps2": peak_of(deviation[window.settled_after]),
-        "error_peak_mps2": peak_of(error[window.active]),
-        "fault_estimate_peak_mps2": peak_of(np.abs(signals.fault_estimate_mps2)[window.active]),
+        "deviation_peak_mps2": peak_of(deviation, window.after),
+        "deviation_settled_mps2": peak_of(deviation, window.settled_after),
+        "error_peak_mps2": peak_of(error, window.active),
+        "fault_estimate_peak_mps2": peak_of(_magnitude(signals.fault_estimate_mps2), window.active),
     }
     bound = unavoidable_deviation(scenario, signals, fault)
     values["unavoidable_deviation_mps2"] = None if bound is None else bound.deviation_mps2
