@@ -77,7 +77,7 @@ def test_speeds_beyond_the_designs_are_the_nearest_and_no_number_is_none():
     assert same(at.table, before)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_the_motion_of_the_car_goes_on_at_another_speed():
     """What a cascade remembers, at either speed, by its free response; A and C know the answer."""
     rng = np.random.default_rng(1)
@@ -169,7 +169,7 @@ def healthy_estimate(of, ticks=450):
     return np.abs(loop.trace.fault_estimate).max()
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("cars", range(5))
 def test_a_healthy_car_that_gets_faster_shows_no_fault(cars):
     of = scheduled(cars=cars)
@@ -178,7 +178,7 @@ def test_a_healthy_car_that_gets_faster_shows_no_fault(cars):
     assert healthy_estimate(of) < 0.003 < 0.1 * frozen
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_without_the_turn_of_the_states_it_shows_one():
     of = scheduled()
     turned = healthy_estimate(of)
