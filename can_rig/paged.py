@@ -5,11 +5,13 @@ A run of an hour at 1 kHz has 29 MB a signal. Short columns are plain arrays.
 
 from __future__ import annotations
 
+import ctypes
 import mmap
 import os
 import tempfile
 import weakref
 from collections.abc import Callable, Iterator, Sequence
+from functools import cache
 from typing import IO, Final
 
 import numpy as np
@@ -25,6 +27,12 @@ BLOCK_ROWS: Final = 1 << 14
 
 DISK: Final = "/var/tmp"
 
+M_MMAP_THRESHOLD: Final = -3
+"""The number of glibc's parameter for ``mallopt``."""
+
+LARGE: Final = 1 << 18
+"""Bytes of an array whose memory returns to the system as soon as the array is gone."""
+
 _MAPPED: Final[weakref.WeakSet[mmap.mmap]] = weakref.WeakSet()
 
 
@@ -37,6 +45,7 @@ def empty(rows: int, *more: int) -> NDArray[np.float64]:
     shape = (rows, *more)
     if rows <= PAGED_ROWS:
         return np.empty(shape)
+    _return_large_arrays()
     size = 8 * int(np.prod(shape))
     try:
         with tempfile.TemporaryFile(dir=folder()) as file:
@@ -48,6 +57,17 @@ def empty(rows: int, *more: int) -> NDArray[np.float64]:
         raise no_room(error) from None
     _MAPPED.add(mapped)
     return np.frombuffer(mapped, dtype=np.float64).reshape(shape)
+
+
+@cache
+def _return_large_arrays() -> None:
+    """Fix the size from which glibc maps an array; glibc would raise the size to 32 MB.
+
+    Masks and copies of a long run are smaller, and would stay in the heap after use.
+    """
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is not None:
+        mallopt(M_MMAP_THRESHOLD, LARGE)
 
 
 def no_room(error: OSError) -> RunFolderError:

@@ -12,7 +12,7 @@ from can_rig.campaigns.requirements import Requirement, margin
 from can_rig.campaigns.settings import Scalar
 from can_rig.errors import RigError, one_line
 from can_rig.files import atomic
-from can_rig.results.without_log import metrics_of
+from can_rig.results.metrics import metrics_of
 from can_rig.scenario.loading import value_in
 from can_rig.views.signal_table import unit
 

@@ -14,8 +14,7 @@ from can_rig.cli.output import json_line, table, wide
 from can_rig.files import atomic, refuse_picture
 from can_rig.logs.log import window_of
 from can_rig.scenario.loading import read
-from can_rig.views.run_diff import Difference, compare, tolerances_of
-from can_rig.views.settings_diff import SettingDifference, written
+from can_rig.views.diff import Difference, SettingDifference, compare, tolerances_of, written
 from can_rig.views.signal_table import SignalTable, read_table
 
 
@@ -70,7 +69,7 @@ def command(
     a, b = (read_table(path, scenario).within(window) for path in (run_a, run_b))
     difference = compare(a, b, allowed)
     if out is not None:
-        from can_rig.views.diff_picture import draw_difference  # noqa: PLC0415 (matplotlib)
+        from can_rig.views.pictures import draw_difference  # noqa: PLC0415 (matplotlib)
 
         with atomic(out, force=force) as part:
             draw_difference(part, a, b, difference)

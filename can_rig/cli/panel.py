@@ -30,7 +30,7 @@ def command(
     The command prints two addresses, each with a token of this start: an address for watching and
     touching the run, and an address for watching only.
     """
-    from can_rig.panel.serving import Shown, serve  # noqa: PLC0415 (aiohttp is slow to import)
+    from can_rig.panel.server import Shown, serve  # noqa: PLC0415 (aiohttp is slow to import)
 
     chosen = load(scenario, settings)
     names = [] if bus else list(shipped())

@@ -28,7 +28,7 @@ from can_rig.files import atomic, refuse_picture
 from can_rig.logs.log import window_of
 from can_rig.logs.reading import read_log
 from can_rig.results.source import log_path
-from can_rig.views.plot_picture import plot_page
+from can_rig.views.pictures import plot_page
 from can_rig.views.signal_table import scenario_of
 
 

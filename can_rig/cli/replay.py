@@ -35,11 +35,10 @@ from can_rig.logs.frames import NS_PER_S, Frames
 from can_rig.logs.log import ALL, Window, window_of
 from can_rig.logs.reading import read_log
 from can_rig.nodes.bus_access import StopRequest
-from can_rig.replay.comparison import Place, SignalComparison
-from can_rig.replay.gaps import Gap, in_order, seconds, write_gaps
-from can_rig.replay.in_real_time import recorded
+from can_rig.replay.gaps import Gap, seconds, write_gaps
 from can_rig.replay.pace import Paced, Pacer
-from can_rig.replay.replay import OpenLoop
+from can_rig.replay.replay import OpenLoop, Place, SignalComparison
+from can_rig.replay.rig_frames import recorded
 from can_rig.results.source import Source, log_path, only_channel, source_of
 from can_rig.scenario.build import network_of
 
@@ -159,15 +158,14 @@ def _open_loop(source: Source, begin_ns: int, gaps: Path | None, force: bool, as
     """
     if gaps is not None:
         refuse_existing(gaps, force, "--gaps")
-    found: list[Gap] = []
     with _all_gaps(gaps, force) as write:
         network, answers = network_of(source.scenario), None
         if source.is_realtime:
             looking = source.frames(lambda log: reading(log, "looking through"))
             answers = recorded(looking, network, source.scenario)
-        loop = OpenLoop(source.scenario, network, found.append, answers)
+        loop = OpenLoop(source.scenario, network, answers)
         loop.run(_compared_from(begin_ns, source, loop))
-        listed = in_order(found)
+        listed = loop.account.gaps
         write(listed)
     if not any(signal.compared for signal in loop.comparison.signals):
         raise LogError(

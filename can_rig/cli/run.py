@@ -31,10 +31,9 @@ from can_rig.nodes.bus_access import DEFAULT_TIMEOUTS, StopRequest, Timeouts
 from can_rig.nodes.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.realtime import timing
 from can_rig.results import execution
-from can_rig.results.execution import refuse
-from can_rig.results.fault_metrics import fault_rows
-from can_rig.results.isolation.words import verdict_rows
-from can_rig.results.metrics import Metrics, rows
+from can_rig.results.execution import Options, refuse
+from can_rig.results.isolation import verdict_rows
+from can_rig.results.metrics import Metrics, fault_rows, rows
 from can_rig.results.run_folder import Outcome, log_of
 from can_rig.scenario.settings import Scenario
 
@@ -124,18 +123,17 @@ def command(
         refuse_log(path, force)
     running = controller_of(controller, chosen)
     runner = execution.in_process if in_process else execution.two_processes
-    done = execution.execute(
-        chosen,
-        out,
-        StopRequest().on_signals(),
+    options = Options(
         force=force,
         bus=bus,
-        runner=execution.real_time if real_time else runner,
+        runner=runner,
+        real_time=real_time,
         progress=lambda: counting(chosen.name, "ticks", chosen.ticks),
         controller=running,
         timeouts=_timeouts(silence_s, interaction),
         interaction=interaction,
     )
+    done = execution.execute(chosen, out, StopRequest().on_signals(), options)
     if done is None:
         sys.exit(INTERRUPTED)
     if as_json:

@@ -81,7 +81,7 @@ def command(
     statistics.finish()
     result = {"bitrate": bitrate, **_summary(statistics, decoder)}
     if out is not None:
-        from can_rig.views.load_picture import load_page  # noqa: PLC0415 (matplotlib)
+        from can_rig.views.pictures import load_page  # noqa: PLC0415 (matplotlib)
 
         with atomic(out, force=force) as part:
             load_page(statistics).savefig(part, dpi=150, format="png")

@@ -16,7 +16,7 @@ from can_rig.decoding.decode import Databases, Decoder
 from can_rig.decoding.message_columns import MessageColumns
 from can_rig.errors import LogError
 from can_rig.files import atomic, refuse_existing
-from can_rig.folders.replacing import Kind, refuse_folder, whole_folder
+from can_rig.folders import Kind, refuse_folder, whole_folder
 from can_rig.logs.frames import Frames, concatenate
 from can_rig.logs.log import Log
 

@@ -1,17 +1,20 @@
-"""The look of every picture: few colours, of different greys in print, and few dashes."""
+"""The look of every picture: few colours, of different greys in print, few dashes; scales."""
 
 from __future__ import annotations
 
 from typing import Any, Final, Literal
 
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
+from matplotlib.ticker import LogLocator, NullFormatter
 
 from can_rig.drawing.names import printed
 from can_rig.scenario.disturbance_settings import DisturbanceSettings
 from can_rig.scenario.fault_settings import FaultSettings
 from can_rig.scenario.settings import Scenario
+from firmware_model.target.structs import FloatArray
 
 INK: Final = "#1b1b1b"
 BLUE, ORANGE, GREEN = "#0b4f8a", "#b8461a", "#2f7d4f"
@@ -107,3 +110,58 @@ def shade(axis: Axes, fault: FaultSettings | DisturbanceSettings) -> float | Non
     axis.axvspan(start_s, min(high, end_s), color=color, lw=0, zorder=0)
     axis.axvline(start_s, color=INK, lw=0.8, zorder=1)
     return start_s
+
+
+FAR: Final = 3.0
+"""Curves that reach this many times further than the panel do not set its scale."""
+
+
+def include_zero(axis: Axes, values: FloatArray) -> None:
+    """Let the axis begin or end at zero at least."""
+    if np.isfinite(values).any():
+        axis.update_datalim([(axis.dataLim.x0, 0.0)])
+        axis.autoscale_view()
+
+
+def reach_for(axis: Axes, values: FloatArray) -> None:
+    """Widen the limits for ``values``, except for remote values."""
+    low, high = axis.get_ylim()
+    finite, span = values[np.isfinite(values)], high - low
+    if len(finite) and np.ptp(finite) <= FAR * span:
+        room = 0.05 * span
+        axis.set_ylim(min(low, finite.min() - room), max(high, finite.max() + room))
+    else:
+        axis.set_ylim(low, high)
+
+
+def clip_spikes(axis: Axes, time_s: FloatArray, values: FloatArray, unit: str) -> None:
+    """Write a spike of a few samples on the axis instead of letting it set the scale."""
+    finite = values[np.isfinite(values)]
+    if not len(finite):
+        return
+    include_zero(axis, values)
+    largest = float(np.abs(finite).max())
+    if largest == 0.0:
+        axis.set_ylim(-1.0, 1.0)
+        return
+    low, high = min(0.0, np.quantile(finite, 0.005)), max(0.0, np.quantile(finite, 0.995))
+    span = high - low
+    if largest <= FAR * span or span == 0.0:
+        return
+    axis.set_ylim(low - 0.25 * span, high + 0.25 * span)
+    at = int(np.nanargmax(np.abs(values)))
+    spike = f"{values[at]:.3g} {printed(unit)}".rstrip()
+    axis.text(
+        0.0, 1.03, f"off the scale: {spike} at {time_s[at]:g} s",
+        transform=axis.transAxes, fontsize=9,
+    )  # fmt: skip
+
+
+def logarithmic(axis: Axes, size: FloatArray, floor: float) -> None:
+    """Decades from ``floor`` to above 1 and the largest of ``size``."""
+    axis.set_yscale("log")
+    largest = float(np.nanmax(size)) if np.isfinite(size).any() else 1.0
+    axis.set_ylim(0.7 * floor, max(1.0, 3.0 * largest))
+    axis.yaxis.set_major_locator(LogLocator(100.0, numticks=12))
+    axis.yaxis.set_minor_locator(LogLocator(10.0, numticks=24))
+    axis.yaxis.set_minor_formatter(NullFormatter())

@@ -13,7 +13,7 @@ from can_rig.errors import ExportError
 from can_rig.export.c_files import constants_files
 from can_rig.export.c_text import comment
 from can_rig.export.law import HEARS, law_files, parts_of, support, zero
-from can_rig.folders.replacing import Kind, refuse_folder, whole_folder
+from can_rig.folders import Kind, refuse_folder, whole_folder
 from can_rig.frames.codec import MessageCodec, RigLayout
 from can_rig.frames.network import Network
 from can_rig.scenario.build import dbc_of, network_of

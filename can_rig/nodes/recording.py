@@ -25,8 +25,7 @@ from numpy.typing import NDArray
 
 from can_rig.errors import RunFolderError
 from can_rig.files import refuse_existing
-from can_rig.folders.new_folder import NewFolder
-from can_rig.folders.replacing import Kind
+from can_rig.folders import Kind, NewFolder
 from can_rig.frames.frame_columns import UInt8s
 from can_rig.frames.protection import FRAME_BYTES
 from can_rig.logs.plant_signals import plant_signals_path

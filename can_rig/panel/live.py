@@ -15,15 +15,14 @@ import numpy as np
 
 from can_rig.assessment.frame_length import FrameError, worst_case_bits
 from can_rig.drawing.names import names_of
+from can_rig.drawing.thinning import BUCKET_S, Decimator
 from can_rig.errors import one_line
 from can_rig.frames import operator_frames
 from can_rig.frames.endpoints import Receiver
 from can_rig.frames.network import Network
 from can_rig.logs.columns import EVIDENCE
-from can_rig.panel.decimation import BUCKET_S, Decimator
 from can_rig.plant.faults.injection import injected
-from can_rig.results.isolation.verdicts import Reasoning
-from can_rig.results.isolation.words import in_words
+from can_rig.results.isolation import Reasoning, in_words
 from can_rig.results.signals import SignalRows
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.status import Verdict

@@ -1,23 +1,39 @@
-"""The screen of every browser: one run, its rows, its lamps and its list of commands."""
+"""The contents of the screen for every browser, and the requests of the page."""
 
 from __future__ import annotations
 
 import asyncio
 import json
+import math
+import os
+import re
 import struct
 from collections import deque
 from collections.abc import Callable
+from contextlib import ExitStack, suppress
+from dataclasses import asdict
+from pathlib import Path
 from typing import Any, Final
 
 import numpy as np
+import tomli_w
+from aiohttp import WSCloseCode, web
 
 from can_rig.drawing.names import names_of
+from can_rig.errors import RigError
+from can_rig.files import atomic
 from can_rig.frames import operator_frames
 from can_rig.logs.columns import EVIDENCE
+from can_rig.nodes.operating import done, touches
 from can_rig.panel.live import COLUMNS
 from can_rig.panel.session import Session
-from can_rig.panel.viewers import Viewer, Viewers
-from can_rig.results.isolation.words import in_words
+from can_rig.results.isolation import in_words
+from can_rig.results.run_folder import log_of
+from can_rig.results.signals import read_signals
+from can_rig.results.source import reference_csv, source_of
+from can_rig.scenario.build import network_of
+from can_rig.scenario.fault_settings import FaultSettings
+from can_rig.scenario.loading import written
 from firmware_model.target.structs import FloatArray
 
 LAMPS_EVERY: Final = 6
@@ -25,6 +41,57 @@ LAMPS_EVERY: Final = 6
 
 HISTORY: Final = 20_000
 """Rows that a browser gets which comes late: some three minutes."""
+
+
+MOST_WAITING: Final = 60
+"""Messages that wait for one browser, two seconds of them; then the oldest goes."""
+
+STUCK_S: Final = 10.0
+"""After which a browser that takes nothing at all is given up."""
+
+GOODBYE_S: Final = 1.0
+"""For a browser to answer that the connection ends."""
+
+
+class Viewer:
+    """One browser.
+
+    Args:
+        socket: its connection.
+        may_touch: whether its commands are obeyed.
+    """
+
+    def __init__(self, socket: web.WebSocketResponse, may_touch: bool) -> None:
+        self.socket = socket
+        self.may_touch = may_touch
+        self._waiting: deque[bytes | str] = deque(maxlen=MOST_WAITING)
+        self._some = asyncio.Event()
+
+    def offer(self, message: bytes | str) -> None:
+        """Queue ``message`` for this browser."""
+        self._waiting.append(message)
+        self._some.set()
+
+    async def send_on(self) -> None:
+        """Send queued messages until the connection ends or stalls for too long."""
+        with suppress(ConnectionError, TimeoutError):
+            while not self.socket.closed:
+                await self._some.wait()
+                self._some.clear()
+                while self._waiting:
+                    await asyncio.wait_for(self._send(self._waiting.popleft()), STUCK_S)
+        await self.close()
+
+    async def close(self) -> None:
+        """End the connection, whether the browser answers or not."""
+        with suppress(ConnectionError, TimeoutError):
+            await asyncio.wait_for(self.socket.close(code=WSCloseCode.GOING_AWAY), GOODBYE_S)
+
+    async def _send(self, message: bytes | str) -> None:
+        if isinstance(message, bytes):
+            await self.socket.send_bytes(message)
+        else:
+            await self.socket.send_str(message)
 
 
 def batch(rows: FloatArray) -> bytes:
@@ -50,7 +117,7 @@ class Screen:
         self.session = session
         self.scenarios = scenarios
         self.open_session = open_session
-        self.viewers = Viewers()
+        self.viewers: set[Viewer] = set()
         self._history: deque[FloatArray] = deque()
         self._kept = 0
         self._updates = 0
@@ -64,6 +131,15 @@ class Screen:
         if self._history:
             viewer.offer(batch(np.concatenate(list(self._history))))
         self.viewers.add(viewer)
+
+    def offer(self, message: bytes | str) -> None:
+        """Queue ``message`` for every browser."""
+        for viewer in self.viewers:
+            viewer.offer(message)
+
+    async def say_goodbye(self, _app: web.Application) -> None:
+        """End all connections at the end of the server."""
+        await asyncio.gather(*(viewer.close() for viewer in tuple(self.viewers)))
 
     async def start(self) -> None:
         """Start the scenario's run, with an empty screen."""
@@ -79,7 +155,7 @@ class Screen:
         self._history.clear()
         self._kept = 0
         self.events = []
-        self.viewers.offer(self._hello(None))
+        self.offer(self._hello(None))
 
     def _hello(self, may_touch: bool | None) -> str:
         """The page's setup before the first row; None for unchanged viewer permissions."""
@@ -121,19 +197,134 @@ class Screen:
         for time_s, command in live.taken_commands():
             event = {"time_s": time_s, **command._asdict()}
             self.events.append(event)
-            self.viewers.offer(json.dumps({"event": event}))
+            self.offer(json.dumps({"event": event}))
         if len(rows):
             self._history.append(rows)
             self._kept += len(rows)
             while self._kept > HISTORY:
                 self._kept -= len(self._history.popleft())
-            if len(self.viewers):
-                self.viewers.offer(batch(rows))
+            if self.viewers:
+                self.offer(batch(rows))
         self._updates += 1
-        if self._updates % LAMPS_EVERY == 0 and len(self.viewers):
+        if self._updates % LAMPS_EVERY == 0 and self.viewers:
             run = {
                 "running": self.session.running,
                 "folder": self.session.folder,
                 "said": self.session.said,
             }
-            self.viewers.offer(json.dumps({"lamps": live.lamps.as_dict(), "run": run}))
+            self.offer(json.dumps({"lamps": live.lamps.as_dict(), "run": run}))
+
+    async def obey(self, order: dict[str, Any]) -> None:
+        """Execute a request of the page.
+
+        Raises:
+            RigError: the reason why the request is refused.
+            KeyError, TypeError, ValueError: not a request.
+        """
+        what = order["order"]
+        if what in _COMMANDS:
+            self.session.command(_command(what, order))
+        elif what == "start":
+            if not self.scenarios:
+                raise RigError(
+                    "the nodes of this bus are not the panel's; it starts none beside them"
+                )
+            await self.start()
+        elif what == "stop":
+            await self.session.stop()
+        elif what == "choose":
+            self._choose(order["scenario"])
+        elif what == "save":  # reads a log
+            path = await asyncio.to_thread(save, self.session, str(order["name"]))
+            self.offer(f'{{"saved": "{path.name}"}}')
+        else:
+            raise ValueError
+
+    def _choose(self, name: str) -> None:
+        if self.session.running:
+            raise RigError("a run goes on; stop it before another scenario is chosen")
+        if name not in self.scenarios:
+            raise RigError(f"scenario {name!r}: must be one of the list")
+        before = self.session
+        self.show(self.open_session(name))
+        before.close()
+
+
+_COMMANDS: Final = ("inject", "clear", "reference", "pace", "pause", "step")
+"""Requests that the plant node executes."""
+
+
+def _command(what: str, order: dict[str, Any]) -> operator_frames.Command:
+    if what == "inject":
+        kind, place = order["kind"], order["place"]
+        if kind not in operator_frames.kinds() or place not in operator_frames.places():
+            raise ValueError
+        value, duration_s = _number(order.get("value")), _number(order.get("for_s"))
+        return operator_frames.Command("INJECT", kind, place, value, duration_s)
+    if what == "clear":
+        place = order.get("place", operator_frames.ALL)
+        if place not in (operator_frames.ALL, *operator_frames.places()):
+            raise ValueError
+        return operator_frames.Command("CLEAR", place=place)
+    if what == "reference":
+        return operator_frames.Command("MOVE_REFERENCE", value=_number(order["value"]))
+    if what == "pace":
+        return operator_frames.Command("PACE", value=_number(order["value"]))
+    if what == "pause":
+        return operator_frames.Command("PAUSE")
+    return operator_frames.Command("STEP", value=_number(order.get("ticks", 1)))
+
+
+def _number(value: object) -> float | None:
+    if value is None:
+        return None
+    if not isinstance(value, int | float) or not math.isfinite(value):
+        raise ValueError
+    return float(value)
+
+
+NAME: Final = re.compile(r"[A-Za-z0-9][A-Za-z0-9_-]{0,63}")
+
+
+def save(session: Session, name: str) -> Path:
+    """Write the scenario that repeats the last run, ``NAME.toml`` in the working directory.
+
+    A changed reference goes into a file beside the scenario, tick by tick.
+
+    Raises:
+        RigError: no run has ended, the name is invalid, the file exists or cannot be written.
+    """
+    if session.running or session.folder is None:
+        raise RigError("no run has ended yet; what was done is saved afterwards")
+    if not NAME.fullmatch(name):
+        raise RigError(
+            f"{name!r}: must be letters, digits, - and _, and begin with one of the first"
+        )
+    path, folder = Path(f"{name}.toml"), Path(session.folder)
+    for each in (path, path.with_suffix(".csv")):
+        if os.path.lexists(each):
+            raise RigError(f"{each}: exists already; choose another name")
+    source = source_of(folder, None, ())
+    network = network_of(source.scenario)
+    what = done(source.scenario, touches(source.frames(), network))
+    values = written(session.name).with_changes(session.settings).values
+    values["fault"] = [_keys(fault) for fault in what.scenario.faults]
+    reference = path.with_suffix(".csv")
+    if what.moved:
+        values["reference"] = {"kind": "csv", "file": reference.name}
+    with ExitStack() as both:  # both files or neither
+        part = both.enter_context(atomic(path, force=False))
+        part.write_text(f"# What was done in {folder}.\n\n{tomli_w.dumps(values)}", "utf-8")
+        if what.moved:
+            part = both.enter_context(atomic(reference, force=False))
+            moved = read_signals(log_of(folder), network, session.scenario.tick_s)
+            with part.open("w", encoding="utf-8", newline="\n") as file:
+                file.writelines(reference_csv(moved))
+    return path
+
+
+def _keys(fault: FaultSettings) -> dict[str, Any]:
+    """The scenario keys of ``fault``."""
+    usual = asdict(FaultSettings())
+    its = {key: value for key, value in asdict(fault).items() if value != usual[key]}
+    return {"kind": fault.kind, "at_s": fault.at_s, **its}

@@ -1,22 +1,77 @@
-"""The page and its web socket, on 127.0.0.1 only."""
+"""The panel's server on 127.0.0.1: tokens for access, the page, the socket of a browser.
+
+The browser of a viewer lets pages of foreign sites reach the loopback interface too. A foreign page
+does not know the token and cannot forge the Origin header. If a foreign site points a domain name
+of its own to 127.0.0.1 (DNS rebinding), the Host header carries the foreign name.
+"""
 
 from __future__ import annotations
 
 import asyncio
+import hmac
 import json
+import secrets
+import socket
 from collections.abc import AsyncIterator, Awaitable, Callable
 from contextlib import suppress
+from dataclasses import dataclass, field
 from importlib.resources import files
 from pathlib import Path
 from typing import Final
 
 from aiohttp import WSMsgType, web
 
-from can_rig.errors import RigError
-from can_rig.panel.access import Access
-from can_rig.panel.orders import obey
-from can_rig.panel.screen import Screen
-from can_rig.panel.viewers import Viewer
+from can_rig.assessment.resolve import load
+from can_rig.errors import BusError, RigError, one_line
+from can_rig.panel.screen import Screen, Viewer
+from can_rig.panel.session import Session, new_bus
+from can_rig.scenario.settings import Scenario
+
+TOKEN_BYTES: Final = 24
+NAMES: Final = ("127.0.0.1", "localhost")
+HTTP_PORT: Final = 80
+
+
+def _token() -> str:
+    return secrets.token_urlsafe(TOKEN_BYTES)
+
+
+@dataclass(frozen=True)
+class Access:
+    """The tokens of one start of the panel.
+
+    ``control`` permits viewing and commands, ``view`` permits viewing only.
+    """
+
+    port: int
+    control: str = field(default_factory=_token)
+    view: str = field(default_factory=_token)
+
+    def url(self, token: str) -> str:
+        """The address of the page with ``token``."""
+        return f"http://{NAMES[0]}:{self.port}/{token}/"
+
+    def may_touch(self, token: str) -> bool | None:
+        """Whether who has ``token`` may touch; None: may not even look."""
+        if hmac.compare_digest(token.encode(), self.control.encode()):
+            return True
+        if hmac.compare_digest(token.encode(), self.view.encode()):
+            return False
+        return None
+
+    def is_own_host(self, host: str | None) -> bool:
+        """Whether a request's Host header names this server."""
+        return host in self._names()
+
+    def is_own_origin(self, origin: str | None) -> bool:
+        """Whether a request's Origin is a page of this server; web sockets always send Origin."""
+        return origin in {f"http://{name}" for name in self._names()}
+
+    def _names(self) -> set[str]:
+        """The server's names in a browser's spelling: without port 80, the default of http."""
+        port = "" if self.port == HTTP_PORT else f":{self.port}"
+        return {f"{name}{port}" for name in NAMES}
+
 
 UPDATES_PER_S: Final = 30
 MOST_BYTES: Final = 4096
@@ -56,7 +111,7 @@ class Server:
             app.router.add_get(f"/{{token}}/{name}", _static("can_rig.drawing", f"uplot/{file}"))
         app.router.add_get("/{token}/socket", self._socket)
         app.cleanup_ctx.append(self._updating)
-        app.on_shutdown.append(self._screen.viewers.close)
+        app.on_shutdown.append(self._screen.say_goodbye)
         return app
 
     @web.middleware
@@ -92,7 +147,7 @@ class Server:
                 if message.type is WSMsgType.TEXT:
                     await self._order(viewer, message.data)
         finally:
-            self._screen.viewers.remove(viewer)
+            self._screen.viewers.discard(viewer)
             sending.cancel()
         return socket
 
@@ -101,7 +156,7 @@ class Server:
         try:
             if not viewer.may_touch:
                 raise RigError("this address may look only")
-            await obey(self._screen, json.loads(text))
+            await self._screen.obey(json.loads(text))
         except RigError as error:
             viewer.offer(json.dumps({"refused": str(error)}))
         except (ValueError, KeyError, TypeError, AttributeError, OverflowError, RecursionError):
@@ -133,3 +188,70 @@ def _static(package: str, name: str) -> Callable[[web.Request], Awaitable[web.St
         return web.FileResponse(path)
 
     return answer
+
+
+@dataclass(frozen=True)
+class Shown:
+    """What is asked for.
+
+    Attributes:
+        scenario: what runs, or runs already.
+        name: what it is called: a shipped one or a file.
+        settings: the ``KEY=VALUE`` changes that made it.
+        scenarios: names to choose from.
+        bus: of nodes that run already; None: the panel starts them.
+        sends: whether commands may be sent.
+        port: of 127.0.0.1; 0: a free one.
+    """
+
+    scenario: Scenario
+    name: str
+    settings: tuple[str, ...]
+    scenarios: list[str]
+    bus: str | None
+    sends: bool
+    port: int = 0
+
+
+def serve(shown: Shown, say: Callable[..., None]) -> None:
+    """Serve until Ctrl-C or SIGTERM; either signal also ends a run that the panel started.
+
+    Args:
+        shown: scenario and bus of the command line.
+        say: gets the addresses.
+
+    Raises:
+        BusError: the port or the bus cannot be opened.
+    """
+    listening = _listening(shown.port)
+    access = Access(listening.getsockname()[1])
+    bus = shown.bus or new_bus()
+
+    def opened(name: str) -> Session:
+        return Session(bus, load(name, shown.settings), name, shown.settings)
+
+    session = Session(bus, shown.scenario, shown.name, shown.settings, shown.sends)
+    names = shown.scenarios
+    if names and shown.name not in names:
+        names = [shown.name, *names]
+    server = Server(Screen(session, names, opened), access)
+    if shown.sends:
+        say(f"to watch and touch  {access.url(access.control)}")
+    say(f"to watch only       {access.url(access.view)}")
+
+    async def application() -> web.Application:
+        return server.application()
+
+    web.run_app(application(), sock=listening, print=None, access_log=None, handle_signals=True)
+
+
+def _listening(port: int) -> socket.socket:
+    listening = socket.socket(socket.AF_INET, socket.SOCK_STREAM)
+    listening.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    try:
+        listening.bind((NAMES[0], port))
+    except OSError as error:
+        listening.close()
+        raise BusError(f"port {port}: cannot be opened: {one_line(error)}") from None
+    listening.listen()
+    return listening

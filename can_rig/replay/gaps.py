@@ -1,16 +1,16 @@
-"""What is wrong with the frames of a log: one account of everything that did not come as sent.
+"""The gaps of a log: every deviation of the frames from the sent sequence.
 
-| gap             | what it means                                                                  |
+| gap             | meaning                                                                        |
 |-----------------|--------------------------------------------------------------------------------|
 | `missing`       | no frame of this message for the tick                                          |
-| `late`          | it came after a later tick had begun                                           |
-| `out of order`  | it came in its tick, but after a frame that follows it                         |
-| `repeated`      | the same frame once more                                                       |
-| `contradicting` | another frame of the same message and tick                                     |
-| `counter jump`  | the alive counter did not go on with the tick                                  |
-| `wrong CRC`     | damaged, or another sender's                                                   |
+| `late`          | the frame came after the begin of a later tick                                 |
+| `out of order`  | the frame came in its tick, but behind a later frame of the tick               |
+| `repeated`      | the same frame again                                                           |
+| `contradicting` | a different frame of the same message and tick                                 |
+| `counter jump`  | the alive counter disagrees with the tick                                      |
+| `wrong CRC`     | a damaged frame, or a frame of a foreign sender                                |
 | `wrong length`  | not 8 bytes                                                                    |
-| `stray tick`    | intact, but of a tick far from the one under way                               |
+| `stray tick`    | an intact frame of a tick far from the current tick                            |
 | `clock step`    | the time stamps went back, or on by 0.1 s more than the ticks                  |
 """
 
@@ -18,7 +18,7 @@ from __future__ import annotations
 
 import csv
 from collections import Counter
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, field
 from typing import Final, NamedTuple, TextIO
 
@@ -29,19 +29,19 @@ from can_rig.logs.frames import NS_PER_S
 from can_rig.replay.rig_frames import SPEED_ROLE, RigFrame, is_input
 
 NEAR: Final = 32
-"""How many ticks a frame may be away from the one under way and still count as its tick's."""
+"""Largest distance of a usable frame from the current tick, in ticks."""
 
 CLOCK_STEP_NS: Final = NS_PER_S // 10
 COLUMNS: Final = ("tick", "time_s", "message", "what", "ticks", "detail")
 
 
 class Gap(NamedTuple):
-    """One thing that is wrong, or the same in so many ticks in a row."""
+    """One deviation, in one tick or in successive ticks."""
 
     tick: int
-    """The first."""
+    """First tick."""
     time_ns: int
-    """Time stamp in the log where it showed first."""
+    """First time stamp in the log."""
     message: str
     what: str
     """A word of the table above."""
@@ -51,47 +51,40 @@ class Gap(NamedTuple):
 
 @dataclass
 class Row:
-    """What a log has of one tick."""
+    """The frames of one tick in a log."""
 
     time_ns: int
     seen: list[bytes | None] = field(default_factory=lambda: [None] * (len(ROLES) + 1))
-    """By role, the first intact frame; the last is that of the speed."""
+    """By role, the first intact frame; the speed comes last."""
     damaged: set[int] = field(default_factory=set)
-    """Roles of which a damaged frame was there."""
+    """Roles with a damaged frame."""
 
 
 class Account:
-    """Notes frame by frame what is wrong.
+    """Collects the gaps, frame by frame.
 
     Args:
         network: names of the messages.
-        tick_ns: how far time stamps should go on in a tick.
-        on_gap: gets every gap, those of several ticks in a row once. Each comes when the next of
-            its kind does, or at the end of the log, and so in no order: `in_order` puts them so.
-        outages: ticks without an answer, as the controller has no power; then it counts anew.
+        tick_ns: expected step of the time stamps in a tick.
+        outages: ticks of a controller without power: no answers, and counters begin anew.
     """
 
-    def __init__(
-        self,
-        network: Network,
-        tick_ns: int,
-        on_gap: Callable[[Gap], None],
-        outages: Sequence[range] = (),
-    ) -> None:
+    def __init__(self, network: Network, tick_ns: int, outages: Sequence[range] = ()) -> None:
         self._outages = outages
         self._names = [codec.name for codec in network.by_role]
         self._lengths = [codec.layout.length for codec in network.by_role]
         self._tick_ns = tick_ns
-        self._on_gap = on_gap
         self.counts: Counter[tuple[str, str]] = Counter()
-        """How many by message and word."""
+        """Number of gaps by message and word."""
+        self.gaps: list[Gap] = []
+        """After ``finish``: every gap by tick and time stamp; successive ticks are one gap."""
         self.first_input_gap: int | None = None
-        """The first tick from which on the controller of the replay may not have got what the
-        recorded one had got."""
+        """First tick from which on the replayed controller may lack inputs of the recorded
+        controller."""
         self.first_answer_gap: int | None = None
-        """The first tick whose answer is missing or late: in real time, the recorded controller may
-        have gone on without it."""
-        self._runs: dict[tuple[str, str], Gap] = {}  # that may go on
+        """First tick with a missing or late answer; in real time, the recorded controller may have
+        continued without that answer."""
+        self._runs: dict[tuple[str, str], Gap] = {}  # may continue in the next tick
         self._reached = (-1, -1)  # the furthest tick and role so far
         self._last: dict[int, tuple[int, int]] = {}  # role: tick and counter of the newest frame
         self._clock: tuple[int, int] | None = None  # tick and time stamp of the last frame
@@ -100,9 +93,9 @@ class Account:
         """Judge a frame.
 
         Args:
-            frame: the next of the log.
-            row: what is there of its tick so far, where the frame is put; None: a stray tick.
-            tick: its own, or that under way if it is damaged or a stray.
+            frame: the next frame of the log.
+            row: the earlier frames of the tick; gets this frame; None: a stray tick.
+            tick: the frame's tick; for a damaged or stray frame, the current tick.
         """
         role = frame.role
         if not frame.intact:
@@ -131,20 +124,20 @@ class Account:
         self._watch_counter(frame, tick)
 
     def close(self, tick: int, row: Row) -> None:
-        """Nothing more comes for ``tick``: note what is missing."""
+        """Note the missing frames of ``tick``, which is over."""
         for role, data in enumerate(row.seen[: len(self._names)]):
             off = not is_input(role) and any(tick in outage for outage in self._outages)
             if data is None and role not in row.damaged and not off:
                 self.note(tick, row.time_ns, role, "missing")
 
     def finish(self) -> None:
-        """The log has ended."""
-        for gap in sorted(self._runs.values()):
-            self._on_gap(gap)
+        """Complete ``gaps`` at the end of the log."""
+        self.gaps += sorted(self._runs.values())
+        self.gaps.sort(key=lambda gap: (gap.tick, gap.time_ns))
         self._runs.clear()
 
     def note(self, tick: int, time_ns: int, role: int, what: str, detail: str = "") -> None:
-        """Count one gap; one without a role is of the log itself."""
+        """Count one gap; a negative ``role`` means the log itself."""
         name = self._names[role] if role >= 0 else "(time stamps)"
         key = (name, what)
         self.counts[key] += 1
@@ -158,7 +151,7 @@ class Account:
             self._runs[key] = run._replace(ticks=run.ticks + 1)
             return
         if run is not None:
-            self._on_gap(run)
+            self.gaps.append(run)
         self._runs[key] = Gap(tick, time_ns, name, what, 1, detail)
 
     def _watch_counter(self, frame: RigFrame, tick: int) -> None:
@@ -178,7 +171,7 @@ class Account:
             return
         step_ns = frame.time_ns - before[1]
         beyond_ns = step_ns - max(tick - before[0], 0) * self._tick_ns
-        # Two frames that changed places took their time stamps along: up to a few ticks are not it.
+        # Two swapped frames keep their time stamps: a step of a few ticks is no clock step.
         if step_ns < -(max(before[0] - tick, 0) + 1) * self._tick_ns or beyond_ns > CLOCK_STEP_NS:
             self.note(tick, frame.time_ns, -1, "clock step", f"{step_ns / NS_PER_S:+.6f} s")
 
@@ -187,23 +180,15 @@ def _first(known: int | None, tick: int) -> int:
     return tick if known is None else min(known, tick)
 
 
-def in_order(gaps: Iterable[Gap]) -> list[Gap]:
-    """By tick, then by time stamp; otherwise as they came."""
-    return sorted(gaps, key=lambda gap: (gap.tick, gap.time_ns))
-
-
 def write_gaps(file: TextIO, gaps: Iterable[Gap]) -> None:
-    """A list of gaps as CSV."""
+    """Write gaps as CSV."""
     rows = csv.writer(file, lineterminator="\n")
     rows.writerow(COLUMNS)
-    for gap in gaps:
-        rows.writerow(
-            (gap.tick, seconds(gap.time_ns), gap.message, gap.what, gap.ticks, gap.detail)
-        )
+    rows.writerows((gap.tick, seconds(gap.time_ns), *gap[2:]) for gap in gaps)
 
 
 def seconds(time_ns: int) -> str:
-    """A time stamp as a candump log has it, with all its digits."""
+    """A time stamp in candump's form, with all digits."""
     sign, whole = "-" * (time_ns < 0), abs(time_ns)
     text = f"{sign}{whole // NS_PER_S}.{whole % NS_PER_S:09d}"
     return text[:-3] if text.endswith("000") else text

@@ -1,8 +1,8 @@
 """Frames of a log onto a bus, in the log's own time.
 
-Every frame has a deadline of its own, counted in whole nanoseconds from the first one, so nothing
-adds up over hours: a frame that was late does not move the next. A frame whose time has passed,
-because the machine was slow or the log's clock went back, is sent at once.
+Every frame has its own deadline in whole nanoseconds since the first frame, so delays do not add up
+over hours. A frame behind its deadline, on a slow machine or after a backward step of the log's
+clock, is sent at once.
 """
 
 from __future__ import annotations
@@ -21,48 +21,48 @@ from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.clock import SYSTEM_CLOCK, Clock
 
 SLICE_NS: Final = NS_PER_S // 20
-"""How soon a stop request is noticed."""
+"""Longest delay before a stop request takes effect."""
 
 ROOM_S: Final = 0.1
-"""Without a pace, how long a frame waits for a listener that is behind, before it is refused."""
+"""Without a pace, how long a frame waits for a slow listener."""
 
 LISTEN_EVERY: Final = 64
-"""Frames after which what others have sent is taken off the bus, so that they are not held up."""
+"""Number of sent frames between two readings of the bus; unread frames would delay senders."""
 
 REFUSED_S: Final = 1.0
-"""How long a bus may refuse a frame, as one does whose queue is full."""
+"""How long a bus may refuse a frame, for example because of a full queue."""
 
 RETRY_NS: Final = NS_PER_S // 1000
 
 
 @dataclass
 class Paced:
-    """How it went."""
+    """The result of a replay onto a bus."""
 
     sent: int = 0
     error_frames: int = 0
-    """Not sent: only a bus itself makes them."""
+    """Not sent: only a bus makes error frames."""
     fd_frames: int = 0
     """Not sent: the bus is a classic one."""
     late_ns: int = 0
-    """The most that a frame was behind its time; without a pace 0."""
+    """Largest delay of a frame; 0 without a pace."""
     log_ns: int = 0
-    """From the first frame sent to the last, by the log."""
+    """From the first sent frame to the last, by the log."""
     wall_ns: int = 0
     """By the clock."""
 
 
 class Pacer:
-    """Sends frames when their time has come.
+    """Sends frames at their times.
 
     Args:
-        bus: where to.
-        speed: times the log's own pace; None: as fast as the bus takes them.
-        stop: ends it between two frames.
-        clock: what time it is.
+        bus: the destination.
+        speed: multiple of the log's pace; None: as fast as the bus accepts frames.
+        stop: ends the replay between two frames.
+        clock: the time.
 
     Raises:
-        ValueError: a speed that is not above zero.
+        ValueError: a speed of zero or below.
     """
 
     def __init__(
@@ -83,7 +83,7 @@ class Pacer:
         self.result: Final = Paced()
 
     def send(self, frames: Frames) -> bool:
-        """Send a chunk of the log; whether to go on with the next.
+        """Send a chunk of the log; return False after a stop request.
 
         Raises:
             BusError: the bus refuses a frame for too long.
@@ -101,14 +101,14 @@ class Pacer:
         return not self._stop.wanted
 
     def send_all(self, chunks: Iterable[Frames]) -> Paced:
-        """Send a whole log, or as much as there is before the stop request."""
+        """Send a log, up to a stop request."""
         for frames in chunks:
             if not self.send(frames):
                 break
         return self.result
 
     def _wait(self, time_ns: int) -> bool:
-        """Until the frame's time has come; False at a stop request."""
+        """Wait for the frame's deadline; return False at a stop request."""
         if self._first_ns is None:
             self._first_ns = time_ns, self._clock.now_ns()
         since_ns = time_ns - self._first_ns[0]
@@ -126,14 +126,14 @@ class Pacer:
         return False
 
     def _take_away(self) -> None:
-        """What others have sent, unread."""
+        """Discard the frames of other senders."""
         with suppress(can.CanError):
             for _ in range(LISTEN_EVERY * LISTEN_EVERY):
                 if self._bus.recv(0) is None:
                     return
 
     def _put(self, message: can.Message) -> bool:
-        """Onto the bus, again and again for a while if it refuses; False at a stop request."""
+        """Send a frame, repeatedly if the bus refuses; return False at a stop request."""
         deadline_ns = None
         if self.result.sent % LISTEN_EVERY == 0:
             self._take_away()

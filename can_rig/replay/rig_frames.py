@@ -1,47 +1,51 @@
-"""The rig's own frames in a log, one by one, with what their bytes say."""
+"""The rig's frames in a log, and the late or missing answers of a run in real time."""
 
 from __future__ import annotations
 
 from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
 from typing import Final, NamedTuple
 
 import numpy as np
 
 from can_rig.decoding.message_decoder import counters, intact_rows
-from can_rig.frames.codec import ROLES, WIRE_TICKS, MessageCodec, ticks_on
+from can_rig.frames.codec import ROLES, WIRE_TICKS, MessageCodec, tick_at, ticks_ahead, ticks_on
 from can_rig.frames.network import Network
 from can_rig.frames.protection import COUNTERS, FRAME_BYTES, Checker, CheckStatus, Unprotected
-from can_rig.logs.frames import ERROR, EXTENDED, FD, REMOTE, Frames
+from can_rig.logs.frames import ERROR, EXTENDED, FD, NS_PER_S, REMOTE, Frames
+from can_rig.plant.actuators import Actuator
+from can_rig.scenario.settings import Scenario
+from firmware_model.firmware import Firmware
 
 INPUTS: Final = 2
-"""The first roles, reference and feedback, are what the controller gets; then comes its answer."""
+"""Number of the first roles, reference and feedback; the roles of the answer follow."""
 
 SPEED_ROLE: Final = len(ROLES)
-"""Of the speed, which the controller gets before them, where the network has it."""
+"""Role of the speed, which precedes both inputs in networks with a speed frame."""
 
 
 def is_input(role: int) -> bool:
-    """Whether the controller gets the frame; otherwise it is one of its answer."""
+    """Whether the frame is an input of the controller, and not part of the answer."""
     return role < INPUTS or role == SPEED_ROLE
 
 
 class RigFrame(NamedTuple):
-    """One frame of the network, as a log has it."""
+    """One frame of the network in a log."""
 
     role: int
-    """Which one, an index of `frames.layout.ROLES`, or ``SPEED_ROLE``."""
+    """An index of `frames.layout.ROLES`, or ``SPEED_ROLE``."""
     time_ns: int
-    """Time stamp, as `Frames.time_ns`."""
+    """Time stamp; see `Frames.time_ns`."""
     data: bytes
     tick: int
-    """What it says, modulo 65536; 0 if it is too short to say anything."""
+    """Tick on the wire, modulo 65536; 0 in a frame too short for a tick."""
     counter: int
     intact: bool
-    """Whether length, CRC and data identifier are those of the frame."""
+    """Whether length, CRC and data identifier are right."""
 
 
 def rig_frames(chunks: Iterable[Frames], network: Network) -> Iterator[RigFrame]:
-    """The frames of ``network`` among others, in their order."""
+    """The frames of ``network`` in a log, in order."""
     roles = {codec.frame_id: role for role, codec in enumerate(network.by_role)}
     identifiers = np.array(sorted(roles), dtype=np.uint32)
     data_ids = [codec.data_id for codec in network.by_role]
@@ -80,10 +84,10 @@ def rig_frames(chunks: Iterable[Frames], network: Network) -> Iterator[RigFrame]
 def _of_any_layout(
     chunks: Iterable[Frames], network: Network, roles: dict[int, int]
 ) -> Iterator[RigFrame]:
-    """The same of frames that are not the rig's own, one by one.
+    """The frames of a network with foreign layouts.
 
-    One that says no tick is counted: a reference or a feedback is of the tick after the last of
-    its kind, an answer of the last feedback's.
+    Frames without a tick are counted: a reference or a feedback belongs to the tick after the last
+    frame of the same message, an answer to the tick of the last feedback.
     """
     codecs = tuple(network)
     counted = [-1] * INPUTS
@@ -102,7 +106,7 @@ def _of_any_layout(
                 if role < INPUTS:
                     counted[role] += 1
                 tick = counted[role if role < INPUTS else INPUTS - 1] % WIRE_TICKS
-            counter = tick % COUNTERS  # of a frame without one, as if none were lost or repeated
+            counter = tick % COUNTERS  # without a counter: no frame lost or repeated
             if codec.protected and len(data) > 1:
                 counter = data[1] & 0x0F
             yield RigFrame(role, int(frames.time_ns[at]), data, tick, counter, _intact(codec, data))
@@ -114,3 +118,78 @@ def _intact(codec: MessageCodec, data: bytes) -> bool:
         Unprotected(length) if codec.data_id is None else Checker(codec.data_id, length=length)
     )
     return checker.check(bytearray(data)) in {CheckStatus.OK, CheckStatus.INITIAL}
+
+
+COMMANDS = 2
+"""Commands of a tick."""
+
+
+@dataclass
+class Recorded:
+    """The missing and late answers of a controller in a real-time log, tick by tick.
+
+    The commands of a tick are missing in the log, or follow the reference of the tick from whose
+    deadline on the commands should have acted. The recorded controller told F1 the values that the
+    actuators applied meanwhile (`nodes.realtime.controller_node`); a replay must do the same.
+    Outages after which the controller took over anew (`nodes.realtime.restart`) are not replayed.
+    """
+
+    scenario: Scenario
+    first_tick: int = 0
+    answered: dict[int, int] = field(default_factory=dict)
+    """By tick, the number of commands in the log."""
+    late: set[int] = field(default_factory=set)
+    """Ticks with commands behind the deadline."""
+
+    def __post_init__(self) -> None:
+        hold_ticks = round(self.scenario.actuator.hold_s / self.scenario.tick_s)
+        self._actuators = Actuator(hold_ticks), Actuator(hold_ticks)
+        self._sent: dict[int, tuple[float, float]] = {}
+
+    def begin(self, tick: int, firmware: Firmware) -> bool:
+        """Tell the firmware the acting commands from ``tick`` on.
+
+        Args:
+            tick: the tick on the wire, or counted from the first contact on.
+            firmware: before its step.
+
+        Returns:
+            Whether the recorded controller answered the sample of ``tick``.
+        """
+        tick = self._counted(tick)
+        acting = tick - self.scenario.latency_ticks
+        sent = self._sent.pop(acting, None)
+        if sent is not None and acting not in self.late:
+            for actuator, command in zip(self._actuators, sent, strict=True):
+                actuator.hear(command)
+        elif acting >= self.first_tick:
+            firmware.act(*(actuator.hear(None) for actuator in self._actuators))
+        return self.answered.get(tick, 0) == COMMANDS
+
+    def send(self, tick: int, commands: tuple[float, float]) -> None:
+        """Note the commands of an answered tick."""
+        if self.answered.get(self._counted(tick), 0) == COMMANDS:
+            self._sent[self._counted(tick)] = commands
+
+    def _counted(self, tick: int) -> int:
+        return tick + (self.first_tick - self.first_tick % WIRE_TICKS)
+
+
+def recorded(chunks: Iterable[Frames], network: Network, scenario: Scenario) -> Recorded:
+    """Read the answers of a run in real time."""
+    found: Recorded | None = None
+    newest = 0  # tick of a reference
+    for frame in rig_frames(chunks, network):
+        if not frame.intact:
+            continue
+        if found is None:
+            newest = tick_at(frame.tick, frame.time_ns / NS_PER_S, scenario.tick_s)
+            found = Recorded(scenario, newest)
+        tick = newest + ticks_ahead(frame.tick, newest)
+        if is_input(frame.role):
+            newest = max(newest, tick)
+        elif frame.role < INPUTS + COMMANDS:
+            found.answered[tick] = found.answered.get(tick, 0) + 1
+            if newest >= tick + scenario.latency_ticks:
+                found.late.add(tick)
+    return found or Recorded(scenario)

@@ -1,4 +1,4 @@
-"""What if: the reference of a log through the closed loop of another scenario, beside the log."""
+"""What if: the reference of a log through the closed loop of a changed scenario, and both runs."""
 
 from __future__ import annotations
 
@@ -17,14 +17,14 @@ from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.clock import Progress, no_progress
 from can_rig.nodes.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.operating import Touch, Touches
-from can_rig.results.execution import Execution, execute, refuse
+from can_rig.results.execution import Execution, Options, execute, refuse
 from can_rig.results.run_folder import WHAT_IF, log_of
 from can_rig.results.signals import Signals, read_signals, signals_of, with_plant_signals
 from can_rig.results.source import Reading, Source, reference_csv, source_of
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import ReferenceSettings, Scenario
-from can_rig.views.diff_picture import draw_difference
-from can_rig.views.run_diff import Difference, compare
+from can_rig.views.diff import Difference, compare
+from can_rig.views.pictures import draw_difference
 from can_rig.views.signal_table import SignalTable, table_of
 
 LABELS: Final = ("log", "what if")
@@ -32,25 +32,25 @@ LABELS: Final = ("log", "what if")
 
 @dataclass(frozen=True)
 class Question:
-    """What is asked of which log."""
+    """A log, and a changed scenario."""
 
     recorded: Source
     logged: Signals
     told: tuple[Touch, ...]
-    """What was done to the run while it went on."""
+    """Commands during the recorded run."""
     label: str
-    """The log or run folder, as it was named."""
+    """The log or run folder, as named by the user."""
     scenario: Scenario
-    """The other one; as long as the log, unless something else was asked for."""
+    """The changed scenario; as long as the log, unless the user changed the duration."""
 
 
 @dataclass(frozen=True)
 class WhatIf:
-    """The answer: a run of its own, and what differs from the log."""
+    """The answer: a new run, and its differences from the log."""
 
     execution: Execution
     before: SignalTable
-    """What was logged."""
+    """The log."""
     difference: Difference
 
 
@@ -62,15 +62,15 @@ def question(
     reading: Reading = iter,
     window: Window = ALL,
 ) -> Question:
-    """Read the log, and the scenario that is asked about.
+    """Read the log and the changed scenario.
 
     Args:
         path: a log or a run folder.
         name: the scenario in place of the folder's own; a log needs one.
         settings: ``KEY=VALUE`` changes of it.
-        channel: the only bus of the log that is looked at; None: all.
-        reading: goes through the log, to show how far it is read.
-        window: the part of the log that is read.
+        channel: the only bus to read; None: all buses.
+        reading: iterates over the log and shows the progress.
+        window: the part of the log to read.
 
     Raises:
         LogError: the log cannot be read, or has no reference.
@@ -105,40 +105,38 @@ def what_if(
         out: the folder of the run; see ``execute``.
         stop: ends the run after a tick.
         force: replace the run that is there.
-        allow_unstable: run a loop that is not stable.
-        progress: shows how far the run is.
+        allow_unstable: run an unstable loop too.
+        progress: shows the progress.
 
     Returns:
-        The answer; None if it was stopped before anything was recorded.
+        The answer; None if stopped before the first recorded frame.
 
     Raises:
         LogError: the folder is the log itself.
-        ScenarioError: a scenario that cannot run.
-        RunFolderError: as ``execute``.
+        ScenarioError: an impossible run.
+        RunFolderError: see ``execute``.
     """
     log = asked.recorded.log.path
     if out is not None and out.resolve() in (log.resolve(), log.parent.resolve()):
         raise LogError(f"{out}: is the log itself; choose another --out")
     reference = reference_csv(asked.logged)
     refuse(replace(asked.scenario, reference=ReferenceSettings()), allow_unstable)
-    execution = execute(
-        asked.scenario,
-        out,
-        stop,
+    options = Options(
         force=force,
         progress=progress,
         reference_csv=reference,
         interaction=Interaction(injectable=True, told=asked.told) if asked.told else UNTOUCHED,
     )
+    execution = execute(asked.scenario, out, stop, options)
     if execution is None:
         return None
     network, scenario = execution.network, execution.scenario
     signals = read_signals(log_of(execution.folder), network, scenario.tick_s)
-    if not asked.logged.plant:  # a log alone has nothing that it could be compared with
+    if not asked.logged.plant:  # absent from a log without run folder
         signals = replace(signals, plant={})
     before = table_of(asked.logged, asked.label, asked.recorded.scenario)
     same_reference = replace(scenario, reference=asked.recorded.scenario.reference)
-    after = table_of(signals, LABELS[1], same_reference)  # the log's, as a file
+    after = table_of(signals, LABELS[1], same_reference)  # the log's reference, as a file
     difference = compare(before, after, {})
     with atomic(execution.folder / WHAT_IF, force=True) as part:
         draw_difference(part, before, after, difference)
@@ -146,7 +144,7 @@ def what_if(
 
 
 def _logged(source: Source, chunks: Iterable[Frames]) -> Signals:
-    """The signals of the log, by the tick that it was recorded with."""
+    """The signals of the log, with the recorded tick."""
     messages = (m for frames in chunks for m in frames.messages())
     scenario = source.scenario
     network = network_of(scenario)

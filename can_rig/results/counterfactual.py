@@ -1,7 +1,8 @@
-"""Runs that might have been: the recorded one without its fault, its noise, its compensation."""
+"""Runs beside the recorded run: without its fault, noise or compensation; the applied commands."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -9,50 +10,51 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig import paged
-from can_rig.logs.columns import TRUE_OUTPUT
+from can_rig.logs.columns import APPLIED, TRUE_OUTPUT
+from can_rig.plant.actuators import Actuator
 from can_rig.plant.changing_car import plant_of
 from can_rig.plant.faults.plant_faults import DISTORTING, PlantFaults
 from can_rig.plant.frameless import UntilItFails, common, with_files
 from can_rig.plant.in_windows import blocks_of
-from can_rig.results.signals import Signals
+from can_rig.results.signals import Signals, signals_of_trace
+from can_rig.scenario.build import network_of
 from can_rig.scenario.fault_settings import SENSOR
+from can_rig.scenario.reference import refuse_saturation
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
+from firmware_model.analysis.hardware import LATE, distorted
 from firmware_model.analysis.simulation import Simulation
 from firmware_model.target.structs import FloatArray
 
 
 class Counterfactual(NamedTuple):
-    """Each of shape (ticks,), at the ticks of the recorded run."""
+    """Signals at the ticks of the recorded run, (ticks,) each."""
 
     dstar_mps2: FloatArray
-    """As measured; not a number from where on a plant of one's own fails in this run too."""
+    """Measured D*; nan after the failure of a user's plant."""
     force_difference_n: FloatArray
     car_mps2: FloatArray
-    """D* of the car, without what a faulty sensor makes of it; see ``car_output``."""
+    """D* of the car without the errors of a faulty sensor; see ``car_output``."""
 
 
 def fault_free(scenario: Scenario, signals: Signals) -> Counterfactual:
-    """The same run without its fault: same plant, table, frames and noise."""
+    """The same run without faults: same plant, table, frames and noise."""
     return _instead(scenario.healthy, signals, len(signals))
 
 
 def without_fault(scenario: Scenario, at: int, signals: Signals) -> Counterfactual:
-    """The same run without one of its faults, by its number."""
+    """The same run without the fault number ``at``."""
     others = scenario.faults[:at] + scenario.faults[at + 1 :]
     return _instead(replace(scenario, fault=others), signals, len(signals))
 
 
 def noise_free(scenario: Scenario, signals: Signals, rows: int) -> Counterfactual:
-    """The same run without its fault and without the sensor's noise.
-
-    Its first ``rows`` rows at least; not a number where nobody has asked for more.
-    """
+    """The same run without faults and without the sensor's noise; nan after the first ``rows``."""
     return _instead(scenario.undisturbed, signals, rows)
 
 
 def uncompensated(scenario: Scenario, signals: Signals) -> Counterfactual:
-    """The same run with its fault and no compensation of it."""
+    """The same run with faults and without compensation."""
     off = replace(scenario.design, compensation="off")
     return _instead(replace(scenario, design=off), signals, len(signals))
 
@@ -76,7 +78,7 @@ def _instead(scenario: Scenario, signals: Signals, rows: int) -> Counterfactual:
 
 @remembered(4, by=with_files)
 def _long(scenario: Scenario) -> Counterfactual:
-    """A whole run, whose loop is not kept."""
+    """A whole run; its loop is dropped."""
     columns = Counterfactual(*(paged.empty(scenario.ticks) for _ in Counterfactual._fields))
     for ticks, loop, rows in blocks_of(scenario):
         trace, some = loop.trace, slice(ticks.start, ticks.stop)
@@ -92,7 +94,7 @@ def _long(scenario: Scenario) -> Counterfactual:
 
 @remembered(4, by=with_files)
 def loop_of(scenario: Scenario) -> Simulation:
-    """A run that somebody may have begun, and that goes on as far as it is asked for."""
+    """A shared loop, advanced as far as any caller needs."""
     shared = common(scenario)
     plant = shared.plant or UntilItFails(plant_of(scenario))
     return shared.loop(scenario, shared.inputs_of(scenario), plant)
@@ -101,16 +103,16 @@ def loop_of(scenario: Scenario) -> Simulation:
 def car_output(
     scenario: Scenario, measured: FloatArray, true_output: FloatArray | None, first: int = 0
 ) -> FloatArray:
-    """(ticks,), ``measured`` D* without what a faulty sensor makes of it, m/s².
+    """(ticks,), ``measured`` D* without the errors of a faulty sensor, m/s².
 
-    What is added to it is taken off. Where a fault does more, it is the car's own output, without
-    noise and resolution; nan where that is not known.
+    A bias is subtracted. A fault beyond a bias hides the measurement: there the result is the car's
+    true output, without noise and resolution; nan if unknown.
 
     Args:
         scenario: the run.
-        measured: (ticks,), D* as the controller got it.
-        true_output: (ticks,), the car's own; None: not known.
-        first: the first of these ticks.
+        measured: (ticks,), D* as received by the controller.
+        true_output: (ticks,), the car's true output; None: unknown.
+        first: the first tick.
     """
     ticks = range(first, first + len(measured))
     output = measured - PlantFaults(scenario).bias(ticks)
@@ -123,16 +125,90 @@ def car_output(
 
 
 def output_of_car(scenario: Scenario, signals: Signals) -> FloatArray:
-    """(ticks,), D* of the car, without what a faulty sensor makes of it; see ``car_output``."""
+    """(ticks,), D* of the car without the errors of a faulty sensor; see ``car_output``."""
     first = round(float(signals.time_s[0]) / scenario.tick_s) if len(signals) else 0
     return car_output(scenario, signals.dstar_mps2, signals.plant.get(TRUE_OUTPUT), first)
 
 
 def deviation_from(scenario: Scenario, signals: Signals, other: Counterfactual) -> FloatArray:
-    """(ticks,), |D* of the car less that of another run|."""
+    """(ticks,), |D* of the car minus D* of the other run's car|."""
 
     def part(rows: slice) -> FloatArray:
         return np.abs(output_of_car(scenario, signals[rows]) - other.car_mps2[rows])
 
     with np.errstate(invalid="ignore", over="ignore"):  # a loop that diverges
         return paged.column(len(signals), part)
+
+
+def applied_commands(scenario: Scenario, signals: Signals) -> tuple[FloatArray, FloatArray]:
+    """Both inputs of the plant from each tick to the next, (ticks,) each, in the commands' units.
+
+    The plant's report, if any. For a log without reports, and for actuators without lag: a command
+    acts ``latency_ticks`` after its tick; an actuator without commands holds the last command for
+    ``actuator.hold_s``, then applies zero; a dead actuator keeps the share ``fault.left``. nan at
+    the start of a log with a late begin, before its first command acts.
+    """
+    if all(name in signals.plant for name in APPLIED):
+        torque_nm, force_difference_n = (signals.plant[name] for name in APPLIED)
+        return torque_nm, force_difference_n
+    first = round(float(signals.time_s[0]) / scenario.tick_s) if len(signals) else 0
+    hold_ticks = round(scenario.actuator.hold_s / scenario.tick_s)
+    faults, ticks = PlantFaults(scenario), range(first, first + len(signals))
+    left, rows = faults.left(ticks), faults.rows(ticks)
+    before = np.full(scenario.latency_ticks, 0.0 if first == 0 else math.nan)
+    commands = signals.torque_nm, signals.force_difference_n
+    one, two = (
+        left[:, channel]
+        * _reached(np.concatenate([before, _held(command, hold_ticks)]), ticks, rows[:, channel])
+        for channel, command in enumerate(commands)
+    )
+    return one, two
+
+
+def _reached(acting: FloatArray, ticks: range, faults: FloatArray) -> FloatArray:
+    """The commands at an actuator, with ``faults`` (ticks, ...)."""
+    reached = acting[: len(ticks)].copy()
+    previous = 0.0
+    for k, fault in enumerate(faults):
+        late = k - int(fault[LATE])
+        reached[k] = previous = distorted(acting[late] if late >= 0 else 0.0, previous, fault)
+    return reached
+
+
+def _held(command: FloatArray, hold_ticks: int) -> FloatArray:
+    actuator = Actuator(hold_ticks)
+    heard = (None if math.isnan(value) else value for value in command.tolist())
+    return np.array([actuator.hear(value) for value in heard], dtype=np.float64)
+
+
+def signals_without_log(scenario: Scenario) -> Signals:
+    """The signals of a run without records, with the plant's output.
+
+    Raises:
+        RigError: an impossible run, or an end before the last tick.
+    """
+    refuse_saturation(scenario, network_of(scenario))
+    shared = common(scenario)
+    inputs = shared.inputs_of(scenario)
+    loop = shared.loop(scenario, inputs, shared.plant or plant_of(scenario))
+    if shared.plant is not None and scenario.faults and not len(inputs.faults):
+        _begin_without_fault(loop, scenario)
+    loop.run()
+    signals = signals_of_trace(loop.trace, inputs.delivery, loop.ticks, shared.network)
+    return replace(signals, plant={TRUE_OUTPUT: loop.trace.measurement})
+
+
+def _begin_without_fault(loop: Simulation, scenario: Scenario) -> None:
+    """Copy the fault-free run up to the first difference; the metrics need that run anyway.
+
+    Impossible for a fault that looks back before its start.
+    """
+    healthy = loop_of(scenario.healthy)
+    first = min([loop.ticks, *(outage.start for outage in scenario.outages)])
+    for own, its in zip(loop.inputs, healthy.inputs, strict=True):
+        if own is not its:
+            differs = np.flatnonzero((own != its).reshape(loop.ticks, -1).any(axis=1))
+            first = min([first, *differs[:1].tolist()])
+    if healthy.done <= first:
+        healthy.run(first)
+        loop.go_on_from(healthy)

@@ -1,4 +1,4 @@
-"""The least deviation that a loss can cause, and whether the controller found the loss.
+"""The least possible deviation after a loss, and the detection of the loss.
 
 The controller claims that the torque is lost by the fault state CONFIRMED, that the force
 difference is lost by its verdict. A claim finds a loss where it begins while a sample can show
@@ -12,6 +12,7 @@ from typing import Final, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from can_rig import paged
 from can_rig.assessment.limitations import Unavoidable, can_be_told, unavoidable
 from can_rig.results.counterfactual import (
     deviation_from,
@@ -43,12 +44,12 @@ COMPENSATED: Final = 0.5
 
 
 class Detection(NamedTuple):
-    """What the controller made of one loss.
+    """The detection of one loss.
 
     Attributes:
-        suspected_after_s: from its start to the first suspicion that begins in it.
-        detection_delay_s: likewise to the confirmation; None where the loss is missed.
-        missed_detection: None where there is no loss, or where not even the best test could tell.
+        suspected_after_s: from the start of the loss to the first suspicion within the loss.
+        detection_delay_s: likewise to the confirmation; None for a missed loss.
+        missed_detection: None without a loss, and for a loss beyond the best possible test.
     """
 
     suspected_after_s: float | None = None
@@ -59,16 +60,16 @@ class Detection(NamedTuple):
 def unavoidable_deviation(
     scenario: Scenario, signals: Signals, fault: FaultSettings
 ) -> Unavoidable | None:
-    """What no controller can avoid, with the commands of the log.
+    """The deviation that no controller can avoid, with the commands of the log.
 
-    None where ``fault`` is no actuator that dies in the log, and where its loss never shows.
+    None unless ``fault`` is a dead actuator within the log, and for a loss that never shows.
     """
     lost = _commands_lost(scenario, signals, fault)
     return None if lost is None else unavoidable(at_speed_of(scenario, fault), lost, fault)
 
 
 def _commands_lost(scenario: Scenario, signals: Signals, fault: FaultSettings) -> FloatArray | None:
-    """The commands that reach a dead actuator from its loss on; None where the log lacks some."""
+    """The commands at a dead actuator from its loss on; None for an incomplete log."""
     n = scenario.latency_ticks
     first = round(float(signals.time_s[0]) / scenario.tick_s) if len(signals) else 0
     at = -(-fault.span_ns[0] // scenario.tick_ns) - first
@@ -80,9 +81,9 @@ def _commands_lost(scenario: Scenario, signals: Signals, fault: FaultSettings) -
 def decision_metrics(scenario: Scenario, signals: Signals) -> dict[str, float | bool | None]:
     """Delay, false alarms and a missed loss, from the fault state of the status frames.
 
-    Of several losses one that is missed decides, and of the delays the longest. A false alarm is a
-    confirmation that begins where no sample can show a loss of the torque; so is a suspicion that
-    is counted.
+    With several losses, any missed loss counts, and the longest delay. A false alarm is a
+    confirmation that begins while no sample can show a loss of the torque; suspicions are counted
+    by the same rule.
     """
     losses = range(len(scenario.faults))
     found = [detection_of(scenario, signals, at) for at in losses]
@@ -108,13 +109,13 @@ def decision_metrics(scenario: Scenario, signals: Signals) -> dict[str, float | 
 
 
 def detection_of(scenario: Scenario, signals: Signals, at: int) -> Detection:
-    """What the controller made of the fault of this number.
+    """The detection of the fault number ``at``.
 
-    A loss is missed unless a confirmation begins in it and stands at its end. Where one stands from
-    before, which was a false alarm, the loss is not missed if it is compensated all the same.
+    A loss is missed unless a confirmation begins in the loss and stands at its end. After a false
+    alarm that still stands, a compensated loss is not missed.
 
     Raises:
-        AssertionError: a delay that cannot be; names the run.
+        AssertionError: an impossible delay; the message names the run.
     """
     fault = scenario.faults[at]
     shown = _shown(scenario, signals, fault)
@@ -123,13 +124,13 @@ def detection_of(scenario: Scenario, signals: Signals, at: int) -> Detection:
     said = _claims(signals, fault.place)
     found = _own(said, shown)
     if fault.place == TORQUE and signals.verdict is not None:
-        found &= ~np.isin(_held(signals.verdict), NOT_THE_TORQUE)
+        found &= ~_among(_held(signals.verdict), *NOT_THE_TORQUE)
     delay_s = _delay(scenario, signals, fault, found)
     suspected = found
     if fault.place == TORQUE:
         suspected = found | _own(_suspicions(signals), shown)
     suspected_s = _delay(scenario, signals, fault, suspected)
-    last = int(np.flatnonzero(shown)[-1])
+    last = len(shown) - 1 - int(np.argmax(shown[::-1]))
     if said[last] and delay_s is not None:
         return Detection(suspected_s, delay_s, missed_detection=False)
     begun = int(np.flatnonzero(_begins(said)[: last + 1])[-1]) if said[last] else last
@@ -141,24 +142,40 @@ def detection_of(scenario: Scenario, signals: Signals, at: int) -> Detection:
     return Detection(suspected_s, None, _could_show(scenario, signals, at) or None)
 
 
-def _held(codes: FloatArray) -> FloatArray:
-    """``codes`` without gaps: the last known code stays, 0 before the first."""
-    rows = np.where(np.isfinite(codes), np.arange(1, len(codes) + 1), 0)
-    return np.append(0.0, codes)[np.maximum.accumulate(rows)]
+def _held(codes: FloatArray) -> NDArray[np.int16]:
+    """``codes`` without gaps: the last known code stays; 0 before the first code."""
+    return _last(codes, np.isfinite(codes))
+
+
+def _last(values: FloatArray | Mask, known: Mask) -> NDArray[np.int16]:
+    """The last known value in each tick, in little memory for a long run."""
+    held, last = np.zeros(len(values), dtype=np.int16), 0
+    for rows in paged.blocks(len(values)):
+        places = np.where(known[rows], np.arange(1, rows.stop - rows.start + 1), 0)
+        held[rows] = np.append(last, values[rows])[np.maximum.accumulate(places)]
+        last = held[rows.stop - 1]
+    return held
+
+
+def _among(codes: NDArray[np.int16], *wanted: int) -> Mask:
+    """``np.isin`` without its copy in 64 bits."""
+    found = np.zeros(len(codes), dtype=np.bool_)
+    for code in wanted:
+        found |= codes == code
+    return found
 
 
 def _claims(signals: Signals, place: str) -> Mask:
-    """The ticks at which the controller says that this channel is lost."""
+    """The ticks with a claim that this channel is lost."""
     if place == TORQUE:
-        confirmed: Mask = _held(signals.fault_state) == FaultState.CONFIRMED
-        return confirmed
+        return _among(_held(signals.fault_state), FaultState.CONFIRMED)
     if signals.verdict is None:
         return np.zeros(len(signals), dtype=np.bool_)
-    return np.isin(_held(signals.verdict), (Verdict.FORCE_LOST, Verdict.BOTH_LOST))
+    return _among(_held(signals.verdict), Verdict.FORCE_LOST, Verdict.BOTH_LOST)
 
 
 def _suspicions(signals: Signals) -> Mask:
-    return np.isin(_held(signals.fault_state), (FaultState.SUSPECTED, FaultState.CONFIRMED))
+    return _among(_held(signals.fault_state), FaultState.SUSPECTED, FaultState.CONFIRMED)
 
 
 def _begins(state: Mask) -> Mask:
@@ -167,24 +184,27 @@ def _begins(state: Mask) -> Mask:
 
 
 def _own(said: Mask, shown: Mask) -> Mask:
-    """The ticks of a loss at which a claim stands that began in it."""
-    rows = np.where(_begins(said), np.arange(len(said)), 0)
-    return said & shown & shown[np.maximum.accumulate(rows)]
+    """The ticks of a loss with a claim that began in the loss."""
+    own: Mask = said & shown & (_last(shown, _begins(said)) != 0)
+    return own
 
 
 def _there(scenario: Scenario, signals: Signals, fault: FaultSettings, late_ns: int = 0) -> Mask:
-    """The ticks of a fault, or as many that are later."""
-    time_ns = np.rint(signals.time_s / scenario.tick_s).astype(np.int64) * scenario.tick_ns
+    """The ticks of a fault, shifted by ``late_ns``."""
     begin_ns, end_ns = fault.span_ns
-    there: Mask = (time_ns - late_ns >= begin_ns) & (time_ns - late_ns < end_ns)
+    there = np.zeros(len(signals), dtype=np.bool_)
+    for rows in paged.blocks(len(signals)):
+        ticks = np.rint(signals.time_s[rows] / scenario.tick_s).astype(np.int64)
+        time_ns = ticks * scenario.tick_ns - late_ns
+        there[rows] = (time_ns >= begin_ns) & (time_ns < end_ns)
     return there
 
 
 def _shown(scenario: Scenario, signals: Signals, fault: FaultSettings) -> Mask:
-    """The ticks whose sample of D* a fault can have changed.
+    """The ticks with a sample of D* that a fault can have changed.
 
-    The sample of a tick is taken before the actuators act in it. So the first is a tick after the
-    fault, later by the sensor's dead time, and a dead actuator has to be told something first.
+    The sample of a tick precedes the action of the actuators. So the first such tick is one tick
+    and the sensor's dead time after the fault; a dead actuator must also have received a command.
     """
     dead_ticks = int(scenario.plant.sensor.dead_time_s / scenario.tick_s + 1e-9)
     late = 1 + dead_ticks
@@ -213,7 +233,7 @@ def _delay(scenario: Scenario, signals: Signals, fault: FaultSettings, found: Ma
 
 
 def _known_already(scenario: Scenario, signals: Signals, at: int, begun: int) -> bool:
-    """Whether the claim began in another fault of the same channel, which is not over yet."""
+    """Whether the claim began in another, unfinished fault of the same channel."""
     begin_ns, _ = scenario.faults[at].span_ns
     return any(
         other.loses_a_channel
@@ -226,7 +246,7 @@ def _known_already(scenario: Scenario, signals: Signals, at: int, begun: int) ->
 
 
 def _compensated(scenario: Scenario, signals: Signals, there: Mask) -> bool:
-    """Whether D* of the car stays closer to the run without the fault than without compensation."""
+    """Whether compensation keeps D* of the car close to the run without the fault."""
     healthy = fault_free(scenario, signals).car_mps2[there]
     with_it, without = (
         float(np.sqrt(np.nanmean((car[there] - healthy) ** 2)))
@@ -236,9 +256,9 @@ def _compensated(scenario: Scenario, signals: Signals, there: Mask) -> bool:
 
 
 def _could_show(scenario: Scenario, signals: Signals, at: int) -> bool:
-    """Whether the best test could tell the loss: all of a channel, a part of it, by one rule.
+    """Whether the best test could tell the loss, complete or partial.
 
-    Of an actuator that dies by what its commands would have done, otherwise by what D* did.
+    For a dead actuator the missing effect of its commands counts, otherwise the deviation of D*.
     """
     fault = scenario.faults[at]
     if _commands_lost(scenario, signals, fault) is not None:

@@ -1,18 +1,26 @@
-"""What a run achieved, as the numbers of ``run.json`` and of the closing table."""
+"""The results of a run, as the numbers of ``run.json`` and of the closing table."""
 
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from can_rig import paged
 from can_rig.assessment.limitations import control_authority
-from can_rig.drawing.names import names_of
-from can_rig.results.counterfactual import deviation_from, fault_free, noise_free, output_of_car
-from can_rig.results.loss_metrics import decision_metrics, unavoidable_deviation
+from can_rig.drawing.names import fault_in_words, names_of, with_unit
+from can_rig.results.counterfactual import (
+    deviation_from,
+    fault_free,
+    noise_free,
+    output_of_car,
+    signals_without_log,
+    without_fault,
+)
+from can_rig.results.loss_metrics import decision_metrics, detection_of, unavoidable_deviation
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import at_speed_of
@@ -29,12 +37,12 @@ SETTLED_S = 2.0
 
 @dataclass(frozen=True)
 class Windows:
-    """Which ticks of a run count as what, each of shape (ticks,).
+    """Masks of the ticks of a run, each of shape (ticks,).
 
-    ``before`` the first fault and ``after`` its start, ``active`` while there is any, ``lost``
-    while one concerns a channel; ``settled_before`` and ``settled_after`` are the ends of the
-    healthy time and of the run: 2 s, or two periods of a slower reference, but at most the second
-    half of the time since the last change.
+    ``before`` the first fault, ``after`` its start, ``active`` during any fault, ``lost`` during
+    the loss of a channel; ``settled_before`` and ``settled_after`` are the ends of the healthy time
+    and of the run: 2 s, or two periods of a slower reference, but at most the second half of the
+    time since the last change.
     """
 
     before: Mask
@@ -46,7 +54,7 @@ class Windows:
 
 
 def windows(scenario: Scenario, signals: Signals) -> Windows:
-    """The windows of a run, which may have ended early; its faults as the nodes saw them."""
+    """The windows of a run; faults begin and end in whole ticks, as in the nodes."""
     wanted_s = SETTLED_S
     if scenario.reference.kind == "sine":
         wanted_s = max(wanted_s, 4.0 * math.pi / scenario.reference.frequency_rad_per_s)
@@ -75,12 +83,12 @@ def windows(scenario: Scenario, signals: Signals) -> Windows:
 
 
 def metrics(scenario: Scenario, signals: Signals) -> Metrics:
-    """Errors in m/s², times in s, commands in N m and N; None where the run has no such moment.
+    """Errors in m/s², times in s, commands in N m and N; None: no such moment in the run.
 
-    The error means nothing in an open loop and is None there; what says the same there, and in
-    every loop, is the deviation: how far D* is from D* of the same run without the fault. Both are
-    of the car: what a faulty sensor makes of D* is taken off first, while ``signals.csv`` and the
-    picture have D* as measured. What X_diff needs and can carry is there where the torque is lost.
+    The error is None in an open loop. The deviation, from D* of the same run without the fault, has
+    a meaning in every loop. Both use D* of the car, without the errors of a faulty sensor;
+    ``signals.csv`` and the picture show the measured D*. The needed and the available X_diff occur
+    with a loss of the torque.
     """
     window = windows(scenario, signals)
     error = absolute_error(scenario, signals)
@@ -97,37 +105,46 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
     alone = scenario.faults[0] if len(scenario.faults) == 1 else None
     bound = None if alone is None else unavoidable_deviation(scenario, signals, alone)
     unavoidable = None if bound is None else bound.deviation_mps2
-    peak = peak_of(deviation[window.after])
+    peak = peak_of(deviation, window.after)
     decided = decision_metrics(scenario, signals)
     delay, least_s = decided["detection_delay_s"], None
     if bound is not None:
         least_s = round(bound.detection_ticks * scenario.tick_s, 9)
     return {
-        "error_before_fault_mps2": peak_of(error[window.settled_before]),
-        "error_peak_after_fault_mps2": peak_of(error[window.after]),
-        "error_peak_while_lost_mps2": peak_of(error[window.lost]),
-        "error_settled_after_fault_mps2": peak_of(error[window.settled_after]),
+        "error_before_fault_mps2": peak_of(error, window.settled_before),
+        "error_peak_after_fault_mps2": peak_of(error, window.after),
+        "error_peak_while_lost_mps2": peak_of(error, window.lost),
+        "error_settled_after_fault_mps2": peak_of(error, window.settled_after),
         "error_integral_after_fault_mps": _integral(error[window.after], scenario.tick_s),
         "deviation_peak_after_fault_mps2": peak,
         "unavoidable_deviation_mps2": unavoidable,
         "unavoidable_detection_delay_s": least_s,
         "detection_over_unavoidable": delay / least_s if delay and least_s else None,
         "deviation_over_unavoidable": peak / unavoidable if peak and unavoidable else None,
-        "deviation_settled_after_fault_mps2": peak_of(deviation[window.settled_after]),
-        "fault_estimate_peak_before_fault_mps2": peak_of(estimate[window.before]),
-        "fault_estimate_peak_while_lost_mps2": peak_of(estimate[window.lost]),
-        "fault_estimate_settled_mps2": peak_of(estimate[window.settled_after]),
+        "deviation_settled_after_fault_mps2": peak_of(deviation, window.settled_after),
+        "fault_estimate_peak_before_fault_mps2": peak_of(estimate, window.before),
+        "fault_estimate_peak_while_lost_mps2": peak_of(estimate, window.lost),
+        "fault_estimate_settled_mps2": peak_of(estimate, window.settled_after),
         **decided,
         "torque_peak_nm": peak_of(torque),
         "torque_at_fault_nm": peak_of(torque[np.flatnonzero(window.after)[:1]]),
-        "torque_peak_after_fault_nm": peak_of(torque[window.after]),
+        "torque_peak_after_fault_nm": peak_of(torque, window.after),
         "force_difference_peak_n": peak_of(force),
-        "force_difference_settled_n": peak_of(force[settled]),
+        "force_difference_settled_n": peak_of(force, settled),
         "force_difference_noise_rms_n": _noise_rms(scenario, signals, window.settled_before),
         "force_difference_needed_n": None if authority is None else authority.needed_n,
         "force_difference_available_n": None if authority is None else authority.available_n,
         "dstar_carried_mps2": None if authority is None else authority.carries_mps2,
     }
+
+
+def metrics_of(scenario: Scenario) -> Metrics:
+    """The metrics of a run without records: equal to those of a run folder.
+
+    Raises:
+        RigError: an impossible run, or an end before the last tick.
+    """
+    return metrics(scenario, signals_without_log(scenario))
 
 
 def absolute_error(scenario: Scenario, signals: Signals) -> FloatArray:
@@ -149,7 +166,7 @@ def _unknown(rows: slice) -> FloatArray:
 
 
 def _noise_rms(scenario: Scenario, signals: Signals, settled: Mask) -> float | None:
-    """Rms of what the sensor's noise alone adds to X_diff, N: the run less the run without it."""
+    """Rms of the noise in X_diff, N: the run minus the run without noise."""
     if scenario.plant.sensor.noise_mps2 == 0.0 or not settled.any():
         return None
     rows = int(np.flatnonzero(settled)[-1]) + 1
@@ -164,7 +181,7 @@ def _integral(values: FloatArray, tick_s: float) -> float | None:
 
 
 def rows(values: Metrics, plant: PlantSettings) -> list[tuple[str, str]]:
-    """The closing table, label and text: the metrics that mean something in this run."""
+    """The closing table, label and text: the metrics with a meaning in this run."""
     signals = names_of(plant)
     names = {key: signal.name for key, signal in signals._asdict().items()}
     output = signals.output.unit
@@ -187,27 +204,29 @@ def rows(values: Metrics, plant: PlantSettings) -> list[tuple[str, str]]:
     return out
 
 
-def peak_of(values: FloatArray) -> float | None:
-    """The largest finite value; None where there is none."""
-    paged.let_go()
-    largest = float(values.max(initial=-math.inf))
-    if not math.isfinite(largest):  # there is one that is none, or nothing at all
-        finite = values[np.isfinite(values)]
-        return float(finite.max()) if len(finite) else None
-    return largest
+def peak_of(values: FloatArray, among: Mask | None = None) -> float | None:
+    """The largest finite value ``among`` these ticks; None without a finite value."""
+    largest = -math.inf
+    for rows in paged.blocks(len(values)):
+        known = np.isfinite(values[rows])
+        if among is not None:
+            known &= among[rows]
+        largest = float(np.max(values[rows], where=known, initial=largest))
+    return largest if math.isfinite(largest) else None
 
 
 def _end(time_ns: FloatArray, part: Mask, wanted_s: float) -> Mask:
-    """The last ``wanted_s`` of a part of the run, or its second half if that is shorter."""
-    inside = time_ns[part]
-    if not len(inside):
+    """The last ``wanted_s`` of a part of the run, at most its second half."""
+    if not part.any():
         return part
-    length_ns = min(round(wanted_s * 1e9), int(inside[-1] - inside[0]) // 2)
-    end: Mask = part & (time_ns >= inside[-1] - length_ns)
+    first_ns = time_ns[np.argmax(part)]
+    last_ns = time_ns[len(part) - 1 - np.argmax(part[::-1])]
+    length_ns = min(round(wanted_s * 1e9), int(last_ns - first_ns) // 2)
+    end: Mask = part & (time_ns >= last_ns - length_ns)
     return end
 
 
-#: key, its label where a fault came, its label where none did (empty: no such row), unit
+#: key, label with a fault, label without (empty: no row), unit
 _TABLE = (
     ("error_before_fault_mps2", "|error| before the fault, settled", "|error|, settled", "y"),
     ("error_peak_after_fault_mps2", "|error| after the fault, peak", "", "y"),
@@ -234,3 +253,56 @@ _TABLE = (
     ("force_difference_settled_n", "|{command_2}|, settled", "|{command_2}|, settled", "u2"),
     ("dstar_carried_mps2", "|{output}| held by the {command_2} alone", "", "y"),
 )
+
+
+def fault_metrics(scenario: Scenario, signals: Signals) -> list[dict[str, Any]]:
+    """A table for each fault, in the order of the scenario; None: the run lacks the moment.
+
+    A deviation is from the same run without this one fault; both runs contain the other faults.
+    ``settled`` is the end of the fault's time or of the run, as in ``metrics``.
+    """
+    return [_of(scenario, signals, at) for at in range(len(scenario.faults))]
+
+
+def fault_rows(scenario: Scenario, faults: list[dict[str, Any]]) -> list[tuple[str, str]]:
+    """Lines of the closing table, label and text: one for each of several faults."""
+    if len(faults) < 2:
+        return []
+    names = names_of(scenario.plant)
+    end_s = scenario.ticks * scenario.tick_s
+    return [
+        (fault_in_words(fault, names, end_s), _said(values, names.output.unit))
+        for fault, values in zip(scenario.faults, faults, strict=True)
+    ]
+
+
+def _said(values: dict[str, Any], unit: str) -> str:
+    peak, delay_s = values["deviation_peak_mps2"], values["detection_delay_s"]
+    parts = [] if peak is None else [f"deviation up to {with_unit(f'{peak:.4g}', unit)}"]
+    parts += [] if delay_s is None else [f"confirmed after {delay_s:.4g} s"]
+    parts += ["missed"] if values["missed_detection"] else []
+    return ", ".join(parts) or "nothing"
+
+
+def _of(scenario: Scenario, signals: Signals, at: int) -> dict[str, Any]:
+    fault = scenario.faults[at]
+    alone = replace(scenario, fault=(fault,))
+    window = windows(alone, signals)
+    values: dict[str, Any] = {
+        "kind": fault.kind,
+        "place": fault.place,
+        "at_s": fault.at_s,
+        "for_s": fault.for_s,
+    }
+    error = deviation = absolute_error(scenario, signals)
+    if window.after.any():
+        deviation = deviation_from(scenario, signals, without_fault(scenario, at, signals))
+    values |= {
+        "deviation_peak_mps2": peak_of(deviation, window.after),
+        "deviation_settled_mps2": peak_of(deviation, window.settled_after),
+        "error_peak_mps2": peak_of(error, window.active),
+        "fault_estimate_peak_mps2": peak_of(_magnitude(signals.fault_estimate_mps2), window.active),
+    }
+    bound = unavoidable_deviation(scenario, signals, fault)
+    values["unavoidable_deviation_mps2"] = None if bound is None else bound.deviation_mps2
+    return values | detection_of(scenario, signals, at)._asdict()

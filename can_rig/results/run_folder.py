@@ -1,4 +1,4 @@
-"""The run folder: what stands in it, and how it is completed from its ``bus.log``."""
+"""The run folder: its files, and their completion from ``bus.log``."""
 
 from __future__ import annotations
 
@@ -13,26 +13,24 @@ from typing import Any, Final
 from can_rig import paged
 from can_rig.errors import LogError, RunFolderError, ScenarioError
 from can_rig.files import atomic
-from can_rig.folders.replacing import Kind
+from can_rig.folders import Kind
 from can_rig.frames.network import Network
 from can_rig.logs.compression import compress, stored
 from can_rig.logs.plant_signals import plant_signals_path
 from can_rig.nodes.ticks import RunColumns
-from can_rig.results.fault_metrics import fault_metrics
-from can_rig.results.isolation.verdicts import with_verdict
-from can_rig.results.isolation.words import whose_fault
-from can_rig.results.metrics import Metrics, metrics
+from can_rig.results.isolation import whose_fault, with_verdict
+from can_rig.results.metrics import Metrics, fault_metrics, metrics
 from can_rig.results.signals import Signals, read_signals, signals_of_columns
 from can_rig.scenario.settings import Scenario
 
 LOG, SIGNALS, SUMMARY = "bus.log", "signals.csv", "run.json"
 REPORT, PAGE = "report.png", "report.html"
 REFERENCE: Final = "reference.csv"
-"""A reference that is the run's own, in its folder."""
+"""The run's own reference, in the folder."""
 WHAT_IF: Final = "what-if.png"
-"""How the run of a what-if differs from the log that it was asked about."""
+"""The differences of a what-if from the log."""
 _TEXT: Final = (LOG, plant_signals_path(Path(LOG)).name, SIGNALS)
-"""Files that are gzipped in the folder of a long run."""
+"""Files that a long run gzips."""
 OWN: Final = (*_TEXT, *(f"{name}.gz" for name in _TEXT), SUMMARY, REPORT, PAGE, REFERENCE, WHAT_IF)
 PACKAGES = (
     "fault-tolerant-steering",
@@ -48,7 +46,7 @@ PACKAGES = (
 
 @dataclass
 class Outcome:
-    """How a run went, apart from what its log says."""
+    """The facts of a run that the log lacks, and the results per fault."""
 
     bus: str
     outcome: str = "complete"
@@ -57,11 +55,11 @@ class Outcome:
     rejected_frames: dict[str, dict[str, int]] = field(default_factory=dict)
     bus_events: dict[str, dict[str, int]] = field(default_factory=dict)
     faults: list[dict[str, Any]] = field(default_factory=list)
-    """What each fault did, from the log."""
+    """The effect of each fault, from the log."""
     whose_fault: dict[str, dict[str, Any]] = field(default_factory=dict)
-    """Each verdict that was a fault; see ``results.isolation``."""
+    """Each verdict of a fault; see ``results.isolation``."""
     realtime: dict[str, Any] | None = None
-    """Of a real-time run; empty where it ended without figures."""
+    """Figures of a real-time run; empty after an early end."""
 
     @property
     def ticks_per_s(self) -> float:
@@ -70,7 +68,7 @@ class Outcome:
 
 
 def _recorded(folder: Path) -> bool:
-    """Whether a run has got anywhere."""
+    """Whether a folder holds recorded data."""
     log = log_of(folder)
     return (log.is_file() and log.stat().st_size > 0) or (folder / SUMMARY).exists()
 
@@ -87,20 +85,20 @@ def finish(
     report: bool = True,
     columns: RunColumns | None = None,
 ) -> Metrics:
-    """Write ``signals.csv``, ``run.json`` and both reports from the log, however it ended.
+    """Write ``signals.csv``, ``run.json`` and both reports from the log.
 
     Args:
-        folder: has ``bus.log``.
-        scenario: what ran.
-        network: its frames.
-        outcome: how it went.
-        recorded: the scenario as the folder says it, where a path in it is another; None: what ran.
+        folder: the folder with ``bus.log``.
+        scenario: the executed scenario.
+        network: the frames.
+        outcome: completed here.
+        recorded: the scenario for ``run.json``, if its paths differ; None: ``scenario``.
         report: draw ``report.png`` and ``report.html``.
-        columns: what the log says, of a run without a bus; None: it is read.
+        columns: data of a run without a bus; None: read the log.
 
     Raises:
         LogError: the log cannot be read.
-        RunFolderError: one of them cannot be written; what was recorded stays.
+        RunFolderError: a file cannot be written; the recorded data stay.
     """
     if columns is None:
         signals = signals_of_log(folder, scenario, network, outcome.realtime)
@@ -127,9 +125,7 @@ def finish(
         del summary["realtime"]
     text = json.dumps(summary, indent=2, ensure_ascii=False, allow_nan=False)
     try:
-        with atomic(
-            folder / SUMMARY, force=True
-        ) as part:  # first: what it says, the log alone does not
+        with atomic(folder / SUMMARY, force=True) as part:  # first: the log lacks these facts
             part.write_text(text + "\n", encoding="utf-8")
         with atomic(folder / SIGNALS, force=True) as part:
             signals.write_csv(part, scenario.plant)
@@ -154,10 +150,10 @@ def finish(
 def recorded_scenario(folder: Path) -> tuple[dict[str, Any], bool]:
     """The scenario of a run folder, as plain values, and whether it ran in real time.
 
-    The path of a reference that the folder keeps itself leads into the folder, wherever that lies.
+    The path of the folder's own reference follows the folder to a new place.
 
     Raises:
-        ScenarioError: there is no scenario that can be read.
+        ScenarioError: no readable scenario.
     """
     file = folder / SUMMARY
     try:
@@ -182,13 +178,13 @@ def log_of(folder: Path) -> Path:
 def signals_of_log(
     folder: Path, scenario: Scenario, network: Network, realtime: dict[str, Any] | None
 ) -> Signals:
-    """What was on the bus of a run, read from its log; a real-time run has its own idea of late."""
+    """The signals of a run, read from the log."""
     in_time_ticks = 1 if realtime is None else scenario.latency_ticks
     return read_signals(log_of(folder), network, scenario.tick_s, in_time_ticks)
 
 
 def _versions() -> dict[str, str]:
-    """Of the packages that are installed: one that an extra brings may not be."""
+    """The versions of the installed packages; packages of an extra may be missing."""
     found = {}
     for package in PACKAGES:
         with suppress(PackageNotFoundError):

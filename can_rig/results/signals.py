@@ -1,4 +1,4 @@
-"""``bus.log`` → ``signals.csv``: what was on the bus, and what the plant reported, a row a tick."""
+"""``bus.log`` → ``signals.csv``: frames and the plant's reports, one row a tick."""
 
 from __future__ import annotations
 
@@ -27,16 +27,16 @@ from can_rig.scenario.plant_settings import PlantSettings
 from firmware_model.analysis.simulation import Trace
 from firmware_model.target.structs import FloatArray
 
-ROLE_COLUMNS: Final = 5  # one of each frame; the codes of the status frame follow
+ROLE_COLUMNS: Final = 5  # one column for each frame; the codes of the status frame follow
 CODES: Final = 3  # mode, fault state, verdict
-OWN: Final = 2  # the first frames of a tick: the plant node's, which say what tick it is
+OWN: Final = 2  # the first frames of a tick: the plant node's frames, which fix the tick
 STATUS: Final = 4
 MOST_GAPS: Final = 14  # lost frames after which every alive counter is tolerated
 
 
 @dataclass(frozen=True)
 class Signals:
-    """One value a tick, each of shape (ticks,); nan where no valid frame said anything.
+    """One value a tick, each of shape (ticks,); nan without a valid frame.
 
     ``mode``, ``fault_state`` and ``verdict`` are the codes of the status frame's value tables.
     """
@@ -50,11 +50,11 @@ class Signals:
     mode: FloatArray
     fault_state: FloatArray
     verdict: FloatArray | None = None
-    """None: the status frame has none."""
+    """None: the status frame lacks a verdict."""
     plant: PlantSignals = field(default_factory=dict)
-    """What the plant reported besides, by name; nothing where there is only a log."""
+    """Further reports of the plant, by name; empty for a log without reports."""
     whose_fault: PlantSignals = field(default_factory=dict)
-    """The verdict on whose fault it is, and the evidence; see ``results.isolation``."""
+    """The verdict on the fault, and the evidence; see ``results.isolation``."""
 
     @property
     def error_mps2(self) -> FloatArray:
@@ -65,7 +65,7 @@ class Signals:
         return len(self.time_s)
 
     def __getitem__(self, rows: slice) -> Signals:
-        """Those of some ticks."""
+        """The signals of some ticks."""
         columns: Any = {name: getattr(self, name)[rows] for name in _OF_FRAMES}
         return replace(
             self,
@@ -76,11 +76,11 @@ class Signals:
         )
 
     def write_csv(self, path: Path, plant: PlantSettings) -> None:
-        """The contract's columns, the plant's, the verdict's; an empty cell: nothing was said.
+        """Write the columns of frames, plant and verdict; an empty cell means nan.
 
         Args:
             path: the file.
-            plant: whose signals they are.
+            plant: gives the names of the columns.
         """
         further = self.plant | self.whose_fault
         columns = [*(getattr(self, name) for name in ON_THE_BUS), *further.values()]
@@ -99,38 +99,37 @@ _OF_FRAMES: Final = [each.name for each in fields(Signals)][:8]
 
 
 def cell(value: float) -> str:
-    """A value as ``signals.csv`` has it; nan is an empty cell."""
+    """A value in ``signals.csv``; nan gives an empty cell."""
     return "" if math.isnan(value) else f"{value:.10g}"
 
 
 def read_signals(log: Path, network: Network, tick_s: float, in_time_ticks: int = 1) -> Signals:
-    """Decode a rig's log through the checks that the plant node makes, and what the plant reported.
+    """Decode a rig's log through the checks of the plant node, and read the plant's reports.
 
-    The plant node's frames, the reference and the feedback, say what tick is under way; a frame of
-    another tick is not used, as it was not used in the run. A log that starts late starts at the
-    tick that its time stamps say, or, where they are not those of the rig, at the 16 bits of the
-    tick on the wire. Ticks that are missing within it are rows of nan; a last line that a killed
-    run left unfinished is not read.
+    The plant node's frames, reference and feedback, fix the current tick; a frame of a different
+    tick is ignored, as in the run. The first tick of a log with a late begin follows from the time
+    stamps, or, without the rig's time stamps, from the 16 bits of the tick on the wire. Missing
+    ticks become rows of nan; the unfinished last line of a killed run is ignored.
 
     Args:
-        log: of any format that ``logs.reading`` knows.
-        network: its frames.
+        log: a log of any format of ``logs.reading``.
+        network: the frames.
         tick_s: seconds a tick.
-        in_time_ticks: from the start of its own tick on, how many ticks a command may take: one in
+        in_time_ticks: longest time of a command from the start of its tick on, in ticks: one in
             lockstep, the latency in a real-time run.
 
     Raises:
-        LogError: the log cannot be read, or something in it is no frame.
+        LogError: the log cannot be read, or contains a line without a frame.
     """
     signals = signals_of(data_frames(log), network, tick_s, in_time_ticks)
     return with_plant_signals(signals, log, tick_s)
 
 
 def signals_of_columns(columns: RunColumns, tick_s: float, log: Path) -> Signals:
-    """What ``read_signals`` reads from the ``log`` of a run without a bus.
+    """Equal to ``read_signals`` of the ``log`` of a run without a bus.
 
     Raises:
-        LogError: what the plant reported cannot be read.
+        LogError: the plant's reports cannot be read.
     """
     ticks = len(columns.frames["mode"]) if columns.frames else 0
     frames: Any = columns.frames
@@ -141,14 +140,14 @@ def signals_of_columns(columns: RunColumns, tick_s: float, log: Path) -> Signals
 
 
 def signals_of_trace(trace: Trace, delivery: Delivery, ticks: int, network: Network) -> Signals:
-    """The first ``ticks`` of a loop without frames as its log would have them; see ``carried``."""
+    """The first ``ticks`` of a loop without frames, as carried by frames; see ``carried``."""
     done = slice(0, ticks)
     frames: Any = carried(trace, delivery, done, network)
     return Signals(time_s=trace.time_s[done], **frames)
 
 
 def times_s(first_tick: int, ticks: int, tick_s: float) -> FloatArray:
-    """(ticks,), when each of them begins."""
+    """(ticks,), the begin of each tick."""
     column = paged.empty(ticks)
     for rows in paged.blocks(ticks):
         column[rows] = np.arange(first_tick + rows.start, first_tick + rows.stop) * tick_s
@@ -156,10 +155,10 @@ def times_s(first_tick: int, ticks: int, tick_s: float) -> FloatArray:
 
 
 def with_plant_signals(signals: Signals, log: Path, tick_s: float) -> Signals:
-    """``signals`` of ``log`` with what the plant reported, which stands beside it.
+    """``signals`` of ``log`` with the plant's reports from the file beside the log.
 
     Raises:
-        LogError: that is there and cannot be read.
+        LogError: the file exists and cannot be read.
     """
     first_tick = round(float(signals.time_s[0]) / tick_s) if len(signals) else 0
     return replace(signals, plant=read_plant_signals(log, first_tick, len(signals)))
@@ -168,7 +167,7 @@ def with_plant_signals(signals: Signals, log: Path, tick_s: float) -> Signals:
 def signals_of(
     messages: Iterable[Message], network: Network, tick_s: float, in_time_ticks: int = 1
 ) -> Signals:
-    """The same from frames of any source, in their order, time stamps in s."""
+    """Signals of frames in order, time stamps in s; see ``read_signals``."""
     table = SignalRows(network, tick_s, in_time_ticks)
     width, first_tick = ROLE_COLUMNS + CODES, None
     with paged.rows_file(8 * width * paged.PAGED_ROWS) as file:
@@ -186,19 +185,19 @@ def signals_of(
 
 
 def data_frames(log: Path) -> Iterator[Message]:
-    """Frames of a log that carry data, in order.
+    """The data frames of a log, in order.
 
     Raises:
-        LogError: as ``read_signals``.
+        LogError: see ``read_signals``.
     """
     for frames in read_log(log):
         yield from frames[~frames.has(REMOTE | ERROR)].messages()
 
 
 class SignalRows:
-    """Frames into rows, one a tick: a value of each frame in their order, and codes.
+    """Frames into rows, one a tick: a value for each frame in order, then the codes.
 
-    Arguments are those of ``read_signals``.
+    For the arguments see ``read_signals``.
     """
 
     def __init__(self, network: Network, tick_s: float, in_time_ticks: int) -> None:
@@ -208,27 +207,27 @@ class SignalRows:
         self._in_time_ticks = in_time_ticks
         self._receivers = [Receiver(codec) for codec in network]
         self._by_id = {r.codec.frame_id: at for at, r in enumerate(self._receivers)}
-        self._tick = -1  # the one under way
+        self._tick = -1
         self._marked = False
 
     @property
     def tick(self) -> int:
-        """The one under way; -1 before the first."""
+        """The current tick; -1 before the first."""
         return self._tick
 
     def take_complete(self) -> list[list[float]]:
-        """Remove and return the rows of the ticks that nothing more can come of."""
+        """Remove and return the rows of all ticks that no later frame can change."""
         whole = max(0, len(self.rows) - self._in_time_ticks)
         rows, self.rows = self.rows[:whole], self.rows[whole:]
         self.first_tick += whole
         return rows
 
     def take(self, message: Message) -> None:
-        """Use a frame, or not."""
+        """Use a frame, or ignore it."""
         at = self._by_id.get(message.arbitration_id)
         if at is None:
             return
-        if at < OWN:  # the plant node marks its own as sent; where it does, others are not its
+        if at < OWN:  # once a frame is marked as sent, received ones are foreign
             self._marked |= not message.is_rx
             if self._marked and message.is_rx:
                 return
@@ -252,15 +251,15 @@ class SignalRows:
             self.rows[row][-CODES:] = [record.mode, record.fault_state, record.verdict]
 
     def _age(self, at: int, message: Message) -> int:
-        """How many ticks ago a command's tick was, if it is in time; 0 otherwise."""
+        """Age of a command's tick in ticks; 0 for a late command."""
         says = self._receivers[at].codec.layout.tick(message.data)
         age = 0 if says is None else -ticks_ahead(says, self._tick)
         return age if 0 <= age < min(self._in_time_ticks, len(self.rows)) else 0
 
     def _ticks_ahead(self, at: int, message: Message) -> int:
-        """How far the frame says that time has gone on; 0: it is of this tick, or of an old one.
+        """Ticks from the current tick to the frame's tick; 0 for a current or old frame.
 
-        One that says no tick begins the next when this one has its like.
+        A frame without a tick begins the next tick if the current tick has the same message.
         """
         if not self.rows:
             return 1
@@ -270,7 +269,7 @@ class SignalRows:
         return max(0, ticks_ahead(says, self._tick))
 
     def _tick_of(self, at: int, message: Message, ahead: int) -> int | None:
-        """The tick that a frame must be of; None: any, as it says one that begins now."""
+        """The required tick of a frame; None for a frame that begins its own tick."""
         if not ahead:
             return self._tick
         if self._receivers[at].codec.layout.has_tick:
@@ -280,7 +279,7 @@ class SignalRows:
         return round(message.timestamp / self._tick_s) % WIRE_TICKS
 
     def _begin(self, announced_by: int, wire_tick: int, timestamp_s: float, ahead: int) -> None:
-        """Start the row of another tick, after rows of nan for those in between."""
+        """Start the row of a new tick, after rows of nan for skipped ticks."""
         if self.rows:
             for at in range(len(self._receivers)):
                 if at != announced_by:
@@ -293,6 +292,6 @@ class SignalRows:
             self.rows.append([math.nan] * (ROLE_COLUMNS + CODES))
 
     def _end_ticks(self, at: int, ticks: int) -> None:
-        """Tell a receiver that this tick is over, and so many more without its frame."""
+        """Tell a receiver the end of this tick, and of further ticks without a frame."""
         for _ in range(min(ticks, MOST_GAPS)):
             self._receivers[at].end_tick()

@@ -1,4 +1,4 @@
-"""What a path names: a log or a run folder, and the scenario that goes with it."""
+"""The source of a replay or a view: a log or a run folder, with its scenario."""
 
 from __future__ import annotations
 
@@ -26,37 +26,37 @@ Reading = Callable[[Log], Iterator[Frames]]
 
 @dataclass(frozen=True)
 class Source:
-    """A log, and the scenario that it is replayed with."""
+    """A log and its scenario."""
 
     log: Log
     scenario: Scenario
     channel: str | None = None
-    """The only bus that is looked at; None: all."""
+    """The only bus to read; None: all buses."""
     is_realtime: bool = False
-    """Whether it was recorded in real time, by the run folder."""
+    """Whether the run folder records a real-time run."""
 
     @property
     def in_time_ticks(self) -> int:
-        """How many ticks a command may take, as that of `signals.read_signals`."""
+        """Longest time of a command; see `signals.read_signals`."""
         return self.scenario.latency_ticks if self.is_realtime else 1
 
     def frames(self, reading: Reading = iter) -> Iterator[Frames]:
         """The chunks of the log.
 
         Args:
-            reading: goes through the log, to show how far it is read.
+            reading: iterates over the log and shows the progress.
 
         Raises:
-            LogError: the log cannot be read, or has no such bus.
+            LogError: the log cannot be read, or lacks the bus.
         """
         return only_channel(reading(self.log), self.channel, self.log.path)
 
 
 def only_channel(chunks: Iterable[Frames], channel: str | None, path: Path) -> Iterator[Frames]:
-    """The frames of one bus; None: all.
+    """The frames of one bus; None: all buses.
 
     Raises:
-        LogError: at the end, if there was none of that bus.
+        LogError: at the end, without any frame of the bus.
     """
     named: set[str] = set()
     for frames in chunks:
@@ -84,14 +84,14 @@ def source_of(
 
     Args:
         path: the file or the folder.
-        name: a scenario in place of the folder's own; a file needs one.
-        settings: ``KEY=VALUE`` changes of it.
-        channel: as that of `Source`.
-        window: the part of the log that is read.
+        name: a scenario that replaces the folder's scenario; required for a file.
+        settings: ``KEY=VALUE`` changes.
+        channel: see `Source`.
+        window: the part of the log to read.
 
     Raises:
-        LogError: no such log, or the folder is not that of a run.
-        ScenarioError: no scenario, or a bad one.
+        LogError: no such log, or not a run folder.
+        ScenarioError: a missing or bad scenario.
     """
     log = read_log(log_path(path), window=window)
     if name is not None:
@@ -107,10 +107,10 @@ def source_of(
 
 
 def log_path(path: Path) -> Path:
-    """The log of a run folder; a file is its own.
+    """The log of a run folder, or the file itself.
 
     Raises:
-        LogError: there is none.
+        LogError: the log is missing.
     """
     if path.is_dir():
         if not log_of(path).is_file():
@@ -122,9 +122,9 @@ def log_path(path: Path) -> Path:
 
 
 def happened(log: Path, scenario: Scenario, network: Network, own_reference: Path) -> Scenario:
-    """The scenario with what was done to its run by hand, which its metrics are of.
+    """The scenario with the commands given during the run; the metrics describe this scenario.
 
-    A reference that was moved is kept in ``own_reference``, if it is not there already.
+    A moved reference is written to ``own_reference``, unless the file exists.
 
     Raises:
         LogError: the log cannot be read, or the reference cannot be written.
@@ -142,7 +142,7 @@ def happened(log: Path, scenario: Scenario, network: Network, own_reference: Pat
 
 
 def reference_csv(logged: Signals) -> Iterator[str]:
-    """The logged reference as a scenario reads it, in lines; what is missing is held."""
+    """Lines of a reference file with the logged reference; gaps hold the last value."""
     known = np.isfinite(logged.reference_mps2)
     held = logged.reference_mps2[np.argmax(known)]
     yield "time_s,reference_mps2\n"

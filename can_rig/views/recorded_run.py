@@ -14,9 +14,9 @@ from tempfile import mkdtemp
 from typing import TYPE_CHECKING, Any, Final
 
 from can_rig.errors import LogError, RunFolderError, ScenarioError, in_python
-from can_rig.folders.new_folder import NewFolder
+from can_rig.folders import NewFolder
 from can_rig.nodes.bus_access import StopRequest
-from can_rig.results.execution import execute, refuse
+from can_rig.results.execution import Options, execute, refuse
 from can_rig.results.metrics import Metrics, rows
 from can_rig.results.run_folder import REPORT, RUN_FOLDER, SUMMARY, signals_of_log
 from can_rig.scenario.build import network_of
@@ -149,7 +149,7 @@ def record(scenario: Scenario, *, allow_unstable: bool = False) -> RecordedRun:
     refuse(scenario, allow_unstable)
     temporary = Path(mkdtemp(prefix="can-rig-"))
     try:
-        done = execute(scenario, temporary / "run", StopRequest(), report=False)
+        done = execute(scenario, temporary / "run", StopRequest(), Options(report=False))
         if done is None or done.failure is not None:
             raise (done and done.failure) or LogError(f"{scenario.name}: nothing was recorded")
     except BaseException:

@@ -14,7 +14,7 @@ import pytest
 CHECKOUT = Path(__file__).parents[2]
 PACKAGES = ("can_rig", "firmware_model")
 ROOTS = {
-    "can_rig": {"__init__", "__main__", "errors", "files", "paged"},
+    "can_rig": {"__init__", "__main__", "errors", "files", "folders", "paged"},
     "firmware_model": {"__init__", "compiled", "errors", "firmware"},
 }
 TOP_LEVEL = {

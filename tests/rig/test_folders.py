@@ -9,11 +9,10 @@ from pathlib import Path
 
 import pytest
 
+from can_rig import folders
 from can_rig.errors import RigError, RunFolderError
 from can_rig.files import move_up
-from can_rig.folders import replacing
-from can_rig.folders.new_folder import NewFolder
-from can_rig.folders.replacing import Kind, refuse_folder, whole_folder
+from can_rig.folders import Kind, NewFolder, refuse_folder, whole_folder
 from can_rig.results.run_folder import RUN_FOLDER
 from tests.helpers import asked
 
@@ -153,7 +152,7 @@ def test_a_command_that_is_killed_while_it_replaces_is_finished_by_the_next(
 
     path = tmp_path / "a"
     for text in ("old", "new"):
-        monkeypatch.setattr(replacing, "move_up", half if text == "new" else move_up)
+        monkeypatch.setattr(folders, "move_up", half if text == "new" else move_up)
         with (
             pytest.raises(KilledError) if text == "new" else nullcontext(),
             whole_folder(path, LOOKS_LIKE, force=True) as made,

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,27 +11,87 @@ from matplotlib.figure import Figure
 
 from can_rig import paged
 from can_rig.assessment.limitations import control_authority
-from can_rig.drawing import scales, style
-from can_rig.drawing.fault_words import fault_label
-from can_rig.drawing.names import Names, names_of
+from can_rig.drawing import style
+from can_rig.drawing.names import (
+    Names,
+    disturbance_in_words,
+    fault_in_words,
+    fault_label,
+    names_of,
+    ticks_text,
+)
+from can_rig.drawing.style import BLUE, DASHED, INK, ORANGE, legend_above
 from can_rig.drawing.thinning import thinned
 from can_rig.frames.network import Network
 from can_rig.logs.columns import SPEED
-from can_rig.results.applied import applied_commands
-from can_rig.results.counterfactual import fault_free, output_of_car, uncompensated
+from can_rig.results.counterfactual import (
+    applied_commands,
+    fault_free,
+    output_of_car,
+    uncompensated,
+)
 from can_rig.results.metrics import windows
-from can_rig.results.report.timing import draw_timing
-from can_rig.results.report.title import page_title
 from can_rig.results.signals import Signals
 from can_rig.scenario.driving import at_speed_of
 from can_rig.scenario.fault_settings import SENSOR
+from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.status import FaultState
 from firmware_model.target.structs import FloatArray
 
+MOST_LINES: Final = 6
+"""Lines for faults, and for disturbances."""
+
+
+def page_title(scenario: Scenario, names: Names, signals: Signals) -> str:
+    """The scenario, its faults and disturbances; car, bus and compensation; an early end."""
+    tick = f"tick {scenario.tick_s * 1e3:g} ms, latency {ticks_text(scenario.latency_ticks)}"
+    compensation = scenario.design.compensation.replace("-", " ")
+    return (
+        f"{scenario.name}: {_faults(scenario, names, _end_s(scenario, signals))}"
+        f"{_disturbances(scenario, _end_s(scenario, signals))}"
+        f"\n{_car(scenario.plant)}; {tick}; compensation {compensation}"
+        f"{_ended_early(scenario, signals)}"
+    )
+
+
+def _faults(scenario: Scenario, names: Names, end_s: float) -> str:
+    """The fault in words; several faults numbered, a line each."""
+    words = [fault_in_words(fault, names, end_s) for fault in scenario.faults]
+    if len(words) <= 1:
+        return "".join(words) or "no fault"
+    lines = [f"{number}: {text}" for number, text in enumerate(words[:MOST_LINES], 1)]
+    if len(words) > MOST_LINES:
+        lines.append(f"and {len(words) - MOST_LINES} more")
+    return "\n".join((f"{len(words)} faults", *lines))
+
+
+def _disturbances(scenario: Scenario, end_s: float) -> str:
+    """The disturbances in words, a line each."""
+    lines = [disturbance_in_words(each, end_s) for each in scenario.disturbances[:MOST_LINES]]
+    more = len(scenario.disturbances) - len(lines)
+    return "".join(f"\n{line}" for line in (*lines, *([f"and {more} more"] if more else [])))
+
+
+def _end_s(scenario: Scenario, signals: Signals) -> float:
+    return float(signals.time_s[-1]) + scenario.tick_s if len(signals) else 0.0
+
+
+def _ended_early(scenario: Scenario, signals: Signals) -> str:
+    end_s = _end_s(scenario, signals)
+    early = end_s < scenario.duration_s - 1.5 * scenario.tick_s
+    return f"\nended at {end_s:.4g} s of {scenario.duration_s:g} s" if early else ""
+
+
+def _car(plant: PlantSettings) -> str:
+    if plant.is_own:
+        return Path(plant.kind.partition(":")[2]).name
+    return f"{plant.kind}, {plant.variant} model" if plant.is_car else plant.kind
+
+
 HEIGHT_IN, HEIGHT_WITH_TIMING_IN, TIMING_IN = 10.6, 11.4, 1.8
 LEFT_IN, RIGHT_IN, BOTTOM_IN, TITLE_LINE_IN, LABEL_IN = 1.2, 0.2, 0.5, 0.19, 0.6
-"""Margins, fixed so that a page is drawn once and not first to see how much room it needs."""
+"""Fixed margins: automatic margins would draw the page twice."""
 
 
 def draw_report(
@@ -53,11 +113,11 @@ def page(
 ) -> Figure:
     """Five panels over one time axis, the loss shaded, readable in grey print.
 
-    A closed loop shows r, D* and |r - D*|. An open loop follows nothing: it shows D* beside D* of
-    the same run without the fault, and how far apart they are. From the loss on, a thin line is D*
-    of the same run without compensation, and the panel of the lost channel shows what its actuator
-    applies beside what it is commanded. A car whose speed changes has it beside the estimate. A
-    real-time run has a sixth panel: how late the plant node woke and how long the answers took.
+    A closed loop shows r, D* and |r - D*|. An open loop shows D*, D* of the same run without the
+    fault, and their distance. From the loss on, a thin line is D* of the same run without
+    compensation, and the panel of the lost channel shows the applied command beside the sent
+    command. A changing speed is drawn beside the estimate. A real-time run has a sixth panel:
+    wake-up lateness of the plant node and answer times.
     """
     names, time_s = names_of(scenario.plant), signals.time_s
     title = page_title(scenario, names, signals)
@@ -92,7 +152,7 @@ def page(
 
 
 def _empty_page(title_in: float, timed: bool) -> Figure:
-    """Five panels over one time axis below the title, and below them one for the timing."""
+    """Five panels over one time axis below the title, and a panel for the timing at the bottom."""
     height_in, timing_in = (HEIGHT_WITH_TIMING_IN, TIMING_IN) if timed else (HEIGHT_IN, 0.0)
     figure = style.page(height_in, constrained=False)
     margins = {"left": LEFT_IN / style.A4_WIDTH_IN, "right": 1.0 - RIGHT_IN / style.A4_WIDTH_IN}
@@ -116,14 +176,14 @@ def _empty_page(title_in: float, timed: bool) -> Figure:
 
 
 def compared_with(scenario: Scenario, signals: Signals) -> tuple[FloatArray, str, str]:
-    """What D* is drawn beside and what that is called, and what the distance between them is."""
+    """The curve drawn beside D*, its name, and the name of the distance from D*."""
     if scenario.design.feedback:
         return signals.reference_mps2, "reference", "|error|"
     return fault_free(scenario, signals).dstar_mps2, "without the fault", "|deviation|"
 
 
 def apart(beside: FloatArray, signals: Signals) -> FloatArray:
-    """(ticks,), how far D* is from what it is drawn beside."""
+    """(ticks,), the distance of D* from the curve drawn beside D*."""
     with np.errstate(over="ignore", invalid="ignore"):  # a loop that diverges
         return paged.column(
             len(signals), lambda rows: np.abs(beside[rows] - signals.dstar_mps2[rows])
@@ -142,19 +202,19 @@ def _output(
     signals: Signals,
     beside: tuple[FloatArray, str],
 ) -> None:
-    """D* wide, what it is compared with dashed, what it would be without compensation thin."""
+    """D* wide, the compared curve dashed, D* without compensation thin."""
     time_s, (values, label) = signals.time_s, beside
     own = _output_name(scenario, names)
     axis.plot(*thinned(time_s, signals.dstar_mps2), color=style.BLUE, lw=2.0, alpha=0.75, label=own)
     axis.plot(*thinned(time_s, values), color=style.INK, lw=1.1, ls=style.DASHED, label=label)
-    scales.include_zero(axis, signals.dstar_mps2)
+    style.include_zero(axis, signals.dstar_mps2)
     after = windows(scenario, signals).after
     other = counterpart(scenario, names, signals) if after.any() else None
     if other is not None:
         thin, label = other
         first = int(np.argmax(after))
         from_then_on = thinned(time_s[first:], thin[first:])
-        scales.reach_for(axis, from_then_on[1])
+        style.reach_for(axis, from_then_on[1])
         axis.plot(*from_then_on, color=style.BLUE, lw=0.9, label=label)
     style.legend_above(axis, "left", raised=0.1)
 
@@ -162,7 +222,7 @@ def _output(
 def counterpart(
     scenario: Scenario, names: Names, signals: Signals
 ) -> tuple[FloatArray, str] | None:
-    """What shows the point: the same run without compensation, or what a faulty sensor hides."""
+    """D* of the same run without compensation, or the D* hidden by a faulty sensor."""
     if not any(fault.loses_a_channel for fault in scenario.faults):
         output = paged.column(len(signals), lambda rows: output_of_car(scenario, signals[rows]))
         return output, f"{names.output.name} itself"
@@ -172,16 +232,16 @@ def counterpart(
 
 
 def _distance(axis: Axes, time_s: FloatArray, values: FloatArray, floor: float) -> None:
-    """Magnitudes in decades, nothing below the grid of the frame that brought them."""
+    """Magnitudes in decades, from the resolution of the frame on."""
     time_s, size = thinned(time_s, values)
     size = np.maximum(size, floor)
     with np.errstate(over="ignore", invalid="ignore"):
         axis.plot(time_s, size, color=style.BLUE, lw=0.8)
-        scales.logarithmic(axis, size, floor)
+        style.logarithmic(axis, size, floor)
 
 
 def _commands(axes: list[Axes], scenario: Scenario, network: Network, signals: Signals) -> None:
-    """Both commands; of a channel that fails, what its actuator applies as well."""
+    """Both commands; for a failing channel, also the applied command."""
     names, lost = names_of(scenario.plant), []
     if windows(scenario, signals).after.any():
         lost = [names.hit_by(fault) for fault in scenario.faults if fault.loses_a_channel]
@@ -197,12 +257,12 @@ def _commands(axes: list[Axes], scenario: Scenario, network: Network, signals: S
             style.legend_above(axis)
         else:
             axis.plot(*curve, color=style.ORANGE, lw=1.0)
-        scales.clip_spikes(axis, *curve, name.unit)
+        style.clip_spikes(axis, *curve, name.unit)
     _control_authority(axes[1], scenario, network, signals)
 
 
 def _control_authority(axis: Axes, scenario: Scenario, network: Network, signals: Signals) -> None:
-    """Where limit and tires end, if X_diff comes near."""
+    """The limit of actuator and tires, if X_diff comes near."""
     authority = control_authority(at_speed_of(scenario, scenario.loss), network)
     force = np.abs(signals.force_difference_n)
     if authority is None or not np.isfinite(force).any():
@@ -217,7 +277,7 @@ def _control_authority(axis: Axes, scenario: Scenario, network: Network, signals
 
 
 def _estimate(axis: Axes, signals: Signals) -> None:
-    """d̂, and the moment in which the loss was confirmed."""
+    """d̂, and the moment of the confirmed loss."""
     curve = thinned(signals.time_s, signals.fault_estimate_mps2)
     axis.plot(*curve, color=style.GREEN, lw=1.2)
     confirmed = np.flatnonzero(signals.fault_state == FaultState.CONFIRMED)
@@ -225,11 +285,11 @@ def _estimate(axis: Axes, signals: Signals) -> None:
         at_s = float(signals.time_s[confirmed[0]])
         axis.axvline(at_s, color=style.INK, lw=0.9, ls=style.DOTTED, label="loss confirmed")
         style.legend_above(axis)
-    scales.include_zero(axis, curve[1])
+    style.include_zero(axis, curve[1])
 
 
 def _speed(axis: Axes, signals: Signals) -> None:
-    """How fast the car goes, where that changes, over a scale of its own at the right."""
+    """A changing speed, with its own scale at the right."""
     speed = signals.plant.get(SPEED)
     if speed is None or not len(speed):
         return
@@ -276,3 +336,28 @@ def _mark_loss(axes: list[Axes], scenario: Scenario, names: Names) -> None:
     for disturbance in scenario.disturbances:
         for axis in axes:
             style.shade(axis, disturbance)
+
+
+def draw_timing(axis: Axes, tick_s: float, realtime: dict[str, Any]) -> None:
+    """Two histograms side by side over logarithmic bins of time, and the tick that limits both.
+
+    Args:
+        axis: the panel.
+        tick_s: the tick.
+        realtime: see ``Timing.as_dict``.
+    """
+    for key, label, color, shift in (
+        ("wake_up_lateness_us", "wake-up lateness", BLUE, -0.2),
+        ("answer_after_us", "answer after", ORANGE, 0.2),
+    ):
+        counts, edges = realtime[key]["counts"], realtime[key]["edges_us"]
+        axis.bar(np.arange(len(counts)) + shift, counts, 0.4, color=color, label=label)
+    axis.set_yscale("symlog", linthresh=1.0)
+    axis.set_ylim(bottom=0.0)
+    axis.set_xticks(np.arange(len(edges)) - 0.5, [f"{edge:g}" for edge in edges])
+    at = float(np.interp(tick_s * 1e6, edges, np.arange(len(edges)))) - 0.5
+    axis.axvline(at, color=INK, lw=0.8, ls=DASHED, label="one tick")
+    axis.set_xlabel("time in µs, lower edge of the bin")
+    axis.set_ylabel("ticks")
+    axis.grid(axis="y", alpha=0.3, lw=0.5)
+    legend_above(axis)

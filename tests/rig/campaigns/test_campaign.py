@@ -30,8 +30,7 @@ from can_rig.campaigns.rows import METRICS, TRUTHS, Task, run_rows
 from can_rig.campaigns.settings import campaign_of
 from can_rig.campaigns.workers import serially, versions
 from can_rig.errors import RigError, RunFolderError, ScenarioError, WorkersLostError
-from can_rig.results.metrics import Metrics
-from can_rig.results.without_log import metrics_of
+from can_rig.results.metrics import Metrics, metrics_of
 from can_rig.scenario.settings import Scenario
 from tests.helpers import asked
 from tests.rig.campaigns.running import SHORT, WhoComputes, in_two_processes, planned, ran, rows

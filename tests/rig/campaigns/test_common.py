@@ -18,8 +18,8 @@ from can_rig.campaigns.plan import plan
 from can_rig.campaigns.rows import Task, run_rows
 from can_rig.campaigns.settings import campaign_of, read_campaign
 from can_rig.plant.frameless import frameless
-from can_rig.results.counterfactual import loop_of
-from can_rig.results.without_log import metrics_of, signals_without_log
+from can_rig.results.counterfactual import loop_of, signals_without_log
+from can_rig.results.metrics import metrics_of
 from can_rig.scenario import shipped
 from can_rig.scenario.build import controller_table, network_of
 

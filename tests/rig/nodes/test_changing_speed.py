@@ -18,10 +18,9 @@ from can_rig.nodes.lockstep import ControllerNode
 from can_rig.nodes.runner import run_in_process
 from can_rig.panel.live import HOLD, LiveSignals
 from can_rig.plant.frameless import frameless
-from can_rig.replay.gaps import Gap
 from can_rig.replay.replay import OpenLoop
-from can_rig.results.report.curves import panels
 from can_rig.results.report.page import page
+from can_rig.results.report.web_page import panels
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import speeds_at_ticks
@@ -62,12 +61,11 @@ def test_the_speed_is_the_first_frame_of_every_tick(log: Path) -> None:
 def test_signals_have_it_and_replay_knows_it(log: Path) -> None:
     signals = read_signals(log, NETWORK, SCENARIO.tick_s)
     assert signals.plant["speed_mps"].tolist() == speeds_at_ticks(SCENARIO).tolist()
-    gaps: list[Gap] = []
-    loop = OpenLoop(SCENARIO, NETWORK, gaps.append)
+    loop = OpenLoop(SCENARIO, NETWORK)
     loop.run(read_log(log))
-    assert not gaps
+    assert not loop.account.gaps
     assert loop.comparison.same_bytes == 3 * SCENARIO.ticks
-    other = OpenLoop(load("default", [*DRIVE, "design.speeds_mps=[10]"]), NETWORK, gaps.append)
+    other = OpenLoop(load("default", [*DRIVE, "design.speeds_mps=[10]"]), NETWORK)
     other.run(read_log(log))
     assert not other.comparison.identical
 
@@ -110,10 +108,9 @@ def test_a_replay_says_which_frames_of_the_speed_are_missing(log: Path) -> None:
     at = 100 * FRAMES
     keep = np.ones(len(frames), dtype=np.bool_)
     keep[[at, at + FRAMES]] = False
-    gaps: list[Gap] = []
-    loop = OpenLoop(SCENARIO, NETWORK, gaps.append)
+    loop = OpenLoop(SCENARIO, NETWORK)
     loop.run([frames[keep]])
-    assert [(gap.tick, gap.message, gap.what, gap.ticks) for gap in gaps] == [
+    assert [(gap.tick, gap.message, gap.what, gap.ticks) for gap in loop.account.gaps] == [
         (100, "VEHICLE_SPEED", "missing", 2)
     ]
     assert loop.comparison.without_input == 2

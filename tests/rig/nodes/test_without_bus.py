@@ -21,7 +21,7 @@ from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.without_bus import run_without_bus
 from can_rig.plant import in_windows
-from can_rig.results.execution import NO_BUS, execute
+from can_rig.results.execution import NO_BUS, Options, execute
 from can_rig.results.signals import read_signals
 from can_rig.scenario import shipped
 from can_rig.scenario.build import network_of
@@ -73,7 +73,7 @@ def small_blocks(monkeypatch: pytest.MonkeyPatch) -> None:
 def folders(scenario: Scenario, where: Path) -> Iterator[dict[str, Any]]:
     """Every file of a run without a bus, and of one on a bus."""
     for name, bus in (("without", None), ("with", "virtual:compared")):
-        done = execute(scenario, where / name, StopRequest(), bus=bus, report=False)
+        done = execute(scenario, where / name, StopRequest(), Options(bus=bus, report=False))
         assert done is not None
         assert (done.outcome.bus == NO_BUS) == (bus is None)
         files: dict[str, Any] = {file.name: file.read_bytes() for file in done.folder.iterdir()}

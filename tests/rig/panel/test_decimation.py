@@ -5,7 +5,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from can_rig.panel.decimation import Decimator
+from can_rig.drawing.thinning import Decimator
 
 VALUES = st.floats(-1e6, 1e6) | st.just(float("nan"))
 

@@ -6,11 +6,11 @@ import can
 import numpy as np
 import pytest
 
+from can_rig.drawing.thinning import Decimator
 from can_rig.frames import operator_frames
 from can_rig.logs.columns import EVIDENCE
-from can_rig.panel.decimation import Decimator
 from can_rig.panel.live import COLUMNS, ENDS, HOLD, Frames, LiveSignals
-from can_rig.results.isolation.verdicts import with_verdict
+from can_rig.results.isolation import with_verdict
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario

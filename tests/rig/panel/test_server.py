@@ -15,13 +15,9 @@ from aiohttp.test_utils import TestClient, TestServer
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
 from can_rig.errors import RigError
-from can_rig.panel.access import Access
-from can_rig.panel.orders import obey
-from can_rig.panel.saving import save
-from can_rig.panel.screen import Screen, batch
-from can_rig.panel.server import Server
+from can_rig.panel.screen import MOST_WAITING, Screen, Viewer, batch, save
+from can_rig.panel.server import Access, Server
 from can_rig.panel.session import Session
-from can_rig.panel.viewers import MOST_WAITING, Viewer
 from tests.helpers import record
 
 TOUCH, LOOK = "t" * 32, "l" * 32
@@ -149,7 +145,7 @@ def test_who_only_listens_sends_nothing(run):
 def test_beside_nodes_of_others_no_run_is_started():
     screen = Screen(SimpleNamespace(running=False), [], None)
     with pytest.raises(RigError, match="it starts none beside them"):
-        asyncio.run(obey(screen, {"order": "start"}))
+        asyncio.run(screen.obey({"order": "start"}))
 
 
 def test_a_server_that_ends_says_so_to_who_looks(run):

@@ -14,8 +14,8 @@ from can_rig.logs.columns import ON_THE_BUS
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.without_bus import run_without_bus
 from can_rig.plant.frameless import frameless, inputs_of
+from can_rig.results.counterfactual import signals_without_log
 from can_rig.results.signals import read_signals
-from can_rig.results.without_log import signals_without_log
 from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.fault_settings import PLACES, FaultKind
 from firmware_model.analysis.simulation import Trace

@@ -29,10 +29,9 @@ NETWORK = network_of(SCENARIO)
 def replay(
     frames: list[Message], scenario: Scenario = SCENARIO, chunk: int = 300
 ) -> tuple[OpenLoop, list[Gap]]:
-    gaps: list[Gap] = []
-    loop = OpenLoop(scenario, network_of(scenario), gaps.append)
+    loop = OpenLoop(scenario, network_of(scenario))
     loop.run(from_messages(frames[at : at + chunk]) for at in range(0, len(frames), chunk))
-    return loop, gaps
+    return loop, loop.account.gaps
 
 
 def listed(gaps: list[Gap]) -> Counter[tuple[int, str, str]]:

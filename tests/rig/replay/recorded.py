@@ -70,7 +70,7 @@ def are_close(one: dict[str, Record], other: dict[str, Record]) -> bool:
 
 def replayed(name: str, scenario: Scenario, law: Law) -> OpenLoop:
     """A drive through the controller of ``scenario``, run by ``law``."""
-    loop = OpenLoop(scenario, network_of(scenario), lambda gap: None, law=law)
+    loop = OpenLoop(scenario, network_of(scenario), law=law)
     loop.run(read_log(log_of(name)))
     return loop
 

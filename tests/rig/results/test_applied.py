@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from scipy.signal import cont2discrete
 
-from can_rig.results.applied import applied_commands
+from can_rig.results.counterfactual import applied_commands
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import continuous_plant, network_of
 from can_rig.scenario.settings import Scenario

@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.results.counterfactual import fault_free
-from can_rig.results.metrics import metrics
+from can_rig.results import counterfactual
+from can_rig.results.counterfactual import fault_free, loop_of
+from can_rig.results.metrics import metrics, metrics_of
 from can_rig.results.signals import Signals
 from tests.rig.results.quiet import Run, quiet
 
@@ -74,3 +75,15 @@ def test_fault_free_of_a_log_that_starts_late() -> None:
     )
     empty = Signals(*(getattr(signals, name)[:0] for name in COLUMNS))
     assert fault_free(scenario, empty).dstar_mps2.shape == (0,)
+
+
+@pytest.mark.parametrize("kind", ["actuator-dead", "sensor-biased", "frames-missing", "none"])
+def test_it_is_the_run_from_rest_by_every_metric(
+    kind: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    scenario = load("default", ["duration_s=0.3", "fault.at_s=0.2", f"fault.kind={kind}"])
+    begun = metrics_of(scenario)
+    if kind != "none":
+        assert loop_of(scenario.healthy).done == scenario.ticks  # the metrics went on with it
+    monkeypatch.setattr(counterfactual, "_begin_without_fault", lambda loop, scenario: None)
+    assert metrics_of(scenario) == begun

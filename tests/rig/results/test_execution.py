@@ -21,7 +21,7 @@ from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.ticks import NodeSummary
 from can_rig.nodes.without_bus import run_without_bus
 from can_rig.results import execution
-from can_rig.results.execution import execute
+from can_rig.results.execution import Options, execute
 from can_rig.results.run_folder import recorded_scenario
 from tests.helpers import asked, record
 
@@ -60,7 +60,7 @@ def recorded(folder: Path, lines: int, summary: NodeSummary | RigError) -> execu
     """A runner that records the first lines of a real log and then ends so."""
     source = record(folder, *SHORT, bus="virtual:source")[0].read_text().splitlines(keepends=True)
 
-    def run(_scenario: object, _bus: str, log: Path, *_: object) -> NodeSummary:
+    def run(_scenario: object, log: Path, *_: object) -> NodeSummary:
         if lines:
             log.write_text("".join(source[:lines]))
         if isinstance(summary, RigError):
@@ -78,7 +78,9 @@ def test_the_old_run_stands_until_the_new_one_is_whole(there: Path, tmp_path: Pa
         seen.append(contents(there))
 
     stop = StopRequest()
-    done = execute(SCENARIO, there, stop, force=True, progress=lambda: nullcontext(on_tick))
+    done = execute(
+        SCENARIO, there, stop, Options(force=True, progress=lambda: nullcontext(on_tick))
+    )
     assert done is not None
     assert (done.folder, done.exit_status) == (there, 0)
     assert seen[-1] == before
@@ -98,16 +100,16 @@ def test_where_the_closing_files_cannot_be_written_both_runs_are_kept(
     with monkeypatch.context() as patch:
         patch.setattr(*writer, full)
         with pytest.raises(RunFolderError, match="No space left on device") as caught:
-            execute(SCENARIO, there, StopRequest(), force=True)
+            execute(SCENARIO, there, StopRequest(), Options(force=True))
     unfinished = tmp_path / "demo.unfinished"
     assert f"what was recorded is in {unfinished / 'bus.log'}" in str(caught.value)
     assert contents(there) == before
     assert (unfinished / "bus.log").read_bytes() == before["bus.log"]  # of the same scenario
     assert {path.name for path in tmp_path.iterdir()} == {"demo", "demo.unfinished"}
     with pytest.raises(RunFolderError, match=r"demo\.unfinished: holds what an earlier command"):
-        execute(SCENARIO, there, StopRequest(), force=True)
+        execute(SCENARIO, there, StopRequest(), Options(force=True))
     shutil.rmtree(unfinished)
-    assert execute(SCENARIO, there, StopRequest(), force=True) is not None
+    assert execute(SCENARIO, there, StopRequest(), Options(force=True)) is not None
 
 
 @pytest.mark.parametrize("force", [False, True])
@@ -115,7 +117,7 @@ def test_a_run_that_fails_keeps_what_it_recorded(force: bool, there: Path, tmp_p
     out = there if force else tmp_path / "other"
     (tmp_path / "source").mkdir()
     runner = recorded(tmp_path / "source", 32, SilentNodeError("the plant node was ended"))
-    done = execute(SCENARIO, out, StopRequest(), force=force, runner=runner)
+    done = execute(SCENARIO, out, StopRequest(), Options(force=force, runner=runner))
     assert done is not None
     assert done.exit_status == SilentNodeError.exit_status
     assert str(done.failure) == "the plant node was ended"
@@ -135,9 +137,11 @@ def test_a_run_that_records_nothing_replaces_nothing(
     for out, force in ((there, True), (tmp_path / "new", False)):
         if isinstance(ending, RigError):
             with pytest.raises(RigError, match="refused"):
-                execute(SCENARIO, out, StopRequest(), force=force, runner=runner)
+                execute(SCENARIO, out, StopRequest(), Options(force=force, runner=runner))
         else:
-            assert execute(SCENARIO, out, StopRequest(), force=force, runner=runner) is None
+            assert (
+                execute(SCENARIO, out, StopRequest(), Options(force=force, runner=runner)) is None
+            )
     assert contents(there) == before
     assert {path.name for path in tmp_path.iterdir()} == {"demo", "source"}
 
@@ -147,7 +151,10 @@ def test_what_the_nodes_say_is_in_the_summary(tmp_path: Path) -> None:
     events, rejected = {"plant": {"no buffer space": 3}}, {"DSTAR_FEEDBACK": {"wrong_crc": 1}}
     said = NodeSummary(20, 0.5, rejected, events)
     done = execute(
-        SCENARIO, tmp_path / "r", StopRequest(), runner=recorded(tmp_path / "source", 100, said)
+        SCENARIO,
+        tmp_path / "r",
+        StopRequest(),
+        Options(runner=recorded(tmp_path / "source", 100, said)),
     )
     assert done is not None
     assert done.exit_status == 0
@@ -160,7 +167,7 @@ def test_a_stopped_run_says_so(tmp_path: Path) -> None:
     stop = StopRequest()
     (tmp_path / "source").mkdir()
     runner = recorded(tmp_path / "source", 25, NodeSummary(5, 0.1, {}, {}))
-    done = execute(SCENARIO, tmp_path / "r", stop, runner=runner)
+    done = execute(SCENARIO, tmp_path / "r", stop, Options(runner=runner))
     assert done is not None
     assert (done.exit_status, summary_of(tmp_path / "r")["outcome"]) == (INTERRUPTED, "interrupted")
 

@@ -6,10 +6,8 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.results.counterfactual import output_of_car
-from can_rig.results.fault_metrics import fault_metrics, fault_rows
-from can_rig.results.metrics import metrics
-from can_rig.results.without_log import signals_without_log
+from can_rig.results.counterfactual import output_of_car, signals_without_log
+from can_rig.results.metrics import fault_metrics, fault_rows, metrics
 from tests.rig.results.quiet import quiet
 
 BOTH = ["duration_s=6", "fault.at_s=2", "fault.for_s=1.5", "fault.1.kind=sensor-stuck"]

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import pytest
 
-from can_rig.drawing.fault_words import disturbance_in_words, fault_in_words, fault_label
-from can_rig.drawing.names import CAR
+from can_rig.drawing.names import CAR, disturbance_in_words, fault_in_words, fault_label
 from can_rig.scenario.disturbance_settings import DisturbanceSettings
 from can_rig.scenario.fault_settings import FaultSettings
 

@@ -15,7 +15,7 @@ from can_rig import paged
 from can_rig.assessment.resolve import load
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.plant import in_windows
-from can_rig.results.execution import Execution, execute
+from can_rig.results.execution import Execution, Options, execute
 from can_rig.views.recorded_run import RecordedRun
 from tests.helpers import asked
 
@@ -45,7 +45,7 @@ def long_from(ticks: int, monkeypatch: pytest.MonkeyPatch) -> None:
 
 def run(folder: Path, *settings: str, bus: str | None = None) -> Execution:
     scenario = load("default", ["duration_s=0.7", *settings])
-    done = execute(scenario, folder, StopRequest(), bus=bus)
+    done = execute(scenario, folder, StopRequest(), Options(bus=bus))
     assert done is not None
     return done
 
@@ -119,7 +119,7 @@ def test_a_what_if_of_a_long_run_is_that_of_a_short_one(
 def test_a_long_run_is_replaced_as_any_other(folders: Path, tmp_path: Path) -> None:
     made = RecordedRun.load(folders / "long").save(tmp_path / "again")
     scenario = load("default", ["duration_s=0.01"])
-    assert execute(scenario, made, StopRequest(), force=True) is not None
+    assert execute(scenario, made, StopRequest(), Options(force=True)) is not None
     assert sorted(path.name for path in made.iterdir() if path.suffix == ".gz") == []
 
 
@@ -140,7 +140,7 @@ def test_memory_hardly_grows_with_a_run(
     long_from(1500, monkeypatch)
     monkeypatch.setattr(in_windows, "WINDOW_TICKS", 970)
     monkeypatch.setattr("can_rig.drawing.thinning.MAX_POINTS", 1000)
-    monkeypatch.setattr("can_rig.results.report.curves.MOST_POINTS", 1000)
+    monkeypatch.setattr("can_rig.results.report.web_page.MOST_POINTS", 1000)
     monkeypatch.setattr("can_rig.logs.reading.read_log.__defaults__", (1000, *_rest()))
     peaks = []
     for ticks in (2000, 2000, 12000):  # the first one compiles, imports and remembers

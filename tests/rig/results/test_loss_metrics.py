@@ -10,10 +10,9 @@ from scipy import signal
 
 from can_rig.assessment.resolve import load
 from can_rig.results import loss_metrics
-from can_rig.results.fault_metrics import fault_metrics
-from can_rig.results.metrics import metrics
+from can_rig.results.counterfactual import signals_without_log
+from can_rig.results.metrics import fault_metrics, metrics
 from can_rig.results.signals import Signals
-from can_rig.results.without_log import signals_without_log
 from can_rig.scenario.settings import Scenario
 from firmware_model.design.plants import steer_by_wire
 from firmware_model.target.status import Verdict

@@ -13,7 +13,7 @@ from can_rig.errors import LogError, RigError
 from can_rig.logs.plant_signals import read_plant_signals
 from can_rig.nodes.recording import PlantRecorder
 from can_rig.plant.simulated import SimulatedPlant
-from can_rig.results.applied import applied_commands
+from can_rig.results.counterfactual import applied_commands
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from can_rig.views.signal_table import read_table

@@ -12,7 +12,7 @@ from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.interaction import Interaction
 from can_rig.nodes.operating import Touch
 from can_rig.nodes.run_control import RunControl
-from can_rig.results.execution import execute
+from can_rig.results.execution import Options, execute
 from can_rig.results.run_folder import REFERENCE
 
 FRAMES = 5  # of a tick
@@ -25,7 +25,7 @@ def touched(folder: Path, *commands: tuple[int, Command]):
     )
     scenario = load("ideal", ("duration_s=0.6", "fault.kind=none"))
     interaction = Interaction(injectable=True, told=told)
-    return execute(scenario, folder, StopRequest(), interaction=interaction, report=False)
+    return execute(scenario, folder, StopRequest(), Options(interaction=interaction, report=False))
 
 
 def test_an_injected_fault_is_no_false_alarm(tmp_path):

@@ -14,13 +14,10 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
-from can_rig.results.fault_metrics import fault_metrics
-from can_rig.results.metrics import metrics
-from can_rig.results.report.curves import extremes, extremes_at, packed, panels
-from can_rig.results.report.events import events
-from can_rig.results.report.web_page import web_page
+from can_rig.results.counterfactual import signals_without_log
+from can_rig.results.metrics import fault_metrics, metrics
+from can_rig.results.report.web_page import events, extremes, extremes_at, packed, panels, web_page
 from can_rig.results.signals import Signals
-from can_rig.results.without_log import signals_without_log
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 
@@ -113,7 +110,7 @@ def test_no_peak_disappears(values: list[float], ticks: int) -> None:
 
 
 def test_a_long_run_has_few_points_and_every_peak(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("can_rig.results.report.curves.MOST_POINTS", 100)
+    monkeypatch.setattr("can_rig.results.report.web_page.MOST_POINTS", 100)
     scenario = load("ideal", ["duration_s=1.013"])
     signals = signals_without_log(scenario)
     run = packed(signals.time_s, panels(scenario, network_of(scenario), signals))

@@ -15,10 +15,10 @@ from can_rig.logs.columns import EVIDENCE, VERDICT
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.without_bus import run_without_bus
 from can_rig.plant.frameless import frameless
-from can_rig.results.isolation.verdicts import CERTAIN, with_verdict
-from can_rig.results.isolation.words import in_words, verdict_rows, whose_fault
+from can_rig.results.counterfactual import signals_without_log
+from can_rig.results.isolation import CERTAIN, in_words, verdict_rows, whose_fault, with_verdict
+from can_rig.results.metrics import metrics_of
 from can_rig.results.signals import Signals, read_signals
-from can_rig.results.without_log import metrics_of, signals_without_log
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import controls
 from can_rig.scenario.settings import Scenario

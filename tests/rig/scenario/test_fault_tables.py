@@ -12,7 +12,7 @@ from can_rig.assessment.resolve import load, load_run
 from can_rig.campaigns.plan import has_key
 from can_rig.errors import ScenarioError
 from can_rig.scenario.loading import as_settings, value_in
-from can_rig.views.settings_diff import differing_settings
+from can_rig.views.diff import differing_settings
 
 LIST = """
 duration_s = 0.5

@@ -14,8 +14,8 @@ from hypothesis.extra.numpy import arrays
 
 from can_rig.assessment.resolve import load
 from can_rig.errors import LogError
-from can_rig.views.diff_picture import difference_page
-from can_rig.views.run_diff import compare, tolerances_of
+from can_rig.views.diff import compare, tolerances_of
+from can_rig.views.pictures import difference_page
 from can_rig.views.signal_table import SignalTable, read_table, unit
 from tests.helpers import asked
 

@@ -15,7 +15,7 @@ from can_rig.decoding.decode import Decoder, decode_log
 from can_rig.drawing.thinning import MAX_POINTS, thinned
 from can_rig.errors import DbcError
 from can_rig.frames.databases import load_database
-from can_rig.views.plot_picture import plot_page
+from can_rig.views.pictures import plot_page
 from tests.helpers import DBC, asked, record
 
 CAR = """VERSION ""

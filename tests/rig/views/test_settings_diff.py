@@ -13,9 +13,8 @@ from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
 from can_rig.results.run_folder import Outcome, finish
 from can_rig.scenario.build import network_of
-from can_rig.views.diff_picture import difference_page
-from can_rig.views.run_diff import compare
-from can_rig.views.settings_diff import SettingDifference, differing_settings
+from can_rig.views.diff import SettingDifference, compare, differing_settings
+from can_rig.views.pictures import difference_page
 from can_rig.views.signal_table import SignalTable, read_table, titles
 from tests.helpers import asked
 

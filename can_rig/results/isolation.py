@@ -1,0 +1,153 @@
+"""Whose fault it was: verdict and evidence of each tick, and in words."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from functools import partial
+from typing import Any, Final
+
+import numpy as np
+
+from can_rig import paged
+from can_rig.drawing.names import Names, names_of
+from can_rig.frames.frame_columns import quantised
+from can_rig.frames.network import Network
+from can_rig.logs.columns import EVIDENCE, VERDICT
+from can_rig.results.signals import Signals
+from can_rig.scenario.driving import controls, speeds_at_ticks
+from can_rig.scenario.settings import Scenario
+from firmware_model.firmware import Firmware
+from firmware_model.target.status import Verdict
+from firmware_model.target.structs import FloatArray
+
+DECIMALS: Final = 3  # of the evidence, a natural logarithm
+CERTAIN: Final = 1e12  # largest recorded evidence; at rest without noise it has no bound
+
+
+class Reasoning:
+    """The control law with the inputs of a run's controller, tick by tick.
+
+    Args:
+        scenario: the run.
+        network: the frames.
+
+    Raises:
+        ScenarioError: the design fails.
+    """
+
+    def __init__(self, scenario: Scenario, network: Network) -> None:
+        of = controls(scenario, network)
+        self._made = partial(Firmware, of.table, speeds=of.schedule)
+        self._firmware = self._made()
+        self._outages = scenario.outages
+        self._speeds = _speeds(scenario, network)
+        self.confirm: Final = float(of.table.decision.confirm)
+        """The evidence that confirms a loss."""
+
+    def take(self, tick: int, reference: float, measured: float) -> tuple[int, FloatArray]:
+        """The verdict of this tick, and the evidence of each hypothesis in the order ``EVIDENCE``.
+
+        In a tick without inputs the law waits. A controller without power has no verdict.
+        """
+        if any(tick in outage for outage in self._outages):
+            return 0, np.zeros(len(EVIDENCE))
+        if any(tick == outage.stop for outage in self._outages):
+            self._firmware = self._made()
+        if self._speeds is not None:
+            self._firmware.change_speed(self._speeds[min(tick, len(self._speeds) - 1)])
+        self._firmware.step(reference, measured)
+        hypotheses = self._firmware.hypotheses
+        return int(hypotheses["verdict"]), hypotheses["evidence"][1:]
+
+    @property
+    def commands(self) -> tuple[float, float]:
+        """The commands of this tick."""
+        return self._firmware.commands
+
+
+def with_verdict(scenario: Scenario, network: Network, signals: Signals) -> Signals:
+    """``signals`` with the verdict of each tick and the evidence of each hypothesis.
+
+    The status frame carries the verdict, without room for the evidence. The law answers the same
+    inputs with the same bits, so a second run of the law gives the evidence, and the verdict where
+    the frame lacks one. In a tick without inputs the law waits, and the verdict stays.
+
+    Raises:
+        ScenarioError: the design fails.
+    """
+    reasoning = Reasoning(scenario, network)
+    columns = {name: paged.empty(len(signals)) for name in (VERDICT, *EVIDENCE)}
+    for rows in paged.blocks(len(signals)):
+        ticks = np.rint(signals.time_s[rows] / scenario.tick_s).astype(np.int64).tolist()
+        verdicts, evidence = np.zeros(len(ticks)), np.zeros((len(ticks), len(EVIDENCE)))
+        inputs = signals.reference_mps2[rows].tolist(), signals.dstar_mps2[rows].tolist()
+        for row, (tick, reference, measured) in enumerate(zip(ticks, *inputs, strict=True)):
+            verdicts[row], evidence[row] = reasoning.take(tick, reference, measured)
+        said = np.clip(np.nan_to_num(evidence, nan=0.0), -CERTAIN, CERTAIN)
+        for name, values in zip(EVIDENCE, np.round(said, DECIMALS).T + 0.0, strict=True):
+            columns[name][rows] = values
+        if signals.verdict is not None:
+            heard = signals.verdict[rows]
+            verdicts = np.where(np.isnan(heard), verdicts, heard)
+        columns[VERDICT][rows] = verdicts
+    return replace(signals, whose_fault=columns)
+
+
+def _speeds(scenario: Scenario, network: Network) -> list[float] | None:
+    """The received speed in each tick; None for a constant speed."""
+    if network.speed is None:
+        return None
+    heard: list[float] = quantised(network.speed, speeds_at_ticks(scenario)).tolist()
+    return heard
+
+
+_WORDS: Final = {
+    Verdict.NOTHING: "no fault",
+    Verdict.TORQUE_LOST: "{command_1} lost",
+    Verdict.TORQUE_OFFSET: "{command_1} off by a constant",
+    Verdict.FORCE_LOST: "{command_2} lost",
+    Verdict.SENSOR_BIASED: "{output} sensor biased",
+    Verdict.SENSOR_DRIFTING: "{output} sensor drifting",
+    Verdict.SENSOR_FROZEN: "{output} sensor frozen",
+    Verdict.ANOTHER_CAR: "no fault, another plant than the model",
+    Verdict.BOTH_LOST: "{command_1} and {command_2} lost",
+    Verdict.CANNOT_BE_TOLD: "cannot be told",
+}
+_NO_FAULT: Final = (Verdict.NOTHING, Verdict.ANOTHER_CAR)
+
+
+def whose_fault(scenario: Scenario, signals: Signals) -> dict[str, dict[str, Any]]:
+    """Each verdict of a fault by name, with begin and duration in s.
+
+    The evidence of each hypothesis is from the first tick of the verdict.
+    """
+    codes = signals.whose_fault[VERDICT]
+    found = {}
+    for verdict in Verdict:
+        rows = np.flatnonzero(codes == verdict)
+        if len(rows) and verdict not in _NO_FAULT:
+            first = int(rows[0])
+            found[verdict.name] = {
+                "since_s": round(float(signals.time_s[first]), 9),
+                "for_s": round(len(rows) * scenario.tick_s, 9),
+                "evidence": {
+                    name.removeprefix("evidence_"): float(signals.whose_fault[name][first])
+                    for name in EVIDENCE
+                },
+            }
+    return found
+
+
+def verdict_rows(scenario: Scenario, found: dict[str, dict[str, Any]]) -> list[tuple[str, str]]:
+    """The line of the closing table: the longest verdict."""
+    if not found:
+        return []
+    name, longest = max(found.items(), key=lambda each: float(each[1]["for_s"]))
+    said = in_words(Verdict[name], names_of(scenario.plant))
+    return [("whose fault", f"{said}, from {longest['since_s']:.4g} s")]
+
+
+def in_words(verdict: int, names: Names) -> str:
+    """A verdict in words, with the names of the plant's signals."""
+    own = {key: signal.name for key, signal in names._asdict().items()}
+    return _WORDS[Verdict(verdict)].format(**own)

@@ -1,0 +1,221 @@
+"""The pictures of two compared runs, of a log's signals and of the bus load."""
+
+from __future__ import annotations
+
+import datetime
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, Final
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from can_rig import paged
+from can_rig.decoding.message_columns import MessageColumns
+from can_rig.drawing import style
+from can_rig.drawing.names import printed
+from can_rig.drawing.thinning import thinned
+from can_rig.logs.frames import NS_PER_S
+from can_rig.scenario.settings import Scenario
+from can_rig.views.diff import Difference, SignalDifference
+from can_rig.views.log_statistics import LogStatistics
+from can_rig.views.signal_table import SignalTable, titles
+from firmware_model.target.structs import FloatArray
+
+BEFORE, AFTER = 15, 45  # rows around the first difference
+MAX_SETTINGS: Final = 4  # in the heading; the table lists all settings
+CURVES: Final[tuple[dict[str, Any], ...]] = (
+    {"color": style.BLUE, "lw": 1.9},
+    {"color": style.ORANGE, "lw": 1.2, "ls": style.DASHED},
+)
+
+
+def draw_difference(path: Path, a: SignalTable, b: SignalTable, difference: Difference) -> None:
+    """Write ``difference_page`` in the format of the suffix."""
+    difference_page(a, b, difference).savefig(path, dpi=150)
+
+
+def difference_page(a: SignalTable, b: SignalTable, difference: Difference) -> Figure:
+    """A row for each differing signal, or for all signals if none differs.
+
+    The left panel shows the signal in full, the right panel the first difference. The runs are
+    named by folder and scenario, with the settings that differ. The time in which ``b`` had a
+    channel lost is shaded.
+    """
+    shown = [signal for signal in difference.signals if signal.beyond] or difference.signals
+    figure = style.page(1.2 + 1.75 * max(len(shown), 1))
+    axes = figure.subplots(len(shown), 2, squeeze=False, width_ratios=(3, 2), sharex="col")
+    around = _around(a, difference)
+    for (full, near), signal in zip(axes, shown, strict=True):
+        _draw(full, a, b, signal, None)
+        _draw(near, a, b, signal, around)
+        full.set_ylabel(style.labelled(*a.name_and_unit(signal.signal)))
+        near.yaxis.tick_right()
+    for axis in axes[-1]:
+        axis.set_xlabel("time in s")
+    figure.legend(
+        axes[0, 0].get_lines()[:2], titles(a, b),
+        loc="outside upper center", ncols=2, frameon=False, fontsize=10,
+        title=_settings(difference), title_fontsize=9,
+    )  # fmt: skip
+    first = difference.first_at_s
+    where = "the end" if first is None else f"the first difference, {first:.6f} s"
+    axes[0, 0].set_title("in full", fontsize=9, loc="left")
+    axes[0, 1].set_title(f"around {where}", fontsize=9, loc="left")
+    figure.align_ylabels(axes[:, 0])
+    return figure
+
+
+def _settings(difference: Difference) -> str | None:
+    if not difference.settings:
+        return None
+    shown = [str(setting) for setting in difference.settings[:MAX_SETTINGS]]
+    rest = len(difference.settings) - len(shown)
+    return "\n".join(shown + [f"and {rest} more settings"] * bool(rest))
+
+
+def _around(a: SignalTable, difference: Difference) -> tuple[float, float]:
+    """The time about the first difference, s."""
+    time_s = a.time_s
+    first = difference.first_at_s
+    at = len(time_s) - 1 if first is None else int(np.searchsorted(time_s, first))
+    low, high = max(at - BEFORE, 0), min(at + AFTER, len(time_s) - 1)
+    return float(time_s[low]), float(max(time_s[high], time_s[low] + 1e-9))
+
+
+def _draw(
+    axis: Axes,
+    a: SignalTable,
+    b: SignalTable,
+    signal: SignalDifference,
+    span_s: tuple[float, float] | None,
+) -> None:
+    for table, curve in zip((a, b), CURVES, strict=True):
+        rows = slice(None)
+        if span_s is not None:
+            first, last = np.searchsorted(table.time_s, span_s)
+            rows = slice(int(first), int(last) + 1)
+        axis.step(
+            *thinned(table.time_s[rows], table.columns[signal.signal][rows]),
+            where="post",
+            marker="." if span_s is not None else "",
+            ms=3,
+            **curve,
+        )
+    style.ruled(axis)
+    if signal.first_at_s is not None:
+        axis.axvline(signal.first_at_s, color=style.INK, lw=0.8, ls=style.DOTTED)
+    if span_s is not None:
+        axis.set_xlim(*span_s)
+    style.shade_all(axis, b.scenario)
+
+
+FIRST_DATE_NS: Final = 10**9 * NS_PER_S
+"""From here on a time stamp is a date, counted since 1970."""
+
+Pair = tuple[str, str]
+
+
+def plot_page(
+    messages: Mapping[str, MessageColumns],
+    signals: Sequence[Pair],
+    start_ns: int,
+    scenario: Scenario | None = None,
+) -> Figure:
+    """The page.
+
+    Args:
+        messages: decoded columns by name.
+        signals: message and signal of each curve.
+        start_ns: when the recording began; if the start is a date, the axis counts from the date.
+        scenario: the times of its faults and disturbances are shaded.
+    """
+    panels: dict[tuple[str, str], list[Pair]] = {}
+    for message, signal in signals:
+        layout = messages[message].layout[signal]
+        key = ("words", f"{message}.{signal}") if layout.is_enumeration else ("unit", layout.unit)
+        panels.setdefault(key, []).append((message, signal))
+    heights = [1.0 if kind == "words" else 1.6 for kind, _ in panels]
+    figure = style.page(0.8 + 1.45 * sum(heights))
+    grid = figure.subplots(len(panels), 1, sharex=True, squeeze=False, height_ratios=heights)
+    axes = [row[0] for row in grid]
+    dated = start_ns >= FIRST_DATE_NS
+    for axis, ((kind, unit), pairs) in zip(axes, panels.items(), strict=True):
+        for at, (message, signal) in enumerate(pairs):
+            columns = messages[message]
+            time_s, values = curve(columns, signal, start_ns if dated else 0)
+            axis.step(
+                *thinned(time_s, values),
+                where="post",
+                label=signal,
+                **style.SERIES[at % len(style.SERIES)],
+            )
+        style.ruled(axis)
+        if kind == "words":
+            _words(axis, messages[pairs[0][0]], pairs[0][1])
+        _name(axis, [signal for _, signal in pairs], unit if kind == "unit" else "")
+    for axis in axes if not dated else ():
+        style.shade_all(axis, scenario)
+    axes[-1].set_xlabel(_time_label(start_ns) if dated else "time in s")
+    figure.align_ylabels(axes)
+    return figure
+
+
+def curve(columns: MessageColumns, signal: str, zero_ns: int) -> tuple[FloatArray, FloatArray]:
+    """Time in s after ``zero_ns`` and value, (n,) each, of the frames that have the signal.
+
+    Of a signal whose values are words, the code.
+    """
+    enumeration = columns.layout[signal].is_enumeration
+    column = columns.codes[signal] if enumeration else columns.signals[signal]
+    time_ns, values = columns.time_ns, np.ma.getdata(column)
+    if np.ma.is_masked(column):
+        there = ~np.ma.getmaskarray(column)
+        time_ns, values = time_ns[there], values[there]
+    time_s = paged.column(
+        len(time_ns), lambda rows: np.divide(time_ns[rows] - zero_ns, NS_PER_S, dtype=np.float64)
+    )
+    return time_s, values.astype(np.float64, copy=False)
+
+
+def _words(axis: Axes, columns: MessageColumns, signal: str) -> None:
+    """The words of the value table that occur, beside their codes."""
+    codes = np.ma.getdata(columns.codes[signal])[~np.ma.getmaskarray(columns.codes[signal])]
+    choices = columns.layout[signal].choices
+    used = np.unique(codes).tolist()
+    axis.set_yticks(used, [f"{choices.get(int(code), '?')} ({code})" for code in used])
+    axis.set_ylim(min(used) - 0.4, max(used) + 0.4)
+
+
+def _name(axis: Axes, names: Sequence[str], unit: str) -> None:
+    if len(names) == 1:
+        axis.set_ylabel(style.labelled(names[0], unit))
+        return
+    axis.set_ylabel(f"in {printed(unit)}" if unit else "")
+    style.legend_above(axis)
+
+
+def _time_label(start_ns: int) -> str:
+    start = datetime.datetime.fromtimestamp(start_ns // NS_PER_S, datetime.UTC)
+    return f"time in s since {start:%Y-%m-%d %H:%M:%S} UTC"
+
+
+def load_page(statistics: LogStatistics) -> Figure:
+    """A panel for each bus: the upper bound of its busy share in each second."""
+    buses = statistics.buses
+    figure = style.page(0.8 + 1.6 * max(len(buses), 1))
+    grid = figure.subplots(max(len(buses), 1), 1, sharex=True, squeeze=False)
+    for (axis,), bus in zip(grid, buses, strict=False):
+        second, share = statistics.load(bus)
+        edges = np.stack([second, second, second + 1, second + 1], axis=1).ravel()
+        begins = np.diff(second, prepend=-np.inf) > 1  # no frame in the second before
+        ends = np.diff(second, append=np.inf) > 1
+        first, last = np.where(begins, 0.0, share), np.where(ends, 0.0, share)
+        heights = np.stack([first, share, share, last], axis=1).ravel()
+        axis.plot(edges, 100 * heights, color=style.BLUE, lw=1.2)
+        axis.set_ylabel(style.labelled(f"load of {bus}", "%"))
+        axis.set_ylim(bottom=0.0)
+        style.ruled(axis)
+    grid[-1][0].set_xlabel("time since the first frame in s")
+    return figure
