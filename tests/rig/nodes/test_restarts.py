@@ -9,6 +9,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from can_rig.results.without_log import signals_without_log
 
 from can_rig.assessment.resolve import load
 from can_rig.errors import ScenarioError
@@ -19,7 +20,6 @@ from can_rig.nodes.realtime.timing import require_causal
 from can_rig.results.execution import execute, two_processes
 from can_rig.results.metrics import metrics
 from can_rig.results.signals import read_signals
-from can_rig.results.without_log import signals_without_log
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import controls
 from can_rig.scenario.fault_settings import FaultSettings, outages
