@@ -12,6 +12,7 @@ from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation import rounding
 from firmware_model.discretisation.filters import Filter
 from firmware_model.discretisation.held_input import response, sampled
+from firmware_model.discretisation.rules import RULE_NAMES, Rule
 from firmware_model.discretisation.sections import ComplexArray
 from firmware_model.discretisation.systems import continuous, zero_pole_gain
 from firmware_model.discretisation.tustin import image_of_infinity
@@ -33,23 +34,35 @@ def assert_follows(
     system: object,
     rad_per_s: ArrayLike | None = None,
     *,
+    tick_s: float,
+    rule: Rule,
+    prewarp_rad_per_s: float | None = None,
     within: float | None = None,
 ) -> None:
-    """Assert the theoretical frequency response of the rule.
+    """Assert the tick, the rule and the rule's theoretical frequency response.
 
     ``tustin``: H(e^{jωT}) = G(j(2/T) tan(ωT/2)), with prewarp a factor that keeps the prewarp
     frequency replaces 2/T; ``tustin-held``: 2/(z + 1) times the ``tustin`` response; ``zoh``: the
     response of the sampled state space.
 
     Args:
-        filter: the discretised filter.
+        filter: the filter, of ``discretise`` or of ``Filter.from_…``.
         system: the continuous filter, in any form of ``discretise``.
+        tick_s: the sampling period that is meant, seconds.
+        rule: the discretisation that is meant.
+        prewarp_rad_per_s: the frequency at which ``tustin`` is meant to keep the response.
         rad_per_s: frequencies below π/T, shape (m,); left out: 200 up to 0.95 of that.
         within: relative error that is allowed; left out: a bound from the coefficients.
     """
     _require_filter(filter)
+    if rule not in RULE_NAMES:
+        raise ParameterError(f"rule = {rule!r}: must be one of {', '.join(RULE_NAMES)}")
+    assert math.isclose(filter.tick_s, tick_s, rel_tol=1e-12), (
+        f"the filter has a tick of {filter.tick_s:g} s: {tick_s:g} s is meant"
+    )
+    assert filter.rule in (None, rule), f"the filter is by {filter.rule}: {rule} is meant"
     omega = _grid(filter) if rad_per_s is None else _below_nyquist(rad_per_s, filter.tick_s)
-    theory, conditioning = _theory(filter, system, omega)
+    theory, conditioning = _theory(system, omega, tick_s, rule, prewarp_rad_per_s)
     angle = omega * filter.tick_s
     answer = filter.frequency_response(omega)
     if within is None:
@@ -57,9 +70,11 @@ def assert_follows(
         of_sections = rounding.of_sections(
             filter.sections, 2j * np.sin(angle / 2.0) * np.exp(0.5j * angle)
         )
+        for factor in filter.given:
+            of_sections = of_sections + rounding.of_system(factor, np.exp(1j * angle))
         share = unit["float64"] * conditioning + unit[filter.precision] * of_sections
         allowed = ROUNDINGS * share * angle / np.sin(angle) * np.abs(theory)
-        if filter.rule == "zoh":
+        if rule == "zoh":
             allowed += OF_ZOH * np.abs(theory).max()
         allowed = np.where(np.isnan(allowed), np.inf, allowed)  # theory has lost every digit
     else:
@@ -72,18 +87,20 @@ def assert_follows(
     )
 
 
-def _theory(filter: Filter, system: object, omega: FloatArray) -> tuple[ComplexArray, FloatArray]:
+def _theory(
+    system: object, omega: FloatArray, tick_s: float, rule: Rule, prewarp_rad_per_s: float | None
+) -> tuple[ComplexArray, FloatArray]:
     """The theoretical response of ``system`` at ``omega`` under the rule, and the conditioning."""
-    half = 0.5 * omega * filter.tick_s
+    half = 0.5 * omega * tick_s
     given = continuous(system)
-    if filter.rule == "zoh":
+    if rule == "zoh":
         g = zero_pole_gain(given)
         delta = 2j * np.sin(half) * np.exp(1j * half)
-        theory = response(sampled(g, filter.tick_s), delta) + g.feedthrough
+        theory = response(sampled(g, tick_s), delta) + g.feedthrough
         return theory, rounding.of_system(given, 1j * omega.astype(np.complex128))
-    s = 1j * image_of_infinity(filter.tick_s, filter.prewarp_rad_per_s) * np.tan(half)
+    s = 1j * image_of_infinity(tick_s, prewarp_rad_per_s) * np.tan(half)
     theory, conditioning = given(s), rounding.of_system(given, s)
-    if filter.rule == "tustin-held":
+    if rule == "tustin-held":
         theory = theory / (np.cos(half) * np.exp(1j * half))  # (z + 1)/2
     return theory, conditioning
 
