@@ -9,6 +9,7 @@ import hypothesis
 import pytest
 
 from tests.processes import end_all
+from tests.times import LONG
 
 # Assertions in helpers tell their values too.
 pytest.register_assert_rewrite("tests.helpers", "tests.vcan", "tests.firmware", "tests.rig")
@@ -44,8 +45,13 @@ def pytest_configure():
             signal.signal(number, lambda *_: None)
 
 
+@pytest.hookimpl(tryfirst=True)  # before -m chooses
 def pytest_collection_modifyitems(items):
-    """Where there is no vcan0 its tests say how to have them run; where it must be, they fail."""
+    """Mark the costliest tests; skip tests of vcan0 where vcan0 is missing and may be missing."""
+    costly = set(LONG.read_text("utf-8").splitlines())
+    for item in items:
+        if item.nodeid in costly:
+            item.add_marker(pytest.mark.long)
     if Path("/sys/class/net/vcan0").exists() or os.environ.get("CAN_RIG_VCAN") == "required":
         return
     reason = "NOT TESTED: no vcan0 here; tools/vcan_guest .venv/bin/pytest -m vcan tests/rig"

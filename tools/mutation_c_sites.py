@@ -57,7 +57,8 @@ def mutants(source: str) -> Iterator[Mutant]:
         if not comment and (body or line.startswith("#define ")):
             for after in dict.fromkeys(_changes(line)):
                 changed = "".join([*lines[:at], after, *lines[at + 1 :]])
-                yield Mutant(at + 1, _plain(line), _plain(after), changed)
+                here = range(at + 1, at + 2)
+                yield Mutant(at + 1, _plain(line), _plain(after), changed, here)
         body = body or line.startswith("{")
         comment = comment and "*/" not in line
 

@@ -58,6 +58,8 @@ class Mutant:
     after: str
     source: str
     """The whole module."""
+    lines: range
+    """The lines that change."""
 
 
 def mutants(source: str) -> Iterator[Mutant]:
@@ -70,12 +72,24 @@ def mutants(source: str) -> Iterator[Mutant]:
         start = old.encode()[: node.col_offset].decode()  # columns count bytes
         end = lines[last - 1].encode()[node.end_col_offset :].decode()
         new = f"{start}{replacement}{end}"
+        source_after = "".join([*lines[:first], new, *lines[last:]])
         mutant = Mutant(
-            node.lineno, _plain(old), _plain(new), "".join([*lines[:first], new, *lines[last:]])
+            node.lineno, _plain(old), _plain(new), source_after, range(node.lineno, last + 1)
         )
         if mutant.source != source and mutant not in seen:
             seen.add(mutant)
             yield mutant
+
+
+def functions_of(source: str) -> dict[int, set[int]]:
+    """By line of a module, the body of the outermost function around the line."""
+    bodies: dict[int, set[int]] = {}
+    for node in ast.walk(ast.parse(source)):  # outer nodes first
+        if isinstance(node, ast.FunctionDef | ast.AsyncFunctionDef):
+            body = {*range(node.body[0].lineno, (node.end_lineno or 0) + 1)}
+            for line in body:
+                bodies.setdefault(line, body)
+    return bodies
 
 
 def _plain(lines: str) -> str:

@@ -37,6 +37,7 @@ UNITS = {  # the longest suffix that fits counts
     "_s": "s",
     "_hz": "Hz",
     "_ticks": "ticks",
+    "_percent": "%",
     "bitrate": "bit/s",
 }
 HEADER = """\

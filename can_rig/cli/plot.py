@@ -78,7 +78,7 @@ def command(
         nothing = decoder.nothing_on_channel or f"no frame of {', '.join(absent)} can be decoded"
         raise LogError(f"{source.path}: {nothing}")
     run = scenario_of(log) if log.is_dir() else None
-    page = plot_page(found, drawn, source.start_ns, run.faults if run else ())
+    page = plot_page(found, drawn, source.start_ns, run)
     with atomic(out, force=force) as part:
         page.savefig(part, dpi=150)
     note(source.notice, f"no frame of {', '.join(absent)}" if absent else None)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from typing import Any, Final, Literal
 
 from matplotlib.axes import Axes
@@ -10,7 +9,9 @@ from matplotlib.backends.backend_agg import FigureCanvasAgg
 from matplotlib.figure import Figure
 
 from can_rig.drawing.names import printed
+from can_rig.scenario.disturbance_settings import DisturbanceSettings
 from can_rig.scenario.fault_settings import FaultSettings
+from can_rig.scenario.settings import Scenario
 
 INK: Final = "#1b1b1b"
 BLUE, ORANGE, GREEN = "#0b4f8a", "#b8461a", "#2f7d4f"
@@ -18,6 +19,8 @@ PALE_BLUE, PALE_ORANGE = "#a9bccd", "#e3b49c"
 """Wide curves below dark curves."""
 SHADE: Final = "#efe9e2"
 """Shade of a fault's time."""
+SKY: Final = "#bcd9e880"
+"""Shade of a disturbance's time, transparent above a fault's."""
 
 DASHED: Final = (0, (4, 3))
 DOTTED: Final = (0, (1, 2))
@@ -79,23 +82,28 @@ def legend_above(
     )
 
 
-def shade_faults(axis: Axes, faults: Iterable[FaultSettings]) -> None:
-    """Shade the time of each of ``faults``; see ``shade_fault``."""
-    for fault in faults:
-        shade_fault(axis, fault)
+def shade_all(axis: Axes, scenario: Scenario | None) -> None:
+    """Shade the times of all faults and disturbances, as far as the scenario is known."""
+    if scenario is None:
+        return
+    for fault in scenario.faults:
+        shade(axis, fault)
+    for disturbance in scenario.disturbances:
+        shade(axis, disturbance)
 
 
-def shade_fault(axis: Axes, fault: FaultSettings) -> float | None:
+def shade(axis: Axes, fault: FaultSettings | DisturbanceSettings) -> float | None:
     """Shade the time of ``fault`` as far as the axis shows it, with a line where it begins.
 
     Returns:
         Where the shade begins, in s; None if the fault lies outside the axis.
     """
+    color = SHADE if isinstance(fault, FaultSettings) else SKY
     low, high = axis.get_xlim()
     end_s = high if fault.for_s is None else fault.at_s + fault.for_s
     if not (fault.at_s < high and end_s > low):
         return None
     start_s = max(low, fault.at_s)
-    axis.axvspan(start_s, min(high, end_s), color=SHADE, lw=0, zorder=0)
+    axis.axvspan(start_s, min(high, end_s), color=color, lw=0, zorder=0)
     axis.axvline(start_s, color=INK, lw=0.8, zorder=1)
     return start_s

@@ -40,10 +40,8 @@ from can_rig.frames.comparison_frames import (
 )
 from can_rig.nodes.bus_access import NodeBus, PersistentSender
 from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock
-from can_rig.scenario.fault_settings import FaultSettings
-from can_rig.scenario.loading import FAULT
 from can_rig.scenario.plant_settings import FMU
-from can_rig.scenario.settings import Scenario
+from can_rig.scenario.settings import LISTS, Scenario
 
 WHOLE: Final = 0
 UNSETTLED_S: Final = 5.0
@@ -60,17 +58,17 @@ def keys_of(values: Mapping[str, Any], prefix: str = "") -> Iterator[tuple[str, 
     """Keys and values of a scenario in order, with a dot between table and key.
 
     Every scenario yields the same keys: the parameters of a user's plant count as one key, likewise
-    the variables of an FMU; a key of the fault table has the values of all faults. The path of the
-    FMU is excluded, because the path does not change the run.
+    the variables of an FMU; a key of a list, such as the faults, has the values of all its tables.
+    The path of the FMU is excluded, because the path does not change the run.
     """
     for key, value in values.items():
         path = f"{prefix}{key}"
         if key in {"parameters", "variables"}:
             yield path, str(dict(sorted(value.items())))
-        elif path == FAULT:
-            faults = value if isinstance(value, list) else [value]
-            for name in FaultSettings.__dataclass_fields__:
-                yield f"{path}.{name}", str([fault[name] for fault in faults])
+        elif path in LISTS:
+            tables = value if isinstance(value, list) else [value]
+            for name in LISTS[path].__dataclass_fields__:
+                yield f"{path}.{name}", str([table[name] for table in tables])
         elif key == "kind" and str(value).startswith(FMU):
             yield path, f"{FMU}{Path(str(value).removeprefix(FMU)).name}"
         elif isinstance(value, Mapping):

@@ -334,11 +334,12 @@ class ControllerNode(AnsweringNode):
 
         A forged frame has the right CRC with probability 1/256, and no expected tick exists yet to
         reject the frame. First contact therefore needs two consistent frames; before first contact
-        no protection checker sees any frame.
+        no protection checker sees any frame. A damaged reference does not replace an intact one.
         """
         reference, feedback = self._end.reference, self._end.feedback
         if message.arbitration_id == reference.codec.frame_id:
-            self._first_reference = message
+            if Receiver(reference.codec).accept(message) is not None:
+                self._first_reference = message
         elif self._end.is_speed(message):
             self._first_speed = message
         elif message.arbitration_id == feedback.codec.frame_id and self._first_reference:

@@ -14,7 +14,8 @@ import numpy as np
 
 from can_rig.logs.columns import APPLIED, TRUE_OUTPUT
 from can_rig.plant.actuators import FollowedCommand
-from can_rig.plant.protocol import GuardedPlant, load_plant
+from can_rig.plant.disturbances import Disturbances
+from can_rig.plant.protocol import GuardedPlant, load_plant, require_world
 from can_rig.plant.sensor import FilteredSamples
 from can_rig.scenario.build import but_for_noise, continuous_car, continuous_plant
 from can_rig.scenario.plant_settings import PlantSettings
@@ -166,10 +167,19 @@ class ClassBehind:
     """A plant class in equal steps of a tick, each with the mean of the actuators' output.
 
     With immediate actuators and an immediate sensor, one step spans the whole tick.
+
+    Raises:
+        ScenarioError: a class that violates ``PlantProtocol``, or that the world cannot push.
     """
 
-    def __init__(self, settings: PlantSettings, tick_s: float) -> None:
-        self._plant = GuardedPlant(settings.kind, load_plant(settings.kind, settings))
+    def __init__(
+        self, settings: PlantSettings, tick_s: float, world: Disturbances | None = None
+    ) -> None:
+        plant = load_plant(settings.kind, settings)
+        if world is not None:
+            require_world(settings.kind, plant)
+        self._world, self._tick, self._speed_mps = world, 0, settings.speed_mps
+        self._plant = GuardedPlant(settings.kind, plant)
         actuator_1, actuator_2, sensor = settings.stages
         ideal = actuator_1 == actuator_2 == sensor == IDEAL
         self._steps = 1 if ideal else math.ceil(tick_s / LONGEST_STEP_S - 1e-9)
@@ -192,19 +202,33 @@ class ClassBehind:
             **self._plant.signals(),
             APPLIED[0]: self._actuators[0].output(command_1, left_1),
             APPLIED[1]: self._actuators[1].output(command_2, left_2),
+            **({} if self._world is None else self._world.report(self._tick)),
         }
 
     def follow(
         self, command_1: float, command_2: float, left_1: float, left_2: float
     ) -> tuple[float, float]:
         """See ``PlantBehind``."""
+        world = self._next_world()
         if self._ideal:
-            self._output = self._plant.advance(self._step_s, left_1 * command_1, left_2 * command_2)
+            acting = left_1 * command_1, left_2 * command_2
+            self._output = self._plant.advance(self._step_s, *acting, *world[:1])
             return self._output, self._output
         read = 0.0
         means_1 = self._actuators[0].follow(command_1, left_1)
         means_2 = self._actuators[1].follow(command_2, left_2)
-        for torque_nm, force_n in zip(means_1, means_2, strict=True):
-            self._output = self._plant.advance(self._step_s, torque_nm, force_n)
+        for step, (torque_nm, force_n) in enumerate(zip(means_1, means_2, strict=True)):
+            around = world[step : step + 1]
+            self._output = self._plant.advance(self._step_s, torque_nm, force_n, *around)
             read = self._sensor.next(self._output)
         return self._output, read
+
+    def _next_world(self) -> list[FloatArray]:
+        """The world around each step of this tick; empty in a calm world."""
+        if self._world is None:
+            return []
+        now, then = self._world.during(self._tick)
+        self._tick += 1
+        parts = np.arange(self._steps + 1)[:, None] / self._steps
+        rows = np.hstack([now + parts * (then - now), np.full_like(parts, self._speed_mps)])
+        return [rows[step : step + 2] for step in range(self._steps)]

@@ -1,19 +1,40 @@
-"""The linear car of a scenario with a drive: its speed follows the drive."""
+"""The car of a scenario with a drive or with disturbances: speed and world change around it."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from typing import Final
+
+import numpy as np
 
 from can_rig.logs.columns import SPEED
-from can_rig.plant.behind import LinearBehind, PlantBehind, plant_behind, sampled_plant
+from can_rig.plant.behind import (
+    ClassBehind,
+    LinearBehind,
+    PlantBehind,
+    plant_behind,
+    sampled_plant,
+)
+from can_rig.plant.disturbances import BANK, Disturbances
 from can_rig.scenario.build import continuous_plant
-from can_rig.scenario.driving import speed_profile, speeds_at_ticks
+from can_rig.scenario.driving import SpeedProfile, speed_profile
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
-from firmware_model.analysis.changing_plant import ChangingPlant, changing_plant, follow_changing
+from firmware_model.analysis.changing_plant import (
+    NO_WORLD,
+    ChangingPlant,
+    changing_plant,
+    follow_changing,
+    specific_force,
+)
+from firmware_model.analysis.pushed_plant import PushedPlant, follow_pushed, pushed_plant, witness
 from firmware_model.analysis.sampled_plant import SampledPlant
+from firmware_model.design.vehicle import GRAVITY_MPS2, SPECIFIC_FORCE
+from firmware_model.target.structs import FloatArray
+
+ACCELERATIONS: Final = ("specific_force_mps2", "lateral_acceleration_mps2")
+"""Columns that a car in the world reports."""
 
 
 def plant_of(scenario: Scenario) -> PlantBehind:
@@ -22,50 +43,72 @@ def plant_of(scenario: Scenario) -> PlantBehind:
     Raises:
         ScenarioError: an unstable car, a class without the plant's methods, an invalid drive.
     """
-    if scenario.drive.is_given:
-        return ChangingCar(scenario)
-    return plant_behind(scenario.plant, scenario.tick_s)
+    world = Disturbances(scenario) if scenario.disturbances else None
+    if scenario.drive.is_given or (world and world.changes_friction and not scenario.plant.is_own):
+        return ChangingCar(scenario, world)
+    if world is None:
+        return plant_behind(scenario.plant, scenario.tick_s)
+    if scenario.plant.is_own:
+        return ClassBehind(scenario.plant, scenario.tick_s, world)
+    return PushedCar(scenario, world)
 
 
 def linear_plant(scenario: Scenario) -> SampledPlant | None:
-    """The linear plant from tick to tick; None for a plant class and for a drive.
+    """The linear plant from tick to tick; None for a plant class, a drive and disturbances.
 
     Raises:
         ScenarioError: a car that is not stable.
     """
-    if scenario.plant.is_own or scenario.drive.is_given:
+    if scenario.plant.is_own or scenario.drive.is_given or scenario.disturbances:
         return None
     return sampled_plant(scenario.plant, scenario.tick_s)
 
 
 @remembered(4)
 def _changing(settings: PlantSettings, fastest_mps: float, tick_s: float) -> ChangingPlant:
-    return changing_plant(
-        lambda speed: continuous_plant(replace(settings, speed_mps=speed)), fastest_mps, tick_s
-    )
+    return changing_plant(settings, settings.variant, settings.stages, fastest_mps, tick_s)
+
+
+@remembered(4)
+def _pushed(settings: PlantSettings, tick_s: float) -> PushedPlant:
+    return pushed_plant(continuous_plant(settings), tick_s)
 
 
 class ChangingCar:
-    """``LinearBehind`` with a changing speed; see ``PlantBehind``."""
+    """``LinearBehind`` with a changing speed, or on a changing road; see ``PlantBehind``."""
 
-    def __init__(self, scenario: Scenario) -> None:
-        profile = speed_profile(scenario)
+    def __init__(self, scenario: Scenario, world: Disturbances | None = None) -> None:
+        profile = (
+            speed_profile(scenario)
+            if scenario.drive.is_given
+            else SpeedProfile(np.zeros(1), np.array([scenario.plant.speed_mps]))
+        )
         _, fastest = profile.range_mps
         changing = _changing(scenario.plant, fastest, scenario.tick_s)
         self._car = LinearBehind(scenario.plant, scenario.tick_s)
+        self._world, self._says_speed = world, scenario.drive.is_given
         self._constants, self._work = changing.constants, changing.work
-        self._within = changing.speeds(profile, scenario.ticks)
-        self._at_ticks = speeds_at_ticks(scenario).tolist()
+        self._within = changing.speeds(profile, range(scenario.ticks))
+        time_s = np.arange(scenario.ticks, dtype=np.float64) * (scenario.tick_ns * 1e-9)
+        self._at_ticks = profile(time_s).tolist()
         self._tick = 0
-        spare = (self._car.sampled.memory, changing.work, self._within)
-        follow_changing(self._constants, *spare, 0, 0.0, 0.0, 1.0, 1.0)  # compiles
+        spare = (self._car.sampled.memory, changing.work, self._within[0])
+        follow_changing(self._constants, *spare, 0, 0.0, 0.0, 1.0, 1.0, NO_WORLD)  # compiles
+        specific_force(self._constants, self._car.memory[0], fastest, NO_WORLD)
 
     def report(
         self, command_1: float, command_2: float, left_1: float, left_2: float
     ) -> Mapping[str, float]:
         """See ``PlantBehind``."""
-        of_the_car = self._car.report(command_1, command_2, left_1, left_2)
-        return {**of_the_car, SPEED: self._at_ticks[self._tick]}
+        values = dict(self._car.report(command_1, command_2, left_1, left_2))
+        speed_mps = self._at_ticks[self._tick]
+        if self._says_speed:
+            values[SPEED] = speed_mps
+        if self._world is None:
+            return values
+        now = self._world.during(self._tick)
+        force = float(specific_force(self._constants, self._car.memory[0], speed_mps, now))
+        return values | self._world.report(self._tick) | accelerations(force, now)
 
     def follow(
         self, command_1: float, command_2: float, left_1: float, left_2: float
@@ -75,13 +118,65 @@ class ChangingCar:
             self._constants,
             self._car.memory,
             self._work,
-            self._within,
+            self._within[self._tick],
             self._tick,
             command_1,
             command_2,
             left_1,
             left_2,
+            NO_WORLD if self._world is None else self._world.during(self._tick),
         )
         self._tick += 1
         self._car.moved(output)
         return output, read
+
+
+class PushedCar:
+    """``LinearBehind`` that the world pushes, on a dry road; see ``PlantBehind``."""
+
+    def __init__(self, scenario: Scenario, world: Disturbances) -> None:
+        pushed = _pushed(scenario.plant, scenario.tick_s)
+        self._car = LinearBehind(scenario.plant, scenario.tick_s)
+        self._world, self._constants = world, pushed.constants
+        self._rows = pushed.rows, pushed.direct
+        self._tick = 0
+        calm = world.during(0)
+        follow_pushed(self._constants, self._car.sampled.memory, 0, 0.0, 0.0, 1.0, 1.0, calm)
+        witness(*self._rows, self._car.memory[0], calm, SPECIFIC_FORCE)  # compiles
+
+    def report(
+        self, command_1: float, command_2: float, left_1: float, left_2: float
+    ) -> Mapping[str, float]:
+        """See ``PlantBehind``."""
+        values = dict(self._car.report(command_1, command_2, left_1, left_2))
+        now = self._world.during(self._tick)
+        force = float(witness(*self._rows, self._car.memory[0], now, SPECIFIC_FORCE))
+        return values | self._world.report(self._tick) | accelerations(force, now)
+
+    def follow(
+        self, command_1: float, command_2: float, left_1: float, left_2: float
+    ) -> tuple[float, float]:
+        """See ``PlantBehind``."""
+        now = self._world.during(self._tick)
+        output, read = follow_pushed(
+            self._constants,
+            self._car.memory,
+            self._tick,
+            command_1,
+            command_2,
+            left_1,
+            left_2,
+            now,
+        )
+        self._tick += 1
+        self._car.moved(output)
+        return output, read
+
+
+def accelerations(specific_force_mps2: float, world: FloatArray) -> dict[str, float]:
+    """The lateral acceleration as an accelerometer reads it, and the car's own, m/s².
+
+    On a banked road gravity accelerates the car, and no accelerometer reads that.
+    """
+    own = specific_force_mps2 + GRAVITY_MPS2 * float(world[0, BANK])
+    return dict(zip(ACCELERATIONS, (specific_force_mps2, own), strict=True))

@@ -29,7 +29,8 @@ from typing import Protocol, TypeVar, runtime_checkable
 
 from can_rig.errors import RigError, ScenarioError, require
 from can_rig.logs.columns import TAKEN
-from can_rig.scenario.plant_settings import PlantSettings
+from can_rig.scenario.plant_settings import CAR, FMU, PlantSettings
+from firmware_model.target.structs import FloatArray
 
 METHODS = {
     "reset": "reset()",
@@ -56,6 +57,24 @@ class PlantProtocol(Protocol):
         ``torque_nm`` is the steering motor's torque T, ``force_difference_n`` the rear wheels'
         X_diff, both of (3.11), as the actuators apply them. Every call of a run passes the same
         ``dt_s``: the tick, or an equal part of the tick if actuators or sensor lag.
+        """
+
+
+class PlantInTheWorld(PlantProtocol, Protocol):
+    """A plant that the world pushes; the fourth argument of ``advance`` is optional."""
+
+    def advance(
+        self,
+        dt_s: float,
+        torque_nm: float,
+        force_difference_n: float,
+        world: FloatArray | None = None,
+    ) -> float:
+        """See ``PlantProtocol``.
+
+        ``world`` (2, 7) has side force [N], yaw moment [N m], bank [rad], torque on the column [N
+        m], friction factors of the front and the rear axle, and speed [m/s]: now, and ``dt_s``
+        seconds later, with straight lines between. A scenario without disturbances leaves it out.
         """
 
 
@@ -89,6 +108,19 @@ def load_plant(kind: str, settings: PlantSettings) -> PlantProtocol:
     return _construct(kind, plant_class, settings)
 
 
+def require_world(kind: str, plant: PlantProtocol) -> None:
+    """Refuse a plant without the optional argument of ``PlantInTheWorld``.
+
+    Raises:
+        ScenarioError: the plant's ``advance`` has no ``world``.
+    """
+    if "world" not in inspect.signature(plant.advance).parameters:
+        right = "advance must have a fourth argument world; nothing pushes this plant"
+        if kind.startswith(FMU):
+            right = f"must be {CAR} or a class; the rig sets only both commands of an FMU"
+        raise ScenarioError(f"disturbance: plant.kind = {kind!r}: {right}")
+
+
 def failure(kind: str, what: str, error: BaseException) -> str:
     """One line for an exception in the class or module ``kind``."""
     reason = " ".join(str(error).split())
@@ -117,14 +149,16 @@ class GuardedPlant:
         self._time_s = 0.0
         _guard(self._kind, "reset() failed", self._plant.reset, RigError)
 
-    def advance(self, dt_s: float, torque_nm: float, force_difference_n: float) -> float:
-        """D* ``dt_s`` seconds later; see ``PlantProtocol``.
+    def advance(
+        self, dt_s: float, torque_nm: float, force_difference_n: float, *world: FloatArray
+    ) -> float:
+        """D* ``dt_s`` seconds later; see ``PlantProtocol`` and ``PlantInTheWorld``.
 
         Raises:
             RigError: an exception in the class, or an answer other than a finite number.
         """
         try:
-            answer = self._plant.advance(dt_s, torque_nm, force_difference_n)
+            answer = self._plant.advance(dt_s, torque_nm, force_difference_n, *world)
         except KeyboardInterrupt:
             raise
         except BaseException as error:

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import difflib
 import json
+import re
 import sys
 import tomllib
 from collections.abc import Iterable, Iterator, Mapping
@@ -22,6 +23,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from can_rig.errors import ScenarioError
 from can_rig.scenario import shipped
+from can_rig.scenario.disturbance_settings import DisturbanceSettings
 from can_rig.scenario.fault_settings import NUMBER, FaultSettings
 from can_rig.scenario.plant_settings import (
     CAR,
@@ -35,9 +37,12 @@ from can_rig.scenario.plant_settings import (
     TRANSFER_FUNCTIONS,
 )
 from can_rig.scenario.refusal import refusal
-from can_rig.scenario.settings import Scenario
+from can_rig.scenario.settings import LISTS, Scenario
 
 FAULT: Final = "fault"
+
+NEW: Final = {FAULT: FaultSettings(), "disturbance": DisturbanceSettings("none")}
+"""The table that a change of the next free number begins from."""
 
 UNSET: Final = {key for key in NUMBER.values() if getattr(FaultSettings, key) is None}
 """Keys of faults without a default value."""
@@ -62,8 +67,8 @@ def change(values: dict[str, Any], setting: str) -> None:
         most = sys.get_int_max_str_digits()
         raise ScenarioError(f"--set {setting[:40]}...: must have at most {most} digits") from None
     table = values
-    if parts[0] == FAULT and len(parts) > 1:
-        table, parts = _fault(values, setting, parts[1:])
+    if parts[0] in LISTS and len(parts) > 1:
+        table, parts = _of_list(values, setting, parts[0], parts[1:])
     for part in parts[:-1]:
         table = table.setdefault(part, {})
         if not isinstance(table, dict):
@@ -71,26 +76,26 @@ def change(values: dict[str, Any], setting: str) -> None:
     table[parts[-1]] = value
 
 
-def _fault(
-    values: dict[str, Any], setting: str, parts: list[str]
+def _of_list(
+    values: dict[str, Any], setting: str, name: str, parts: list[str]
 ) -> tuple[dict[str, Any], list[str]]:
-    """The table of the fault in ``parts``, by number if several faults exist.
+    """The table of the fault or disturbance in ``parts``, by number if several exist.
 
-    The next free number appends a fault.
+    The next free number appends a table.
     """
-    listed = values.get(FAULT, {})
-    faults = listed if isinstance(listed, list) else [listed]
+    listed = values.get(name) or {}
+    tables = listed if isinstance(listed, list) else [listed]
     at, own = (int(parts[0]), parts[1:]) if parts[0].isdecimal() else (None, parts)
-    if at is None and len(faults) == 1:
+    if at is None and len(tables) == 1:
         at = 0
-    known = ", ".join(f"{FAULT}.{number}" for number in range(len(faults)))
-    if at is None or at > len(faults) or not own:
-        raise ScenarioError(f"--set {setting}: must be a key of {known} or {FAULT}.{len(faults)}")
-    faults = [*faults, {}] if at == len(faults) else faults
-    if not isinstance(faults[at], dict):
-        raise ScenarioError(f"--set {setting}: {FAULT} is a value and has no keys")
-    values[FAULT] = faults if len(faults) > 1 else faults[0]
-    return faults[at], own
+    known = ", ".join(f"{name}.{number}" for number in range(len(tables)))
+    if at is None or at > len(tables) or not own:
+        raise ScenarioError(f"--set {setting}: must be a key of {known} or {name}.{len(tables)}")
+    tables = [*tables, {}] if at == len(tables) else tables
+    if not isinstance(tables[at], dict):
+        raise ScenarioError(f"--set {setting}: {name} is a value and has no keys")
+    values[name] = tables if len(tables) > 1 else tables[0]
+    return tables[at], own
 
 
 def as_settings(changes: Changes) -> list[str]:
@@ -136,7 +141,7 @@ def value_in(values: Mapping[str, Any], key: str) -> Any:
     """The value of ``key`` in a scenario's tables; None for a missing key."""
     value: Any = values
     for at, part in enumerate(key.split(".")):
-        if at == 1 and part.isdecimal() and key.startswith(f"{FAULT}."):
+        if at == 1 and part.isdecimal() and key.partition(".")[0] in LISTS:
             listed = value if isinstance(value, list) else [value]
             value = listed[int(part)] if int(part) < len(listed) else None
         else:
@@ -357,12 +362,12 @@ def draft(name: str, values: Mapping[str, Any]) -> Draft:
     plant, model = merged.get("plant", {}), merged.get("model", {})
     if isinstance(plant, Mapping) and isinstance(model, Mapping):
         merged["model"] = _believed(plant, model)
-    faults = merged.get("fault", [])
-    several = isinstance(faults, list)
-    if not isinstance(faults, list | Mapping):
-        raise ScenarioError(f"scenario {name}: fault = {faults!r}: must be a table, or several")
-    if isinstance(faults, Mapping):
-        merged["fault"] = [faults]
+    single = [key for key in LISTS if isinstance(merged.get(key), Mapping)]
+    for key in LISTS:
+        if not isinstance(given := merged.get(key, []), list | Mapping):
+            raise ScenarioError(f"scenario {name}: {key} = {given!r}: must be a table, or several")
+        if key in single:
+            merged[key] = [given]
     from_bus = merged.get(LATENCY) == FROM_BUS
     if from_bus:
         del merged[LATENCY]
@@ -370,8 +375,8 @@ def draft(name: str, values: Mapping[str, Any]) -> Draft:
         scenario = _ADAPTER.validate_json(json.dumps({"name": name, **merged}, default=str))
     except ValidationError as error:
         said = refusal(error, Scenario)
-        if not several:  # a single table has no number
-            said = said.replace(f"{FAULT}.0", FAULT, 1)
+        for key in single:  # a single table has no number
+            said = re.sub(f"^{key}\\.0", key, said)
         raise ScenarioError(f"scenario {name}: {said}") from None
     return Draft(scenario, from_bus)
 
@@ -398,22 +403,20 @@ def with_values(draft: Draft, values: Mapping[str, Any]) -> Draft:
             table = table.setdefault(part, {})
         table[last] = value
     try:
-        if FAULT in tables:
-            tables[FAULT] = _with_faults(scenario.fault, tables[FAULT])
+        for key in tables.keys() & set(LISTS):
+            tables[key] = _with_listed(key, getattr(scenario, key), tables[key])
         return Draft(_with(scenario, tables), from_bus)
     except ScenarioError as error:
         raise ScenarioError(f"scenario {scenario.name}: {error}") from None
 
 
-def _with_faults(
-    faults: tuple[FaultSettings, ...], changes: Mapping[str, Any]
-) -> tuple[FaultSettings, ...]:
-    """The faults with changes by number, or with the changes of a single fault."""
-    listed = dict(enumerate(faults))
+def _with_listed(name: str, given: tuple[Any, ...], changes: Mapping[str, Any]) -> tuple[Any, ...]:
+    """The faults or disturbances with changes by number, or with the changes of a single table."""
+    listed = dict(enumerate(given))
     numbered = {int(key): table for key, table in changes.items() if key.isdecimal()}
     for at, table in sorted((numbered or {0: changes}).items()):
-        where = FAULT if len(listed) == 1 and at == 0 else f"{FAULT}.{at}"
-        listed[at] = _with(listed.get(at, FaultSettings()), table, where)
+        where = name if len(listed) == 1 and at == 0 else f"{name}.{at}"
+        listed[at] = _with(listed.get(at, NEW[name]), table, where)
     return tuple(listed.values())
 
 

@@ -44,6 +44,8 @@ def refusal(error: ValidationError, settings: type[Any], where: str = "") -> str
         return f"{key}.{message}" if key else message
     if kind == "dataclass_type":
         message = "must be a table"
+    if kind == "missing" and isinstance(finding["input"], dict):
+        return f"{key}: must be set"
     if kind == "missing":  # of a pair
         return f"{'.'.join(location[:-1])} = {finding['input']!r}: must have one more value"
     if kind == "literal_error":
@@ -88,7 +90,9 @@ def _keys(settings: Any, location: Sequence[str]) -> list[str]:
         has_factory = field.default_factory is not dataclasses.MISSING
         if isinstance(field.default_factory, type) and issubclass(field.default_factory, dict):
             settings = get_type_hints(settings)[part]
-        else:
-            settings = field.default_factory if has_factory else field.default[0]
+        elif has_factory:
+            settings = field.default_factory
+        else:  # a list of tables
+            settings = get_args(get_type_hints(settings)[part])[0]
     names = [field.name for field in dataclasses.fields(settings)]
     return [name for name in names if not (at_top and name == "name")]

@@ -15,9 +15,11 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat
 from pydantic.dataclasses import dataclass
 
+from can_rig.scenario.disturbance_settings import DisturbanceSettings
 from can_rig.scenario.fault_settings import MAX_DURATION_S, SENSOR, FaultSettings, Moment
 from can_rig.scenario.plant_settings import (
     BUILT_IN,
+    BY_NUMBERS,
     CAR,
     SIGNALS,
     STRICT,
@@ -29,6 +31,9 @@ from firmware_model.target.structs import MAX_LATENCY_TICKS, Precision
 
 SLOWEST_MPS: Final = 1.0  # at lower speeds our slip angles fail to describe a rolling tire
 FASTEST_MPS: Final = 100.0
+
+LISTS: Final[dict[str, Any]] = {"fault": FaultSettings, "disturbance": DisturbanceSettings}
+"""Keys with a table or a list of tables, and the settings of a table."""
 
 Speed = Annotated[float, Field(ge=SLOWEST_MPS, le=FASTEST_MPS)]
 
@@ -287,6 +292,7 @@ class Scenario:
     reference: ReferenceSettings = dataclasses.field(default_factory=ReferenceSettings)
     drive: DriveSettings = dataclasses.field(default_factory=DriveSettings)
     fault: tuple[FaultSettings, ...] = (FaultSettings(),)
+    disturbance: tuple[DisturbanceSettings, ...] = ()
     limits: LimitSettings = dataclasses.field(default_factory=LimitSettings)
     actuator: ActuatorSettings = dataclasses.field(default_factory=ActuatorSettings)
     network: NetworkSettings = dataclasses.field(default_factory=NetworkSettings)
@@ -311,6 +317,11 @@ class Scenario:
             if getattr(self.model, key) != SignalSettings():
                 raise ValueError(f"model.{key}: must be plant.{key}; a signal has one name")
         _refuse_speeds(self)
+        if self.disturbances and self.plant.kind in BY_NUMBERS:
+            raise ValueError(
+                f"disturbance: plant.kind = {self.plant.kind!r}: must be {CAR} or a class; a plant "
+                "by numbers has no side, no road and no column"
+            )
         _refuse_limits_of_the_model(self.model)
         _refuse_long_dead_times("plant", self.plant, self.tick_s)
         _refuse_long_dead_times("model", self.model, self.tick_s)
@@ -345,12 +356,20 @@ class Scenario:
         """An equal copy for all runs that differ only in faults and sensor noise."""
         if self.fault:
             return self.healthy.undisturbed
-        return dataclasses.replace(self, plant=self.plant.noise_free, seed=0)
+        gusty = any(each.kind == "turbulence" for each in self.disturbances)
+        return dataclasses.replace(
+            self, plant=self.plant.noise_free, seed=self.seed if gusty else 0
+        )
 
     @cached_property
     def faults(self) -> tuple[FaultSettings, ...]:
         """The effective faults, in the order of their action."""
         return tuple(fault for fault in self.fault if fault.kind != "none")
+
+    @cached_property
+    def disturbances(self) -> tuple[DisturbanceSettings, ...]:
+        """The effective disturbances."""
+        return tuple(each for each in self.disturbance if each.kind != "none")
 
     @property
     def loss(self) -> FaultSettings:
@@ -361,17 +380,22 @@ class Scenario:
     @property
     def notes(self) -> list[str]:
         """Notes on allowed but perhaps unintended settings, a line each."""
+        listed: list[tuple[str, FaultSettings | DisturbanceSettings]] = [
+            *(("fault", fault) for fault in self.faults),
+            *(("disturbance", each) for each in self.disturbances),
+        ]
         return [
-            f"note: the fault ({fault.kind} at {fault.at_s:g} s) never occurs: "
+            f"note: the {noun} ({each.kind} at {each.at_s:g} s) never occurs: "
             f"the run ends at {self.ticks * self.tick_s:g} s"
-            for fault in self.faults
-            if fault.span_ns[0] >= self.ticks * self.tick_ns
+            for noun, each in listed
+            if each.span_ns[0] >= self.ticks * self.tick_ns
         ]
 
     def as_dict(self) -> dict[str, Any]:
-        """Every key and value in the form of a scenario file: a single fault is a table."""
+        """Every key and value in the form of a scenario file: a list of one is a table."""
         values = dataclasses.asdict(self)
-        values["fault"] = values["fault"][0] if len(self.fault) == 1 else list(values["fault"])
+        for key in LISTS:
+            values[key] = values[key][0] if len(values[key]) == 1 else list(values[key])
         return values
 
 

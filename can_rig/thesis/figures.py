@@ -139,7 +139,7 @@ def _finish(axis: Axes, comparison: Comparison, place: tuple[float, float]) -> N
     axis.yaxis.get_offset_text().set_fontsize(8)
     axis.grid(alpha=0.35, lw=0.5)
     axis.set_xlim(place)
-    style.shade_faults(axis, comparison.scenario.faults)
+    style.shade_all(axis, comparison.scenario)
 
 
 def _inside(comparison: Comparison, place: tuple[float, float]) -> NDArray[np.bool_]:

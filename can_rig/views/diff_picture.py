@@ -99,4 +99,4 @@ def _draw(
         axis.axvline(signal.first_at_s, color=style.INK, lw=0.8, ls=style.DOTTED)
     if span_s is not None:
         axis.set_xlim(*span_s)
-    style.shade_faults(axis, b.faults)
+    style.shade_all(axis, b.scenario)

@@ -16,7 +16,7 @@ from can_rig.drawing import style
 from can_rig.drawing.names import printed
 from can_rig.drawing.thinning import thinned
 from can_rig.logs.frames import NS_PER_S
-from can_rig.scenario.fault_settings import FaultSettings
+from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import FloatArray
 
 FIRST_DATE_NS: Final = 10**9 * NS_PER_S
@@ -29,7 +29,7 @@ def plot_page(
     messages: Mapping[str, MessageColumns],
     signals: Sequence[Pair],
     start_ns: int,
-    faults: Sequence[FaultSettings] = (),
+    scenario: Scenario | None = None,
 ) -> Figure:
     """The page.
 
@@ -37,7 +37,7 @@ def plot_page(
         messages: decoded columns by name.
         signals: message and signal of each curve.
         start_ns: when the recording began; if the start is a date, the axis counts from the date.
-        faults: their times are shaded.
+        scenario: the times of its faults and disturbances are shaded.
     """
     panels: dict[tuple[str, str], list[Pair]] = {}
     for message, signal in signals:
@@ -64,7 +64,7 @@ def plot_page(
             _words(axis, messages[pairs[0][0]], pairs[0][1])
         _name(axis, [signal for _, signal in pairs], unit if kind == "unit" else "")
     for axis in axes if not dated else ():
-        style.shade_faults(axis, faults)
+        style.shade_all(axis, scenario)
     axes[-1].set_xlabel(_time_label(start_ns) if dated else "time in s")
     figure.align_ylabels(axes)
     return figure

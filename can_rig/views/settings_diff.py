@@ -6,8 +6,7 @@ from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any, Final
 
-from can_rig.scenario.loading import FAULT
-from can_rig.scenario.settings import Scenario
+from can_rig.scenario.settings import LISTS, Scenario
 
 ABOUT_THE_FILE: Final = ("name", "description")
 """Keys without effect on a run."""
@@ -58,7 +57,7 @@ def _leaves(prefix: str, values: Mapping[str, Any]) -> Iterator[tuple[str, Any]]
     for key, value in values.items():
         if isinstance(value, Mapping):
             yield from _leaves(f"{prefix}{key}.", value)
-        elif key == FAULT:  # a list of faults
+        elif key in LISTS:
             numbered = {str(number): fault for number, fault in enumerate(value)}
             yield from _leaves(f"{prefix}{key}.", numbered)
         else:

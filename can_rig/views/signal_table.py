@@ -27,7 +27,6 @@ from can_rig.results.run_folder import SIGNALS, recorded_scenario
 from can_rig.results.signals import Signals, cell, signals_of, with_plant_signals
 from can_rig.results.source import log_path
 from can_rig.scenario.build import network_of
-from can_rig.scenario.fault_settings import FaultSettings
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.structs import FloatArray
 
@@ -57,11 +56,6 @@ class SignalTable:
     """(n,) by name, as in ``signals.csv``; nan in an empty cell."""
     scenario: Scenario | None = None
     """The executed scenario, if known."""
-
-    @property
-    def faults(self) -> tuple[FaultSettings, ...]:
-        """The injected faults, if known."""
-        return () if self.scenario is None else self.scenario.faults
 
     @property
     def time_s(self) -> FloatArray:

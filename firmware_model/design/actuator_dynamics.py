@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_model.design.plants import Plant
+from firmware_model.design.vehicle import Matrix, StateSpace, WorldInputs
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.errors import ParameterError, require_positive
 
@@ -91,29 +92,9 @@ def behind(car: Plant, actuator_1: Stage, actuator_2: Stage, sensor: Stage) -> P
     """
     if actuator_1 == actuator_2 == sensor == IDEAL:
         return car
-    lags = [stage.realisation for stage in (actuator_1, actuator_2, sensor)]
-    n = len(car.a)
-    at = np.cumsum([n] + [len(lag[0]) for lag in lags])
-    size = int(at[-1])
-    a, b, c = np.zeros((size, size)), np.zeros((size, 2)), np.zeros((1, size))
-    sensed = np.zeros((1, size))
-    a[:n, :n], sensed[:, :n] = car.a, car.c
-    for channel in range(2):
-        own = slice(at[channel], at[channel + 1])
-        lag_a, lag_b, lag_c = lags[channel]
-        if len(lag_a):
-            a[own, own], b[own, channel] = lag_a, lag_b
-            a[:n, own] = np.outer(car.b[:, channel], lag_c)
-        else:
-            b[:n, channel] = car.b[:, channel]
-    own = slice(at[2], at[3])
-    lag_a, lag_b, lag_c = lags[2]
-    if len(lag_a):
-        a[own, own], c[0, own] = lag_a, lag_c
-        a[own, :n] = np.outer(lag_b, car.c[0])
-    else:
-        c = sensed
-    first, second, last = (s.transfer_function for s in (actuator_1, actuator_2, sensor))
+    stages = (actuator_1, actuator_2, sensor)
+    (a, b, c, sensed), world = behind_stages((car.a, car.b, car.c), car.world, stages)
+    first, second, last = (stage.transfer_function for stage in stages)
     return replace(
         car,
         a=a,
@@ -124,4 +105,46 @@ def behind(car: Plant, actuator_1: Stage, actuator_2: Stage, sensor: Stage) -> P
         sensed=sensed,
         dead_times_s=(actuator_1.dead_time_s, actuator_2.dead_time_s),
         sensor_dead_time_s=sensor.dead_time_s,
+        world=world,
     )
+
+
+def behind_stages(
+    car: StateSpace, world: WorldInputs | None, stages: tuple[Stage, Stage, Stage]
+) -> tuple[tuple[Matrix, Matrix, Matrix, Matrix], WorldInputs | None]:
+    """A, B, the reading's C and the C before the sensor of ``behind``, and its world.
+
+    Args:
+        car: A (n, n), B (n, 2) and C (1, n).
+        world: of the car.
+        stages: of both actuators and of the sensor; their dead times have no effect here.
+    """
+    lags = [stage.realisation for stage in stages]
+    n = len(car[0])
+    at = np.cumsum([n] + [len(lag[0]) for lag in lags])
+    size = int(at[-1])
+    a, b, c = np.zeros((size, size)), np.zeros((size, 2)), np.zeros((1, size))
+    sensed = np.zeros((1, size))
+    a[:n, :n], sensed[:, :n] = car[0], car[2]
+    for channel in range(2):
+        own = slice(at[channel], at[channel + 1])
+        lag_a, lag_b, lag_c = lags[channel]
+        if len(lag_a):
+            a[own, own], b[own, channel] = lag_a, lag_b
+            a[:n, own] = np.outer(car[1][:, channel], lag_c)
+        else:
+            b[:n, channel] = car[1][:, channel]
+    own = slice(at[2], at[3])
+    lag_a, lag_b, lag_c = lags[2]
+    if len(lag_a):
+        a[own, own], c[0, own] = lag_a, lag_c
+        a[own, :n] = np.outer(lag_b, car[2][0])
+    else:
+        c = sensed
+    if world is None:
+        return (a, b, c, sensed), None
+    e, rows = np.zeros((size, world.e.shape[1])), np.zeros((len(world.rows), size))
+    e[:n], rows[:, :n] = world.e, world.rows
+    e[own] = np.outer(lag_b, world.f[0])
+    read = np.zeros_like(world.f) if len(lag_a) else world.f
+    return (a, b, c, sensed), WorldInputs(e, world.f, read, rows, world.direct)

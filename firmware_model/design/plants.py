@@ -27,7 +27,13 @@ from firmware_model.design.factors import (
     unstable,
     with_poles_of,
 )
-from firmware_model.design.vehicle import TABLE_3_2, Variant, VehicleParameters, vehicle_state_space
+from firmware_model.design.vehicle import (
+    TABLE_3_2,
+    Variant,
+    VehicleParameters,
+    WorldInputs,
+    single_track,
+)
 from firmware_model.design.zpk import Roots, ZeroPoleGain
 from firmware_model.errors import ParameterError, UnstablePlantError, ZeroChannelError
 
@@ -48,7 +54,7 @@ class Plant:
 
     A plant behind actuators and a sensor (``actuator_dynamics``) has dead times outside G1 and G2,
     s: ``dead_times_s`` from each input, ``sensor_dead_time_s`` to the output. ``sensed`` (1, n) is
-    the output before the sensor, by default ``c``.
+    the output before the sensor, by default ``c``. ``world`` has the world's inputs.
 
     Raises ``ParameterError`` for mismatched shapes, values that are not finite, dead times below
     zero and channels that contradict the state space; ``UnstablePlantError`` for poles of a single
@@ -64,6 +70,7 @@ class Plant:
     sensed: Matrix | None = None
     dead_times_s: tuple[float, float] = (0.0, 0.0)
     sensor_dead_time_s: float = 0.0
+    world: WorldInputs | None = None
 
     def __post_init__(self) -> None:
         matrices = _validated(self.name, self.a, self.b, self.c)
@@ -94,7 +101,14 @@ class Plant:
         return 0j in self.g1.poles
 
     @classmethod
-    def from_state_space(cls, name: str, a: ArrayLike, b: ArrayLike, c: ArrayLike) -> Self:
+    def from_state_space(
+        cls,
+        name: str,
+        a: ArrayLike,
+        b: ArrayLike,
+        c: ArrayLike,
+        world: WorldInputs | None = None,
+    ) -> Self:
         """The plant of any ``a`` (n, n), ``b`` (n, 2), ``c`` (1, n); channels of order n.
 
         Unreachable and unobservable modes of a channel stay as pole-zero pairs. Raises what
@@ -104,7 +118,7 @@ class Plant:
         poles = _poles(a)
         rows = (ZeroPoleGain.from_coefficients(row, [1.0]) for row in numerators(a, b, c))
         g1, g2 = (ZeroPoleGain(row.zeros, poles, row.gain) for row in rows)
-        return cls(name, a, b, c, g1, g2)
+        return cls(name, a, b, c, g1, g2, world=world)
 
     @classmethod
     def from_transfer_functions(cls, name: str, g1: ZeroPoleGain, g2: ZeroPoleGain) -> Self:
@@ -141,8 +155,8 @@ def steer_by_wire(parameters: VehicleParameters = TABLE_3_2, variant: Variant = 
 
     Raises ``ParameterError`` for an unknown variant.
     """
-    a, b, c = vehicle_state_space(parameters, variant)
-    return Plant.from_state_space(f"steer-by-wire ({variant})", a, b, c)
+    (a, b, c), world = single_track(parameters, variant)
+    return Plant.from_state_space(f"steer-by-wire ({variant})", a, b, c, world)
 
 
 def chapter_2() -> Plant:

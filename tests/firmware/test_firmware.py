@@ -46,7 +46,7 @@ def run(firmware, latency, lost, tell):
     return np.array(estimates)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("latency", [1, 2, 3])
 @pytest.mark.parametrize("lost", [{5}, {0, 7, 8, 9, 60}], ids=str)
 def test_commands_that_were_late_are_no_fault_to_who_knows(latency, lost):

@@ -40,6 +40,6 @@ def test_no_line_and_no_branch_is_excluded(path, settings):
 
 
 def test_no_test_of_the_firmware_is_left_out_of_one_of_its_two_runs():
-    """Interpreted and compiled it passes the same tests, but those marked long for their time."""
+    """Interpreted and compiled it passes the same tests, but for those marked compiled."""
     for path in (ROOT / "tests" / "firmware").rglob("test_*.py"):
         assert "skipif" not in path.read_text(), path

@@ -25,7 +25,7 @@ from tests.project.pages import PAGES, ROOT, blocks, command_lines, prose, text_
 COMMANDS = main.list_commands(click.Context(main))
 LINES = [(page.name, line) for page in PAGES for line in command_lines(page.read_text("utf-8"))]
 RIG = [line for _, line in LINES if line.startswith("can-rig ")]
-OTHERS = {"cantools", "nice", "python", "sudo"}  # programs that are not ours
+OTHERS = {"cantools", "git", "nice", "python", "sudo"}  # programs that are not ours
 PLACES = "can_rig|dbc|docs|firmware_model|tests|tools"
 
 

@@ -9,7 +9,6 @@ import json
 import shutil
 import subprocess
 import sys
-import tomllib
 from pathlib import Path
 
 import pytest
@@ -72,13 +71,12 @@ def test_a_mutant_is_the_module_with_one_line_changed() -> None:
 def test_the_accepted_mutants_are_there_and_have_a_reason() -> None:
     import mutation
 
-    settings = tomllib.loads((TOOLS / "mutation.toml").read_text("utf-8"))
-    every = list(mutation.sites(settings))
+    every = mutation.sites(mutation.modules())
     assert len(every) > 1000
     assert len({site.key for site in every}) == len(every)
     for site in every[::7]:
         ast.parse(site.mutant.source)  # else it would be killed for nothing
-    mutation.accepted(settings, every)
+    mutation.accepted(every)
 
 
 STEPS = """\
@@ -95,7 +93,7 @@ def test_what_a_mutant_changes_is_changed_in_a_session_that_has_imported_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """A constant wherever it has been imported to; what else is made on import is not reached."""
-    from mutation_session import functions, swap
+    from mutation import functions, swap
 
     path = tmp_path / "mutated_steps.py"
     path.write_text(STEPS)
@@ -129,12 +127,10 @@ def test_above():
 def test_within():
     assert clip(0.5) == 0.5
 """
-ROOM = '[[room]]\nmodules = ["can_rig/*.py"]\ntests = ["tests"]\n'
 ACCEPTED = """
 [[accepted]]
 module = "can_rig/clip.py"
-before = "if value < 0:"
-after = "if (value <= 0):"
+changes = ["if value < 0:  →  if (value <= 0):"]
 reason = "zero is zero"
 """
 
@@ -142,15 +138,15 @@ reason = "zero is zero"
 @pytest.fixture
 def project(tmp_path: Path) -> Path:
     """A checkout of one module, its tests and the tool."""
-    for name in ("can_rig", "firmware_model", "dbc", "tests"):
-        (tmp_path / name).mkdir()
+    for name in ("can_rig", "firmware_model", "dbc", "tests/rig", "tests/firmware"):
+        (tmp_path / name).mkdir(parents=True)
     shutil.copytree(TOOLS, tmp_path / "tools", ignore=shutil.ignore_patterns("__pycache__"))
     (tmp_path / "can_rig" / "__init__.py").write_text("")
     (tmp_path / "can_rig" / "clip.py").write_text(CODE)
-    (tmp_path / "tests" / "test_clip.py").write_text(TESTS)
+    (tmp_path / "tests" / "rig" / "test_clip.py").write_text(TESTS)
     (tmp_path / "pyproject.toml").write_text(
         '[tool.pytest.ini_options]\npythonpath = ["."]\n'
-        'markers = ["vcan", "long"]\naddopts = "--import-mode=importlib"\n'
+        'markers = ["vcan", "long", "compiled"]\naddopts = "--import-mode=importlib"\n'
     )
     (tmp_path / "README.md").write_text("")
     return tmp_path
@@ -170,46 +166,53 @@ def run(project: Path, settings: str, *arguments: str) -> subprocess.CompletedPr
 
 
 def test_what_survives_is_told_until_it_is_accepted(project: Path) -> None:
-    done = run(project, ROOM)
+    done = run(project, "")
     assert done.returncode == 1, done.stderr
     (survivor,) = [line for line in done.stdout.splitlines() if line.startswith("survived")]
     assert survivor == "survived: can_rig/clip.py:4: if value < 0:  →  if (value <= 0):"
     known = [json.loads(line) for line in (project / "build/mutation.jsonl").open()]
     assert {each["killer"] for each in known} >= {None, "timeout"}  # a loop without an end
     assert (project / "can_rig" / "clip.py").read_text() == CODE
-    done = run(project, ROOM + ACCEPTED)
+    done = run(project, ACCEPTED)
     assert done.returncode == 0
     assert "unchanged code" not in done.stderr  # all the others are known
-    done = run(project, ROOM + ACCEPTED.replace("< 0", "< 7"))
+    done = run(project, ACCEPTED.replace("< 0", "< 7"))
     assert done.returncode == 1
     assert done.stderr.startswith("error: mutation.toml: no such mutant: can_rig/clip.py")
 
 
 def test_tests_that_fail_anyway_prove_nothing(project: Path) -> None:
-    (project / "tests" / "test_clip.py").write_text("def test_no():\n    assert False\n")
-    done = run(project, ROOM)
-    assert done.returncode == 2
-    assert "error: tests/test_clip.py::test_no fails on the unchanged code" in done.stderr
+    (project / "tests" / "rig" / "test_clip.py").write_text("def test_no():\n    assert False\n")
+    done = run(project, "")
+    assert done.returncode == 1
+    assert "error: tests/rig/test_clip.py::test_no fails on the unchanged code" in done.stderr
 
 
-def test_a_copy_that_breaks_half_way_proves_nothing(project: Path) -> None:
-    """The first mutant's tests remove a file: those of all that follow fail, and not for them."""
-    (project / "can_rig" / "step.py").write_text("STEP = 1\n")
-    (project / "tests" / "test_clip.py").write_text(
+@pytest.mark.parametrize(
+    ("code", "failing"),
+    [
+        ("def step():\n    return 1\n", "tests/rig/test_step.py::test_step fails"),
+        ("steps = [1]\nstep = steps.pop\n", "tests/rig, imported anew, fails"),
+    ],
+)
+def test_a_copy_that_breaks_half_way_proves_nothing(project: Path, code: str, failing: str) -> None:
+    """The first mutant's test removes a file: all that follow fail, and not for their change."""
+    (project / "can_rig" / "clip.py").unlink()
+    (project / "tests" / "rig" / "test_clip.py").unlink()
+    (project / "can_rig" / "step.py").write_text(code)
+    (project / "tests" / "rig" / "test_step.py").write_text(
         "from pathlib import Path\n\n"
-        "from can_rig.clip import clip\n\n"
         "import can_rig.step\n\n"
-        "def test_above():\n"
-        "    if clip(12) != 9:\n"
-        "        Path(can_rig.step.__file__).unlink()\n"
-        "        assert False\n"
+        "def test_step():\n"
+        "    file = Path(can_rig.step.__file__).with_name('__init__.py')\n"
+        "    if can_rig.step.step() != 1:\n"
+        "        file.unlink(missing_ok=True)\n"
+        "    assert file.exists()\n"
     )
-    done = run(project, ROOM)
-    assert done.returncode == 2
-    assert done.stderr.splitlines()[-1] == (
-        "error: pytest: <ExitCode.INTERRUPTED: 2> fails on the unchanged code, after the mutants: "
-        "their results are taken back"
-    )
+    done = run(project, "")
+    assert done.returncode == 1
+    assert done.stderr.splitlines()[-1].startswith(f"error: {failing} on the unchanged code")
+    assert "taken back" in done.stderr.splitlines()[-1]
     assert (project / "build/mutation.jsonl").read_text() == ""
 
 
@@ -217,6 +220,6 @@ def test_two_runs_at_once_are_refused(project: Path) -> None:
     (project / "build").mkdir()
     with (project / "build" / "mutation.lock").open("w") as lock:
         fcntl.flock(lock, fcntl.LOCK_EX)
-        done = run(project, ROOM)
+        done = run(project, "")
     assert done.returncode == 1
     assert done.stderr == "error: another run of tools/mutation is under way; it must end first\n"

@@ -63,7 +63,7 @@ def test_each_change_is_there_once(sites: ModuleType) -> None:
 
 def test_every_excuse_is_of_a_mutant_and_has_a_reason(sites: ModuleType) -> None:
     known = {
-        (name, each.before, each.after)
+        f"{name}: {each.before}  →  {each.after}"
         for scenario in ("default", "drive-cycle")
         for name, text in application(load(scenario, [])).items()
         if name.endswith(".c")
@@ -72,5 +72,4 @@ def test_every_excuse_is_of_a_mutant_and_has_a_reason(sites: ModuleType) -> None
     entries = tomllib.loads((TOOLS / "mutation_c.toml").read_text("utf-8"))["accepted"]
     for entry in entries:
         assert len(entry["reason"]) > 10
-        for after in entry["after"]:
-            assert (entry["file"], entry["before"], after) in known, after
+        assert not {*entry["changes"]} - known

@@ -18,7 +18,18 @@ ROOTS = {
     "firmware_model": {"__init__", "compiled", "errors", "firmware"},
 }
 TOP_LEVEL = {
-    *(".ci", ".gitignore", "can_rig", "dbc", "docs", "firmware_model", "tests", "tools"),
+    *(
+        ".ci",
+        ".github",
+        ".gitignore",
+        ".pre-commit-config.yaml",
+        "can_rig",
+        "dbc",
+        "docs",
+        "firmware_model",
+        "tests",
+        "tools",
+    ),
     *("CHANGELOG.md", "CONTRIBUTING.md", "LICENSE", "README.md", "pyproject.toml"),
     "requirements.lock",
 }

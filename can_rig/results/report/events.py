@@ -1,4 +1,4 @@
-"""What happened in a run, moment by moment: faults begin and end, the controller says something."""
+"""What happened in a run, moment by moment: what begins and ends, and what the controller says."""
 
 from __future__ import annotations
 
@@ -8,12 +8,14 @@ from typing import NamedTuple
 import numpy as np
 
 from can_rig import paged
-from can_rig.drawing.fault_words import fault_label
+from can_rig.drawing.fault_words import disturbance_label, fault_label
 from can_rig.drawing.names import names_of
 from can_rig.frames.network import Network
 from can_rig.logs.columns import VERDICT
 from can_rig.results.isolation.words import in_words
 from can_rig.results.signals import Signals
+from can_rig.scenario.disturbance_settings import DisturbanceSettings
+from can_rig.scenario.fault_settings import FaultSettings
 from can_rig.scenario.settings import Scenario
 from firmware_model.target.status import Verdict
 from firmware_model.target.structs import FloatArray
@@ -31,12 +33,15 @@ def events(scenario: Scenario, network: Network, signals: Signals) -> list[Event
     names = names_of(scenario.plant)
     end_s = float(signals.time_s[-1]) + scenario.tick_s if len(signals) else 0.0
     found: list[Event] = []
-    for fault in scenario.faults:
-        label = fault_label(fault, names)
-        if fault.at_s < end_s:
-            found.append(Event(fault.at_s, f"fault begins: {label}"))
-        if fault.for_s is not None and fault.at_s + fault.for_s < end_s:
-            found.append(Event(fault.at_s + fault.for_s, f"fault ends: {label}"))
+    from_outside: list[tuple[str, FaultSettings | DisturbanceSettings, str]] = [
+        *(("fault", each, fault_label(each, names)) for each in scenario.faults),
+        *(("disturbance", each, disturbance_label(each)) for each in scenario.disturbances),
+    ]
+    for noun, each, label in from_outside:
+        if each.at_s < end_s:
+            found.append(Event(each.at_s, f"{noun} begins: {label}"))
+        if each.for_s is not None and each.at_s + each.for_s < end_s:
+            found.append(Event(each.at_s + each.for_s, f"{noun} ends: {label}"))
     found += _changes("mode", signals.time_s, signals.mode, network.status.modes)
     states = network.status.fault_states
     found += _changes("fault state", signals.time_s, signals.fault_state, states)

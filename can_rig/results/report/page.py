@@ -254,10 +254,10 @@ def _time_axis(axes: list[Axes], scenario: Scenario, signals: Signals) -> None:
 
 
 def _mark_loss(axes: list[Axes], scenario: Scenario, names: Names) -> None:
-    """Shade the time of each fault, and name it once; several by the numbers of the title."""
+    """Shade the times, and name each fault once; several by the numbers of the title."""
     low, high = axes[0].get_xlim()
     for number, fault in enumerate(scenario.faults, 1):
-        starts_s = [style.shade_fault(axis, fault) for axis in axes]
+        starts_s = [style.shade(axis, fault) for axis in axes]
         start_s = starts_s[0]
         if start_s is None:
             continue
@@ -273,3 +273,6 @@ def _mark_loss(axes: list[Axes], scenario: Scenario, names: Names) -> None:
             fontsize=9,
             annotation_clip=False,
         )
+    for disturbance in scenario.disturbances:
+        for axis in axes:
+            style.shade(axis, disturbance)

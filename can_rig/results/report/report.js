@@ -19,10 +19,10 @@ function shade(u) {
   u.ctx.beginPath();
   u.ctx.rect(left, top, width, height);
   u.ctx.clip();
-  for (const { begin, end } of run.shades) {
+  for (const { begin, end, color } of run.shades) {
     const from = u.valToPos(begin, "x", true);
     const to = end === null ? left + width : u.valToPos(end, "x", true);
-    u.ctx.fillStyle = "rgba(200, 180, 150, 0.25)";
+    u.ctx.fillStyle = color;
     u.ctx.fillRect(from, top, to - from, height);
     u.ctx.fillStyle = "#1b1b1b";
     u.ctx.fillRect(from, top, 1, height);

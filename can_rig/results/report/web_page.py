@@ -12,16 +12,18 @@ from functools import cache
 from pathlib import Path
 from typing import Any, Final
 
-from can_rig.drawing import uplot
-from can_rig.drawing.fault_words import fault_label
+from can_rig.drawing import style, uplot
+from can_rig.drawing.fault_words import disturbance_label, fault_label
 from can_rig.drawing.html import Code, page, table
-from can_rig.drawing.names import names_of
+from can_rig.drawing.names import Names, names_of
 from can_rig.frames.network import Network
 from can_rig.results.metrics import Metrics
 from can_rig.results.report.curves import packed, panels
 from can_rig.results.report.events import events
 from can_rig.results.report.title import page_title
 from can_rig.results.signals import Signals
+from can_rig.scenario.disturbance_settings import DisturbanceSettings
+from can_rig.scenario.fault_settings import FaultSettings
 from can_rig.scenario.settings import Scenario
 
 MOST_EVENTS: Final = 200
@@ -56,11 +58,12 @@ def web_page(
     title, *lines = page_title(scenario, names, signals).split("\n")
     shades = [
         {
-            "label": fault_label(fault, names),
-            "begin": fault.at_s,
-            "end": None if fault.for_s is None else fault.at_s + fault.for_s,
+            "label": label,
+            "color": color,
+            "begin": each.at_s,
+            "end": None if each.for_s is None else each.at_s + each.for_s,
         }
-        for fault in scenario.faults
+        for label, color, each in _to_shade(scenario, names)
     ]
     drawn = packed(signals.time_s, panels(scenario, network, signals)) | {"shades": shades}
     happened = events(scenario, network, signals)
@@ -85,6 +88,16 @@ def web_page(
         f"<script>{_own_script()}</script>",
     ]
     return page(title, parts, uplot.style() + STYLE)
+
+
+def _to_shade(
+    scenario: Scenario, names: Names
+) -> Iterator[tuple[str, str, FaultSettings | DisturbanceSettings]]:
+    """Label and color of every fault and disturbance."""
+    for fault in scenario.faults:
+        yield fault_label(fault, names), style.SHADE, fault
+    for disturbance in scenario.disturbances:
+        yield disturbance_label(disturbance), style.SKY, disturbance
 
 
 def _of_faults(faults: list[dict[str, Any]]) -> Iterator[str]:

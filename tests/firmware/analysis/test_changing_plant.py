@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from scipy.integrate import solve_ivp
 
-from firmware_model.analysis.changing_plant import changing_plant, follow_changing
+from firmware_model.analysis.changing_plant import NO_WORLD, changing_plant, follow_changing
 from firmware_model.analysis.sampled_plant import follow, sample
 from firmware_model.design.actuator_dynamics import IDEAL, Stage
 from firmware_model.design.vehicle import TABLE_3_2, vehicle_state_space
@@ -26,7 +26,7 @@ def driven(changing, speeds, commands, left=(1.0, 1.0)):
     )  # fmt: skip
     work, constants = changing.work, changing.constants
     return memory, [
-        follow_changing(constants, memory, work, speeds, k, *command, *left)
+        follow_changing(constants, memory, work, speeds[k], k, *command, *left, NO_WORLD)
         for k, command in enumerate(commands)
     ]
 
@@ -40,8 +40,8 @@ def commands(ticks):
 @pytest.mark.parametrize("stages", [LAGS, DEAD, SENSED_LATE, IMMEDIATE])
 def test_at_a_constant_speed_it_is_the_sampled_plant(stages):
     tick_s, ticks = 1e-3, 40
-    changing = changing_plant(lambda speed: car(speed, stages), 30.0, tick_s)
-    speeds = changing.speeds(lambda time_s: np.full(time_s.shape, 17.0), ticks)
+    changing = changing_plant(TABLE_3_2, "physics", stages, 30.0, tick_s)
+    speeds = changing.speeds(lambda time_s: np.full(time_s.shape, 17.0), range(ticks))
     _, ours = driven(changing, speeds, commands(ticks), left=(1.0, 0.5))
     exact = sample(car(17.0, stages), tick_s)
     constants, memory = exact.constants, exact.memory
@@ -65,19 +65,10 @@ def test_its_error_falls_with_the_fourth_power_of_the_tick():
     ]
     errors = []
     for tick_s in (0.02, 0.01, 0.005):
-        changing = changing_plant(lambda speed: car(speed, IMMEDIATE), 40.0, tick_s)
+        changing = changing_plant(TABLE_3_2, "physics", IMMEDIATE, 40.0, tick_s)
         ticks = round(end_s / tick_s)
-        memory, _ = driven(changing, changing.speeds(speed, ticks), [u.tolist()] * ticks)
+        memory, _ = driven(changing, changing.speeds(speed, range(ticks)), [u.tolist()] * ticks)
         errors.append(np.abs(memory[0] - exact).max() / np.abs(exact).max())
     assert errors[-1] < 1e-6
     for coarse, fine in pairwise(errors):
         assert 13.0 < coarse / fine < 19.0
-
-
-def test_the_multiples_are_those_of_every_speed():
-    changing = changing_plant(car, 40.0, 1e-3)
-    for speed in (3.0, 11.0, 27.5, 60.0):
-        powers = np.array([speed, 1.0, 1.0 / speed, 1.0 / speed**2])
-        plant = car(speed)
-        assert np.abs(np.tensordot(powers, changing.a, 1) - plant.a).max() < 1e-9
-        assert np.abs(powers @ changing.c - plant.c[0]).max() < 1e-9

@@ -125,7 +125,7 @@ KNOWN = behind(
 SLOW = DesignSpecification(tau_s=0.02, alpha=3, tau_q_s=0.03, alpha_q=4)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_f1_waits_for_the_dead_times_of_each_channel() -> None:
     """Whole ticks, sensor included; a loop without a fault then has no d̂."""
     table = build(design(KNOWN, SLOW), Target(TICK_S, latency_ticks=2, estimator="zoh"))
@@ -150,7 +150,7 @@ def test_a_dead_time_longer_than_the_rings_is_refused() -> None:
         build(design(late, SLOW), Target(TICK_S))
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD])
 @pytest.mark.parametrize("plant", [CAR, KNOWN], ids=["unknown", "known"])
 def test_the_loop_s_matrix_is_the_simulation(plant: Plant, left: tuple[float, float]) -> None:

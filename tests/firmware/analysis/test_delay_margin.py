@@ -66,7 +66,7 @@ def turns_after_the_loss(designed: ContinuousDesign, tick_s: float, n: int) -> i
     return -round((curve[-1] - curve[0]) / (2.0 * math.pi))
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_published_tuning_survives_as_much_latency_as_its_characteristic_equation_says() -> None:
     """The longer the tick, the fewer of them; a healthy car takes any, F1 has the bus in it."""
     survived = []
@@ -85,7 +85,7 @@ def test_the_scan_of_latencies_ends_at_its_most_or_before_its_first() -> None:
     assert largest_latency_survived(PUBLISHED, Target(1e-2), CAR) is None
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_largest_latency_is_where_the_scan_ends() -> None:
     assert largest_latency_survived(SLOW, Target(1e-3), CAR, most=3) == 3
     most = largest_latency_survived(PUBLISHED, Target(1e-3, 5, "zoh"), CAR)
@@ -102,7 +102,7 @@ def grows(trace: Any) -> bool:
     return bool(size[-quarter:].max() > size[-2 * quarter : -quarter].max())
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD])
 @pytest.mark.parametrize("rule", ["tustin", "zoh"])
 def test_stable_at_the_delay_margin_and_unstable_beyond_in_simulation(

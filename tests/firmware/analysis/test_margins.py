@@ -89,7 +89,7 @@ def test_equal_states_as_one_leave_the_loop_as_it_is(left: tuple[float, float]) 
     np.testing.assert_allclose(loop.loop_gain(z), direct, rtol=1e-9)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize(("designed", "latency"), [(PUBLISHED, 0), (SLOW, 2)])
 def test_peak_sensitivity_is_what_a_sine_of_noise_becomes(
     designed: ContinuousDesign, latency: int
@@ -107,7 +107,7 @@ def test_peak_sensitivity_is_what_a_sine_of_noise_becomes(
     assert peak >= size.max() * (1.0 - 1e-9)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_noise_gain_is_the_impulse_response_summed() -> None:
     """Parseval: rms² = Σ h_k², h the answer to one tick of measurement noise."""
     target = Target(1e-3, 1, "zoh")
@@ -179,7 +179,7 @@ def test_chapter_2_is_a_loop_of_the_compensator_alone() -> None:
     assert figures.spectral_radius == pytest.approx(math.exp(-1e-3), rel=1e-9)  # the pole -1
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("latency", [0, 1, 2])
 @pytest.mark.parametrize("tau_q_s", [0.0005, 0.001, 0.002, 0.005])
 @pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD, (0.5, 1.0)])

@@ -130,7 +130,7 @@ def test_poles_are_those_of_the_block_diagram(
         assert np.abs(ours - pole).min() < 1e-5
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @settings(max_examples=25)
 @given(
     tick_s=st.floats(1e-4, 5e-3),
@@ -151,7 +151,7 @@ def test_spectral_radius_is_that_of_the_block_diagram(
     assert loop.spectral_radius() == pytest.approx(expected, rel=1e-6)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("left", [HEALTHY, (0.3, 0.8)])
 @pytest.mark.parametrize(("latency", "rule"), [(0, "tustin"), (1, "zoh"), (3, "tustin-held")])
 @pytest.mark.parametrize("designed", [SLOW, SHAPED, OPEN_LOOP])

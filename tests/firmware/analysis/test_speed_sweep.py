@@ -13,7 +13,7 @@ OF = scheduled(SPEEDS[:2])
 LOST = (0.0, 1.0)
 
 
-@pytest.mark.parametrize("left", [(1.0, 1.0), pytest.param(LOST, marks=pytest.mark.long)])
+@pytest.mark.parametrize("left", [(1.0, 1.0), pytest.param(LOST, marks=pytest.mark.compiled)])
 def test_a_loop_that_is_stable_everywhere(left):
     found = sweep(OF, car, TICK_S, 8.0, left)
     assert found.stable
@@ -26,7 +26,7 @@ def test_a_loop_that_is_stable_everywhere(left):
     assert SPEEDS[0] <= found.at_mps <= SPEEDS[1]
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_slowly_it_shrinks_as_the_frozen_loops_do():
     """Long at each speed, the cycle has the mean of the frozen rates."""
     found = sweep(OF, car, TICK_S, 0.05)
@@ -38,7 +38,7 @@ def test_slowly_it_shrinks_as_the_frozen_loops_do():
     assert found.between_mps == SPEEDS[:2]
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_a_car_that_the_designs_do_not_know_is_not_stable():
     slow = (Stage(0.4), Stage(0.4), IDEAL)
     found = sweep(OF, lambda speed: car(speed, slow, mass=0.3), TICK_S, 8.0, LOST)

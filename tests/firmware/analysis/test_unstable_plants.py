@@ -91,7 +91,7 @@ def test_the_loop_is_python_controls_and_stable(plant: Plant, left: tuple[float,
     assert np.prod(own[own > 0.5]) == pytest.approx(np.prod(expected[expected > 0.5]), rel=1e-4)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("latency", [0, 2])
 @pytest.mark.parametrize("plant", [PENDULUM, OVERSTEERING, SATELLITE], ids=lambda plant: plant.name)
 def test_the_loss_of_channel_1_is_carried(plant: Plant, latency: int) -> None:
@@ -134,7 +134,7 @@ def test_reset_is_the_steady_state_of_its_first_ticks(plant: Plant) -> None:
         assert abs(answer.fault_estimate) < 1e-12
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("plant", [PENDULUM, SATELLITE], ids=lambda plant: plant.name)
 def test_reset_is_bumpless_and_a_gap_of_ticks_bears_the_motion(plant: Plant) -> None:
     """A plant that integrates is held at any place by no command at all."""

@@ -11,10 +11,11 @@ from numpy.testing import assert_allclose
 
 from firmware_model.design.actuator_dynamics import IDEAL, Stage, behind
 from firmware_model.design.continuous_design import DesignSpecification, design
-from firmware_model.design.plants import steer_by_wire
+from firmware_model.design.plants import Plant, steer_by_wire
 from firmware_model.errors import ImproperError, ParameterError
 
 CAR = steer_by_wire()
+NUMBERS = Plant.from_state_space("numbers", CAR.a, CAR.b, CAR.c)
 POINTS = 1j * np.geomspace(0.1, 1e4, 60)
 lags = st.floats(1e-4, 0.1)
 frequencies = st.floats(10.0, 1e3)
@@ -58,12 +59,14 @@ def test_a_plant_behind_stages_is_their_product(first: Stage, second: Stage, sen
         assert g.zeros == car.zeros
 
 
-def test_the_output_before_the_sensor_is_that_of_the_car() -> None:
-    plant = behind(CAR, Stage(0.005), IDEAL, Stage(0.01))
+@pytest.mark.parametrize("car", [CAR, NUMBERS])
+def test_the_output_before_the_sensor_is_that_of_the_car(car: Plant) -> None:
+    plant = behind(car, Stage(0.005), IDEAL, Stage(0.01))
     assert plant.sensed is not None
+    assert (plant.world is None) == (car is NUMBERS)
     before = control.ss(plant.a, plant.b, plant.sensed, np.zeros((1, 2)))(POINTS)[0]
-    assert_allclose(before[0], CAR.g1(POINTS) * continuous(Stage(0.005))(POINTS), rtol=1e-6)
-    assert_allclose(before[1], CAR.g2(POINTS), rtol=1e-6)
+    assert_allclose(before[0], car.g1(POINTS) * continuous(Stage(0.005))(POINTS), rtol=1e-6)
+    assert_allclose(before[1], car.g2(POINTS), rtol=1e-6)
 
 
 def test_behind_nothing_it_is_the_car_itself() -> None:

@@ -91,7 +91,7 @@ def test_c_is_youlas_and_holds_the_plant(g1: ZeroPoleGain, tau_q_s: float, alpha
     assert np.roots(characteristic).real.max() < 0.0
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @settings(max_examples=25)
 @given(unstable_poles, st.lists(LEFT, min_size=1, max_size=2), st.lists(LEFT, max_size=1))
 def test_transfer_functions_share_their_unstable_modes(

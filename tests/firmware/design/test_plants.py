@@ -48,7 +48,7 @@ def _assert_channels_are_the_state_space(plant: Plant, rel: float) -> None:
         assert given_values == pytest.approx(_exact(plant, omega), rel=rel)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @settings(max_examples=60)
 @given(cars, st.sampled_from(["physics", "published"]))
 @example(replace(TABLE_3_2, lateral_weight=0.0), "physics")

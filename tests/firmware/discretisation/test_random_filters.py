@@ -20,7 +20,7 @@ from tests.firmware.discretisation.random_filters import (
 )
 
 A_FEW = pytest.param(0, 12, id="a few")
-MANY = [pytest.param(seed, 100, id=f"{seed}", marks=pytest.mark.long) for seed in range(1, 11)]
+MANY = [pytest.param(seed, 100, id=f"{seed}", marks=pytest.mark.compiled) for seed in range(1, 11)]
 SHARES = np.array([1e-5, 1e-3, 0.03, 0.2, 0.6, 0.95])  # of the Nyquist frequency
 
 
@@ -117,7 +117,7 @@ def test_at_low_order_it_is_scipys_cont2discrete(seed: int, filters: int) -> Non
     assert compared >= 1
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize(("seed", "filters"), [A_FEW, *MANY])
 def test_every_assertion_of_the_testing_module_holds(seed: int, filters: int) -> None:
     rng = np.random.default_rng(seed)

@@ -70,7 +70,7 @@ SINGLE = ("thesis", "on confirmation", "coloured noise", "all")  # with all that
 CASES = [*itertools.product(TARGETS, ["float64"]), *itertools.product(SINGLE, ["float32"])]
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_compiled_and_interpreted_states_are_bit_identical() -> None:
     outputs = lines_compiled_and_interpreted(__file__)
     compiled, interpreted = outputs

@@ -54,7 +54,7 @@ def test_it_fades_as_a_critically_damped_motion_of_that_value_and_speed(
     np.testing.assert_allclose(left, expected, rtol=1e-9, atol=1e-12)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @given(missed=st.floats(1e-6, 1.0), ticks=st.integers(4, 40))
 def test_of_a_square_of_time_hardly_more_is_missed(missed: float, ticks: int) -> None:
     """Speed 2/n, pace 4/n: max of (1 + 6x) exp(-4x) at x = 1/12, 3/2 exp(-1/3) = 1.075."""
@@ -64,7 +64,7 @@ def test_of_a_square_of_time_hardly_more_is_missed(missed: float, ticks: int) ->
     assert left[-1] < 0.01 * missed
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @given(missed=sizes, speed=sizes, carried=sizes, earlier=sizes)
 @example(missed=1.0, speed=0.5, carried=0.0, earlier=0.0)
 def test_what_is_carried_already_is_not_missed(
@@ -105,7 +105,7 @@ def test_what_has_settled_is_made_up_with_the_pace_of_the_car() -> None:
     assert left[-1] < 1e-2 * 0.5
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("noise_rms", [0.0, 1e-3])
 @pytest.mark.parametrize("period", [1300, 1900, 2600])
 def test_a_loose_connection_asks_for_no_more_than_the_load_in_a_tick(
@@ -122,7 +122,7 @@ def test_a_loose_connection_asks_for_no_more_than_the_load_in_a_tick(
     assert np.abs(trace.error[6000:]).max() < 0.1
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_a_loss_that_comes_back_while_the_last_is_released_makes_no_bump() -> None:
     table = build(DESIGN, late(1e-3))
     plant, left = sample(CAR, TICK_S), np.ones((2500, 2))
@@ -137,7 +137,7 @@ def test_a_loss_that_comes_back_while_the_last_is_released_makes_no_bump() -> No
     assert np.abs(again.error[-100:]).max() < 1e-2
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("noise_rms", [1e-4, 1e-3, 5e-3])
 def test_compensation_that_engages_late_needs_no_more_than_the_load_and_makes_up_all(
     noise_rms: float,

@@ -79,7 +79,7 @@ def test_estimator_works_on_the_commands_as_the_plant_gets_them(rule: str, laten
     np.testing.assert_allclose(estimate, modelled - y, atol=1e-9)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("variant", ["physics", "published"])
 @pytest.mark.parametrize("latency", [0, 1, 2, 5])
 def test_exact_estimator_is_silent_while_healthy(variant: str, latency: int) -> None:
@@ -92,7 +92,7 @@ def test_exact_estimator_is_silent_while_healthy(variant: str, latency: int) -> 
     assert np.abs(trace.fault_estimate).max() < 1e-12 * np.abs(trace.measurement).max()
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("variant", ["physics", "published"])
 def test_estimate_equals_the_lost_channel_after_the_fault(variant: str) -> None:
     """(2.9): d̂ = G1 u1, what torque would have given; settled it is the whole reference."""
@@ -109,7 +109,7 @@ def test_estimate_equals_the_lost_channel_after_the_fault(variant: str) -> None:
     np.testing.assert_allclose(trace.command_2[-1], 1.0 / plant.g2.dc_gain, rtol=1e-5)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("latency", [1, 2, 4])
 def test_published_tuning_survives_a_latency_that_it_knows(latency: int) -> None:
     """C works on what the delayed model does not explain: healthy and after the loss."""
@@ -121,7 +121,7 @@ def test_published_tuning_survives_a_latency_that_it_knows(latency: int) -> None
     assert np.abs(trace.error[-500:]).max() < 1e-6
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize(("design_of", "tick_s"), [(DESIGN, 5e-4), (OPEN_LOOP, 5e-3)])
 def test_smooth_input_converges_with_order_two(design_of, tick_s: float) -> None:  # type: ignore[no-untyped-def]
     """Firmware fed smooth r(t), y(t) against the continuous law fed the same, by lsim.
@@ -170,7 +170,7 @@ def test_smooth_input_converges_with_order_two(design_of, tick_s: float) -> None
         assert math.log2(far / near) == pytest.approx(2.0, abs=0.2), name
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_free_parameter_q_filters_the_estimate() -> None:
     """Theorem 2.3.1 with 1 + Q = 1/(0.05s+1): d̂ is that filter of (2.9)'s d̂."""
     lag = ZeroPoleGain.lag(0.05, 1)
@@ -200,7 +200,7 @@ def test_a_batch_is_its_members() -> None:
             assert states["command_2"][i] == answer.command_2
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_float32_table_follows_the_float64_one() -> None:
     """Settled loop in single precision: D* within a few float32 roundings of the reference."""
     trace = simulate(

@@ -46,7 +46,7 @@ numbers = st.lists(st.floats(-3.0, 3.0), min_size=N, max_size=N).map(np.array)
 parts = st.lists(st.floats(0.0, 1.0), min_size=N, max_size=N).map(np.array)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @given(measurements=st.lists(numbers, max_size=8))
 def test_a_variance_is_on_the_diagonal(measurements: list[Matrix]) -> None:
     state = begun()
@@ -112,7 +112,7 @@ def test_what_is_cleared_is_zero() -> None:
     assert not state.variances.any()
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 @settings(max_examples=40)
 @given(seed=st.integers(0, 2**32 - 1), noise=st.sampled_from([1e-18, 1e-6, 1e-2]),
@@ -136,7 +136,7 @@ def test_it_stays_positive_semidefinite_and_the_innovation_s_variance_above_its_
         assert np.linalg.eigvalsh(p).min() >= -1e-14 * np.abs(p).max()
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_single_precision_keeps_what_plain_matrices_lose() -> None:
     """Steady x of 10 and noise of 1e-3 rms: P - K Kᵀ S in single precision has S < 0 soon."""
     x = np.array([10.0, 20.0, -30.0, 15.0, -5.0, 8.0, 1.0], np.float32)

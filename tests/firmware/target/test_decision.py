@@ -51,7 +51,7 @@ def confirming(latency: int = 1, **changes: object) -> Target:
     return Target(TICK_S, latency, **settings)  # type: ignore[arg-type]
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("latency", [1, 2])
 def test_post_fault_peak_is_at_most_twice_the_unavoidable(latency: int) -> None:
     trace = drive(confirming(latency), np.ones(TICKS))
@@ -61,7 +61,7 @@ def test_post_fault_peak_is_at_most_twice_the_unavoidable(latency: int) -> None:
     assert np.abs(trace.error[-200:]).max() < 1e-4
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("latency", [1, 2, 3])
 def test_it_beats_waiting_for_the_estimate(latency: int) -> None:
     """Half the delay around the loop: less error than the thesis's law with the same tuning."""
@@ -70,7 +70,7 @@ def test_it_beats_waiting_for_the_estimate(latency: int) -> None:
     assert np.abs(early.error[LOST:]).max() < 0.95 * np.abs(always.error[LOST:]).max()
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 @pytest.mark.parametrize("latency", [0, 2])
 @pytest.mark.parametrize("estimator", ["zoh", "tustin-held"])
@@ -83,7 +83,7 @@ def test_without_a_fault_it_never_acts(latency: int, estimator: str, precision: 
     assert not np.isin(trace.fault_state, (SUSPECTED, CONFIRMED)).any()
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("rms", [5e-3, 2e-2])
 @pytest.mark.parametrize("latency", [0, 1, 3])
 def test_a_loss_in_noise_is_suspected_confirmed_and_compensated(latency: int, rms: float) -> None:
@@ -98,7 +98,7 @@ def test_a_loss_in_noise_is_suspected_confirmed_and_compensated(latency: int, rm
     assert trace.command_2[-1] == pytest.approx(1.0 / CAR.g2.dc_gain, rel=0.05)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_suspicions_are_as_seldom_as_asked_for_and_end_with_their_candidate() -> None:
     """Noise alone, one suspicion a second allowed: some, short ones, and none is confirmed."""
     rms, ticks = 0.01, 8000
@@ -110,7 +110,7 @@ def test_suspicions_are_as_seldom_as_asked_for_and_end_with_their_candidate() ->
     assert (trace.fault_state == SUSPECTED).sum() < 0.02 * ticks
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_a_spike_is_suspected_compensated_and_forgotten() -> None:
     """Eleven samples that look like a loss: F̂ begins, and is led back without a step."""
     spike = np.zeros(1600)
@@ -127,7 +127,7 @@ def test_a_spike_is_suspected_compensated_and_forgotten() -> None:
     assert abs(trace.command_2[-1]) < 1e-3 * load
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("latency", [0, 1, 3])
 @pytest.mark.parametrize("rms", [0.0, 2e-2])
 def test_a_channel_that_comes_back_is_cleared_without_a_bump(latency: int, rms: float) -> None:
@@ -141,7 +141,7 @@ def test_a_channel_that_comes_back_is_cleared_without_a_bump(latency: int, rms: 
     assert np.abs(np.diff(trace.command_2[BACK:])).max() < 1.0 / CAR.g2.dc_gain
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_a_reference_through_zero_clears_nothing() -> None:
     """d̂ goes through zero with the command; the loss stays confirmed."""
     reference = np.cos(np.arange(TICKS) * 0.02)
@@ -150,13 +150,13 @@ def test_a_reference_through_zero_clears_nothing() -> None:
     assert (trace.fault_state[LOST + 100 :] == CONFIRMED).all()
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_without_excitation_it_cannot_tell() -> None:
     trace = drive(confirming(noise_rms=1e-3), np.zeros(TICKS))
     assert (trace.fault_state == CANNOT_TELL).all()
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_a_biased_sensor_is_no_loss() -> None:
     """d̂ = -b, as of a loss, but at once."""
     bias = np.where(np.arange(1200) < LOST, 0.0, -0.1)
@@ -179,7 +179,7 @@ def test_a_bias_that_no_command_explains_is_no_loss(value: float) -> None:
     assert answer.command_2 == 0.0
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("left", [0.0, 0.25, 0.5])
 @pytest.mark.parametrize("latency", [1, 2])
 def test_as_much_is_compensated_as_is_lost(left: float, latency: int) -> None:
@@ -191,7 +191,7 @@ def test_as_much_is_compensated_as_is_lost(left: float, latency: int) -> None:
     assert np.abs(trace.error[LOST:]).max() < 4.0 * unavoidable(latency, missing)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("place", [(1.0, 0, 0), (-1.0, 0, 0), (0, 1.0, 0), (0, -1.0, 1.0)])
 def test_another_car_of_the_box_is_no_loss_and_its_loss_is_found(
     place: tuple[float, float, float],

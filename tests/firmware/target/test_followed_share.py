@@ -56,7 +56,7 @@ def test_it_is_the_scalar_kalman_filter_of_the_share(latency: int) -> None:
     np.testing.assert_allclose(shares, expected, rtol=1e-6, atol=1e-9)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("left", [0.0, 0.7])
 def test_a_loss_is_followed_carried_and_given_back(left: float) -> None:
     lost, back, ticks = 1000, 4000, 7000
@@ -76,7 +76,7 @@ def test_a_loss_is_followed_carried_and_given_back(left: float) -> None:
     assert np.abs(trace.error[-500:].mean()) < 0.02
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("latency", [0, 2])
 def test_after_a_reset_a_steady_loop_shows_no_loss(latency: int) -> None:
     """w starts at what the command gives, not at rest."""

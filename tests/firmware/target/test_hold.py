@@ -76,7 +76,7 @@ def drive(table: Record, lost: int | None, missed: int = MISSED) -> Run:
     return run
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("latency", [0, 1, 3])
 def test_f1_goes_on_with_the_commands_that_are_held(latency: int) -> None:
     """In a turn, where a model that stood still would be wrong by what the car has moved on."""
@@ -86,7 +86,7 @@ def test_f1_goes_on_with_the_commands_that_are_held(latency: int) -> None:
     assert not np.isin(run.fault_state, (FaultState.SUSPECTED, FaultState.CONFIRMED)).any()
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("latency", [1, 3])
 def test_so_does_the_model_of_the_loss(latency: int) -> None:
     """d̂ = s w after a loss of all (2.9), before, while and after inputs are missing."""
@@ -97,7 +97,7 @@ def test_so_does_the_model_of_the_loss(latency: int) -> None:
     np.testing.assert_allclose(run.lost[known], run.estimate[known], atol=1e-12)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("latency", [1, 3])
 def test_the_compensation_goes_on(latency: int) -> None:
     """u2 = F̂ w of all commands since the loss, by scipy: of those that were held too.

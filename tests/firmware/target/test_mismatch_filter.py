@@ -103,7 +103,7 @@ def test_a_car_that_has_never_moved_may_be_any() -> None:
     np.testing.assert_allclose(state.memory, 1.0 - constants.forgetting)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("precision", ["float64", "float32"])
 @given(seed=st.integers(0, 2**32 - 1), noise=st.sampled_from([1e-18, 1e-8, 1e-2]),
        moves=st.sampled_from([0.0, 1e-4, 1.0]))  # fmt: skip

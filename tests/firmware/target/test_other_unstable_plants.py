@@ -63,7 +63,7 @@ def drive(
     return np.array(signals).T, np.array(shown).T
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("differs", [(1.03, 0.97, 1.0), (1.02, 1.01, 1.04)])
 @pytest.mark.parametrize("model", PLANTS, ids=lambda plant: plant.name)
 def test_a_plant_that_is_one_of_them_shows_what_is_expected_of_it(

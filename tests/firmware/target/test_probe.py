@@ -108,7 +108,7 @@ def test_probe_is_two_periods_that_swell_and_fade(rad_per_s: float) -> None:
     assert len(torque) * TICK_S == pytest.approx(4 * np.pi / rad_per_s, rel=0.01)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_c_lets_the_probe_pass() -> None:
     """On the car that is the model the torque gets the probe whole, and D* what G1 makes of it."""
     trace = drive(target(), bias=-0.05)
@@ -128,7 +128,7 @@ def test_c_lets_the_probe_pass() -> None:
     np.testing.assert_allclose(trace.measurement - settled.measurement, moved, atol=1e-9)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("rms", [0.0, 0.005])
 @pytest.mark.parametrize("on_confirmation", [False, True])
 @pytest.mark.parametrize(
@@ -147,7 +147,7 @@ def test_a_lost_torque_is_confirmed_and_a_bias_is_not(
         assert FaultState.CONFIRMED in blind.fault_state[LOST:]
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize(
     "changed",
     [
@@ -169,7 +169,7 @@ def test_a_car_that_is_twenty_percent_off_is_not_taken_for_a_loss(
     assert FaultState.CONFIRMED in lost.fault_state[LOST:]
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_while_nothing_is_suspected_there_is_no_probe() -> None:
     with_probe, without = drive(target()), drive(target(probe=0.0))
     np.testing.assert_array_equal(with_probe.command_1, without.command_1)
@@ -181,7 +181,7 @@ def test_a_probe_without_an_answer_finds_nothing_lost() -> None:
     assert end_probe(state.probe) == 0.0
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("left", [0.0, 1.0])
 def test_a_quick_probe_confirms_a_loss_and_no_bias(left: float) -> None:
     table = build(TUNED, target(probe_rad_per_s=60.0))

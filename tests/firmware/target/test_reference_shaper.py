@@ -64,7 +64,7 @@ def test_from_the_braking_speed_equal_decrements_end_at_the_target(distance: flo
     assert speeds[-1] >= -1e-9 * speeds[0]
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @given(st.floats(1e-6, 1e4), st.booleans(), st.floats(-100.0, 100.0))
 def test_a_step_is_followed_in_minimum_time_and_not_beyond(
     distance: float, down: bool, at: float
@@ -92,14 +92,14 @@ def test_a_reference_within_the_limit_comes_through_exactly(accelerations: list[
     np.testing.assert_array_equal(follow(reference), reference)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @given(st.lists(st.floats(-50.0, 50.0), min_size=1, max_size=20), st.floats(-50.0, 50.0))
 def test_comes_to_rest_wherever_it_is_sent(before: list[float], last: float) -> None:
     shaped = follow(np.concatenate([before, np.full(2000, last)]))
     assert (shaped[-1000:] == last).all()
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @settings(max_examples=20)
 @given(st.lists(st.floats(-1e3, 1e3), min_size=2, max_size=20))
 def test_single_precision_runs_the_same_course(values: list[float]) -> None:
@@ -123,7 +123,7 @@ def limited_table(torque_nm: float, share: float):  # type: ignore[no-untyped-de
     )
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("torque_nm", [200.0, 400.0, 1000.0])
 def test_a_raw_step_keeps_off_the_limit_of_the_torque(torque_nm: float) -> None:
     """With half of the limit for r̈, where without shaping the loop hits both limits."""
@@ -137,7 +137,7 @@ def test_a_raw_step_keeps_off_the_limit_of_the_torque(torque_nm: float) -> None:
     assert abs(shaped.error[-1]) < 1e-9
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_a_gentle_reference_gets_the_commands_of_the_loop_without_shaping() -> None:
     plant, t = sample(CAR, TICK_S), TICK_S * np.arange(3000)
     gentle = 1.0 - np.cos(5.0 * t)

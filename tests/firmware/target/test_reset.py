@@ -23,7 +23,7 @@ DESIGN = design(CAR, DesignSpecification())
 OPEN_LOOP = design(chapter_2(), DesignSpecification(tau_s=0.01, feedback=False))
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
 @pytest.mark.parametrize("which", ["reference", "measurement"])
 def test_an_input_that_is_no_number_holds_the_last_good_command(which: str, bad: float) -> None:
@@ -63,7 +63,7 @@ def test_an_overflow_is_forgotten_and_not_kept() -> None:
     assert np.isfinite(after[:3]).all()
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("mismatch", [TRUSTED, other_cars(2)], ids=["trusted", "other cars"])
 @pytest.mark.parametrize("overflow", [1.7e308, -1.7e308])
 def test_an_overflow_of_the_measurement_leaves_a_confirmed_loss_compensated(

@@ -26,7 +26,7 @@ def _drive(firmware: Firmware, reference: np.ndarray, y: np.ndarray) -> np.ndarr
     return np.array([firmware.step(r, m)[:3] for r, m in zip(reference, y, strict=True)])
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @given(y=st.lists(st.floats(-1.0, 1.0), min_size=5, max_size=40))
 def test_algebraic_loop_is_solved_under_saturation(y: list[float]) -> None:
     """u2 = sat(F̂'s answer to the d̂ that this very u2 gives), tick by tick, but for a make-up."""
@@ -43,7 +43,7 @@ def test_algebraic_loop_is_solved_under_saturation(y: list[float]) -> None:
     )
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @settings(max_examples=20)
 @given(
     latency=st.integers(0, 3),
@@ -57,7 +57,7 @@ def test_no_command_leaves_its_limits(latency: int, rule: str, limit: float) -> 
     assert np.abs(trace.command_2).max() <= limit
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_rates_are_limited_and_the_estimator_knows() -> None:
     slow = design(CAR, DesignSpecification(tau_s=0.02, tau_q_s=0.02, alpha_q=3))
     table = build(slow, Target(1e-3, 1, "zoh", rate_1=2000.0, rate_2=5e4))

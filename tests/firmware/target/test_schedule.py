@@ -8,14 +8,15 @@ import numpy as np
 import pytest
 from scipy.linalg import expm
 
-from firmware_model.analysis.changing_plant import changing_plant, follow_changing
+from firmware_model.analysis.changing_plant import NO_WORLD, changing_plant, follow_changing
 from firmware_model.analysis.simulation import Simulation
+from firmware_model.design.vehicle import TABLE_3_2
 from firmware_model.discretisation.sections import Sections
 from firmware_model.firmware import Firmware
 from firmware_model.target import controller
 from firmware_model.target.filters.biquad import advance, at_rest
 from firmware_model.target.schedule import place_of
-from tests.firmware.scheduled import SPEEDS, TARGET, TICK_S, Blended, car, scheduled
+from tests.firmware.scheduled import LAGS, SPEEDS, TARGET, TICK_S, Blended, car, scheduled
 
 OF = scheduled(cars=1)
 
@@ -76,7 +77,7 @@ def test_speeds_beyond_the_designs_are_the_nearest_and_no_number_is_none():
     assert same(at.table, before)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_the_motion_of_the_car_goes_on_at_another_speed():
     """What a cascade remembers, at either speed, by its free response; A and C know the answer."""
     rng = np.random.default_rng(1)
@@ -135,8 +136,8 @@ class Drive:
     """The car itself while its speed changes, for ``Simulation``."""
 
     def __init__(self, at, ticks):
-        changing = changing_plant(car, 20.0, TICK_S)
-        self._speeds = changing.speeds(at, ticks)
+        changing = changing_plant(TABLE_3_2, "physics", LAGS, 20.0, TICK_S)
+        self._speeds = changing.speeds(at, range(ticks))
         n = len(changing.b)
         self._memory = np.zeros(n), np.zeros(n), np.zeros((2, 2)), np.zeros(1)
         self._constants, self._work = changing.constants, changing.work
@@ -144,8 +145,9 @@ class Drive:
 
     def follow(self, *commands):
         self._k += 1
+        speeds = self._speeds[self._k]
         return follow_changing(
-            self._constants, self._memory, self._work, self._speeds, self._k, *commands
+            self._constants, self._memory, self._work, speeds, self._k, *commands, NO_WORLD
         )
 
 
@@ -167,7 +169,7 @@ def healthy_estimate(of, ticks=450):
     return np.abs(loop.trace.fault_estimate).max()
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("cars", range(5))
 def test_a_healthy_car_that_gets_faster_shows_no_fault(cars):
     of = scheduled(cars=cars)
@@ -176,7 +178,7 @@ def test_a_healthy_car_that_gets_faster_shows_no_fault(cars):
     assert healthy_estimate(of) < 0.003 < 0.1 * frozen
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_without_the_turn_of_the_states_it_shows_one():
     of = scheduled()
     turned = healthy_estimate(of)

@@ -34,7 +34,7 @@ def digests(precision: Precision) -> Iterator[str]:
         yield hashlib.sha256(b"".join(part.tobytes() for part in parts)).hexdigest()
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_a_drive_is_bit_identical_compiled_and_interpreted() -> None:
     outputs = lines_compiled_and_interpreted(__file__)
     assert len(set(outputs[0])) == len(PRECISIONS) * TICKS

@@ -139,7 +139,7 @@ def test_with_other_cars_it_is_that_of_all_data_at_once(
     np.testing.assert_allclose(run.evidence[start:], expected, rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("mismatch", [TRUSTED, other_cars(2)], ids=["trusted", "other cars"])
 @pytest.mark.parametrize("colour", [0.0, 0.8])
 def test_noise_takes_a_candidate_beyond_h_as_seldom_as_wald_says(
@@ -160,7 +160,7 @@ def test_noise_takes_a_candidate_beyond_h_as_seldom_as_wald_says(
         assert (largest > h).sum() <= bound + 3.0 * math.sqrt(bound)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("latency", [0, 1, 3, 8])
 @pytest.mark.parametrize("left", [0.0, 0.5])
 def test_without_noise_a_loss_is_found_at_its_first_sample_and_so_is_its_share(
@@ -180,7 +180,7 @@ def test_without_noise_a_loss_is_found_at_its_first_sample_and_so_is_its_share(
     assert trace.command_2[back - 1] == pytest.approx((1.0 - left) * whole, rel=0.05)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("left", [0.0, 0.3, 0.6])
 def test_the_share_is_the_part_of_the_torque_that_is_lost(left: float) -> None:
     """Least squares over all ticks since the start, for a candidate that knows the moment."""

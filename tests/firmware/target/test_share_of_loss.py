@@ -60,7 +60,7 @@ def learn(table: Record, state: Record, residuals: FloatArray, share: float) -> 
         advance_other_cars(table, state)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @settings(max_examples=10)
 @given(share=st.floats(-1.0, 1.0), seed=st.integers(0, 2**32 - 1))
 def test_what_is_forgotten_leaves_what_a_filter_without_the_loss_knows(
@@ -127,7 +127,7 @@ def test_the_doubt_about_a_loss_is_what_the_evidence_leaves_of_it(
     assert state.mismatch.covariance.variances[0] == pytest.approx(variance)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("off", [0.4, -0.4])
 @pytest.mark.parametrize("latency", [0, 2])
 def test_a_share_that_is_off_at_its_confirmation_is_right_a_second_later(
@@ -157,7 +157,7 @@ def test_a_share_that_is_off_at_its_confirmation_is_right_a_second_later(
     assert shares[-1] == pytest.approx((0.5, 0.5), abs=0.05)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("latency", [0, 1])
 @pytest.mark.parametrize("rms", [5e-3, 1e-3, 1e-4])
 @pytest.mark.parametrize("road", ["bend", "curves", "turns"])

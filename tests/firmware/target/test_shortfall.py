@@ -62,7 +62,7 @@ def test_it_is_what_leaves_the_least_energy(short: FloatArray, rule: str, channe
     assert gave(sections, short) == pytest.approx(best, rel=1e-6, abs=1e-9)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @given(shorts, st.floats(0.1, 500.0))
 def test_it_is_no_more_than_a_tick_can_take_back(short: FloatArray, slew: float) -> None:
     sections = RULES["zoh"](CAR.g1, TICK_S)
@@ -79,7 +79,7 @@ def driven(of: Target, makes_up: bool, reference: FloatArray, **how: FloatArray)
     return simulate(table, sample(CAR, TICK_S), reference, **how)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("rate", [1000.0, 5000.0, 50_000.0, np.inf])
 def test_what_a_limit_took_is_given_back(rate: float) -> None:
     """The squares of what D* misses are fewer, whatever the rate, and nothing swings."""
@@ -94,7 +94,7 @@ def test_what_a_limit_took_is_given_back(rate: float) -> None:
     assert np.abs(np.diff(made_up.command_1)).max() <= rate * TICK_S * (1.0 + 1e-12)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 def test_a_saturated_loss_is_made_up_when_the_demand_is_feasible() -> None:
     """1 m/s² takes 3 kN: with 2.5 it is missed, with 0.5 m/s² from then on it is not."""
     free = Target(TICK_S, LATENCY, "zoh", on_confirmation=True)
@@ -138,7 +138,7 @@ def stalled(
     return np.array(measured)
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("latency", [1, 3])
 def test_commands_that_came_too_late_are_made_up_for(latency: int) -> None:
     lost = range(1000, 1020)
@@ -150,7 +150,7 @@ def test_commands_that_came_too_late_are_made_up_for(latency: int) -> None:
     assert made_up[60:].max() < 0.02
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("latency", [1, 3])
 def test_a_lost_motor_stays_lost_while_commands_come_too_late(latency: int) -> None:
     lost = range(1000, 1020)

@@ -85,7 +85,7 @@ rates = st.sampled_from([300.0, 3000.0, math.inf])
 grids = st.sampled_from([0.0, 0.01, 0.5])
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @settings(max_examples=25)
 @given(
     levels=st.lists(st.floats(-2.0, 2.0), min_size=1, max_size=5), latency=st.integers(0, 4),
@@ -112,7 +112,7 @@ def test_on_the_car_that_is_the_model_limits_are_outside_the_loop(
 @settings(max_examples=15)
 @given(level=st.floats(0.1, 2.0), limit=st.floats(60.0, 400.0), rate=st.floats(500.0, 5000.0),
        latency=st.integers(0, 4))  # fmt: skip
-@pytest.mark.long
+@pytest.mark.compiled
 def test_whatever_the_limits_it_comes_to_rest_where_it_can(
     level: float, limit: float, rate: float, latency: int
 ) -> None:
@@ -123,7 +123,7 @@ def test_whatever_the_limits_it_comes_to_rest_where_it_can(
     assert np.abs(np.diff(trace.command_1[-500:])).max() < 1e-6
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("disturbance", [0.2, -0.1])
 @pytest.mark.parametrize("latency", [0, 3])
 def test_a_constant_disturbance_of_y_leaves_no_error(latency: int, disturbance: float) -> None:
@@ -136,7 +136,7 @@ def test_a_constant_disturbance_of_y_leaves_no_error(latency: int, disturbance: 
     assert np.abs(trace.measured[800:] - 1.0).max() < 1e-4
 
 
-@pytest.mark.long
+@pytest.mark.compiled
 @pytest.mark.parametrize("latency", [0, 1, 3])
 @pytest.mark.parametrize("limit_n", [1500.0, 2500.0])
 def test_a_loss_beyond_the_authority_is_followed_again_once_it_can_be(

@@ -63,10 +63,11 @@ def both_by_hand(bus, plant, controller, log=None, real_time=False):
         ("fault.at_s=0.2", "fault.at_s"),
         ("plant.sensor.noise_mps2=0.001", "plant.sensor.noise_mps2"),
         ("limits.torque_nm=300", "limits.torque_nm"),
+        ("disturbance.kind=gust disturbance.force_n=50", "disturbance.kind"),
     ],
 )
 def test_both_end_and_name_the_first_key_that_differs(setting, key, tmp_path):
-    one, other = load("thesis-step", SHORT), load("thesis-step", [*SHORT, setting])
+    one, other = load("thesis-step", SHORT), load("thesis-step", [*SHORT, *setting.split()])
     for plant, controller in ((one, other), (other, one)):
         ended = both_by_hand(f"local:{tmp_path / 'bus'}", plant, controller)
         for name, partner in (("plant", "controller"), ("controller", "plant")):

@@ -181,6 +181,16 @@ def test_only_two_intact_frames_of_their_own_identifiers_are_a_first_contact() -
     assert ends.sent_by_controller == []
 
 
+def test_damaged_frames_between_the_intact_pair_delay_no_first_contact() -> None:
+    ends = Ends()
+    ends.plant.offer(0)
+    reference, feedback = ends.offers
+    others = [damaged(reference), damaged(feedback), elsewhere(reference)]
+    taken = [ends.controller.take(message) for message in (reference, *others, feedback)]
+    assert taken == [False] * 4 + [True]
+    assert ends.controller.expected == 1
+
+
 class Recorded:
     """A replay in which one tick was not answered."""
 

@@ -17,6 +17,8 @@ from can_rig.plant.frameless import frameless
 from can_rig.plant.nonlinear_car import NonlinearCar, _advance, _rates, brush, car_of
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import PlantSettings
+from firmware_model.analysis.changing_plant import changing_plant, follow_changing
+from firmware_model.design.actuator_dynamics import IDEAL
 from firmware_model.target.status import FaultState
 from tests.rig.plant.linear import LinearPlant
 
@@ -45,21 +47,30 @@ def tire(slip, stiffness, grip):
     return stiffness * t - stiffness**2 * t * abs(t) / (3 * grip) + cubic
 
 
-def world_rates(_, x, p, torque, force_difference):
+def calm(p):
+    """The world that pushes nothing, at the begin and at the end of a step."""
+    return np.tile([0.0, 0.0, 0.0, 0.0, 1.0, 1.0, p.speed_mps], (2, 1))
+
+
+def world_rates(time_s, x, p, torque, force_difference, world=None):
     """The car anew, in the plane of the road: vectors, headings and courses, slips by atan2.
 
-    States: heading, course (direction of the velocity), yaw rate, steer rate, steer angle.
+    States: heading, course (direction of the velocity), yaw rate, steer rate, steer angle. At a
+    time ``world`` has side force, yaw moment, bank, torque on the column, both frictions, speed.
     """
     heading, course, yaw_rate, steer_rate, steer = x
     lf, lr = p.front_axle_distance_m, p.rear_axle_distance_m
+    side, turning, bank, kick, mu_f, mu_r, speed = calm(p)[0] if world is None else world(time_s)
     weight = p.friction * p.mass_kg * G / (lf + lr)  # times the other axle's distance: its grip
-    push = np.clip(force_difference, -weight * lf, weight * lf)
-    velocity = p.speed_mps * direction(course)
+    push = np.clip(force_difference, -mu_r * weight * lf, mu_r * weight * lf)
+    velocity = speed * direction(course)
+    stiff_f, stiff_r = p.front_cornering_stiffness_n_per_rad, p.rear_cornering_stiffness_n_per_rad
     axles = (
-        (lf, heading + steer, 2 * p.front_cornering_stiffness_n_per_rad, weight * lr),
-        (-lr, heading, 2 * p.rear_cornering_stiffness_n_per_rad, weight * lf),
+        (lf, heading + steer, 2 * mu_f * stiff_f, mu_f * weight * lr),
+        (-lr, heading, 2 * mu_r * stiff_r, mu_r * weight * lf),
     )
-    total, moment, front = np.zeros(2), p.rear_track_m * push / 2, 0.0
+    total = (side + p.mass_kg * G * math.sin(bank)) * perpendicular(direction(heading))
+    moment, front = p.rear_track_m * push / 2 + turning, 0.0
     for at, wheel_heading, stiffness, grip in axles:
         if at < 0:
             grip = math.sqrt(grip**2 - push**2)  # noqa: PLW2901
@@ -73,11 +84,11 @@ def world_rates(_, x, p, torque, force_difference):
         moment += lever[0] * force[1] - lever[1] * force[0]
         front = size if at > 0 else front
     acceleration = total @ perpendicular(direction(course)) / p.mass_kg
-    column = torque - p.steering_damping_nms_per_rad * steer_rate - p.trail_m * front
+    column = torque + kick - p.steering_damping_nms_per_rad * steer_rate - p.trail_m * front
     return np.array(
         [
             yaw_rate,
-            acceleration / p.speed_mps,
+            acceleration / speed,
             moment / p.yaw_inertia_kgm2,
             column / p.steering_inertia_kgm2,
             steer_rate,
@@ -85,11 +96,18 @@ def world_rates(_, x, p, torque, force_difference):
     )
 
 
-def output(x, p, *commands):
+def specific_force(x, p, *commands, time_s=0.0):
+    """What turns the course, without gravity's part, m/s²."""
+    world = commands[2](time_s) if len(commands) > 2 else calm(p)[0]
+    course_rate = world_rates(time_s, x, p, *commands)[1]
+    return world[6] * course_rate - G * math.sin(world[2]) * math.cos(x[1] - x[0])
+
+
+def output(x, p, *commands, time_s=0.0):
     """D* of (3.8) in those states."""
-    course_rate = world_rates(0.0, x, p, *commands)[1]
-    d, v = p.lateral_weight, p.speed_mps
-    return d * v * course_rate + (1 - d) * v * x[2]
+    v = commands[2](time_s)[6] if len(commands) > 2 else p.speed_mps
+    d = p.lateral_weight
+    return d * specific_force(x, p, *commands, time_s=time_s) + (1 - d) * v * x[2]
 
 
 # --- the tire ------------------------------------------------------------------------------------
@@ -152,6 +170,68 @@ def test_between_ticks_it_is_the_car_of_an_ode_solver(settings, size):
     assert np.abs(differences).max() < 1e-6 * np.abs(reached).max()
 
 
+WORLD = np.array([900.0, 400.0, 0.1, 20.0])
+
+
+@pytest.mark.parametrize("friction", [0.9, 0.4])
+def test_in_wind_on_a_banked_road_with_ice_and_while_the_speed_changes(friction):
+    settings, tick_s = PlantSettings(friction=friction), 0.02
+    generator = np.random.default_rng(11)
+    rows = np.hstack([
+        WORLD * generator.normal(size=(9, 4)),
+        generator.uniform(0.3, 1.2, (9, 2)),
+        np.linspace(6.0, 25.0, 9)[:, None],
+    ])  # fmt: skip
+
+    def world(time_s):
+        times_s = tick_s * np.arange(len(rows))
+        return [np.interp(time_s, times_s, column) for column in rows.T]
+
+    car, x = NonlinearCar(settings), np.zeros(5)
+    errors, reached = [], []
+    for k, (torque, push) in enumerate(generator.normal(0.0, [150.0, 400.0], (8, 2))):
+        given, end_s = (settings, torque, push, world), (k + 1) * tick_s
+        x = solve_ivp(
+            world_rates, (end_s - tick_s, end_s), x, args=given,
+            method="DOP853", rtol=1e-11, atol=1e-12, max_step=1e-3,
+        ).y[:, -1]  # fmt: skip
+        d_star = car.advance(tick_s, torque, push, rows[k : k + 2])
+        read = list(car.witnesses().values())
+        expected = [x[2], specific_force(x, *given, time_s=end_s), x[4], x[3]]
+        errors.append([d_star - output(x, *given, time_s=end_s), *np.subtract(read, expected)])
+        reached.append(expected)
+    assert np.abs(reached).max() > 1.0
+    assert np.abs(errors).max() < 1e-6
+
+
+def test_a_world_of_little_strength_acts_as_on_the_linear_car_from_standstill_on():
+    """Also where the equations are regular; halving all leaves a quarter of the difference."""
+    ticks, tick_s, k = 150, 0.01, np.arange(151)[:, None]
+    speeds, friction = 12.0 * (k / ticks) ** 2, 1.0 - 0.5 * np.sin(k / [20.0, 30.0]) ** 2
+    push = WORLD * np.sin(k / [17.0, 15.0, 31.0, 9.0])
+    changing = changing_plant(CAR, "physics", (IDEAL, IDEAL, IDEAL), 12.0, tick_s)
+    times_s = tick_s * k[:, 0]
+    within = changing.speeds(lambda at: np.interp(at, times_s, speeds[:, 0]), range(ticks))
+
+    def difference(size):
+        world, nonlinear = np.hstack([size * push, friction]), NonlinearCar(CAR)
+        memory, found = (np.zeros(4), np.zeros(4), np.zeros((2, 2)), np.zeros(1)), []
+        for each in range(ticks):
+            rows = world[each : each + 2]
+            linear, _ = follow_changing(
+                changing.constants, memory, changing.work, within[each], each, size * 30.0, 0.0,
+                1.0, 1.0, rows,
+            )  # fmt: skip
+            around = np.hstack([rows, speeds[each : each + 2]])
+            found.append(nonlinear.advance(tick_s, size * 30.0, 0.0, around) - linear)
+        return np.abs(found).max()
+
+    differences = [difference(size) for size in (0.02, 0.01, 0.005)]
+    assert differences[0] < 1e-2
+    for coarse, fine in pairwise(differences):
+        assert coarse / fine == pytest.approx(4.0, rel=0.2)
+
+
 @pytest.mark.parametrize(
     ("torque", "push", "friction"),
     [(40.0, 0, 0.9), (200.0, 500, 0.9), (0, 2989, 0.9), (60, 0, 0.3)],
@@ -205,7 +285,7 @@ def test_the_integration_is_of_order_4():
 
     def end(steps):
         state = start.copy()
-        _advance(car, state, 0.1 / steps, steps, 60.0, 500.0)
+        _advance(car, state, 0.1 / steps, steps, 60.0, 500.0, calm(CAR))
         return state
 
     exact = end(4000)
@@ -223,8 +303,7 @@ def test_a_tick_is_steps_of_at_most_1_ms():
         assert one.state == many.state
 
 
-def test_a_car_that_creeps_is_stiff_and_still_right():
-    """At 0.02 m/s the fastest mode is 9700 rad/s, which steps of 1 ms would not survive."""
+def test_a_car_that_creeps_is_right():
     settings = PlantSettings(speed_mps=0.02)
     nonlinear, linear = NonlinearCar(settings), LinearPlant(settings)
     outputs = [(nonlinear.advance(0.01, 1e-3, 0.0), linear.advance(0.01, 1e-3, 0.0))
@@ -270,7 +349,7 @@ def test_what_the_rear_wheels_push_they_cannot_hold_sideways():
     steer = math.atan(car.lf * yaw_rate / car.v)
     state = np.array([beta, yaw_rate, 0.0, steer])
     for part, left in ((0.0, 1.0), (0.6, 0.8), (-0.8, 0.6), (1.0, 0.0), (7.0, 0.0)):
-        rates = _rates(car, state, 0.0, part * car.grip_r)
+        rates = _rates(car, state, 0.0, part * car.grip_r, calm(settings)[0])
         assert rates[4] * car.m == pytest.approx(left * car.grip_r, abs=1e-6)
         push = np.clip(part, -1, 1) * car.grip_r
         moment = car.half_track * push - car.lr * left * car.grip_r

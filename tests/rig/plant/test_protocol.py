@@ -188,7 +188,7 @@ def test_every_plant_of_this_package_is_one():
     for settings in (*(PlantSettings(kind=kind) for kind in kinds), load("chapter-2").plant):
         assert plant_behind(settings, 0.001).follow(0.0, 0.0, 1.0, 1.0) == (0, 0)
     names = [name for name in inspect.signature(NonlinearCar.advance).parameters if name != "self"]
-    assert names == ["dt_s", "torque_nm", "force_difference_n"]
+    assert names == ["dt_s", "torque_nm", "force_difference_n", "world"]
 
 
 def test_a_run_starts_from_rest_and_asks_tick_by_tick():

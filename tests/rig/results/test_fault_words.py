@@ -4,8 +4,9 @@ from __future__ import annotations
 
 import pytest
 
-from can_rig.drawing.fault_words import fault_in_words, fault_label
+from can_rig.drawing.fault_words import disturbance_in_words, fault_in_words, fault_label
 from can_rig.drawing.names import CAR
+from can_rig.scenario.disturbance_settings import DisturbanceSettings
 from can_rig.scenario.fault_settings import FaultSettings
 
 WORDS = {
@@ -44,3 +45,31 @@ def test_a_fault_after_the_end_says_so() -> None:
         "steering torque lost at 10 s, after the end of the run (frames missing)"
     )
     assert fault_label(FaultSettings("sensor-dead"), CAR) == "D* lost"
+
+
+@pytest.mark.parametrize(
+    ("disturbance", "words"),
+    [
+        (DisturbanceSettings("gust", 3.0, 2.0, force_n=-600.0), "gust of -600 N from 3 s to 5 s"),
+        (
+            DisturbanceSettings("turbulence", 0.0, intensity_n=80.0, length_m=20.0),
+            "turbulence of 80 N rms from 0 s",
+        ),
+        (DisturbanceSettings("bank", bank_percent=4.0), "road banked by 4 % from 5 s"),
+        (
+            DisturbanceSettings("friction", 30.0, front=0.5, rear=0.4),
+            "friction factor of the front axle 0.5 and the rear axle 0.4 from 30 s, "
+            "after the end of the run",
+        ),
+        (
+            DisturbanceSettings("friction", rear=0.4),
+            "friction factor of the rear axle 0.4 from 5 s",
+        ),
+        (
+            DisturbanceSettings("steering-kick", 1.0, 0.5, torque_nm=2.0),
+            "steering kick of 2 N m from 1 s to 1.5 s",
+        ),
+    ],
+)
+def test_a_disturbance_in_words(disturbance: DisturbanceSettings, words: str) -> None:
+    assert disturbance_in_words(disturbance, 20.0) == words

@@ -63,12 +63,17 @@ def test_no_label_leaves_the_page(tmp_path: Path, amplitude: float) -> None:
         assert axis.yaxis.get_tightbbox().x0 > 0.0
 
 
-def test_the_loss_is_shaded_where_it_was(tmp_path: Path) -> None:
-    page = drawn(tmp_path, "thesis-step", "fault.for_s=0.05")
+def test_loss_and_gust_are_shaded_where_they_were(tmp_path: Path) -> None:
+    gust = "disturbance={kind='gust', at_s=0.12, for_s=0.06, force_n=1}"
+    page = drawn(tmp_path, "thesis-step", "fault.for_s=0.05", gust)
     for axis in page.axes:
         (span,) = (p for p in axis.patches if p.get_facecolor()[:3] == to_rgb(SHADE))
         assert span.get_extents().transformed(axis.transData.inverted()).intervalx == pytest.approx(
             [0.1, 0.15]
+        )
+        (wind,) = (p for p in axis.patches if p is not span)
+        assert wind.get_extents().transformed(axis.transData.inverted()).intervalx == pytest.approx(
+            [0.12, 0.18]
         )
 
 

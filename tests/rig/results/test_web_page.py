@@ -26,6 +26,7 @@ from can_rig.scenario.settings import Scenario
 
 SHORT = ["duration_s=1.5", "fault.at_s=0.8", "fault.1.kind=frames-missing", "fault.1.at_s=0.2"]
 SHORT += ["fault.1.channel=sensor", "fault.1.for_s=0.05", "description=</script>"]
+SHORT += ["disturbance={kind='gust', at_s=0.3, for_s=0.2, force_n=50}"]
 
 
 @pytest.fixture(scope="module")
@@ -64,17 +65,29 @@ def test_the_numbers_are_those_of_the_run(ran: tuple[Scenario, Signals, str]) ->
     names = [curve["label"] for panel in run["panels"] for curve in panel["curves"]]
     at = names.index("commanded")
     np.testing.assert_array_equal(curves[at], signals.torque_nm.astype(np.float32))
-    assert [(shade["begin"], shade["end"]) for shade in run["shades"]] == [(0.8, None), (0.2, 0.25)]
+    assert [(shade["begin"], shade["end"]) for shade in run["shades"]] == [
+        (0.8, None),
+        (0.2, 0.25),
+        (0.3, 0.5),
+    ]
 
 
 def test_the_page_says_what_happened_and_what_was_run(ran: tuple[Scenario, Signals, str]) -> None:
     scenario, signals, page = ran
-    for text in ("detection_delay_s", "fault.1.channel", "default: 2 faults", "plant.speed_mps"):
+    for text in (
+        "detection_delay_s",
+        "fault.1.channel",
+        "default: 2 faults",
+        "gust of 50 N from 0.3 s to 0.5 s",
+        "plant.speed_mps",
+    ):
         assert text in page
     said = [(round(e.time_s, 6), e.text) for e in events(scenario, network_of(scenario), signals)]
     assert (0.2, "fault begins: D* lost") in said
     assert (0.25, "fault ends: D* lost") in said
     assert (0.2, "mode: HOLD") in said
+    assert (0.3, "disturbance begins: gust of 50 N") in said
+    assert (0.5, "disturbance ends: gust of 50 N") in said
     assert (0.8, "fault begins: steering torque lost") in said
     suspected = [time_s for time_s, text in said if text == "fault state: SUSPECTED"]
     assert suspected

@@ -91,14 +91,21 @@ def test_one_panel_a_unit_words_on_the_axis_and_a_date(car: Path) -> None:
 
 
 def test_a_run_folder_has_its_own_dbc_and_fault(tmp_path: Path) -> None:
-    log, _, scenario = record(tmp_path, "duration_s=0.05", "fault.at_s=0.02")
+    log, _, scenario = record(
+        tmp_path,
+        "duration_s=0.05",
+        "fault.at_s=0.02",
+        "disturbance={kind='gust', at_s=0.01, for_s=0.03, force_n=30}",
+    )
     messages = decode_log(log, DBC / "steer_by_wire.dbc")
-    page = plot_page(messages, [("DSTAR_FEEDBACK", "DStar")], 0, scenario.faults)
+    page = plot_page(messages, [("DSTAR_FEEDBACK", "DStar")], 0, scenario)
     (axis,) = page.axes
-    (span,) = axis.patches
-    low, high = span.get_extents().transformed(axis.transData.inverted()).intervalx
-    assert (low, high) == pytest.approx((0.02, 0.049001))
-    bare = plot_page(messages, [("DSTAR_FEEDBACK", "DStar")], 0, ())
+    spans = [
+        patch.get_extents().transformed(axis.transData.inverted()).intervalx
+        for patch in axis.patches
+    ]
+    assert np.array(spans) == pytest.approx(np.array([[0.02, 0.049001], [0.01, 0.04]]))
+    bare = plot_page(messages, [("DSTAR_FEEDBACK", "DStar")], 0)
     assert not bare.axes[0].patches
 
 

@@ -1,0 +1,182 @@
+"""The world of a run, tick by tick: wind, banked roads, slippery patches, kicks on the column.
+
+All inputs are straight lines between two ticks, by definition, and a run begins in a calm world.
+Any window of a run has the values that the whole run has, so a long run is computed in pages.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from typing import Final
+
+import numpy as np
+
+from can_rig.scenario.disturbance_settings import DisturbanceSettings
+from can_rig.scenario.driving import speed_profile
+from can_rig.scenario.settings import Scenario
+from firmware_model.analysis.changing_plant import FRONT_FRICTION, REAR_FRICTION, WORLD_ROW
+from firmware_model.compiled import compiled
+from firmware_model.design.vehicle import WORLD
+from firmware_model.target.structs import FloatArray
+
+FORCE, MOMENT, BANK, KICK = range(4)
+"""The places of ``vehicle.WORLD`` in a row."""
+
+BLOCK: Final = 4096
+"""Ticks of a page, and of turbulence with a random generator of its own."""
+
+COLUMNS: Final = (*WORLD, "front_friction", "rear_friction")
+"""Names of a row's values."""
+
+
+CALM: Final[FloatArray] = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0])
+
+
+class Disturbances:
+    """The disturbances of a scenario.
+
+    Raises:
+        ScenarioError: an invalid drive; turbulence needs the speed.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self._tick_ns = scenario.tick_ns
+        self._parts = [
+            (each, _turbulence(scenario, number) if each.kind == "turbulence" else None)
+            for number, each in enumerate(scenario.disturbance)
+            if each.kind != "none"
+        ]
+        self.is_calm = not self._parts
+        """Whether nothing ever pushes, on a dry road."""
+        self._page_at, self._page = -1, np.zeros((0, WORLD_ROW))
+        self.changes_friction = any(each.kind == "friction" for each, _ in self._parts)
+
+    def during(self, tick: int) -> FloatArray:
+        """(2, ``WORLD_ROW``), the world at ``tick`` and at the next, for ticks in any order."""
+        first = tick - tick % BLOCK
+        if first != self._page_at:
+            self._page_at, self._page = first, self.at(range(first, first + BLOCK + 1))
+        return self._page[tick - first : tick - first + 2]
+
+    def report(self, tick: int) -> dict[str, float]:
+        """The world at ``tick``, by column."""
+        return dict(zip(COLUMNS, self.during(tick)[0].tolist(), strict=True))
+
+    def at(self, ticks: range) -> FloatArray:
+        """(len(ticks), ``WORLD_ROW``), the world at consecutive ``ticks`` from 0 on.
+
+        A row has the values of ``COLUMNS``.
+        """
+        rows = np.tile(CALM, (len(ticks), 1))
+        for each, turbulence in self._parts:
+            share = level(each, ticks, self._tick_ns)
+            if each.kind in {"gust", "turbulence"}:
+                force = (each.force_n or 0.0) * share
+                if turbulence is not None:
+                    force = (each.intensity_n or 0.0) * share * turbulence.at(ticks)
+                rows[:, FORCE] += force
+                rows[:, MOMENT] += (each.arm_m or 0.0) * force
+            elif each.kind == "bank":
+                rows[:, BANK] += math.atan((each.bank_percent or 0.0) / 100.0) * share
+            elif each.kind == "steering-kick":
+                rows[:, KICK] += (each.torque_nm or 0.0) * share
+            else:
+                for place, factor in ((FRONT_FRICTION, each.front), (REAR_FRICTION, each.rear)):
+                    if factor is not None:
+                        rows[:, place] *= 1.0 + (factor - 1.0) * share
+        if ticks.start == 0:
+            rows[:1] = CALM
+        return rows
+
+
+def level(disturbance: DisturbanceSettings, ticks: range, tick_ns: int) -> FloatArray:
+    """(len(ticks),), 0..1: how far the disturbance has risen, or not yet fallen.
+
+    A disturbance without a ramp acts at the ticks from its begin to before its end, as faults do.
+    """
+    begin_ns, end_ns = disturbance.span_ns
+    now_ns = np.arange(ticks.start, ticks.stop, dtype=np.int64) * tick_ns
+    if disturbance.ramp == 0.0:
+        return ((now_ns >= begin_ns) & (now_ns < end_ns)).astype(np.float64)
+    ramp_ns = disturbance.ramp * 1e9
+    rising = np.minimum(now_ns - begin_ns, end_ns - now_ns) / ramp_ns
+    risen = np.clip(rising, 0.0, 1.0)
+    if disturbance.shape == "ramp":
+        return risen
+    return 0.5 - 0.5 * np.cos(np.pi * risen)
+
+
+def _turbulence(scenario: Scenario, number: int) -> Turbulence:
+    """Of the disturbance with this ``number``."""
+    length_m = scenario.disturbance[number].length_m or 1.0
+    tick_s = scenario.tick_ns * 1e-9
+    if scenario.drive.is_given:
+        profile = speed_profile(scenario)
+        return Turbulence(
+            scenario.seed,
+            number,
+            lambda ticks: np.exp(-profile(ticks * tick_s) * tick_s / length_m),
+        )
+    memory = math.exp(-scenario.plant.speed_mps * tick_s / length_m)
+    return Turbulence(scenario.seed, number, lambda ticks: np.full(len(ticks), memory))
+
+
+class Turbulence:
+    """Wind of rms 1 through which the car drives, as noise of first order.
+
+        n(k) = p n(k-1) + √(1 - p²) w(k),   p = e^(-V T/L),   w white with rms 1
+
+    at the speed V, for the wind's length L: exact at the ticks, and of rms 1 at every speed. In a
+    standing car the wind stays.
+
+    Args:
+        seed: of the scenario.
+        number: of the disturbance, so that two of them differ.
+        memory: p at these ticks, (n,) to (n,).
+    """
+
+    def __init__(self, seed: int, number: int, memory: Callable[[FloatArray], FloatArray]) -> None:
+        self._seed, self._number, self._memory = seed, number, memory
+        self._last: list[float] = []  # of each block that was computed
+        self._held, self._values = -1, np.zeros(0)
+
+    def at(self, ticks: range) -> FloatArray:
+        """(len(ticks),), at consecutive ``ticks`` from 0 on."""
+        found = np.zeros(len(ticks))
+        at = ticks.start
+        while at < ticks.stop:
+            block = at // BLOCK
+            end = min(ticks.stop, (block + 1) * BLOCK)
+            values = self._block(block)
+            found[at - ticks.start : end - ticks.start] = values[
+                at - block * BLOCK : end - block * BLOCK
+            ]
+            at = end
+        return found
+
+    def _block(self, block: int) -> FloatArray:
+        while len(self._last) < block:
+            self._compute(len(self._last))
+        if self._held != block:
+            self._compute(block)
+        return self._values
+
+    def _compute(self, block: int) -> None:
+        source = np.random.SeedSequence(self._seed, spawn_key=(self._number, block))
+        drawn = np.random.Generator(np.random.PCG64(source)).standard_normal(BLOCK)
+        memory = self._memory(np.arange(block * BLOCK, (block + 1) * BLOCK, dtype=np.float64))
+        if block == 0:
+            memory[0] = 0.0  # a stationary start
+        coloured(drawn, memory, self._last[block - 1] if block else 0.0)
+        self._held, self._values = block, drawn
+        if block == len(self._last):
+            self._last.append(float(drawn[-1]))
+
+
+@compiled
+def coloured(drawn: FloatArray, memory: FloatArray, last: float) -> None:
+    """Noise of first order from white noise, in place; ``last`` is the value before."""
+    for k in range(len(drawn)):
+        last = memory[k] * last + math.sqrt(1.0 - memory[k] ** 2) * drawn[k]
+        drawn[k] = last

@@ -1,0 +1,97 @@
+"""The keys of a disturbance: what the world does to the car, when, and how strongly.
+
+A scenario has any number of disturbances; pushes add up, and friction factors multiply.
+"""
+
+from __future__ import annotations
+
+from dataclasses import fields
+from typing import Annotated, Final, Literal
+
+from pydantic import Field
+from pydantic.dataclasses import dataclass
+
+from can_rig.scenario.fault_settings import FOR_GOOD_NS, MAX_DURATION_S, Moment
+from can_rig.scenario.plant_settings import STRICT
+
+DisturbanceKind = Literal["none", "gust", "turbulence", "bank", "friction", "steering-kick"]
+
+NEEDED: Final[dict[str, tuple[str, ...]]] = {
+    "gust": ("force_n",),
+    "turbulence": ("intensity_n", "length_m"),
+    "bank": ("bank_percent",),
+    "friction": ("front", "rear"),
+    "steering-kick": ("torque_nm",),
+}
+"""The keys that each kind must have; friction needs one of its keys at least."""
+
+OPTIONAL: Final = {"gust": ("arm_m",), "turbulence": ("arm_m",)}
+RAMP_S: Final = 0.3
+
+Force = Annotated[float, Field(ge=-1e5, le=1e5)]
+Arm = Annotated[float, Field(ge=-50.0, le=50.0)]
+Friction = Annotated[float, Field(ge=0.01, le=2.0)]
+
+
+@dataclass(frozen=True, config=STRICT)
+class DisturbanceSettings:
+    """One disturbance from ``at_s`` on, endless or for ``for_s`` seconds.
+
+    It rises and falls within ``ramp_s``, in a straight line or as half a cosine. All keys from
+    ``force_n`` on belong to single kinds.
+    """
+
+    kind: DisturbanceKind
+    at_s: Moment = 5.0
+    for_s: Annotated[float, Field(gt=0.0, le=MAX_DURATION_S)] | None = None
+    ramp_s: Moment | None = None
+    shape: Literal["ramp", "one-minus-cosine"] = "ramp"
+    force_n: Force | None = None
+    arm_m: Arm | None = None
+    intensity_n: Annotated[float, Field(gt=0.0, le=1e5)] | None = None
+    length_m: Annotated[float, Field(ge=0.1, le=1e5)] | None = None
+    bank_percent: Annotated[float, Field(ge=-100.0, le=100.0)] | None = None
+    front: Friction | None = None
+    rear: Friction | None = None
+    torque_nm: Force | None = None
+
+    def __post_init__(self) -> None:
+        if self.kind == "none":
+            return
+        needed = NEEDED[self.kind]
+        missing = [key for key in needed if getattr(self, key) is None]
+        if missing == list(needed) or (missing and self.kind != "friction"):
+            raise ValueError(f"{missing[0]}: must be set for {self.kind!r}")
+        own = (*needed, *OPTIONAL.get(self.kind, ()))
+        for key in OWN_KEYS:
+            value = getattr(self, key)
+            if value is not None and key not in own:
+                raise ValueError(
+                    f"{key} = {value:g}: says nothing of {self.kind!r}; must be {' or '.join(own)}"
+                )
+        if self.for_s is not None and self.ramp > 0.5 * self.for_s:
+            raise ValueError(
+                f"ramp_s = {self.ramp:g}: must be at most {0.5 * self.for_s:g}, half of for_s"
+            )
+
+    @property
+    def ramp(self) -> float:
+        """The time of the rise and of the fall, s; by default a cosine fills all of ``for_s``."""
+        if self.ramp_s is not None:
+            return self.ramp_s
+        if self.for_s is None:
+            return RAMP_S
+        half = 0.5 * self.for_s
+        return half if self.shape == "one-minus-cosine" else min(RAMP_S, half)
+
+    @property
+    def span_ns(self) -> tuple[int, int]:
+        """Begin and end; whole nanoseconds, so that rounding never shifts a tick."""
+        begin_ns = round(self.at_s * 1e9)
+        if self.for_s is None:
+            return begin_ns, FOR_GOOD_NS
+        return begin_ns, begin_ns + round(self.for_s * 1e9)
+
+
+OWN_KEYS: Final = tuple(field.name for field in fields(DisturbanceSettings))[5:]
+"""The keys that belong to single kinds."""

@@ -1,0 +1,269 @@
+"""A car that the world pushes, against an independent integration of its equations of motion."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_model.analysis.changing_plant import (
+    NO_WORLD,
+    changing_plant,
+    follow_changing,
+    specific_force,
+)
+from firmware_model.analysis.pushed_plant import follow_pushed, pushed_plant, witness
+from firmware_model.analysis.sampled_plant import follow, sample
+from firmware_model.design.actuator_dynamics import IDEAL, Stage, behind
+from firmware_model.design.plants import Plant, steer_by_wire
+from firmware_model.design.vehicle import (
+    LOW_SPEED_MPS,
+    TABLE_3_2,
+    WITNESSES,
+    regular_speed,
+    single_track,
+    vehicle_state_space,
+)
+from firmware_model.errors import ParameterError
+from tests.firmware.analysis.world import Integrated, regular
+
+LAGS = (Stage(0.005), Stage(0.015), Stage(0.002))
+DEAD = (Stage(0.005, dead_time_s=0.0073), Stage(0.015, dead_time_s=0.0021), Stage(0.002))
+IMMEDIATE = (IDEAL, IDEAL, IDEAL)
+SENSED_LATE = (IDEAL, Stage(0.015), Stage(dead_time_s=0.0034))
+ALL = [LAGS, DEAD, IMMEDIATE, SENSED_LATE]
+TICK_S, TICKS = 2e-3, 30
+SIZES = np.array([800.0, 300.0, 0.08, 5.0])
+DRY = np.ones((TICKS + 1, 2))
+
+
+def commands(ticks=TICKS):
+    k = np.arange(ticks)
+    return np.stack([80.0 * np.sin(k / 9.0), 500.0 * np.cos(k / 5.0)], axis=1)
+
+
+def inputs(seed=5, ticks=TICKS):
+    return SIZES * np.random.default_rng(seed).normal(size=(ticks + 1, 4))
+
+
+def at_constant_speed(plant, world, given):
+    """Output and reading of every tick, and the states at its begin."""
+    pushed = pushed_plant(plant, TICK_S)
+    memory, found, states = pushed.sampled.memory, [], []
+    for k, u in enumerate(given):
+        states.append(memory[0].copy())
+        found.append(follow_pushed(pushed.constants, memory, k, *u, 1.0, 1.0, world[k : k + 2]))
+    return np.array(found), np.array(states), pushed
+
+
+def changing(world, given, speed, stages=IMMEDIATE, tick_s=TICK_S, car=TABLE_3_2, left=(1, 1)):
+    """Output and reading of every tick, and what an accelerometer reads at its begin."""
+    made = changing_plant(car, "physics", stages, 40.0, tick_s)
+    n = len(made.b)
+    memory = (
+        np.zeros(n), np.zeros(n), np.zeros((max(made.dead_ticks) + 2, 2)),
+        np.zeros(made.sensor_dead_ticks + 1),
+    )  # fmt: skip
+    constants, work, found, forces = made.constants, made.work, [], []
+    speeds = made.speeds(np.vectorize(speed), range(len(given)))
+    for k, u in enumerate(given):
+        rows = NO_WORLD if world is None else np.ascontiguousarray(world[k : k + 2])
+        forces.append(specific_force(constants, memory[0], speed(k * tick_s), rows))
+        left_1, left_2 = map(float, left)
+        found.append(
+            follow_changing(constants, memory, work, speeds[k], k, *u, left_1, left_2, rows)
+        )
+    return np.array(found), np.array(forces), memory
+
+
+@pytest.mark.every_case
+@pytest.mark.parametrize("stages", ALL)
+def test_at_constant_speed_the_world_acts_as_an_ode_solver_says(stages):
+    car = replace(TABLE_3_2, speed_mps=17.0)
+    world = inputs()
+    found, states, pushed = at_constant_speed(
+        behind(steer_by_wire(car), *stages), world, commands()
+    )
+    solved = Integrated(car, stages, TICK_S, commands(), np.hstack([world, DRY]), lambda _: 17.0)
+    expected = solved.answers()
+    assert np.abs(found - expected).max() < 1e-8 * np.abs(expected).max()
+    for k in (0, 7, 20):
+        x = solved.state(k * TICK_S)
+        read = [x[1], solved.accelerometer(k * TICK_S, x), x[3], x[2]]
+        rows = [
+            witness(pushed.rows, pushed.direct, states[k], world[k : k + 2], each)
+            for each in range(len(WITNESSES))
+        ]
+        assert rows == pytest.approx(read, rel=1e-7, abs=1e-10)
+
+
+def speeding(time_s):
+    return 3.0 + 60.0 * time_s + 2.0 * math.sin(40.0 * time_s)
+
+
+@pytest.mark.every_case
+@pytest.mark.parametrize("stages", ALL)
+def test_while_speed_and_friction_change_too(stages):
+    k = np.arange(TICKS + 1)[:, None]
+    world = np.hstack([inputs(), 0.7 + 0.4 * np.sin(k / [6.0, 9.0])])
+    found, forces, _ = changing(world, commands(), speeding, stages)
+    solved = Integrated(TABLE_3_2, stages, TICK_S, commands(), world, speeding)
+    expected = solved.answers()
+    error, size = np.abs(found - expected).max(axis=0), np.abs(expected).max(axis=0)
+    assert error[0] < 1e-6 * size[0]
+    assert error[1] < (1e-4 if stages[2].lag_s else 1e-6) * size[1]  # a lag of one tick
+    felt = [solved.accelerometer(k * TICK_S, solved.state(k * TICK_S)) for k in range(TICKS)]
+    assert np.abs(forces - felt).max() < 1e-6 * np.abs(felt).max()
+
+
+def test_the_error_falls_with_the_fourth_power_of_the_tick():
+    """Inputs and friction are straight lines, which ticks of any length sample exactly."""
+    end_s, u = 0.24, np.array([[100.0, 500.0]])
+
+    def world(ticks):
+        part = np.linspace(0.0, 1.0, ticks + 1)[:, None]
+        return np.hstack([SIZES * (1 - 2 * part), 1.0 - part * [0.6, 0.3]])
+
+    stages = (Stage(0.02), Stage(0.05), Stage(0.03))
+    exact = Integrated(TABLE_3_2, stages, end_s, u, world(1), speeding).state(end_s)
+    errors = []
+    for ticks in (12, 24, 48):
+        given = np.repeat(u, ticks, axis=0)
+        *_, memory = changing(world(ticks), given, speeding, stages, end_s / ticks)
+        errors.append(np.abs(memory[0] - exact).max() / np.abs(exact).max())
+    assert errors[-1] < 1e-5
+    for coarse, fine in pairwise(errors):
+        assert 12.0 < coarse / fine < 20.0
+
+
+@pytest.mark.every_case
+@pytest.mark.parametrize("speed", [0.05, 1.3, 2.0, 25.0])
+@pytest.mark.parametrize("variant", ["physics", "published"])
+def test_a_constant_speed_and_road_is_exact(speed, variant):
+    """Both steps, and the plant of these conditions in one matrix."""
+    car, friction = replace(TABLE_3_2, speed_mps=speed), (0.4, 0.7)
+    (a, b, c), at = single_track(car, variant, friction)
+    plant = behind(Plant.from_state_space("slippery", a, b, c, at), *LAGS)
+    expected, states, pushed = at_constant_speed(plant, inputs(), commands())
+    made = changing_plant(car, variant, LAGS, 40.0, TICK_S)
+    world = np.hstack([inputs(), np.tile(friction, (TICKS + 1, 1))])
+    memory, constants, work = pushed.sampled.memory, made.constants, made.work
+    speeds = made.speeds(lambda time_s: np.full(time_s.shape, speed), range(TICKS))
+    found = []
+    for k, u in enumerate(commands()):
+        rows = world[k : k + 2]
+        assert specific_force(constants, memory[0], speed, rows) == pytest.approx(
+            witness(pushed.rows, pushed.direct, states[k], rows, 1), rel=1e-9, abs=1e-9
+        )
+        found.append(follow_changing(constants, memory, work, speeds[k], k, *u, 1.0, 1.0, rows))
+    assert np.abs(found - expected).max() < 1e-10 * np.abs(expected).max()
+
+
+def test_what_acts_together_is_the_sum_of_what_acts_alone():
+    one, other = inputs(1), inputs(2)
+    still = np.zeros((TICKS, 2))
+    plant = behind(steer_by_wire(), *DEAD)
+    together, *_ = at_constant_speed(plant, one + other, commands())
+    alone = [
+        at_constant_speed(plant, *given)[0]
+        for given in ((one, still), (other, still), (0.0 * one, commands()))
+    ]
+    assert np.abs(sum(alone) - together).max() < 1e-12 * np.abs(together).max()
+
+
+@pytest.mark.every_case
+@pytest.mark.parametrize("stages", ALL)
+def test_a_calm_world_changes_no_bit(stages):
+    calm = np.hstack([np.zeros((TICKS + 1, 4)), DRY])
+    quiet, *_ = changing(None, commands(), speeding, stages)
+    pushed, *_ = changing(calm, commands(), speeding, stages)
+    assert (quiet == pushed).all()
+    plant = behind(steer_by_wire(), *stages)
+    found, *_ = at_constant_speed(plant, calm, commands())
+    sampled = sample(plant, TICK_S)
+    memory = sampled.memory
+    alone = [follow(sampled.constants, memory, k, *u, 1.0, 1.0) for k, u in enumerate(commands())]
+    assert (found == alone).all()
+
+
+# --- from standstill to motorway ------------------------------------------------------------------
+
+
+def test_the_regular_speed_is_the_speed_but_where_a_car_creeps():
+    for speed in (2.0, 3.7, 50.0):
+        assert regular_speed(speed) == speed
+    for speed in (0.0, 0.3, 1.1, 1.999):
+        assert regular_speed(speed) == pytest.approx(regular(speed), rel=1e-12)
+    h = 1e-4
+    near = [regular_speed(LOW_SPEED_MPS + k * h) for k in (-2, -1, 0, 1)]
+    assert np.diff(near) / h == pytest.approx(1.0, abs=1e-7)  # no jump of the slope
+    assert np.diff(near, 2) / h**2 == pytest.approx(0.0, abs=1e-3)  # nor of the curvature
+
+
+def steady(speed, lateral_weight=0.5):
+    """Yaw rate and D* of a steadily turning car, for a steer angle of 1 rad."""
+    car = replace(TABLE_3_2, speed_mps=speed, lateral_weight=lateral_weight)
+    a, b, c = vehicle_state_space(car)
+    x = np.linalg.solve(a, -b[:, 0])
+    return x[1] / x[3], (c @ x)[0] / x[3]
+
+
+def test_a_creeping_car_is_the_kinematic_car():
+    length = TABLE_3_2.front_axle_distance_m + TABLE_3_2.rear_axle_distance_m
+    for speed in (0.01, 0.1, 0.5, 1.0):
+        yaw_rate, d_star = steady(speed)
+        assert yaw_rate == pytest.approx(speed / length, rel=4e-3 * speed)
+        assert d_star == pytest.approx(speed**2 / length, rel=4e-3 * speed)
+
+
+def test_nothing_jumps_where_the_equations_become_regular():
+    h = 1e-5
+    below, at, above = (np.array(steady(LOW_SPEED_MPS + k * h)) for k in (-1, 0, 1))
+    slope_below, slope_above = (at - below) / h, (above - at) / h
+    assert slope_below == pytest.approx(slope_above, rel=1e-4)
+
+
+def test_from_standstill_to_motorway():
+    """Against the ODE solver; wind and a kick while it stands, ice while it creeps."""
+    tick_s, ticks = 0.01, 300
+
+    def speed(time_s):
+        return 36.0 * math.sin(math.pi / 6.0 * time_s) ** 4
+
+    k = np.arange(ticks + 1)[:, None]
+    waves = SIZES * np.sin(k / [34.0, 30.0, 62.0, 18.0])
+    friction = 1.0 - 0.6 * np.exp(-(((k - 120) / 24.0) ** 2)) * [1.0, 0.8]
+    world = np.hstack([waves, friction])
+    given = np.array([20.0, 200.0]) * np.sin(np.arange(ticks) / 40.0)[:, None]
+    found, *_ = changing(world, given, speed, tick_s=tick_s)
+    expected = Integrated(TABLE_3_2, IMMEDIATE, tick_s, given, world, speed, 1e-8).answers()
+    assert speed(0.0) == 0.0 and speed(3.0) == 36.0
+    assert np.abs(found - expected).max() < 1e-3 * np.abs(expected).max()
+
+
+def test_a_car_that_rolls_backward_is_refused():
+    made = changing_plant(TABLE_3_2, "physics", IMMEDIATE, 1.0, TICK_S)
+    with pytest.raises(ParameterError, match=r"speed = -0.5 m/s: must be 0 or above"):
+        made.speeds(lambda time_s: np.full(time_s.shape, -0.5), range(3))
+
+
+@given(st.floats(0.0, 80.0), st.floats(0.2, 1.5), st.floats(0.2, 1.5))
+def test_the_parts_put_together_are_the_equations(speed, front, rear):
+    """From a standing car on; ``single_track`` itself refuses a speed of 0."""
+    made = changing_plant(TABLE_3_2, "physics", LAGS, 60.0, TICK_S)
+    v = regular_speed(speed)
+    share = speed / v
+    (a, _, c), world = single_track(TABLE_3_2, friction=(front, rear), rolling=(v, share))
+    powers = np.array([v, 1.0, 1.0 / v, 1.0 / v**2])
+    shares = [front - 1, rear - 1, share - 1, (front - 1) * (share - 1)]
+    matrix = np.tensordot(powers, made.dry, 1)
+    matrix += np.tensordot(shares, np.tensordot(powers, made.road, (0, 1)), 1)
+    size = np.abs(a).max()
+    assert np.abs(matrix[:4, :4] - a).max() < 1e-11 * size
+    assert np.abs(matrix[-2, :4] - c[0]).max() < 1e-11 * size
+    assert np.abs(np.tensordot(powers, made.e, 1)[:4] - world.e).max() < 1e-11

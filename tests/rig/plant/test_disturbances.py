@@ -1,0 +1,329 @@
+"""The world of a run: its shapes, its windows, and the car in it, in every loop."""
+
+from __future__ import annotations
+
+import math
+from itertools import pairwise
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from can_rig.assessment.resolve import load
+from can_rig.errors import ScenarioError
+from can_rig.nodes.bus_access import StopRequest
+from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.without_bus import run_without_bus
+from can_rig.plant.changing_car import plant_of
+from can_rig.plant.disturbances import BLOCK, CALM, COLUMNS, Disturbances
+from can_rig.plant.nonlinear_car import NonlinearCar
+from can_rig.plant.protocol import require_world
+from can_rig.scenario.loading import as_settings, read, with_values
+from can_rig.scenario.settings import PlantSettings
+from tests.firmware.analysis.world import Integrated
+from tests.rig.plant.linear import LinearPlant
+
+FORCE, MOMENT, BANK, KICK, FRONT, REAR = range(6)
+GUST = "disturbance={kind='gust', force_n=3}"
+TURBULENT = "disturbance=[{kind='turbulence', at_s=0, ramp_s=0, intensity_n=300, length_m=20}]"
+
+
+def world(*settings: str) -> Disturbances:
+    return Disturbances(load("ideal", ["duration_s=40", "fault.kind=none", *settings]))
+
+
+shapes = st.sampled_from(["ramp", "one-minus-cosine"])
+
+
+@given(
+    shape=shapes,
+    begin=st.integers(1, 900),
+    ramp=st.integers(0, 400),
+    flat=st.integers(1, 500),
+    force_n=st.floats(-2000.0, 2000.0),
+    arm_m=st.floats(-2.0, 2.0),
+)
+def test_the_impulse_of_a_gust_is_its_force_by_its_time_less_one_ramp(
+    shape: str, begin: int, ramp: int, flat: int, force_n: float, arm_m: float
+) -> None:
+    """At ticks on its corners a straight line between ticks loses nothing of a ramp."""
+    made = world(
+        "disturbance.kind=gust", f"disturbance.shape={shape}", f"disturbance.at_s={begin / 1e3!r}",
+        f"disturbance.for_s={(2 * ramp + flat) / 1e3!r}", f"disturbance.ramp_s={ramp / 1e3!r}",
+        f"disturbance.force_n={force_n!r}", f"disturbance.arm_m={arm_m!r}",
+    )  # fmt: skip
+    rows = made.at(range(3000))
+    impulse = 1e-3 * np.sum(0.5 * (rows[1:, FORCE] + rows[:-1, FORCE]))
+    assert impulse == pytest.approx(force_n * (ramp + flat) / 1e3, rel=1e-6, abs=1e-9)
+    assert np.abs(rows[:, FORCE]).max() == pytest.approx(abs(force_n), rel=1e-12)
+    assert np.abs(rows[:, MOMENT] - arm_m * rows[:, FORCE]).max() <= 1e-12 * abs(arm_m * force_n)
+    assert (rows[: begin + (ramp > 0), FORCE] == 0).all()
+    assert (rows[begin + 2 * ramp + flat :, FORCE] == 0).all()
+
+
+@pytest.mark.parametrize("shape", ["ramp", "one-minus-cosine"])
+def test_a_flank_is_a_line_or_half_a_cosine(shape: str) -> None:
+    rows = world(
+        "disturbance.kind=steering-kick", "disturbance.torque_nm=8", "disturbance.at_s=1",
+        "disturbance.for_s=2", "disturbance.ramp_s=0.4", f"disturbance.shape={shape}",
+    ).at(range(4000))[:, KICK]  # fmt: skip
+    assert rows[[1000, 1200, 1400, 2600, 2800, 3000]] == pytest.approx([0, 4, 8, 8, 4, 0])
+    quarter = 2.0 if shape == "ramp" else 8.0 * (1 - math.cos(math.pi / 4)) / 2
+    assert rows[[1100, 2900]] == pytest.approx([quarter, quarter])
+
+
+def test_without_a_ramp_a_cosine_fills_its_time_and_a_line_takes_0_3_s() -> None:
+    kick = ["disturbance.kind=steering-kick", "disturbance.torque_nm=1", "disturbance.at_s=1"]
+    cosine = world(*kick, "disturbance.for_s=2", "disturbance.shape=one-minus-cosine")
+    time_s = np.arange(2001) / 1e3
+    gust = 0.5 - 0.5 * np.cos(math.pi * time_s)
+    assert np.abs(cosine.at(range(1000, 3001))[:, KICK] - gust).max() < 1e-12
+    line = world(*kick).at(range(3000))[:, KICK]
+    assert line[[1150, 1300, 2999]] == pytest.approx([0.5, 1.0, 1.0])
+
+
+def test_pushes_add_up_and_frictions_multiply() -> None:
+    rows = world(
+        "disturbance=[{kind='friction', at_s=0, front=0.5}, {kind='bank', bank_percent=8}, "
+        "{kind='friction', at_s=0, front=0.6, rear=0.4}, {kind='bank', bank_percent=-3},"
+        "{kind='none', at_s=0}]"
+    ).at(range(10_000))  # fmt: skip
+    assert rows[0] == pytest.approx(CALM)  # a run begins in a calm world
+    assert rows[-1] == pytest.approx([0, 0, math.atan(0.08) - math.atan(0.03), 0, 0.3, 0.4])
+
+
+@pytest.mark.parametrize("speed", [3.0, 25.0])
+def test_turbulence_has_its_rms_and_its_corner_at_every_speed(speed: float) -> None:
+    """Within four standard errors of so many correlated samples."""
+    ticks = 400_000
+    made = world(TURBULENT, "duration_s=400", f"plant.speed_mps={speed}")
+    force = made.at(range(1, ticks))[:, FORCE]
+    memory = math.exp(-speed * 1e-3 / 20.0)
+    error = math.sqrt(2.0 / (ticks * (1 - memory**2) / (1 + memory**2)))
+    assert np.mean(force**2) == pytest.approx(300.0**2, rel=4 * error)
+    lag = round(20.0 / speed * 1e3)  # a time constant
+    correlated = np.mean(force[lag:] * force[:-lag]) / np.mean(force**2)
+    assert correlated == pytest.approx(memory**lag, abs=4 * error)
+
+
+def test_turbulence_blows_at_the_first_tick_as_later() -> None:
+    """Over 60 seeds; four standard errors of a mean square are 73 %."""
+    first = [world(TURBULENT, f"seed={seed}").at(range(2))[1, FORCE] for seed in range(60)]
+    assert np.mean(np.square(first)) == pytest.approx(300.0**2, rel=0.73)
+
+
+def test_turbulence_follows_the_speed_of_a_drive() -> None:
+    """A drive of constant speed gives the bits of that speed; a standing car's wind stays."""
+    drive = world(TURBULENT, "drive.speed_mps=10").at(range(9000))
+    assert np.abs(drive - world(TURBULENT, "plant.speed_mps=10").at(range(9000))).max() < 1e-9
+
+
+def test_seeds_and_numbers_give_other_turbulence() -> None:
+    two = TURBULENT.replace("}]", "}, {kind='none'}]")
+    second = TURBULENT.replace("[{", "[{kind='none'}, {")
+    found = [world(each).at(range(500))[:, FORCE] for each in (TURBULENT, two, second)]
+    found.append(world(TURBULENT, "seed=1").at(range(500))[:, FORCE])
+    assert (found[0] == found[1]).all()
+    for other in found[2:]:
+        assert abs(np.corrcoef(found[0][1:], other[1:])[0, 1]) < 0.99
+
+
+ALL = (
+    "disturbance=[{kind='turbulence', at_s=0.01, intensity_n=300, length_m=5, arm_m=0.3}, "
+    "{kind='bank', at_s=0.02, bank_percent=5}, {kind='friction', at_s=0.05, front=0.5, rear=0.8}, "
+    "{kind='steering-kick', at_s=0.1, for_s=0.1, torque_nm=3}, "
+    "{kind='gust', at_s=0.03, for_s=0.2, force_n=400, shape='one-minus-cosine'}]"
+)
+DRY = ALL.replace("friction', at_s=0.05, front=0.5, rear=0.8", "none'")
+
+
+@given(st.lists(st.integers(0, 3 * BLOCK), min_size=2, max_size=6))
+def test_windows_are_parts_of_the_whole(cuts: list[int]) -> None:
+    """In any order, each from a world that has computed nothing yet or much."""
+    whole, used = world(ALL).at(range(3 * BLOCK)), world(ALL)
+    for begin, end in pairwise(cuts):
+        some = range(min(begin, end), max(begin, end))
+        assert (used.at(some) == whole[some.start : some.stop]).all()
+        assert (world(ALL).at(some) == whole[some.start : some.stop]).all()
+    for tick in cuts:
+        if tick < 3 * BLOCK - 1:
+            assert (used.during(tick) == whole[tick : tick + 2]).all()
+
+
+# --- in the loops ---------------------------------------------------------------------------------
+
+SHORT = ["duration_s=0.3", "fault.at_s=0.15", "plant.sensor.noise_mps2=0.01"]
+
+
+def recorded(folder: Path, name: str, *settings: str) -> list[tuple[bytes, bytes]]:
+    """The log and the plant's signals, from two nodes in a process and from none."""
+    scenario = load(name, settings)
+    found = []
+    for way in ("nodes", "columns"):
+        log = folder / f"{way}.log"
+        if way == "nodes":
+            run_in_process(scenario, "virtual:world", log, StopRequest(), lambda tick: None)
+        else:
+            run_without_bus(scenario, log, StopRequest(), lambda tick: None)
+        found.append((log.read_bytes(), (folder / f"{way}.plant.csv").read_bytes()))
+    return found
+
+
+@pytest.mark.parametrize(
+    ("name", "settings"),
+    [
+        ("default", [DRY]),
+        ("default", [ALL]),
+        ("drive-cycle", [ALL, "reference.kind=step"]),
+        ("nonlinear-car", [ALL]),
+    ],
+)
+def test_with_and_without_a_bus_it_is_the_same_world(
+    tmp_path: Path, name: str, settings: list[str]
+) -> None:
+    nodes, columns = recorded(tmp_path, name, *SHORT, *settings)
+    assert nodes == columns
+    header = nodes[1].splitlines()[0].decode().split(",")
+    assert set(COLUMNS) <= set(header)
+
+
+@pytest.mark.parametrize("settings", [[DRY], [ALL], [ALL, "drive.speed_mps=10"]])
+def test_the_car_of_a_scenario_is_that_of_the_equations(settings: list[str]) -> None:
+    """Uncontrolled, against the ODE solver with the matrices of ``test_world``'s proof."""
+    scenario = load("ideal", [*SHORT, *settings])
+    plant, rows = plant_of(scenario), Disturbances(scenario).at(range(151))
+    given = np.array([20.0, 300.0]) * np.sin(np.arange(150) / 20.0)[:, None]
+    found, reports = [], []
+    for u in given.tolist():
+        reports.append(plant.report(*u, 1.0, 1.0))
+        found.append(plant.follow(*u, 1.0, 1.0))
+    p = scenario.plant
+    solved = Integrated(p, p.stages, 1e-3, given, rows, lambda _: p.speed_mps, 1e-9)
+    expected = solved.answers()
+    assert np.abs(np.array(found) - expected).max() < 1e-6 * np.abs(expected).max()
+    x = solved.state(0.1)
+    force = solved.accelerometer(0.1, x)
+    assert reports[100]["specific_force_mps2"] == pytest.approx(force, rel=1e-5)
+    own = p.speed_mps * (solved.rates(0.1, x, given[100])[0] + x[1])
+    assert reports[100]["lateral_acceleration_mps2"] == pytest.approx(own, rel=1e-5)
+    assert [reports[100][name] for name in COLUMNS] == rows[100].tolist()
+
+
+def test_the_nonlinear_car_gets_the_world_in_every_step_of_a_tick() -> None:
+    """Behind lags a tick has several steps; without commands they are one long step."""
+    settings = [ALL, *SHORT, "plant.torque_actuator.lag_s=0.01", "tick_s=0.002"]
+    scenario = load("nonlinear-car", settings)
+    plant, alone = plant_of(scenario), NonlinearCar(scenario.plant)
+    world_of = Disturbances(scenario)
+    for tick in range(100):
+        around = np.hstack([world_of.during(tick), np.full((2, 1), scenario.plant.speed_mps)])
+        expected = alone.advance(0.002, 0.0, 0.0, around)
+        assert plant.follow(0.0, 0.0, 1.0, 1.0)[0] == pytest.approx(expected, rel=1e-6, abs=1e-9)
+    assert abs(expected) > 0.01
+
+
+# --- changes --------------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("given", "values"),
+    [
+        ([], {"disturbance.kind": "gust", "disturbance.force_n": 30.0}),
+        ([GUST], {"disturbance.force_n": 30.0}),
+        ([GUST], {"disturbance.1.kind": "bank", "disturbance.1.bank_percent": 2.0}),
+        (
+            [GUST, "disturbance.1.kind=none"],
+            {"disturbance.1.at_s": 2.0, "disturbance.0.arm_m": 1.0},
+        ),
+    ],
+)
+def test_an_axis_changes_what_a_setting_changes(given: list[str], values: dict[str, Any]) -> None:
+    """Campaigns replace settings in a scenario; ``--set`` writes into its text."""
+    written = read("default", [*given, *as_settings(values)])
+    assert with_values(read("default", given), values) == written
+    assert written.scenario.disturbances
+
+
+def test_an_axis_out_of_bounds_is_refused() -> None:
+    with pytest.raises(ScenarioError, match=r"disturbance.force_n = 1000000.0: must be at m"):
+        with_values(read("default", [GUST]), {"disturbance.force_n": 1e6})
+
+
+# --- what is refused ------------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("settings", "said"),
+    [
+        (["disturbance.force_n=3"], r"disturbance.kind: must be set"),
+        (["disturbance=3"], r"disturbance = 3: must be a table, or several"),
+        (["disturbance.kind=gusty"], r"disturbance.kind = 'gusty': must be 'none', 'gust', "),
+        (["disturbance.kind=gust"], r"disturbance.force_n: must be set for 'gust'"),
+        (["disturbance.kind=friction"], r"disturbance.front: must be set for 'friction'"),
+        (["disturbance.kind=turbulence", "disturbance.intensity_n=3"],
+         r"disturbance.length_m: must be set for 'turbulence'"),
+        (["disturbance.kind=gust", "disturbance.force_n=3", "disturbance.front=0.4"],
+         r"disturbance.front = 0.4: says nothing of 'gust'; must be force_n or arm_m"),
+        (["disturbance.kind=bank", "disturbance.bank_percent=3", "disturbance.arm_m=1"],
+         r"disturbance.arm_m = 1: says nothing of 'bank'; must be bank_percent"),
+        (["disturbance.kind=gust", "disturbance.force=3"],
+         r"disturbance.force: unknown key; did you mean force_n\?"),
+        (["disturbance.kind=gust", "disturbance.force_n=1e6"],
+         r"disturbance.force_n = 1000000.0: must be at most 100000"),
+        (["disturbance.kind=friction", "disturbance.rear=0"],
+         r"disturbance.rear = 0: must be at least 0.01"),
+        (["disturbance.kind=gust", "disturbance.force_n=3", "disturbance.for_s=1",
+          "disturbance.ramp_s=0.6"], r"disturbance.ramp_s = 0.6: must be at most 0.5, half of for"),
+        (["disturbance.0.kind=bank", "disturbance.0.bank_percent=2", "disturbance.1.kind=bank"],
+         r"disturbance.1.bank_percent: must be set for 'bank'"),
+        (["disturbance.2.kind=bank"], r"must be a key of disturbance.0 or disturbance.1"),
+        (["disturbance=[3]"], r"disturbance.0 = 3: must be a table"),
+        (["disturbance=[{kind='bank'}, {kind='none'}]"],
+         r"disturbance.0.bank_percent: must be set for 'bank'"),
+        ([GUST, "disturbance.at_s=-1"], r"disturbance.at_s = -1: must be at least 0"),
+        ([GUST, "disturbance.at_s=nan"], r"disturbance.at_s"),
+        ([GUST, "disturbance.at_s=soon"], r"disturbance.at_s = 'soon': must be a valid number"),
+        ([GUST, "disturbance.for_s=0"], r"disturbance.for_s = 0: must be greater than 0"),
+        ([GUST, "disturbance.ramp_s=-0.1"], r"disturbance.ramp_s = -0.1: must be at least 0"),
+        ([GUST, "disturbance.shape=square"],
+         r"disturbance.shape = 'square': must be 'ramp' or 'one-minus-cosine'"),
+        ([GUST, "disturbance.force_n=inf"], r"disturbance.force_n"),
+        ([GUST, "disturbance.arm_m=ahead"], r"disturbance.arm_m = 'ahead': must be a valid number"),
+        (["disturbance={kind='turbulence', intensity_n=0, length_m=5}"],
+         r"disturbance.intensity_n = 0: must be greater than 0"),
+        (["disturbance={kind='turbulence', intensity_n=5, length_m=0}"],
+         r"disturbance.length_m = 0: must be at least 0.1"),
+        (["disturbance={kind='bank', bank_percent=101}"],
+         r"disturbance.bank_percent = 101: must be at most 100"),
+        (["disturbance={kind='steering-kick', torque_nm='hard'}"],
+         r"disturbance.torque_nm = 'hard': must be a valid number"),
+        (["disturbance={kind='friction', front=0.5, force_n=3}"],
+         r"disturbance.force_n = 3: says nothing of 'friction'; must be front or rear"),
+        (["disturbance={kind='steering-kick', torque_nm=2, at=3}"],
+         r"disturbance.at: unknown key; did you mean at_s\?"),
+    ],
+)  # fmt: skip
+def test_what_is_wrong_is_named_in_one_line(settings: list[str], said: str) -> None:
+    with pytest.raises(ScenarioError, match=said) as caught:
+        load("default", settings)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_plant_that_nothing_can_push_is_refused() -> None:
+    gust = ["disturbance.kind=gust", "disturbance.force_n=3"]
+    with pytest.raises(ScenarioError, match=r"disturbance: plant.kind = 'transfer-functions': mus"):
+        load("chapter-2", gust)
+    other = "plant.kind=tests.rig.plant.linear:LinearPlant"
+    with pytest.raises(ScenarioError, match=r"LinearPlant': advance must have a fourth argument w"):
+        plant_of(load("default", [*gust, other]))
+    with pytest.raises(ScenarioError, match=r"'fmu:car.fmu': must be .* or a class; the rig sets"):
+        require_world("fmu:car.fmu", LinearPlant(PlantSettings()))
+
+
+def test_a_disturbance_that_never_occurs_is_noted() -> None:
+    gust = ["disturbance.kind=gust", "disturbance.force_n=3", "disturbance.at_s=50"]
+    (note,) = load("default", [*gust, "fault.kind=none"]).notes
+    assert note == "note: the disturbance (gust at 50 s) never occurs: the run ends at 20 s"
