@@ -12,6 +12,7 @@ from scipy import linalg
 
 from firmware_model.compiled import compiled
 from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.discretisation.held_input import sampled, zeros_of
 from firmware_model.discretisation.sections import ComplexArray, Sections
 from firmware_model.discretisation.systems import Polynomials, StateSpace
 from firmware_model.target.filters import biquad
@@ -61,6 +62,40 @@ def _of_state_space(system: StateSpace, s: ComplexArray) -> FloatArray:
     with np.errstate(divide="ignore"):  # for a sum without correct digits
         of_response = (of_a * x * y + of_b * y + of_c * x + abs(system.d)) / np.abs(system(s))
     return np.full(len(s), len(a) * np.max(of_a * whole + of_response))
+
+
+def of_held(g: ZeroPoleGain, tick_s: float, delta: ComplexArray) -> FloatArray:
+    """Roundings of the response at ``delta``, shape (m,), of ``g`` with an input held over a tick.
+
+    The exact state space (a, b, c, d) is rounded twice: on the way to the response, by
+    |c R|(|a| + |δ|)|R b| + |c||R b| + |c R||b| + |d| with R = (δI - a)⁻¹, and on the way to each
+    zero, which the same sum at the zero moves by the sum over the slope of the response.
+    """
+    g = g.cancelled()
+    if not g.poles:
+        return np.full(delta.shape, abs(g.gain))
+    a, b, c = sampled(g, tick_s)
+    eye, through = np.eye(len(a)), g.feedthrough
+
+    def at(points: ComplexArray) -> tuple[ComplexArray, FloatArray, FloatArray]:
+        resolvent = np.linalg.inv(points[:, None, None] * eye - a)
+        x, y = resolvent @ b, c @ resolvent
+        size = np.abs(y) @ (np.abs(a) + np.abs(points)[:, None, None] * eye) @ np.abs(x)
+        size = size + np.abs(c) @ np.abs(x) + np.abs(y) @ np.abs(b)
+        return (c @ x)[:, 0, 0] + through, np.abs(y @ x)[:, 0, 0], size[:, 0, 0] + abs(through)
+
+    answer, _, roundings = at(delta)
+    poles = np.linalg.eigvals(a).astype(np.complex128)
+    zeros = np.array(zeros_of((a, b, c), through, poles), np.complex128)
+    if not zeros.size:
+        return roundings
+    try:
+        _, slope, size = at(zeros)
+    except np.linalg.LinAlgError:  # a zero on a pole
+        return np.full(delta.shape, np.inf)
+    with np.errstate(all="ignore"):
+        moved = (size / slope / np.abs(delta[:, None] - zeros)).sum(axis=1)
+    return np.asarray(roundings + moved * np.abs(answer))
 
 
 def _cancellation(polynomial: FloatArray, x: ComplexArray) -> FloatArray:

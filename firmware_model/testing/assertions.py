@@ -23,8 +23,11 @@ from firmware_model.target.structs import FloatArray
 ROUNDINGS = 16
 """Roundings of each number on its way from the continuous filter to its section: more than any."""
 
+ROUNDINGS_HELD = 64
+"""The same for the sampled state space and the zeros of a zero-order hold."""
+
 OF_ZOH = 1e-5
-"""Error of a zero-order hold's zeros, as a share of the largest response."""
+"""Error of any zero-order hold's zeros, as a share of the largest response."""
 
 NOISE_TICKS = 4096
 
@@ -75,7 +78,7 @@ def assert_follows(
         share = unit["float64"] * conditioning + unit[filter.precision] * of_sections
         allowed = ROUNDINGS * share * angle / np.sin(angle) * np.abs(theory)
         if rule == "zoh":
-            allowed += OF_ZOH * np.abs(theory).max()
+            allowed += _of_zoh(zero_pole_gain(system), tick_s, angle, theory, conditioning)
         allowed = np.where(np.isnan(allowed), np.inf, allowed)  # theory has lost every digit
     else:
         allowed = within * np.abs(theory)
@@ -105,20 +108,40 @@ def _theory(
     return theory, conditioning
 
 
+def _of_zoh(
+    g: ZeroPoleGain,
+    tick_s: float,
+    angle: FloatArray,
+    theory: ComplexArray,
+    conditioning: FloatArray,
+) -> FloatArray:
+    """Errors of the roots of ``g``, the state space and the zeros, to the floor of the solver."""
+    delta = 2j * np.sin(angle / 2.0) * np.exp(0.5j * angle)
+    floor = (np.abs(theory) * np.fmax(1.0, conditioning)).max()
+    held = rounding.of_held(g, tick_s, delta) + floor
+    return np.asarray(ROUNDINGS_HELD * rounding.ROUNDING["float64"] * held)
+
+
 def assert_dc_gain(
     filter: Filter, expected: float | object, *, within: float | None = None
 ) -> None:
     """Assert the gain for a constant input.
 
+    A bare number does not say how well the zeros of a zero-order hold are known: ``OF_ZOH`` of the
+    largest response is allowed there.
+
     Args:
-        filter: the discretised filter.
+        filter: the filter, of ``discretise`` or of ``Filter.from_…``.
         expected: the gain, or a continuous filter with the gain.
         within: relative error that is allowed; left out: a bound from the number of sections.
     """
     _require_filter(filter)
     gain = float(expected) if isinstance(expected, Real) else zero_pole_gain(expected).dc_gain
     if within is None:
-        roundings = ROUNDINGS * 2 * len(filter.sections.coefficients)
+        roundings: float = ROUNDINGS * 2 * len(filter.sections.coefficients)
+        for factor in filter.given:
+            with np.errstate(all="ignore"):  # a pole at z = 1: no bound
+                roundings += ROUNDINGS * rounding.of_system(factor, np.ones(1, complex)).item()
         allowed = roundings * rounding.ROUNDING[filter.precision] * abs(gain)
         if filter.rule == "zoh":
             allowed += OF_ZOH * float(np.abs(filter.frequency_response(_grid(filter))).max())
@@ -141,23 +164,33 @@ def assert_stable(filter: Filter, *, margin: float = 0.0) -> None:
     assert inside, f"a pole at |z| = {radius:.9g}: must be inside {1.0 - margin:.9g}"
 
 
-def assert_step(filter: Filter, system: object, *, ticks: int = 1000, within: float = 0.01) -> None:
+def assert_step(
+    filter: Filter,
+    system: object,
+    *,
+    rule: Rule | None = None,
+    ticks: int = 1000,
+    within: float = 0.01,
+) -> None:
     """Assert the step response from rest against the exact solution of the continuous filter.
 
     A held input steps at the first tick, and ``zoh`` answers exactly; Tustin's ramps up over the
     tick before, so the exact answer half a tick later is the reference.
 
     Args:
-        filter: the discretised filter.
+        filter: the filter, of ``discretise`` or of ``Filter.from_…``.
         system: the continuous filter, in any form of ``discretise``.
+        rule: the discretisation that is meant; left out: the filter's own.
         ticks: duration.
         within: error that is allowed, as a share of the largest answer.
     """
     _require_filter(filter)
     if not isinstance(ticks, Integral) or ticks < 1:
         raise ParameterError(f"ticks = {ticks!r}: must be a whole number of at least 1")
+    if rule is None and filter.rule is None:
+        raise ParameterError("a filter from coefficients has no rule: state rule=")
     g = zero_pole_gain(system)
-    theory = _step_of(g, filter.tick_s, ticks, late=filter.rule == "tustin")
+    theory = _step_of(g, filter.tick_s, ticks, late=(rule or filter.rule) == "tustin")
     answer = filter.in_precision(filter.precision).run(np.ones(ticks))
     error, allowed = np.abs(answer - theory), within * np.abs(theory).max()
     worst = int(np.argmax(error))
@@ -216,7 +249,7 @@ def assert_bit_identical(filter: Filter, u: ArrayLike | None = None) -> None:
 def _require_filter(filter: object) -> None:
     if not isinstance(filter, Filter):
         raise ParameterError(
-            f"filter must be a Filter, which discretise returns; not {type(filter).__name__}"
+            f"filter must be a Filter, of discretise or Filter.from_…; not {type(filter).__name__}"
         )
 
 
