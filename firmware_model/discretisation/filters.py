@@ -6,10 +6,11 @@ translates the same loops; a test compares both texts.
 
 from __future__ import annotations
 
+import ctypes
 import math
 import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from string import Template
 from typing import Final, cast
@@ -62,6 +63,9 @@ TAKEN: Final = {
     CPP_KEYWORDS: "a keyword of C++, which may include the header",
     LIBRARY: "a name of the C library",
 }
+
+MAX_STATES: Final = 64
+"""Of a C function: 16 stages of 4 in direct form I."""
 
 HEADER: Final = Template("""\
 /* $what
@@ -384,6 +388,43 @@ class Filter:
         in_delta = StateSpace(m[0] - np.eye(n), m[1], m[2], given.d).zero_pole_gain()
         return _of_roots(in_delta, tick_s, precision, given, origin=0.0)
 
+    @classmethod
+    def from_c(
+        cls, function: object, *, states: int, tick_s: float, precision: Precision = "float32"
+    ) -> Filter:
+        """The filter that a compiled C function is: ``float step(float *state, float u)``.
+
+        ``state`` has ``states`` numbers, all zero at rest; ``float64`` means ``double``. The matrices
+        of the filter are read off bit by bit: one call for the input, one for each state.
+
+        Args:
+            function: of a library that ctypes loaded: ``ctypes.CDLL("./filter.so").step``.
+            states: how many numbers the state has, 1 to 64; CMSIS-DSP's df1 has 4 a stage.
+            tick_s: sampling period, seconds.
+            precision: of the function's numbers.
+
+        Raises:
+            ParameterError: not a function of ctypes; not linear, or with a state elsewhere; as
+                ``from_state_space``.
+        """
+        _require_precision(precision)
+        if isinstance(states, bool) or not (isinstance(states, int) and 1 <= states <= MAX_STATES):
+            raise ParameterError(f"states = {states!r}: must be a whole number, 1 to {MAX_STATES}")
+        call = _c_function(function, states, precision)
+        read = np.column_stack([call(row[:-1], row[-1]) for row in np.eye(states + 1)])
+        rng = np.random.default_rng(1)
+        for size in (1e-3, 1.0, 1e3):
+            at = (size * rng.standard_normal(states + 1)).astype(precision).astype(np.float64)
+            error = np.abs(call(at[:-1], at[-1]) - read @ at)
+            allowed = 8 * (states + 2) * np.finfo(precision).eps * (np.abs(read) @ np.abs(at))
+            if not (error <= allowed).all():
+                raise ParameterError(
+                    f"the C function is not linear in its {states} states and its input (tried at "
+                    f"{size:g}), or has a state elsewhere: must be float step(float *state, float u)"
+                )
+        a, b, c, d = read[:-1, :-1], read[:-1, -1:], read[-1:, :-1], read[-1:, -1:]
+        return cls.from_state_space(a, b, c, d, tick_s=tick_s, precision=precision)
+
     def step(self, u: float) -> float:
         """The answer to the sample ``u``, and the state one tick later."""
         return float(biquad.advance(self.cascade, self._states[0], self._real(u)))
@@ -545,6 +586,34 @@ def _numbers(name: str, values: ArrayLike, precision: Precision) -> FloatArray:
     if numbers.dtype.kind not in "iuf" or not np.isfinite(numbers).all():
         raise ParameterError(f"{name}: every number must be real and finite")
     return numbers.astype(precision).astype(np.float64)
+
+
+def _c_function(
+    function: object, states: int, precision: Precision
+) -> Callable[[FloatArray, float], FloatArray]:
+    """(state, u) → the next state and the answer, shape (states + 1,)."""
+    real = ctypes.c_float if precision == "float32" else ctypes.c_double
+    try:
+        address = ctypes.cast(cast(ctypes.c_void_p, function), ctypes.c_void_p).value
+    except ctypes.ArgumentError:
+        raise ParameterError(
+            f"function is a {type(function).__name__}: must be a function of a library that "
+            'ctypes loaded, ctypes.CDLL("./filter.so").step'
+        ) from None
+    compiled_step = ctypes.CFUNCTYPE(real, ctypes.POINTER(real), real)(address or 0)
+
+    def call(state: FloatArray, u: float) -> FloatArray:
+        memory = (real * (states + MAX_STATES))(*state, *[math.nan] * MAX_STATES)
+        answer = compiled_step(memory, u)
+        after = np.array([*memory[:states], answer])
+        if not (np.isfinite(after).all() and np.isnan(memory[states:]).all()):
+            raise ParameterError(
+                f"the C function uses more than {states} states, or its answer is not finite: "
+                "must keep to its states"
+            )
+        return after
+
+    return call
 
 
 def _tick(tick_s: object) -> float:

@@ -60,6 +60,8 @@ def assert_follows(
     _require_filter(filter)
     if rule not in RULE_NAMES:
         raise ParameterError(f"rule = {rule!r}: must be one of {', '.join(RULE_NAMES)}")
+    if not isinstance(tick_s, Real) or not 0.0 < tick_s < math.inf:
+        raise ParameterError(f"tick_s = {tick_s!r}: must be one finite number of seconds above 0")
     assert math.isclose(filter.tick_s, tick_s, rel_tol=1e-12), (
         f"the filter has a tick of {filter.tick_s:g} s: {tick_s:g} s is meant"
     )

@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import ctypes
 import math
+import subprocess
 from typing import Any
 
 import control
@@ -118,11 +120,19 @@ MADE = discretise(([1.0], [0.1, 1.0]), TICK_S)
 REFUSED: dict[str, tuple[Any, str]] = {
     "filter and system exchanged": (
         lambda: testing.assert_follows(([1.0], [1.0, 1.0]), MADE, **MEANT),  # type: ignore[arg-type]
-        "filter must be a Filter, which discretise returns; not tuple",
+        "filter must be a Filter, of discretise or Filter.from_…; not tuple",
     ),
     "beyond Nyquist": (
         lambda: testing.assert_follows(MADE, ([1.0], [0.1, 1.0]), [1.0, math.pi / TICK_S], **MEANT),
         "rad_per_s = .*below the Nyquist frequency, 3141.59 rad/s",
+    ),
+    "no tick": (
+        lambda: testing.assert_follows(MADE, LEAD, tick_s=0.0, rule="tustin"),
+        "tick_s = 0.0: must be one finite number",
+    ),
+    "no rule": (
+        lambda: testing.assert_follows(MADE, LEAD, tick_s=TICK_S, rule="foh"),  # type: ignore[arg-type]
+        "rule = 'foh': must be one of tustin",
     ),
     "below 0": (
         lambda: testing.assert_follows(MADE, ([1.0], [0.1, 1.0]), -1.0, **MEANT),
@@ -276,3 +286,86 @@ def test_wrong_coefficients_are_refused_in_one_line(kind: str) -> None:
     asked, message = REFUSED_COEFFICIENTS[kind]
     with pytest.raises(DesignError, match=message):
         asked()
+
+
+C_FILTERS = """
+/* CMSIS-DSP's direct form I of two stages, and what from_c must refuse */
+float df1(float *s, float u) {
+    static const float k[2][5] = {{%s}, {%s}};
+    for (int i = 0; i < 2; i++, s += 4) {
+        float y = k[i][0]*u + k[i][1]*s[0] + k[i][2]*s[1] + k[i][3]*s[2] + k[i][4]*s[3];
+        s[1] = s[0]; s[0] = u; s[3] = s[2]; s[2] = y;
+        u = y;
+    }
+    return u;
+}
+double low_pass(double *s, double u) { return s[0] = 19.0/21.0*s[0] + u*(2.0/21.0); }
+float limited(float *s, float u) { s[0] = 0.5f*s[0] + u; return s[0] > 100.0f ? 100.0f : s[0]; }
+float hidden(float *s, float u) { static float x; x = 0.5f*x + u; return x + 0.0f*s[0]; }
+"""
+
+
+@pytest.fixture(scope="module")
+def library(tmp_path_factory: pytest.TempPathFactory) -> ctypes.CDLL:
+    """Filters in C, compiled as their author would; the Butterworth filter in float."""
+    folder = tmp_path_factory.mktemp("c")
+    sos = signal.zpk2sos(*signal.bilinear_zpk(*OF_FOUR, fs=1.0 / TICK_S))
+    rows = (", ".join(f"{k:.9g}f" for k in (*row[:3], *-row[4:])) for row in sos)
+    (folder / "filters.c").write_text(C_FILTERS % tuple(rows))
+    command = ["cc", "-shared", "-fPIC", "-O2", "-o", "filters.so", "filters.c"]
+    subprocess.run(command, cwd=folder, check=True)
+    return ctypes.CDLL(str(folder / "filters.so"))
+
+
+OF_FOUR = signal.butter(4, 300.0, analog=True, output="zpk")
+
+
+def test_a_c_function_is_the_filter_that_it_should_be(library: ctypes.CDLL) -> None:
+    of_four = signal.ZerosPolesGain(*OF_FOUR)
+    made = Filter.from_c(library.df1, states=8, tick_s=TICK_S)
+    testing.assert_follows(made, of_four, **MEANT)
+    for wrong in ({"tick_s": TICK_S, "rule": "zoh"}, {"tick_s": 0.1, "rule": "tustin"}):
+        with pytest.raises(AssertionError, match="theory|meant"):
+            testing.assert_follows(made, of_four, **wrong)
+    low_pass = Filter.from_c(library.low_pass, states=1, tick_s=TICK_S, precision="float64")
+    expected = signal.lfilter([2 / 21], [1.0, -19 / 21], np.ones(50))
+    np.testing.assert_allclose(low_pass.run(np.ones(50)), expected, atol=1e-14)
+
+
+C_REFUSED = {
+    "low_pass of double": ("low_pass", 1, "not finite|not linear"),
+    "limited": ("limited", 1, "not linear in its 1 states .tried at 1000"),
+    "hidden": ("hidden", 1, "has a state elsewhere"),
+    "more states": ("df1", 7, "more than 7 states"),
+    "no state": ("df1", 0, "states = 0: must be a whole number, 1 to 64"),
+}
+
+
+@pytest.mark.parametrize("kind", C_REFUSED)
+def test_a_c_function_that_is_no_filter_is_refused(library: ctypes.CDLL, kind: str) -> None:
+    name, states, message = C_REFUSED[kind]
+    with pytest.raises(DesignError, match=message):
+        Filter.from_c(getattr(library, name), states=states, tick_s=TICK_S)
+
+
+def test_a_function_of_python_is_no_c_function() -> None:
+    with pytest.raises(ParameterError, match="function is a .*: must be a function of a library"):
+        Filter.from_c(abs, states=1, tick_s=TICK_S)
+
+
+def test_a_bound_of_its_own_sees_what_one_for_all_let_pass() -> None:
+    """A coefficient 1e-7 off in a zero-order hold of order 4: 1e-5 of the largest passed."""
+    made = changed(discretise(BUTTERWORTH, TICK_S, "zoh"), 0, 1, 1.0 + 1e-7)
+    with pytest.raises(AssertionError, match="theory"):
+        testing.assert_follows(made, BUTTERWORTH, tick_s=TICK_S, rule="zoh")
+
+
+def test_the_step_of_coefficients_needs_the_rule() -> None:
+    of = BUTTERWORTH.to_ss()
+    a, b, c, d, _ = signal.cont2discrete((of.A, of.B, of.C, of.D), TICK_S, "zoh")
+    made = Filter.from_state_space(a, b, c, d, tick_s=TICK_S)
+    testing.assert_step(made, BUTTERWORTH, rule="zoh", within=1e-9)
+    testing.assert_follows(made, BUTTERWORTH, tick_s=TICK_S, rule="zoh")
+    testing.assert_dc_gain(made, BUTTERWORTH)
+    with pytest.raises(ParameterError, match="a filter from coefficients has no rule"):
+        testing.assert_step(made, BUTTERWORTH)
