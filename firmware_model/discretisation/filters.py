@@ -394,8 +394,8 @@ class Filter:
     ) -> Filter:
         """The filter that a compiled C function is: ``float step(float *state, float u)``.
 
-        ``state`` has ``states`` numbers, all zero at rest; ``float64`` means ``double``. The matrices
-        of the filter are read off bit by bit: one call for the input, one for each state.
+        ``state`` has ``states`` numbers, all zero at rest; ``float64`` means ``double``. Calls with
+        a single 1 as input or state answer the filter's matrices, each number exactly.
 
         Args:
             function: of a library that ctypes loaded: ``ctypes.CDLL("./filter.so").step``.
@@ -420,7 +420,7 @@ class Filter:
             if not (error <= allowed).all():
                 raise ParameterError(
                     f"the C function is not linear in its {states} states and its input (tried at "
-                    f"{size:g}), or has a state elsewhere: must be float step(float *state, float u)"
+                    f"{size:g}), or has a state elsewhere: must be linear, its state in the array"
                 )
         a, b, c, d = read[:-1, :-1], read[:-1, -1:], read[-1:, :-1], read[-1:, -1:]
         return cls.from_state_space(a, b, c, d, tick_s=tick_s, precision=precision)

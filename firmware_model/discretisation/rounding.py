@@ -67,35 +67,50 @@ def _of_state_space(system: StateSpace, s: ComplexArray) -> FloatArray:
 def of_held(g: ZeroPoleGain, tick_s: float, delta: ComplexArray) -> FloatArray:
     """Roundings of the response at ``delta``, shape (m,), of ``g`` with an input held over a tick.
 
-    The exact state space (a, b, c, d) is rounded twice: on the way to the response, by
-    |c R|(|a| + |δ|)|R b| + |c||R b| + |c R||b| + |d| with R = (δI - a)⁻¹, and on the way to each
-    zero, which the same sum at the zero moves by the sum over the slope of the response.
+    The exact state space is rounded twice: on the way to the response, and on the way to each
+    zero, which the roundings at the zero move by the quotient of them and the response's slope.
     """
     g = g.cancelled()
     if not g.poles:
         return np.full(delta.shape, abs(g.gain))
     a, b, c = sampled(g, tick_s)
-    eye, through = np.eye(len(a)), g.feedthrough
-
-    def at(points: ComplexArray) -> tuple[ComplexArray, FloatArray, FloatArray]:
-        resolvent = np.linalg.inv(points[:, None, None] * eye - a)
-        x, y = resolvent @ b, c @ resolvent
-        size = np.abs(y) @ (np.abs(a) + np.abs(points)[:, None, None] * eye) @ np.abs(x)
-        size = size + np.abs(c) @ np.abs(x) + np.abs(y) @ np.abs(b)
-        return (c @ x)[:, 0, 0] + through, np.abs(y @ x)[:, 0, 0], size[:, 0, 0] + abs(through)
-
-    answer, _, roundings = at(delta)
+    through = g.feedthrough
+    answer, _, roundings = _of_entries(a, b, c, through, delta)
     poles = np.linalg.eigvals(a).astype(np.complex128)
     zeros = np.array(zeros_of((a, b, c), through, poles), np.complex128)
     if not zeros.size:
         return roundings
     try:
-        _, slope, size = at(zeros)
+        _, slope, size = _of_entries(a, b, c, through, zeros)
     except np.linalg.LinAlgError:  # a zero on a pole
         return np.full(delta.shape, np.inf)
     with np.errstate(all="ignore"):
         moved = (size / slope / np.abs(delta[:, None] - zeros)).sum(axis=1)
     return np.asarray(roundings + moved * np.abs(answer))
+
+
+def of_coefficients(system: ZeroPoleGain | Polynomials | StateSpace, z: ComplexArray) -> FloatArray:
+    """Conditioning of a sampled response at ``z``, shape (m,): each coefficient rounded alone."""
+    if not isinstance(system, StateSpace):
+        return of_system(system, z)
+    answer, _, roundings = _of_entries(system.a, system.b, system.c, system.d, z)
+    with np.errstate(divide="ignore"):
+        return np.asarray(roundings / np.abs(answer))
+
+
+def _of_entries(
+    a: FloatArray, b: FloatArray, c: FloatArray, d: float, points: ComplexArray
+) -> tuple[ComplexArray, FloatArray, FloatArray]:
+    """The response at ``points``, its slope, and what roundings of each entry do to the response.
+
+    With R = (xI - a)⁻¹: |c R|(|a| + |x|)|R b| + |c||R b| + |c R||b| + |d|.
+    """
+    eye = np.eye(len(a))
+    resolvent = np.linalg.inv(points[:, None, None] * eye - a)
+    x, y = resolvent @ b, c @ resolvent
+    size = np.abs(y) @ (np.abs(a) + np.abs(points)[:, None, None] * eye) @ np.abs(x)
+    size = size + np.abs(c) @ np.abs(x) + np.abs(y) @ np.abs(b)
+    return (c @ x)[:, 0, 0] + d, np.abs(y @ x)[:, 0, 0], size[:, 0, 0] + abs(d)
 
 
 def _cancellation(polynomial: FloatArray, x: ComplexArray) -> FloatArray:

@@ -67,20 +67,22 @@ def assert_follows(
     )
     assert filter.rule in (None, rule), f"the filter is by {filter.rule}: {rule} is meant"
     omega = _grid(filter) if rad_per_s is None else _below_nyquist(rad_per_s, filter.tick_s)
-    theory, conditioning = _theory(system, omega, tick_s, rule, prewarp_rad_per_s)
+    theory, of_theory = _theory(system, omega, tick_s, rule, prewarp_rad_per_s)
     angle = omega * filter.tick_s
     answer = filter.frequency_response(omega)
     if within is None:
         unit = rounding.ROUNDING
+        conditioning = of_theory
         of_sections = rounding.of_sections(
             filter.sections, 2j * np.sin(angle / 2.0) * np.exp(0.5j * angle)
         )
         for factor in filter.given:
-            of_sections = of_sections + rounding.of_system(factor, np.exp(1j * angle))
+            conditioning = conditioning + rounding.of_system(factor, np.exp(1j * angle))
+            of_sections = of_sections + rounding.of_coefficients(factor, np.exp(1j * angle))
         share = unit["float64"] * conditioning + unit[filter.precision] * of_sections
         allowed = ROUNDINGS * share * angle / np.sin(angle) * np.abs(theory)
         if rule == "zoh":
-            allowed += _of_zoh(zero_pole_gain(system), tick_s, angle, theory, conditioning)
+            allowed += _of_zoh(zero_pole_gain(system), tick_s, angle, theory, of_theory)
         allowed = np.where(np.isnan(allowed), np.inf, allowed)  # theory has lost every digit
     else:
         allowed = within * np.abs(theory)
@@ -143,7 +145,9 @@ def assert_dc_gain(
         roundings: float = ROUNDINGS * 2 * len(filter.sections.coefficients)
         for factor in filter.given:
             with np.errstate(all="ignore"):  # a pole at z = 1: no bound
-                roundings += ROUNDINGS * rounding.of_system(factor, np.ones(1, complex)).item()
+                roundings += (
+                    ROUNDINGS * rounding.of_coefficients(factor, np.ones(1, complex)).item()
+                )
         allowed = roundings * rounding.ROUNDING[filter.precision] * abs(gain)
         if filter.rule == "zoh":
             allowed += OF_ZOH * float(np.abs(filter.frequency_response(_grid(filter))).max())
