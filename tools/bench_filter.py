@@ -6,6 +6,7 @@ import math
 import statistics
 import time
 from collections.abc import Callable
+from functools import reduce
 from typing import Any
 
 import numpy as np
@@ -172,7 +173,8 @@ def _way_in(number: int, g: ZeroPoleGain, tick_s: float) -> tuple[_Way, _Make]:
         return [np.column_stack([rows[:, :3], -rows[:, 4:]])]
 
     def ba(rule: Rule, at_s: float) -> Arrays:
-        return list(signal.sos2tf(*sos(rule, at_s)))
+        (rows,) = sos(rule, at_s)  # sos2tf drops the leading zero of a zero-order hold
+        return [reduce(np.convolve, half) for half in (rows[:, :3], rows[:, 3:])]
 
     def matrices(rule: Rule, at_s: float) -> Arrays:
         a, b, c, d, _ = realisation(discretise(g, at_s, rule).sections)

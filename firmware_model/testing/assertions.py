@@ -24,7 +24,7 @@ ROUNDINGS = 16
 """Roundings of each number on its way from the continuous filter to its section: more than any."""
 
 ROUNDINGS_HELD = 64
-"""The same for the sampled state space and the zeros of a zero-order hold."""
+"""The same for sampled state spaces, and for roots of coefficients in z."""
 
 OF_ZOH = 1e-5
 """Error of any zero-order hold's zeros, as a share of the largest response."""
@@ -77,7 +77,8 @@ def assert_follows(
             filter.sections, 2j * np.sin(angle / 2.0) * np.exp(0.5j * angle)
         )
         for factor in filter.given:
-            conditioning = conditioning + rounding.of_system(factor, np.exp(1j * angle))
+            of_roots = rounding.of_system(factor, np.exp(1j * angle))
+            conditioning = conditioning + ROUNDINGS_HELD / ROUNDINGS * of_roots
             of_sections = of_sections + rounding.of_coefficients(factor, np.exp(1j * angle))
         share = unit["float64"] * conditioning + unit[filter.precision] * of_sections
         allowed = ROUNDINGS * share * angle / np.sin(angle) * np.abs(theory)

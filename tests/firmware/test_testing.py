@@ -332,6 +332,18 @@ def test_a_c_function_is_the_filter_that_it_should_be(library: ctypes.CDLL) -> N
     np.testing.assert_allclose(low_pass.run(np.ones(50)), expected, atol=1e-14)
 
 
+def test_coefficients_of_cmsis_are_the_filter_that_cmsis_runs() -> None:
+    """The signs of a1 and a2 as CMSIS-DSP's own code takes them."""
+    dsp = pytest.importorskip("cmsisdsp")
+    sos = signal.zpk2sos(*signal.bilinear_zpk(*OF_FOUR, fs=1.0 / TICK_S))
+    stages = np.column_stack([sos[:, :3], -sos[:, 4:]]).astype(np.float32)
+    cascade = dsp.arm_biquad_cascade_df2T_instance_f32()
+    dsp.arm_biquad_cascade_df2T_init_f32(cascade, len(sos), stages.ravel(), np.zeros(2 * len(sos)))
+    u = np.random.default_rng(3).standard_normal(500).astype(np.float32)
+    made = Filter.from_cmsis(stages, tick_s=TICK_S)
+    np.testing.assert_allclose(made.run(u), dsp.arm_biquad_cascade_df2T_f32(cascade, u), atol=1e-5)
+
+
 C_REFUSED = {
     "low_pass of double": ("low_pass", 1, "not finite|not linear"),
     "limited": ("limited", 1, "not linear in its 1 states .*tried at 1000"),
