@@ -75,7 +75,7 @@ def of_held(g: ZeroPoleGain, tick_s: float, delta: ComplexArray) -> FloatArray:
         return np.full(delta.shape, abs(g.gain))
     a, b, c = sampled(g, tick_s)
     through = g.feedthrough
-    answer, _, roundings = _of_entries(a, b, c, through, delta)
+    answer, _, roundings = _of_entries(a, b, c, through, delta, of_exponential=True)
     poles = np.linalg.eigvals(a).astype(np.complex128)
     zeros = np.array(zeros_of((a, b, c), through, poles), np.complex128)
     if not zeros.size:
@@ -99,17 +99,28 @@ def of_coefficients(system: ZeroPoleGain | Polynomials | StateSpace, z: ComplexA
 
 
 def _of_entries(
-    a: FloatArray, b: FloatArray, c: FloatArray, d: float, points: ComplexArray
+    a: FloatArray,
+    b: FloatArray,
+    c: FloatArray,
+    d: float,
+    points: ComplexArray,
+    *,
+    of_exponential: bool = False,
 ) -> tuple[ComplexArray, FloatArray, FloatArray]:
     """The response at ``points``, its slope, and what roundings of each entry do to the response.
 
-    With R = (xI - a)⁻¹: |c R|(|a| + |x|)|R b| + |c||R b| + |c R||b| + |d|.
+    With R = (xI - a)⁻¹: |c R|(|a| + |x|)|R b| + |c||R b| + |c R||b| + |d|. A matrix exponential
+    rounds an entry of ``a`` or ``b`` as if of the size of the largest in its row and column.
     """
     eye = np.eye(len(a))
     resolvent = np.linalg.inv(points[:, None, None] * eye - a)
     x, y = resolvent @ b, c @ resolvent
-    size = np.abs(y) @ (np.abs(a) + np.abs(points)[:, None, None] * eye) @ np.abs(x)
-    size = size + np.abs(c) @ np.abs(x) + np.abs(y) @ np.abs(b)
+    entries = np.abs(a)
+    if of_exponential:
+        entries = entries + np.sqrt(np.outer(entries.max(axis=1), entries.max(axis=0)))
+    inputs = np.full(b.shape, np.abs(b).max()) if of_exponential else np.abs(b)
+    size = np.abs(y) @ (entries + np.abs(points)[:, None, None] * eye) @ np.abs(x)
+    size = size + np.abs(c) @ np.abs(x) + np.abs(y) @ inputs
     return (c @ x)[:, 0, 0] + d, np.abs(y @ x)[:, 0, 0], size[:, 0, 0] + abs(d)
 
 

@@ -23,7 +23,7 @@ from firmware_model.target.structs import FloatArray
 ROUNDINGS = 16
 """Roundings of each number on its way from the continuous filter to its section: more than any."""
 
-ROUNDINGS_HELD = 64
+ROUNDINGS_HELD = 256
 """The same for sampled state spaces, and for roots of coefficients in z."""
 
 OF_ZOH = 1e-5
