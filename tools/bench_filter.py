@@ -6,13 +6,19 @@ import math
 import statistics
 import time
 from collections.abc import Callable
+from functools import reduce
+from typing import Any
 
 import numpy as np
 from rich.console import Console
 from rich.table import Table
 from scipy import signal
 
-from firmware_model import Filter, discretise
+from firmware_model import Filter, discretise, testing
+from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.discretisation.rules import Rule
+from firmware_model.discretisation.sections import realisation
+from firmware_model.errors import DesignError
 from tests.firmware.discretisation.random_filters import (
     random_filter,
     tustin_exactly,
@@ -28,10 +34,11 @@ SHARES = np.array([1e-5, 1e-3, 0.03, 0.2, 0.6, 0.95])
 
 
 def bench_filter(rounds: int, filters: int) -> None:
-    """Print what a sample costs, then the errors of so many random filters."""
+    """Print what a sample costs, the errors of so many random filters, and mutants caught."""
     console = Console()
     console.print(_costs(rounds))
     console.print(_errors(filters))
+    console.print(_caught(min(filters, 300), 200))
 
 
 def _costs(rounds: int) -> Table:
@@ -100,3 +107,89 @@ def _errors(filters: int) -> Table:
 
 def _worst(answer: np.ndarray, exact: np.ndarray) -> float:
     return float(np.abs(answer / exact - 1.0).max())
+
+
+Arrays = list[np.ndarray]
+
+
+def _caught(filters: int, mutants: int) -> Table:
+    """Filters from coefficients, and how many mutants of each kind ``assert_follows`` sees.
+
+    A mutant has a single coefficient changed, or its tick or rule is not the one that is meant.
+    """
+    rng, outcomes = np.random.default_rng(7), dict[str, list[bool]]()
+    for number in range(filters):
+        g, tick_s = random_filter(rng, held=True)
+        rules: list[Rule] = ["tustin", "zoh"]
+        rule = rules[number % 2]
+        way, make = _way_in(number // 2, g, tick_s)
+
+        def seen(arrays: Arrays, make: _Make = make, g: ZeroPoleGain = g, **meant: Any) -> bool:
+            try:
+                testing.assert_follows(make(arrays), g, **meant)
+            except (AssertionError, DesignError):
+                return True
+            return False
+
+        meant = {"tick_s": tick_s, "rule": rule}
+        outcomes.setdefault("none: the filter itself", []).append(seen(way(rule, tick_s), **meant))
+        for factor in (0.1, 0.5, 2.0, 10.0):
+            off = seen(way(rule, factor * tick_s), **meant)
+            outcomes.setdefault("coefficients for another tick", []).append(off)
+            off = seen(way(rule, tick_s), tick_s=factor * tick_s, rule=rule)
+            outcomes.setdefault("stated for another tick", []).append(off)
+        other: Rule = rules[1 - number % 2]
+        outcomes.setdefault("the other rule", []).append(seen(way(other, tick_s), **meant))
+        for _ in range(mutants):
+            arrays = [array.copy() for array in way(rule, tick_s)]
+            places = [(i, j) for i, array in enumerate(arrays) for j in _free(array)]
+            i, j = places[rng.integers(len(places))]
+            if rng.random() < 0.1:
+                kind, factor = "a sign", -1.0
+            else:
+                decade = int(rng.integers(-9, -1))
+                kind = f"a coefficient by 1e{decade} to 1e{decade + 1}"
+                factor = 1.0 + rng.choice([-1.0, 1.0]) * 10 ** (decade + rng.random())
+            arrays[i].flat[j] *= factor
+            outcomes.setdefault(kind, []).append(seen(arrays, **meant))
+    table = Table(f"changed in {filters} filters", "mutants", "caught", box=None)
+    for kind, some in sorted(outcomes.items()):
+        table.add_row(kind, f"{len(some)}", f"{100 * np.mean(some):.2f} %")
+    return table
+
+
+_Make = Callable[[Arrays], Filter]
+_Way = Callable[[Rule, float], Arrays]
+
+
+def _way_in(number: int, g: ZeroPoleGain, tick_s: float) -> tuple[_Way, _Make]:
+    """Coefficients of ``g`` in one of the forms, by rule and tick, and the filter of them."""
+
+    def sos(rule: Rule, at_s: float) -> Arrays:
+        return [discretise(g, at_s, rule).to_scipy_sos()]
+
+    def cmsis(rule: Rule, at_s: float) -> Arrays:
+        (rows,) = sos(rule, at_s)
+        return [np.column_stack([rows[:, :3], -rows[:, 4:]])]
+
+    def ba(rule: Rule, at_s: float) -> Arrays:
+        (rows,) = sos(rule, at_s)  # sos2tf drops the leading zero of a zero-order hold
+        return [reduce(np.convolve, half) for half in (rows[:, :3], rows[:, 3:])]
+
+    def matrices(rule: Rule, at_s: float) -> Arrays:
+        a, b, c, d, _ = realisation(discretise(g, at_s, rule).sections)
+        return [a, b[:, None], c[None], np.array([[d]])]
+
+    ways: list[tuple[_Way, _Make]] = [
+        (sos, lambda arrays: Filter.from_sos(*arrays, tick_s=tick_s)),
+        (cmsis, lambda arrays: Filter.from_cmsis(*arrays, tick_s=tick_s)),
+        (cmsis, lambda arrays: Filter.from_cmsis(*arrays, tick_s=tick_s, precision="float64")),
+        (matrices, lambda arrays: Filter.from_state_space(*arrays, tick_s=tick_s)),
+        (ba, lambda arrays: Filter.from_ba(*arrays, tick_s=tick_s)),
+    ]
+    return ways[number % (5 if g.order <= 3 else 4)]
+
+
+def _free(array: np.ndarray) -> np.ndarray:
+    """Places of the numbers that a filter may choose: neither 0 nor 1."""
+    return np.flatnonzero((array != 0.0) & (array != 1.0))

@@ -6,10 +6,12 @@ translates the same loops; a test compares both texts.
 
 from __future__ import annotations
 
+import ctypes
 import math
 import re
 import textwrap
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from string import Template
 from typing import Final, cast
 
@@ -17,9 +19,15 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from firmware_model.compiled import compiled
+from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.rules import Rule
-from firmware_model.discretisation.sections import ComplexArray, Sections
-from firmware_model.discretisation.systems import zero_pole_gain
+from firmware_model.discretisation.sections import ComplexArray, Sections, from_delta_zpk
+from firmware_model.discretisation.systems import (
+    Polynomials,
+    StateSpace,
+    continuous,
+    zero_pole_gain,
+)
 from firmware_model.discretisation.tustin import RULES, tustin
 from firmware_model.errors import ParameterError
 from firmware_model.target.filters import biquad
@@ -55,6 +63,9 @@ TAKEN: Final = {
     CPP_KEYWORDS: "a keyword of C++, which may include the header",
     LIBRARY: "a name of the C library",
 }
+
+MAX_STATES: Final = 64
+"""Of a C function: 16 stages of 4 in direct form I."""
 
 HEADER: Final = Template("""\
 /* $what
@@ -202,7 +213,8 @@ class Filter:
     Attributes:
         sections: the second-order sections, with the stored coefficients.
         tick_s: sampling period, seconds.
-        rule: the discretisation.
+        rule: the discretisation, or None for a filter from its own coefficients.
+        given: the filter in z as its coefficients were given, in factors; empty of ``discretise``.
         prewarp_rad_per_s: the frequency at which Tustin kept the response, or None.
         precision: of coefficients, state and arithmetic.
         cascade: the same constants as the record of ``biquad.CONSTANTS`` that runs. Read-only.
@@ -211,11 +223,13 @@ class Filter:
     def __init__(
         self,
         sections: Sections,
-        rule: Rule,
+        rule: Rule | None,
         prewarp_rad_per_s: float | None,
         precision: Precision,
+        given: Sequence[ZeroPoleGain | Polynomials | StateSpace] = (),
     ) -> None:
-        """Store ``sections`` in ``precision``; ``discretise`` makes them."""
+        """Store ``sections`` in ``precision``; ``discretise`` and ``from_…`` make them."""
+        self.given = tuple(given)
         self._exact = sections
         stored = _stored(sections.coefficients, precision)
         self.sections = Sections(stored.astype(np.float64), sections.tick_s)
@@ -237,7 +251,179 @@ class Filter:
             ParameterError: an unknown precision, or a precision too small for a coefficient.
         """
         _require_precision(precision)
-        return Filter(self._exact, self.rule, self.prewarp_rad_per_s, precision)
+        return Filter(self._exact, self.rule, self.prewarp_rad_per_s, precision, self.given)
+
+    @classmethod
+    def from_sos(
+        cls,
+        sos: ArrayLike,
+        *,
+        tick_s: float,
+        gain: ArrayLike = 1.0,
+        precision: Precision = "float64",
+    ) -> Filter:
+        """A filter of second-order sections in powers of 1/z, as scipy and MATLAB write them.
+
+        Args:
+            sos: b0, b1, b2, a0, a1, a2, a row a section, shape (n, 6).
+            tick_s: sampling period, seconds.
+            gain: factor of the whole filter, or MATLAB's scale values, shape (m,).
+            precision: that of the coefficients: they are rounded to it first.
+
+        Raises:
+            ParameterError: a wrong shape, a number that is not finite, a0 = 0, an unstable section.
+        """
+        rows, factor = _numbers("sos", sos, precision), _numbers("gain", gain, precision)
+        if rows.ndim != 2 or rows.shape[1] != 6 or not 1 <= len(rows) <= MAX_SECTIONS:
+            raise ParameterError(
+                f"sos has shape {rows.shape}: must be (n, 6), rows b0 b1 b2 a0 a1 a2, "
+                f"n at most {MAX_SECTIONS}"
+            )
+        if not rows[:, 3].all():
+            raise ParameterError("sos: a section with a0 = 0 is improper; must not be 0")
+        b, a = rows[:, :3] / rows[:, 3:4], rows[:, 3:] / rows[:, 3:4]
+        given = [Polynomials(*pair) for pair in zip(b, a, strict=True)]
+        first = (b[:, 2] == 0.0) & (a[:, 2] == 0.0)  # z/z cancels: a section of first order
+        one = np.ones_like(b[:, 0])
+        delta = np.stack(
+            [
+                b[:, 0],
+                np.where(first, 1.0, 2.0) * b[:, 0] + b[:, 1],
+                np.where(first, 0.0, b.sum(axis=1)),
+                np.where(first, 1.0, 2.0) * one + a[:, 1],
+                np.where(first, 0.0, (1.0 + a[:, 1]) + a[:, 2]),
+            ],
+            axis=1,
+        )
+        delta[0, :3] *= factor.prod()
+        return _of_coefficients(Sections(delta, _tick(tick_s)), precision, given)
+
+    @classmethod
+    def from_cmsis(
+        cls, coefficients: ArrayLike, *, tick_s: float, precision: Precision = "float32"
+    ) -> Filter:
+        """A filter of CMSIS-DSP biquads: b0, b1, b2, a1, a2 a stage, with the sign of a1, a2.
+
+        CMSIS-DSP adds a1 y[n-1] + a2 y[n-2], where scipy and MATLAB subtract.
+
+        Args:
+            coefficients: as ``arm_biquad_cascade_df2T_init_f32`` takes them, shape (5n,) or (n, 5).
+            tick_s: sampling period, seconds.
+            precision: that of the coefficients.
+
+        Raises:
+            ParameterError: as ``from_sos``.
+        """
+        flat = _numbers("coefficients", coefficients, precision).ravel()
+        if not flat.size or flat.size % 5:
+            raise ParameterError(f"{flat.size} coefficients: must be 5 a stage, b0 b1 b2 a1 a2")
+        rows = flat.reshape(-1, 5)
+        sos = np.column_stack([rows[:, :3], np.ones(len(rows)), -rows[:, 3:]])
+        return cls.from_sos(sos, tick_s=tick_s, precision=precision)
+
+    @classmethod
+    def from_ba(
+        cls, b: ArrayLike, a: ArrayLike, *, tick_s: float, precision: Precision = "float64"
+    ) -> Filter:
+        """A filter b(1/z)/a(1/z), the arguments of scipy's ``lfilter`` and MATLAB's ``filter``.
+
+        Raises:
+            ParameterError: as ``from_sos``; a[0] = 0; an order above 16.
+        """
+        above, below = _numbers("b", b, precision), _numbers("a", a, precision)
+        for name, row in (("b", above), ("a", below)):
+            if row.ndim != 1 or not row.size:
+                raise ParameterError(f"{name} has shape {row.shape}: must be one row")
+        if below[0] == 0.0:
+            raise ParameterError("a[0] = 0: improper, a filter that needs its future input")
+        size = max(len(above), len(below))
+        given = Polynomials(*(np.pad(row, (0, size - len(row))) for row in (above, below)))
+        return _of_roots(given.zero_pole_gain(), tick_s, precision, given)
+
+    @classmethod
+    def from_zpk(
+        cls,
+        zeros: ArrayLike,
+        poles: ArrayLike,
+        gain: float,
+        *,
+        tick_s: float,
+        precision: Precision = "float64",
+    ) -> Filter:
+        """A filter gain Π(z - zero)/Π(z - pole), roots in z.
+
+        Raises:
+            ParameterError: as ``from_sos``; a complex root without its conjugate.
+            ImproperError: more zeros than poles.
+        """
+        _require_precision(precision)
+        given = continuous(_Roots(np.atleast_1d(zeros), np.atleast_1d(poles), gain))
+        return _of_roots(cast(ZeroPoleGain, given), tick_s, precision, given)
+
+    @classmethod
+    def from_state_space(
+        cls,
+        a: ArrayLike,
+        b: ArrayLike,
+        c: ArrayLike,
+        d: ArrayLike,
+        *,
+        tick_s: float,
+        precision: Precision = "float64",
+    ) -> Filter:
+        """A filter x⁺ = a x + b u, y = c x + d u; shapes (n, n), (n, 1), (1, n), (1, 1).
+
+        Raises:
+            ParameterError: as ``from_sos``.
+        """
+        named = zip("abcd", (a, b, c, d), strict=True)
+        m = [np.atleast_2d(_numbers(name, each, precision)) for name, each in named]
+        n = m[0].shape[1]
+        wanted = [(n, n), (n, 1), (1, n), (1, 1)]
+        if [each.shape for each in m] != wanted:
+            raise ParameterError(
+                f"a, b, c, d have shapes {[each.shape for each in m]}: must be {wanted}"
+            )
+        given = StateSpace(m[0], m[1], m[2], m[3].item())
+        in_delta = StateSpace(m[0] - np.eye(n), m[1], m[2], given.d).zero_pole_gain()
+        return _of_roots(in_delta, tick_s, precision, given, origin=0.0)
+
+    @classmethod
+    def from_c(
+        cls, function: object, *, states: int, tick_s: float, precision: Precision = "float32"
+    ) -> Filter:
+        """The filter that a compiled C function is: ``float step(float *state, float u)``.
+
+        ``state`` has ``states`` numbers, all zero at rest; ``float64`` means ``double``. Calls with
+        a single 1 as input or state answer the filter's matrices, each number exactly.
+
+        Args:
+            function: of a library that ctypes loaded: ``ctypes.CDLL("./filter.so").step``.
+            states: how many numbers the state has, 1 to 64; CMSIS-DSP's df1 has 4 a stage.
+            tick_s: sampling period, seconds.
+            precision: of the function's numbers.
+
+        Raises:
+            ParameterError: not a function of ctypes; not linear, or with a state elsewhere; as
+                ``from_state_space``.
+        """
+        _require_precision(precision)
+        if isinstance(states, bool) or not (isinstance(states, int) and 1 <= states <= MAX_STATES):
+            raise ParameterError(f"states = {states!r}: must be a whole number, 1 to {MAX_STATES}")
+        call = _c_function(function, states, precision)
+        read = np.column_stack([call(row[:-1], row[-1]) for row in np.eye(states + 1)])
+        rng = np.random.default_rng(1)
+        for size in (1e-3, 1.0, 1e3):
+            at = (size * rng.standard_normal(states + 1)).astype(precision).astype(np.float64)
+            error = np.abs(call(at[:-1], at[-1]) - read @ at)
+            allowed = 8 * (states + 2) * np.finfo(precision).eps * (np.abs(read) @ np.abs(at))
+            if not (error <= allowed).all():
+                raise ParameterError(
+                    f"the C function is not linear in its {states} states and its input (tried at "
+                    f"{size:g}), or has a state elsewhere: must be linear, its state in the array"
+                )
+        a, b, c, d = read[:-1, :-1], read[:-1, -1:], read[-1:, :-1], read[-1:, -1:]
+        return cls.from_state_space(a, b, c, d, tick_s=tick_s, precision=precision)
 
     def step(self, u: float) -> float:
         """The answer to the sample ``u``, and the state one tick later."""
@@ -321,7 +507,7 @@ class Filter:
 
     def __repr__(self) -> str:
         """Order, rule, tick, precision, DC gain, and how near the poles are to the circle."""
-        rule: str = self.rule
+        rule: str = self.rule or "from its coefficients"
         if self.prewarp_rad_per_s is not None:
             rule += f" prewarped at {self.prewarp_rad_per_s:g} rad/s"
         radius = f", largest |pole| {np.abs(self.poles).max():.6g}" if self.order else ""
@@ -379,6 +565,90 @@ def discretise(
     tick_s = float(tick_s)
     sections = tustin(g, tick_s, prewarp_rad_per_s) if rule == "tustin" else RULES[rule](g, tick_s)
     return Filter(_spread(sections), rule, prewarp_rad_per_s, precision)
+
+
+@dataclass(frozen=True)
+class _Roots:
+    """Roots in z in the form that ``continuous`` reads."""
+
+    zeros: ComplexArray
+    poles: ComplexArray
+    gain: float
+
+
+def _numbers(name: str, values: ArrayLike, precision: Precision) -> FloatArray:
+    """``values`` rounded to ``precision``."""
+    _require_precision(precision)
+    try:
+        numbers = np.asarray(values)
+    except ValueError:
+        raise ParameterError(f"{name}: rows of different lengths") from None
+    if numbers.dtype.kind not in "iuf" or not np.isfinite(numbers).all():
+        raise ParameterError(f"{name}: every number must be real and finite")
+    return numbers.astype(precision).astype(np.float64)
+
+
+def _c_function(
+    function: object, states: int, precision: Precision
+) -> Callable[[FloatArray, float], FloatArray]:
+    """(state, u) → the next state and the answer, shape (states + 1,)."""
+    real = ctypes.c_float if precision == "float32" else ctypes.c_double
+    try:
+        address = ctypes.cast(cast(ctypes.c_void_p, function), ctypes.c_void_p).value
+    except ctypes.ArgumentError:
+        raise ParameterError(
+            f"function is a {type(function).__name__}: must be a function of a library that "
+            'ctypes loaded, ctypes.CDLL("./filter.so").step'
+        ) from None
+    compiled_step = ctypes.CFUNCTYPE(real, ctypes.POINTER(real), real)(address or 0)
+
+    def call(state: FloatArray, u: float) -> FloatArray:
+        memory = (real * (states + MAX_STATES))(*state, *[math.nan] * MAX_STATES)
+        answer = compiled_step(memory, u)
+        after = np.array([*memory[:states], answer])
+        if not (np.isfinite(after).all() and np.isnan(memory[states:]).all()):
+            raise ParameterError(
+                f"the C function uses more than {states} states, or its answer is not finite: "
+                "must keep to its states"
+            )
+        return after
+
+    return call
+
+
+def _tick(tick_s: object) -> float:
+    if not (_is_number(tick_s) and 0.0 < cast(float, tick_s) < math.inf):
+        raise ParameterError(f"tick_s = {tick_s!r}: must be one finite number of seconds above 0")
+    return float(cast(float, tick_s))
+
+
+def _of_roots(
+    g: ZeroPoleGain,
+    tick_s: float,
+    precision: Precision,
+    given: ZeroPoleGain | Polynomials | StateSpace,
+    origin: float = 1.0,
+) -> Filter:
+    if g.order > 2 * MAX_SECTIONS:
+        raise ParameterError(f"a filter of order {g.order}: must be {2 * MAX_SECTIONS} or less")
+    zeros, poles = ([root - origin for root in roots] for roots in (g.zeros, g.poles))
+    sections = _spread(from_delta_zpk(zeros, poles, g.gain, _tick(tick_s)))
+    return _of_coefficients(sections, precision, [given])
+
+
+def _of_coefficients(
+    sections: Sections,
+    precision: Precision,
+    given: Sequence[ZeroPoleGain | Polynomials | StateSpace],
+) -> Filter:
+    made = Filter(sections, None, None, precision, given)
+    radius = float(np.abs(made.poles).max(initial=0.0))
+    if radius > 1.0 + 1e-6:  # roots on the circle are found within rounding
+        raise ParameterError(
+            f"a pole at |z| = {radius:.6g}: unstable; must be inside the unit circle "
+            "(from_cmsis has the other sign of a1 and a2)"
+        )
+    return made
 
 
 def _is_number(value: object) -> bool:

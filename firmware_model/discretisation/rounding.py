@@ -12,6 +12,7 @@ from scipy import linalg
 
 from firmware_model.compiled import compiled
 from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.discretisation.held_input import sampled, zeros_of
 from firmware_model.discretisation.sections import ComplexArray, Sections
 from firmware_model.discretisation.systems import Polynomials, StateSpace
 from firmware_model.target.filters import biquad
@@ -61,6 +62,66 @@ def _of_state_space(system: StateSpace, s: ComplexArray) -> FloatArray:
     with np.errstate(divide="ignore"):  # for a sum without correct digits
         of_response = (of_a * x * y + of_b * y + of_c * x + abs(system.d)) / np.abs(system(s))
     return np.full(len(s), len(a) * np.max(of_a * whole + of_response))
+
+
+def of_held(g: ZeroPoleGain, tick_s: float, delta: ComplexArray) -> FloatArray:
+    """Roundings of the response at ``delta``, shape (m,), of ``g`` with an input held over a tick.
+
+    The exact state space is rounded twice: on the way to the response, and on the way to each
+    zero, which the roundings at the zero move by the quotient of them and the response's slope.
+    """
+    g = g.cancelled()
+    if not g.poles:
+        return np.full(delta.shape, abs(g.gain))
+    a, b, c = sampled(g, tick_s)
+    through = g.feedthrough
+    answer, _, roundings = _of_entries(a, b, c, through, delta, of_exponential=True)
+    poles = np.linalg.eigvals(a).astype(np.complex128)
+    zeros = np.array(zeros_of((a, b, c), through, poles), np.complex128)
+    if not zeros.size:
+        return roundings
+    try:
+        _, slope, size = _of_entries(a, b, c, through, zeros)
+    except np.linalg.LinAlgError:  # a zero on a pole
+        return np.full(delta.shape, np.inf)
+    with np.errstate(all="ignore"):
+        moved = (size / slope / np.abs(delta[:, None] - zeros)).sum(axis=1)
+    return np.asarray(roundings + moved * np.abs(answer))
+
+
+def of_coefficients(system: ZeroPoleGain | Polynomials | StateSpace, z: ComplexArray) -> FloatArray:
+    """Conditioning of a sampled response at ``z``, shape (m,): each coefficient rounded alone."""
+    if not isinstance(system, StateSpace):
+        return of_system(system, z)
+    answer, _, roundings = _of_entries(system.a, system.b, system.c, system.d, z)
+    with np.errstate(divide="ignore"):
+        return np.asarray(roundings / np.abs(answer))
+
+
+def _of_entries(
+    a: FloatArray,
+    b: FloatArray,
+    c: FloatArray,
+    d: float,
+    points: ComplexArray,
+    *,
+    of_exponential: bool = False,
+) -> tuple[ComplexArray, FloatArray, FloatArray]:
+    """The response at ``points``, its slope, and what roundings of each entry do to the response.
+
+    With R = (xI - a)⁻¹: |c R|(|a| + |x|)|R b| + |c||R b| + |c R||b| + |d|. A matrix exponential
+    rounds an entry of ``a`` or ``b`` as if of the size of the largest in its row and column.
+    """
+    eye = np.eye(len(a))
+    resolvent = np.linalg.inv(points[:, None, None] * eye - a)
+    x, y = resolvent @ b, c @ resolvent
+    entries = np.abs(a)
+    if of_exponential:
+        entries = entries + np.sqrt(np.outer(entries.max(axis=1), entries.max(axis=0)))
+    inputs = np.full(b.shape, np.abs(b).max()) if of_exponential else np.abs(b)
+    size = np.abs(y) @ (entries + np.abs(points)[:, None, None] * eye) @ np.abs(x)
+    size = size + np.abs(c) @ np.abs(x) + np.abs(y) @ inputs
+    return (c @ x)[:, 0, 0] + d, np.abs(y @ x)[:, 0, 0], size[:, 0, 0] + abs(d)
 
 
 def _cancellation(polynomial: FloatArray, x: ComplexArray) -> FloatArray:

@@ -12,6 +12,7 @@ from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation import rounding
 from firmware_model.discretisation.filters import Filter
 from firmware_model.discretisation.held_input import response, sampled
+from firmware_model.discretisation.rules import RULE_NAMES, Rule
 from firmware_model.discretisation.sections import ComplexArray
 from firmware_model.discretisation.systems import continuous, zero_pole_gain
 from firmware_model.discretisation.tustin import image_of_infinity
@@ -22,8 +23,11 @@ from firmware_model.target.structs import FloatArray
 ROUNDINGS = 16
 """Roundings of each number on its way from the continuous filter to its section: more than any."""
 
+ROUNDINGS_HELD = 256
+"""The same for sampled state spaces, and for roots of coefficients in z."""
+
 OF_ZOH = 1e-5
-"""Error of a zero-order hold's zeros, as a share of the largest response."""
+"""Error of any zero-order hold's zeros, as a share of the largest response."""
 
 NOISE_TICKS = 4096
 
@@ -33,34 +37,53 @@ def assert_follows(
     system: object,
     rad_per_s: ArrayLike | None = None,
     *,
+    tick_s: float,
+    rule: Rule,
+    prewarp_rad_per_s: float | None = None,
     within: float | None = None,
 ) -> None:
-    """Assert the theoretical frequency response of the rule.
+    """Assert the tick, the rule and the rule's theoretical frequency response.
 
     ``tustin``: H(e^{jωT}) = G(j(2/T) tan(ωT/2)), with prewarp a factor that keeps the prewarp
     frequency replaces 2/T; ``tustin-held``: 2/(z + 1) times the ``tustin`` response; ``zoh``: the
     response of the sampled state space.
 
     Args:
-        filter: the discretised filter.
+        filter: the filter, of ``discretise`` or of ``Filter.from_…``.
         system: the continuous filter, in any form of ``discretise``.
+        tick_s: the sampling period that is meant, seconds.
+        rule: the discretisation that is meant.
+        prewarp_rad_per_s: the frequency at which ``tustin`` is meant to keep the response.
         rad_per_s: frequencies below π/T, shape (m,); left out: 200 up to 0.95 of that.
         within: relative error that is allowed; left out: a bound from the coefficients.
     """
     _require_filter(filter)
+    if rule not in RULE_NAMES:
+        raise ParameterError(f"rule = {rule!r}: must be one of {', '.join(RULE_NAMES)}")
+    if not isinstance(tick_s, Real) or not 0.0 < tick_s < math.inf:
+        raise ParameterError(f"tick_s = {tick_s!r}: must be one finite number of seconds above 0")
+    assert math.isclose(filter.tick_s, tick_s, rel_tol=1e-12), (
+        f"the filter has a tick of {filter.tick_s:g} s: {tick_s:g} s is meant"
+    )
+    assert filter.rule in (None, rule), f"the filter is by {filter.rule}: {rule} is meant"
     omega = _grid(filter) if rad_per_s is None else _below_nyquist(rad_per_s, filter.tick_s)
-    theory, conditioning = _theory(filter, system, omega)
+    theory, of_theory = _theory(system, omega, tick_s, rule, prewarp_rad_per_s)
     angle = omega * filter.tick_s
     answer = filter.frequency_response(omega)
     if within is None:
         unit = rounding.ROUNDING
+        conditioning = of_theory
         of_sections = rounding.of_sections(
             filter.sections, 2j * np.sin(angle / 2.0) * np.exp(0.5j * angle)
         )
+        for factor in filter.given:
+            of_roots = rounding.of_system(factor, np.exp(1j * angle))
+            conditioning = conditioning + ROUNDINGS_HELD / ROUNDINGS * of_roots
+            of_sections = of_sections + rounding.of_coefficients(factor, np.exp(1j * angle))
         share = unit["float64"] * conditioning + unit[filter.precision] * of_sections
         allowed = ROUNDINGS * share * angle / np.sin(angle) * np.abs(theory)
-        if filter.rule == "zoh":
-            allowed += OF_ZOH * np.abs(theory).max()
+        if rule == "zoh":
+            allowed += _of_zoh(zero_pole_gain(system), tick_s, angle, theory, of_theory)
         allowed = np.where(np.isnan(allowed), np.inf, allowed)  # theory has lost every digit
     else:
         allowed = within * np.abs(theory)
@@ -72,20 +95,36 @@ def assert_follows(
     )
 
 
-def _theory(filter: Filter, system: object, omega: FloatArray) -> tuple[ComplexArray, FloatArray]:
+def _theory(
+    system: object, omega: FloatArray, tick_s: float, rule: Rule, prewarp_rad_per_s: float | None
+) -> tuple[ComplexArray, FloatArray]:
     """The theoretical response of ``system`` at ``omega`` under the rule, and the conditioning."""
-    half = 0.5 * omega * filter.tick_s
+    half = 0.5 * omega * tick_s
     given = continuous(system)
-    if filter.rule == "zoh":
+    if rule == "zoh":
         g = zero_pole_gain(given)
         delta = 2j * np.sin(half) * np.exp(1j * half)
-        theory = response(sampled(g, filter.tick_s), delta) + g.feedthrough
+        theory = response(sampled(g, tick_s), delta) + g.feedthrough
         return theory, rounding.of_system(given, 1j * omega.astype(np.complex128))
-    s = 1j * image_of_infinity(filter.tick_s, filter.prewarp_rad_per_s) * np.tan(half)
+    s = 1j * image_of_infinity(tick_s, prewarp_rad_per_s) * np.tan(half)
     theory, conditioning = given(s), rounding.of_system(given, s)
-    if filter.rule == "tustin-held":
+    if rule == "tustin-held":
         theory = theory / (np.cos(half) * np.exp(1j * half))  # (z + 1)/2
     return theory, conditioning
+
+
+def _of_zoh(
+    g: ZeroPoleGain,
+    tick_s: float,
+    angle: FloatArray,
+    theory: ComplexArray,
+    conditioning: FloatArray,
+) -> FloatArray:
+    """Errors of the roots of ``g``, the state space and the zeros, to the floor of the solver."""
+    delta = 2j * np.sin(angle / 2.0) * np.exp(0.5j * angle)
+    floor = (np.abs(theory) * np.fmax(1.0, conditioning)).max()
+    held = rounding.of_held(g, tick_s, delta) + floor
+    return np.asarray(ROUNDINGS_HELD * rounding.ROUNDING["float64"] * held)
 
 
 def assert_dc_gain(
@@ -93,15 +132,23 @@ def assert_dc_gain(
 ) -> None:
     """Assert the gain for a constant input.
 
+    A bare number does not say how well the zeros of a zero-order hold are known: ``OF_ZOH`` of the
+    largest response is allowed there.
+
     Args:
-        filter: the discretised filter.
+        filter: the filter, of ``discretise`` or of ``Filter.from_…``.
         expected: the gain, or a continuous filter with the gain.
         within: relative error that is allowed; left out: a bound from the number of sections.
     """
     _require_filter(filter)
     gain = float(expected) if isinstance(expected, Real) else zero_pole_gain(expected).dc_gain
     if within is None:
-        roundings = ROUNDINGS * 2 * len(filter.sections.coefficients)
+        roundings: float = ROUNDINGS * 2 * len(filter.sections.coefficients)
+        for factor in filter.given:
+            with np.errstate(all="ignore"):  # a pole at z = 1: no bound
+                roundings += (
+                    ROUNDINGS * rounding.of_coefficients(factor, np.ones(1, complex)).item()
+                )
         allowed = roundings * rounding.ROUNDING[filter.precision] * abs(gain)
         if filter.rule == "zoh":
             allowed += OF_ZOH * float(np.abs(filter.frequency_response(_grid(filter))).max())
@@ -124,23 +171,33 @@ def assert_stable(filter: Filter, *, margin: float = 0.0) -> None:
     assert inside, f"a pole at |z| = {radius:.9g}: must be inside {1.0 - margin:.9g}"
 
 
-def assert_step(filter: Filter, system: object, *, ticks: int = 1000, within: float = 0.01) -> None:
+def assert_step(
+    filter: Filter,
+    system: object,
+    *,
+    rule: Rule | None = None,
+    ticks: int = 1000,
+    within: float = 0.01,
+) -> None:
     """Assert the step response from rest against the exact solution of the continuous filter.
 
     A held input steps at the first tick, and ``zoh`` answers exactly; Tustin's ramps up over the
     tick before, so the exact answer half a tick later is the reference.
 
     Args:
-        filter: the discretised filter.
+        filter: the filter, of ``discretise`` or of ``Filter.from_…``.
         system: the continuous filter, in any form of ``discretise``.
+        rule: the discretisation that is meant; left out: the filter's own.
         ticks: duration.
         within: error that is allowed, as a share of the largest answer.
     """
     _require_filter(filter)
     if not isinstance(ticks, Integral) or ticks < 1:
         raise ParameterError(f"ticks = {ticks!r}: must be a whole number of at least 1")
+    if rule is None and filter.rule is None:
+        raise ParameterError("a filter from coefficients has no rule: state rule=")
     g = zero_pole_gain(system)
-    theory = _step_of(g, filter.tick_s, ticks, late=filter.rule == "tustin")
+    theory = _step_of(g, filter.tick_s, ticks, late=(rule or filter.rule) == "tustin")
     answer = filter.in_precision(filter.precision).run(np.ones(ticks))
     error, allowed = np.abs(answer - theory), within * np.abs(theory).max()
     worst = int(np.argmax(error))
@@ -199,7 +256,7 @@ def assert_bit_identical(filter: Filter, u: ArrayLike | None = None) -> None:
 def _require_filter(filter: object) -> None:
     if not isinstance(filter, Filter):
         raise ParameterError(
-            f"filter must be a Filter, which discretise returns; not {type(filter).__name__}"
+            f"filter must be a Filter, of discretise or Filter.from_…; not {type(filter).__name__}"
         )
 
 

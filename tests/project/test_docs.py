@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import inspect
 import re
 import shlex
 import subprocess
@@ -117,14 +118,14 @@ RUN = (
 
 
 @pytest.mark.parametrize("page", RUN)
-def test_its_python_runs(page: str, capsys: pytest.CaptureFixture[str]) -> None:
+def test_its_python_runs(page: str, tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     code = "\n".join(blocks(text_of(page), "python"))
     assert code
     names: dict[str, object] = {}
     exec(code, names)
     for name, test in names.items():
         if name.startswith("test_") and callable(test):
-            test()
+            test(*[tmp_path] * len(inspect.signature(test).parameters))
 
 
 def test_the_test_of_a_filter_is_short_and_runs_by_pytest_alone(tmp_path: Path) -> None:

@@ -125,9 +125,10 @@ def test_every_assertion_of_the_testing_module_holds(seed: int, filters: int) ->
         g, tick_s = random_filter(rng, held=True)
         for rule in ("tustin", "tustin-held", "zoh"):
             made = discretise(g, tick_s, rule)  # type: ignore[arg-type]
-            testing.assert_follows(made, g)
+            testing.assert_follows(made, g, tick_s=tick_s, rule=rule)  # type: ignore[arg-type]
             testing.assert_dc_gain(made, g)
             testing.assert_stable(made)
             testing.assert_float32_follows(made)
         testing.assert_step(discretise(g, tick_s, "zoh"), g, within=testing.OF_ZOH)
-        testing.assert_follows(discretise(g, tick_s, precision="float32"), g)
+        single = discretise(g, tick_s, precision="float32")
+        testing.assert_follows(single, g, tick_s=tick_s, rule="tustin")
