@@ -6,7 +6,6 @@ times faster.
 
 from __future__ import annotations
 
-import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -14,7 +13,6 @@ from pathlib import Path
 import numpy as np
 
 from can_rig.errors import RigError
-from can_rig.frames.codec import MessageCodec
 from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
 from can_rig.plant.actuators import actuator_limits
@@ -219,17 +217,12 @@ def simulation(
         limits=actuator_limits(scenario.plant, scenario.tick_s),
         resolution=scenario.plant.sensor.resolution_mps2,
         frames=np.array(
-            [_frame(codec) for codec in (network.command_1, network.command_2, network.feedback)]
+            [frame_row(codec) for codec in (network.command_1, network.command_2, network.feedback)]
         ),
         keeps_states=keeps_states,
         at_rest=at_rest,
         restarts=[outage.stop for outage in scenario.outages],
     )
-
-
-def _frame(codec: MessageCodec) -> FloatArray:
-    bits = 8 * struct.calcsize(codec.float_format) if codec.float_format else 0
-    return frame_of(codec.lsb, codec.minimum, codec.maximum, bits)
 
 
 class UntilItFails:

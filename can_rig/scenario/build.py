@@ -46,7 +46,8 @@ def network_of(scenario: Scenario) -> Network:
     """
     chosen = scenario.network
     if not chosen.signals:
-        return _network(dbc_of(scenario), scenario.drive.is_given)
+        roles = tuple(each.role for each in scenario.sensors)
+        return _network(dbc_of(scenario), scenario.drive.is_given, roles)
     data_ids = {role: number for role, number in asdict(chosen.data_ids).items() if number}
     ticks = asdict(chosen.ticks) if chosen.ticks else chosen.tick
     network = map_network(chosen.dbc, Roles(asdict(chosen.signals), ticks, data_ids))
@@ -70,8 +71,8 @@ def dbc_of(scenario: Scenario) -> Path:
 
 
 @cache
-def _network(dbc: Path, says_speed: bool) -> Network:
-    return load_network(dbc, says_speed)
+def _network(dbc: Path, says_speed: bool, sensors: tuple[str, ...]) -> Network:
+    return load_network(dbc, says_speed, sensors)
 
 
 def but_for_noise(settings: PlantSettings, *others: object) -> tuple[object, ...]:

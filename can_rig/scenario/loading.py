@@ -37,11 +37,16 @@ from can_rig.scenario.plant_settings import (
     TRANSFER_FUNCTIONS,
 )
 from can_rig.scenario.refusal import refusal
+from can_rig.scenario.sensor_settings import FurtherSensor
 from can_rig.scenario.settings import LISTS, Scenario
 
 FAULT: Final = "fault"
 
-NEW: Final = {FAULT: FaultSettings(), "disturbance": DisturbanceSettings("none")}
+NEW: Final = {
+    FAULT: FaultSettings(),
+    "disturbance": DisturbanceSettings("none"),
+    "sensor": FurtherSensor("yaw-rate"),
+}
 """The table that a change of the next free number begins from."""
 
 UNSET: Final = {key for key in NUMBER.values() if getattr(FaultSettings, key) is None}

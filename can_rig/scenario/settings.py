@@ -32,13 +32,18 @@ from can_rig.scenario.plant_settings import (
     PlantSettings,
     SignalSettings,
 )
+from can_rig.scenario.sensor_settings import ECHOES, FurtherSensor, MEASURED
 from firmware_model.discretisation.rules import Rule
 from firmware_model.target.structs import MAX_LATENCY_TICKS, Precision
 
 SLOWEST_MPS: Final = 1.0  # at lower speeds our slip angles fail to describe a rolling tire
 FASTEST_MPS: Final = 100.0
 
-LISTS: Final[dict[str, Any]] = {"fault": FaultSettings, "disturbance": DisturbanceSettings}
+LISTS: Final[dict[str, Any]] = {
+    "fault": FaultSettings,
+    "disturbance": DisturbanceSettings,
+    "sensor": FurtherSensor,
+}
 """Keys with a table or a list of tables, and the settings of a table."""
 
 Speed = Annotated[float, Field(ge=SLOWEST_MPS, le=FASTEST_MPS)]
@@ -299,6 +304,7 @@ class Scenario:
     drive: DriveSettings = dataclasses.field(default_factory=DriveSettings)
     fault: tuple[FaultSettings, ...] = (FaultSettings(),)
     disturbance: tuple[DisturbanceSettings, ...] = ()
+    sensor: tuple[FurtherSensor, ...] = ()
     limits: LimitSettings = dataclasses.field(default_factory=LimitSettings)
     actuator: ActuatorSettings = dataclasses.field(default_factory=ActuatorSettings)
     network: NetworkSettings = dataclasses.field(default_factory=NetworkSettings)
@@ -328,6 +334,7 @@ class Scenario:
                 f"disturbance: plant.kind = {self.plant.kind!r}: must be {CAR} or a class; a plant "
                 "by numbers has no side, no road and no column"
             )
+        _refuse_sensors(self)
         _refuse_limits_of_the_model(self.model)
         _refuse_long_dead_times("plant", self.plant, self.tick_s)
         _refuse_long_dead_times("model", self.model, self.tick_s)
@@ -382,6 +389,11 @@ class Scenario:
         """The effective disturbances."""
         return tuple(each for each in self.disturbance if each.kind != "none")
 
+    @cached_property
+    def sensors(self) -> tuple[FurtherSensor, ...]:
+        """The further sensors in the order of their frames, whatever their order in the file."""
+        return tuple(sorted(self.sensor, key=lambda each: MEASURED.index(each.measures)))
+
     @property
     def loss(self) -> FaultSettings:
         """The loss to prepare for: the first fault of a channel, otherwise a default loss."""
@@ -433,6 +445,33 @@ def _refuse_speeds(scenario: Scenario) -> None:
     for before, after in itertools.pairwise(speeds or ()):
         if not after > before:
             raise ValueError(f"design.speeds_mps: {after:g} after {before:g}: must increase")
+
+
+def _refuse_sensors(scenario: Scenario) -> None:
+    """Refuse two sensors of one quantity, times between ticks, and quantities of another plant."""
+    seen: set[str] = set()
+    for number, sensor in enumerate(scenario.sensor):
+        where = "sensor" if len(scenario.sensor) == 1 else f"sensor.{number}"
+        if sensor.measures in seen:
+            raise ValueError(
+                f"{where}.measures = {sensor.measures!r}: must be another; the scenario has this "
+                "sensor already"
+            )
+        seen.add(sensor.measures)
+        if scenario.plant.kind in BY_NUMBERS and sensor.measures not in ECHOES:
+            raise ValueError(
+                f"{where}.measures = {sensor.measures!r}: must be {' or '.join(ECHOES)}; a plant "
+                "by numbers has no yaw and no steering"
+            )
+        if sensor.signal and not scenario.plant.is_own:
+            raise ValueError(
+                f"{where}.signal = {sensor.signal!r}: must be left out; only a class or an FMU "
+                "reports signals by names of its own"
+            )
+        try:
+            sensor.refuse_times(scenario.tick_s)
+        except ValueError as error:
+            raise ValueError(f"{where}.{error}") from None
 
 
 def _refuse_limits_of_the_model(model: PlantSettings) -> None:
