@@ -28,8 +28,8 @@ from can_rig.export.law import CHANGE_SPEED, ENTRIES, law_files
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, ChangeSpeed, Law, Memories, Step
-from firmware_model.target.layout import precision_of, state_type
-from firmware_model.target.structs import Precision, Record, RecordArray
+from firmware_model.law.layout import precision_of, state_type
+from firmware_model.law.structs import Precision, Record, RecordArray
 
 
 @dataclass(frozen=True)

@@ -27,7 +27,7 @@ from can_rig.plant.frameless import frameless, inputs_of
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import controls
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.structs import FloatArray, Precision
+from firmware_model.law.structs import FloatArray, Precision
 
 VARIANTS: Final[tuple[tuple[str, Precision], ...]] = (
     ("m4f", "float32"), ("m7", "float32"), ("m7", "float64"), ("m4f", "float64"),

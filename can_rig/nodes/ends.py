@@ -28,7 +28,7 @@ from can_rig.scenario.driving import controls, speeds_at_ticks
 from can_rig.scenario.reference import reference, refuse_saturation
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, Answer, Firmware, Law
-from firmware_model.target.structs import Record as Memory
+from firmware_model.law.structs import Record as Memory
 
 COMMANDS: Final = 2
 """What is received is numbered: the commands first, then the status."""

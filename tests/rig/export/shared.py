@@ -17,7 +17,7 @@ from can_rig.export.controllers import PYTHON, Controller
 from can_rig.export.ecus import COMPILER, EMULATOR
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
-from firmware_model.target.structs import Precision
+from firmware_model.law.structs import Precision
 
 PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 EMULATED = pytest.mark.skipif(
