@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import click
 from click.shell_completion import CompletionItem
 
-from can_rig.export import CONTROLLERS, SERIAL
+from can_rig.controllers import CONTROLLERS, SERIAL
 from can_rig.nodes.interaction import Interaction
 from can_rig.scenario import shipped
 

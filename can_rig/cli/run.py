@@ -23,8 +23,8 @@ from can_rig.cli.options import (
 )
 from can_rig.cli.output import json_line, say, show_pairs
 from can_rig.cli.progress import counting
+from can_rig.controllers.making import controller_of
 from can_rig.errors import INTERRUPTED
-from can_rig.export.controllers import controller_of
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import refuse_log, write_log
 from can_rig.nodes.bus_access import DEFAULT_TIMEOUTS, StopRequest, Timeouts
