@@ -86,7 +86,7 @@ def replay(path: Path) -> None:
     network = network_of(scenario)
     for realtime in (False, True):
         answers = recorded(read_log(path), network, scenario) if realtime else None
-        OpenLoop(scenario, network, answers).run(read_log(path))
+        OpenLoop(scenario, network, recorded=answers).run(read_log(path))
 
 
 @cache

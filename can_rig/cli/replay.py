@@ -163,7 +163,7 @@ def _open_loop(source: Source, begin_ns: int, gaps: Path | None, force: bool, as
         if source.is_realtime:
             looking = source.frames(lambda log: reading(log, "looking through"))
             answers = recorded(looking, network, source.scenario)
-        loop = OpenLoop(source.scenario, network, answers)
+        loop = OpenLoop(source.scenario, network, recorded=answers)
         loop.run(_compared_from(begin_ns, source, loop))
         listed = loop.account.gaps
         write(listed)

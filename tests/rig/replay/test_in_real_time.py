@@ -28,7 +28,7 @@ def run(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[World, Path, st
 
 
 def replayed(world: World, log: Path, answers: Recorded | None) -> OpenLoop:
-    loop = OpenLoop(world.scenario, world.network, answers)
+    loop = OpenLoop(world.scenario, world.network, recorded=answers)
     loop.run(read_log(log))
     return loop
 
