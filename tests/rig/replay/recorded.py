@@ -15,7 +15,7 @@ import numpy as np
 from can_rig.assessment.resolve import load
 from can_rig.controllers.our_law import in_node
 from can_rig.logs.reading import read_log
-from can_rig.replay.replay import OpenLoop
+from can_rig.replaying.replay import OpenLoop
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import controls
 from can_rig.scenario.settings import Scenario

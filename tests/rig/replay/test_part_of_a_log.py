@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from can import Message
 
-from can_rig.replay.what_if import question
+from can_rig.replaying.what_if import question
 from can_rig.results.source import Source
 from tests.helpers import asked
 from tests.rig.replay.drive import SETTINGS as DRIVE
