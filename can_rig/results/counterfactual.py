@@ -191,7 +191,8 @@ def signals_without_log(scenario: Scenario) -> Signals:
     shared = common(scenario)
     inputs = shared.inputs_of(scenario)
     loop = shared.loop(scenario, inputs, shared.plant or plant_of(scenario))
-    if shared.plant is not None and scenario.faults and not len(inputs.faults):
+    compiled = shared.plant is not None and shared.of is not None
+    if compiled and scenario.faults and not len(inputs.faults):
         _begin_without_fault(loop, scenario)
     loop.run()
     signals = signals_of_trace(loop.trace, inputs.delivery, loop.ticks, shared.network)
