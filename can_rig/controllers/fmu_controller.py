@@ -83,7 +83,7 @@ class FmuController:
         except FmuError as error:
             raise RigError(str(error)) from None
         self._started = False  # a reset needs a new instance
-        return Answer(
-            **{key: value if key in (*COMMANDS, SAID[0]) else int(value)
-               for key, value in said.items()}
-        )  # type: ignore[arg-type]  # fmt: skip
+        codes = [None if key not in said else int(said[key]) for key in SAID[1:]]
+        one, two = (said[key] for key in COMMANDS)
+        mode, fault_state, verdict = codes
+        return Answer(one, two, said.get(SAID[0]), mode, fault_state, verdict)

@@ -123,7 +123,7 @@ class LibraryController:
             self._values = (ctypes.c_double * len(names))()
             self._inputs.witness_names, self._inputs.witnesses = self._kept, self._values
             self._inputs.witness_count = len(names)
-        self._values[:] = values
+        self._values[:] = list(values)
 
     def __del__(self) -> None:
         if hasattr(self, "_controller"):

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from numbers import Real
+from numbers import Integral, Real
 from typing import Any, Final
 
 from can_rig.controllers.bumpless_restart import BumplessRestart
@@ -146,21 +146,22 @@ class Peer:
             checked = Answer(*answer)
         except TypeError:
             raise self._refused(answer, "must be (command_1, command_2) or an Answer") from None
+        numbers: dict[str, Any] = {}
         for name in ("command_1", "command_2", "fault_estimate"):
             value = getattr(checked, name)
             if value is None and name == "fault_estimate":
                 continue
             if not isinstance(value, Real) or not math.isfinite(value):
                 raise self._refused(answer, f"{name} must be a finite number")
-            checked = checked._replace(**{name: float(value)})
+            numbers[name] = float(value)
         for name, largest in CODES.items():
             value = getattr(checked, name)
             if value is None:
                 continue
-            if not (isinstance(value, Real) and value == int(value) and 0 <= value <= largest):
+            if not (isinstance(value, Integral) and 0 <= int(value) <= largest):
                 raise self._refused(answer, f"{name} must be None or a code of 0 to {largest}")
-            checked = checked._replace(**{name: int(value)})
-        return checked
+            numbers[name] = int(value)
+        return checked._replace(**numbers)
 
     def _refused(self, answer: object, right: str) -> RigError:
         said = " ".join(repr(answer).split())

@@ -16,7 +16,7 @@ import numpy as np
 from can_rig.controllers.making import peer_of
 from can_rig.controllers.protocol import Inputs as ControllerInputs
 from can_rig.controllers.protocol import said
-from can_rig.errors import RigError
+from can_rig.errors import RigError, ScenarioError
 from can_rig.frames.codec import NO_DECISION, MessageCodec
 from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
@@ -31,8 +31,10 @@ from can_rig.scenario.driving import controls, speeds_at_ticks
 from can_rig.scenario.fault_settings import PLACES, RESTARTED
 from can_rig.scenario.reference import reference
 from can_rig.scenario.remembered import remembered
-from can_rig.scenario.settings import Scenario
+from can_rig.scenario.settings import LimitSettings, Scenario
 from firmware_model.analysis.hardware import BY, HEALTHY, NO_FAULTS, REPLACED, frame_of
+from firmware_model.analysis.read_off import NotLinearError, read_off
+from firmware_model.analysis.sampled_loop import LinearController
 from firmware_model.analysis.sampled_plant import SampledPlant
 from firmware_model.analysis.simulation import AnyPlant, Simulation, Trace
 from firmware_model.discretisation.schedules import Scheduled
@@ -286,6 +288,27 @@ class InLoop:
         """See ``AnyController``."""
         answer = self.peer.step(ControllerInputs(reference, measurement, speed))
         return answer.command_1, answer.command_2, *said(answer)
+
+
+def linear_law_of(scenario: Scenario) -> LinearController:
+    """The matrices of the scenario's controller, of another kind than the rig's own law.
+
+    Raises:
+        ScenarioError: a controller that is not linear around rest.
+    """
+    free = replace(scenario, limits=LimitSettings())
+
+    def respond(inputs: FloatArray) -> FloatArray:
+        peer = peer_of(free)
+        answers = (peer.step(ControllerInputs(r, y)) for y, r in inputs.tolist())
+        return np.array([(*answer[:2], answer.fault_estimate or 0.0) for answer in answers])
+
+    try:
+        return read_off(respond, scenario.latency_ticks)
+    except NotLinearError as error:
+        raise ScenarioError(
+            f"controller.kind = {scenario.controller.kind!r}: has no margins: {error}"
+        ) from None
 
 
 class UntilItFails:
