@@ -35,10 +35,10 @@ from can_rig.logs.frames import NS_PER_S, Frames
 from can_rig.logs.log import ALL, Window, window_of
 from can_rig.logs.reading import read_log
 from can_rig.nodes.bus_access import StopRequest
-from can_rig.replay.gaps import Gap, seconds, write_gaps
-from can_rig.replay.pace import Paced, Pacer
-from can_rig.replay.replay import OpenLoop, Place, SignalComparison
-from can_rig.replay.rig_frames import recorded
+from can_rig.replaying.gaps import Gap, seconds, write_gaps
+from can_rig.replaying.pace import Paced, Pacer
+from can_rig.replaying.replay import OpenLoop, Place, SignalComparison
+from can_rig.replaying.rig_frames import recorded
 from can_rig.results.source import Source, log_path, only_channel, source_of
 from can_rig.scenario.build import network_of
 
@@ -432,7 +432,7 @@ def _what_if(
     as_json: bool,
 ) -> int:
     """Answer --what-if, and print what differs: the exit status."""
-    from can_rig.replay.what_if import LABELS, question, what_if  # noqa: PLC0415 (matplotlib)
+    from can_rig.replaying.what_if import LABELS, question, what_if  # noqa: PLC0415 (matplotlib)
 
     asked = question(path, name, settings, channel, lambda log: reading(log, "reading"), window)
     found = what_if(

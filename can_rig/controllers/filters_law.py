@@ -13,7 +13,7 @@ from can_rig.errors import ScenarioError, one_line
 from can_rig.scenario.controller_settings import FILTER_NAMES, FilterSettings
 from firmware_model.discretisation.filters import Filter, discretise
 from firmware_model.errors import DesignError
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 R, Y, U1, U2, D = range(5)
 """The signals of the law: reference, measurement, both commands, d̂."""

@@ -12,8 +12,8 @@ from can_rig.controllers.protocol import Answer, Inputs
 from can_rig.controllers.setup import ControllerSetup
 from can_rig.errors import RigError, ScenarioError
 from can_rig.own_class import failure, find_class, guard, require_signature
-from firmware_model.target.status import Mode
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.status import Mode
+from firmware_model.law.structs import FloatArray
 
 METHODS: Final = {
     "reset": "reset(reference)",

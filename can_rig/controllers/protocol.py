@@ -16,7 +16,7 @@ from can_rig.frames.codec import NO_DECISION, NO_VERDICT
 from can_rig.frames.network import Network
 from can_rig.frames.protection import USABLE, CheckStatus
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.status import FaultState, Mode
+from firmware_model.law.status import FaultState, Mode
 
 LISTEN_S: Final = 0.05
 """A controller that starts while the plant moves listens for so long before it sends commands."""

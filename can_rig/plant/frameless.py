@@ -38,8 +38,8 @@ from firmware_model.analysis.sampled_loop import LinearController
 from firmware_model.analysis.sampled_plant import SampledPlant
 from firmware_model.analysis.simulation import AnyPlant, Simulation, Trace
 from firmware_model.discretisation.schedules import Scheduled
-from firmware_model.target import controller
-from firmware_model.target.structs import FloatArray, RecordArray
+from firmware_model.law import controller
+from firmware_model.law.structs import FloatArray, RecordArray
 
 
 @dataclass(frozen=True)

@@ -28,7 +28,7 @@ from can_rig.errors import RigError, ScenarioError, require
 from can_rig.logs.columns import TAKEN
 from can_rig.own_class import failure, find_class, guard, require_signature
 from can_rig.scenario.plant_settings import CAR, FMU, PlantSettings
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 METHODS = {
     "reset": "reset()",

@@ -17,7 +17,7 @@ import numpy as np
 
 from firmware_model.analysis.sampled_loop import LinearController
 from firmware_model.errors import DesignError
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 SIZE: Final = 1e-3
 """Of an impulse, m/s²: within every limit and boundary layer."""

@@ -33,10 +33,10 @@ from firmware_model.analysis.loop import (
     tick,
 )
 from firmware_model.analysis.sampled_plant import SampledPlant, follow
-from firmware_model.target import controller as law
-from firmware_model.target.layout import precision_of, table_type
-from firmware_model.target.schedule import STATE, change_first_speed
-from firmware_model.target.structs import FloatArray, Record, RecordArray, record_type
+from firmware_model.law import controller as law
+from firmware_model.law.layout import precision_of, table_type
+from firmware_model.law.schedule import STATE, change_first_speed
+from firmware_model.law.structs import FloatArray, Record, RecordArray, record_type
 
 BoolArray = NDArray[np.bool_]
 

@@ -18,7 +18,7 @@ from can_rig.controllers.filters_law import sections_of
 from can_rig.controllers.setup import ControllerSetup
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.filters import discretise
-from firmware_model.target.status import FaultState
+from firmware_model.law.status import FaultState
 
 MODEL_ERROR: Final = 0.05
 """Share of w that the model does not explain."""

@@ -19,7 +19,7 @@ from can_rig.nodes.lockstep import ControllerNode
 from can_rig.nodes.runner import run_in_process
 from can_rig.panel.live import HOLD, LiveSignals
 from can_rig.plant.frameless import frameless
-from can_rig.replay.replay import OpenLoop
+from can_rig.replaying.replay import OpenLoop
 from can_rig.results.report.page import page
 from can_rig.results.report.web_page import panels
 from can_rig.results.signals import read_signals
