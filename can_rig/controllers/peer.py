@@ -11,7 +11,7 @@ from can_rig.controllers.bumpless_restart import BumplessRestart
 from can_rig.controllers.protocol import Answer, Inputs
 from can_rig.controllers.setup import ControllerSetup
 from can_rig.errors import RigError, ScenarioError
-from can_rig.own_class import failure, find_class, guard, require_signature
+from can_rig.scenario.own_class import failure, find_class, guard, require_signature
 from firmware_model.law.status import Mode
 from firmware_model.law.structs import FloatArray
 

@@ -26,7 +26,7 @@ from typing import Protocol, runtime_checkable
 
 from can_rig.errors import RigError, ScenarioError, require
 from can_rig.logs.columns import TAKEN
-from can_rig.own_class import failure, find_class, guard, require_signature
+from can_rig.scenario.own_class import failure, find_class, guard, require_signature
 from can_rig.scenario.plant_settings import CAR, FMU, PlantSettings
 from firmware_model.law.structs import FloatArray
 

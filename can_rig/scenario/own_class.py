@@ -13,7 +13,7 @@ from typing import TypeVar
 from can_rig.errors import RigError, ScenarioError, one_line
 
 Answer = TypeVar("Answer")
-PACKAGE = str(Path(__file__).parent)
+PACKAGE = str(Path(__file__).parents[1])
 
 
 def _is_packaged(file: str) -> bool:
