@@ -86,7 +86,7 @@ class LoopInWindows:
         return slice(ticks.start - self.first, ticks.stop - self.first)
 
     def run(self) -> range:
-        """Run some more ticks and return their range. ``loop`` holds these ticks and earlier ticks of use.
+        """Run some more ticks and return their range; ``loop`` holds all ticks still of use.
 
         Raises:
             RigError: a plant of one's own fails; ``done`` says when.
