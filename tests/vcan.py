@@ -11,16 +11,17 @@ import can
 import pytest
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.our_law import PYTHON
 from can_rig.nodes.bus_access import StopRequest, Timeouts
 from can_rig.nodes.runner import RunOptions, run_controller, run_plant
 from can_rig.nodes.ticks import NodeSummary
 
 TIMEOUT_S = 120.0  # for what must come; the guest is slow, an import takes up to 20 s
-PATIENT = RunOptions(timeouts=Timeouts(first_s=TIMEOUT_S, silence_s=TIMEOUT_S))
+PATIENT = RunOptions(timeouts=Timeouts(first_s=TIMEOUT_S, silence_s=TIMEOUT_S), controller=PYTHON)
 
 
 def tool(*command: object, **options: object) -> subprocess.CompletedProcess[str]:
-    """A command to its end; what it is made of is installed where vcan0 is, so it never skips."""
+    """Run a command to its end; a machine with vcan0 has its package, so no test skips."""
     return subprocess.run(
         list(map(str, command)), check=True, timeout=TIMEOUT_S, text=True, capture_output=True,
         **options,
@@ -29,7 +30,7 @@ def tool(*command: object, **options: object) -> subprocess.CompletedProcess[str
 
 @pytest.fixture
 def own_can(request):
-    """An interface that nobody else uses, up; the test may do with it what it likes."""
+    """An interface of the test's own, up."""
     name = f"vcan{90 + len(request.node.name) % 10}"
     try:
         tool("ip", "link", "add", "dev", name, "type", "vcan")

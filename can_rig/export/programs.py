@@ -12,8 +12,7 @@ from typing import Final
 import can
 
 from can_rig.errors import ExportError
-from can_rig.export.compiler import built
-from can_rig.export.ecus import (
+from can_rig.export.boards import (
     COUNT,
     LONGEST_S,
     RESTART,
@@ -22,6 +21,7 @@ from can_rig.export.ecus import (
     image_of,
     time_order,
 )
+from can_rig.export.compiler import built
 from can_rig.export.law import parts_of, support
 from can_rig.frames.endpoints import Transmitter
 from can_rig.frames.network import Network
@@ -37,7 +37,7 @@ LAST_TICKS = 65530  # the 16 bits of the tick end soon
 def random_frames(network: Network, seed: int) -> list[list[can.Message]]:
     """By tick, what the plant node might have sent, the same for the same ``seed``."""
     choose, ticks = random.Random(seed), []
-    transmitters = [Transmitter(codec) for codec in network.on_the_bus[: network.offered]]
+    transmitters = [Transmitter(codec) for codec in network.inputs]
     first = choose.choice([0, LAST_TICKS])
     for tick in range(first, first + TICKS):
         frames: list[can.Message] = []

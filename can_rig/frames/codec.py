@@ -84,6 +84,12 @@ SAMPLE_BITS: Final = 12
 VALID_SHIFT: Final = 4
 """Place of the validity within byte 1 of such a frame."""
 
+NO_DECISION: Final = 14
+"""The code of ``Verdict`` of a controller that says neither a verdict nor a fault state."""
+
+NO_VERDICT: Final = 15
+"""The code of ``Verdict`` of a controller that says a fault state and no verdict."""
+
 
 class Layout(Protocol):
     """The conversion between a frame's content and its bytes."""

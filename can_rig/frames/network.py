@@ -16,6 +16,8 @@ from cantools.database.can import Message, Signal
 
 from can_rig.errors import DbcError
 from can_rig.frames.codec import (
+    NO_DECISION,
+    NO_VERDICT,
     ROLES,
     SAMPLE_BITS,
     SPEED,
@@ -26,7 +28,7 @@ from can_rig.frames.codec import (
 )
 from can_rig.frames.databases import attribute, load_dbc
 from can_rig.frames.protection import FRAME_BYTES, Protector
-from firmware_model.target.status import Verdict
+from firmware_model.law.status import Verdict
 
 EXTENDED_FLAG = 1 << 31
 
@@ -56,6 +58,8 @@ class Network:
     speed: MessageCodec | None = None
     witnesses: tuple[MessageCodec, ...] = ()
     """Frames of the further sensors, in the order of the scenario's ``sensors``."""
+    periods: tuple[int, ...] = ()
+    """Their periods, ticks."""
 
     def __iter__(self) -> Iterator[MessageCodec]:
         """The five frames of every tick in the order of `ROLES`."""
@@ -63,26 +67,23 @@ class Network:
 
     @property
     def by_role(self) -> tuple[MessageCodec, ...]:
-        """All frames: the five of `ROLES`, the speed, the further sensors."""
-        return (*self, *self._before)
+        """The frames of every tick: the five of `ROLES`, the speed."""
+        return (*self, self.speed) if self.speed else tuple(self)
 
     @property
     def on_the_bus(self) -> tuple[MessageCodec, ...]:
         """All frames in bus order."""
-        return (*self._before, *self)
+        return ((self.speed,) if self.speed else ()) + self.witnesses + tuple(self)
 
     @property
-    def _before(self) -> tuple[MessageCodec, ...]:
-        """The frames before those of every tick."""
-        return ((self.speed,) if self.speed else ()) + self.witnesses
+    def inputs(self) -> tuple[MessageCodec, ...]:
+        """The plant node's frames of every tick, in bus order."""
+        return (*((self.speed,) if self.speed else ()), self.reference, self.feedback)
 
     @property
     def offered(self) -> int:
-        """How many frames the plant node sends at the start of a tick, before all other frames.
-
-        Further sensors whose frame is not due send none of theirs.
-        """
-        return 2 + len(self._before)
+        """How many frames the plant node sends in every tick, before the controller's."""
+        return len(self.inputs)
 
     @property
     def has_ticks(self) -> bool:
@@ -147,9 +148,7 @@ def load_network(
     return network
 
 
-def _codec(
-    message: Message, role: str, path: str | Path, is_witness: bool = False
-) -> MessageCodec:
+def _codec(message: Message, role: str, path: str | Path, is_witness: bool = False) -> MessageCodec:
     where = f"{path}: message {message.name}"
     require_layout(message, role, where, is_witness)
     data_id = attribute(message, "E2EDataId")
@@ -200,7 +199,7 @@ def require_distinct_data_ids(network: Network, path: str | Path) -> None:
         DbcError: names both messages.
     """
     by_crc: dict[int, MessageCodec] = {}
-    for codec in network.by_role:
+    for codec in network.on_the_bus:
         if codec.data_id is None:
             continue
         frame = bytearray(FRAME_BYTES)
@@ -299,8 +298,11 @@ def _require_status(signals: dict[str, Signal], where: str) -> None:
 def _require_verdict(signal: Signal, where: str) -> None:
     """Refuse a verdict at another place, or with unnamed verdicts."""
     _require_plain(signal, "Verdict", _VERDICT, where)
-    if set(signal.choices or ()) != {int(verdict) for verdict in Verdict}:
-        raise DbcError(f"{where}: signal Verdict must have a value table of 0 to {max(Verdict)}")
+    if set(signal.choices or ()) != {*map(int, Verdict), NO_DECISION, NO_VERDICT}:
+        raise DbcError(
+            f"{where}: signal Verdict must have a value table of 0 to {max(Verdict)}, "
+            f"{NO_DECISION} and {NO_VERDICT}"
+        )
 
 
 def _require_value(signal: Signal, place: tuple[int, int], where: str) -> None:

@@ -16,19 +16,20 @@ import can
 import numpy as np
 
 from can_rig.buses.local.bus import LocalBus
+from can_rig.controllers.protocol import Answer, Status, said
 from can_rig.frames.codec import MessageCodec, Record, ticks_ahead
 from can_rig.frames.endpoints import Receiver, Transmitter
+from can_rig.frames.hearing import Hearing
 from can_rig.frames.network import Network
 from can_rig.nodes.bursts import Bursts
 from can_rig.nodes.bus_access import PersistentSender, Send
 from can_rig.nodes.recording import CandumpLines, Log, PlantRecorder
 from can_rig.plant.faults.frame_faults import SENSOR_PLACE, FrameFaults
 from can_rig.plant.simulated import SimulatedPlant
-from can_rig.scenario.driving import controls, speeds_at_ticks
+from can_rig.scenario.driving import speeds_at_ticks
 from can_rig.scenario.reference import reference, refuse_saturation
+from can_rig.scenario.sensor_settings import SAMPLE_TICKS
 from can_rig.scenario.settings import Scenario
-from firmware_model.firmware import PYTHON_LAW, Answer, Firmware, Law
-from firmware_model.target.structs import Record as Memory
 
 COMMANDS: Final = 2
 """What is received is numbered: the commands first, then the status."""
@@ -48,6 +49,8 @@ def bursts_of(
     ``healthy`` says that no frame fault changes the frames of ``codecs``; see ``Bursts``.
     """
     if local is None or not healthy or not local.bursts or not network.is_the_rigs:
+        return None
+    if network.witnesses:  # a tick then has as many frames as are due
         return None
     assert isinstance(send, PersistentSender)
     return Bursts(local, send, codecs, receivers, lines)
@@ -89,7 +92,7 @@ class PlantEnd:
         changing: bool = False,
         local: tuple[LocalBus | None, CandumpLines | None] = (None, None),
     ) -> None:
-        self.plant: Final = SimulatedPlant(scenario, changing)
+        self.plant: Final = SimulatedPlant(scenario, changing, network)
         self.reference_offset = 0.0
         """Added to the scenario's reference, m/s²."""
         refuse_saturation(scenario, network)
@@ -101,6 +104,7 @@ class PlantEnd:
         self._send_feedback = Transmitter(network.feedback)
         self._send_nothing = Transmitter(network.feedback)  # with the counter of the other
         self._send_speed = None if network.speed is None else Transmitter(network.speed)
+        self._witnesses = [Transmitter(codec) for codec in network.witnesses]
         self._speeds = np.empty(0) if network.speed is None else speeds_at_ticks(scenario)
         self._faults = FrameFaults(scenario, network, changing)
         self._receivers = tuple(
@@ -113,7 +117,7 @@ class PlantEnd:
         self.bursts: Final = bursts_of(
             network,
             send,
-            network.on_the_bus[: network.offered],
+            network.inputs,
             self._receivers,
             not self._faults.concerns(SENSOR_PLACE),
             *local,
@@ -140,7 +144,13 @@ class PlantEnd:
             feedback = self._faults.on_the_wire(
                 own, SENSOR_PLACE, tick, self._send_nothing.frame(math.nan, tick)
             )
-        self._offered = (reference, *feedback)
+        witnesses = [
+            self._witnesses[each.sensor].frame(
+                each.value, tick, int(each.valid), 0, each.sample_tick % SAMPLE_TICKS
+            )
+            for each in self.plant.said
+        ]
+        self._offered = (*witnesses, reference, *feedback)
         if self._send_speed is not None:
             self._offered = (self._send_speed.frame(self._speeds.item(tick), tick), *self._offered)
 
@@ -230,6 +240,8 @@ class ControllerEnd:
         self.faults: Final = FrameFaults(scenario, network)
         """Those of the answer."""
         self._rejected: Rejected = {}
+        self._timings = [each.timing(scenario.tick_s) for each in scenario.sensors]
+        self._names = [each.usual.column for each in scenario.sensors]
         self._begin()
 
     def restart(self) -> None:
@@ -243,6 +255,8 @@ class ControllerEnd:
         self.reference = Receiver(network.reference)
         self.feedback = Receiver(network.feedback)
         self.speed = None if network.speed is None else Receiver(network.speed)
+        self.witnesses = Hearing(network.witnesses, self._timings, self._names)
+        """Those of the further sensors."""
         self._commands = (Transmitter(network.command_1), Transmitter(network.command_2))
         self._status = Transmitter(network.status)
         answers = (network.command_1, network.command_2, network.status)
@@ -252,12 +266,13 @@ class ControllerEnd:
 
     def send_answer(self, tick: int, answer: Answer) -> None:
         """Send commands and status of ``tick``."""
-        command_1, command_2, estimate, *codes = answer
+        command_1, command_2, *_ = answer
+        status = said(answer)
         if self.bursts is not None:
-            self.bursts.send(tick, (command_1, command_2, estimate), *codes)
+            self.bursts.send(tick, (command_1, command_2, status.fault_estimate), *status[1:])
             return
         self.send_commands(tick, command_1, command_2)
-        self.send_status(tick, estimate, *codes)
+        self.send_status(tick, status)
 
     def send_commands(self, tick: int, command_1: float, command_2: float) -> None:
         """Send both commands of ``tick``, after the scheduled frame faults."""
@@ -270,11 +285,9 @@ class ControllerEnd:
         for frame in chain(*frames):
             self._send(frame)
 
-    def send_status(
-        self, tick: int, estimate: float, mode: int, fault_state: int, verdict: int
-    ) -> None:
+    def send_status(self, tick: int, status: Status) -> None:
         """The status, which closes ``tick``."""
-        self._send(self._status.frame(estimate, tick, mode, fault_state, verdict))
+        self._send(self._status.frame(status.fault_estimate, tick, *status[1:]))
 
     def is_speed(self, message: can.Message) -> bool:
         """Whether ``message`` is a speed frame; False on a network without speed frames."""
@@ -292,25 +305,11 @@ class ControllerEnd:
 
     def rejected(self) -> Rejected:
         """Per message, how many frames were not used and why."""
-        now = {receiver.codec.name: receiver.rejected for receiver in self._receivers}
+        receivers = (*self._receivers, *self.witnesses.receivers)
+        now = {receiver.codec.name: receiver.rejected for receiver in receivers}
         return all_rejected(self._rejected, now)
 
     @property
     def _receivers(self) -> tuple[Receiver, ...]:
         both = (self.reference, self.feedback)
         return both if self.speed is None else (self.speed, *both)
-
-
-def started(scenario: Scenario, network: Network, law: Law = PYTHON_LAW) -> tuple[Memory, Firmware]:
-    """The controller's table and the firmware at rest, compiled before the first tick.
-
-    ``law`` is the implementation of the control law.
-
-    Raises:
-        ScenarioError: the design fails.
-    """
-    of = controls(scenario, network)
-    firmware = Firmware(of.table, law, of.schedule)
-    firmware.step(math.nan, math.nan)
-    firmware.reset(0.0)
-    return of.table, firmware

@@ -28,7 +28,7 @@ from can_rig.plant.in_windows import LoopInWindows
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.simulation import BoolArray
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 
 def run_without_bus(
@@ -113,7 +113,7 @@ class RunWithoutBus:
     def rejected(self) -> dict[str, dict[str, int]]:
         """Per message, how many frames were not used and why."""
         network = self._network
-        own = network.on_the_bus[: network.offered]
+        own = network.inputs
         always: dict[str, dict[str, int]] = {codec.name: {} for codec in own}
         return delivery(self._scenario, network, self.ticks).rejected | always
 

@@ -21,7 +21,7 @@ from can_rig.plant.sensor import FilteredSamples
 from can_rig.scenario.build import but_for_noise, continuous_car, continuous_plant
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.remembered import remembered
-from can_rig.scenario.sensor_settings import ECHOES, MEASURED, FurtherSensor
+from can_rig.scenario.sensor_settings import FurtherSensor
 from firmware_model.analysis.sampled_plant import SampledPlant, follow, sample
 from firmware_model.analysis.witnesses import (
     ECHO,
@@ -31,8 +31,8 @@ from firmware_model.analysis.witnesses import (
     with_readings,
 )
 from firmware_model.design.actuator_dynamics import IDEAL, Stage
-from firmware_model.design.vehicle import WORLD
-from firmware_model.target.structs import FloatArray
+from firmware_model.design.vehicle import SPECIFIC_FORCE, WORLD
+from firmware_model.law.structs import FloatArray
 
 LONGEST_STEP_S = 5e-4
 """Longest time of a constant command for a plant class whose actuators or sensor lag."""
@@ -83,9 +83,12 @@ def readings_of(sensors: Sensors) -> list[Reading]:
     return [Reading(_READS[each.measures], each.lag_s) for each in sensors]
 
 
-_READS: Final = {
-    **{each: at for at, each in enumerate(MEASURED) if each not in ECHOES},
-    **{each: ECHO + channel for channel, each in enumerate(ECHOES)},
+_READS: Final[dict[str, int]] = {
+    "yaw-rate": 0,
+    "lateral-acceleration": SPECIFIC_FORCE,
+    "steering-angle": 2,
+    "torque-echo": ECHO,
+    "force-difference-echo": ECHO + 1,
 }
 
 

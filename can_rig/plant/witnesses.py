@@ -12,14 +12,13 @@ from typing import Any, Final, NamedTuple
 import numpy as np
 
 from can_rig.frames.codec import MessageCodec
-from can_rig.frames.network import Network
 from can_rig.plant.faults.plant_faults import PlantFaults
 from can_rig.plant.sensor import NoiseColumns
-from can_rig.scenario.sensor_settings import MEASURED
+from can_rig.scenario.sensor_settings import ECHOES, MEASURED
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.hardware import GRID, frame_of
 from firmware_model.analysis.witnesses import HEALTHY, NOT_SENT, VALID, sense
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 BLOCK_TICKS: Final = 1024
 """Ticks for which noise and faults are computed ahead."""
@@ -87,12 +86,18 @@ class SensesByTick:
 
     Args:
         scenario: the run.
-        network: its frames.
+        codecs: the sensors' frames.
         latest_ticks: the longest delay of a reading by a fault.
     """
 
-    def __init__(self, scenario: Scenario, network: Network, latest_ticks: int) -> None:
-        self._senses = Senses(scenario, network.witnesses)
+    def __init__(
+        self, scenario: Scenario, codecs: Sequence[MessageCodec], latest_ticks: int
+    ) -> None:
+        self._senses = Senses(scenario, codecs)
+        self._echoed = [
+            ECHOES.index(each.measures) if each.measures in ECHOES else 0
+            for each in scenario.sensors
+        ]
         self._memory = self._senses.memory(latest_ticks)
         r = len(self._senses)
         self._values, self._samples = np.zeros(r), np.zeros(r, np.int64)
@@ -104,8 +109,8 @@ class SensesByTick:
         if r:  # compiles before the first tick
             nothing = np.zeros(r)
             sense(
-                0, nothing, nothing, nothing, nothing, self._rows[0], self._senses.constants, self._senses.memory(latest_ticks), self._values,
-                self._samples, self._states,
+                0, nothing, nothing, nothing, nothing, self._rows[0], self._senses.constants,
+                self._senses.memory(latest_ticks), self._values, self._samples, self._states,
             )  # fmt: skip
 
     def change_faults(self, scenario: Scenario, tick: int) -> None:
@@ -114,22 +119,21 @@ class SensesByTick:
         kept = self._noise[tick - self._first :]
         self._compute(tick, kept)
 
-    def take(self, tick: int, truth: FloatArray, told: FloatArray) -> list[Said]:
+    def take(self, tick: int, truth: FloatArray, told: tuple[float, float]) -> list[Said]:
         """What the frames of ``tick`` say; ``tick`` is one more in every call.
 
         Args:
             tick: from 0 on.
             truth: (sensors,), readings without errors.
-            told: (sensors,), what a lying echo says instead.
+            told: the commands that a lying echo says instead.
         """
-        if not len(self._senses):
-            return []
         at = tick - self._first
         if at >= len(self._noise):
             self._compute(tick, self._noise[:0])
             at = 0
+        echoed = np.array([told[channel] for channel in self._echoed])
         sense(
-            tick, truth, told, self._bias[at], self._noise[at],
+            tick, truth, echoed, self._bias[at], self._noise[at],
             self._rows[at if len(self._rows) > 1 else 0], self._senses.constants, self._memory,
             self._values, self._samples, self._states,
         )  # fmt: skip

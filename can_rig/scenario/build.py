@@ -25,8 +25,8 @@ from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.errors import DesignError
-from firmware_model.target.fault_decision.covariance import MAX_DIRECTIONS
-from firmware_model.target.structs import FloatArray, Record
+from firmware_model.law.fault_decision.covariance import MAX_DIRECTIONS
+from firmware_model.law.structs import FloatArray, Record
 
 MOST_PLANTS, MOST_TABLES = 64, 16  # limits of the caches; a box has 40 cars
 
@@ -47,7 +47,9 @@ def network_of(scenario: Scenario) -> Network:
     chosen = scenario.network
     if not chosen.signals:
         roles = tuple(each.role for each in scenario.sensors)
-        return _network(dbc_of(scenario), scenario.drive.is_given, roles)
+        network = _network(dbc_of(scenario), scenario.drive.is_given, roles)
+        periods = tuple(each.timing(scenario.tick_s)[0] for each in scenario.sensors)
+        return replace(network, periods=periods) if periods else network
     data_ids = {role: number for role, number in asdict(chosen.data_ids).items() if number}
     ticks = asdict(chosen.ticks) if chosen.ticks else chosen.tick
     network = map_network(chosen.dbc, Roles(asdict(chosen.signals), ticks, data_ids))

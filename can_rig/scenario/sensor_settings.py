@@ -76,9 +76,6 @@ USUAL: Final[dict[str, Usual]] = {
     "force-difference-echo": Usual("force_difference_echo_n", "", 5.0, 1.0, None),
 }
 
-AGE: Final = "_age_ticks"
-"""Ending of the column with the age of a sensor's sample."""
-
 
 @dataclass(frozen=True, config=STRICT)
 class FurtherSensor:
@@ -174,9 +171,3 @@ class FurtherSensor:
                 f"delay_s = {self.delay_s:g}: must be less than {SAMPLE_TICKS // 2} ticks, which "
                 "the sample's tick can tell"
             )
-
-
-def is_due(timing: tuple[int, int, int], tick: int) -> bool:
-    """Whether a frame with this ``timing`` is sent at ``tick``."""
-    period, phase, _ = timing
-    return tick >= phase and (tick - phase) % period == 0

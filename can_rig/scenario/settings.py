@@ -10,11 +10,12 @@ import dataclasses
 import itertools
 import math
 from functools import cached_property
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, get_args, get_type_hints
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat
 from pydantic.dataclasses import dataclass
 
+from can_rig.scenario.controller_settings import ControllerSettings
 from can_rig.scenario.disturbance_settings import DisturbanceSettings
 from can_rig.scenario.fault_settings import (
     MAX_DURATION_S,
@@ -32,9 +33,9 @@ from can_rig.scenario.plant_settings import (
     PlantSettings,
     SignalSettings,
 )
-from can_rig.scenario.sensor_settings import ECHOES, FurtherSensor, MEASURED
+from can_rig.scenario.sensor_settings import ECHOES, MEASURED, FurtherSensor
 from firmware_model.discretisation.rules import Rule
-from firmware_model.target.structs import MAX_LATENCY_TICKS, Precision
+from firmware_model.law.structs import MAX_LATENCY_TICKS, Precision
 
 SLOWEST_MPS: Final = 1.0  # at lower speeds our slip angles fail to describe a rolling tire
 FASTEST_MPS: Final = 100.0
@@ -298,6 +299,7 @@ class Scenario:
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  # as a table has it
     plant: PlantSettings = dataclasses.field(default_factory=PlantSettings)
     model: PlantSettings = dataclasses.field(default_factory=PlantSettings)
+    controller: ControllerSettings = dataclasses.field(default_factory=ControllerSettings)
     design: DesignSettings = dataclasses.field(default_factory=DesignSettings)
     budget: BudgetSettings = dataclasses.field(default_factory=BudgetSettings)
     reference: ReferenceSettings = dataclasses.field(default_factory=ReferenceSettings)
@@ -422,6 +424,21 @@ class Scenario:
         return values
 
 
+def keys(table: type = Scenario, prefix: str = "") -> list[str]:
+    """Every key that a scenario file or ``--set`` may name, with dots between table and key."""
+    found: list[str] = []
+    for name, kind in get_type_hints(table).items():
+        inner = [kind, *get_args(kind), LISTS.get(name)]  # a table, a table or None, a list
+        tables = [
+            each for each in inner if isinstance(each, type) and dataclasses.is_dataclass(each)
+        ]
+        for each in tables[:1]:
+            found += keys(each, f"{prefix}{name}.")
+        if not tables and (prefix or name != "name"):
+            found.append(prefix + name)
+    return found
+
+
 def _refuse_speeds(scenario: Scenario) -> None:
     """Require the linear car, whose frames carry the speed, for drives and several speeds."""
     speeds = scenario.design.speeds_mps
@@ -449,6 +466,11 @@ def _refuse_speeds(scenario: Scenario) -> None:
 
 def _refuse_sensors(scenario: Scenario) -> None:
     """Refuse two sensors of one quantity, times between ticks, and quantities of another plant."""
+    if scenario.sensor and scenario.network.signals:
+        raise ValueError(
+            "sensor: network.signals: must not be set; further sensors have messages in the rig's "
+            "own frames only"
+        )
     seen: set[str] = set()
     for number, sensor in enumerate(scenario.sensor):
         where = "sensor" if len(scenario.sensor) == 1 else f"sensor.{number}"

@@ -46,7 +46,7 @@ from firmware_model.design.vehicle import (
     single_track,
 )
 from firmware_model.errors import ParameterError
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 POWERS: Final = (1, 0, -1, -2)
 """Of V_r, in whose multiples every matrix of the car is."""
@@ -68,7 +68,9 @@ NO_WORLD: Final[FloatArray] = np.zeros((0, WORLD_ROW))
 
 CAR_STATES: Final = 4  # the first; only their columns depend on the road
 SHARES: Final = 4  # μ_f - 1, μ_r - 1, s - 1 and (μ_f - 1)(s - 1)
-BEHIND_A: Final = 3  # rows behind A: of the reading, the output before the sensor, the acceleration;
+BEHIND_A: Final = (
+    3  # rows behind A: of the reading, the output before the sensor, the acceleration;
+)
 # then those of further sensors
 
 

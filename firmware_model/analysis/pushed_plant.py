@@ -20,7 +20,7 @@ from firmware_model.analysis.sampled_plant import SampledPlant, follow, sample, 
 from firmware_model.analysis.witnesses import NO_READINGS, Readings
 from firmware_model.compiled import firmware
 from firmware_model.design.plants import Plant
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 
 @dataclass(frozen=True)
@@ -49,9 +49,7 @@ class PushedPlant:
         return self.sampled.constants, (self.gamma, self.output, self.reading)
 
 
-def pushed_plant(
-    plant: Plant, tick_s: float, readings: Readings = NO_READINGS
-) -> PushedPlant:
+def pushed_plant(plant: Plant, tick_s: float, readings: Readings = NO_READINGS) -> PushedPlant:
     """Discretise a ``plant`` that has a ``world``, for ticks of ``tick_s`` seconds.
 
     ``readings`` are those of further sensors.

@@ -21,7 +21,7 @@ from firmware_model.compiled import firmware
 from firmware_model.design.actuator_dynamics import Stage
 from firmware_model.design.plants import Plant
 from firmware_model.design.vehicle import WITNESSES, WorldInputs
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 LIES, SWAPPED, INVALID, STANDING = range(hardware.DISTORTION, hardware.DISTORTION + 4)
 """Behind the places of ``hardware``: whether an echo reports the command; the sensor whose reading
@@ -147,7 +147,9 @@ NO_READINGS: Final = Readings(np.zeros((0, 0)), np.zeros((0, len(WITNESSES))), n
 
 
 @firmware
-def acting_before(constants: Any, memory: Any, k: int, u: float, left: float, channel: int) -> float:
+def acting_before(
+    constants: Any, memory: Any, k: int, u: float, left: float, channel: int
+) -> float:
     """What acted on an input of a ``SampledPlant`` just before tick ``k + 1``.
 
     Args:
@@ -160,8 +162,9 @@ def acting_before(constants: Any, memory: Any, k: int, u: float, left: float, ch
     """
     _, _, dead, immediate = constants
     commands = memory[2]
-    acted: float = left * u if immediate else left * commands[(k - dead[channel]) % len(commands), channel]
-    return acted
+    if not immediate:
+        u = commands[(k - dead[channel]) % len(commands), channel]
+    return left * u
 
 
 @firmware

@@ -29,7 +29,7 @@ from firmware_model.analysis.hardware import (
     NO_FAULTS,
     SLEW,
 )
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 BLOCK_TICKS: Final = 1024
 """Block length for effects computed ahead in a tick-by-tick run."""
@@ -98,7 +98,7 @@ class PlantFaults:
 
     def __init__(self, scenario: Scenario) -> None:
         self._tick_ns, self._tick_s = scenario.tick_ns, scenario.tick_s
-        self._sensors = [each.measures for each in scenario.sensors]
+        self._sensors: list[str] = [each.measures for each in scenario.sensors]
         self._of_witnesses = [
             f for f in scenario.faults if f.place in self._sensors and not f.acts_on_frames
         ]

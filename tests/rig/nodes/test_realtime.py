@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import BusError, ScenarioError, SilentNodeError
 from can_rig.nodes.bus_access import StopRequest, Timeouts
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode
@@ -16,7 +17,7 @@ from can_rig.nodes.realtime.plant_node import RealTimePlantNode
 from can_rig.nodes.realtime.timing import CATCH_UP_TICKS, Schedule
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
-from firmware_model.target.status import FaultState, Mode, Verdict
+from firmware_model.law.status import FaultState, Mode, Verdict
 from tests.helpers import NAMES, decoded, record
 from tests.rig.nodes.world import (
     FEEDBACK,
@@ -164,7 +165,7 @@ def test_many_missed_ticks_are_skipped_and_the_car_drives_through_them(ticks, tm
     missing = np.isnan(signals.dstar_mps2)
     assert list(np.flatnonzero(~missing)) == there
 
-    # The car, by scipy: commands act a tick later; one that is missing is held for 10 ticks.
+    # The car, by scipy: commands act a tick later; a missing command is held for 10 ticks.
     acting, silent, last = [], 0, np.zeros(2)
     for tick in range(-1, 299):
         pair = np.array([signals.torque_nm[tick], signals.force_difference_n[tick]])
@@ -212,7 +213,7 @@ def test_a_latency_of_zero_is_refused_with_the_remedy():
     with pytest.raises(ScenarioError, match=r"latency_ticks = 0.*--set latency_ticks=1"):
         RealTimePlantNode(scenario, network_of(scenario), None, None, None)
     with pytest.raises(ScenarioError, match="latency_ticks = 0"):
-        RealTimeControllerNode(scenario, network_of(scenario), None, None)
+        RealTimeControllerNode(scenario, network_of(scenario), None, None, PYTHON)
 
 
 HOLD_TICKS, STEADY_NM = 10, 42.54  # of the actuators; for 1 m/s²
@@ -328,7 +329,7 @@ def test_a_controller_that_stood_still_goes_on(stall, bump_nm, error_mps2, tmp_p
 
     world = World(scenario_of("duration_s=3.2"), answers)
     _, plant = world.run(log)
-    assert plant.realtime()["late_frames"] == 0  # it sends nothing that nobody can use
+    assert plant.realtime()["late_frames"] == 0  # the plant sends only useful frames
     signals = read_signals(log, world.network, 0.001)
     torque = signals.torque_nm[np.isfinite(signals.torque_nm)]
     torque = np.nan_to_num(signals.torque_nm)[2000 + stall :] if stall > 10 else torque[1900:]

@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import ScenarioError
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
@@ -165,7 +166,7 @@ def recorded(folder: Path, name: str, *settings: str) -> list[tuple[bytes, bytes
     for way in ("nodes", "columns"):
         log = folder / f"{way}.log"
         if way == "nodes":
-            run_in_process(scenario, "virtual:world", log, StopRequest(), lambda tick: None)
+            run_in_process(scenario, "virtual:world", log, StopRequest(), lambda tick: None, PYTHON)
         else:
             run_without_bus(scenario, log, StopRequest(), lambda tick: None)
         found.append((log.read_bytes(), (folder / f"{way}.plant.csv").read_bytes()))
@@ -213,7 +214,7 @@ def test_the_car_of_a_scenario_is_that_of_the_equations(settings: list[str]) -> 
 
 
 def test_the_nonlinear_car_gets_the_world_in_every_step_of_a_tick() -> None:
-    """Behind lags a tick has several steps; without commands they are one long step."""
+    """Behind lags a tick has several steps; without commands a single long step."""
     settings = [ALL, *SHORT, "plant.torque_actuator.lag_s=0.01", "tick_s=0.002"]
     scenario = load("nonlinear-car", settings)
     plant, alone = plant_of(scenario), NonlinearCar(scenario.plant)

@@ -1,4 +1,4 @@
-"""Open loop: nothing differs where nothing has changed, and one change is found."""
+"""Open loop: an unchanged log shows no difference, and a single change is found."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from can_rig.assessment.resolve import load, load_run
 from can_rig.errors import LogError
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import write_log
-from can_rig.replay.replay import OpenLoop
+from can_rig.replaying.replay import OpenLoop
 from tests.helpers import NAMES, asked
 from tests.rig.replay.drive import (
     ALL,
