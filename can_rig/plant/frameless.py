@@ -170,6 +170,25 @@ def frameless(
     return loop.trace
 
 
+def controller_inputs(scenario: Scenario) -> FloatArray:
+    """Reference and measurement of each tick of the scenario's run, shape (ticks, 2).
+
+    For designs blended by speed, the speed is a third column; each value is rounded as in its
+    frame.
+
+    Raises:
+        ScenarioError: the scenario cannot run.
+    """
+    network = network_of(scenario)
+    of, inputs = controls(scenario, network), inputs_of(scenario, network)
+    trace = frameless(scenario, network, of, inputs)
+    columns = [trace.reference, trace.measured]
+    if of.schedule is not None:
+        assert inputs.speed is not None
+        columns.append(inputs.speed)
+    return np.column_stack(columns)
+
+
 def frameless_loop(
     scenario: Scenario,
     network: Network,

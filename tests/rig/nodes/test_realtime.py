@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import BusError, ScenarioError, SilentNodeError
 from can_rig.nodes.bus_access import StopRequest, Timeouts
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode
@@ -212,7 +213,7 @@ def test_a_latency_of_zero_is_refused_with_the_remedy():
     with pytest.raises(ScenarioError, match=r"latency_ticks = 0.*--set latency_ticks=1"):
         RealTimePlantNode(scenario, network_of(scenario), None, None, None)
     with pytest.raises(ScenarioError, match="latency_ticks = 0"):
-        RealTimeControllerNode(scenario, network_of(scenario), None, None)
+        RealTimeControllerNode(scenario, network_of(scenario), None, None, PYTHON)
 
 
 HOLD_TICKS, STEADY_NM = 10, 42.54  # of the actuators; for 1 m/s²

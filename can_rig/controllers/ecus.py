@@ -11,56 +11,32 @@ import select
 import shutil
 import subprocess
 import tempfile
-from collections.abc import Mapping
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Protocol
 
+from can_rig.controllers.protocol import COUNTS, Sent
 from can_rig.errors import ExportError, require
 from can_rig.export.application import IDENTITY_BYTES, application, bench
-from can_rig.export.compiler import built, loaded, shared_library
-from can_rig.export.law import parts_of, support, zero
-from can_rig.frames.protection import FRAME_BYTES, USABLE, CheckStatus
+from can_rig.export.boards import (
+    COUNT,
+    EMULATOR,
+    ORDER_BYTES,
+    RESTART,
+    emulation,
+    frame_order,
+)
+from can_rig.export.compiler import loaded, shared_library
+from can_rig.frames.protection import FRAME_BYTES
 from can_rig.scenario.settings import Scenario
 
 SENT_BYTES: Final = 2 + FRAME_BYTES
 MOST_SENT: Final = 3
-COUNTS: Final = len(CheckStatus)
-
-Sent = list[tuple[int, bytes]]
-"""Identifier and data of each frame, in sending order."""
-
-
-class Ecu(Protocol):
-    """A controller node in C."""
-
-    def take(self, frame_id: int, data: bytes) -> Sent:
-        """Deliver a frame; returns the sent frames: none unless the frame completes a tick.
-
-        Raises:
-            ExportError: the node has ended.
-        """
-
-    def restart(self) -> object:
-        """Begin from nothing, as after power-up."""
-
-    def counts(self) -> list[int]:
-        """Frames by ``CheckStatus`` since the start: for reference, feedback, any speed."""
-
-    def close(self) -> None:
-        """Stop the node."""
 
 
 def sent(memory: bytes, n: int) -> Sent:
     """The first ``n`` frames that the harness has written."""
     frames = (memory[i * SENT_BYTES : (i + 1) * SENT_BYTES] for i in range(n))
     return [(int.from_bytes(frame[:2], "little"), frame[2:]) for frame in frames]
-
-
-def rejected(counts: list[int]) -> dict[str, int]:
-    """Rejected frames by reason; reasons without frames are left out."""
-    named = zip(CheckStatus, counts, strict=True)
-    return {status.name.lower(): n for status, n in named if n and status not in USABLE}
 
 
 # --- in this process -----------------------------------------------------------------------------
@@ -119,27 +95,6 @@ class HostEcu:
 
 # --- over a link ---------------------------------------------------------------------------------
 
-ORDER_BYTES: Final = 12
-
-
-def order(letter: bytes, *parts: bytes) -> bytes:
-    """An order with its operands."""
-    return b"".join((letter, *parts)).ljust(ORDER_BYTES, b"\0")
-
-
-def frame_order(frame_id: int, data: bytes) -> bytes:
-    """The order to take a frame."""
-    return order(b"F", frame_id.to_bytes(2, "little"), bytes([len(data)]), data)
-
-
-def time_order(now_us: int) -> bytes:
-    """The order that sets the clock, modulo 2^32."""
-    return order(b"T", (now_us & 0xFFFFFFFF).to_bytes(4, "little"))
-
-
-RESTART: Final = order(b"R")
-COUNT: Final = order(b"C")
-
 
 class Link(Protocol):
     """Bytes to and from a program, in order."""
@@ -197,91 +152,8 @@ class BenchEcu:
 
 # --- on a Cortex-M that QEMU emulates ------------------------------------------------------------
 
-COMPILER: Final = "arm-none-eabi-gcc"
-EMULATOR: Final = "qemu-system-arm"
-DEBIAN: Final = "apt install gcc-arm-none-eabi libnewlib-arm-none-eabi qemu-system-arm"
-LONGEST_S: Final = 600.0
 LOOK_S: Final = 0.5
 MOST_WAITING: Final = 1 << 12
-
-
-@dataclass(frozen=True)
-class Board:
-    """A microcontroller: the emulated machine, and its compiler options."""
-
-    machine: str
-    flags: tuple[str, ...]
-
-
-BOARDS: Final = {
-    "m4f": Board("mps2-an386", ("-mcpu=cortex-m4", "-mfpu=fpv4-sp-d16")),
-    "m7": Board("mps2-an500", ("-mcpu=cortex-m7", "-mfpu=fpv5-d16")),
-}
-FLAGS: Final = (
-    "-std=c99", "-O2", "-ffp-contract=off", "-mthumb", "-mfloat-abi=hard", "-fdata-sections",
-    "-ffunction-sections", "-fno-math-errno",
-)  # fmt: skip
-LINKED: Final = ("-nostartfiles", "-Wl,--gc-sections", "-Tmps2.ld")
-
-
-def firmware_image(scenario: Scenario, board: str) -> Path:
-    """The controller node of ``scenario`` as a program for ``board``, a key of ``BOARDS``.
-
-    Raises:
-        ExportError: a tool is missing, or refuses.
-    """
-    node = application(scenario)
-    return image_of(node | bench(node), "board_ecu.c", board)
-
-
-def image_of(files: Mapping[str, str], program: str, board: str) -> Path:
-    """A program for ``board`` from ``files`` and ``program``, the source of ``main``.
-
-    Raises:
-        ExportError: a tool is missing, or refuses.
-    """
-    for tool in (COMPILER, EMULATOR):
-        if shutil.which(tool) is None:
-            raise ExportError(f"{tool} is not installed; it must be (Debian: {DEBIAN})")
-    literal = zero("float32" if "typedef float real;" in files["real.h"] else "float64")
-    added = (program, "host.h", "host.c", "startup.c", "mps2.ld")
-    around = {name: support(name, parts_of(files), zero=literal) for name in added}
-    return built([COMPILER], (*FLAGS, *BOARDS[board].flags, *LINKED), {**files, **around}, ".elf")
-
-
-def emulation(image: Path, board: str, *options: str) -> list[str]:
-    """The command that runs ``image`` on ``board``."""
-    return [
-        EMULATOR, "-machine", BOARDS[board].machine, "-nographic", "-monitor", "none",
-        "-serial", "none", "-semihosting-config", "enable=on,target=native", *options,
-        "-kernel", str(image),
-    ]  # fmt: skip
-
-
-def emulated(
-    image: Path, board: str, inputs: Mapping[str, bytes], output: str, *options: str
-) -> bytes:
-    """A file that ``image`` writes on ``board`` until it ends.
-
-    Args:
-        image: a program of ``image_of``.
-        board: a key of ``BOARDS``.
-        inputs: the files that the program reads, by name.
-        output: the name of the file.
-        options: of the emulator.
-
-    Raises:
-        ExportError: the emulator fails, or does not end.
-    """
-    with tempfile.TemporaryDirectory(prefix="can-rig-") as place:
-        for name, data in inputs.items():
-            (Path(place) / name).write_bytes(data)
-        command = emulation(image, board, *options)
-        try:
-            subprocess.run(command, cwd=place, capture_output=True, check=True, timeout=LONGEST_S)
-        except (subprocess.CalledProcessError, subprocess.TimeoutExpired) as error:
-            raise ExportError(f"the emulator did not end: {error}") from None
-        return (Path(place) / output).read_bytes()
 
 
 class EmulatedBoard:

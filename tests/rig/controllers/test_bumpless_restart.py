@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from scipy.linalg import expm
 
 from can_rig.assessment.resolve import load
-from can_rig.nodes.realtime.restart import LISTEN_S, RETURN_S, BumplessRestart, FreeMotion
+from can_rig.controllers.bumpless_restart import RETURN_S, BumplessRestart, FreeMotion
+from can_rig.controllers.protocol import LISTEN_S, Inputs
 from can_rig.scenario.build import continuous_plant, controller_table, network_of
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.design.vehicle import VehicleParameters, vehicle_state_space
@@ -31,6 +32,10 @@ def scaled_to_one(x0):
     """The same motion, with a largest D* of 1 m/s²: what a car may still do after an outage."""
     largest = np.abs(free_dstar(x0, 500)).max()
     return np.array(x0) / largest if largest > 0.0 else np.array(x0)
+
+
+def heard(measurement):
+    return Inputs(np.nan, measurement)
 
 
 def table_of(scenario):
@@ -95,13 +100,14 @@ def test_the_estimate_starts_at_zero_on_a_car_that_moves(x0):
     """F1 with no command of its own predicts the car: d̂ stays below the default threshold."""
     scenario = load("ideal")
     table = table_of(scenario)
-    firmware, restart = Firmware(table), BumplessRestart(scenario, table, LSB)
+    firmware = Firmware(table)
+    restart = BumplessRestart(firmware, scenario, table, LSB)
     dstar = np.rint(free_dstar(scaled_to_one(x0), 60) / LSB) * LSB
     tick = 0
     while restart.listens:
-        restart.hear(dstar[tick])
+        restart.hear(heard(dstar[tick]))
         tick += 1
-    restart.start(firmware)
+    restart.start()
     # The first r' is the car's own motion, so C asks for next to nothing.
     answer = firmware.step(restart.reference(1.0), dstar[tick])
     assert abs(answer.fault_estimate) < 1e-6
@@ -112,13 +118,14 @@ def test_the_estimate_starts_at_zero_on_a_car_that_moves(x0):
 @pytest.mark.parametrize("tick_s", [0.0005, 0.001, 0.005])
 def test_listening_and_returning_take_the_time_that_they_say(tick_s):
     scenario = load("ideal", [f"tick_s={tick_s}"])
-    restart = BumplessRestart(scenario, table_of(scenario), LSB)
+    table = table_of(scenario)
+    restart = BumplessRestart(Firmware(table), scenario, table, LSB)
     ticks = 0
     while restart.listens:
-        restart.hear(0.0)
+        restart.hear(heard(0.0))
         ticks += 1
     assert ticks * tick_s == pytest.approx(LISTEN_S)
-    restart.start(Firmware(table_of(scenario)))
+    restart.start()
     path = []
     while not restart.done:
         path.append(restart.reference(1.0))
@@ -134,16 +141,17 @@ def test_listening_and_returning_take_the_time_that_they_say(tick_s):
 def test_a_pendulum_that_falls_while_the_controller_listens_is_caught():
     scenario = load("pendulum", ["plant.sensor.noise_mps2=0"])
     table, plant = table_of(scenario), sample(continuous_plant(scenario.plant), scenario.tick_s)
-    firmware, restart = Firmware(table), BumplessRestart(scenario, table, LSB)
+    firmware = Firmware(table)
+    restart = BumplessRestart(firmware, scenario, table, LSB)
     x, commands, angles = np.zeros(len(plant.c)), (0.0, 0.0), []
     x[0] = 0.01
     acting = commands
     for _ in range(3000):
         angles.append(float(plant.c @ x))
         if restart.listens:
-            restart.hear(angles[-1])
+            restart.hear(heard(angles[-1]))
             if not restart.listens:
-                restart.start(firmware)
+                restart.start()
         else:
             r = 0.0 if restart.done else restart.reference(0.0)
             answer = firmware.step(r, angles[-1])

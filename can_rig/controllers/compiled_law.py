@@ -1,84 +1,24 @@
-"""The controllers of a run by name: the law in Python, the law in C, or a whole node in C."""
+"""The control law as compiled C, in place of the compiled Python."""
 
 from __future__ import annotations
 
 import ctypes
 from collections.abc import Callable
-from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
-from typing import Final
 
 import numpy as np
 
 from can_rig.errors import ExportError
-from can_rig.export import SERIAL
-from can_rig.export.application import application, identity
 from can_rig.export.compiler import loaded, shared_library
-from can_rig.export.ecus import (
-    BenchEcu,
-    Ecu,
-    EmulatedBoard,
-    HostEcu,
-    firmware_image,
-    host_library,
-    serial_ecu,
-)
 from can_rig.export.law import CHANGE_SPEED, ENTRIES, law_files
-from can_rig.scenario.build import network_of
-from can_rig.scenario.settings import Scenario
-from firmware_model.firmware import PYTHON_LAW, ChangeSpeed, Law, Memories, Step
+from firmware_model.firmware import ChangeSpeed, Memories, Step
 from firmware_model.target.layout import precision_of, state_type
 from firmware_model.target.structs import Precision, Record, RecordArray
 
 
-@dataclass(frozen=True)
-class Application:
-    """A whole controller node in C.
-
-    Attributes:
-        start: creates the node.
-    """
-
-    start: Callable[[], Ecu]
-
-
-Controller = Law | Application
-"""A control law for a node in Python, or a complete node."""
-
-PYTHON: Final = PYTHON_LAW
-
-
-def controller_of(name: str, scenario: Scenario) -> Controller:
-    """The controller of ``scenario``.
-
-    Args:
-        name: a name of ``CONTROLLERS``, or ``SERIAL`` with the device of a port.
-        scenario: the run.
-
-    Raises:
-        ExportError: no compiler, or a compiler error.
-        MissingExtraError: a serial port without pyserial.
-    """
-    if name == "python":
-        return PYTHON_LAW
-    if name == "c":
-        return CompiledLaw(scenario.design.precision, changes_speed=scenario.drive.is_given)
-    if name == "ecu":
-        library = host_library(scenario)
-        return Application(lambda: HostEcu(library))
-    receivers = network_of(scenario).offered
-    if name.startswith(SERIAL):
-        expected = identity(application(scenario))
-        port = name.removeprefix(SERIAL)
-        return Application(lambda: serial_ecu(port, expected, scenario.name, receivers))
-    board = name.removeprefix("arm:")
-    image = firmware_image(scenario, board)
-    return Application(lambda: BenchEcu(EmulatedBoard(image, board), receivers))
-
-
 class CompiledLaw:
-    """The control law as compiled C, in place of the compiled Python; see `Law`.
+    """The compiled functions of the control law; see `firmware_model.firmware.Law`.
 
     Table and state are the same memory: a record of numpy has the layout that C gives its struct.
 

@@ -19,16 +19,17 @@ from typing import Any, Final
 
 import can
 
+from can_rig.controllers.our_law import PYTHON
+from can_rig.controllers.protocol import InNode
 from can_rig.errors import LogError
 from can_rig.frames.codec import MessageCodec, Unpacked, tick_at, ticks_ahead
 from can_rig.frames.network import Network
 from can_rig.logs.frames import NS_PER_S, Frames
 from can_rig.nodes.lockstep import ControllerNode
-from can_rig.replay.gaps import NEAR, Account, Row
-from can_rig.replay.rig_frames import INPUTS, SPEED_ROLE, Recorded, RigFrame, is_input, rig_frames
+from can_rig.replaying.gaps import NEAR, Account, Row
+from can_rig.replaying.rig_frames import INPUTS, SPEED_ROLE, Recorded, RigFrame, is_input, rig_frames
 from can_rig.scenario.fault_settings import RESTARTED
 from can_rig.scenario.settings import Scenario
-from firmware_model.firmware import PYTHON_LAW, Law
 
 ANSWERS: Final = 3
 """Frames of an answer: both commands and the status."""
@@ -201,8 +202,8 @@ class OpenLoop:
     Args:
         scenario: the controller's scenario; its frame faults are ignored, the log contains its own.
         network: the frames.
+        controller: starts the controller.
         recorded: the answers of a run in real time; None: a run in lockstep.
-        law: the implementation of the control law.
 
     Raises:
         ScenarioError: the design fails.
@@ -212,8 +213,8 @@ class OpenLoop:
         self,
         scenario: Scenario,
         network: Network,
+        controller: InNode = PYTHON,
         recorded: Recorded | None = None,
-        law: Law = PYTHON_LAW,
     ) -> None:
         self._tick_s = scenario.tick_s
         self._network = network
@@ -223,8 +224,8 @@ class OpenLoop:
             replace(scenario, fault=tuple(f for f in scenario.faults if f.kind == RESTARTED)),
             network,
             lambda message: self._sent.append(bytes(message.data)),
+            controller,
             recorded,
-            law,
         )
         self.account: Final = Account(network, scenario.tick_ns, scenario.outages)
         self.comparison: Final = Comparison(network)

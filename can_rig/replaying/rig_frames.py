@@ -8,6 +8,7 @@ from typing import Final, NamedTuple
 
 import numpy as np
 
+from can_rig.controllers.protocol import NodeController
 from can_rig.decoding.message_decoder import counters, intact_rows
 from can_rig.frames.codec import ROLES, WIRE_TICKS, MessageCodec, tick_at, ticks_ahead, ticks_on
 from can_rig.frames.network import Network
@@ -15,7 +16,6 @@ from can_rig.frames.protection import COUNTERS, FRAME_BYTES, Checker, CheckStatu
 from can_rig.logs.frames import ERROR, EXTENDED, FD, NS_PER_S, REMOTE, Frames
 from can_rig.plant.actuators import Actuator
 from can_rig.scenario.settings import Scenario
-from firmware_model.firmware import Firmware
 
 INPUTS: Final = 2
 """Number of the first roles, reference and feedback; the roles of the answer follow."""
@@ -131,7 +131,8 @@ class Recorded:
     The commands of a tick are missing in the log, or follow the reference of the tick from whose
     deadline on the commands should have acted. The recorded controller told F1 the values that the
     actuators applied meanwhile (`nodes.realtime.controller_node`); a replay must do the same.
-    Outages after which the controller took over anew (`nodes.realtime.restart`) are not replayed.
+    Outages after which the controller took over anew (`controllers.bumpless_restart`) are not
+    replayed.
     """
 
     scenario: Scenario
@@ -146,12 +147,12 @@ class Recorded:
         self._actuators = Actuator(hold_ticks), Actuator(hold_ticks)
         self._sent: dict[int, tuple[float, float]] = {}
 
-    def begin(self, tick: int, firmware: Firmware) -> bool:
-        """Tell the firmware the acting commands from ``tick`` on.
+    def begin(self, tick: int, controller: NodeController) -> bool:
+        """Tell the controller the acting commands from ``tick`` on.
 
         Args:
             tick: the tick on the wire, or counted from the first contact on.
-            firmware: before its step.
+            controller: before its step.
 
         Returns:
             Whether the recorded controller answered the sample of ``tick``.
@@ -163,7 +164,7 @@ class Recorded:
             for actuator, command in zip(self._actuators, sent, strict=True):
                 actuator.hear(command)
         elif acting >= self.first_tick:
-            firmware.act(*(actuator.hear(None) for actuator in self._actuators))
+            controller.act(*(actuator.hear(None) for actuator in self._actuators))
         return self.answered.get(tick, 0) == COMMANDS
 
     def send(self, tick: int, commands: tuple[float, float]) -> None:

@@ -32,31 +32,45 @@ so no model motion matches the plant's.
 from __future__ import annotations
 
 import math
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 from scipy.linalg import solve_discrete_lyapunov
 
+from can_rig.controllers.protocol import LISTEN_S, Inputs
 from can_rig.scenario.settings import Scenario
-from firmware_model.firmware import Firmware
 from firmware_model.target.filters.biquad import advance, at_rest
 from firmware_model.target.structs import FloatArray, Record
 
-LISTEN_S: Final = 0.05
 RETURN_S: Final = 0.4  # X_diff then keeps below 4000 N for 1 m/s², should the motor be dead
 FEWEST_SAMPLES: Final = 10  # of the free response, however long a tick is
+
+
+class Restarted(Protocol):
+    """The controller that takes over: a ``Firmware``."""
+
+    def reset(self, reference: float) -> None:
+        """See ``Controller``."""
+
+    def change_speed(self, speed: float) -> None:
+        """See ``Firmware``."""
+
+    def move(self, sections: FloatArray, doubt: float) -> None:
+        """See ``Firmware``."""
 
 
 class BumplessRestart:
     """One take-over, from the first received sample to the last tick with r' in place of r.
 
     Args:
+        restarted: the controller that takes over.
         scenario: gives the actuators' hold time and the noise of D*.
         table: the controller's constant table.
         lsb: resolution of D* on the wire, m/s².
     """
 
-    def __init__(self, scenario: Scenario, table: Record, lsb: float) -> None:
+    def __init__(self, restarted: Restarted, scenario: Scenario, table: Record, lsb: float) -> None:
+        self._restarted = restarted
         held = round(scenario.actuator.hold_s / scenario.tick_s) + scenario.latency_ticks
         self._listen_ticks = max(round(LISTEN_S / scenario.tick_s), FEWEST_SAMPLES)
         known = held <= self._listen_ticks // 2 and table.tracking.stabiliser.n == 0
@@ -84,12 +98,14 @@ class BumplessRestart:
         """Whether at most half of the samples of the listening time are missing."""
         return sum(map(math.isfinite, self._heard)) * 2 >= self._listen_ticks
 
-    def hear(self, measurement: float) -> None:
+    def hear(self, inputs: Inputs) -> None:
         """Take in D* of a tick without commands."""
-        self._heard.append(measurement)
+        if not math.isnan(inputs.speed_mps):
+            self._restarted.change_speed(inputs.speed_mps)
+        self._heard.append(inputs.measurement)
 
-    def start(self, firmware: Firmware) -> None:
-        """Put ``firmware`` where the ticks that were heard have left the car."""
+    def start(self) -> None:
+        """Put the controller where the ticks that were heard have left the car."""
         if self._held_ticks is None:
             finite = [y for y in self._heard if math.isfinite(y)]
             self._level = finite[-1] if finite else 0.0
@@ -97,8 +113,8 @@ class BumplessRestart:
         else:
             free = np.array(self._heard[self._held_ticks :])
             doubt = self._motion.fit(free, self._variance)
-        firmware.reset(self._level)
-        firmware.move(self._motion.sections, doubt)
+        self._restarted.reset(self._level)
+        self._restarted.move(self._motion.sections, doubt)
 
     def miss(self) -> None:
         """Let a tick pass without a command: the car moves on, r' comes no nearer to r."""

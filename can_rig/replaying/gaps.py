@@ -26,7 +26,7 @@ from can_rig.frames.codec import ROLES
 from can_rig.frames.network import Network
 from can_rig.frames.protection import COUNTERS
 from can_rig.logs.frames import NS_PER_S
-from can_rig.replay.rig_frames import SPEED_ROLE, RigFrame, is_input
+from can_rig.replaying.rig_frames import SPEED_ROLE, RigFrame, is_input
 
 NEAR: Final = 32
 """Largest distance of a usable frame from the current tick, in ticks."""
