@@ -135,7 +135,8 @@ class ChangingCar:
         if first != self._page_at:
             self._page = self._changing.speeds(self._profile, range(first, first + BLOCK))
             self._page_at = first
-        return self._page[tick - first]
+        within: FloatArray = self._page[tick - first]
+        return within
 
 
 class PushedCar:

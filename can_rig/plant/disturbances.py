@@ -83,7 +83,8 @@ class Disturbances:
                     if factor is not None:
                         rows[:, place] *= 1.0 + (factor - 1.0) * share
         if self._drive is not None:
-            _bring(self._drive, np.arange(ticks.start, ticks.stop) * (self._tick_ns * 1e-9), rows)
+            now = np.arange(ticks.start, ticks.stop, dtype=np.float64)
+            _bring(self._drive, now * (self._tick_ns * 1e-9), rows)
         if ticks.start == 0:
             rows[:1] = CALM
         return rows
