@@ -15,7 +15,7 @@ from can_rig.plant.behind import (
     plant_behind,
     sampled_plant,
 )
-from can_rig.plant.disturbances import BANK, Disturbances
+from can_rig.plant.disturbances import BANK, BLOCK, Disturbances
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.driving import SpeedProfile, speed_profile
 from can_rig.scenario.plant_settings import PlantSettings
@@ -43,7 +43,8 @@ def plant_of(scenario: Scenario) -> PlantBehind:
     Raises:
         ScenarioError: an unstable car, a class without the plant's methods, an invalid drive.
     """
-    world = Disturbances(scenario) if scenario.disturbances else None
+    made = Disturbances(scenario)
+    world = made if scenario.disturbances or not made.is_calm else None
     if scenario.drive.is_given or (world and world.changes_friction and not scenario.plant.is_own):
         return ChangingCar(scenario, world)
     if world is None:
@@ -88,11 +89,9 @@ class ChangingCar:
         self._car = LinearBehind(scenario.plant, scenario.tick_s)
         self._world, self._says_speed = world, scenario.drive.is_given
         self._constants, self._work = changing.constants, changing.work
-        self._within = changing.speeds(profile, range(scenario.ticks))
-        time_s = np.arange(scenario.ticks, dtype=np.float64) * (scenario.tick_ns * 1e-9)
-        self._at_ticks = profile(time_s).tolist()
-        self._tick = 0
-        spare = (self._car.sampled.memory, changing.work, self._within[0])
+        self._changing, self._profile, self._tick_s = changing, profile, scenario.tick_ns * 1e-9
+        self._tick, self._page_at, self._page = 0, -1, np.zeros((0, 0, 0))
+        spare = (self._car.sampled.memory, changing.work, self._within(0))
         follow_changing(self._constants, *spare, 0, 0.0, 0.0, 1.0, 1.0, NO_WORLD)  # compiles
         specific_force(self._constants, self._car.memory[0], fastest, NO_WORLD)
 
@@ -101,7 +100,7 @@ class ChangingCar:
     ) -> Mapping[str, float]:
         """See ``PlantBehind``."""
         values = dict(self._car.report(command_1, command_2, left_1, left_2))
-        speed_mps = self._at_ticks[self._tick]
+        speed_mps = self._profile(np.array(self._tick * self._tick_s)).item()
         if self._says_speed:
             values[SPEED] = speed_mps
         if self._world is None:
@@ -118,7 +117,7 @@ class ChangingCar:
             self._constants,
             self._car.memory,
             self._work,
-            self._within[self._tick],
+            self._within(self._tick),
             self._tick,
             command_1,
             command_2,
@@ -129,6 +128,15 @@ class ChangingCar:
         self._tick += 1
         self._car.moved(output)
         return output, read
+
+    def _within(self, tick: int) -> FloatArray:
+        """``ChangingPlant.speeds`` of a tick, computed in pages, however long the run is."""
+        first = tick - tick % BLOCK
+        if first != self._page_at:
+            self._page = self._changing.speeds(self._profile, range(first, first + BLOCK))
+            self._page_at = first
+        within: FloatArray = self._page[tick - first]
+        return within
 
 
 class PushedCar:

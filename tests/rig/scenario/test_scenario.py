@@ -37,7 +37,7 @@ OF_A_DRIVE = {  # tests/rig/scenario/test_drive.py
     "reference.lane_changes_s",
 }
 OTHER = {
-    "drive.speed_rate_max_mps2": 3.0,
+    "drive.speed_rate_max_mps2": 3.0, "drive.gap_max_s": 3.0,
     "reference.lane_m": 4.0,
     "reference.preview_s": 1.5,
     "reference.reaction_s": 0.1,
