@@ -93,8 +93,7 @@ class Base:
 
     def has(self, key: str) -> bool:
         """Whether the key exists, set or not."""
-        table = value_in(self.values, key.rpartition(".")[0])
-        return isinstance(table, dict) and key.rpartition(".")[2] in table
+        return has_key(self.values, key)
 
     def drawn(self, key: str, axis: AxisSettings, unit: float) -> Scalar:
         """The value of an axis at a position in [0, 1], without the values of other keys."""
@@ -322,18 +321,18 @@ class Plan:
 
     @property
     def samples(self) -> Iterator[tuple[float, ...]]:
-        """Points with the middle of every axis: each scenario with each alternative once."""
+        """Points at the begin of every axis: each scenario with each alternative once."""
         several, place = int(len(self.bases) > 1), len(self.settings.axes)
         for number in range(len(self.bases)):
-            middle = [0.5] * self.dimensions
+            begin = [0.0] * self.dimensions
             if several:
-                middle[place] = (number + 0.5) / len(self.bases)
+                begin[place] = (number + 0.5) / len(self.bases)
             at = place + several
             if not self.settings.choices:
-                yield tuple(middle)
+                yield tuple(begin)
             for table, alternatives in self.settings.choices.items():
                 for choice in range(len(alternatives)):
-                    point = list(middle)
+                    point = list(begin)
                     point[at] = (choice + 0.5) / len(alternatives)
                     yield tuple(point)
                 at += 1 + self._most[table]
@@ -397,6 +396,12 @@ class Plan:
             return np.asarray(qmc.LatinHypercube(dimensions, seed=draw).random(runs))
         with warnings.catch_warnings(action="ignore"):  # about a number that is no power of two
             return np.asarray(qmc.Sobol(dimensions, seed=draw).random(runs))
+
+
+def has_key(scenario: Mapping[str, Any], key: str) -> bool:
+    """Whether the key exists, set or not."""
+    table = value_in(scenario, key.rpartition(".")[0])
+    return isinstance(table, dict) and key.rpartition(".")[2] in table
 
 
 def _one_of(names: list[str], unit: float) -> str:

@@ -26,7 +26,6 @@ from can_rig.campaigns.statistics import (
     Rate,
     Summary,
     columns_needed,
-    columns_needed,
     least_so_far,
     margin_column,
     metrics_shown,
@@ -62,7 +61,8 @@ def draw(plan: Plan, required: Sequence[Requirement], columns: Columns, summary:
     heights += [PANEL_IN] * (1 + len(axes)) if metrics else []
     figure = style.page(0.8 + sum(heights))
     figure.suptitle(
-        f"{plan.settings.name}: {summary.runs:,} runs of {', '.join(plan.bases)}, {summary.hours:.3g} h",
+        f"{plan.settings.name}: {summary.runs:,} runs of {', '.join(plan.bases)}, "
+        f"{summary.hours:.3g} h",
         x=0.01, ha="left", fontsize=13,
     )  # fmt: skip
     if not heights:
@@ -271,8 +271,8 @@ def _cross(cross: Cross) -> list[str]:
         for row in cross.rows
     ]  # fmt: skip
     worst = [
-        (row.name, name, its.run, ", ".join(f"{key} = {value}" for key, value in its.values.items()),
-         Code(its.command))
+        (row.name, name, its.run,
+         ", ".join(f"{key} = {value}" for key, value in its.values.items()), Code(its.command))
         for row in cross.rows
         for name, its in row.worst.items()
     ]  # fmt: skip

@@ -204,12 +204,20 @@ class CampaignSettings:
                         raise ValueError(f'{where}: must be one value for sampling = "grid"')
                     if axis.points is not None:
                         raise ValueError(f"{where}.points: must not be set in a choice")
+        self._refuse_numbers()
+        self._refuse_dependence()
+
+    def _refuse_numbers(self) -> None:
+        """Refuse a fault with a number beside a fault without a number."""
         for name in LISTS:
             own = [key for key in self.keys if key.startswith(f"{name}.")]
             with_number = [key for key in own if key.split(".")[1].isdecimal()]
             without = [key for key in own if key not in with_number]
             if with_number and without:
                 raise ValueError(f"{without[0]}: must have a number, as {with_number[0]} has")
+
+    def _refuse_dependence(self) -> None:
+        """Refuse keys that depend on keys that depend on others."""
         dependent = {key for key, axes in self.keys.items() if any(axis.others for axis in axes)}
         for key, axes in self.keys.items():
             for other in (other for axis in axes for other in axis.others):

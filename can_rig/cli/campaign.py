@@ -66,12 +66,12 @@ def command(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Run CAMPAIGN, a TOML file or a shipped one: cars, double-faults, faults, hours, latency,
-    losses, restarts, weather.
+    """Run a campaign of thousands of runs.
 
-    Every run becomes a row of runs.parquet with the command that repeats the run; report.html gives
-    the pass rate of each requirement, the worst runs, and the influence of each axis. Ctrl-C keeps
-    completed runs.
+    CAMPAIGN is a TOML file or a shipped one: cars, double-faults, faults, hours, latency, losses,
+    restarts, weather. Every run becomes a row of runs.parquet with the command that repeats the
+    run; report.html gives the pass rate of each requirement, the worst runs, the campaign's tables,
+    and the influence of each axis. Ctrl-C keeps completed runs.
     """
     if resume and (out is None or force):
         raise click.UsageError("--resume: must come with --out, and not with --force")
@@ -165,8 +165,8 @@ def _print(summary: Summary, folder: CampaignFolder) -> None:
     console.print(spreads)
     if summary.found:
         console.print(_found(summary))
-    for each in summary.tables:
-        console.print(_cross(each))
+    for cross in summary.tables:
+        console.print(_cross(cross))
     alarms = summary.false_alarms
     if alarms["per_hour"] is not None:
         say(

@@ -28,6 +28,9 @@ TORQUE, FORCE = CHANNELS
 DRIVER_S: Final = 2.0
 """Time until a surprised driver steers; until then nobody corrects the car's path."""
 
+DECIMALS: Final = 9
+"""Of sums over a run; a long run is added up in other parts, with other rounding."""
+
 ACTS: Final = 0.01
 """Of the largest force difference: a smaller command compensates nothing."""
 
@@ -80,9 +83,9 @@ def harm_metrics(
 
 
 def _placed(scenario: Scenario, signals: Signals) -> dict[str, bool | str | None]:
-    """Where the faults are, the longest verdict from the first fault on, and whether it is right."""
+    """Where the faults are, the longest verdict since the first fault, and its truth."""
     faulty = {fault.place for fault in scenario.faults}
-    place = " and ".join(sorted(faulty)) or "nothing"
+    place = " and ".join(sorted(faulty)) or "nothing" if len(signals) else None
     if signals.verdict is None or not len(signals):
         return {"place": place, "verdict": None, "right_place": None, "wrong_place": None}
     first = min((fault.at_s for fault in scenario.faults), default=0.0)
@@ -121,7 +124,7 @@ def _away(output: FloatArray, goal: FloatArray, tick_s: float) -> tuple[float | 
         place = np.cumsum(speed) * tick_s
         moved = place[n:] - place[:-n] - n * tick_s * speed[:-n]
         farthest = max(farthest, float(np.abs(moved).max()))
-    return largest, farthest
+    return largest, round(farthest, DECIMALS)
 
 
 def _rms(values: FloatArray, among: Mask | None = None) -> float | None:
@@ -133,7 +136,7 @@ def _rms(values: FloatArray, among: Mask | None = None) -> float | None:
             known &= among[rows]
         total += float(np.sum(np.square(values[rows]), where=known, initial=0.0))
         count += int(known.sum())
-    return (total / count) ** 0.5 if count else None
+    return round((total / count) ** 0.5, DECIMALS) if count else None
 
 
 def _largest(values: FloatArray, among: Mask) -> float | None:
