@@ -23,6 +23,7 @@ from rich.table import Table
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_for_node
 from can_rig.buses.local.bus import LocalBus
+from can_rig.controllers.our_law import PYTHON
 from can_rig.frames.codec import MessageCodec
 from can_rig.frames.endpoints import Receiver
 from can_rig.frames.network import Network
@@ -31,7 +32,7 @@ from can_rig.nodes.bus_access import PersistentSender, StopRequest
 from can_rig.nodes.clock import SYSTEM_CLOCK
 from can_rig.nodes.processes import run_processes
 from can_rig.nodes.recording import CandumpLines, Recorder
-from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.runner import RunOptions, run_in_process
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.settings import Scenario
@@ -54,13 +55,15 @@ def new_log(folder: Path) -> Path:
 def in_process(scenario: Scenario, folder: Path) -> float:
     """Ticks a second of both nodes in this process."""
     bus = f"local:bench-{uuid.uuid4().hex[:8]}"
-    summary = run_in_process(scenario, bus, new_log(folder), StopRequest(), ignore)
+    summary = run_in_process(scenario, bus, new_log(folder), StopRequest(), ignore, PYTHON)
     return summary.ticks / summary.wall_s
 
 
 def two_processes(scenario: Scenario, bus: str, folder: Path) -> float:
     """Ticks a second of two processes on ``bus``."""
-    summary = run_processes(scenario, bus, new_log(folder), StopRequest())
+    summary = run_processes(
+        scenario, bus, new_log(folder), StopRequest(), RunOptions(controller=PYTHON)
+    )
     return summary.ticks / summary.wall_s
 
 

@@ -18,15 +18,15 @@ from rich.console import Console
 from rich.table import Table
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.compiled_law import CompiledLaw
 from can_rig.export.compiler import shared_library
-from can_rig.export.controllers import CompiledLaw
-from can_rig.export.costs import inputs_of_run
 from can_rig.export.law import law_files
+from can_rig.plant.frameless import controller_inputs
 from can_rig.scenario.build import controller_table, network_of
 from firmware_model.compiled import firmware_run
 from firmware_model.firmware import PYTHON_LAW, Firmware, Law
-from firmware_model.target import controller
-from firmware_model.target.structs import Precision
+from firmware_model.law import controller
+from firmware_model.law.structs import Precision
 
 LOOP = """
 #include "controller.h"
@@ -41,14 +41,12 @@ void loop(const struct layout_table *table, struct layout_state *state, const re
 """
 FIRST_STEP = """
 from can_rig.assessment.resolve import load
-from can_rig.export.controllers import controller_of
-from can_rig.scenario.build import controller_table, network_of
-from firmware_model.firmware import Firmware
+from can_rig.controllers.making import controller_of
+from can_rig.controllers.protocol import Inputs
+from can_rig.scenario.build import network_of
 scenario = load("default", [])
-table = controller_table(scenario, network_of(scenario))
-firmware = Firmware(table, controller_of({name!r}, scenario))
-firmware.reset(0.0)
-firmware.step(0.0, 0.0)
+controller = controller_of({name!r}, scenario).start(scenario, network_of(scenario))
+controller.step(Inputs(0.0, 0.0))
 """
 
 
@@ -76,7 +74,7 @@ def nanoseconds(precision: Precision) -> tuple[float, float]:
     table = controller_table(scenario, network_of(scenario))
     tables = np.zeros(1, table.dtype)
     tables[0] = table
-    u = np.ascontiguousarray(inputs_of_run(scenario), precision)
+    u = np.ascontiguousarray(controller_inputs(scenario)[:65536], precision)
     at_rest = PYTHON_LAW.init(tables[0])
     states = at_rest.copy()
     library = ctypes.CDLL(str(shared_library(law_files(precision) | {"loop.c": LOOP})))

@@ -24,6 +24,7 @@ from rich.console import Console
 from rich.table import Table
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.our_law import PYTHON
 from can_rig.decoding.decode import decode_log
 from can_rig.frames.databases import load_database, shipped_dbc
 from can_rig.logs.formats.candump import candump_lines
@@ -40,7 +41,7 @@ def repeated_run(folder: Path, frames: int) -> Path:
     """A candump log of at least so many frames: a run, over and over."""
     scenario = load("thesis-step", [f"duration_s={RUN_S}"])
     once = folder / "once.log"
-    run_in_process(scenario, "virtual:bench", once, StopRequest(), lambda _ticks: None)
+    run_in_process(scenario, "virtual:bench", once, StopRequest(), lambda _ticks: None, PYTHON)
     run = concatenate(read_log(once))
     path = folder / "bench.log"
     with path.open("w", encoding="ascii") as file:

@@ -131,7 +131,7 @@ def _caught(filters: int, mutants: int) -> Table:
                 return True
             return False
 
-        meant = {"tick_s": tick_s, "rule": rule}
+        meant: dict[str, Any] = {"tick_s": tick_s, "rule": rule}
         outcomes.setdefault("none: the filter itself", []).append(seen(way(rule, tick_s), **meant))
         for factor in (0.1, 0.5, 2.0, 10.0):
             off = seen(way(rule, factor * tick_s), **meant)

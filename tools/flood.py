@@ -25,10 +25,11 @@ from rich.table import Table
 
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
+from can_rig.controllers.our_law import PYTHON
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.clock import OnTick
 from can_rig.nodes.processes import run_processes
-from can_rig.nodes.runner import run_in_process
+from can_rig.nodes.runner import RunOptions, run_in_process
 from can_rig.nodes.ticks import NodeSummary
 
 TAKEN_WITHIN_S = 10.0  # makes the local bus wait for the slowest listener
@@ -117,7 +118,7 @@ def run_beside_flood(bus: str, frames: int, log: Path, memory: Memory) -> tuple[
         yield on_tick
 
     scenario = load("thesis-step", ["duration_s=2000"])
-    summary = run_processes(scenario, bus, log, stop, progress)
+    summary = run_processes(scenario, bus, log, stop, RunOptions(controller=PYTHON), progress)
     memory.over.set()
     return summary, seconds[0]
 
@@ -150,7 +151,7 @@ def main() -> int:
         log, undisturbed = Path(name) / "flood.log", Path(name) / "quiet.log"
         summary, seconds = run_beside_flood(options.bus, options.frames, log, memory)
         quiet = load("thesis-step", [f"duration_s={summary.ticks / 1000}"])
-        run_in_process(quiet, "virtual:quiet", undisturbed, StopRequest(), lambda _: None)
+        run_in_process(quiet, "virtual:quiet", undisturbed, StopRequest(), lambda _: None, PYTHON)
         difference, foreign = disturbed(log, undisturbed)
     lost = options.frames - foreign
     reported = summary.bus_events.get("plant", {}).get("frames dropped unread", 0)

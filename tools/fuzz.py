@@ -30,8 +30,8 @@ from can_rig.errors import RigError
 from can_rig.frames.databases import load_database
 from can_rig.logs.frames import FD_BYTES, Frames
 from can_rig.logs.reading import read_log
-from can_rig.replay.replay import OpenLoop
-from can_rig.replay.rig_frames import recorded
+from can_rig.replaying.replay import OpenLoop
+from can_rig.replaying.rig_frames import recorded
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from can_rig.views.log_statistics import LogStatistics
@@ -86,7 +86,7 @@ def replay(path: Path) -> None:
     network = network_of(scenario)
     for realtime in (False, True):
         answers = recorded(read_log(path), network, scenario) if realtime else None
-        OpenLoop(scenario, network, answers).run(read_log(path))
+        OpenLoop(scenario, network, recorded=answers).run(read_log(path))
 
 
 @cache

@@ -10,6 +10,7 @@ sys.path.insert(0, str(Path(__file__).parents[1]))
 
 import click
 
+from can_rig.controllers.our_law import PYTHON
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import write_log
 from can_rig.nodes.bus_access import StopRequest
@@ -39,7 +40,7 @@ def record(names: tuple[str, ...]) -> None:
         with tempfile.TemporaryDirectory() as folder:
             log = Path(folder) / "bus.log"
             bus = f"local:{folder}/bus"
-            run_in_process(scenario, bus, log, StopRequest(), lambda tick: None)
+            run_in_process(scenario, bus, log, StopRequest(), lambda tick: None, PYTHON)
             same = path.exists() and frames(path) == frames(log)
             same = same and has_constants(name) and are_close(constants, recorded(name))
             if not same:

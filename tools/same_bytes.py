@@ -21,8 +21,8 @@ from rich.progress import track
 
 from can_rig.campaigns.plan import plan
 from can_rig.campaigns.settings import read_campaign
-from can_rig.export import CONTROLLERS
-from can_rig.export.controllers import controller_of
+from can_rig.controllers import CONTROLLERS
+from can_rig.controllers.making import controller_of
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
 from can_rig.scenario.settings import Scenario

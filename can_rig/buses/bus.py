@@ -29,6 +29,7 @@ _FD_MTU: Final = 72  # bytes of the kernel's frame of CAN FD
 _ALWAYS_FD = ("virtual", "udp_multicast")  # or without an argument for it
 _NO_CAN: Final = {errno.EAFNOSUPPORT, errno.EPROTONOSUPPORT}
 
+_LINUX_NAME: Final = re.compile(r"v?x?can\d+")  # what Linux calls CAN interfaces
 _MISSING: Final = re.compile(r"missing \d+ required positional arguments?: (.*)")
 
 # Interfaces with an additional package, and python-can's extra for installing that package.
@@ -140,6 +141,8 @@ def _parse(name: str) -> tuple[str, str | int | None, dict[str, Any]]:
 
 
 def _suggestion(interface: str) -> str:
+    if _LINUX_NAME.fullmatch(interface):
+        return f"did you mean socketcan:{interface}?"
     near = difflib.get_close_matches(interface, VALID_INTERFACES, cutoff=0.5)
     if near:
         return f"did you mean {' or '.join(near)}?"
@@ -180,6 +183,11 @@ def lost(bus: object, error: can.CanError, for_s: float) -> BusLostError:
 
 
 def _recipe(channel: object) -> str:
+    if re.fullmatch(r"can\d+", str(channel)):
+        return (
+            f"is the adapter plugged in and its driver loaded? sudo ip link set {channel} up type "
+            "can bitrate 500000; ip -brief link show type can lists those that are there"
+        )
     return (
         f"sudo modprobe vcan; sudo ip link add dev {channel} type vcan; "
         f"sudo ip link set up {channel}"

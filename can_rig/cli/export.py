@@ -12,9 +12,9 @@ from can_rig.assessment.resolve import load
 from can_rig.cli.options import force_option, scenario_options
 from can_rig.cli.output import explain, say, show, table
 from can_rig.export.application import exported, write
-from can_rig.export.ecus import COMPILER, EMULATOR
+from can_rig.export.boards import COMPILER, EMULATOR
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.structs import Precision
+from firmware_model.law.structs import Precision
 
 
 @click.command("export")
@@ -69,15 +69,16 @@ def _report(scenario: Scenario, files: dict[str, str]) -> None:
 
 def _costs(scenario: Scenario) -> None:
     """The costs on each board with an installed compiler and emulator."""
-    from can_rig.export.costs import VARIANTS, cost, inputs_of_run  # noqa: PLC0415
+    from can_rig.export.costs import VARIANTS, cost  # noqa: PLC0415
     from can_rig.export.findings import NOT_INSTALLED  # noqa: PLC0415
+    from can_rig.plant.frameless import controller_inputs  # noqa: PLC0415
 
     if shutil.which(COMPILER) is None:
         for board, precision in VARIANTS:
             say(f"{board}, {precision}: {NOT_INSTALLED} ({COMPILER})")
         return
     counted = shutil.which(EMULATOR) is not None
-    inputs = inputs_of_run(scenario) if counted else None
+    inputs = controller_inputs(scenario) if counted else None
     headings = ("median", "worst", "in tick") if counted else ()
     figures = table("", "code", "constants", "state", "stack", *headings)
     for board, precision in VARIANTS:

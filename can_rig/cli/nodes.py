@@ -27,8 +27,8 @@ from can_rig.cli.options import (
 )
 from can_rig.cli.output import json_line, tell
 from can_rig.cli.progress import counting
+from can_rig.controllers.making import controller_of
 from can_rig.errors import INTERRUPTED, LogError, RigError
-from can_rig.export.controllers import controller_of
 from can_rig.nodes.bus_access import StopRequest, Timeouts
 from can_rig.nodes.clock import OnTick, Throttled
 from can_rig.nodes.realtime import timing

@@ -9,7 +9,7 @@ from typing import Any, TypeVar
 import click
 from click.shell_completion import CompletionItem
 
-from can_rig.export import CONTROLLERS, SERIAL
+from can_rig.controllers import CONTROLLERS, SERIAL
 from can_rig.nodes.interaction import Interaction
 from can_rig.scenario import shipped
 
@@ -31,6 +31,13 @@ def _scenarios(_context: click.Context, _argument: click.Parameter, begun: str) 
 scenario_argument = click.argument("scenario", default="default", shell_complete=_scenarios)
 
 
+def _keys(_context: click.Context, _option: click.Parameter, begun: str) -> list[str]:
+    """Shell completion: the keys of a scenario."""
+    from can_rig.scenario.settings import keys  # noqa: PLC0415 (pydantic)
+
+    return [key for key in keys() if key.startswith(begun)]
+
+
 def set_option(what: str) -> Callable[[Function], Function]:
     """--set, which does ``what``."""
     return click.option(
@@ -38,6 +45,7 @@ def set_option(what: str) -> Callable[[Function], Function]:
         "settings",
         multiple=True,
         metavar="KEY=VALUE",
+        shell_complete=_keys,
         help=f"{what}, as in plant.speed_mps=20; repeatable.",
     )
 

@@ -35,10 +35,10 @@ from can_rig.logs.frames import NS_PER_S, Frames
 from can_rig.logs.log import ALL, Window, window_of
 from can_rig.logs.reading import read_log
 from can_rig.nodes.bus_access import StopRequest
-from can_rig.replay.gaps import Gap, seconds, write_gaps
-from can_rig.replay.pace import Paced, Pacer
-from can_rig.replay.replay import OpenLoop, Place, SignalComparison
-from can_rig.replay.rig_frames import recorded
+from can_rig.replaying.gaps import Gap, seconds, write_gaps
+from can_rig.replaying.pace import Paced, Pacer
+from can_rig.replaying.replay import OpenLoop, Place, SignalComparison
+from can_rig.replaying.rig_frames import recorded
 from can_rig.results.source import Source, log_path, only_channel, source_of
 from can_rig.scenario.build import network_of
 
@@ -163,7 +163,7 @@ def _open_loop(source: Source, begin_ns: int, gaps: Path | None, force: bool, as
         if source.is_realtime:
             looking = source.frames(lambda log: reading(log, "looking through"))
             answers = recorded(looking, network, source.scenario)
-        loop = OpenLoop(source.scenario, network, answers)
+        loop = OpenLoop(source.scenario, network, recorded=answers)
         loop.run(_compared_from(begin_ns, source, loop))
         listed = loop.account.gaps
         write(listed)
@@ -432,7 +432,7 @@ def _what_if(
     as_json: bool,
 ) -> int:
     """Answer --what-if, and print what differs: the exit status."""
-    from can_rig.replay.what_if import LABELS, question, what_if  # noqa: PLC0415 (matplotlib)
+    from can_rig.replaying.what_if import LABELS, question, what_if  # noqa: PLC0415 (matplotlib)
 
     asked = question(path, name, settings, channel, lambda log: reading(log, "reading"), window)
     found = what_if(

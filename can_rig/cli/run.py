@@ -23,15 +23,15 @@ from can_rig.cli.options import (
 )
 from can_rig.cli.output import json_line, say, show_pairs
 from can_rig.cli.progress import counting
+from can_rig.controllers.making import controller_of
 from can_rig.errors import INTERRUPTED
-from can_rig.export.controllers import controller_of
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import refuse_log, write_log
 from can_rig.nodes.bus_access import DEFAULT_TIMEOUTS, StopRequest, Timeouts
 from can_rig.nodes.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.realtime import timing
 from can_rig.results import execution
-from can_rig.results.execution import Options, refuse
+from can_rig.results.execution import INTERRUPTED_RUN, Options, refuse
 from can_rig.results.isolation import verdict_rows
 from can_rig.results.metrics import Metrics, fault_rows, rows
 from can_rig.results.run_folder import Outcome, log_of
@@ -62,6 +62,8 @@ def closing_table(scenario: Scenario, values: Metrics, outcome: Outcome, folder:
         show_pairs(closing)
     say(*scenario.notes)
     say(*timing.scheduling_lines(outcome.realtime or {}))
+    if outcome.outcome == INTERRUPTED_RUN:
+        say(f"stopped after {outcome.ticks} of {scenario.ticks} ticks; these are in the run folder")
     say(f"run folder  {folder}")
 
 
@@ -135,6 +137,7 @@ def command(
     )
     done = execution.execute(chosen, out, StopRequest().on_signals(), options)
     if done is None:
+        say("stopped before the first tick; no run folder is left")
         sys.exit(INTERRUPTED)
     if as_json:
         json_line(folder=str(done.folder), metrics=done.metrics, **asdict(done.outcome))

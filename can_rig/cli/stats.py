@@ -68,7 +68,8 @@ def command(
     """
     if out is not None:
         refuse_picture(out, force)
-    bitrate = _bitrate_of(log) if bitrate is None else bitrate
+    known = _bitrate_of(log) if bitrate is None else bitrate
+    bitrate = USUAL_BITRATE if known is None else known
     try:
         statistics = LogStatistics(bitrate, data_bitrate)
     except FrameError as error:
@@ -79,7 +80,8 @@ def command(
         statistics.add(frames)
         decoder.decode(frames)
     statistics.finish()
-    result = {"bitrate": bitrate, **_summary(statistics, decoder)}
+    assumed = known is None
+    result = {"bitrate": bitrate, "bitrate_assumed": assumed, **_summary(statistics, decoder)}
     if out is not None:
         from can_rig.views.pictures import load_page  # noqa: PLC0415 (matplotlib)
 
@@ -94,12 +96,12 @@ def command(
         say(f"picture in {out}")
 
 
-def _bitrate_of(log: Path) -> int:
-    """The bit rate of a run folder's scenario; for other logs ``USUAL_BITRATE``."""
+def _bitrate_of(log: Path) -> int | None:
+    """The bit rate of a run folder's scenario; None for other logs."""
     try:
         return source_of(log, None, ()).scenario.bus.bitrate
     except RigError:
-        return USUAL_BITRATE
+        return None
 
 
 def _summary(statistics: LogStatistics, decoder: Decoder) -> dict[str, Any]:
@@ -161,6 +163,8 @@ def _lines(result: dict[str, Any]) -> Iterator[str]:
             f"at most {100 * load['mean']:.1f} %, "
             f"{100 * load['most']:.1f} % in its busiest second"
         )
+    if result["bitrate_assumed"] and result["load"]:
+        yield "the log has no bit rate, and the load follows from it: --bitrate gives another"
     for name, counts in result["e2e"].items():
         said = ", ".join(f"{what.replace('_', ' ')} {n}" for what, n in counts.items() if n)
         yield f"end-to-end protection of {name}: {said}"

@@ -19,15 +19,12 @@ from typing import Final
 import numpy as np
 
 from can_rig.export.application import application, in_precision
+from can_rig.export.boards import BOARDS, COMPILER, FLAGS, emulated, image_of
 from can_rig.export.compiler import placed, run
-from can_rig.export.ecus import BOARDS, COMPILER, FLAGS, emulated, image_of
 from can_rig.export.law import CHANGE_SPEED, law_program, parts_of, speed_program
 from can_rig.export.subset import Program
-from can_rig.plant.frameless import frameless, inputs_of
-from can_rig.scenario.build import network_of
-from can_rig.scenario.driving import controls
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.structs import FloatArray, Precision
+from firmware_model.law.structs import FloatArray, Precision
 
 VARIANTS: Final[tuple[tuple[str, Precision], ...]] = (
     ("m4f", "float32"), ("m7", "float32"), ("m7", "float64"), ("m4f", "float64"),
@@ -72,25 +69,6 @@ class Cost:
         return int(np.argmax(self.counts))
 
 
-def inputs_of_run(scenario: Scenario) -> FloatArray:
-    """Reference and measurement of each tick of the scenario's run, shape (ticks, 2).
-
-    For designs blended by speed, the speed is a third column; each value is rounded as in its
-    frame.
-
-    Raises:
-        ScenarioError: the scenario cannot run.
-    """
-    network = network_of(scenario)
-    of, inputs = controls(scenario, network), inputs_of(scenario, network)
-    trace = frameless(scenario, network, of, inputs)
-    columns = [trace.reference, trace.measured]
-    if of.schedule is not None:
-        assert inputs.speed is not None
-        columns.append(inputs.speed)
-    return np.column_stack(columns)[:MOST_TICKS]
-
-
 def cost(scenario: Scenario, board: str, precision: Precision, inputs: FloatArray | None) -> Cost:
     """The cost of a scenario's law.
 
@@ -98,7 +76,8 @@ def cost(scenario: Scenario, board: str, precision: Precision, inputs: FloatArra
         scenario: the scenario.
         board: a key of ``BOARDS``.
         precision: of its real numbers.
-        inputs: from ``inputs_of_run``; None: sizes only, without an emulator.
+        inputs: from ``frameless.controller_inputs``, the first ``MOST_TICKS`` of them count; None:
+            sizes only, without an emulator.
 
     Raises:
         ExportError: a tool is missing, or refuses.
@@ -116,6 +95,7 @@ def instructions(files: Mapping[str, str], board: str, inputs: FloatArray) -> Fl
     Raises:
         ExportError: a tool is missing, or refuses.
     """
+    inputs = inputs[:MOST_TICKS]
     image = image_of(files, "board_count.c", board)
     data = {"inputs": len(inputs).to_bytes(4, "little") + inputs.astype("<f8").tobytes()}
     counted = emulated(image, board, data, "counts", "-icount", "shift=6,sleep=off")

@@ -12,8 +12,7 @@ from typing import Final
 import can
 
 from can_rig.errors import ExportError
-from can_rig.export.compiler import built
-from can_rig.export.ecus import (
+from can_rig.export.boards import (
     COUNT,
     LONGEST_S,
     RESTART,
@@ -22,6 +21,7 @@ from can_rig.export.ecus import (
     image_of,
     time_order,
 )
+from can_rig.export.compiler import built
 from can_rig.export.law import parts_of, support
 from can_rig.frames.endpoints import Transmitter
 from can_rig.frames.network import Network

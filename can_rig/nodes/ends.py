@@ -10,12 +10,13 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from itertools import chain
-from typing import Final
+from typing import Final, NamedTuple
 
 import can
 import numpy as np
 
 from can_rig.buses.local.bus import LocalBus
+from can_rig.controllers.protocol import Answer
 from can_rig.frames.codec import MessageCodec, Record, ticks_ahead
 from can_rig.frames.endpoints import Receiver, Transmitter
 from can_rig.frames.network import Network
@@ -24,11 +25,31 @@ from can_rig.nodes.bus_access import PersistentSender, Send
 from can_rig.nodes.recording import CandumpLines, Log, PlantRecorder
 from can_rig.plant.faults.frame_faults import SENSOR_PLACE, FrameFaults
 from can_rig.plant.simulated import SimulatedPlant
-from can_rig.scenario.driving import controls, speeds_at_ticks
+from can_rig.scenario.driving import speeds_at_ticks
 from can_rig.scenario.reference import reference, refuse_saturation
 from can_rig.scenario.settings import Scenario
-from firmware_model.firmware import PYTHON_LAW, Answer, Firmware, Law
-from firmware_model.target.structs import Record as Memory
+from firmware_model.law.status import FaultState, Mode, Verdict
+
+
+class Status(NamedTuple):
+    """The content of the status frame, in codes."""
+
+    fault_estimate: float
+    mode: int
+    fault_state: int
+    verdict: int
+
+
+def said(answer: Answer) -> Status:
+    """The status of an answer, with a code for what the controller does not say."""
+    _, _, estimate, mode, fault_state, verdict = answer
+    return Status(
+        math.nan if estimate is None else estimate,
+        Mode.RUN if mode is None else mode,
+        FaultState.CANNOT_TELL if fault_state is None else fault_state,
+        Verdict.CANNOT_BE_TOLD if verdict is None else verdict,
+    )
+
 
 COMMANDS: Final = 2
 """What is received is numbered: the commands first, then the status."""
@@ -252,12 +273,13 @@ class ControllerEnd:
 
     def send_answer(self, tick: int, answer: Answer) -> None:
         """Send commands and status of ``tick``."""
-        command_1, command_2, estimate, *codes = answer
+        command_1, command_2, *_ = answer
+        status = said(answer)
         if self.bursts is not None:
-            self.bursts.send(tick, (command_1, command_2, estimate), *codes)
+            self.bursts.send(tick, (command_1, command_2, status.fault_estimate), *status[1:])
             return
         self.send_commands(tick, command_1, command_2)
-        self.send_status(tick, estimate, *codes)
+        self.send_status(tick, status)
 
     def send_commands(self, tick: int, command_1: float, command_2: float) -> None:
         """Send both commands of ``tick``, after the scheduled frame faults."""
@@ -270,11 +292,9 @@ class ControllerEnd:
         for frame in chain(*frames):
             self._send(frame)
 
-    def send_status(
-        self, tick: int, estimate: float, mode: int, fault_state: int, verdict: int
-    ) -> None:
+    def send_status(self, tick: int, status: Status) -> None:
         """The status, which closes ``tick``."""
-        self._send(self._status.frame(estimate, tick, mode, fault_state, verdict))
+        self._send(self._status.frame(status.fault_estimate, tick, *status[1:]))
 
     def is_speed(self, message: can.Message) -> bool:
         """Whether ``message`` is a speed frame; False on a network without speed frames."""
@@ -299,18 +319,3 @@ class ControllerEnd:
     def _receivers(self) -> tuple[Receiver, ...]:
         both = (self.reference, self.feedback)
         return both if self.speed is None else (self.speed, *both)
-
-
-def started(scenario: Scenario, network: Network, law: Law = PYTHON_LAW) -> tuple[Memory, Firmware]:
-    """The controller's table and the firmware at rest, compiled before the first tick.
-
-    ``law`` is the implementation of the control law.
-
-    Raises:
-        ScenarioError: the design fails.
-    """
-    of = controls(scenario, network)
-    firmware = Firmware(of.table, law, of.schedule)
-    firmware.step(math.nan, math.nan)
-    firmware.reset(0.0)
-    return of.table, firmware

@@ -19,9 +19,17 @@ from typing import Final, Protocol
 import can
 
 from can_rig.buses.local.bus import LocalBus
+from can_rig.controllers.protocol import (
+    COUNTS,
+    Ecu,
+    InNode,
+    Inputs,
+    NodeController,
+    Supplied,
+    WholeNode,
+    rejected,
+)
 from can_rig.errors import ExportError, ScenarioError
-from can_rig.export.controllers import Application, Controller
-from can_rig.export.ecus import COUNTS, Ecu, rejected
 from can_rig.frames.codec import WIRE_TICKS, Record, tick_from, ticks_ahead
 from can_rig.frames.endpoints import Receiver
 from can_rig.frames.network import Network
@@ -33,14 +41,12 @@ from can_rig.nodes.ends import (
     PlantEnd,
     Rejected,
     all_rejected,
-    started,
 )
 from can_rig.nodes.interaction import UNTOUCHED, Interaction
 from can_rig.nodes.recording import PlantRecorder, Recorder
 from can_rig.nodes.run_control import FollowedFaults, RunControl
 from can_rig.plant.faults.frame_faults import FrameFaults
 from can_rig.scenario.settings import Scenario
-from firmware_model.firmware import PYTHON_LAW, Firmware, Law
 
 CONTROL: Final = "RIG_CONTROL"
 
@@ -323,8 +329,8 @@ NO_REFERENCE: Final = Record(math.nan, -1)
 class Actuation(Protocol):
     """The recorded timing of commands, for replay."""
 
-    def begin(self, tick: int, firmware: Firmware) -> bool:
-        """Tell the firmware the active commands from ``tick`` on; True for an answered sample."""
+    def begin(self, tick: int, controller: NodeController) -> bool:
+        """Tell the controller the active commands from ``tick``; True for an answered sample."""
 
     def send(self, tick: int, commands: tuple[float, float]) -> None:
         """Note the commands of a tick."""
@@ -337,8 +343,8 @@ class ControllerNode(AnsweringNode):
         scenario: the run.
         network: the frames of the run.
         send: sends a frame.
+        controller: starts the controller, again after each outage.
         actuation: command timing of a recorded real-time run; None: every answer is in time.
-        law: the implementation of the control law.
         local: the bus behind ``send``, for frames as bursts; None: frame by frame. A node with
             bursts follows no command of an operator.
 
@@ -351,20 +357,21 @@ class ControllerNode(AnsweringNode):
         scenario: Scenario,
         network: Network,
         send: Send,
+        controller: InNode,
         actuation: Actuation | None = None,
-        law: Law = PYTHON_LAW,
         local: LocalBus | None = None,
     ) -> None:
         super().__init__(scenario, network)
         self._actuation = actuation
         self._end = ControllerEnd(scenario, network, send, local)
         self._followed = FollowedFaults(scenario, self._end.faults)
-        self._powered_up = partial(started, scenario, network, law)
+        self._powered_up = partial(controller.start, scenario, network)
         self._begin()
 
     def _begin(self) -> None:
-        _, self._firmware = self._powered_up()
+        self._controller = self._powered_up()
         self._reference_now = NO_REFERENCE
+        self._speed_now = math.nan
         self._expected: int | None = None  # the first contact sets the tick
         self._first_reference: can.Message | None = None
         self._first_speed: can.Message | None = None
@@ -386,7 +393,7 @@ class ControllerNode(AnsweringNode):
             if found is not None:
                 *speed, reference, measurement = found
                 if speed:
-                    self._firmware.change_speed(speed[0])
+                    self._speed_now = speed[0]
                 self._reference_now = NO_REFERENCE
                 self._respond(self._expected, reference, measurement)
                 self._go_on(self._expected)
@@ -437,10 +444,10 @@ class ControllerNode(AnsweringNode):
         return False
 
     def _take_speed(self, message: can.Message) -> None:
-        """Pass the speed to the firmware; without a frame, the firmware keeps the last speed."""
+        """Note the speed of this tick; without a frame, the controller keeps the last speed."""
         record = self._end.speed_of(message, self._expected)
         if record is not None:
-            self._firmware.change_speed(record.value)
+            self._speed_now = record.value
 
     @property
     def expected(self) -> int | None:
@@ -467,9 +474,10 @@ class ControllerNode(AnsweringNode):
         self._go_on(tick + 1)
 
     def _respond(self, tick: int, reference: float, measurement: float) -> None:
-        if self._actuation is not None and not self._actuation.begin(tick, self._firmware):
+        if self._actuation is not None and not self._actuation.begin(tick, self._controller):
             reference = measurement = math.nan
-        answer = self._firmware.step(reference, measurement)
+        answer = self._controller.step(Inputs(reference, measurement, self._speed_now))
+        self._speed_now = math.nan
         if self._actuation is not None:
             self._actuation.send(tick, (answer.command_1, answer.command_2))
         self._end.send_answer(tick, answer)
@@ -543,12 +551,12 @@ def lockstep_controller(
     scenario: Scenario,
     network: Network,
     send: Send,
-    controller: Controller,
+    controller: Supplied,
     local: LocalBus | None = None,
 ) -> Iterator[ControllerNode | EcuNode]:
     """The controller node in lockstep; see ``ControllerNode``."""
-    if not isinstance(controller, Application):
-        yield ControllerNode(scenario, network, send, law=controller, local=local)
+    if isinstance(controller, InNode):
+        yield ControllerNode(scenario, network, send, controller, local=local)
         return
     ecu = controller.start()
     try:
@@ -557,12 +565,12 @@ def lockstep_controller(
         ecu.close()
 
 
-def in_real_time(controller: Controller) -> Law:
-    """The control law for a node by the wall clock.
+def in_real_time(controller: Supplied) -> InNode:
+    """The controller of a node by the wall clock.
 
     Raises:
-        ExportError: an application, whose receive rules support lockstep only.
+        ExportError: a whole node, whose receive rules support lockstep only.
     """
-    if isinstance(controller, Application):
+    if isinstance(controller, WholeNode):
         raise ExportError("real time: the controller must be python or c")
     return controller

@@ -45,8 +45,6 @@ STOPPING: Final = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
 Report = Callable[..., None]
 """Tells the parent process something by name: ``ready``, ``ticks``, ``summary``, ``error``."""
 
-DEFAULT: Final = RunOptions()
-
 Node = Callable[[StopRequest, Report], NodeSummary]
 
 
@@ -149,8 +147,8 @@ def run_processes(
     bus: str,
     log: Path,
     stop: StopRequest,
+    options: RunOptions,
     progress: Progress = no_progress,
-    options: RunOptions = DEFAULT,
 ) -> NodeSummary:
     """Run the plant and the controller as two processes, in lockstep on one core where possible.
 
@@ -159,9 +157,9 @@ def run_processes(
         bus: name of a bus that two processes can share.
         log: path of the plant node's log.
         stop: ends the run after a tick.
-        progress: entered after both forks.
         options: in real time with a separate core for each node if possible; whether the bus is
             shared follows from its name.
+        progress: entered after both forks.
 
     Returns:
         The summary; a stopped run has fewer ticks than the scenario.

@@ -12,7 +12,7 @@ from typing import Final, Literal, NamedTuple
 
 from can_rig.buses.bus import open_for_node
 from can_rig.buses.local.bus import LocalBus
-from can_rig.export.controllers import PYTHON, Application, Controller
+from can_rig.controllers.protocol import Supplied, WholeNode
 from can_rig.frames import operator_frames
 from can_rig.frames.comparison_frames import SENDERS, ComparisonFrame
 from can_rig.nodes.agreement import Agreement, is_shared
@@ -63,8 +63,8 @@ class RunOptions:
     """A rig on a bus that others can join, whose questions are answered."""
     timeouts: Timeouts = DEFAULT_TIMEOUTS
     """Longest permitted silence of the other node."""
-    controller: Controller = PYTHON
-    """The implementation of the controller."""
+    controller: Supplied | None = None
+    """The controller; None: of a plant node alone."""
     interaction: Interaction = UNTOUCHED
     """Permitted commands during a lockstep run."""
 
@@ -73,7 +73,7 @@ class RunOptions:
         """Whether both nodes are of this kind, and nothing changes their frames during the run."""
         touched = self.interaction.injectable or self.interaction.replayed
         return not (
-            self.real_time or self.by_hand or touched or isinstance(self.controller, Application)
+            self.real_time or self.by_hand or touched or isinstance(self.controller, WholeNode)
         )
 
 
@@ -155,9 +155,10 @@ def run_controller(
 
     Other arguments and errors are as in ``run_plant``.
     """
-    network = network_of(scenario)
+    network, controller = network_of(scenario), options.controller
+    assert controller is not None
     if options.real_time:
-        warm_up(scenario, network)
+        warm_up(scenario, network, in_real_time(controller))
     with (
         _open(bus_name, scenario, "controller", False, options) as opened,
         ExitStack() as stack,
@@ -165,13 +166,12 @@ def run_controller(
         access = _access(opened, options)
         node: ControllerNode | EcuNode | RealTimeControllerNode
         if options.real_time:
-            law = in_real_time(options.controller)
-            node = RealTimeControllerNode(scenario, network, access.bus, SYSTEM_CLOCK, law)
+            node = RealTimeControllerNode(
+                scenario, network, access.bus, SYSTEM_CLOCK, in_real_time(controller)
+            )
         else:
             node = stack.enter_context(
-                lockstep_controller(
-                    scenario, network, access.send, options.controller, access.local
-                )
+                lockstep_controller(scenario, network, access.send, controller, access.local)
             )
         watchdog = Watchdog(access.bus, "plant", options.timeouts, stop)
         on_ready()
@@ -186,7 +186,7 @@ def run_in_process(
     log: Path,
     stop: StopRequest,
     on_tick: OnTick,
-    controller: Controller = PYTHON,
+    controller: Supplied,
     interaction: Interaction = UNTOUCHED,
 ) -> NodeSummary:
     """Run both nodes in turns on one thread; the log equals two processes' log, byte for byte."""

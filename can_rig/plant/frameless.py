@@ -33,8 +33,8 @@ from firmware_model.analysis.hardware import BY, HEALTHY, NO_FAULTS, REPLACED, f
 from firmware_model.analysis.sampled_plant import SampledPlant
 from firmware_model.analysis.simulation import AnyPlant, LoopPlant, Simulation, Trace
 from firmware_model.discretisation.schedules import Scheduled
-from firmware_model.target import controller
-from firmware_model.target.structs import FloatArray, RecordArray
+from firmware_model.law import controller
+from firmware_model.law.structs import FloatArray, RecordArray
 
 
 @dataclass(frozen=True)
@@ -171,6 +171,25 @@ def frameless(
     loop = frameless_loop(scenario, network, of, inputs)
     loop.run()
     return loop.trace
+
+
+def controller_inputs(scenario: Scenario) -> FloatArray:
+    """Reference and measurement of each tick of the scenario's run, shape (ticks, 2).
+
+    For designs blended by speed, the speed is a third column; each value is rounded as in its
+    frame.
+
+    Raises:
+        ScenarioError: the scenario cannot run.
+    """
+    network = network_of(scenario)
+    of, inputs = controls(scenario, network), inputs_of(scenario, network)
+    trace = frameless(scenario, network, of, inputs)
+    columns = [trace.reference, trace.measured]
+    if of.schedule is not None:
+        assert inputs.speed is not None
+        columns.append(inputs.speed)
+    return np.column_stack(columns)
 
 
 def frameless_loop(

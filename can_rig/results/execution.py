@@ -13,8 +13,9 @@ from typing import Final
 
 from can_rig.assessment.speeds import refuse as refuse_unstable
 from can_rig.buses.bus import in_one_process
+from can_rig.controllers.our_law import PYTHON
+from can_rig.controllers.protocol import InNode, Supplied
 from can_rig.errors import INTERRUPTED, BusError, RigError
-from can_rig.export.controllers import PYTHON, Controller
 from can_rig.files import atomic
 from can_rig.folders import NewFolder, default_folder
 from can_rig.frames.network import Network
@@ -73,8 +74,9 @@ Runner = Callable[[Scenario, Path, StopRequest, "Options"], NodeSummary]
 def in_process(scenario: Scenario, log: Path, stop: StopRequest, options: Options) -> NodeSummary:
     """Both nodes in this process: in turns on a bus, or many ticks at once without a bus."""
     bus, controller = str(options.bus), options.controller
+    assert controller is not None
     with options.progress() as on_tick:
-        if bus == NO_BUS and controller is PYTHON:
+        if bus == NO_BUS and _runs_without_frames(controller):
             return run_without_bus(scenario, log, stop, on_tick)
         summary = run_in_process(
             scenario, bus, log, stop, Throttled(on_tick), controller, options.interaction
@@ -87,7 +89,7 @@ def two_processes(
     scenario: Scenario, log: Path, stop: StopRequest, options: Options
 ) -> NodeSummary:
     """Each node in a process of its own."""
-    return run_processes(scenario, str(options.bus), log, stop, options.progress, options)
+    return run_processes(scenario, str(options.bus), log, stop, options, options.progress)
 
 
 @dataclass(frozen=True)
@@ -147,11 +149,13 @@ def execute(
         RigError: a failure before the first recorded frame; no folder is left.
     """
     options = options or Options()
+    controller = PYTHON if options.controller is None else options.controller
+    options = replace(options, controller=controller)
     network = network_of(scenario)
     runner, interaction = options.runner, options.interaction
     if options.bus is None:
         needs_bus = runner is not in_process or interaction != UNTOUCHED
-        without = not needs_bus and _needs_no_bus(scenario, network, options.controller)
+        without = not needs_bus and _needs_no_bus(scenario, network, controller)
         options = replace(options, bus=NO_BUS if without else own_bus())
     bus = str(options.bus)
     if options.real_time:
@@ -195,10 +199,14 @@ def execute(
     return Execution(folder.path, said, network, outcome, values, made_here, failure)
 
 
-def _needs_no_bus(scenario: Scenario, network: Network, controller: Controller) -> bool:
+def _runs_without_frames(controller: Supplied) -> bool:
+    return isinstance(controller, InNode) and controller.without_frames
+
+
+def _needs_no_bus(scenario: Scenario, network: Network, controller: Supplied) -> bool:
     """Whether a run without a bus has the same log: no fault adds frames to those of a tick."""
-    ours = controller is PYTHON and network.is_the_rigs
-    return ours and not any(fault.adds_frames for fault in scenario.faults)
+    alike = _runs_without_frames(controller) and network.is_the_rigs
+    return alike and not any(fault.adds_frames for fault in scenario.faults)
 
 
 def _with_reference(

@@ -19,8 +19,8 @@ from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of, target
 from can_rig.scenario.fault_settings import CHANNELS, SENSOR
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.status import Verdict
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.status import Verdict
+from firmware_model.law.structs import FloatArray
 
 Mask = NDArray[np.bool_]
 TORQUE, FORCE = CHANNELS

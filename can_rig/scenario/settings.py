@@ -10,7 +10,7 @@ import dataclasses
 import itertools
 import math
 from functools import cached_property
-from typing import Annotated, Any, Final, Literal
+from typing import Annotated, Any, Final, Literal, get_args, get_type_hints
 
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat
 from pydantic.dataclasses import dataclass
@@ -33,7 +33,7 @@ from can_rig.scenario.plant_settings import (
     SignalSettings,
 )
 from firmware_model.discretisation.rules import Rule
-from firmware_model.target.structs import MAX_LATENCY_TICKS, Precision
+from firmware_model.law.structs import MAX_LATENCY_TICKS, Precision
 
 SLOWEST_MPS: Final = 1.0  # at lower speeds our slip angles fail to describe a rolling tire
 FASTEST_MPS: Final = 100.0
@@ -408,6 +408,21 @@ class Scenario:
         for key in LISTS:
             values[key] = values[key][0] if len(values[key]) == 1 else list(values[key])
         return values
+
+
+def keys(table: type = Scenario, prefix: str = "") -> list[str]:
+    """Every key that a scenario file or ``--set`` may name, with dots between table and key."""
+    found: list[str] = []
+    for name, kind in get_type_hints(table).items():
+        inner = [kind, *get_args(kind), LISTS.get(name)]  # a table, a table or None, a list
+        tables = [
+            each for each in inner if isinstance(each, type) and dataclasses.is_dataclass(each)
+        ]
+        for each in tables[:1]:
+            found += keys(each, f"{prefix}{name}.")
+        if not tables and (prefix or name != "name"):
+            found.append(prefix + name)
+    return found
 
 
 def _refuse_speeds(scenario: Scenario) -> None:

@@ -7,7 +7,8 @@ after a late command the node computes the actuators' reaction, hold and then dr
 passes the commands to F1. F1 then works on the car's actual inputs, and d̂ shows no false fault.
 
 A controller comes late after a restart, or after standing still for longer than the actuators hold
-a command while ``restart`` listens, and takes over as described in ``restart``. The first received
+a command while ``restart`` listens, and takes over as described in
+``controllers.bumpless_restart``. The first received
 tick shows a late start: a run begins with tick 0. The wire carries 16 bits of the tick; after a
 restart past tick 65536 the node counts ticks modulo 65536, so its ``frames-…`` faults come at the
 wrong time, and the run ends when the plant node falls silent.
@@ -16,23 +17,21 @@ wrong time, and the run ends when the plant node falls silent.
 from __future__ import annotations
 
 import math
-from functools import partial
 from typing import Final, NamedTuple
 
 import can
 
+from can_rig.controllers.protocol import LISTEN_S, Answer, InNode, Inputs, TakeOver
 from can_rig.errors import BusError, SilentNodeError
 from can_rig.frames.codec import Record, tick_from, ticks_ahead
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import Interrupted, NodeBus, Watchdog
 from can_rig.nodes.clock import Clock
-from can_rig.nodes.ends import ControllerEnd, started
-from can_rig.nodes.realtime.restart import LISTEN_S, BumplessRestart
+from can_rig.nodes.ends import ControllerEnd, said
 from can_rig.nodes.realtime.timing import require_causal
 from can_rig.plant.actuators import Actuator
 from can_rig.scenario.settings import Scenario
-from firmware_model.firmware import PYTHON_LAW, Law
-from firmware_model.target.status import FaultState, Mode, Verdict
+from firmware_model.law.status import FaultState, Mode, Verdict
 
 MOST_OTHERS: Final = 30
 """Frames looked at behind a sample before it is answered: a flood never ends."""
@@ -45,10 +44,7 @@ class Sample(NamedTuple):
     """What one tick brings."""
 
     tick: int
-    reference: float
-    measurement: float
-    speed: float
-    """Not a number: none has come, and the last one stays."""
+    inputs: Inputs
     offered_s: float
     """When the plant node sent it, by the bus's time stamp."""
 
@@ -61,17 +57,19 @@ class Sent(NamedTuple):
 
 
 NOTHING = Sent((math.nan, math.nan), math.inf)
+LISTENING: Final = said(Answer(0.0, 0.0, 0.0, Mode.INIT, FaultState.CANNOT_TELL, Verdict.NOTHING))
+"""The status of a controller that does not send commands yet."""
 
 
-def warm_up(scenario: Scenario, network: Network) -> None:
+def warm_up(scenario: Scenario, network: Network, controller: InNode) -> None:
     """Compile what a tick needs: on the bus already, the node would let frames pile up meanwhile.
 
     Raises:
         ScenarioError: a design that cannot be made.
     """
-    table, firmware = started(scenario, network)
-    firmware.act(0.0, 0.0)
-    BumplessRestart(scenario, table, network.feedback.lsb)
+    started = controller.start(scenario, network)
+    started.act(0.0, 0.0)
+    started.take_over()
 
 
 class RealTimeControllerNode:
@@ -84,6 +82,7 @@ class RealTimeControllerNode:
             ``can.CanError``.
         clock: the time; a clock other than the clock of the bus's time stamps makes the stamps
             meaningless.
+        controller: starts the controller.
 
     Raises:
         ScenarioError: a latency of zero, or the design fails.
@@ -95,12 +94,12 @@ class RealTimeControllerNode:
         network: Network,
         bus: NodeBus,
         clock: Clock,
-        law: Law = PYTHON_LAW,
+        controller: InNode,
     ) -> None:
         require_causal(scenario)
         self.ticks: Final = scenario.ticks
         self._end = ControllerEnd(scenario, network, bus.send)
-        table, self._firmware = started(scenario, network, law)
+        self._controller = controller.start(scenario, network)
         self._bus = bus
         self._clock = clock
         self._latency_ticks = scenario.latency_ticks
@@ -116,8 +115,7 @@ class RealTimeControllerNode:
         self._speed_now = Record(math.nan, -1)
         self._offered_s = 0.0  # the last reference's time stamp
         self._command_ids = {network.command_1.frame_id, network.command_2.frame_id}
-        self._new_restart = partial(BumplessRestart, scenario, table, network.feedback.lsb)
-        self._restart: BumplessRestart | None = self._new_restart()
+        self._restart: TakeOver | None = self._controller.take_over()
         self._waiting: list[Sample] = []
 
     def carry(self, watchdog: Watchdog, tick: int) -> int:
@@ -162,13 +160,13 @@ class RealTimeControllerNode:
         newest = self._waiting[-1].tick
         for sample in self._waiting:
             self._miss(range(self._tick, sample.tick))
-            self._firmware.change_speed(sample.speed)
             if newest - sample.tick < self._latency_ticks:
                 self._answer_sample(sample)
             elif self._listens:
-                self._listen(sample.measurement)
+                self._listen(sample.inputs)
             else:
-                self._miss(range(sample.tick, sample.tick + 1), sample.offered_s)
+                late = range(sample.tick, sample.tick + 1)
+                self._miss(late, sample.offered_s, sample.inputs.speed_mps)
             self._tick = sample.tick + 1
         self._waiting.clear()
 
@@ -207,18 +205,22 @@ class RealTimeControllerNode:
         reference = now.value if now.tick == record.tick else math.nan
         fresh = self._speed_now.tick == record.tick
         speed = self._speed_now.value if fresh else math.nan
-        self._waiting.append(Sample(tick, reference, record.value, speed, self._offered_s))
+        inputs = Inputs(reference, record.value, speed)
+        self._waiting.append(Sample(tick, inputs, self._offered_s))
 
-    def _miss(self, ticks: range, offered_s: float = -math.inf) -> None:
+    def _miss(
+        self, ticks: range, offered_s: float = -math.inf, speed_mps: float = math.nan
+    ) -> None:
         """Skip ``ticks`` ticks whose commands would all be too late."""
+        nothing = Inputs(math.nan, math.nan, speed_mps)
         for tick in ticks[: max(0, self._most_missed - self._missed)]:
             if self._listens:
-                self._listen(math.nan)
+                self._listen(nothing)
                 continue
             self._look_back(tick, offered_s)
             if self._restart is not None:
                 self._restart.miss()
-            self._firmware.step(math.nan, math.nan)
+            self._controller.step(nothing)
         self._missed += len(ticks)
         if self._missed > self._most_missed:
             self._begin_restart()
@@ -234,50 +236,48 @@ class RealTimeControllerNode:
                 actuator.hear(command)
             self._too_late = 0
             return
-        self._firmware.act(*(actuator.hear(None) for actuator in self._actuators))
+        self._controller.act(*(actuator.hear(None) for actuator in self._actuators))
         self._too_late += 1
         if self._too_late > self._most_missed:
             self._begin_restart()
 
     def _answer_sample(self, sample: Sample) -> None:
-        tick, reference = sample.tick, sample.reference
+        tick, inputs = sample.tick, sample.inputs
         self._missed = 0
         if self._listens:
-            self._end.send_status(tick, 0.0, Mode.INIT, FaultState.CANNOT_TELL, Verdict.NOTHING)
-            self._listen(sample.measurement)
+            self._end.send_status(tick, LISTENING)
+            self._listen(inputs)
             return
         self._look_back(tick, sample.offered_s)
         if self._restart is not None:
-            reference = self._restart.reference(reference)
+            inputs = inputs._replace(reference=self._restart.reference(inputs.reference))
             if self._restart.done:
                 self._restart = None
-        answer = self._firmware.step(reference, sample.measurement)
+        answer = self._controller.step(inputs)
         commands = answer.command_1, answer.command_2
         self._end.send_commands(tick, *commands)
         self._sent[tick % self._latency_ticks] = Sent(commands, self._clock.stamp_s())
-        self._end.send_status(
-            tick, answer.fault_estimate, answer.mode, answer.fault_state, answer.verdict
-        )
+        self._end.send_status(tick, said(answer))
 
     @property
     def _listens(self) -> bool:
         return self._restart is not None and self._restart.listens
 
     def _begin_restart(self) -> None:
-        self._restart = self._new_restart()
+        self._restart = self._controller.take_over()
         self._too_late = 0
 
-    def _listen(self, measurement: float) -> None:
+    def _listen(self, inputs: Inputs) -> None:
         assert self._restart is not None
-        self._restart.hear(measurement)
+        self._restart.hear(inputs)
         if self._restart.listens:
             return
         if not self._restart.heard_enough:
             self._begin_restart()
         else:
-            self._restart.start(self._firmware)
+            self._restart.start()
             self._sent = [None] * self._latency_ticks
-            for actuator, command in zip(self._actuators, self._firmware.commands, strict=True):
+            for actuator, command in zip(self._actuators, self._controller.commands, strict=True):
                 actuator.hear(command)
 
     def rejected(self) -> dict[str, dict[str, int]]:

@@ -90,6 +90,8 @@ def test_unknown_interface() -> None:
     assert failure("socketscan:vcan0").startswith(
         "unknown bus interface 'socketscan'; did you mean socketcan"
     )
+    assert failure("vcan0") == "unknown bus interface 'vcan0'; did you mean socketcan:vcan0?"
+    assert failure("can1").endswith("did you mean socketcan:can1?")
     assert "it must be one of canalystii, " in failure("qqqqq")
     assert "unknown bus interface ''" in failure("")
 
@@ -157,6 +159,14 @@ def test_socketcan_tells_what_is_missing(
 ) -> None:
     monkeypatch.setattr(can, "Bus", raising(error))
     assert failure("socketcan:vcan0") == expected
+
+
+def test_a_missing_adapter_is_no_case_for_vcan(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(can, "Bus", raising(OSError(errno.ENODEV, "No such device")))
+    line = failure("socketcan:can0")
+    assert line.startswith("no such CAN interface can0: is the adapter plugged in")
+    assert "sudo ip link set can0 up type can bitrate 500000" in line
+    assert "vcan" not in line
 
 
 def test_python_can_says_nothing_beside_our_line(

@@ -9,6 +9,7 @@ from click.testing import CliRunner
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus, open_for_node
 from can_rig.cli.main import main
+from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import BusLostError, SilentNodeError
 from can_rig.nodes.bus_access import PersistentSender, StopRequest, Timeouts, Watchdog
 from can_rig.nodes.clock import SYSTEM_CLOCK
@@ -121,7 +122,9 @@ def test_frames_of_every_kind_change_nothing(number, own_can, tmp_path):
                 other.send(frame(number, **kind))
 
         scenario = load("thesis-step", settings)
-        summary = run_in_process(scenario, f"socketcan:{own_can}", log, StopRequest(), disturb)
+        summary = run_in_process(
+            scenario, f"socketcan:{own_can}", log, StopRequest(), disturb, PYTHON
+        )
     seen = [line.split()[2:] for line in log.read_text().splitlines()]
     wanted = [line.split()[2:] for line in quiet]
     assert [each for each in seen if each[1:] == ["T"]] == [
@@ -217,7 +220,7 @@ def test_an_interface_that_stays_away_ends_the_run_in_one_line(
             tool(*command.format(own_can).split())
 
     with pytest.raises(BusLostError) as caught:
-        run_in_process(scenario, f"socketcan:{own_can}", log, StopRequest(), on_tick)
+        run_in_process(scenario, f"socketcan:{own_can}", log, StopRequest(), on_tick, PYTHON)
     assert expected.format(own_can) in str(caught.value)
     assert "\n" not in str(caught.value)
     assert log.read_text().count("\n") >= 500  # every tick until then

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import logging
+import re
 from pathlib import Path
 
 import pytest
@@ -15,6 +16,7 @@ from can_rig.cli.main import COMMANDS, main
 from can_rig.scenario import shipped
 from tests.helpers import asked, rig
 
+SCENARIO_KEYS = Path(__file__).parents[3] / "docs" / "scenario-keys.md"
 RUN = ("run", "thesis-step", "--set", "duration_s=0.05")
 
 
@@ -72,6 +74,20 @@ def test_the_shell_completes_names() -> None:
     names = [item.value for item in complete.get_completions(["run"], "no")]
     assert names == ["no", "no-compensation", "noisy", "nonlinear-car", "nonminimum-phase"]
     assert "--verbose" in [item.value for item in complete.get_completions([], "--")]
+
+
+def test_the_shell_completes_every_key_that_the_list_of_keys_has() -> None:
+    complete = BashComplete(main, {}, "can-rig", "_CAN_RIG_COMPLETE")
+    offered = [item.value for item in complete.get_completions(["run", "--set"], "")]
+    listed = []
+    for part in re.split(r"^## ", SCENARIO_KEYS.read_text(), flags=re.M)[1:]:
+        table = re.match(r"`\[(.*)\]`", part)
+        names = re.findall(r"^\| `(\w+)` \|", part, flags=re.M)
+        listed += [f"{table[1]}.{name}" if table else name for name in names]
+    of_the_plant = [key for key in listed if key.startswith("plant.")]
+    listed += [f"model.{key.removeprefix('plant.')}" for key in of_the_plant]
+    assert sorted(offered) == sorted(listed)
+    assert complete.get_completions(["check", "--set"], "plant.sp")[0].value == "plant.speed_mps"
 
 
 def test_a_picture_is_what_its_suffix_says(tmp_path: Path) -> None:

@@ -12,12 +12,13 @@ from typing import get_args
 import pytest
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.our_law import PYTHON
+from can_rig.controllers.protocol import Supplied
+from can_rig.export.boards import COMPILER, EMULATOR
 from can_rig.export.compiler import WARNINGS
-from can_rig.export.controllers import PYTHON, Controller
-from can_rig.export.ecus import COMPILER, EMULATOR
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
-from firmware_model.target.structs import Precision
+from firmware_model.law.structs import Precision
 
 PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 EMULATED = pytest.mark.skipif(
@@ -36,7 +37,7 @@ def run(*command: str | Path, **options: object) -> str:
     return str(done.stdout)
 
 
-def log_of(name: str, settings: Sequence[str], controller: Controller = PYTHON) -> bytes:
+def log_of(name: str, settings: Sequence[str], controller: Supplied = PYTHON) -> bytes:
     """The log of a run with both nodes in this process."""
     scenario, ended = load(name, settings), StopRequest()
     with tempfile.TemporaryDirectory() as folder:

@@ -14,10 +14,10 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.compiled_law import CompiledLaw
 from can_rig.errors import ExportError
 from can_rig.export.application import application, bench
 from can_rig.export.compiler import FLAGS, built, shared_library
-from can_rig.export.controllers import CompiledLaw
 from can_rig.export.law import law_files, support
 from can_rig.export.programs import HOST_FLAGS, as_orders, host_program, on_board, on_host
 from can_rig.export.trials import (
@@ -31,9 +31,9 @@ from can_rig.export.trials import (
 )
 from can_rig.scenario.build import network_of
 from firmware_model.firmware import Law
-from firmware_model.target.layout import state_type, table_type
-from firmware_model.target.schedule import MAX_SPEEDS
-from firmware_model.target.structs import Precision
+from firmware_model.law.layout import state_type, table_type
+from firmware_model.law.schedule import MAX_SPEEDS
+from firmware_model.law.structs import Precision
 from tests.rig.export.shared import EMULATED, PRECISIONS
 
 MEMORIES, TICKS = 100, 12

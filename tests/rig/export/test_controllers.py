@@ -23,24 +23,29 @@ from click.testing import CliRunner
 
 from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
-from can_rig.errors import ExportError
-from can_rig.export import CONTROLLERS, SERIAL, ecus
-from can_rig.export.application import application, identity
-from can_rig.export.compiler import shared_library
-from can_rig.export.controllers import PYTHON, Application, CompiledLaw, controller_of
-from can_rig.export.ecus import (
-    BOARDS,
-    COMPILER,
-    EMULATOR,
-    ORDER_BYTES,
+from can_rig.controllers import CONTROLLERS, SERIAL, ecus
+from can_rig.controllers.compiled_law import CompiledLaw
+from can_rig.controllers.ecus import (
     BenchEcu,
     EmulatedBoard,
     HostEcu,
     SerialLink,
-    firmware_image,
     host_library,
     serial_ecu,
 )
+from can_rig.controllers.making import controller_of
+from can_rig.controllers.our_law import PYTHON, in_node
+from can_rig.controllers.protocol import WholeNode
+from can_rig.errors import ExportError
+from can_rig.export.application import application, identity
+from can_rig.export.boards import (
+    BOARDS,
+    COMPILER,
+    EMULATOR,
+    ORDER_BYTES,
+    firmware_image,
+)
+from can_rig.export.compiler import shared_library
 from can_rig.export.law import real_header
 from can_rig.export.programs import random_frames
 from can_rig.frames.endpoints import Transmitter
@@ -89,7 +94,7 @@ def test_the_log_of_a_safe_stop_is_the_same() -> None:
         "fault.1.channel=force-difference", "fault.1.at_s=0.8", "design.safe_stop_s=0.1",
     ]  # fmt: skip
     python = log_of("default", settings)
-    assert log_of("default", settings, CompiledLaw("float64")) == python
+    assert log_of("default", settings, in_node(CompiledLaw("float64"))) == python
     assert log_of("default", settings[:-1]) != python
 
 
@@ -198,7 +203,7 @@ def test_any_frames_are_answered_and_judged_alike(name: str, chosen: list[str], 
         sent: list[list[tuple[int, bytes]]] = [[], []]
         nodes = (
             ControllerNode(scenario, network, lambda m, s=sent[0]: s.append(
-                (m.arbitration_id, bytes(m.data)))),
+                (m.arbitration_id, bytes(m.data))), PYTHON),
             EcuNode(scenario, network, lambda m, s=sent[1]: s.append(
                 (m.arbitration_id, bytes(m.data))), HostEcu(library)),
         )  # fmt: skip
@@ -220,7 +225,7 @@ def test_an_emulated_board_counts_the_frames_of_the_speed() -> None:
     network, counts = network_of(scenario), []
     for name in ("ecu", "arm:m4f"):
         application = controller_of(name, scenario)
-        assert isinstance(application, Application)
+        assert isinstance(application, WholeNode)
         node = EcuNode(scenario, network, lambda message: None, application.start())
         for message in (message for tick in random_frames(network, 3) for message in tick):
             node.take(message)
@@ -317,7 +322,7 @@ def test_a_feedback_that_does_not_come_is_missed(seed: int) -> None:
 
     expected: list[tuple[int, bytes]] = []
     python = ControllerNode(
-        scenario, network, lambda m: expected.append((m.arbitration_id, bytes(m.data)))
+        scenario, network, lambda m: expected.append((m.arbitration_id, bytes(m.data))), PYTHON
     )
     reference, feedback = Transmitter(network.reference), Transmitter(network.feedback)
     start_us = 2**32 - 50 * TICK_US  # the clock wraps

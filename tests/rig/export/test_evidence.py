@@ -15,12 +15,13 @@ from click.testing import CliRunner
 from can_rig.assessment.resolve import load
 from can_rig.cli.main import main
 from can_rig.export.application import application, exported
-from can_rig.export.costs import Cost, cost, inputs_of_run, instructions, sizes
-from can_rig.export.ecus import COMPILER, EMULATOR
+from can_rig.export.boards import COMPILER, EMULATOR
+from can_rig.export.costs import Cost, cost, instructions, sizes
 from can_rig.export.findings import DEVIATIONS, Coverage, alarms, coverage, findings, misra
-from firmware_model.target.layout import state_type, table_type
-from firmware_model.target.schedule import CONSTANTS, STATE
-from firmware_model.target.structs import record_type
+from can_rig.plant.frameless import controller_inputs
+from firmware_model.law.layout import state_type, table_type
+from firmware_model.law.schedule import CONSTANTS, STATE
+from firmware_model.law.structs import record_type
 from tests.rig.export.shared import EMULATED
 
 SCENARIO = load("default", ["duration_s=0.05", 'design.precision="float32"'])
@@ -128,8 +129,8 @@ def test_costs_are_of_the_law() -> None:
 @EMULATED
 def test_costs_of_a_drive_are_of_its_designs_and_of_its_speed() -> None:
     """It keeps the table in memory, and a tick with another speed blends it."""
-    assert inputs_of_run(SCENARIO).shape == (50, 2)
-    inputs = inputs_of_run(DRIVE)
+    assert controller_inputs(SCENARIO).shape == (50, 2)
+    inputs = controller_inputs(DRIVE)
     speed = np.interp(np.arange(50) * 0.002, [0.04, 0.06], [8.0, 8.1])
     assert np.allclose(inputs[:, 2], speed, atol=1e-7)
     found = cost(DRIVE, "m4f", "float32", inputs)

@@ -106,4 +106,7 @@ def test_what_is_in_a_log(tmp_path: Path) -> None:
     assert (tmp_path / "load.png").stat().st_size > 10_000
     said = asked("stats", path).stdout
     assert "can1  12345678" in said and "load of can0 at 500 kbit/s: at most" in said
+    line = "the log has no bit rate, and the load follows from it: --bitrate gives another"
+    assert found["bitrate_assumed"] and line in said.splitlines()
+    assert line not in asked("stats", path, "--bitrate", 250000).stdout
     assert asked("stats", path, "--bitrate", 0).returncode == 2

@@ -9,6 +9,7 @@ from functools import partial
 import can
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.our_law import PYTHON
 from can_rig.frames.codec import tick_on
 from can_rig.nodes.bus_access import StopRequest, Timeouts, Watchdog
 from can_rig.nodes.lockstep import ControllerNode, PlantNode
@@ -33,7 +34,7 @@ class Ends:
         self.offers, self.answers = deque(), deque()
         self.sent_by_plant, self.sent_by_controller, self.ticks = [], [], []
         self.plant = PlantNode(SCENARIO, NETWORK, self.from_plant)
-        self.controller = ControllerNode(SCENARIO, NETWORK, self.from_controller)
+        self.controller = ControllerNode(SCENARIO, NETWORK, self.from_controller, PYTHON)
         self.offered = 0
         self.silent_from = TICKS
         """The tick from which the partner says nothing any more."""

@@ -11,6 +11,7 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
+from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import BusError, RigError, ScenarioError, SilentNodeError
 from can_rig.frames.comparison_frames import ASKED, PRESENT, Comparison, ComparisonFrame, digest
 from can_rig.nodes import runner
@@ -28,7 +29,7 @@ SHORT = ["duration_s=0.3"]
 def both_by_hand(bus, plant, controller, log=None, real_time=False):
     """What each of two nodes in this process ended with; the controller listens first."""
     ended, ready = {}, threading.Event()
-    chosen = RunOptions(real_time, by_hand=True, timeouts=Timeouts(20.0, 20.0))
+    chosen = RunOptions(real_time, by_hand=True, timeouts=Timeouts(20.0, 20.0), controller=PYTHON)
 
     def run(name, node):
         try:

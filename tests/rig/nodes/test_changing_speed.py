@@ -10,7 +10,8 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.export.controllers import controller_of
+from can_rig.controllers.making import controller_of
+from can_rig.controllers.our_law import PYTHON
 from can_rig.frames.endpoints import Transmitter
 from can_rig.logs.reading import read_log
 from can_rig.nodes.bus_access import StopRequest
@@ -18,7 +19,7 @@ from can_rig.nodes.lockstep import ControllerNode
 from can_rig.nodes.runner import run_in_process
 from can_rig.panel.live import HOLD, LiveSignals
 from can_rig.plant.frameless import frameless
-from can_rig.replay.replay import OpenLoop
+from can_rig.replaying.replay import OpenLoop
 from can_rig.results.report.page import page
 from can_rig.results.report.web_page import panels
 from can_rig.results.signals import read_signals
@@ -43,7 +44,7 @@ QUICK = ("--in-process", "--allow-unstable")  # nothing is looked at before the 
 @pytest.fixture(scope="module")
 def log(tmp_path_factory: pytest.TempPathFactory) -> Path:
     path = tmp_path_factory.mktemp("drive") / "bus.log"
-    run_in_process(SCENARIO, "virtual:drive", path, StopRequest(), lambda tick: None)
+    run_in_process(SCENARIO, "virtual:drive", path, StopRequest(), lambda tick: None, PYTHON)
     return path
 
 
@@ -127,7 +128,9 @@ def damaged(message: can.Message) -> can.Message:
 def commands(change: Change, ticks: range) -> tuple[list[bytes], ControllerNode]:
     """What a node answers to 30 ticks while ``change`` is made to the speeds of ``ticks``."""
     sent: list[bytes] = []
-    node = ControllerNode(SCENARIO, NETWORK, lambda message: sent.append(bytes(message.data)))
+    node = ControllerNode(
+        SCENARIO, NETWORK, lambda message: sent.append(bytes(message.data)), PYTHON
+    )
     assert NETWORK.speed is not None
     senders = [Transmitter(codec) for codec in (NETWORK.speed, NETWORK.reference, NETWORK.feedback)]
     for tick in range(30):

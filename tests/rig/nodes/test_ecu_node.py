@@ -8,14 +8,15 @@ import can
 import pytest
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.our_law import in_node
+from can_rig.controllers.protocol import WholeNode
 from can_rig.errors import ExportError
-from can_rig.export.controllers import Application
 from can_rig.frames.network import Network
 from can_rig.frames.protection import CheckStatus
 from can_rig.nodes.lockstep import ControllerNode, EcuNode, in_real_time, lockstep_controller
 from can_rig.scenario.build import network_of
 from firmware_model.firmware import PythonLaw
-from firmware_model.target.structs import Record, RecordArray
+from firmware_model.law.structs import Record, RecordArray
 
 TICKS = 30
 HEALTHY = load("default", [f"duration_s={TICKS * 1e-3}", "fault.kind=none"])
@@ -141,7 +142,7 @@ def test_closing_the_node_ends_the_program() -> None:
 
 def test_what_was_chosen_runs_and_is_ended() -> None:
     program = Program()
-    application = Application(lambda: program)
+    application = WholeNode(lambda: program)
     with pytest.raises(RuntimeError), lockstep_controller(
         HEALTHY, NETWORK, list[can.Message]().append, application
     ) as node:  # fmt: skip
@@ -165,9 +166,10 @@ class Counting(PythonLaw):
 
 def test_a_law_of_ours_runs_in_a_node_of_ours() -> None:
     law = Counting()
-    with lockstep_controller(HEALTHY, NETWORK, lambda message: None, law) as node:
+    controller = in_node(law)
+    with lockstep_controller(HEALTHY, NETWORK, lambda message: None, controller) as node:
         assert isinstance(node, ControllerNode)
     assert law.started == 1
-    assert in_real_time(law) is law
+    assert in_real_time(controller) is controller
     with pytest.raises(ExportError, match="must be python or c"):
-        in_real_time(Application(Program))
+        in_real_time(WholeNode(Program))

@@ -81,6 +81,7 @@ def test_ctrl_c_ends_both_cleanly_and_leaves_a_complete_folder(how, thesis_step)
     assert not any(map(alive, nodes.values()))
     summary = folder_is_complete(log.parent, "interrupted")
     assert lines_of(log) == 5 * summary["ticks"]  # between two ticks
+    assert f"stopped after {summary['ticks']} of " in output
 
 
 def test_ctrl_c_while_the_nodes_start_is_as_quiet_and_leaves_no_empty_folder(tmp_path):
@@ -91,6 +92,7 @@ def test_ctrl_c_while_the_nodes_start_is_as_quiet_and_leaves_no_empty_folder(tmp
     assert process.returncode == 130
     assert "Traceback" not in errors + output
     assert "error" not in errors
+    assert "stopped before the first tick; no run folder is left" in output
     assert not (tmp_path / "run").exists()
 
 

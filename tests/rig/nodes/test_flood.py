@@ -7,6 +7,7 @@ import can
 
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
+from can_rig.controllers.our_law import PYTHON
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
 from tests.helpers import record
@@ -32,7 +33,7 @@ def test_a_flood_changes_no_command_and_is_in_the_log_to_the_last_frame(tmp_path
                 sent.append(f"{message.arbitration_id:03X}#{message.data.hex().upper()} R")
 
         scenario = load("thesis-step", settings)
-        summary = run_in_process(scenario, bus, log, StopRequest(), flood)
+        summary = run_in_process(scenario, bus, log, StopRequest(), flood, PYTHON)
     lines = [line.split(" ", 2)[2] for line in log.read_text().splitlines()]
     quiet = record(tmp_path, *settings)[0].read_text().splitlines()
     wanted = [line.split(" ", 2)[2] for line in quiet]

@@ -12,6 +12,7 @@ import can
 import numpy as np
 import pytest
 
+from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import ScenarioError, SilentNodeError
 from can_rig.frames.codec import MessageCodec, tick_on
 from can_rig.frames.endpoints import Transmitter
@@ -175,7 +176,7 @@ def test_only_two_intact_frames_of_their_own_identifiers_are_a_first_contact() -
         (reference, elsewhere(feedback)),
         (elsewhere(reference), feedback),
     ):
-        ends.controller = ControllerNode(SCENARIO, NETWORK, ends.from_controller)
+        ends.controller = ControllerNode(SCENARIO, NETWORK, ends.from_controller, PYTHON)
         assert [ends.controller.take(message) for message in pair] == [False, False]
         assert ends.controller.expected is None
     assert ends.sent_by_controller == []
@@ -209,7 +210,7 @@ class Recorded:
 
 def test_a_replay_holds_where_the_recorded_controller_did_not_answer() -> None:
     ends, actuation = Ends(), Recorded(3)
-    ends.controller = ControllerNode(SCENARIO, NETWORK, ends.from_controller, actuation)
+    ends.controller = ControllerNode(SCENARIO, NETWORK, ends.from_controller, PYTHON, actuation)
     ends.silent_from = 6
     assert ends.run_controller() == 6
     assert actuation.begun == [0, 1, 2, 3, 4, 5]

@@ -2,14 +2,19 @@
 
 from __future__ import annotations
 
+import math
+
 import can
 import pytest
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.our_law import OurLaw
+from can_rig.controllers.protocol import Answer, InNode, Inputs
 from can_rig.frames.endpoints import Transmitter
 from can_rig.frames.operator_frames import Command, taken_message
 from can_rig.nodes.lockstep import ControllerNode
 from can_rig.scenario.build import network_of
+from firmware_model.firmware import PYTHON_LAW
 
 SCENARIO = load("drive-cycle", ["duration_s=0.02"])
 NETWORK = network_of(SCENARIO)
@@ -17,11 +22,17 @@ NETWORK = network_of(SCENARIO)
 
 @pytest.fixture
 def node() -> tuple[ControllerNode, list[float]]:
-    """A node, and the speeds that its firmware has been told."""
+    """A node, and the speeds that its controller has been told."""
     heard: list[float] = []
-    made = ControllerNode(SCENARIO, NETWORK, lambda _message: None)
-    made._firmware.change_speed = heard.append  # type: ignore[method-assign]
-    return made, heard
+
+    class Listening(OurLaw):
+        def step(self, inputs: Inputs) -> Answer:
+            if not math.isnan(inputs.speed_mps):
+                heard.append(inputs.speed_mps)
+            return super().step(inputs)
+
+    controller = InNode(lambda scenario, network: Listening(scenario, network, PYTHON_LAW))
+    return ControllerNode(SCENARIO, NETWORK, lambda _message: None, controller), heard
 
 
 def test_the_firmware_is_told_every_speed_that_is_intact_the_first_too(

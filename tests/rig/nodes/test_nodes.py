@@ -6,6 +6,7 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
+from can_rig.controllers.our_law import PYTHON
 from can_rig.frames.endpoints import Transmitter
 from can_rig.nodes.bus_access import StopRequest, Timeouts, Watchdog
 from can_rig.nodes.lockstep import ControllerNode, PlantNode
@@ -70,7 +71,7 @@ def test_a_stop_request_ends_the_run_between_two_ticks(tmp_path):
     def on_tick(tick):
         stop.wanted = tick == 17
 
-    summary = run_in_process(scenario, "virtual:stop", log, stop, on_tick)
+    summary = run_in_process(scenario, "virtual:stop", log, stop, on_tick, PYTHON)
     assert summary.ticks == 17
     assert len(log.read_text().splitlines()) == 5 * 17
 
@@ -81,7 +82,7 @@ def test_the_tick_counts_on_where_its_sixteen_bits_wrap():
     network = network_of(scenario)
     with open_bus("virtual:wrap") as plant_bus, open_bus("virtual:wrap") as controller_bus:
         plant = PlantNode(scenario, network, plant_bus.send)
-        controller = ControllerNode(scenario, network, controller_bus.send)
+        controller = ControllerNode(scenario, network, controller_bus.send, PYTHON)
         to_plant = Watchdog(plant_bus, "controller", Timeouts(1, 1), StopRequest())
         to_controller = Watchdog(controller_bus, "plant", Timeouts(1, 1), StopRequest())
         for tick in range(65_530, 65_545):
@@ -106,7 +107,7 @@ def run_with_intruder(tmp_path, frames, settings=SHORT):
             for frame in frames:
                 intruder.send(frame)
 
-        run_in_process(scenario, "virtual:intruder", log, StopRequest(), on_tick)
+        run_in_process(scenario, "virtual:intruder", log, StopRequest(), on_tick, PYTHON)
     return sent_by_the_plant(log)
 
 
@@ -144,7 +145,7 @@ def test_intact_frames_of_another_tick_before_the_run_are_not_its_beginning(forg
             for name, message in frames.items():
                 if forged in {name, "both"}:
                     intruder.send(message)
-        controller = ControllerNode(scenario, network, controller_bus.send)
+        controller = ControllerNode(scenario, network, controller_bus.send, PYTHON)
         to_plant = Watchdog(plant_bus, "controller", Timeouts(1, 1), StopRequest())
         to_controller = Watchdog(controller_bus, "plant", Timeouts(1, 1), StopRequest())
         with Recorder(log, scenario.tick_ns) as recorder:

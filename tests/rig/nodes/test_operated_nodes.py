@@ -15,6 +15,7 @@ import pytest
 
 from can_rig.assessment.resolve import load
 from can_rig.buses.bus import open_bus
+from can_rig.controllers.our_law import PYTHON
 from can_rig.frames import operator_frames
 from can_rig.frames.operator_frames import Command
 from can_rig.logs.reading import read_log
@@ -104,11 +105,11 @@ def frames_fail_as_in_a_scenario(bus: str, tmp_path: Path) -> None:
     assert [(each.kind, each.place) for each in what.faults] == [
         (command.kind, command.place) for command in TOLD if command.action == "INJECT"
     ]
-    run_in_process(what, "virtual:scheduled", other, StopRequest(), lambda _: None)
+    run_in_process(what, "virtual:scheduled", other, StopRequest(), lambda _: None, PYTHON)
     assert sent(log) == sent(other)
     again = tmp_path / "again.log"
     run_in_process(
-        scenario, "virtual:again", again, StopRequest(), lambda _: None,
+        scenario, "virtual:again", again, StopRequest(), lambda _: None, PYTHON,
         interaction=Interaction(injectable=True, told=told),
     )  # fmt: skip
     assert again.read_bytes() == log.read_bytes()

@@ -9,6 +9,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import BusError, ScenarioError, SilentNodeError
 from can_rig.nodes.bus_access import StopRequest, Timeouts
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode
@@ -16,7 +17,7 @@ from can_rig.nodes.realtime.plant_node import RealTimePlantNode
 from can_rig.nodes.realtime.timing import CATCH_UP_TICKS, Schedule
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
-from firmware_model.target.status import FaultState, Mode, Verdict
+from firmware_model.law.status import FaultState, Mode, Verdict
 from tests.helpers import NAMES, decoded, record
 from tests.rig.nodes.world import (
     FEEDBACK,
@@ -212,7 +213,7 @@ def test_a_latency_of_zero_is_refused_with_the_remedy():
     with pytest.raises(ScenarioError, match=r"latency_ticks = 0.*--set latency_ticks=1"):
         RealTimePlantNode(scenario, network_of(scenario), None, None, None)
     with pytest.raises(ScenarioError, match="latency_ticks = 0"):
-        RealTimeControllerNode(scenario, network_of(scenario), None, None)
+        RealTimeControllerNode(scenario, network_of(scenario), None, None, PYTHON)
 
 
 HOLD_TICKS, STEADY_NM = 10, 42.54  # of the actuators; for 1 m/s²

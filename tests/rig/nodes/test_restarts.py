@@ -9,15 +9,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from can_rig.results.without_log import signals_without_log
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.making import controller_of
 from can_rig.errors import ScenarioError
-from can_rig.export.controllers import controller_of
 from can_rig.logs.reading import read_log
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.realtime.timing import require_causal
-from can_rig.results.execution import execute, two_processes
+from can_rig.results.counterfactual import signals_without_log
+from can_rig.results.execution import Options, execute, two_processes
 from can_rig.results.metrics import metrics
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
@@ -25,7 +25,7 @@ from can_rig.scenario.driving import controls
 from can_rig.scenario.fault_settings import FaultSettings, outages
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
-from firmware_model.target.status import FaultState
+from firmware_model.law.status import FaultState
 from tests.helpers import asked
 
 COMPILER = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")
@@ -70,7 +70,8 @@ CASES = {
 def log_of(scenario: Scenario, where: Path, controller: str = "python", **how: object) -> bytes:
     """bus.log of a run."""
     chosen = controller_of(controller, scenario)
-    done = execute(scenario, where, StopRequest(), report=False, controller=chosen, **how)  # type: ignore[arg-type]
+    options = Options(report=False, controller=chosen, **how)  # type: ignore[arg-type]
+    done = execute(scenario, where, StopRequest(), options)
     assert done is not None and done.failure is None, done
     return (where / "bus.log").read_bytes()
 

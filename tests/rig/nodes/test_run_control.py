@@ -7,7 +7,8 @@ import can
 import pytest
 
 from can_rig.assessment.resolve import load
-from can_rig.export.controllers import controller_of
+from can_rig.controllers.making import controller_of
+from can_rig.controllers.our_law import PYTHON
 from can_rig.frames import operator_frames
 from can_rig.frames.endpoints import Transmitter
 from can_rig.frames.operator_frames import Command, command_message, taken_message
@@ -87,7 +88,7 @@ def test_an_injected_fault_is_that_of_a_scenario_from_the_next_tick_on(tmp_path,
     log, scenario, _ = touched(tmp_path, (100 * FRAMES + 3, command))
     same = load("ideal", [*SETTINGS, "fault.at_s=0.101", *(f"fault.{key}" for key in keys)])
     other = tmp_path / "scheduled.log"
-    run_in_process(same, "virtual:scheduled", other, StopRequest(), lambda _: None)
+    run_in_process(same, "virtual:scheduled", other, StopRequest(), lambda _: None, PYTHON)
     assert frames(log) == frames(other)
     its = (tmp_path / "0.plant.csv").read_text(), (tmp_path / "scheduled.plant.csv").read_text()
     assert its[0] == its[1]
@@ -159,7 +160,7 @@ def test_the_log_of_a_touched_run_gives_the_same_log_again(tmp_path):
     assert [touch.after for touch in told] == [after for after, _ in commands]
     again = tmp_path / "again.log"
     run_in_process(
-        scenario, "virtual:again", again, StopRequest(), lambda _: None,
+        scenario, "virtual:again", again, StopRequest(), lambda _: None, PYTHON,
         interaction=Interaction(injectable=True, told=told),
     )  # fmt: skip
     assert again.read_bytes() == log.read_bytes()

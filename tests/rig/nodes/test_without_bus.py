@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import RigError
 from can_rig.frames.endpoints import Transmitter
 from can_rig.frames.frame_columns import payloads, quantised
@@ -26,7 +27,7 @@ from can_rig.results.signals import read_signals
 from can_rig.scenario import shipped
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.status import Verdict
+from firmware_model.law.status import Verdict
 from tests.rig.replay.recorded import DRIVES, log_of, scenario_of
 
 VALUES = (
@@ -116,7 +117,9 @@ def test_a_plant_that_fails_leaves_what_was_sent_by_then(
         run_without_bus(scenario, logs[0], StopRequest(), lambda tick: None)
     reasons.append(str(reason.value))
     with pytest.raises(RigError, match="stuck") as reason:
-        run_in_process(scenario, "virtual:failing", logs[1], StopRequest(), lambda tick: None)
+        run_in_process(
+            scenario, "virtual:failing", logs[1], StopRequest(), lambda tick: None, PYTHON
+        )
     reasons.append(str(reason.value))
     assert reasons[0] == reasons[1]
     for suffix in (".log", ".plant.csv"):

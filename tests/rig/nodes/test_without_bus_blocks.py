@@ -13,6 +13,7 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.our_law import PYTHON
 from can_rig.nodes import without_bus
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
@@ -60,7 +61,9 @@ def stopped_at(last: int) -> tuple[StopRequest, Callable[[int], None]]:
 def both(scenario: Scenario, folder: Path, last: int = 10**6) -> list[NodeSummary]:
     """Without a bus and on one; the files are compared."""
     ours = run_without_bus(scenario, folder / "ours.log", *stopped_at(last))
-    theirs = run_in_process(scenario, "virtual:blocks", folder / "theirs.log", *stopped_at(last))
+    theirs = run_in_process(
+        scenario, "virtual:blocks", folder / "theirs.log", *stopped_at(last), PYTHON
+    )
     for suffix in (".log", ".plant.csv"):
         left, right = ((folder / f"{name}{suffix}").read_bytes() for name in ("ours", "theirs"))
         assert left == right, suffix

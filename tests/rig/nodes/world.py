@@ -10,6 +10,8 @@ import numpy as np
 from scipy.signal import cont2discrete
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.our_law import OurLaw
+from can_rig.controllers.protocol import InNode
 from can_rig.nodes.bus_access import StopRequest, Timeouts, Watchdog
 from can_rig.nodes.realtime.controller_node import RealTimeControllerNode
 from can_rig.nodes.realtime.plant_node import RealTimePlantNode
@@ -17,11 +19,25 @@ from can_rig.nodes.recording import RealTimeRecorder
 from can_rig.nodes.ticks import drive
 from can_rig.scenario.build import network_of
 from firmware_model.design.vehicle import VehicleParameters, vehicle_state_space
+from firmware_model.firmware import PYTHON_LAW
 
 LSB = 1e-8  # of D* on the wire
 TICK_NS = 1_000_000
 PATIENT = Timeouts(math.inf, math.inf)
 REFERENCE, FEEDBACK, TORQUE, FORCE, STATUS = (0x100, 0x101, 0x110, 0x111, 0x120)
+
+
+class Slow(OurLaw):
+    """The control law, which takes longer over some ticks of a world."""
+
+    def __init__(self, world, scenario, network):
+        super().__init__(scenario, network, PYTHON_LAW)
+        self.world = world
+
+    def step(self, inputs):
+        if math.isfinite(inputs.measurement):
+            self.world.controller_ns += self.world.held_up_ns.get(self.world.controller._tick, 0)
+        return super().step(inputs)
 
 
 class World:
@@ -41,12 +57,20 @@ class World:
         self.sent = []  # (ns, message) of the plant node
         self.wake_ups = itertools.count(1)
         self.watchdog = None
+        self.held_up_ns = {}
         self.start_controller()
+
+    def slow(self, scenario, network):
+        return Slow(self, scenario, network)
 
     def start_controller(self):
         self.to_controller.clear()
         self.controller = RealTimeControllerNode(
-            self.scenario, self.network, self.Controller(self), self.Controller(self)
+            self.scenario,
+            self.network,
+            self.Controller(self),
+            self.Controller(self),
+            InNode(self.slow),
         )
         self.watchdog = Watchdog(self.Controller(self), "plant", PATIENT, StopRequest())
 
@@ -150,12 +174,4 @@ def dstar_under(commands):
 
 def hold_up(world, by_ns):
     """Let the controller begin in time and take so much longer over the ticks of ``by_ns``."""
-    node = world.controller
-    step = node._firmware.step
-
-    def slowly(reference, measurement):
-        if math.isfinite(measurement):
-            world.controller_ns += by_ns.get(node._tick, 0)
-        return step(reference, measurement)
-
-    node._firmware.step = slowly
+    world.held_up_ns = by_ns

@@ -14,6 +14,7 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import DbcError, ScenarioError, SilentNodeError
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.clock import SystemClock
@@ -22,7 +23,7 @@ from can_rig.nodes.ticks import drive
 from can_rig.plant.frameless import frameless
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
-from firmware_model.target.status import FaultState
+from firmware_model.law.status import FaultState
 from tests.helpers import asked, record, rig
 from tests.rig.own_frames.scenarios import (
     FD_SIGNALS,
@@ -180,7 +181,7 @@ def test_where_frames_have_no_tick_silence_is_the_end(tick: str) -> None:
     network = network_of(scenario)
 
     def node() -> Any:
-        return RealTimeControllerNode(scenario, network, NoBus(), SystemClock())  # type: ignore[arg-type]
+        return RealTimeControllerNode(scenario, network, NoBus(), SystemClock(), PYTHON)  # type: ignore[arg-type]
 
     with pytest.raises(SilentNodeError):
         driven(node(), Heard([]))

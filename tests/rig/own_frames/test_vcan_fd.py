@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import RigError
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
@@ -64,6 +65,6 @@ def test_an_interface_without_can_fd_is_one_line(own_can: str, tmp_path: Path) -
     with pytest.raises(RigError, match=rf"^CAN interface {own_can} carries no CAN FD") as caught:
         run_in_process(
             load("default", words), f"socketcan:{own_can}", tmp_path / "bus.log", StopRequest(),
-            lambda tick: None,
+            lambda tick: None, PYTHON,
         )  # fmt: skip
     assert "\n" not in str(caught.value)

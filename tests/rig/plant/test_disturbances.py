@@ -13,6 +13,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import ScenarioError
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
@@ -165,7 +166,7 @@ def recorded(folder: Path, name: str, *settings: str) -> list[tuple[bytes, bytes
     for way in ("nodes", "columns"):
         log = folder / f"{way}.log"
         if way == "nodes":
-            run_in_process(scenario, "virtual:world", log, StopRequest(), lambda tick: None)
+            run_in_process(scenario, "virtual:world", log, StopRequest(), lambda tick: None, PYTHON)
         else:
             run_without_bus(scenario, log, StopRequest(), lambda tick: None)
         found.append((log.read_bytes(), (folder / f"{way}.plant.csv").read_bytes()))

@@ -13,13 +13,14 @@ from typing import Any, Final
 import numpy as np
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.our_law import in_node
 from can_rig.logs.reading import read_log
-from can_rig.replay.replay import OpenLoop
+from can_rig.replaying.replay import OpenLoop
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import controls
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, ChangeSpeed, Law, Memories, Step
-from firmware_model.target.structs import Record, RecordArray
+from firmware_model.law.structs import Record, RecordArray
 
 FOLDER: Final = Path(__file__).parents[2] / "drives"
 DRIVES: Final[dict[str, dict[str, Any]]] = tomllib.loads(
@@ -70,7 +71,7 @@ def are_close(one: dict[str, Record], other: dict[str, Record]) -> bool:
 
 def replayed(name: str, scenario: Scenario, law: Law) -> OpenLoop:
     """A drive through the controller of ``scenario``, run by ``law``."""
-    loop = OpenLoop(scenario, network_of(scenario), law=law)
+    loop = OpenLoop(scenario, network_of(scenario), controller=in_node(law))
     loop.run(read_log(log_of(name)))
     return loop
 

@@ -7,8 +7,8 @@ from pathlib import Path
 import pytest
 
 from can_rig.logs.reading import read_log
-from can_rig.replay.replay import OpenLoop
-from can_rig.replay.rig_frames import Recorded, recorded
+from can_rig.replaying.replay import OpenLoop
+from can_rig.replaying.rig_frames import Recorded, recorded
 from tests.rig.nodes.world import World, hold_up, scenario_of
 
 LATE = range(120, 126)
@@ -28,7 +28,7 @@ def run(request: pytest.FixtureRequest, tmp_path: Path) -> tuple[World, Path, st
 
 
 def replayed(world: World, log: Path, answers: Recorded | None) -> OpenLoop:
-    loop = OpenLoop(world.scenario, world.network, answers)
+    loop = OpenLoop(world.scenario, world.network, recorded=answers)
     loop.run(read_log(log))
     return loop
 

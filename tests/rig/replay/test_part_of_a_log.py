@@ -9,7 +9,7 @@ from typing import Any
 import pytest
 from can import Message
 
-from can_rig.replay.what_if import question
+from can_rig.replaying.what_if import question
 from can_rig.results.source import Source
 from tests.helpers import asked
 from tests.rig.replay.drive import SETTINGS as DRIVE
@@ -43,7 +43,7 @@ def test_a_what_if_reads_its_log_once(run: Path, monkeypatch: pytest.MonkeyPatch
 
 def test_the_load_is_that_of_the_scenarios_bit_rate(run: Path) -> None:
     said = asked("stats", run).stdout
-    assert "at 1000 kbit/s: at most" in said
+    assert "at 1000 kbit/s: at most" in said and "--bitrate" not in said
     assert (
         json.loads(asked("stats", run, "--bitrate", 250000, "--json").stdout)["bitrate"] == 250000
     )

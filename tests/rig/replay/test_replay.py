@@ -14,7 +14,7 @@ from can_rig.assessment.resolve import load, load_run
 from can_rig.errors import LogError
 from can_rig.logs.reading import read_log
 from can_rig.logs.writing import write_log
-from can_rig.replay.replay import OpenLoop
+from can_rig.replaying.replay import OpenLoop
 from tests.helpers import NAMES, asked
 from tests.rig.replay.drive import (
     ALL,

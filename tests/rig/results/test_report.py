@@ -11,6 +11,7 @@ from matplotlib.colors import to_rgb
 from matplotlib.figure import Figure
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.our_law import PYTHON
 from can_rig.drawing.style import SHADE
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.realtime.timing import Timing
@@ -28,7 +29,9 @@ SHORT = ["duration_s=0.2", "fault.at_s=0.1"]
 
 def recorded(folder: Path, scenario: Scenario) -> Signals:
     log = folder / "bus.log"
-    run_in_process(scenario, f"local:report-{folder.name}", log, StopRequest(), lambda tick: None)
+    run_in_process(
+        scenario, f"local:report-{folder.name}", log, StopRequest(), lambda tick: None, PYTHON
+    )
     return read_signals(log, network_of(scenario), scenario.tick_s)
 
 
@@ -114,7 +117,7 @@ def noisy(
 ) -> tuple[Scenario, list[str]]:
     scenario = load(request.param, [*SHORT, "plant.sensor.noise_mps2=0.005"])
     log = tmp_path_factory.mktemp("noisy") / "bus.log"
-    run_in_process(scenario, "local:noisy", log, StopRequest(), lambda tick: None)
+    run_in_process(scenario, "local:noisy", log, StopRequest(), lambda tick: None, PYTHON)
     return scenario, log.read_text().splitlines(keepends=True)
 
 

@@ -12,6 +12,7 @@ import pytest
 from can import LogReader
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.our_law import PYTHON
 from can_rig.errors import LogError
 from can_rig.frames.endpoints import Transmitter
 from can_rig.frames.network import Network
@@ -44,7 +45,7 @@ HEADER = {"Checksum", "AliveCounter", "Tick", "Mode", "FaultState", "Verdict"}
 @pytest.fixture(scope="module")
 def lines(tmp_path_factory: pytest.TempPathFactory) -> list[str]:
     log = tmp_path_factory.mktemp("run") / "bus.log"
-    run_in_process(SCENARIO, "local:signals-test", log, StopRequest(), lambda tick: None)
+    run_in_process(SCENARIO, "local:signals-test", log, StopRequest(), lambda tick: None, PYTHON)
     return log.read_text().splitlines(keepends=True)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 from can_rig.assessment.resolve import load
+from can_rig.controllers.our_law import PYTHON
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
 from can_rig.results.run_folder import Outcome, finish
@@ -71,7 +72,9 @@ def runs(tmp_path_factory: pytest.TempPathFactory) -> Path:
         scenario = load("chapter-2", ["duration_s=0.1", "fault.at_s=0.05", *change])
         (folder / name).mkdir()
         log = folder / name / "bus.log"
-        run_in_process(scenario, f"local:settings-{name}", log, StopRequest(), lambda tick: None)
+        run_in_process(
+            scenario, f"local:settings-{name}", log, StopRequest(), lambda tick: None, PYTHON
+        )
         finish(folder / name, scenario, network_of(scenario), Outcome("local"))
     return folder
 

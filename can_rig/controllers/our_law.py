@@ -1,0 +1,68 @@
+"""The rig's own control law as a controller of a node."""
+
+from __future__ import annotations
+
+import math
+
+from can_rig.controllers.bumpless_restart import BumplessRestart
+from can_rig.controllers.protocol import Answer, InNode, Inputs, NodeController
+from can_rig.frames.network import Network
+from can_rig.scenario.driving import controls
+from can_rig.scenario.settings import Scenario
+from firmware_model.firmware import PYTHON_LAW, Firmware, Law
+
+
+class OurLaw:
+    """``Firmware`` of a scenario at rest; see ``NodeController``.
+
+    Args:
+        scenario: the run.
+        network: its frames.
+        law: the implementation of the control law.
+
+    Raises:
+        ScenarioError: the design fails.
+    """
+
+    def __init__(self, scenario: Scenario, network: Network, law: Law) -> None:
+        of = controls(scenario, network)
+        self.firmware = Firmware(of.table, law, of.schedule)
+        self._restart = scenario, of.table, network.feedback.lsb
+        self.firmware.step(math.nan, math.nan)  # compiled before the first tick
+        self.firmware.reset(0.0)
+
+    def reset(self, reference: float) -> None:
+        """See ``Controller``."""
+        self.firmware.reset(reference)
+
+    def step(self, inputs: Inputs) -> Answer:
+        """See ``Controller``."""
+        reference, measurement, speed, _ = inputs
+        if not math.isnan(speed):
+            self.firmware.change_speed(speed)
+        return Answer(*self.firmware.step(reference, measurement))
+
+    def act(self, command_1: float, command_2: float) -> None:
+        """See ``NodeController``."""
+        self.firmware.act(command_1, command_2)
+
+    @property
+    def commands(self) -> tuple[float, float]:
+        """See ``NodeController``."""
+        return self.firmware.commands
+
+    def take_over(self) -> BumplessRestart:
+        """See ``NodeController``."""
+        return BumplessRestart(self.firmware, *self._restart)
+
+
+def in_node(law: Law, without_frames: bool = False) -> InNode:
+    """The control law by ``law``, in a node of the rig; see ``InNode``."""
+
+    def start(scenario: Scenario, network: Network) -> NodeController:
+        return OurLaw(scenario, network, law)
+
+    return InNode(start, without_frames)
+
+
+PYTHON = in_node(PYTHON_LAW, without_frames=True)

@@ -1,0 +1,164 @@
+"""What a node asks of a controller: inputs of a tick in, an answer out.
+
+A node either steps a controller itself (`InNode`) or passes frames to a program that is a whole
+node (`WholeNode`).
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from types import MappingProxyType
+from typing import Final, NamedTuple, Protocol
+
+from can_rig.frames.network import Network
+from can_rig.frames.protection import USABLE, CheckStatus
+from can_rig.scenario.settings import Scenario
+
+LISTEN_S: Final = 0.05
+"""A controller that starts while the plant moves listens for so long before it sends commands."""
+
+NO_WITNESSES: Final[Mapping[str, float]] = MappingProxyType({})
+
+
+class Inputs(NamedTuple):
+    """What a tick brings; a value that has not come is not a number."""
+
+    reference: float
+    """The wanted output, in the unit of the measurement."""
+    measurement: float
+    """The measured output: D* of a car, m/s²."""
+    speed_mps: float = math.nan
+    """The speed of the car, where the scenario has a drive."""
+    witnesses: Mapping[str, float] = NO_WITNESSES
+    """Further sensors by the names of their columns, as in ``yaw_rate_rad_per_s``."""
+
+
+class Answer(NamedTuple):
+    """What a controller answers; None: the controller does not say."""
+
+    command_1: float
+    """To channel 1: the torque of the steering motor of a car, N m."""
+    command_2: float
+    """To channel 2: the difference of the rear driving forces of a car, N."""
+    fault_estimate: float | None = None
+    """d̂: what the fault takes from the output, in the unit of the measurement."""
+    mode: int | None = None
+    """A ``Mode``."""
+    fault_state: int | None = None
+    """A ``FaultState``."""
+    verdict: int | None = None
+    """A ``Verdict``."""
+
+
+class Controller(Protocol):
+    """A controller of one's own."""
+
+    def reset(self, reference: float) -> None:
+        """Begin in the steady state that holds the output at ``reference``."""
+
+    def step(self, inputs: Inputs) -> Answer:
+        """The answer of a tick."""
+
+
+class TakeOver(Protocol):
+    """How a controller that starts while the plant moves takes over; see ``bumpless_restart``."""
+
+    @property
+    def listens(self) -> bool:
+        """Whether the controller may still send no command."""
+
+    @property
+    def heard_enough(self) -> bool:
+        """Whether enough of the samples have come."""
+
+    @property
+    def done(self) -> bool:
+        """Whether ``reference`` returns its argument from the next tick on."""
+
+    def hear(self, inputs: Inputs) -> None:
+        """Take in a tick without commands."""
+
+    def start(self) -> None:
+        """Put the controller into the state of the plant that was heard."""
+
+    def miss(self) -> None:
+        """Let a tick pass without a command."""
+
+    def reference(self, reference: float) -> float:
+        """The reference of the next tick in place of ``reference``."""
+
+
+class NodeController(Controller, Protocol):
+    """A controller as a node holds it."""
+
+    @property
+    def commands(self) -> tuple[float, float]:
+        """The last commands, computed, held or settled."""
+
+    def act(self, command_1: float, command_2: float) -> None:
+        """The commands that act from the next ``step`` on, after a loss of the sent commands."""
+
+    def take_over(self) -> TakeOver:
+        """A new take-over of this controller."""
+
+
+@dataclass(frozen=True)
+class InNode:
+    """A controller that a node of the rig steps: receive rules and frames are the node's.
+
+    Attributes:
+        start: a controller after power-up, ready for the first tick.
+        without_frames: whether the loop without frames has the same controller.
+    """
+
+    start: Callable[[Scenario, Network], NodeController]
+    without_frames: bool = False
+
+
+COUNTS: Final = len(CheckStatus)
+
+Sent = list[tuple[int, bytes]]
+"""Identifier and data of each frame, in sending order."""
+
+
+class Ecu(Protocol):
+    """A controller node as a program."""
+
+    def take(self, frame_id: int, data: bytes) -> Sent:
+        """Deliver a frame; returns the sent frames: none unless the frame completes a tick.
+
+        Raises:
+            ExportError: the node has ended.
+        """
+
+    def restart(self) -> object:
+        """Begin from nothing, as after power-up."""
+
+    def counts(self) -> list[int]:
+        """Frames by ``CheckStatus`` since the start: for reference, feedback, any speed."""
+
+    def close(self) -> None:
+        """Stop the node."""
+
+
+@dataclass(frozen=True)
+class WholeNode:
+    """A whole controller node as a program.
+
+    Attributes:
+        start: creates the node.
+    """
+
+    start: Callable[[], Ecu]
+
+
+Supplied = InNode | WholeNode
+"""A controller, as a run is given it."""
+
+
+def rejected(counts: list[int]) -> dict[str, int]:
+    """Rejected frames by reason, of one receiver's ``counts``; reasons without frames left out."""
+    named = zip(CheckStatus, counts, strict=True)
+    return {status.name.lower(): n for status, n in named if n and status not in USABLE}

@@ -1,0 +1,196 @@
+"""The rig's frames in a log, and the late or missing answers of a run in real time."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator
+from dataclasses import dataclass, field
+from typing import Final, NamedTuple
+
+import numpy as np
+
+from can_rig.controllers.protocol import NodeController
+from can_rig.decoding.message_decoder import counters, intact_rows
+from can_rig.frames.codec import ROLES, WIRE_TICKS, MessageCodec, tick_at, ticks_ahead, ticks_on
+from can_rig.frames.network import Network
+from can_rig.frames.protection import COUNTERS, FRAME_BYTES, Checker, CheckStatus, Unprotected
+from can_rig.logs.frames import ERROR, EXTENDED, FD, NS_PER_S, REMOTE, Frames
+from can_rig.plant.actuators import Actuator
+from can_rig.scenario.settings import Scenario
+
+INPUTS: Final = 2
+"""Number of the first roles, reference and feedback; the roles of the answer follow."""
+
+SPEED_ROLE: Final = len(ROLES)
+"""Role of the speed, which precedes both inputs in networks with a speed frame."""
+
+
+def is_input(role: int) -> bool:
+    """Whether the frame is an input of the controller, and not part of the answer."""
+    return role < INPUTS or role == SPEED_ROLE
+
+
+class RigFrame(NamedTuple):
+    """One frame of the network in a log."""
+
+    role: int
+    """An index of `frames.layout.ROLES`, or ``SPEED_ROLE``."""
+    time_ns: int
+    """Time stamp; see `Frames.time_ns`."""
+    data: bytes
+    tick: int
+    """Tick on the wire, modulo 65536; 0 in a frame too short for a tick."""
+    counter: int
+    intact: bool
+    """Whether length, CRC and data identifier are right."""
+
+
+def rig_frames(chunks: Iterable[Frames], network: Network) -> Iterator[RigFrame]:
+    """The frames of ``network`` in a log, in order."""
+    roles = {codec.frame_id: role for role, codec in enumerate(network.by_role)}
+    identifiers = np.array(sorted(roles), dtype=np.uint32)
+    data_ids = [codec.data_id for codec in network.by_role]
+    if not network.is_the_rigs:
+        yield from _of_any_layout(chunks, network, roles)
+        return
+    for chunk in chunks:
+        ours = np.isin(chunk.arbitration_id, identifiers) & ~chunk.has(EXTENDED | REMOTE | ERROR)
+        frames = chunk if ours.all() else chunk[ours]
+        role = np.array([roles[i] for i in frames.arbitration_id.tolist()], dtype=np.int64)
+        intact = np.zeros(len(frames), dtype=np.bool_)
+        for at, data_id in enumerate(data_ids):
+            rows = role == at
+            assert data_id is not None
+            intact[rows] = intact_rows(frames.data[rows], frames.length[rows], data_id)
+        data = frames.data
+        tick = ticks_on(data)
+        whole = data[:, :FRAME_BYTES].tobytes()
+        columns = (
+            role.tolist(),
+            frames.time_ns.tolist(),
+            frames.length.tolist(),
+            tick.tolist(),
+            counters(data).tolist(),
+            intact.tolist(),
+        )
+        for at, (which, time_ns, length, says, counter, good) in enumerate(
+            zip(*columns, strict=True)
+        ):
+            payload = whole[at * FRAME_BYTES : at * FRAME_BYTES + FRAME_BYTES]
+            if length != FRAME_BYTES:
+                payload = data[at, :length].tobytes()
+            yield RigFrame(which, time_ns, payload, says, counter, good)
+
+
+def _of_any_layout(
+    chunks: Iterable[Frames], network: Network, roles: dict[int, int]
+) -> Iterator[RigFrame]:
+    """The frames of a network with foreign layouts.
+
+    Frames without a tick are counted: a reference or a feedback belongs to the tick after the last
+    frame of the same message, an answer to the tick of the last feedback.
+    """
+    codecs = tuple(network)
+    counted = [-1] * INPUTS
+    identifiers = np.array(sorted(roles), dtype=np.uint32)
+    for chunk in chunks:
+        ours = np.isin(chunk.arbitration_id, identifiers) & ~chunk.has(REMOTE | ERROR)
+        frames = chunk[ours]
+        for at, identifier in enumerate(frames.arbitration_id.tolist()):
+            role, flags = roles[identifier], int(frames.flags[at])
+            codec = codecs[role]
+            if (bool(flags & EXTENDED), bool(flags & FD)) != (codec.extended, codec.fd):
+                continue
+            data = frames.data[at, : int(frames.length[at])].tobytes()
+            tick = codec.layout.tick(data)
+            if tick is None:
+                if role < INPUTS:
+                    counted[role] += 1
+                tick = counted[role if role < INPUTS else INPUTS - 1] % WIRE_TICKS
+            counter = tick % COUNTERS  # without a counter: no frame lost or repeated
+            if codec.protected and len(data) > 1:
+                counter = data[1] & 0x0F
+            yield RigFrame(role, int(frames.time_ns[at]), data, tick, counter, _intact(codec, data))
+
+
+def _intact(codec: MessageCodec, data: bytes) -> bool:
+    length = codec.layout.length
+    checker = (
+        Unprotected(length) if codec.data_id is None else Checker(codec.data_id, length=length)
+    )
+    return checker.check(bytearray(data)) in {CheckStatus.OK, CheckStatus.INITIAL}
+
+
+COMMANDS = 2
+"""Commands of a tick."""
+
+
+@dataclass
+class Recorded:
+    """The missing and late answers of a controller in a real-time log, tick by tick.
+
+    The commands of a tick are missing in the log, or follow the reference of the tick from whose
+    deadline on the commands should have acted. The recorded controller told F1 the values that the
+    actuators applied meanwhile (`nodes.realtime.controller_node`); a replay must do the same.
+    Outages after which the controller took over anew (`controllers.bumpless_restart`) are not
+    replayed.
+    """
+
+    scenario: Scenario
+    first_tick: int = 0
+    answered: dict[int, int] = field(default_factory=dict)
+    """By tick, the number of commands in the log."""
+    late: set[int] = field(default_factory=set)
+    """Ticks with commands behind the deadline."""
+
+    def __post_init__(self) -> None:
+        hold_ticks = round(self.scenario.actuator.hold_s / self.scenario.tick_s)
+        self._actuators = Actuator(hold_ticks), Actuator(hold_ticks)
+        self._sent: dict[int, tuple[float, float]] = {}
+
+    def begin(self, tick: int, controller: NodeController) -> bool:
+        """Tell the controller the acting commands from ``tick`` on.
+
+        Args:
+            tick: the tick on the wire, or counted from the first contact on.
+            controller: before its step.
+
+        Returns:
+            Whether the recorded controller answered the sample of ``tick``.
+        """
+        tick = self._counted(tick)
+        acting = tick - self.scenario.latency_ticks
+        sent = self._sent.pop(acting, None)
+        if sent is not None and acting not in self.late:
+            for actuator, command in zip(self._actuators, sent, strict=True):
+                actuator.hear(command)
+        elif acting >= self.first_tick:
+            controller.act(*(actuator.hear(None) for actuator in self._actuators))
+        return self.answered.get(tick, 0) == COMMANDS
+
+    def send(self, tick: int, commands: tuple[float, float]) -> None:
+        """Note the commands of an answered tick."""
+        if self.answered.get(self._counted(tick), 0) == COMMANDS:
+            self._sent[self._counted(tick)] = commands
+
+    def _counted(self, tick: int) -> int:
+        return tick + (self.first_tick - self.first_tick % WIRE_TICKS)
+
+
+def recorded(chunks: Iterable[Frames], network: Network, scenario: Scenario) -> Recorded:
+    """Read the answers of a run in real time."""
+    found: Recorded | None = None
+    newest = 0  # tick of a reference
+    for frame in rig_frames(chunks, network):
+        if not frame.intact:
+            continue
+        if found is None:
+            newest = tick_at(frame.tick, frame.time_ns / NS_PER_S, scenario.tick_s)
+            found = Recorded(scenario, newest)
+        tick = newest + ticks_ahead(frame.tick, newest)
+        if is_input(frame.role):
+            newest = max(newest, tick)
+        elif frame.role < INPUTS + COMMANDS:
+            found.answered[tick] = found.answered.get(tick, 0) + 1
+            if newest >= tick + scenario.latency_ticks:
+                found.late.add(tick)
+    return found or Recorded(scenario)
