@@ -217,7 +217,7 @@ class CampaignSettings:
                 raise ValueError(f"{without[0]}: must have a number, as {with_number[0]} has")
 
     def _refuse_dependence(self) -> None:
-        """Refuse keys that depend on keys that depend on others."""
+        """Refuse chains: a key may depend on drawn values and settings only."""
         dependent = {key for key, axes in self.keys.items() if any(axis.others for axis in axes)}
         for key, axes in self.keys.items():
             for other in (other for axis in axes for other in axis.others):
@@ -335,7 +335,7 @@ def _alternatives(name: str, choices: dict[str, Any], table: str) -> Any:
     """The alternatives of a choice, with a single value as a list of one.
 
     Raises:
-        ScenarioError: a choice that is equal to a choice that does not exist.
+        ScenarioError: a choice named by another choice is missing.
     """
     given = choices[table]
     if isinstance(given, str):

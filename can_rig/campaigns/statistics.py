@@ -118,7 +118,7 @@ class CrossRow:
 
 @dataclass(frozen=True)
 class Cross:
-    """A table of the report: rows and columns by name, and what they stand for."""
+    """A table of the report: what its rows and columns are, and the runs of each row."""
 
     name: str
     of_rows: str

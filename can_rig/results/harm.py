@@ -109,7 +109,7 @@ def _away(output: FloatArray, goal: FloatArray, tick_s: float) -> tuple[float | 
     """The largest deviation of ``output`` from ``goal``, m/s², and how far the path goes astray.
 
     The second is the largest lateral displacement that the deviation causes within ``DRIVER_S``,
-    in m, from any moment on. Both are None for a plant that has failed.
+    in m, from any moment on. A plant that has failed has neither.
     """
     n = round(DRIVER_S / tick_s)
     largest = farthest = 0.0
