@@ -61,9 +61,10 @@ def harm_metrics(
     output = signals.plant.get(TRUE_OUTPUT)
     if output is not None and len(signals):
         goal = undisturbed(scenario, signals).output_mps2
-        other = uncompensated(scenario, signals).output_mps2
         with_it, path = _away(output, goal, scenario.tick_s)
-        without, path_without = _away(other, goal, scenario.tick_s)
+        if scenario.controller.is_ours:  # no other controller has a switch for its compensation
+            other = uncompensated(scenario, signals).output_mps2
+            without, path_without = _away(other, goal, scenario.tick_s)
     force, limit_n = signals.force_difference_n, target(scenario, network_of(scenario)).limit_2
     acts = ~lost & (np.abs(force) > ACTS * limit_n)
     spare_peak = _largest(force, ~lost)

@@ -21,13 +21,13 @@ from typing import Final, NamedTuple
 
 import can
 
-from can_rig.controllers.protocol import LISTEN_S, Answer, InNode, Inputs, TakeOver
+from can_rig.controllers.protocol import LISTEN_S, Answer, InNode, Inputs, TakeOver, said
 from can_rig.errors import BusError, SilentNodeError
 from can_rig.frames.codec import Record, tick_from, ticks_ahead
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import Interrupted, NodeBus, Watchdog
 from can_rig.nodes.clock import Clock
-from can_rig.nodes.ends import ControllerEnd, said
+from can_rig.nodes.ends import ControllerEnd
 from can_rig.nodes.realtime.timing import require_causal
 from can_rig.plant.actuators import Actuator
 from can_rig.scenario.settings import Scenario
