@@ -86,7 +86,7 @@ class LoopInWindows:
         return slice(ticks.start - self.first, ticks.stop - self.first)
 
     def run(self) -> range:
-        """Some ticks more; which ones. ``loop`` has them, and those before as long as they matter.
+        """Run some more ticks and return their range; ``loop`` holds all ticks still of use.
 
         Raises:
             RigError: a plant of one's own fails; ``done`` says when.
@@ -151,7 +151,7 @@ class LoopInWindows:
 def blocks_of(scenario: Scenario) -> Iterator[tuple[range, Simulation, slice]]:
     """A run without a bus, block by block: its ticks, and where the loop has them.
 
-    A plant of one's own may fail in mid-run: what is measured is not a number from there on.
+    A user's plant may fail in mid-run: from then on the measurement is not a number.
 
     Raises:
         ScenarioError: a scenario that cannot run.

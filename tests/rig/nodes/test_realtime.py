@@ -167,7 +167,7 @@ def test_many_missed_ticks_are_skipped_and_the_car_drives_through_them(ticks, tm
     missing = np.isnan(signals.dstar_mps2)
     assert list(np.flatnonzero(~missing)) == there
 
-    # The car, by scipy: commands act a tick later; one that is missing is held for 10 ticks.
+    # The car, by scipy: commands act a tick later; a missing command is held for 10 ticks.
     acting, silent, last = [], 0, np.zeros(2)
     for tick in range(-1, 299):
         pair = np.array([signals.torque_nm[tick], signals.force_difference_n[tick]])
@@ -331,7 +331,7 @@ def test_a_controller_that_stood_still_goes_on(stall, bump_nm, error_mps2, tmp_p
 
     world = World(scenario_of("duration_s=3.2"), answers)
     _, plant = world.run(log)
-    assert plant.realtime()["late_frames"] == 0  # it sends nothing that nobody can use
+    assert plant.realtime()["late_frames"] == 0  # the plant sends only useful frames
     signals = read_signals(log, world.network, 0.001)
     torque = signals.torque_nm[np.isfinite(signals.torque_nm)]
     torque = np.nan_to_num(signals.torque_nm)[2000 + stall :] if stall > 10 else torque[1900:]
