@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Final
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
 
 import numpy as np
 
@@ -17,7 +17,7 @@ from can_rig.plant.behind import (
     readings_of,
     sampled_plant,
 )
-from can_rig.plant.disturbances import BANK, Disturbances
+from can_rig.plant.disturbances import BANK, BLOCK, Disturbances
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.driving import SpeedProfile, speed_profile
 from can_rig.scenario.plant_settings import PlantSettings
@@ -34,6 +34,7 @@ from firmware_model.analysis.changing_plant import (
 from firmware_model.analysis.pushed_plant import PushedPlant, follow_pushed, pushed_plant, witness
 from firmware_model.analysis.sampled_plant import SampledPlant
 from firmware_model.analysis.witnesses import with_readings
+from firmware_model.analysis.world_loop import run_changing, run_pushed
 from firmware_model.design.vehicle import GRAVITY_MPS2, SPECIFIC_FORCE
 from firmware_model.law.structs import FloatArray
 
@@ -47,7 +48,8 @@ def plant_of(scenario: Scenario) -> PlantBehind:
     Raises:
         ScenarioError: an unstable car, a class without the plant's methods, an invalid drive.
     """
-    world = Disturbances(scenario) if scenario.disturbances else None
+    made = Disturbances(scenario)
+    world = made if scenario.disturbances or not made.is_calm else None
     if scenario.drive.is_given or (world and world.changes_friction and not scenario.plant.is_own):
         return ChangingCar(scenario, world)
     if world is None:
@@ -95,17 +97,14 @@ class ChangingCar:
             else SpeedProfile(np.zeros(1), np.array([scenario.plant.speed_mps]))
         )
         _, fastest = profile.range_mps
-        self._speed_at, self._seconds = profile, scenario.tick_ns * 1e-9
         changing = _changing(scenario.plant, fastest, scenario.tick_s, scenario.sensors)
         self._car = LinearBehind(scenario.plant, scenario.tick_s, scenario.sensors)
         self.witnesses, self._acting = self._car.witnesses, changing.acting
         self._world, self._says_speed = world, scenario.drive.is_given
         self._constants, self._work = changing.constants, changing.work
-        self._within = changing.speeds(profile, range(scenario.ticks))
-        time_s = np.arange(scenario.ticks, dtype=np.float64) * (scenario.tick_ns * 1e-9)
-        self._at_ticks = profile(time_s).tolist()
-        self._tick = 0
-        spare = (self._car.sampled.memory, changing.work, self._within[0])
+        self._changing, self._profile, self._tick_s = changing, profile, scenario.tick_ns * 1e-9
+        self._tick, self._page_at, self._page = 0, -1, np.zeros((0, 0, 0))
+        spare = (self._car.sampled.memory, changing.work, self._within(0))
         follow_changing(self._constants, *spare, 0, 0.0, 0.0, 1.0, 1.0, NO_WORLD)  # compiles
         specific_force(self._constants, self._car.memory[0], fastest, NO_WORLD)
         self._read(0.0, 0.0, 1.0, 1.0)
@@ -115,7 +114,7 @@ class ChangingCar:
     ) -> Mapping[str, float]:
         """See ``PlantBehind``."""
         values = dict(self._car.report(command_1, command_2, left_1, left_2))
-        speed_mps = self._at_ticks[self._tick]
+        speed_mps = self._profile(np.array(self._tick * self._tick_s)).item()
         if self._says_speed:
             values[SPEED] = speed_mps
         if self._world is None:
@@ -132,7 +131,7 @@ class ChangingCar:
             self._constants,
             self._car.memory,
             self._work,
-            self._within[self._tick],
+            self._within(self._tick),
             self._tick,
             command_1,
             command_2,
@@ -155,12 +154,38 @@ class ChangingCar:
         """Read the further sensors at this tick; the commands are those of the tick before."""
         if len(self.witnesses):
             acted = self._car.acted(command_1, command_2, left_1, left_2)
-            speed_mps = self._speed_at(np.array(self._tick * self._seconds)).item()
+            speed_mps = self._profile(np.array(self._tick * self._tick_s)).item()
             world = NO_WORLD if self._world is None else self._world.during(self._tick)
             read_changing(
                 self._constants, self._car.memory[0], speed_mps, world, self._acting, *acted,
                 self.witnesses,
             )  # fmt: skip
+
+    def _within(self, tick: int) -> FloatArray:
+        """``ChangingPlant.speeds`` of a tick, computed in pages, however long the run is."""
+        first = tick - tick % BLOCK
+        if first != self._page_at:
+            self._page = self._changing.speeds(self._profile, range(first, first + BLOCK))
+            self._page_at = first
+        within: FloatArray = self._page[tick - first]
+        return within
+
+    def run_loop(
+        self, loop: Any, begin: int, end: int, output: tuple[float, float]
+    ) -> tuple[float, float]:
+        """See ``simulation.LoopPlant``."""
+        ahead = self._tick - begin
+        for some in _pages(self._tick, end + ahead):
+            world = NO_WORLD
+            if self._world is not None:
+                world = self._world.at(range(some.start, some.stop + 1))
+            output = run_changing(
+                loop, some.start - ahead, some.stop - ahead, *output, self._constants,
+                self._car.memory, ahead, world, self._work,
+                self._changing.speeds(self._profile, some),
+            )  # fmt: skip
+        self._tick = end + ahead
+        return output
 
 
 class PushedCar:
@@ -205,6 +230,27 @@ class PushedCar:
         self._tick += 1
         self._car.moved(output)
         return output, read
+
+    def run_loop(
+        self, loop: Any, begin: int, end: int, output: tuple[float, float]
+    ) -> tuple[float, float]:
+        """See ``simulation.LoopPlant``."""
+        ahead = self._tick - begin
+        for some in _pages(self._tick, end + ahead):
+            output = run_pushed(
+                loop, some.start - ahead, some.stop - ahead, *output, self._constants,
+                self._car.memory, ahead, self._world.at(range(some.start, some.stop + 1)),
+            )  # fmt: skip
+        self._tick = end + ahead
+        return output
+
+
+def _pages(begin: int, end: int) -> Iterator[range]:
+    """The ticks from ``begin`` to ``end`` in parts, so that a long run needs little memory."""
+    while begin < end:
+        stop = min(begin - begin % BLOCK + BLOCK, end)
+        yield range(begin, stop)
+        begin = stop
 
 
 def accelerations(specific_force_mps2: float, world: FloatArray) -> dict[str, float]:

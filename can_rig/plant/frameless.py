@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -30,13 +29,13 @@ from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import controls, speeds_at_ticks
 from can_rig.scenario.fault_settings import PLACES, RESTARTED
 from can_rig.scenario.reference import reference
-from can_rig.scenario.remembered import remembered
+from can_rig.scenario.remembered import remembered, state_of_file
 from can_rig.scenario.settings import LimitSettings, Scenario
 from firmware_model.analysis.hardware import BY, HEALTHY, NO_FAULTS, REPLACED
 from firmware_model.analysis.read_off import NotLinearError, read_off
 from firmware_model.analysis.sampled_loop import LinearController
 from firmware_model.analysis.sampled_plant import SampledPlant
-from firmware_model.analysis.simulation import AnyPlant, Simulation, Trace
+from firmware_model.analysis.simulation import AnyPlant, LoopPlant, Simulation, Trace
 from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.law import controller
 from firmware_model.law.structs import FloatArray, RecordArray
@@ -91,9 +90,7 @@ def with_files(scenario: Scenario) -> Iterator[object]:
     """The sources of a run: its scenario, and the states of the files named there."""
     yield scenario
     for file in (scenario.reference.file, scenario.drive.file):
-        if file and Path(file).is_file():
-            state = Path(file).stat()
-            yield state.st_mtime_ns, state.st_size
+        yield from state_of_file(file)
 
 
 def undisturbed_with_files(scenario: Scenario) -> Iterator[object]:
@@ -211,7 +208,7 @@ def frameless_loop(
     return simulation(
         scenario,
         network,
-        linear_plant(scenario) or UntilItFails(plant_of(scenario)),
+        linear_plant(scenario) or until_it_fails(plant_of(scenario)),
         law_of(scenario, network) if of is None else of,
         inputs_of(scenario, network) if inputs is None else inputs,
     )
@@ -304,6 +301,11 @@ def linear_law_of(scenario: Scenario) -> LinearController:
         raise ScenarioError(
             f"controller.kind = {scenario.controller.kind!r}: has no margins: {error}"
         ) from None
+
+
+def until_it_fails(plant: PlantBehind) -> AnyPlant:
+    """``plant`` with nan as its output from its first error on; a built-in car never fails."""
+    return plant if isinstance(plant, LoopPlant) else UntilItFails(plant)
 
 
 class UntilItFails:

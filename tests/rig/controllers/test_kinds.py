@@ -30,6 +30,7 @@ from firmware_model.analysis.sampled_loop import linear_controller
 from firmware_model.discretisation.filters import discretise
 from firmware_model.firmware import Firmware
 from firmware_model.law.structs import FloatArray
+from tests.rig.plant.fmu.building import build
 
 SHORT = ["duration_s=0.6", "fault.at_s=0.3"]
 FILTERS = [
@@ -334,3 +335,27 @@ def test_a_file_that_is_no_library_is_refused(tmp_path: Path) -> None:
     (tmp_path / "text.so").write_text("no library")
     with pytest.raises(RigError, match="cannot be loaded"):
         refuse(of(f"c:{tmp_path / 'text.so'}"))
+
+
+# --- an FMU --------------------------------------------------------------------------------------
+
+
+def test_an_fmu_is_a_controller(tmp_path: Path) -> None:
+    """x' = -x + r - y, u1 = 10 x, as an FMU and by scipy's exact matrices of a held input."""
+    if CC is None:
+        pytest.skip("no C compiler")
+    fmu = build(tmp_path / "law.fmu", 2, np.array([[-1.0]]), np.array([[1.0, -1.0]]), [10.0])
+    names = {"reference": "u1", "measurement": "u2", "command_1": "y", "command_2": "y"}
+    settings = [f'controller.variables.{key}="{name}"' for key, name in names.items()]
+    peer = peer_of(of(f"fmu:{fmu}", *settings))
+    x, decay = 0.0, float(np.exp(-1e-3))
+    for row in INPUTS.tolist():
+        r, y = row
+        answer = peer.step(Inputs(r, y))
+        x = decay * x + (1.0 - decay) * (r - y)
+        assert answer[:2] == pytest.approx((10.0 * x, 10.0 * x), abs=1e-6)
+        assert answer[2:] == (None, None, None, None)
+    with pytest.raises(RigError, match=r"controller\.variables\.command_1 = 'none': the FMU has"):
+        peer_of(of(f"fmu:{fmu}", *settings, 'controller.variables.command_1="none"'))
+    with pytest.raises(RigError, match=r"controller\.variables\.reference: must be set"):
+        peer_of(of(f"fmu:{fmu}"))
