@@ -34,8 +34,9 @@ from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import LimitSettings, Scenario
 from firmware_model.analysis.simulation import Simulation, Trace
 from firmware_model.discretisation.schedules import Scheduled
+from firmware_model.law.layout import Table
 from firmware_model.law.status import FaultState
-from firmware_model.law.structs import FloatArray, Record
+from firmware_model.law.structs import FloatArray
 
 HEALTHY_S, LOST_S = 4.0, 3.0  # of a drive
 FEWEST_TICKS = 400  # of either, where a tick is long
@@ -85,7 +86,7 @@ class Drives:
         self._known: dict[str, Inputs] = {}
 
     @cached_property
-    def _table(self) -> Record:
+    def _table(self) -> Table:
         return controller_table(self._scenario, self._network)
 
     @cached_property

@@ -31,9 +31,10 @@ from firmware_model.analysis.loop import (
 )
 from firmware_model.analysis.sampled_plant import SampledPlant
 from firmware_model.law import controller
-from firmware_model.law.layout import precision_of
-from firmware_model.law.schedule import STATE, change_first_speed
-from firmware_model.law.structs import FloatArray, Record, RecordArray, record_type
+from firmware_model.law.layout import Table, precision_of
+from firmware_model.law.schedule import Constants, change_first_speed
+from firmware_model.law.schedule import State as BlendState
+from firmware_model.law.structs import FloatArray, RecordArray, record_type
 
 BoolArray = NDArray[np.bool_]
 
@@ -109,7 +110,7 @@ class Simulation:
 
     def __init__(
         self,
-        table: Record,
+        table: Table,
         plant: SampledPlant | AnyPlant,
         reference: FloatArray,
         *,
@@ -121,7 +122,7 @@ class Simulation:
         hold_ticks: int = 0,
         limits: FloatArray = hardware.NO_LIMITS,
         faults: FloatArray = hardware.NO_FAULTS,
-        schedule: Record | None = None,
+        schedule: Constants | None = None,
         speed: FloatArray | None = None,
         resolution: float = 0.0,
         frames: FloatArray = hardware.EXACT_FRAMES,
@@ -156,7 +157,7 @@ class Simulation:
         )
         self._speed = None if schedule is None or speed is None else speed.tolist()
         if schedule is not None:
-            blending = np.zeros(1, record_type(STATE, precision_of(table)))
+            blending = np.zeros(1, record_type(BlendState, precision_of(table)))
             self._speeds = (np.array([schedule], schedule.dtype), blending, *self._loop[:2])
         self._output = (0.0, 0.0)  # output of the plant at rest, and the sensor's reading
         self._memory: Any = ()
@@ -270,7 +271,7 @@ class Simulation:
 
 
 def simulate(
-    table: Record, plant: SampledPlant | AnyPlant, reference: FloatArray, **inputs: Any
+    table: Table, plant: SampledPlant | AnyPlant, reference: FloatArray, **inputs: Any
 ) -> Trace:
     """Run the loop from rest to the end, a tick for each reference sample; see ``Simulation``."""
     simulation = Simulation(table, plant, reference, **inputs)
