@@ -35,10 +35,12 @@ WRONG = {
 
 
 @pytest.fixture(scope="module")
-def errors() -> dict[int, str]:
+def errors(tmp_path_factory: pytest.TempPathFactory) -> dict[int, str]:
     """What mypy says with the settings of the project, by line."""
-    said, _, _ = api.run(["--config-file", str(ROOT / "pyproject.toml"), "-c", LINES])
-    found = re.findall(r"^<string>:(\d+): error: (.*)$", said, re.MULTILINE)
+    path = tmp_path_factory.mktemp("typed") / "typed_lines.py"
+    path.write_text(LINES, encoding="utf-8")
+    said, _, _ = api.run(["--config-file", str(ROOT / "pyproject.toml"), str(path)])
+    found = re.findall(r"typed_lines\.py:(\d+): error: (.*)$", said, re.MULTILINE)
     assert found, said
     return {int(line): text for line, text in found}
 
