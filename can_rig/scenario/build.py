@@ -26,7 +26,8 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.errors import DesignError
 from firmware_model.law.fault_decision.covariance import MAX_DIRECTIONS
-from firmware_model.law.structs import FloatArray, Record
+from firmware_model.law.layout import Table
+from firmware_model.law.structs import FloatArray
 
 MOST_PLANTS, MOST_TABLES = 64, 16  # limits of the caches; a box has 40 cars
 
@@ -266,7 +267,7 @@ def reference_acceleration(scenario: Scenario) -> float:
     return GOVERNED * torque * abs(g1.gain)
 
 
-def controller_table(scenario: Scenario, network: Network | None) -> Record:
+def controller_table(scenario: Scenario, network: Network | None) -> Table:
     """The constant table of the scenario's controller on ``network`` (None: without frames).
 
     Raises:
@@ -281,7 +282,7 @@ def sources_of_table(scenario: Scenario, network: Network | None) -> tuple[objec
 
 
 @remembered(MOST_TABLES, by=sources_of_table)
-def _table(scenario: Scenario, network: Network | None) -> Record:
+def _table(scenario: Scenario, network: Network | None) -> Table:
     try:
         place = replace(target(scenario, network), mismatch=mismatch(scenario))
         return build(continuous_design(scenario), place)
