@@ -28,7 +28,7 @@ from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_loop import linear_controller, sampled_loop
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.compiled import compiled
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 DURATION_S = 14.0
 SLOW = ("tick_s=0.01", "design.tau_s=0.01", "design.tau_q_s=0.1")

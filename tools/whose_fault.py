@@ -31,7 +31,7 @@ from can_rig.scenario.build import network_of
 from can_rig.scenario.fault_settings import FaultSettings
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.simulation import Trace
-from firmware_model.target.status import Verdict
+from firmware_model.law.status import Verdict
 
 LANE_CHANGE: Final = ("reference.kind=lane-change", "reference.frequency_rad_per_s=1.34")
 SCENARIOS: Final = {

@@ -34,8 +34,8 @@ from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import LimitSettings, Scenario
 from firmware_model.analysis.simulation import Simulation, Trace
 from firmware_model.discretisation.schedules import Scheduled
-from firmware_model.target.status import FaultState
-from firmware_model.target.structs import FloatArray, Record
+from firmware_model.law.status import FaultState
+from firmware_model.law.structs import FloatArray, Record
 
 HEALTHY_S, LOST_S = 4.0, 3.0  # of a drive
 FEWEST_TICKS = 400  # of either, where a tick is long

@@ -61,7 +61,7 @@ from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
 from firmware_model.design.factors import Limitations, unstable
 from firmware_model.discretisation.rules import RULE_NAMES
-from firmware_model.target.status import FaultState
+from firmware_model.law.status import FaultState
 
 ALWAYS: Final[dict[str, Callable[[Margins], str]]] = {
     "spectral radius": lambda m: f"{m.spectral_radius:.5f}",

@@ -28,7 +28,7 @@ from can_rig.scenario.loading import (
 )
 from can_rig.scenario.plant_settings import SHORTEST_LAG_S
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 DIGITS: Final = 9
 """Significant digits of a drawn value: the run uses exactly the printed number."""

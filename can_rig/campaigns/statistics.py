@@ -15,7 +15,7 @@ from can_rig.campaigns.plan import Plan
 from can_rig.campaigns.requirements import Requirement
 from can_rig.campaigns.rows import RANDOM, SEARCH, TRUTHS
 from can_rig.campaigns.settings import ALL
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 CONFIDENCE: Final = 0.95
 BINS: Final = 8

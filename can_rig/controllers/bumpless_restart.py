@@ -39,8 +39,8 @@ from scipy.linalg import solve_discrete_lyapunov
 
 from can_rig.controllers.protocol import LISTEN_S, Inputs
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.filters.biquad import advance, at_rest
-from firmware_model.target.structs import FloatArray, Record
+from firmware_model.law.filters.biquad import advance, at_rest
+from firmware_model.law.structs import FloatArray, Record
 
 RETURN_S: Final = 0.4  # X_diff then keeps below 4000 N for 1 m/s², should the motor be dead
 FEWEST_SAMPLES: Final = 10  # of the free response, however long a tick is

@@ -18,7 +18,7 @@ from can_rig.errors import DbcError
 from can_rig.frames.codec import ROLES, SPEED, VERDICT_BITS, MessageCodec, RigLayout
 from can_rig.frames.databases import attribute, load_dbc
 from can_rig.frames.protection import FRAME_BYTES, Protector
-from firmware_model.target.status import Verdict
+from firmware_model.law.status import Verdict
 
 EXTENDED_FLAG = 1 << 31
 

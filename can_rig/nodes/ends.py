@@ -28,7 +28,7 @@ from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.driving import speeds_at_ticks
 from can_rig.scenario.reference import reference, refuse_saturation
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.status import FaultState, Mode, Verdict
+from firmware_model.law.status import FaultState, Mode, Verdict
 
 
 class Status(NamedTuple):

@@ -31,7 +31,7 @@ from firmware_model.analysis.changing_plant import (
 from firmware_model.analysis.pushed_plant import PushedPlant, follow_pushed, pushed_plant, witness
 from firmware_model.analysis.sampled_plant import SampledPlant
 from firmware_model.design.vehicle import GRAVITY_MPS2, SPECIFIC_FORCE
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 ACCELERATIONS: Final = ("specific_force_mps2", "lateral_acceleration_mps2")
 """Columns that a car in the world reports."""

@@ -32,8 +32,8 @@ from firmware_model.analysis.hardware import BY, HEALTHY, NO_FAULTS, REPLACED, f
 from firmware_model.analysis.sampled_plant import SampledPlant
 from firmware_model.analysis.simulation import AnyPlant, Simulation, Trace
 from firmware_model.discretisation.schedules import Scheduled
-from firmware_model.target import controller
-from firmware_model.target.structs import FloatArray, RecordArray
+from firmware_model.law import controller
+from firmware_model.law.structs import FloatArray, RecordArray
 
 
 @dataclass(frozen=True)

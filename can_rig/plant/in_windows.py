@@ -26,7 +26,7 @@ from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import SampledPlant
 from firmware_model.analysis.simulation import AnyPlant, BoolArray, Simulation
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 Values = TypeVar("Values", FloatArray, BoolArray)
 

@@ -30,7 +30,7 @@ from typing import Protocol, TypeVar, runtime_checkable
 from can_rig.errors import RigError, ScenarioError, require
 from can_rig.logs.columns import TAKEN
 from can_rig.scenario.plant_settings import CAR, FMU, PlantSettings
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 METHODS = {
     "reset": "reset()",

@@ -24,7 +24,7 @@ from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.hardware import LATE, distorted
 from firmware_model.analysis.simulation import Simulation
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 
 class Counterfactual(NamedTuple):

@@ -17,8 +17,8 @@ from can_rig.results.signals import Signals
 from can_rig.scenario.driving import controls, speeds_at_ticks
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
-from firmware_model.target.status import Verdict
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.status import Verdict
+from firmware_model.law.structs import FloatArray
 
 DECIMALS: Final = 3  # of the evidence, a natural logarithm
 CERTAIN: Final = 1e12  # largest recorded evidence; at rest without noise it has no bound

@@ -26,8 +26,8 @@ from can_rig.scenario.driving import at_speed_of
 from can_rig.scenario.fault_settings import CHANNELS, FaultSettings
 from can_rig.scenario.settings import Scenario
 from firmware_model.discretisation.targets import HOUR_S
-from firmware_model.target.status import FaultState, Verdict
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.status import FaultState, Verdict
+from firmware_model.law.structs import FloatArray
 
 Mask = NDArray[np.bool_]
 

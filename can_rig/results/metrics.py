@@ -27,7 +27,7 @@ from can_rig.scenario.driving import at_speed_of
 from can_rig.scenario.fault_settings import CHANNELS
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 Metrics = dict[str, float | bool | None]
 Mask = NDArray[np.bool_]

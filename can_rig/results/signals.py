@@ -25,7 +25,7 @@ from can_rig.plant.faults.frame_faults import Delivery
 from can_rig.plant.frameless import carried
 from can_rig.scenario.plant_settings import PlantSettings
 from firmware_model.analysis.simulation import Trace
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 ROLE_COLUMNS: Final = 5  # one column for each frame; the codes of the status frame follow
 CODES: Final = 3  # mode, fault state, verdict

@@ -29,8 +29,8 @@ from firmware_model.design.mismatch import Mismatch
 from firmware_model.design.vehicle import LOW_SPEED_MPS, WORLD
 from firmware_model.discretisation.schedules import AtSpeed, Scheduled, schedule
 from firmware_model.errors import DesignError
-from firmware_model.target.schedule import MAX_SPEEDS
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.schedule import MAX_SPEEDS
+from firmware_model.law.structs import FloatArray
 
 ROUNDING = 1e-9  # relative, against refusing the fastest allowed rate
 MPS_PER_KMH, MPS_PER_MPH = 1.0 / 3.6, 0.44704  # exact by definition

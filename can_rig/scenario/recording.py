@@ -22,7 +22,7 @@ from typing import Final, NamedTuple
 import numpy as np
 
 from can_rig.errors import ScenarioError
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 TIME: Final = "time_s"
 NAME: Final = re.compile(r"[A-Za-z]+(_[A-Za-z0-9]+)+")

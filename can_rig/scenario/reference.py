@@ -14,7 +14,7 @@ from can_rig.scenario.recording import Column, over_time
 from can_rig.scenario.remembered import remembered, state_of_file
 from can_rig.scenario.settings import MAX_REFERENCE_MPS2, ReferenceSettings, Scenario
 from firmware_model.compiled import compiled
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 COLUMNS: Final = (Column("reference_mps2"),)
 

@@ -33,7 +33,7 @@ from can_rig.scenario.plant_settings import (
     SignalSettings,
 )
 from firmware_model.discretisation.rules import Rule
-from firmware_model.target.structs import MAX_LATENCY_TICKS, Precision
+from firmware_model.law.structs import MAX_LATENCY_TICKS, Precision
 
 SLOWEST_DESIGN_MPS: Final = 1.0  # at lower speeds a torque hardly turns the car
 FASTEST_MPS: Final = 100.0

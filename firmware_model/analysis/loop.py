@@ -7,8 +7,8 @@ from typing import Any
 from firmware_model.analysis import hardware
 from firmware_model.analysis.sampled_plant import follow
 from firmware_model.compiled import firmware, firmware_run
-from firmware_model.target import controller
-from firmware_model.target.structs import RecordArray
+from firmware_model.law import controller
+from firmware_model.law.structs import RecordArray
 
 OUTPUT, MEASURED, COMMAND_1, COMMAND_2, ESTIMATE, EVIDENCE = range(6)
 ACTING_1, REACHED_1, READING, ROWS = 6, 8, 10, 11  # rows of a tick; two of the first two

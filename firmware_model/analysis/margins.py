@@ -33,7 +33,7 @@ from firmware_model.design.plants import Plant
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.errors import DesignError
-from firmware_model.target.structs import MAX_LATENCY_TICKS, FloatArray, Record
+from firmware_model.law.structs import MAX_LATENCY_TICKS, FloatArray, Record
 
 EXACT_DELAY_TICKS = 32  # up to here eigenvalues decide, above the crossovers of L do
 PARTS_OF_A_TICK = 8

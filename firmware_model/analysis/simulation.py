@@ -30,10 +30,10 @@ from firmware_model.analysis.loop import (
     tick,
 )
 from firmware_model.analysis.sampled_plant import SampledPlant
-from firmware_model.target import controller
-from firmware_model.target.layout import precision_of
-from firmware_model.target.schedule import STATE, change_first_speed
-from firmware_model.target.structs import FloatArray, Record, RecordArray, record_type
+from firmware_model.law import controller
+from firmware_model.law.layout import precision_of
+from firmware_model.law.schedule import STATE, change_first_speed
+from firmware_model.law.structs import FloatArray, Record, RecordArray, record_type
 
 BoolArray = NDArray[np.bool_]
 

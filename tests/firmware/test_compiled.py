@@ -14,7 +14,7 @@ from numba.core import config, event
 from numba.core.errors import NumbaError
 
 from firmware_model import compiled
-from firmware_model.target import controller
+from firmware_model.law import controller
 
 
 def test_another_state_of_what_a_file_imports_has_another_folder(

@@ -31,7 +31,7 @@ from can_rig.nodes.ends import ControllerEnd, said
 from can_rig.nodes.realtime.timing import require_causal
 from can_rig.plant.actuators import Actuator
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.status import FaultState, Mode, Verdict
+from firmware_model.law.status import FaultState, Mode, Verdict
 
 MOST_OTHERS: Final = 30
 """Frames looked at behind a sample before it is answered: a flood never ends."""

@@ -24,7 +24,7 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import zoh
 from firmware_model.errors import ParameterError
 from firmware_model.firmware import Firmware
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 CAR = steer_by_wire()
 TICK_S = 0.001

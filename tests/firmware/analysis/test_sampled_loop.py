@@ -22,8 +22,8 @@ from firmware_model.discretisation.sections import Sections
 from firmware_model.discretisation.tables import build, discretise
 from firmware_model.discretisation.targets import Target
 from firmware_model.errors import ParameterError
-from firmware_model.target.structs import Record
-from tests.firmware.target.cases import changed
+from firmware_model.law.structs import Record
+from tests.firmware.law.cases import changed
 
 pytestmark = pytest.mark.filterwarnings("ignore::scipy.signal.BadCoefficients")
 

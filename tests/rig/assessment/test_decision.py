@@ -13,7 +13,7 @@ from can_rig.assessment.stability import decision_figures
 from can_rig.plant.frameless import frameless
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.status import FaultState
+from firmware_model.law.status import FaultState
 
 STEADY_NM = 42.5  # for 1 m/s², docs/design.md
 SEEDS = 31

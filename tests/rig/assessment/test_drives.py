@@ -17,7 +17,7 @@ from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from firmware_model.design import plants
 from firmware_model.design.vehicle import Variant, VehicleParameters
-from firmware_model.target.status import FaultState
+from firmware_model.law.status import FaultState
 
 SWINGING = ("limits.torque_rate_nm_per_s=5000", "plant.sensor.noise_mps2=0.005")
 OTHER_CAR = {  # a small car; some 40 % off the thesis's

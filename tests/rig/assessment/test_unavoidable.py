@@ -12,7 +12,7 @@ from can_rig.assessment.limitations import unavoidable
 from can_rig.assessment.resolve import load
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 STEADY_NM = 42.5  # for 1 m/s², docs/design.md
 

@@ -8,7 +8,7 @@ import pytest
 from can_rig.errors import DbcError, RigError
 from can_rig.frames.codec import ROLES
 from can_rig.frames.network import load_network
-from firmware_model.target.status import FaultState, Mode, Verdict
+from firmware_model.law.status import FaultState, Mode, Verdict
 from tests.rig.frames.codecs import STEER_BY_WIRE
 
 

@@ -16,7 +16,7 @@ from can_rig.frames.protection import CheckStatus
 from can_rig.nodes.lockstep import ControllerNode, EcuNode, in_real_time, lockstep_controller
 from can_rig.scenario.build import network_of
 from firmware_model.firmware import PythonLaw
-from firmware_model.target.structs import Record, RecordArray
+from firmware_model.law.structs import Record, RecordArray
 
 TICKS = 30
 HEALTHY = load("default", [f"duration_s={TICKS * 1e-3}", "fault.kind=none"])

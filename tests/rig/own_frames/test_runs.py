@@ -23,7 +23,7 @@ from can_rig.nodes.ticks import drive
 from can_rig.plant.frameless import frameless
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
-from firmware_model.target.status import FaultState
+from firmware_model.law.status import FaultState
 from tests.helpers import asked, record, rig
 from tests.rig.own_frames.scenarios import (
     FD_SIGNALS,
