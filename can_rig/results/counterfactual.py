@@ -54,7 +54,9 @@ def noise_free(scenario: Scenario, signals: Signals, rows: int) -> Counterfactua
 
 
 def uncompensated(scenario: Scenario, signals: Signals) -> Counterfactual:
-    """The same run with faults and without compensation."""
+    """The same run with faults and without compensation; nan for a controller of one's own."""
+    if not scenario.controller.is_ours:
+        return Counterfactual(*np.full((3, len(signals)), np.nan))
     off = replace(scenario.design, compensation="off")
     return _instead(replace(scenario, design=off), signals, len(signals))
 
@@ -191,7 +193,8 @@ def signals_without_log(scenario: Scenario) -> Signals:
     shared = common(scenario)
     inputs = shared.inputs_of(scenario)
     loop = shared.loop(scenario, inputs, shared.plant or plant_of(scenario))
-    if shared.plant is not None and scenario.faults and not len(inputs.faults):
+    compiled = shared.plant is not None and shared.of is not None
+    if compiled and scenario.faults and not len(inputs.faults):
         _begin_without_fault(loop, scenario)
     loop.run()
     signals = signals_of_trace(loop.trace, inputs.delivery, loop.ticks, shared.network)

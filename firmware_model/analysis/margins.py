@@ -170,6 +170,16 @@ def margins(
     default whenever an actuator is not whole.
     """
     law = law_in(table, effectiveness) if confirmed is None else linear_controller(table, confirmed)
+    return margins_of(law, plant, tick_s, effectiveness)
+
+
+def margins_of(
+    law: LinearController,
+    plant: Plant,
+    tick_s: float,
+    effectiveness: tuple[float, float] = HEALTHY,
+) -> Margins:
+    """The margins of a linear controller around ``plant``; see ``margins``."""
     loop = sampled_loop(law, plant, tick_s, effectiveness)
     poles = loop.poles()
     slowest = complex(poles[np.argmax(np.abs(poles))])

@@ -72,7 +72,7 @@ def test_the_step_of_a_held_input_is_exact(system: Any) -> None:
 
 
 def test_theory_without_digits_says_nothing() -> None:
-    """1e20 less 1e20: of what the matrices meant, they have kept nothing."""
+    """1e20 less 1e20 leaves no digit of the theory."""
     lost = signal.StateSpace([[-1.0]], [[1e10]], [[-1e10]], [[1e20]])
     testing.assert_follows(
         discretise(([1.0], [1.0]), TICK_S), lost, [1e-40], tick_s=TICK_S, rule="tustin"

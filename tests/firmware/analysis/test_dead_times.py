@@ -154,7 +154,7 @@ def test_a_dead_time_longer_than_the_rings_is_refused() -> None:
 @pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD])
 @pytest.mark.parametrize("plant", [CAR, KNOWN], ids=["unknown", "known"])
 def test_the_loop_s_matrix_is_the_simulation(plant: Plant, left: tuple[float, float]) -> None:
-    """With dead times that the design knows, and with ones that it does not."""
+    """Dead times are in the design, or only in the plant."""
     chosen = DesignSpecification(tau_s=0.02, alpha=3, tau_q_s=0.03, alpha_q=4)
     table = build(design(plant, chosen), Target(TICK_S, latency_ticks=1, estimator="zoh"))
     loop = sampled_loop(law_in(table, left), KNOWN, TICK_S, left)

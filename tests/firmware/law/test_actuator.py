@@ -42,7 +42,7 @@ def test_its_rate_is_clipped_too_and_the_limit_comes_first(
 
 
 def test_each_end_of_the_rate_and_of_the_limit() -> None:
-    """By hand, so that no clipping hides another."""
+    """Limits are applied by hand: no limit hides a second limit."""
     motor = actuator(limit=10.0, slew=3.0)
     for command, previous, expected in (
         (8.0, 1.0, 4.0), (-8.0, 1.0, -2.0), (2.0, 1.0, 2.0),

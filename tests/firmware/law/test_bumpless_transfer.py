@@ -157,7 +157,7 @@ def test_compensation_that_engages_late_needs_no_more_than_the_load_and_makes_up
 
 
 def test_a_transfer_that_was_released_is_forgotten() -> None:
-    """The next one begins with nothing carried, not with what the last one left."""
+    """The next transfer begins at zero, not at the end of the last transfer."""
     table, state = begun(0.2, 0.01)
     _, fresh = begun(0.5, 0.03)
     for lost in (0.3, 0.4):

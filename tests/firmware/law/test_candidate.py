@@ -42,7 +42,7 @@ def begun(latency: int = 0, **numbers: Any) -> tuple[Record, Record]:
      (20.0, 10.0, True)],
 )  # fmt: skip
 def test_it_is_looked_at_when_its_age_has_doubled(age: float, half_age: float, looks: bool) -> None:
-    """Not before it is four ticks old; what it is then is what its next double is held against."""
+    """The first look is at four ticks; the next look compares with that state."""
     table, state = begun(age=age, half_age=half_age, half_information=8.0, information=8.5)
     test = state.sequential_test
     assert is_stale(table.sequential_test, test) == looks
@@ -85,7 +85,7 @@ def test_evidence_of_minus_one_is_enough_to_give_up(evidence: float, kept: bool)
 
 @pytest.mark.parametrize("latency", [0, 1, 3])
 def test_a_candidate_begins_with_nothing_of_the_last(latency: int) -> None:
-    """But the commands on their way, which it takes for lost, and the one before them."""
+    """Only commands on their way and the command before them remain, and count as lost."""
     table, state = begun(latency)
     fresh = state.copy()
     for record in (state, fresh):

@@ -100,7 +100,7 @@ def test_a_loss_in_noise_is_suspected_confirmed_and_compensated(latency: int, rm
 
 @pytest.mark.compiled
 def test_suspicions_are_as_seldom_as_asked_for_and_end_with_their_candidate() -> None:
-    """Noise alone, one suspicion a second allowed: some, short ones, and none is confirmed."""
+    """Noise alone, at one allowed suspicion a second, gives short suspicions alone."""
     rms, ticks = 0.01, 8000
     target = confirming(1, noise_rms=rms, suspicions_per_hour=3600.0)
     trace = drive(target, np.sin(np.arange(ticks) * 0.01), left=1.0, of=TAME, rms=rms)

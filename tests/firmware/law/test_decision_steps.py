@@ -169,7 +169,7 @@ def test_what_f_hat_gets_of_the_share_follows_every_tick() -> None:
 def test_a_share_that_is_followed_is_confirmed_from_a_half_on(
     share: float, after: int, before: int
 ) -> None:
-    """Whatever the evidence, of which there is none."""
+    """No evidence at all."""
     table, state = begun(1e9, before, decision={"tracks_share": 1})
     state.loss_model.share = share
     assert tick(table, state) == after

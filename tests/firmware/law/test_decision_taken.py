@@ -1,4 +1,4 @@
-"""What a decision does that is taken: transfer, loss model, doubts, the next candidate, probes."""
+"""Effects of a decision: transfer, loss model, doubts, the next candidate, probes."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from tests.firmware.law.test_decision_steps import ABOVE, PROBE, begun, moving, 
 
 
 def transferred(table: Record, before: Record, after: Record, share: float) -> Any:
-    """The transfer of ``after``, and what it must be: to the known loss and to this candidate.
+    """The transfer of ``after``, and its expectation: to the known loss and to this candidate.
 
     ``before`` is the state within the tick, as it was when the transfer began.
     """
@@ -33,14 +33,14 @@ def transferred(table: Record, before: Record, after: Record, share: float) -> A
 
 
 def set_up(evidence: float, before: int, share: float, **changes: Any) -> tuple[Record, Record]:
-    """A candidate in motion, and a tick that adds nothing to what is known of it."""
+    """A candidate in motion, and a tick without new information."""
     table, state = begun(evidence, before, **changes)
     moving(state, share)
     test = state.sequential_test
     test.correlation, test.information, test.age = 9.0, 10.0, 20.0
     test.explained[0] = 0.02
     table.sequential_test.restart = -math.inf
-    table.mismatch.noise = 1e12  # what this one tick says is nothing beside it
+    table.mismatch.noise = 1e12  # far above the information of a tick
     table.mismatch.growth[:] = table.mismatch.forgetting[:] = 0.0
     table.loss_model.follow = 0.0
     table.decision.horizon = 1e30

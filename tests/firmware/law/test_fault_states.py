@@ -72,7 +72,7 @@ def test_what_would_not_show_within_the_horizon_says_nothing(before: FaultState)
 
 @pytest.mark.parametrize(("correlation", "share"), [(0.3, 0.8), (0.9, 0.9), (2.0, 1.0)])
 def test_a_suspicion_is_of_most_of_the_channel(correlation: float, share: float) -> None:
-    """And of what it was at first: the transfer has begun with that."""
+    """The suspicion keeps its first share, because the transfer began with this share."""
     table, state = begun()
     state.sequential_test.correlation, state.sequential_test.information = correlation, 1.0
     assert decided(table, state, SUSPECT + 1.0) == SUSPECTED

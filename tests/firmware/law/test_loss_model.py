@@ -1,4 +1,4 @@
-"""The known loss s w: what drives it, what a candidate adds to it, and how s is followed."""
+"""The known loss s w: its inputs, the part of a candidate, and the estimate of s."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def late(w: FloatArray, latency: int) -> FloatArray:
 
 @pytest.mark.parametrize("latency", LATENCIES)
 def test_w_is_the_answer_of_g1_to_the_commands_that_are_lost(latency: int) -> None:
-    """Those of a channel that works are not: w fades as the motion does."""
+    """Commands of a working channel are not lost: w fades with the motion."""
     table, state = begun(latency)
     rows = []
     for k, command in enumerate(COMMANDS):
@@ -84,7 +84,7 @@ def test_w_is_the_answer_of_g1_to_the_commands_that_are_lost(latency: int) -> No
 def test_the_candidate_is_driven_by_all_commands_that_had_not_acted(
     start: int, latency: int
 ) -> None:
-    """It knows w of the tick before it began too: the speed of w is that from there."""
+    """The candidate knows w one tick before its start, and the speed of w from there."""
     table, state = begun(latency)
     w = signal.sosfilt(
         tustin(CAR.g1, TICK_S).sos, np.where(np.arange(30) < start - latency, 0.0, COMMANDS)

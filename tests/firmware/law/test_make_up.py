@@ -42,7 +42,7 @@ def records(rows: NDArray[np.float64], slew: float = math.inf) -> list[Record]:
 
 @pytest.mark.parametrize("name", ROWS)
 def test_it_leaves_the_least_of_the_missing_output(name: str) -> None:
-    """By one command of this tick; over 300 ticks, in which all of it fades."""
+    """One command acts in this tick; the output fades within 300 ticks."""
     rows = np.array(ROWS[name])
     constants, cascade, limits, state = records(rows)
     short = np.random.default_rng(2).standard_normal(30)

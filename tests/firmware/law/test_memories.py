@@ -1,4 +1,4 @@
-"""Every memory of a state, one by one: what a reset and an overflow leave of it."""
+"""Every memory of a state, one by one, after a reset and after an overflow."""
 
 from __future__ import annotations
 
@@ -67,7 +67,7 @@ def changes(before: Record, after: Record) -> set[str]:
 
 
 def answers(table: Record, state: Record, ticks: int = 25) -> list[list[float]]:
-    """What the law says in the ticks that follow, and what it has found out by then."""
+    """Answers and findings of the law in the following ticks."""
     draw, rows = np.random.default_rng(8), []
     for k in range(ticks):
         measurement = math.nan if k in (4, 5) else 0.4 + 0.01 * draw.standard_normal()

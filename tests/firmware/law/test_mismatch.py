@@ -58,7 +58,7 @@ def differences(parameters: int, u: NDArray[Any] = COMMANDS) -> list[NDArray[Any
 def predict(
     table: Record, state: Record, command: float, model: float, lost: float, earlier: float = 0.0
 ) -> None:
-    """A tick of other cars and of what is made of them."""
+    """A tick of the other cars and of the mismatch."""
     show_other_cars(table, state, command, 0.0)
     predict_mismatch(table, state, model, lost, earlier)
     advance_other_cars(table, state)

@@ -72,7 +72,7 @@ def test_it_is_the_kalman_filter_of_full_matrices(seed: int, drifts: float) -> N
     constants.growth[0], constants.forgetting[0] = drifts, 0.3 * drifts
     theirs, before = FullMatrices(constants), 0.0
     for k, residual in enumerate(draw.standard_normal(60)):
-        if k in (20, 45):  # a loss is confirmed, and another one
+        if k in (20, 45):  # a first and a second confirmed loss
             learn_loss(state, 0.09, 25.0)
             theirs.learn_loss(0.09, 25.0)
         state.regressor[:] = x = draw.standard_normal(MAX_STATES)

@@ -33,7 +33,7 @@ LAGS = 0.05, 0.1, 0.05, 0.4, 0.05  # an M, as a section in δ has it
 
 
 def begun(variance: float = 1.0) -> tuple[Record, Record]:
-    """A filter that knows the car: what a fault shows is what it changes in the innovations."""
+    """A filter that knows the car: a fault shows by its change of the innovations."""
     table = changed(TABLE)[0]
     table.mismatch.n = 0
     numbers = table.hypotheses.signatures.candidate

@@ -1,4 +1,4 @@
-"""The torque probe: what it measures, that C lets it pass, and what the decision makes of it."""
+"""The torque probe: its measurement, its way through C, and its weight in the decision."""
 
 from __future__ import annotations
 

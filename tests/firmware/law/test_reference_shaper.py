@@ -56,7 +56,7 @@ def fewest_ticks(distance: float) -> int:
 
 @given(st.floats(1e-6, 1e4))
 def test_from_the_braking_speed_equal_decrements_end_at_the_target(distance: float) -> None:
-    """One a tick, and the last of them is no more than the others."""
+    """A decrement a tick, and the last decrement is no larger than the others."""
     speeds = [braking_speed(distance)]
     while speeds[-1] > 1.0:
         speeds.append(speeds[-1] - 1.0)

@@ -1,4 +1,4 @@
-"""One tick of the sequential test at a time: its sums, when it begins again, and with what."""
+"""The sequential test tick by tick: sums, restarts, and the values after a restart."""
 
 from __future__ import annotations
 
@@ -76,7 +76,7 @@ def test_the_evidence_is_how_much_likelier_the_innovations_are_with_a_loss(share
         (9.0, 5.0, 10.0, 10.0, False),
         (4.0, 1.0, 10.9, 10.0, True),
         (10.0, 5.0, 11.0, 10.0, False),
-        (10.0, 5.0, 1023.9, 1000.0, True),  # what decides is enough, however much there is
+        (10.0, 5.0, 1023.9, 1000.0, True),  # enough to decide, at any amount of information
         (10.0, 5.0, 1024.0, 1000.0, False),
     ],
 )

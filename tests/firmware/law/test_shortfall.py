@@ -96,7 +96,7 @@ def test_what_a_limit_took_is_given_back(rate: float) -> None:
 
 @pytest.mark.compiled
 def test_a_saturated_loss_is_made_up_when_the_demand_is_feasible() -> None:
-    """1 m/s² takes 3 kN: with 2.5 it is missed, with 0.5 m/s² from then on it is not."""
+    """1 m/s² takes 3 kN: 2.5 kN miss the demand, and 0.5 m/s² is feasible again."""
     free = Target(TICK_S, LATENCY, "zoh", on_confirmation=True)
     of = replace(free, limit_2=2500.0)
     reference = np.where(np.arange(5000) < 3000, 1.0, 0.5)

@@ -46,7 +46,7 @@ def late(values: NDArray[Any], ticks: int) -> NDArray[Any]:
 
 
 def run(table: Record, state: Record, measured: NDArray[Any] = MEASURED) -> Columns:
-    """What the law answers, tick by tick, and what it has told the rest of it."""
+    """The law's answers tick by tick, and the calls of its parts."""
     rows = []
     for reference, y in zip(REFERENCE, measured, strict=True):
         made_up = [
@@ -73,7 +73,7 @@ def of(target: Target, **changes: Any) -> tuple[Record, Record, Filters]:
 @pytest.mark.parametrize("latency", [0, 2])
 @pytest.mark.parametrize("rule", FEEDING)
 def test_the_decision_sees_the_residual_and_what_both_models_add(rule: Any, latency: int) -> None:
-    """With the command 2 that was held where it feeds through: that of this tick is not known."""
+    """With feedthrough the held command 2 counts, because this tick's command is unknown."""
     table, state, filters = of(Target(TICK_S, latency, rule))
     told = run(table, state)
     u1, u2 = late(told["command_1"], latency), late(told["command_2"], latency)
@@ -171,7 +171,7 @@ def test_after_a_loss_f_hat_makes_up_for_w_whatever_is_measured(latency: int) ->
 
 
 def test_a_hold_tells_the_other_cars_and_the_candidate_what_goes_on() -> None:
-    """With the command that acts, and a w that it drives."""
+    """The acting command drives w."""
     table, state, _ = of(Target(TICK_S, 2, "zoh", on_confirmation=True))
     for _ in range(3):
         controller.step(table, state, 1.0, 0.0)

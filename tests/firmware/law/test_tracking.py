@@ -59,7 +59,7 @@ def test_with_tustin_s_rule_at_no_latency_it_is_tustin_s_c() -> None:
 def limited(asked: FloatArray, limit: float, slew: float, lsb: float) -> FloatArray:
     """Each as near as its predecessor and the limits let it to what is asked and a make-up.
 
-    That is what leaves least of the energy that is still missing. On the grid, with what that took
+    This command leaves the least missing energy. On the grid, with what that took
     off the command before, as far as the limit lets it.
     """
     commands, before, left = [], 0.0, 0.0
@@ -142,7 +142,7 @@ def test_a_constant_disturbance_of_y_leaves_no_error(latency: int, disturbance: 
 def test_a_loss_beyond_the_authority_is_followed_again_once_it_can_be(
     limit_n: float, latency: int
 ) -> None:
-    """1 m/s² takes 3 kN; then a quarter of that is asked, which it can do."""
+    """1 m/s² takes 3 kN; a quarter of this demand is feasible."""
     of = Target(TICK_S, latency, "zoh", limit_1=400.0, limit_2=limit_n, on_confirmation=True)
     reference = np.where(np.arange(9000) < 4000, 1.0, 0.25)
     left = np.ones((9000, 2))

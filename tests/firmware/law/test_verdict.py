@@ -1,4 +1,4 @@
-"""The verdict: which evidence is enough, what stands, and what is gone."""
+"""The verdict: enough evidence, evidence that stands, evidence that ends."""
 
 from __future__ import annotations
 

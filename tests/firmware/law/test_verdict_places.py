@@ -59,7 +59,7 @@ def test_an_actuator_alone_keeps_the_size_of_its_fault(fault: str) -> None:
 
 @pytest.mark.parametrize("fault", ["TORQUE_LOST", "FORCE_LOST"])
 def test_a_loss_is_not_the_end_of_a_negative_offset(fault: str) -> None:
-    """It has no sign, or is of another part."""
+    """A loss has no sign, or concerns a different part."""
     state = controller.init(TABLES[0])[0]
     own = state.hypotheses
     own.verdict, own.found_size = Verdict.TORQUE_OFFSET, -20.0

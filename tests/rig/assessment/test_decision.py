@@ -128,4 +128,4 @@ def test_the_return_of_a_part_is_seen_in_a_bend_in_which_nothing_new_was_learnt(
         confirmed = trace.fault_state == FaultState.CONFIRMED
         found += int(confirmed[back])
         assert not confirmed[back + 300 :].any()
-    assert found >= 3  # 30 % is so little that a loss of it may be another car
+    assert found >= 3  # a loss of 30 % may look like a different car

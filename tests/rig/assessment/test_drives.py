@@ -1,4 +1,4 @@
-"""Drives with limits, noise and other cars: what is found in them, against runs and by hand."""
+"""Drives with limits, noise and other cars: findings against runs and by hand."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_a_demand_beyond_the_authority_is_no_finding() -> None:
     weak = load("ideal", ["limits.force_difference_n=2900"])
     assert findings_of(weak) == []
     trace = frameless(weak, network_of(weak))
-    assert abs(trace.error[-1]) > 0.02  # it does not come back, which nothing could change
+    assert abs(trace.error[-1]) > 0.02  # a lasting error beyond the actuator's limit
     assert check_stability(weak).stable
 
 

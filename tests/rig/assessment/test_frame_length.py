@@ -85,7 +85,7 @@ def flexible(message):
 
 
 def payload(lengths):
-    """Data whose bits come in runs, so that there is something to stuff."""
+    """Data with runs of equal bits, which need stuff bits."""
     common = st.sampled_from([0x00, 0xFF, 0xF8, 0x07, 0xE0, 0x1F, 0x3C, 0xC3, 0x78, 0x87, 0x55])
     of = st.one_of(common, st.integers(0, 255))
     return lengths.flatmap(lambda n: st.lists(of, min_size=n, max_size=n)).map(bytes)

@@ -115,4 +115,4 @@ def test_a_dead_time_of_the_actuator_delays_the_loss_as_well() -> None:
 def test_a_loss_that_does_nothing_never_shows() -> None:
     noisy = load("ideal", ["plant.sensor.noise_mps2=0.005"])
     assert unavoidable(noisy, np.zeros(1000)) is None
-    assert unavoidable(noisy, np.full(3, STEADY_NM)) is None  # it ends before it could be told
+    assert unavoidable(noisy, np.full(3, STEADY_NM)) is None  # too short to decide

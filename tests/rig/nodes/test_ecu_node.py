@@ -1,4 +1,4 @@
-"""The bus side of a controller node in C: which frames go in, and what becomes of those sent."""
+"""The bus side of a controller node in C: frames in and frames out."""
 
 from __future__ import annotations
 
@@ -154,7 +154,7 @@ def test_what_was_chosen_runs_and_is_ended() -> None:
 
 
 class Counting(PythonLaw):
-    """The law itself, which says that it has been started."""
+    """The law, with a count of its starts."""
 
     def __init__(self) -> None:
         self.started = 0

@@ -215,7 +215,7 @@ def test_the_car_of_a_scenario_is_that_of_the_equations(settings: list[str]) -> 
 
 
 def test_the_nonlinear_car_gets_the_world_in_every_step_of_a_tick() -> None:
-    """Behind lags a tick has several steps; without commands they are one long step."""
+    """Behind lags a tick has several steps; without commands a single long step."""
     settings = [ALL, *SHORT, "plant.torque_actuator.lag_s=0.01", "tick_s=0.002"]
     scenario = load("nonlinear-car", settings)
     plant, alone = plant_of(scenario), NonlinearCar(scenario.plant)

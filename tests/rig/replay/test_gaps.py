@@ -1,4 +1,4 @@
-"""What is wrong with a log is named, all of it and nothing else."""
+"""Every defect of a log is named, and no other defect."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""Whose fault it is, in runs: what the verdict is, when, and what it does not disturb."""
+"""Whose fault it is, in runs: the verdict, its time, and undisturbed signals."""
 
 from __future__ import annotations
 
@@ -94,7 +94,7 @@ def test_with_both_lost_a_safe_stop_takes_the_commands_back() -> None:
     ],
 )
 def test_a_sensor_that_is_found_at_fault_is_not_compensated(fault: list[str]) -> None:
-    """It costs what it costs without any compensation."""
+    """The deviation is that of a run without compensation."""
     deviations = []
     for compensation in ("on-confirmation", "off"):
         changes = [*LANE_CHANGE, "fault.at_s=3.5", *(f"fault.{key}" for key in fault)]

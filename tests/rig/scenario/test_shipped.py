@@ -1,4 +1,4 @@
-"""The shipped scenarios, driven: nothing is lost that is not, and what is lost is found."""
+"""The shipped scenarios, driven: every loss is found, and no working channel is lost."""
 
 from __future__ import annotations
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import difflib
 import zipfile
-from collections.abc import Collection, Iterable
+from collections.abc import Collection, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath
 from typing import Any, Final, NamedTuple
@@ -18,7 +18,7 @@ from fmpy.simulation import settable_in_initialization_mode, settable_in_instant
 
 from can_rig.errors import ScenarioError, one_line
 from can_rig.logs.columns import TAKEN
-from can_rig.scenario.plant_settings import FMU, SIGNALS, PlantSettings, flat_parameters
+from can_rig.scenario.plant_settings import FMU, flat_parameters
 
 CO_SIMULATION: Final = "co-simulation"
 MODEL_EXCHANGE: Final = "model-exchange"
@@ -49,6 +49,29 @@ class Variable(NamedTuple):
 
 
 @dataclass(frozen=True)
+class Request:
+    """What a scenario asks of an FMU.
+
+    Attributes:
+        table: of the scenario, ``plant`` or ``controller``.
+        kind: ``fmu:`` and the file.
+        variables: the FMU's names by key.
+        parameters: the FMU's parameters, in tables.
+        inputs: the keys of the inputs, in their order.
+        outputs: the keys of the outputs.
+        fmi_type: the type to run; None: co-simulation where the FMU offers it.
+    """
+
+    table: str
+    kind: str
+    variables: Mapping[str, str]
+    parameters: Mapping[str, Any]
+    inputs: Sequence[str]
+    outputs: Sequence[str]
+    fmi_type: str | None = None
+
+
+@dataclass(frozen=True)
 class Description:
     """The facts about an FMU that a run needs.
 
@@ -56,8 +79,8 @@ class Description:
         path: the FMU file.
         model: FMPy's description of it.
         co_simulation: whether the FMU integrates by its own solver.
-        inputs: input 1 and input 2.
-        output: D*.
+        inputs: in the order of the request.
+        outputs: by key.
         signals: the other recorded variables, by column name.
         parameters: values set before the start, by the FMU's names.
     """
@@ -65,42 +88,43 @@ class Description:
     path: Path
     model: Any
     co_simulation: bool
-    inputs: tuple[Variable, Variable]
-    output: Variable
+    inputs: tuple[Variable, ...]
+    outputs: dict[str, Variable]
     signals: dict[str, Variable]
     parameters: dict[str, bool | int | float | str]
 
 
-def describe(settings: PlantSettings) -> Description:
-    """The FMU of ``plant.kind``, with the variables and parameters of the settings.
+def describe(request: Request) -> Description:
+    """The FMU of ``request``, with its variables and parameters.
 
     Raises:
         ScenarioError: no FMU, an FMU without a binary for this machine, or an unknown name.
     """
-    path = Path(settings.kind.removeprefix(FMU))
+    path = Path(request.kind.removeprefix(FMU))
     if not path.is_file():
-        raise _refused(settings, "there is no such file")
+        raise _refused(request, "there is no such file")
     try:
         refuse_large_description(path)
         model, files = _read(path), zipfile.ZipFile(path).namelist()
     except Exception as error:  # FMPy raises any exception while reading a wrong file
-        raise _refused(settings, f"must be an FMU: {_why_not(error)}") from None
+        raise _refused(request, f"must be an FMU: {_why_not(error)}") from None
     version = str(model.fmiVersion)[:1]
     if version not in BINARIES:
-        raise _refused(settings, f"is of FMI {model.fmiVersion}: must be of FMI 2 or 3")
-    co_simulation = _is_co_simulation(settings, model)
+        raise _refused(request, f"is of FMI {model.fmiVersion}: must be of FMI 2 or 3")
+    co_simulation = _is_co_simulation(request, model)
     kind = model.coSimulation if co_simulation else model.modelExchange
-    _refuse_other_machines(settings, files, BINARIES[version], kind.modelIdentifier)
-    names = _Names(settings, model)
-    first, second, output = (names.number(key) for key in SIGNALS)
+    _refuse_other_machines(request, files, BINARIES[version], kind.modelIdentifier)
+    names = _Names(request, model)
+    inputs = tuple(names.number(key) for key in request.inputs)
+    outputs = {key: names.number(key) for key in request.outputs}
     names.refuse_one_for_both()
-    columns = [key for key in settings.variables if key not in SIGNALS]
+    columns = [key for key in request.variables if key not in (*request.inputs, *request.outputs)]
     return Description(
         path=path,
         model=model,
         co_simulation=co_simulation,
-        inputs=(first, second),
-        output=output,
+        inputs=inputs,
+        outputs=outputs,
         signals={key: names.number(key) for key in columns},
         parameters=names.parameters(),
     )
@@ -124,23 +148,25 @@ def _why_not(error: Exception) -> str:
     return one_line(error)
 
 
-def _is_co_simulation(settings: PlantSettings, model: Any) -> bool:
+def _is_co_simulation(request: Request, model: Any) -> bool:
     """Whether the FMU runs as co-simulation: by ``fmi_type``, or by preference if offered."""
     has = {
         CO_SIMULATION: model.coSimulation is not None,
         MODEL_EXCHANGE: model.modelExchange is not None,
     }
-    wanted = settings.fmi_type
+    wanted = request.fmi_type
     types = " or ".join(name for name, there in has.items() if there)
     if not types:
-        raise _refused(settings, f"must be for {CO_SIMULATION} or {MODEL_EXCHANGE}")
+        raise _refused(request, f"must be for {CO_SIMULATION} or {MODEL_EXCHANGE}")
     if wanted and not has[wanted]:
-        raise ScenarioError(f"plant.fmi_type = {wanted!r}: must be {types}, for {settings.kind}")
+        raise ScenarioError(
+            f"{request.table}.fmi_type = {wanted!r}: must be {types}, for {request.kind}"
+        )
     return has[CO_SIMULATION] if wanted is None else wanted == CO_SIMULATION
 
 
 def _refuse_other_machines(
-    settings: PlantSettings, files: Collection[str], folder: str, name: str
+    request: Request, files: Collection[str], folder: str, name: str
 ) -> None:
     library = f"binaries/{folder}/{name}{fmpy.sharedLibraryExtension}"
     if library in files:
@@ -149,7 +175,7 @@ def _refuse_other_machines(
     folders = sorted({part[1] for part in parts if part[0] == "binaries" and len(part) > 2})
     there = f"it has binaries for {', '.join(folders)}" if folders else "it has no binaries"
     raise _refused(
-        settings,
+        request,
         f"must have {library}, and {there}; `fmpy compile` makes it of an FMU's sources",
     )
 
@@ -157,16 +183,16 @@ def _refuse_other_machines(
 class _Names:
     """The variables of an FMU by name, with the refusals of wrong names."""
 
-    def __init__(self, settings: PlantSettings, model: Any) -> None:
-        self._settings = settings
+    def __init__(self, request: Request, model: Any) -> None:
+        self._request = request
         self._old = model.fmiVersion.startswith("2")
         self._variables = {variable.name: variable for variable in model.modelVariables}
 
     def number(self, key: str) -> Variable:
-        """The variable in ``plant.variables.key``."""
-        name = self._settings.variables[key]
-        here = f"plant.variables.{key} = {name!r}"
-        is_input, is_output = key in SIGNALS[:2], key == SIGNALS[2]
+        """The variable of the request by its key."""
+        name = self._request.variables[key]
+        here = f"{self._request.table}.variables.{key} = {name!r}"
+        is_input, is_output = key in self._request.inputs, key in self._request.outputs
         if not (is_input or is_output) and (key in TAKEN or not key.isidentifier()):
             raise ScenarioError(
                 f"{here}: {key!r} must be a name that no other column has, of letters, digits and "
@@ -178,8 +204,8 @@ class _Names:
                 f"{here}: must be an input of the FMU, not {_a(variable.causality)}; it has "
                 f"{self._some('input')}"
             )
-        if is_input and variable.name in flat_parameters(self._settings.parameters):
-            raise ScenarioError(f"{here}: must not stand in plant.parameters too")
+        if is_input and variable.name in flat_parameters(self._request.parameters):
+            raise ScenarioError(f"{here}: must not stand in {self._request.table}.parameters too")
         allowed = REAL if is_input or is_output else NUMBERS
         if variable.type not in allowed or variable.shape:
             shape = " array" if variable.shape else ""
@@ -190,19 +216,21 @@ class _Names:
         return Variable(variable.valueReference, self._access(variable.type))
 
     def refuse_one_for_both(self) -> None:
-        """Refuse one variable for both inputs: the second command would overwrite the first."""
-        first, second = (self._settings.variables[key] for key in SIGNALS[:2])
-        if first == second:
-            raise ScenarioError(
-                f"plant.variables.input_2 = {second!r}: must be another variable than input_1; "
-                f"it has {self._some('input')}"
-            )
+        """Refuse one variable for two inputs: the second value would overwrite the first."""
+        variables, taken = self._request.variables, dict[str, str]()
+        for key in self._request.inputs:
+            other = taken.setdefault(variables[key], key)
+            if other != key:
+                raise ScenarioError(
+                    f"{self._request.table}.variables.{key} = {variables[key]!r}: must be another "
+                    f"variable than {other}; it has {self._some('input')}"
+                )
 
     def parameters(self) -> dict[str, bool | int | float | str]:
-        """``plant.parameters``, after checks of settability and type."""
-        given = flat_parameters(self._settings.parameters)
+        """The parameters of the request, after checks of settability and type."""
+        given = flat_parameters(self._request.parameters)
         for name, value in given.items():
-            here = f"plant.parameters.{name} = {value!r}"
+            here = f"{self._request.table}.parameters.{name} = {value!r}"
             variable = self._find(here, name, "parameter")
             if not (
                 settable_in_instantiated(variable) or settable_in_initialization_mode(variable)
@@ -264,8 +292,8 @@ def _a(word: str) -> str:
     return f"an {word}" if word[0] in "aeiouAEIO" else f"a {word}"
 
 
-def _refused(settings: PlantSettings, reason: str) -> ScenarioError:
-    return ScenarioError(f"plant.kind = {settings.kind!r}: {reason}")
+def _refused(request: Request, reason: str) -> ScenarioError:
+    return ScenarioError(f"{request.table}.kind = {request.kind!r}: {reason}")
 
 
 class UnpackingError(Exception):
