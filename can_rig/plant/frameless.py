@@ -35,7 +35,7 @@ from firmware_model.analysis.hardware import BY, HEALTHY, NO_FAULTS, REPLACED, f
 from firmware_model.analysis.read_off import NotLinearError, read_off
 from firmware_model.analysis.sampled_loop import LinearController
 from firmware_model.analysis.sampled_plant import SampledPlant
-from firmware_model.analysis.simulation import AnyPlant, Simulation, Trace
+from firmware_model.analysis.simulation import AnyPlant, LoopPlant, Simulation, Trace
 from firmware_model.discretisation.schedules import Scheduled
 from firmware_model.law import controller
 from firmware_model.law.structs import FloatArray, RecordArray
@@ -208,7 +208,7 @@ def frameless_loop(
     return simulation(
         scenario,
         network,
-        linear_plant(scenario) or UntilItFails(plant_of(scenario)),
+        linear_plant(scenario) or until_it_fails(plant_of(scenario)),
         law_of(scenario, network) if of is None else of,
         inputs_of(scenario, network) if inputs is None else inputs,
     )
@@ -306,6 +306,11 @@ def linear_law_of(scenario: Scenario) -> LinearController:
         raise ScenarioError(
             f"controller.kind = {scenario.controller.kind!r}: has no margins: {error}"
         ) from None
+
+
+def until_it_fails(plant: PlantBehind) -> AnyPlant:
+    """``plant`` with nan as its output from its first error on; a built-in car never fails."""
+    return plant if isinstance(plant, LoopPlant) else UntilItFails(plant)
 
 
 class UntilItFails:

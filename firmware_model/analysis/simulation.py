@@ -12,7 +12,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -80,6 +80,19 @@ class AnyPlant(Protocol):
 
         The commands reach the actuators now; ``left_1`` and ``left_2`` are the remaining
         effectiveness.
+        """
+
+
+@runtime_checkable
+class LoopPlant(AnyPlant, Protocol):
+    """A plant that advances together with the loop, in compiled code."""
+
+    def run_loop(
+        self, loop: Any, begin: int, end: int, output: tuple[float, float]
+    ) -> tuple[float, float]:
+        """Advance loop and plant from the loop's tick ``begin`` to ``end``; see ``world_loop``.
+
+        ``output`` and the result are those of ``follow``.
         """
 
 
@@ -224,6 +237,11 @@ class Simulation:
                     *self._loop, self.done, end, *self._output, plant.constants, self._memory,
                     self.plant_states,
                 )  # fmt: skip
+                self.done = end
+            return
+        if isinstance(plant, LoopPlant) and self._other is None and self._speed is None:
+            if end > self.done:
+                self._output = plant.run_loop(self._loop, self.done, end, self._output)
                 self.done = end
             return
         effectiveness = self.inputs[3]

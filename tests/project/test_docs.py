@@ -93,7 +93,8 @@ def test_a_command_parses_and_its_scenario_loads(
     assert command is not None
     context = command.make_context(name, list(arguments))
     if name == "campaign":
-        keys = {key: context.params[key] for key in ("scenario", "runs", "seed")}
+        keys = {key: context.params[key] for key in ("runs", "seed")}
+        keys["scenario"] = list(context.params["scenarios"]) or None
         plan(read_campaign(context.params["campaign"], context.params["settings"], **keys))
     elif "scenario" in context.params:
         scenario = load(context.params["scenario"], context.params["settings"])
@@ -125,7 +126,7 @@ def test_every_scenario_loads(page: Path, tmp_path: Path) -> None:
         file = tmp_path / "my-car.toml"
         file.write_text(block, "utf-8")
         (tmp_path / "chassis.dbc").write_bytes(CHASSIS.read_bytes())  # that of the page on buses
-        if "[axes]" in block:  # a campaign
+        if "[axes]" in block or "[choices" in block:  # a campaign
             scenario = plan(read_campaign(str(file))).scenario_of(1)
         else:
             scenario = load(str(file))

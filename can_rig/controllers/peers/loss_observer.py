@@ -36,7 +36,7 @@ class Channel:
 
     @property
     def output(self) -> float:
-        """The output of this tick, which this tick's command does not reach."""
+        """The output of this tick, before the command of this tick."""
         return float(self._c @ self._x)
 
     def advance(self, command: float) -> None:

@@ -78,7 +78,7 @@ def test_an_axis_over_a_lag_keeps_what_is_believed_of_it(
         return  # one actuator has one lag
     made = planned(runs=1, axes=axes, scenario=scenario, settings={**settings, **other})
     changed = made.scenario_of(0)
-    assert changed.model == made.base.model
+    assert changed.model == made.base.scenario.model
     assert getattr(changed.plant.torque_actuator, key) == value
 
 
@@ -170,7 +170,11 @@ def test_a_file_names_its_scenario_from_where_it_lies(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text("duration_s = 0.3\n")
     (tmp_path / "many.toml").write_text('scenario = "mine.toml"\nruns = 2\n')
     made = plan(read_campaign(str(tmp_path / "many.toml"), ["fault.kind=none"], runs=5))
-    assert (made.runs, made.base.duration_s, made.base.loss.kind) == (5, 0.3, "none")
+    assert (made.runs, made.base.scenario.duration_s, made.base.scenario.loss.kind) == (
+        5,
+        0.3,
+        "none",
+    )
     for text, line in (("runs = ", "not readable as TOML"), ('name = "x"', "named by its file"),
                        ("settings = 3\nruns = 1", "must be a table")):  # fmt: skip
         (tmp_path / "bad.toml").write_text(text)

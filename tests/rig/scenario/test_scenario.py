@@ -27,7 +27,9 @@ def flat(values, prefix=""):
 
 
 ACTUATOR_LIMITS = re.compile(r"actuator\.(limit|rate)_")
-BY_NUMBERS = re.compile(r"plant\.((kind|fmi_type|a|b|c)$|g1|g2|input_|output)|network")  # elsewhere
+BY_NUMBERS = re.compile(
+    r"plant\.((kind|fmi_type|a|b|c)$|g1|g2|input_|output)|network|controller"
+)  # elsewhere
 DEFAULTS = flat(Scenario("x").as_dict())
 OF_A_DRIVE = {  # tests/rig/scenario/test_drive.py
     "drive.speed_mps",
