@@ -27,7 +27,14 @@ from can_rig.frames.network import Network
 from can_rig.logs.frames import NS_PER_S, Frames
 from can_rig.nodes.lockstep import ControllerNode
 from can_rig.replaying.gaps import NEAR, Account, Row
-from can_rig.replaying.rig_frames import INPUTS, SPEED_ROLE, Recorded, RigFrame, is_input, rig_frames
+from can_rig.replaying.rig_frames import (
+    INPUTS,
+    SPEED_ROLE,
+    Recorded,
+    RigFrame,
+    is_input,
+    rig_frames,
+)
 from can_rig.scenario.fault_settings import RESTARTED
 from can_rig.scenario.settings import Scenario
 
