@@ -7,9 +7,29 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from can_rig.api import RecordedRun, check, decode, load, load_scenario, run, tune
+    from can_rig.api import (
+        RecordedRun,
+        ReplayedDrive,
+        check,
+        decode,
+        load,
+        load_scenario,
+        replay,
+        run,
+        tune,
+    )
 
-__all__ = ["RecordedRun", "check", "decode", "load", "load_scenario", "run", "tune"]
+__all__ = [
+    "RecordedRun",
+    "ReplayedDrive",
+    "check",
+    "decode",
+    "load",
+    "load_scenario",
+    "replay",
+    "run",
+    "tune",
+]
 
 
 def __getattr__(name: str) -> Any:

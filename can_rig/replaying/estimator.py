@@ -18,7 +18,7 @@ Where the log has the speed, the design follows the speed. Ticks below the lowes
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, nullcontext
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -28,9 +28,11 @@ import numpy as np
 from cantools.database.conversion import BaseConversion
 from numpy.typing import NDArray
 
+from can_rig.decoding.files import Contents, output
 from can_rig.decoding.message_columns import MessageColumns
 from can_rig.decoding.signal_columns import SignalColumn, unsigned_column
 from can_rig.errors import LogError, ScenarioError
+from can_rig.files import PICTURES, atomic, refuse_existing
 from can_rig.logs.frames import NS_PER_S
 from can_rig.replaying.recorded_drive import Buses, Drive, recorded_drive
 from can_rig.results.source import Reading, Source
@@ -50,6 +52,9 @@ from firmware_model.target.structs import FloatArray
 SLOWEST_SHARE: Final = 0.1
 """The lowest design speed is at least this share of the highest: a car that parks does not spread
 the designs."""
+
+TOO_RARE: Final = 1.5
+"""Ticks between two samples of D* from which on the decision may take a sensor for frozen."""
 
 STEADY: Final = 1.02
 """Speeds within this ratio have one design."""
@@ -107,6 +112,18 @@ class Replayed:
         return [
             (float(self.time_s[at]), FaultState(states[at]).name, Verdict(verdicts[at]).name)
             for at in np.flatnonzero(changed)
+        ]
+
+    def notes(self) -> list[str]:
+        """Lines about samples that are too rare for the tick."""
+        of_output = {"feedback", "yaw_rate", "lateral_acceleration"}
+        periods = [each.period_s for each in self.drive.samples if each.role in of_output]
+        if max(periods) <= TOO_RARE * self.scenario.tick_s:
+            return []
+        return [
+            f"D* has a new sample every {1e3 * max(periods):.3g} ms only, and the tick is "
+            f"{1e3 * self.scenario.tick_s:g} ms: repeated samples look like a frozen sensor; "
+            "choose a scenario with a longer tick"
         ]
 
     def summary(self) -> dict[str, Any]:
@@ -169,12 +186,17 @@ def rules(drive: Drive) -> Iterator[str]:
             yield f"no {name} in the log: 0"
 
 
+def no_count(_ticks: int) -> AbstractContextManager[Callable[[int], None]]:
+    """Show no progress."""
+    return nullcontext(lambda _tick: None)
+
+
 def replay_drive(
     source: Source,
     dbc: Buses = {},  # noqa: B006 (read only)
     max_age_s: float | None = None,
     reading: Reading = iter,
-    counting: AbstractContextManager[Any] | None = None,
+    counting: Callable[[int], AbstractContextManager[Callable[[int], None]]] = no_count,
 ) -> Replayed:
     """Run the firmware on a recorded drive.
 
@@ -183,7 +205,7 @@ def replay_drive(
         dbc: databases by bus; "" in place of ``network.dbc``.
         max_age_s: how long a sample holds; None: five periods of its signal.
         reading: iterates over the log and shows the progress.
-        counting: shows the progress of the ticks: gives a function of the number of ticks.
+        counting: of a number of ticks, shows the progress.
 
     Raises:
         LogError, DbcError, ScenarioError: see ``recorded_drive``; or the design fails.
@@ -211,7 +233,7 @@ def replay_drive(
         )
     firmware = Firmware(of.table, speeds=of.schedule)
     answers = np.empty((len(y), 6))
-    with counting or nullcontext(None) as progress:
+    with counting(len(y)) as progress:
         first = int(np.argmax(known))
         firmware.change_speed(float(speed[first]))
         firmware.step(math.nan, math.nan)
@@ -226,7 +248,7 @@ def replay_drive(
             if math.isfinite(v):
                 firmware.change_speed(v)
             answers[tick] = firmware.step(r, measured) if usable else firmware.step(*_NOTHING)
-            if progress is not None and tick % _EVERY == 0:
+            if tick % _EVERY == 0:
                 progress(tick)
     inputs = {INPUTS[role]: c for role, c in drive.columns.items() if role in INPUTS}
     columns = _columns(drive.time_ns, reference, y, answers, inputs)
@@ -319,21 +341,57 @@ def _or_none(of: Any, values: FloatArray) -> float | None:
     return float(of(values)) if np.isfinite(values).any() else None
 
 
-PICTURES: Final = ("dstar_mps2", "fault_estimate_mps2")
+def refuse_output(path: Path, force: bool) -> None:
+    """Refuse an unknown format, or an existing output without ``force``.
+
+    Raises:
+        LogError: the reason.
+    """
+    if path.suffix not in {*TABLES, *PICTURES}:
+        raise LogError(
+            f"{path}: cannot be written as {path.suffix or 'a folder'}; a recorded drive must be "
+            f"{', '.join([*TABLES, *sorted(PICTURES)])}"
+        )
+    refuse_existing(path, force, "--out")
 
 
-def shown(columns: MessageColumns) -> list[str]:
-    """The curves of the picture, with one panel for each unit and for each code."""
-    torque = [name for name in columns.signals if name.endswith("torque_nm")]
-    force = [name for name in columns.signals if name.endswith("force_difference_n")]
-    speed = [name for name in columns.signals if name == "speed_mps"]
-    return [*PICTURES, *torque, *force, *speed, *CODES]
+def write(replayed: Replayed, path: Path, *, force: bool = False) -> None:
+    """Write a replay: a table by ``.csv``, ``.parquet`` or ``.mf4``, or a picture.
+
+    Time is exact: the log's own clock, from 1970 where the log has a date. nan is an empty cell.
+
+    Raises:
+        LogError: see ``refuse_output``, or the file cannot be written.
+    """
+    refuse_output(path, force)
+    columns = replayed.columns
+    masked: dict[str, Any] = {
+        name: np.ma.masked_invalid(column) for name, column in columns.signals.items()
+    }
+    columns = replace(columns, signals=masked)
+    with atomic(path, force=force) as part:
+        if path.suffix in PICTURES:
+            draw(part, replayed)
+        elif path.suffix == ".mf4":
+            with output(part, Contents({}, replayed.start_ns, False), True) as mf4:
+                mf4.write({columns.name: columns})
+        else:
+            from can_rig.decoding.tables import write_table  # noqa: PLC0415 (pyarrow)
+
+            write_table(part, columns, replayed.start_ns)
+
+
+TABLES: Final = (".csv", ".parquet", ".mf4")
 
 
 def draw(path: Path, replayed: Replayed) -> None:
-    """Write the picture of a replay in the format of the suffix."""
+    """Write the picture of a replay: a panel for each unit and for each code."""
     from can_rig.views.pictures import plot_page  # noqa: PLC0415 (matplotlib)
 
+    signals = replayed.columns.signals
+    endings = ("torque_nm", "force_difference_n", "speed_mps")
+    others = [name for ending in endings for name in signals if name.endswith(ending)]
+    names = ["dstar_mps2", "fault_estimate_mps2", *others, *CODES]
     columns = replace(replayed.columns, time_ns=replayed.columns.time_ns - replayed.start_ns)
-    pairs = [("replay", name) for name in shown(columns)]
-    plot_page({"replay": columns}, pairs, 0).savefig(path, dpi=150)
+    page = plot_page({"replay": columns}, [("replay", name) for name in names], 0)
+    page.savefig(path, dpi=150)

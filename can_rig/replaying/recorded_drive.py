@@ -42,6 +42,16 @@ Buses = Mapping[str, Path]
 """The database of each bus; "" for the buses without an entry."""
 
 
+def buses_of(named: Sequence[str]) -> dict[str, Path]:
+    """The databases of ``FILE`` or ``BUS=FILE``, by bus."""
+    found = {}
+    for name in named:
+        bus, equals, file = name.partition("=")
+        whole = not equals or Path(name).exists()
+        found["" if whole else bus] = Path(name if whole else file)
+    return found
+
+
 @dataclass(frozen=True)
 class Samples:
     """One signal of a log.

@@ -49,8 +49,8 @@ _WORDS: Final = (
 def unit_factor(role_unit: str, unit: str) -> float | None:
     """The factor from ``unit``, as a database spells it, to the unit of a role; None: unknown."""
     plain = unit.lower()
-    for pattern, word in _WORDS:
-        plain = re.sub(pattern, word, plain)  # type: ignore[arg-type]
+    for pattern, word in () if plain.startswith("unit_") else _WORDS:
+        plain = re.sub(pattern, word, plain)
     return _FACTORS[role_unit].get(plain)
 
 
@@ -122,7 +122,7 @@ def _one(value: Any) -> LogSignal:
         number = key in {"factor", "offset"}
         if number and (isinstance(given, bool) or not isinstance(given, int | float)):
             raise _bad(f"{key} = {given!r}: must be a number")
-        if number and not math.isfinite(given):
+        if number and not math.isfinite(float(given)):
             raise _bad(f"{key} = {given!r}: must be finite")
         if not number and not isinstance(given, str):
             raise _bad(f"{key} = {given!r}: must be a text")
@@ -150,7 +150,7 @@ def _role(value: Any) -> str | tuple[LogSignal, ...]:
     return tuple(map(_one, listed))
 
 
-Role = Annotated[str | tuple[LogSignal, ...], PlainValidator(_role)]
+Role = Annotated[str | tuple[LogSignal, ...], PlainValidator(_role, json_schema_input_type=str)]
 """A setting that names the signals of a role; "": none."""
 
 
