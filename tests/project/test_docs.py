@@ -148,6 +148,7 @@ def test_every_python_block_is_run_by_some_test() -> None:
     assert with_python == {
         *RUN,  # above
         *("docs/logs.md", "docs/scenarios.md"),  # below, and in test_docs_logs
+        "docs/recorded-drives.md",  # in test_recorded_drive
     }
 
 

@@ -2,16 +2,20 @@
 
 from __future__ import annotations
 
+import shlex
 from pathlib import Path
 
 import numpy as np
 import pandas as pd
 import pytest
 from asammdf import MDF
+from click.testing import CliRunner
 
 import can_rig
+from can_rig.cli.main import main
 from can_rig.errors import RigError
 from can_rig.scenario.log_signals import ROLES, unit_factor
+from tests.project.pages import blocks, command_lines
 from tests.rig.replay.car import CAR, FOLDER, GAP_S, LOSS_S
 
 LOG = FOLDER / "car.log.gz"
@@ -190,3 +194,14 @@ def test_logs_that_cannot_serve_are_one_line(log: str, said: str, tmp_path: Path
     path.write_text(log)
     with pytest.raises(RigError, match=said):
         can_rig.replay(path, CAR)
+
+
+def test_the_page_runs_as_printed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    page = (FOLDER.parent / "recorded-drives.md").read_text("utf-8")
+    (tmp_path / "docs").symlink_to(FOLDER.parent)
+    monkeypatch.chdir(tmp_path)
+    for line in command_lines(page):
+        done = CliRunner().invoke(main, shlex.split(line)[1:])
+        assert done.exit_code == 0, done.output
+    assert (tmp_path / "car.png").stat().st_size > 10_000
+    exec(blocks(page, "python")[0], {})
