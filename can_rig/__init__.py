@@ -8,9 +8,11 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from can_rig.api import (
+        Comparison,
         RecordedRun,
         ReplayedDrive,
         check,
+        compare,
         decode,
         load,
         load_scenario,
@@ -20,9 +22,11 @@ if TYPE_CHECKING:
     )
 
 __all__ = [
+    "Comparison",
     "RecordedRun",
     "ReplayedDrive",
     "check",
+    "compare",
     "decode",
     "load",
     "load_scenario",

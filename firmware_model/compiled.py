@@ -124,7 +124,7 @@ class _LawIsCompiled(event.Listener):
         """Numba compiles a function that the cache lacks."""
         function = event.data["dispatcher"].py_func
         name = f"{function.__module__}.{function.__name__}"
-        if name == "firmware_model.target.controller.step" and os.getpid() == self._process:
+        if name == "firmware_model.law.controller.step" and os.getpid() == self._process:
             self._tell()
 
     def on_end(self, event: event.Event) -> None:

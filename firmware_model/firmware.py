@@ -8,12 +8,12 @@ from typing import NamedTuple, Protocol
 
 import numpy as np
 
-from firmware_model.target import controller, schedule
-from firmware_model.target.fault_decision.lost_commands import act_first
-from firmware_model.target.fault_decision.mismatch import doubt_motion
-from firmware_model.target.filters import biquad
-from firmware_model.target.layout import precision_of
-from firmware_model.target.structs import FloatArray, Record, RecordArray, record_type
+from firmware_model.law import controller, schedule
+from firmware_model.law.fault_decision.lost_commands import act_first
+from firmware_model.law.fault_decision.mismatch import doubt_motion
+from firmware_model.law.filters import biquad
+from firmware_model.law.layout import precision_of
+from firmware_model.law.structs import FloatArray, Record, RecordArray, record_type
 
 
 class Answer(NamedTuple):

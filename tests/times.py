@@ -22,7 +22,7 @@ BUDGET_IN_GUEST_S = 25.0
 
 
 def cpu_s() -> float:
-    """Of this process and of those that it has waited for."""
+    """CPU time of this process and of its finished children [s]."""
     both = map(resource.getrusage, (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN))
     return sum(usage.ru_utime + usage.ru_stime for usage in both)
 

@@ -21,7 +21,7 @@ PATIENT = RunOptions(timeouts=Timeouts(first_s=TIMEOUT_S, silence_s=TIMEOUT_S), 
 
 
 def tool(*command: object, **options: object) -> subprocess.CompletedProcess[str]:
-    """A command to its end; what it is made of is installed where vcan0 is, so it never skips."""
+    """Run a command to its end; a machine with vcan0 has its package, so no test skips."""
     return subprocess.run(
         list(map(str, command)), check=True, timeout=TIMEOUT_S, text=True, capture_output=True,
         **options,
@@ -30,7 +30,7 @@ def tool(*command: object, **options: object) -> subprocess.CompletedProcess[str
 
 @pytest.fixture
 def own_can(request):
-    """An interface that nobody else uses, up; the test may do with it what it likes."""
+    """An interface of the test's own, up."""
     name = f"vcan{90 + len(request.node.name) % 10}"
     try:
         tool("ip", "link", "add", "dev", name, "type", "vcan")

@@ -25,8 +25,8 @@ from can_rig.plant.frameless import controller_inputs
 from can_rig.scenario.build import controller_table, network_of
 from firmware_model.compiled import firmware_run
 from firmware_model.firmware import PYTHON_LAW, Firmware, Law
-from firmware_model.target import controller
-from firmware_model.target.structs import Precision
+from firmware_model.law import controller
+from firmware_model.law.structs import Precision
 
 LOOP = """
 #include "controller.h"

@@ -1,7 +1,7 @@
 """Runs a second of a campaign, beside two other ways to simulate the loop, in one go.
 
 python-control and the numba loop get the loop without limits, frames, faults and decision: one
-matrix, which is what remains of the law then. They write nothing and compute no metric.
+matrix, which is what remains of the law then. Both write no file and compute no metric.
 """
 
 from __future__ import annotations
@@ -28,7 +28,7 @@ from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_loop import linear_controller, sampled_loop
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.compiled import compiled
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 DURATION_S = 14.0
 SLOW = ("tick_s=0.01", "design.tau_s=0.01", "design.tau_q_s=0.1")

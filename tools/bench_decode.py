@@ -80,7 +80,7 @@ def by_asammdf(path: Path, matrix: object) -> None:
 
 
 def seconds(action: Callable[[], object]) -> float:
-    """CPU time that it takes once [s]: what else this machine does counts little."""
+    """CPU time of a single call [s]; other programs on the machine count little."""
     start = time.process_time()
     action()
     return time.process_time() - start

@@ -42,7 +42,7 @@ def flood(bus: str, frames: int) -> None:
     """Send ``frames`` random frames, as fast as the listeners take them, and read what comes."""
     rng = random.Random(1)
     with open_bus(bus) as sender:
-        # Read by a thread: what a node does not read is kept for it by those who send.
+        # A thread reads: senders keep every frame that a node does not read.
         listening = can.Notifier(sender, [], timeout=0.1)
         for _ in range(frames):
             sender.send(
@@ -124,7 +124,7 @@ def run_beside_flood(bus: str, frames: int, log: Path, memory: Memory) -> tuple[
 
 
 def disturbed(log: Path, undisturbed: Path) -> tuple[str | None, int]:
-    """What differs in the rig's own frames, None for nothing; and how many are somebody else's."""
+    """The difference in the rig's frames or None, and the number of foreign frames."""
     foreign = 0
     with log.open() as seen, undisturbed.open() as reference:
         expected = (line.split()[2:] for line in reference)

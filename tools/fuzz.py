@@ -134,7 +134,7 @@ def sound(frames: Frames) -> None:
 def attempt(path: Path, text: bytes) -> str | None:
     """What is wrong with how a damaged file is dealt with; None: nothing."""
     path.write_bytes(text)
-    begin = time.process_time()  # what others do on this machine is not its fault
+    begin = time.process_time()  # other programs on this machine do not count
     try:
         (replay if path.name == _DRIVE else read)(path)
     except RigError as error:
@@ -147,7 +147,7 @@ def attempt(path: Path, text: bytes) -> str | None:
 
 
 def work(names: list[str], numbers: range, pipe: Connection) -> None:
-    """Try every number on every file; say where it is, and what is found."""
+    """Try every number on every file; send the position and each finding."""
     resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
     logging.disable(logging.CRITICAL)
     texts = {name: (CORPUS / name).read_bytes() for name in names}
@@ -179,7 +179,7 @@ def processor_s(pid: int | None) -> float:
 
 
 def watched(names: list[str], numbers: range) -> list[tuple[str, int, str]]:
-    """What `work` finds, and what ends it or takes too long."""
+    """Findings of `work`, and inputs that end `work` or take too long."""
     here, there = multiprocessing.Pipe(duplex=False)
     process = multiprocessing.Process(target=work, args=(names, numbers, there), daemon=True)
     process.start()

@@ -1,6 +1,6 @@
 """A campaign whose workers are killed again and again makes the table that it makes undisturbed.
 
-By processes of this machine, and on a Dask cluster on it, whose nannies start others.
+Workers are processes, or members of a local Dask cluster whose nannies restart them.
 """
 
 from __future__ import annotations

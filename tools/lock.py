@@ -2,7 +2,7 @@
 
 The Pythons are those that pyproject.toml classifies the project under, the machines are Linux on
 x86-64 and aarch64. A line before each package names the extras that need it, or says ``base``:
-everything needs that, and what builds the project is part of it. ``tools/setup`` picks by these
+every installation needs the base, which includes the build tools. ``tools/setup`` picks by these
 words.
 """
 
@@ -26,7 +26,7 @@ WHEEL = re.compile(
 
 
 def locked(uv: Path, folder: Path, renewed: list[str]) -> Iterator[tuple[list[str], str]]:
-    """Lock in ``folder``; each package as ``uv export`` writes it, and before it who needs it.
+    """Lock in ``folder``; yield each package's needs and its lines from ``uv export``.
 
     ``renewed`` are the packages that may get another version; without any, all may.
     """

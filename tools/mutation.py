@@ -570,7 +570,7 @@ def main() -> int:
         "--changed", nargs="?", const="", metavar="REVISION",
         help="only lines that differ from a revision of git (default: where the branch left main)",
     )  # fmt: skip
-    parser.add_argument("--only", default="*", metavar="GLOB", help="modules, such as '*/target/*'")
+    parser.add_argument("--only", default="*", metavar="GLOB", help="modules, such as '*/law/*'")
     parser.add_argument("--tests", metavar="PATH", help="instead of those of the module's room")
     parser.add_argument("--sample", type=int, metavar="N", help="so many mutants, by chance")
     parser.add_argument("--seed", type=int, default=0, help="of the sample [0]")

@@ -57,7 +57,7 @@ class Bench:
         folder: its sources and objects.
         sanitized: the same, with gcc's sanitizers.
         orders: each a file, the quick one first, which the sanitized one gets last.
-        noticed: whether answers to the orders of that number are others than they must be.
+        noticed: whether the answers to the orders of that number are wrong.
     """
 
     folder: Path

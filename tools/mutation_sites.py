@@ -100,7 +100,7 @@ def _plain(lines: str) -> str:
 def _changes(node: ast.AST, values: frozenset[str] = frozenset()) -> Iterator[tuple[Any, str]]:
     """Nodes, and the text that takes the place of each.
 
-    ``values`` are the names that have another value beside the one that a statement gives them.
+    ``values`` are the names with a second value beside that of a statement.
     """
     if isinstance(node, ast.FunctionDef):
         values = _set_twice(node)

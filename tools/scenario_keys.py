@@ -94,7 +94,7 @@ def _tables(
     yield section, {key: field for key, field in fields.items() if _table(field) is None}
     for key, field in fields.items():
         table = _table(field)
-        if table is not None and section != "model":  # whose keys are those of the plant
+        if table is not None and section != "model":  # the model has the plant's keys
             inner = definitions[table.split("/")[-1]]["properties"]
             yield from _tables(f"{section}.{key}".lstrip("."), inner, definitions)
 
@@ -165,7 +165,7 @@ def allowed(field: dict[str, Any]) -> str:
 
 
 def several(items: dict[str, Any]) -> str:
-    """What the entries of a list may be, more than one of it."""
+    """The permitted entries of a list, in the plural."""
     if not items:
         return "numbers or pairs"
     if "prefixItems" in items:

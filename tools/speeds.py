@@ -21,7 +21,7 @@ from can_rig.plant.frameless import frameless
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.simulation import Trace
-from firmware_model.target.status import FaultState
+from firmware_model.law.status import FaultState
 
 FIXED_MPS = (8.0, 15.0, 30.0)
 ROW = "{:<16} {:>10} {:>10} {:>12} {:>12} {:>13} {:>11}"

@@ -27,7 +27,7 @@ from can_rig.errors import RigError
 from can_rig.plant.frameless import frameless
 from can_rig.scenario.build import continuous_plant, controller_table, network_of, target
 from can_rig.scenario.settings import LimitSettings, Scenario
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 KINDS = ("actuator-dead", "frames-missing", "frames-corrupted", "sensor-biased", "none")
 AWAY = 0.15  # of the demand

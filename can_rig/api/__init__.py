@@ -34,16 +34,20 @@ from can_rig.replaying.estimator import Replayed, replay_drive, write
 from can_rig.results.source import Source, log_path
 from can_rig.scenario.loading import Changes, as_settings
 from can_rig.scenario.settings import Scenario
+from can_rig.views.controllers_compared import CASES, Comparison
+from can_rig.views.controllers_compared import compare as compare_controllers
 from can_rig.views.recorded_run import RecordedRun, record
 
 if TYPE_CHECKING:
     import pandas as pd
 
 __all__ = [
+    "Comparison",
     "RecordedRun",
     "ReplayedDrive",
     "Scenario",
     "check",
+    "compare",
     "decode",
     "load",
     "load_scenario",
@@ -122,6 +126,35 @@ def check(
         ScenarioError: as ``load_scenario``, or no such design.
     """
     return check_speeds(load_scenario(name, changes))
+
+
+@in_python
+def compare(
+    controllers: Sequence[str],
+    name: str | Path = "default",
+    changes: Changes | None = None,
+    *,
+    cases: Mapping[str, Changes] | str = "faults",
+) -> Comparison:
+    """Several controllers through the same cases, without frames.
+
+    The result has ``rows``, a ``table`` of pandas, and ``draw(path)``.
+
+    Args:
+        controllers: each a ``controller.kind``, or a TOML file with a ``[controller]``.
+        name: of a shipped scenario, or a path to a TOML file.
+        changes: of every run; see ``load_scenario``.
+        cases: changes by name, or a group: ``faults``, ``weather`` or ``cars``.
+
+    Raises:
+        ScenarioError: as ``load_scenario``, or an unknown group.
+    """
+    if isinstance(cases, str):
+        if cases not in CASES:
+            raise ScenarioError(f"cases = {cases!r}: must be {', '.join(CASES)}, or a mapping")
+        cases = CASES[cases]
+    settings = as_settings({} if changes is None else changes)
+    return compare_controllers(controllers, str(name), cases, settings)
 
 
 @in_python

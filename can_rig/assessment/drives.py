@@ -34,8 +34,8 @@ from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import LimitSettings, Scenario
 from firmware_model.analysis.simulation import Simulation, Trace
 from firmware_model.discretisation.schedules import Scheduled
-from firmware_model.target.status import FaultState
-from firmware_model.target.structs import FloatArray, Record
+from firmware_model.law.status import FaultState
+from firmware_model.law.structs import FloatArray
 
 HEALTHY_S, LOST_S = 4.0, 3.0  # of a drive
 FEWEST_TICKS = 400  # of either, where a tick is long
@@ -85,8 +85,10 @@ class Drives:
         self._known: dict[str, Inputs] = {}
 
     @cached_property
-    def _table(self) -> Record:
-        return controller_table(self._scenario, self._network)
+    def _law(self) -> Scheduled | None:
+        if not self._scenario.controller.is_ours:
+            return None
+        return Scheduled(None, controller_table(self._scenario, self._network))
 
     @cached_property
     def _goal(self) -> FloatArray:
@@ -100,8 +102,8 @@ class Drives:
 
     def at_start(self, plant: PlantSettings, loss: str) -> Simulation:
         """The drive of ``plant`` that ends with the loss ``loss`` of ``LOSSES``, at rest."""
-        driven, of = replace(self._scenario, plant=plant), Scheduled(None, self._table)
-        return frameless_loop(driven, self._network, of, self._inputs(loss))
+        driven = replace(self._scenario, plant=plant)
+        return frameless_loop(driven, self._network, self._law, self._inputs(loss))
 
     def findings(self, car: str, plant: PlantSettings, loss: str) -> Iterator[Finding]:
         """The failures of ``plant`` in a drive that ends with a loss of ``LOSSES``."""

@@ -1,4 +1,4 @@
-"""The bits of a frame on the wire: exactly from its contents, and in the worst case.
+"""The most bits that a frame of a length takes on the wire.
 
 After five equal bits the sender inserts one of the other value, which itself counts towards the
 next five (ISO 11898-1, bit stuffing). The stuffed bits, and the remaining bits:
@@ -23,8 +23,6 @@ from __future__ import annotations
 from fractions import Fraction
 from typing import Final, NamedTuple
 
-from can import Message
-
 from can_rig.errors import RigError
 from can_rig.frames.foreign_frames import FD_LENGTHS
 
@@ -33,7 +31,6 @@ INTERMISSION_BITS: Final = 3
 
 CLASSIC_BYTES: Final = 8
 
-_CRC_15: Final = 1 << 15 | 0x4599
 _TAIL_BITS: Final = 10  # CRC delimiter, ACK slot, ACK delimiter, end of frame
 _STUFF_COUNT_BITS: Final = 4  # three, Gray-coded, and their parity
 _LENGTH_OF_CRC_17: Final = 16  # longest data of an FD frame with the short CRC [bytes]
@@ -89,33 +86,6 @@ class FrameBits(NamedTuple):
         return duration
 
 
-def frame_bits(message: Message) -> FrameBits:
-    """The exact length of one frame, including the stuff bits of its identifier and data.
-
-    Raises:
-        FrameError: an error frame; a length or an identifier outside the standard.
-    """
-    remote = message.is_remote_frame
-    length = message.dlc  # python-can: in bytes for FD frames too
-    _require_length(length, message.is_fd)
-    if message.is_error_frame or (remote and message.is_fd):
-        raise FrameError(f"{message}: must be a data frame or a remote one; others have no length")
-    if not remote and len(message.data) != length:
-        raise FrameError(f"{message}: {len(message.data)} bytes of data; must be {length}")
-    if message.arbitration_id >> (29 if message.is_extended_id else 11):
-        raise FrameError(f"identifier 0x{message.arbitration_id:X}: must have 11 or 29 bits")
-    bits = _control(message) + "".join(f"{byte:08b}" for byte in message.data if not remote)
-    if not message.is_fd:
-        bits += f"{_crc_15(bits):015b}"
-        return FrameBits(len(bits) + len(_stuffed_after(bits)) + _TAIL_BITS)
-    # At the end of the data the first fixed stuff bit takes the place of a dynamic one.
-    stuffed_after = [place for place in _stuffed_after(bits) if place < len(bits)]
-    arbitration = _arbitration_bits(message.is_extended_id)
-    early = sum(place < arbitration for place in stuffed_after)
-    late = len(stuffed_after) - early
-    return _fd_bits(length, message.is_extended_id, message.bitrate_switch, early, late)
-
-
 def worst_case_bits(
     length: int,
     *,
@@ -149,43 +119,6 @@ def _require_length(length: int, fd: bool) -> None:
         kind = "an FD" if fd else "a classic"
         possible = "0 to 8, 12, 16, 20, 24, 32, 48 or 64" if fd else "0 to 8"
         raise FrameError(f"{kind} frame of {length} bytes: must have {possible}")
-
-
-def _control(message: Message) -> str:
-    """The bits from the start of frame to the DLC; recessive is 1."""
-    identifier = message.arbitration_id
-    if message.is_extended_id:  # the base identifier, SRR and IDE recessive, the extension
-        start = f"0{identifier >> 18:011b}11{identifier & 0x3FFFF:018b}"
-    else:
-        start = f"0{identifier:011b}"
-    ide = "" if message.is_extended_id else "0"
-    if message.is_fd:
-        switches, passive = message.bitrate_switch, message.error_state_indicator
-        dlc = FD_LENGTHS.index(message.dlc)
-        return f"{start}0{ide}10{switches:b}{passive:b}{dlc:04b}"  # RRS, IDE, FDF, res
-    reserved = "00" if message.is_extended_id else "0"
-    return f"{start}{message.is_remote_frame:b}{ide}{reserved}{message.dlc:04b}"
-
-
-def _crc_15(bits: str) -> int:
-    """Remainder of the bits, followed by 15 zeros, divided by x^15+x^14+x^10+x^8+x^7+x^4+x^3+1."""
-    remainder = int(bits, 2) << 15
-    while (excess := remainder.bit_length() - _CRC_15.bit_length()) >= 0:
-        remainder ^= _CRC_15 << excess
-    return remainder
-
-
-def _stuffed_after(bits: str) -> list[int]:
-    """For each stuff bit, the number of `bits` before the stuff bit."""
-    places = []
-    run, last = 0, ""
-    for sent, bit in enumerate(bits, start=1):
-        run = run + 1 if bit == last else 1
-        last = bit
-        if run == 5:
-            places.append(sent)
-            run, last = 1, "0" if bit == "1" else "1"  # the stuff bit is the first of the next run
-    return places
 
 
 def _arbitration_bits(extended: bool) -> int:

@@ -50,7 +50,7 @@ from firmware_model.analysis.sampled_plant import SampledPlant, sample
 from firmware_model.compiled import compiled
 from firmware_model.design.factors import Limitations, limitations, unstable
 from firmware_model.design.zpk import Roots, ZeroPoleGain
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 MENTIONED = 1.01
 """Smallest relevant peak of |T|."""

@@ -156,6 +156,8 @@ def _ends(scenario: Scenario) -> list[Scenario]:
 
 
 def _sweeps(scenario: Scenario) -> dict[str, SpeedSweep]:
+    if not scenario.controller.is_ours:
+        return {}
     of = controls(scenario, network_of(scenario))
     if of.schedule is None:
         return {}

@@ -19,6 +19,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass, replace
+from functools import partial
 from itertools import product
 from typing import Any, Final
 
@@ -36,6 +37,7 @@ from can_rig.assessment.network_notes import frame_notes, signal_notes
 from can_rig.drawing.names import names_of, with_unit
 from can_rig.errors import ScenarioError
 from can_rig.frames.network import Network
+from can_rig.plant.frameless import linear_law_of
 from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.build import (
     continuous_design,
@@ -55,13 +57,14 @@ from firmware_model.analysis.margins import (
     largest_latency_survived,
     law_in,
     margins,
+    margins_of,
 )
 from firmware_model.analysis.sampled_loop import sampled_loop
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
 from firmware_model.design.factors import Limitations, unstable
 from firmware_model.discretisation.rules import RULE_NAMES
-from firmware_model.target.status import FaultState
+from firmware_model.law.status import FaultState
 
 ALWAYS: Final[dict[str, Callable[[Margins], str]]] = {
     "spectral radius": lambda m: f"{m.spectral_radius:.5f}",
@@ -218,7 +221,8 @@ class StabilityCheck:
 
     ``partly_lost`` has the margins by remaining share of the torque channel; ``false_alarm`` has
     the margins of a healthy car with a compensating controller, None for an always compensating
-    controller. Neither decides whether the scenario counts as stable.
+    controller. Neither decides whether the scenario counts as stable. ``decision`` is None for a
+    controller of another kind than the rig's own law.
     """
 
     scenario: Scenario
@@ -226,7 +230,7 @@ class StabilityCheck:
     faulted: Margins
     partly_lost: dict[float, Margins]
     false_alarm: Margins | None
-    decision: DecisionFigures
+    decision: DecisionFigures | None
     control_authority: ControlAuthority | None
     limitations: dict[str, Limitations]
     findings: list[Finding]
@@ -267,7 +271,7 @@ class StabilityCheck:
             stands_for = "car with its parameters" if scenario.plant.is_car else "plant by numbers"
             yield f"margins: of the linear {stands_for}, not of {scenario.plant.kind}"
         yield from describe(scenario, self.limitations)
-        if self.healthy.stable:
+        if self.healthy.stable and self.decision is not None:
             yield from self.decision.describe(scenario)
             yield _isolation(scenario)
         if self.control_authority is not None:
@@ -296,6 +300,8 @@ class StabilityCheck:
                 return f"thin margin: {'; '.join(self.thin_margins)}"
             return "stable: healthy, and with a channel dead or partly lost; every drive is calm"
         names = ", ".join(name for name, _ in unstable)
+        if not self.scenario.controller.is_ours:
+            return f"unstable: {names}"
         if self.linear_stable:
             return f"stable healthy and with {_channel(self.scenario)} dead, but not: {names}"
         return _reason(self.scenario, unstable[0][0], unstable[0][1].spectral_radius)
@@ -312,7 +318,7 @@ class StabilityCheck:
             "faulted": asdict(self.faulted),
             "partly_lost": {f"{left:g}": asdict(m) for left, m in self.partly_lost.items()},
             "false_alarm": None if self.false_alarm is None else asdict(self.false_alarm),
-            "decision": asdict(self.decision),
+            "decision": None if self.decision is None else asdict(self.decision),
             "control_authority": self.control_authority and self.control_authority.as_dict(),
             "limitations": {key: without_roots(found) for key, found in self.limitations.items()},
         }
@@ -331,11 +337,13 @@ def check_stability(
     """
     if scenario.plant.is_own:
         SimulatedPlant(scenario)  # refuses what a run refuses
-    table, plant = controller_table(scenario, None), continuous_plant(scenario.plant)
-    network = network_of(scenario)
-
-    def margins_with(effectiveness: Effectiveness) -> Margins:
-        return margins(table, plant, scenario.tick_s, effectiveness)
+    plant, network, ours = continuous_plant(scenario.plant), network_of(scenario), None
+    margins_with: Callable[[Effectiveness], Margins]
+    if scenario.controller.is_ours:
+        ours = controller_table(scenario, None)
+        margins_with = partial(margins, ours, plant, scenario.tick_s)
+    else:
+        margins_with = partial(margins_of, linear_law_of(scenario), plant, scenario.tick_s)
 
     healthy, faulted = margins_with(HEALTHY), margins_with(DEAD[scenario.loss.channel])
     findings: list[Finding] = []
@@ -348,11 +356,11 @@ def check_stability(
         faulted=faulted,
         partly_lost={left: margins_with((left, 1.0)) for left in PARTLY_LOST},
         false_alarm=(
-            margins(table, plant, scenario.tick_s, confirmed=1.0)
-            if table.compensator.on_confirmation
+            margins(ours, plant, scenario.tick_s, confirmed=1.0)
+            if ours is not None and ours.compensator.on_confirmation
             else None
         ),
-        decision=decision_figures(scenario, network),
+        decision=None if ours is None else decision_figures(scenario, network),
         control_authority=control_authority(scenario, network),
         limitations=plant_limitations(scenario),
         findings=findings,
@@ -365,6 +373,9 @@ def refuse_unstable(scenario: Scenario) -> None:
     Raises:
         ScenarioError: the unstable state and a stable alternative; D* within the limits.
     """
+    if not scenario.controller.is_ours:
+        _refuse_unstable_peer(scenario)
+        return
     table, plant = controller_table(scenario, None), continuous_plant(scenario.plant)
     for name, left in _every_end(scenario).items():
         loop = sampled_loop(law_in(table, left), plant, scenario.tick_s, left)
@@ -379,6 +390,25 @@ def refuse_unstable(scenario: Scenario) -> None:
                 f"scenario {scenario.name}: not calm: {finding}; can-rig check says more, "
                 "can-rig tune looks for a calmer design, --allow-unstable runs it as it is"
             )
+
+
+def _refuse_unstable_peer(scenario: Scenario) -> None:
+    """Refuse a controller of one's own whose healthy loop is unstable.
+
+    What the controller makes of a loss is what a run is to show, and a controller that is not
+    linear has no such figure.
+    """
+    try:
+        law = linear_law_of(scenario)
+    except ScenarioError:
+        return
+    radius = sampled_loop(law, continuous_plant(scenario.plant), scenario.tick_s).spectral_radius()
+    if not radius < 1.0:
+        raise ScenarioError(
+            f"scenario {scenario.name}: controller.kind = {scenario.controller.kind!r}: unstable "
+            f"(healthy): the spectral radius is {radius:.4f} and must be below 1; "
+            "--allow-unstable runs it as it is"
+        )
 
 
 def stable_tuning(scenario: Scenario) -> str | None:

@@ -20,6 +20,7 @@ from can_rig.campaigns.rows import (
     Task,
     put_together,
     read_columns,
+    require_tables,
     requirements_of,
     schema,
     write_block,
@@ -110,10 +111,11 @@ def open_folder(path: Path | None, plan: Plan, *, resume: bool, force: bool) -> 
 
     Raises:
         MissingExtraError: a search, and cma is not installed.
-        ScenarioError: a requirement is invalid.
+        ScenarioError: a requirement or a table is invalid.
         RunFolderError: the folder already exists, belongs to another campaign, or cannot be made.
     """
     requirements_of(plan)
+    require_tables(plan)
     if plan.searched:
         require("cma", extra="search")
     path = path or default_folder("campaigns", plan.settings.name)
@@ -140,7 +142,7 @@ def _said(plan: Plan) -> dict[str, Any]:
     """Everything that determines the runs."""
     return {
         "campaign": plan.settings.as_dict(),
-        "scenario": plan.base.as_dict(),
+        "scenario": {name: base.values for name, base in plan.bases.items()},
         "versions": versions(),
     }
 
@@ -274,7 +276,7 @@ def search(folder: CampaignFolder, compute: Compute, stopped: Stopped, on_done: 
     Returns whether the last generation is done.
     """
     settings, columns = folder.plan.settings, schema(folder.plan)
-    searcher = Search(len(settings.axes), settings.seed)
+    searcher = Search(folder.plan.dimensions, settings.seed)
     margin = margin_column(folder.plan)
     for task, file in folder.blocks.items():
         if task.begin >= folder.plan.searched:

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import math
+import operator
 import shlex
 import warnings
-from collections.abc import Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Any, Final
@@ -14,10 +15,17 @@ import numpy as np
 from scipy.stats import qmc
 
 from can_rig.assessment.resolve import resolve
-from can_rig.campaigns.settings import MOST_RUNS, AxisSettings, CampaignSettings, Scalar
+from can_rig.campaigns.settings import (
+    MOST_RUNS,
+    SCENARIO,
+    AxisSettings,
+    CampaignSettings,
+    Scalar,
+)
 from can_rig.errors import ScenarioError
 from can_rig.scenario.loading import (
     LIMITS,
+    NEW,
     Written,
     as_settings,
     linear_kind,
@@ -28,7 +36,7 @@ from can_rig.scenario.loading import (
 )
 from can_rig.scenario.plant_settings import SHORTEST_LAG_S
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 DIGITS: Final = 9
 """Significant digits of a drawn value: the run uses exactly the printed number."""
@@ -36,16 +44,26 @@ DIGITS: Final = 9
 LAGS: Final = ("lag_s", "natural_frequency_rad_per_s")
 """Alternative keys of an actuator; each actuator has one key of the two."""
 
+ROUNDING: Final = 1e-9
+"""Of a number in ticks that other keys change, which rounds up."""
+
+OPERATIONS: Final[dict[str, Callable[[float, float], float]]] = {
+    "times": operator.mul,
+    "per": operator.truediv,
+    "plus": operator.add,
+}
+"""How the value of another key changes a drawn value."""
+
 NOT_BELIEVED: Final = ("kind", "variant", "parameters", "friction")
 """Keys of ``plant`` that ``model`` lacks or need not keep."""
 
 
 @dataclass(frozen=True)
-class Plan:
-    """A campaign ready to run.
+class Base:
+    """A scenario of a campaign with the settings of every run.
 
     Attributes:
-        settings: its keys.
+        settings: the campaign's keys.
         file: the scenario file.
     """
 
@@ -53,54 +71,78 @@ class Plan:
     file: Written
 
     @cached_property
-    def base(self) -> Scenario:
+    def scenario(self) -> Scenario:
         """The scenario with the campaign's settings, before any axis changes it."""
         return resolve(self.file.with_changes(self._common).draft)
 
     @cached_property
-    def runs(self) -> int:
-        """Number of runs."""
-        if self.settings.sampling != "grid":
-            return self.searched + (self.settings.runs or 0)
-        return math.prod(self._shape) * self.settings.repeats
+    def values(self) -> dict[str, Any]:
+        """Every key of ``scenario``."""
+        return self.scenario.as_dict()
 
-    @property
-    def searched(self) -> int:
-        """Number of runs that belong to a search; searched runs come first.
+    def value(self, key: str) -> Any:
+        """The value of a key, also in a fault or disturbance that the scenario lacks."""
+        name, _, own = key.partition(".")
+        number, _, rest = own.partition(".")
+        listed = self.values.get(name)
+        if name in NEW and number.isdecimal():
+            known = len(listed) if isinstance(listed, list) else 1
+            if int(number) >= known:
+                return getattr(NEW[name], rest, None)
+        return value_in(self.values, key)
 
-        Only the search knows their values.
+    def has(self, key: str) -> bool:
+        """Whether the key exists, set or not."""
+        return has_key(self.values, key)
+
+    def drawn(self, key: str, axis: AxisSettings, unit: float) -> Scalar:
+        """The value of an axis at a position in [0, 1], without the values of other keys."""
+        sign = 1.0
+        if axis.either_sign:
+            sign, unit = math.copysign(1.0, unit - 0.5), abs(2.0 * unit - 1.0)
+        if axis.values is not None:
+            chosen = axis.values[min(int(unit * len(axis.values)), len(axis.values) - 1)]
+            return sign * chosen if axis.either_sign and not isinstance(chosen, str) else chosen
+        low, high = self._ends(key, axis)
+        if axis.scale == "log":
+            value = math.exp(math.log(low) + unit * (math.log(high) - math.log(low)))
+        else:
+            value = low + unit * (high - low)
+        if axis.others:
+            return sign * value
+        if isinstance(self.value(key), int):
+            if self.settings.sampling == "grid":
+                return round(value)
+            return min(math.floor(low + unit * (high + 1.0 - low)), math.floor(high))
+        value = float(f"{sign * value:.{DIGITS}g}")
+        if key.endswith(".lag_s") and 0.0 < value < SHORTEST_LAG_S:  # shorter lags do not exist
+            return 0.0 if value < 0.5 * SHORTEST_LAG_S else SHORTEST_LAG_S
+        return value
+
+    def depending(self, key: str, axis: AxisSettings, values: Mapping[str, Scalar]) -> Scalar:
+        """The value of an axis whose drawn value other keys change; ``values`` are of the run.
+
+        Raises:
+            ScenarioError: another key has no number.
         """
-        return 0 if self.settings.search is None else self.settings.runs or 0
-
-    def values_of(self, run: int) -> dict[str, Scalar]:
-        """The value of every axis in ``run``, which must not belong to a search."""
-        axes = self.settings.axes
-        if self.settings.sampling == "grid":
-            places = np.unravel_index(run // self.settings.repeats, self._shape)
-            grid = [values[int(at)] for values, at in zip(self._grid, places, strict=True)]
-            return dict(zip(axes, grid, strict=True))
-        return self.values_at(self._unit_points[run - self.searched].tolist())
-
-    def values_at(self, point: Sequence[float]) -> dict[str, Scalar]:
-        """The value of every axis at a point of the unit cube."""
-        return {key: self._drawn(key, u) for key, u in zip(self.settings.axes, point, strict=True)}
-
-    def seed_of(self, run: int) -> int:
-        """The scenario's seed in ``run``, where neither settings nor axes say it."""
-        word = np.random.SeedSequence([self.settings.seed, run]).generate_state(1, np.uint32)
-        return int(word[0])
-
-    def changes_of(self, run: int, values: dict[str, Scalar] | None = None) -> dict[str, Scalar]:
-        """The value of every key specific to ``run``.
-
-        A search passes ``values``, the chosen values of the axes.
-        """
-        values = self.values_of(run) if values is None else values
-        return values if self._has_seed else {**values, "seed": self.seed_of(run)}
-
-    def scenario_of(self, run: int) -> Scenario:
-        """The scenario of ``run``, which must not belong to a search; see ``scenario_with``."""
-        return self.scenario_with(self.changes_of(run))
+        value = float(values[key])
+        for how, other in (("times", axis.times), ("per", axis.per), ("plus", axis.plus)):
+            if other is None:
+                continue
+            number = values.get(other, self.value(other))
+            if isinstance(number, bool) or not isinstance(number, int | float):
+                raise ScenarioError(
+                    f"campaign {self.settings.name}: {key}: {how} = {other!r}: must be a key with "
+                    f"a number in each run; there it is {number!r}"
+                )
+            if how == "per" and number == 0.0:
+                raise ScenarioError(
+                    f"campaign {self.settings.name}: {key}: per = {other!r}: must not be 0"
+                )
+            value = OPERATIONS[how](value, float(number))
+        if isinstance(self.value(key), int):
+            return math.ceil(value - ROUNDING)
+        return float(f"{value:.{DIGITS}g}")
 
     def scenario_with(self, changes: dict[str, Scalar]) -> Scenario:
         """The scenario of a run: the common settings, then these values.
@@ -108,7 +150,8 @@ class Plan:
         Raises:
             ScenarioError: the values are invalid.
         """
-        of_model = {f"model.{key}": changes[f"plant.{key}"] for key in self._followed}
+        followed = [key for key in self._followed if f"plant.{key}" in changes]
+        of_model = {f"model.{key}": changes[f"plant.{key}"] for key in followed}
         if "model.kind" in of_model:
             plant = self._file_of_all.values.get("plant", {})
             of_model["model.kind"] = linear_kind({**plant, "kind": changes["plant.kind"]})
@@ -129,10 +172,6 @@ class Plan:
         """
         resolve(self._file_of_all.with_changes(as_settings(changes)).draft)
 
-    def __getstate__(self) -> dict[str, Any]:
-        """Fields only, without cached properties."""
-        return {"settings": self.settings, "file": self.file}
-
     @cached_property
     def _common(self) -> list[str]:
         return as_settings(self.settings.settings)
@@ -149,13 +188,9 @@ class Plan:
     @cached_property
     def _followed(self) -> list[str]:
         """Keys of the plant with an axis that the controller's model follows."""
-        axes, values = self.settings.axes, self._file_of_all.values
+        axes, values = self.settings.keys, self._file_of_all.values
         keys = [key.removeprefix("plant.") for key in axes if key.startswith("plant.")]
         return [key for key in keys if f"model.{key}" not in axes and model_follows(values, key)]
-
-    @cached_property
-    def _has_seed(self) -> bool:
-        return "seed" in self.settings.axes or "seed" in self.settings.settings
 
     @cached_property
     def _kept_beliefs(self) -> list[str]:
@@ -163,16 +198,16 @@ class Plan:
         if self.settings.redesign:
             return []
         kept: dict[str, Any] = {}
-        for key in self.settings.axes:
+        for key in self.settings.keys:
             table, _, part = key.partition(".")
             last = part.rpartition(".")[2]
             if table != "plant" or part.startswith(NOT_BELIEVED) or last.startswith(LIMITS):
                 continue
-            if not has_key(self.base_values, f"model.{part}"):  # the run will say so
+            if not self.has(f"model.{part}"):  # the run will say so
                 continue
             stage = part.rpartition(".")[0]
             parts = [f"{stage}.{lag}" for lag in LAGS] if last in LAGS else [part]
-            known = {each: value_in(self.base_values, f"model.{each}") for each in parts}
+            known = {each: value_in(self.values, f"model.{each}") for each in parts}
             if not any(known.values()) and last in LAGS:
                 known = {f"{stage}.lag_s": 0.0}
             for each, value in known.items():
@@ -183,64 +218,13 @@ class Plan:
                     )
                 if value or len(known) == 1:
                     kept[f"model.{each}"] = value
-        return as_settings({k: v for k, v in kept.items() if k not in self.settings.axes})
-
-    @cached_property
-    def _shape(self) -> tuple[int, ...]:
-        return tuple(len(values) for values in self._grid)
-
-    @cached_property
-    def _grid(self) -> list[list[Scalar]]:
-        return [
-            axis.values
-            if axis.values is not None
-            else [self._drawn(key, u) for u in np.linspace(0.0, 1.0, axis.points or 0).tolist()]
-            for key, axis in self.settings.axes.items()
-        ]
-
-    @cached_property
-    def _unit_points(self) -> FloatArray:
-        """(runs, axes) in [0, 1)."""
-        runs, axes = self.settings.runs or 0, len(self.settings.axes)
-        draw = np.random.default_rng(self.settings.seed)
-        if axes == 0:
-            return np.empty((runs, 0))
-        if self.settings.sampling == "random":
-            return draw.random((runs, axes))
-        if self.settings.sampling == "latin-hypercube":
-            return np.asarray(qmc.LatinHypercube(axes, seed=draw).random(runs))
-        with warnings.catch_warnings(action="ignore"):  # about a number that is no power of two
-            return np.asarray(qmc.Sobol(axes, seed=draw).random(runs))
-
-    @cached_property
-    def base_values(self) -> dict[str, Any]:
-        """Every key of ``base``."""
-        return self.base.as_dict()
-
-    def _drawn(self, key: str, unit: float) -> Scalar:
-        """The value of an axis at a position in [0, 1]."""
-        axis = self.settings.axes[key]
-        if axis.values is not None:
-            return axis.values[min(int(unit * len(axis.values)), len(axis.values) - 1)]
-        low, high = self._ends(key, axis)
-        if axis.scale == "log":
-            value = math.exp(math.log(low) + unit * (math.log(high) - math.log(low)))
-        else:
-            value = low + unit * (high - low)
-        if isinstance(value_in(self.base_values, key), int):
-            if self.settings.sampling == "grid":
-                return round(value)
-            return min(math.floor(low + unit * (high + 1.0 - low)), math.floor(high))
-        value = float(f"{value:.{DIGITS}g}")
-        if key.endswith(".lag_s") and 0.0 < value < SHORTEST_LAG_S:  # shorter lags do not exist
-            return 0.0 if value < 0.5 * SHORTEST_LAG_S else SHORTEST_LAG_S
-        return value
+        return as_settings({k: v for k, v in kept.items() if k not in self.settings.keys})
 
     def _ends(self, key: str, axis: AxisSettings) -> tuple[float, float]:
         if axis.range is not None:
             return axis.range
-        own = value_in(self.base_values, key)
-        if not has_key(self.base_values, key):
+        own = value_in(self.values, key)
+        if not self.has(key):
             wrong = self.file.with_changes([*self._common, f"{key}=1"])
             resolve(wrong.draft)  # the error lists valid keys
         if isinstance(own, bool) or not isinstance(own, int | float) or own == 0.0:
@@ -253,24 +237,198 @@ class Plan:
         return (low, high) if own > 0.0 else (high, low)
 
 
-def has_key(scenario: dict[str, Any], key: str) -> bool:
+@dataclass(frozen=True)
+class Plan:
+    """A campaign ready to run.
+
+    Attributes:
+        settings: its keys.
+        bases: its scenarios, by name.
+    """
+
+    settings: CampaignSettings
+    bases: dict[str, Base]
+
+    @cached_property
+    def base(self) -> Base:
+        """The first scenario."""
+        return next(iter(self.bases.values()))
+
+    @cached_property
+    def runs(self) -> int:
+        """Number of runs."""
+        if self.settings.sampling != "grid":
+            return self.searched + (self.settings.runs or 0)
+        return math.prod(self._shape) * self.settings.repeats
+
+    @property
+    def searched(self) -> int:
+        """Number of runs that belong to a search; searched runs come first.
+
+        Only the search knows their values.
+        """
+        return 0 if self.settings.search is None else self.settings.runs or 0
+
+    @cached_property
+    def dimensions(self) -> int:
+        """Number of numbers in [0, 1] that decide a run: of axes, the scenario, and choices."""
+        several = len(self.bases) > 1
+        return len(self.settings.axes) + several + sum(1 + most for most in self._most.values())
+
+    @cached_property
+    def _most(self) -> dict[str, int]:
+        """By choice, the largest number of drawn values in an alternative."""
+        return {
+            table: max(sum(axis.is_drawn for axis in each.values()) for each in some.values())
+            for table, some in self.settings.choices.items()
+        }
+
+    def values_of(self, run: int) -> dict[str, Scalar]:
+        """What tells ``run`` apart, by name; the run must not belong to a search."""
+        if self.settings.sampling == "grid":
+            places = np.unravel_index(run // self.settings.repeats, self._shape)
+            return self.values_at([
+                at / (n - 1) if self._is_range(column) else (at + 0.5) / n
+                for column, (at, n) in enumerate(
+                    zip((int(place) for place in places), self._shape, strict=True)
+                )
+            ])  # fmt: skip
+        return self.values_at(self._unit_points[run - self.searched].tolist())
+
+    def values_at(self, point: Sequence[float]) -> dict[str, Scalar]:
+        """What tells the run at a point of the unit cube apart, by name.
+
+        The names are the axes, the scenario among several, the choices and the keys of the
+        chosen alternatives.
+        """
+        units = iter(point)
+        drawn = {key: (axis, next(units)) for key, axis in self.settings.axes.items()}
+        names: dict[str, Scalar] = {}
+        base = self.base
+        if len(self.bases) > 1:
+            names[SCENARIO] = _one_of(list(self.bases), next(units))
+            base = self.bases[str(names[SCENARIO])]
+        for table, alternatives in self.settings.choices.items():
+            names[table] = _one_of(list(alternatives), next(units, 0.0))
+            spare = [next(units, 0.0) for _ in range(self._most[table])]
+            for key, axis in alternatives[str(names[table])].items():
+                drawn[f"{table}.{key}"] = axis, spare.pop(0) if axis.is_drawn else 0.0
+        values = {key: base.drawn(key, axis, unit) for key, (axis, unit) in drawn.items()}
+        for key, (axis, _) in drawn.items():
+            if axis.others:
+                values[key] = base.depending(key, axis, values)
+        return names | values
+
+    @property
+    def samples(self) -> Iterator[tuple[float, ...]]:
+        """Points at the begin of every axis: each scenario with each alternative once."""
+        several, place = int(len(self.bases) > 1), len(self.settings.axes)
+        for number in range(len(self.bases)):
+            begin = [0.0] * self.dimensions
+            if several:
+                begin[place] = (number + 0.5) / len(self.bases)
+            at = place + several
+            if not self.settings.choices:
+                yield tuple(begin)
+            for table, alternatives in self.settings.choices.items():
+                for choice in range(len(alternatives)):
+                    point = list(begin)
+                    point[at] = (choice + 0.5) / len(alternatives)
+                    yield tuple(point)
+                at += 1 + self._most[table]
+
+    def base_of(self, values: Mapping[str, Scalar]) -> Base:
+        """The scenario of a run with these ``values``."""
+        return self.bases[str(values[SCENARIO])] if len(self.bases) > 1 else self.base
+
+    def seed_of(self, run: int) -> int:
+        """The scenario's seed in ``run``, where neither settings nor axes say it."""
+        word = np.random.SeedSequence([self.settings.seed, run]).generate_state(1, np.uint32)
+        return int(word[0])
+
+    def changes_of(self, run: int, values: dict[str, Scalar] | None = None) -> dict[str, Scalar]:
+        """The value of every key specific to ``run``, numbered tables in their order.
+
+        A search passes ``values``, the chosen values of the axes.
+        """
+        values = self.values_of(run) if values is None else values
+        own = {key: value for key, value in values.items() if key in self.settings.keys}
+        own = dict(sorted(own.items(), key=lambda each: _number_of_table(each[0])))
+        return own if self._has_seed else {**own, "seed": self.seed_of(run)}
+
+    def scenario_of(self, run: int) -> Scenario:
+        """The scenario of ``run``, which must not belong to a search; see ``scenario_with``."""
+        values = self.values_of(run)
+        return self.base_of(values).scenario_with(self.changes_of(run, values))
+
+    def __getstate__(self) -> dict[str, Any]:
+        """Fields only, without cached properties."""
+        return {"settings": self.settings, "bases": self.bases}
+
+    @cached_property
+    def _has_seed(self) -> bool:
+        return "seed" in self.settings.keys or "seed" in self.settings.settings
+
+    def _is_range(self, column: int) -> bool:
+        """Whether a column of the grid is of an axis with points."""
+        axes = list(self.settings.axes.values())
+        return column < len(axes) and axes[column].values is None
+
+    @cached_property
+    def _shape(self) -> tuple[int, ...]:
+        several = [len(self.bases)] if len(self.bases) > 1 else []
+        return (
+            *(len(axis.values or ()) or axis.points or 0 for axis in self.settings.axes.values()),
+            *several,
+            *(len(alternatives) for alternatives in self.settings.choices.values()),
+        )
+
+    @cached_property
+    def _unit_points(self) -> FloatArray:
+        """(runs, ``dimensions``) in [0, 1)."""
+        runs, dimensions = self.settings.runs or 0, self.dimensions
+        draw = np.random.default_rng(self.settings.seed)
+        if dimensions == 0:
+            return np.empty((runs, 0))
+        if self.settings.sampling == "random":
+            return draw.random((runs, dimensions))
+        if self.settings.sampling == "latin-hypercube":
+            return np.asarray(qmc.LatinHypercube(dimensions, seed=draw).random(runs))
+        with warnings.catch_warnings(action="ignore"):  # about a number that is no power of two
+            return np.asarray(qmc.Sobol(dimensions, seed=draw).random(runs))
+
+
+def has_key(scenario: Mapping[str, Any], key: str) -> bool:
     """Whether the key exists, set or not."""
     table = value_in(scenario, key.rpartition(".")[0])
     return isinstance(table, dict) and key.rpartition(".")[2] in table
 
 
+def _one_of(names: list[str], unit: float) -> str:
+    return names[min(int(unit * len(names)), len(names) - 1)]
+
+
+def _number_of_table(key: str) -> int:
+    """The number of a fault or disturbance in ``key``; a new table must follow the others."""
+    name, _, own = key.partition(".")
+    number = own.partition(".")[0]
+    return int(number) if name in NEW and number.isdecimal() else -1
+
+
 def plan(settings: CampaignSettings) -> Plan:
-    """A campaign with its scenario; the settings of the first run are checked.
+    """A campaign with its scenarios; a run of each scenario and of each alternative is checked.
 
     Raises:
         ScenarioError: unknown scenario, unknown key of an axis or setting, or too many runs.
     """
-    made = Plan(settings, written(settings.scenario))
+    made = Plan(settings, {name: Base(settings, written(name)) for name in settings.scenario})
     if made.runs > MOST_RUNS:
         raise ScenarioError(
             f"campaign {settings.name}: {made.runs} runs; must be at most {MOST_RUNS}"
         )
-    first = made.changes_of(made.searched)
-    made.require_keys(first)
-    made.scenario_with(first)
+    for point in made.samples:
+        values = made.values_at(point)
+        changes = made.changes_of(0, values)
+        made.base_of(values).require_keys(changes)
+        made.base_of(values).scenario_with(changes)
     return made

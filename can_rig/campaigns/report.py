@@ -21,7 +21,11 @@ from can_rig.campaigns.requirements import Requirement
 from can_rig.campaigns.rows import read_columns, requirements_of
 from can_rig.campaigns.statistics import (
     Columns,
+    Cross,
+    CrossRow,
+    Rate,
     Summary,
+    columns_needed,
     least_so_far,
     margin_column,
     metrics_shown,
@@ -50,14 +54,15 @@ def draw(plan: Plan, required: Sequence[Requirement], columns: Columns, summary:
     drawn = {name: values[plan.searched :] for name, values in columns.items()}
     metrics = [name for name in metrics_shown(required) if len({*drawn[name]} - {None}) > 1]
     metrics = metrics[:MOST_METRICS]
-    axes = list(plan.settings.axes)[:MOST_AXES]
+    axes = plan.settings.names[:MOST_AXES]
     heights = [PANEL_IN] * bool(summary.found)
     if summary.rates:
         heights.append(RATE_IN * len(summary.rates) + 0.7)
     heights += [PANEL_IN] * (1 + len(axes)) if metrics else []
     figure = style.page(0.8 + sum(heights))
     figure.suptitle(
-        f"{plan.settings.name}: {summary.runs:,} runs of {plan.base.name}, {summary.hours:.3g} h",
+        f"{plan.settings.name}: {summary.runs:,} runs of {', '.join(plan.bases)}, "
+        f"{summary.hours:.3g} h",
         x=0.01, ha="left", fontsize=13,
     )  # fmt: skip
     if not heights:
@@ -70,7 +75,7 @@ def draw(plan: Plan, required: Sequence[Requirement], columns: Columns, summary:
         _rates(next(parts).subplots(), summary)
     if not metrics:
         return figure
-    names, failed = names_of(plan.base.plant), numbers(drawn["margin"]) < 0.0
+    names, failed = names_of(plan.base.scenario.plant), numbers(drawn["margin"]) < 0.0
     part = next(parts)
     panels = np.atleast_1d(part.subplots(1, len(metrics)))
     for axis, name in zip(panels, metrics, strict=True):
@@ -83,7 +88,8 @@ def draw(plan: Plan, required: Sequence[Requirement], columns: Columns, summary:
         panels = np.atleast_1d(next(parts).subplots(1, len(metrics)))
         for axis, name in zip(panels, metrics, strict=True):
             _dots(axis, key, drawn[key], label_of(name, names), numbers(drawn[name]), failed)
-            if plan.settings.axes[key].scale == "log":
+            its = plan.settings.axes.get(key)
+            if its is not None and its.scale == "log" and not its.either_sign:
                 axis.set_xscale("log")
             share = summary.sensitivities.get(name, {}).get(key)
             if share is not None:
@@ -197,7 +203,7 @@ def html_page(plan: Plan, summary: Summary, figure: Figure) -> str:
     alarms = summary.false_alarms
     parts = [
         f"<h1>{html.escape(settings.name)}</h1><p>{html.escape(settings.description)}</p>",
-        f"<p>{summary.runs:,} runs of <code>{html.escape(plan.file.given)}</code>, "
+        f"<p>{summary.runs:,} runs of <code>{html.escape(', '.join(plan.bases))}</code>, "
         f"{html.escape(settings.sampling)}, seed {settings.seed}; {summary.hours:.4g} h simulated; "
         f"{summary.failed:,} gave no result.</p>",
     ]
@@ -228,17 +234,18 @@ def html_page(plan: Plan, summary: Summary, figure: Figure) -> str:
         f'<img alt="pass rates, spread of the metrics, what each axis does to them" '
         f'src="data:image/png;base64,{encoded}">',
     ]  # fmt: skip
-    if settings.axes:
+    parts += [part for each in summary.tables for part in _cross(each)]
+    if settings.names:
         parts += ["<h2>What each axis explains</h2>",
                   "<p>Share of the variance that the axis explains alone.</p>", table(
-            ("", *settings.axes),
-            ((name, *(_percent(by[key]) for key in settings.axes))
+            ("", *settings.names),
+            ((name, *(_percent(by[key]) for key in settings.names))
              for name, by in summary.sensitivities.items()),
         )]  # fmt: skip
     if summary.worst:
         parts += ["<h2>Worst runs</h2>", table(
-            ("run", "margin", *settings.axes, "again"),
-            ((row["run"], row["margin"], *(row[key] for key in settings.axes),
+            ("run", "margin", *settings.names, "again"),
+            ((row["run"], row["margin"], *(row[key] for key in settings.names),
               Code(row["command"])) for row in summary.worst),
         )]  # fmt: skip
     if summary.reasons:
@@ -247,6 +254,44 @@ def html_page(plan: Plan, summary: Summary, figure: Figure) -> str:
             ((n, reason) for reason, n in list(summary.reasons.items())[:MOST_REASONS]),
         )]  # fmt: skip
     return page(f"Campaign {settings.name}", parts)
+
+
+def _cross(cross: Cross) -> list[str]:
+    """A table with the runs of each column, how many fail, the worst, and the spreads."""
+    requirements = [each.name for each in cross.rows[0].rates] if cross.rows else []
+    metrics = list(dict.fromkeys(each.name for row in cross.rows for each in row.spreads))
+    heads = (
+        cross.of_rows, "runs", *cross.columns, *(f"fail {name}" for name in requirements),
+        *(f"{name}: median, 99 %, greatest" for name in metrics),
+    )  # fmt: skip
+    lines = [
+        (row.name, row.runs, *(row.counts.get(name, "") for name in cross.columns),
+         *(_failed(each) for each in row.rates),
+         *(_spread(row, name) for name in metrics))
+        for row in cross.rows
+    ]  # fmt: skip
+    worst = [
+        (row.name, name, its.run,
+         ", ".join(f"{key} = {value}" for key, value in its.values.items()), Code(its.command))
+        for row in cross.rows
+        for name, its in row.worst.items()
+    ]  # fmt: skip
+    parts = [f"<h2>Table {html.escape(cross.name)}</h2>", table(heads, lines)]
+    if worst:
+        parts.append(table((cross.of_rows, "fails worst", "run", "with", "again"), worst))
+    return parts
+
+
+def _failed(rate: Rate) -> str:
+    if not rate.failed:
+        return ""
+    low, high = 1.0 - (rate.high or 0.0), 1.0 - (rate.low or 0.0)
+    return f"{rate.failed} ({low:.1%} to {high:.1%})"
+
+
+def _spread(row: CrossRow, name: str) -> str:
+    its = next((each for each in row.spreads if each.name == name), None)
+    return "" if its is None else f"{its.median:.3g}, {its.percentile_99:.3g}, {its.greatest:.3g}"
 
 
 def _percent(share: float | None) -> str:
@@ -260,14 +305,7 @@ def write_report(folder: CampaignFolder) -> Summary:
         LogError: a file cannot be written.
     """
     plan, required = folder.plan, requirements_of(folder.plan)
-    names = [
-        "run", "simulated_s", "failure", "false_alarms", "margin", "command",
-        *plan.settings.axes,
-        *metrics_shown(required),
-        *(f"passed.{each.name}" for each in required),
-        margin_column(plan),
-    ]  # fmt: skip
-    columns = read_columns(folder.table, list(dict.fromkeys(names)))
+    columns = read_columns(folder.table, columns_needed(plan, required))
     summary = summarise(plan, required, columns)
     with atomic(folder.path / SUMMARY, force=True) as part:
         text = json.dumps(asdict(summary), indent=2, ensure_ascii=False, allow_nan=False)

@@ -20,7 +20,8 @@ from typing import Any, Final
 
 from can_rig.errors import ScenarioError
 
-Values = Mapping[str, float | bool | None]
+Values = Mapping[str, Any]
+"""Metrics by name: numbers, truth values, or None; no requirement reads the words among them."""
 
 ARITHMETIC: Final[dict[type[ast.operator], Callable[[float, float], float]]] = {
     ast.Add: operator.add,

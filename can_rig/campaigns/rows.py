@@ -10,10 +10,9 @@ from typing import TYPE_CHECKING, Any, Final, NamedTuple
 from can_rig.campaigns.plan import Plan
 from can_rig.campaigns.requirements import Requirement, margin
 from can_rig.campaigns.settings import Scalar
-from can_rig.errors import RigError, one_line
+from can_rig.errors import RigError, ScenarioError, one_line
 from can_rig.files import atomic
 from can_rig.results.metrics import metrics_of
-from can_rig.scenario.loading import value_in
 from can_rig.views.signal_table import unit
 
 if TYPE_CHECKING:
@@ -49,11 +48,27 @@ METRICS: Final = (
     "force_difference_needed_n",
     "force_difference_available_n",
     "dstar_carried_mps2",
+    "deviation_peak_mps2",
+    "deviation_peak_uncompensated_mps2",
+    "deviation_over_uncompensated",
+    "astray_m",
+    "astray_uncompensated_m",
+    "torque_rms_nm",
+    "force_difference_unneeded_rms_n",
+    "force_difference_unneeded_peak_n",
+    "compensated_unneeded_s",
+    "place",
+    "verdict",
+    "right_place",
+    "wrong_place",
 )
 """Metrics in the order of ``run.json``."""
 
-TRUTHS: Final = {"missed_detection"}
+TRUTHS: Final = {"missed_detection", "right_place", "wrong_place"}
 """Metrics with a truth value."""
+
+TEXTS: Final = {"place", "verdict"}
+"""Metrics that are words; no requirement has them."""
 
 SEARCH, RANDOM = "search", "random"
 """How the values of a run came about, where some were searched."""
@@ -68,10 +83,14 @@ def schema(plan: Plan) -> pa.Schema:
 
     kinds = {bool: pa.bool_(), int: pa.int64(), float: pa.float64(), str: pa.string()}
     columns: dict[str, pa.DataType] = {"run": pa.int64(), "seed": pa.int64()}
-    for key, axis in plan.settings.axes.items():
-        some: Sequence[Any] = [value_in(plan.base_values, key), *(axis.values or [])]
+    for name in plan.settings.names:
+        if name not in plan.settings.axes:
+            columns[name] = pa.string()
+    for key, axes in plan.settings.keys.items():
+        own = plan.base.value(key)
+        some = [own, *(value for axis in axes for value in axis.values or [])]
         found = {type(value) for value in some if value is not None} or {float}
-        if axis.values is None and value_in(plan.base_values, key) is None:
+        if own is None and any(axis.values is None for axis in axes):
             found = {float}
         kind = found.pop() if len(found) == 1 else float if found == {int, float} else str
         columns[key] = kinds[kind]
@@ -79,7 +98,9 @@ def schema(plan: Plan) -> pa.Schema:
         columns["method"] = pa.string()
     columns["simulated_s"] = pa.float64()
     for name in METRICS:
-        columns[name] = pa.bool_() if name in TRUTHS else pa.float64()
+        columns[name] = pa.string() if name in TEXTS else pa.float64()
+        if name in TRUTHS:
+            columns[name] = pa.bool_()
     for name in plan.settings.requirements:
         columns[f"passed.{name}"] = pa.bool_()
     for name in plan.settings.requirements:
@@ -194,16 +215,40 @@ def requirements_of(plan: Plan) -> list[Requirement]:
     Raises:
         ScenarioError: a requirement is no expression over metrics.
     """
-    return [Requirement(name, text, METRICS) for name, text in plan.settings.requirements.items()]
+    known = [name for name in METRICS if name not in TEXTS]
+    return [Requirement(name, text, known) for name, text in plan.settings.requirements.items()]
+
+
+def require_tables(plan: Plan) -> None:
+    """Refuse a table of the report over something that no run has.
+
+    Raises:
+        ScenarioError: names the table's key.
+    """
+    settings = plan.settings
+    known = {*settings.names, *settings.keys, *METRICS}
+    for name, table in settings.tables.items():
+        for key, given in (("rows", table.rows), ("columns", table.columns)):
+            if given is not None and given not in known:
+                raise ScenarioError(
+                    f"campaign {settings.name}: tables.{name}.{key} = {given!r}: must be a metric, "
+                    f"or {' or '.join(settings.names)}"
+                )
+        for metric in table.metrics:
+            if metric not in METRICS or metric in TEXTS | TRUTHS:
+                raise ScenarioError(
+                    f"campaign {settings.name}: tables.{name}.metrics: {metric!r}: must be a "
+                    "metric that is a number"
+                )
 
 
 def run_row(plan: Plan, required: list[Requirement], run: int, values: dict[str, Scalar]) -> Row:
     """The row of one run; after a failure, the reason in ``failure`` and no metrics."""
-    changes = plan.changes_of(run, values)
-    row: Row = {"run": run, **values, "command": plan.command_with(changes)}
+    changes, base = plan.changes_of(run, values), plan.base_of(values)
+    row: Row = {"run": run, **values, "command": base.command_with(changes)}
     row["method"] = SEARCH if run < plan.searched else RANDOM
     try:
-        scenario = plan.scenario_with(changes)
+        scenario = base.scenario_with(changes)
         row["seed"] = scenario.seed
         row["simulated_s"] = scenario.ticks * scenario.tick_s
         metrics = metrics_of(scenario)

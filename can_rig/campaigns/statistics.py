@@ -14,13 +14,14 @@ from scipy.stats import binomtest, chi2
 from can_rig.campaigns.plan import Plan
 from can_rig.campaigns.requirements import Requirement
 from can_rig.campaigns.rows import RANDOM, SEARCH, TRUTHS
-from can_rig.campaigns.settings import ALL
-from firmware_model.target.structs import FloatArray
+from can_rig.campaigns.settings import ALL, CampaignSettings
+from firmware_model.law.structs import FloatArray
 
 CONFIDENCE: Final = 0.95
 BINS: Final = 8
 """Into which a continuous axis is cut, each with as many runs."""
 WORST: Final = 10
+NO_VALUE: Final = "-"
 HOUR_S: Final = 3600.0
 ALWAYS_SHOWN: Final = ("detection_delay_s", "deviation_peak_after_fault_mps2")
 
@@ -81,6 +82,52 @@ class Found:
 
 
 @dataclass(frozen=True)
+class Worst:
+    """The run of a row that fails a requirement worst; ``values`` are the requirement's metrics."""
+
+    run: int
+    margin: float
+    values: dict[str, float | bool | None]
+    command: str
+
+
+@dataclass(frozen=True)
+class CrossRow:
+    """The runs of one row of a table.
+
+    Attributes:
+        name: of the row.
+        runs: number of runs; ``hours`` simulated, with so many ``false_alarms``.
+        hours: see ``runs``.
+        false_alarms: see ``runs``.
+        counts: number of runs by column.
+        rates: for each requirement.
+        spreads: for each metric of the table.
+        worst: by requirement, the run that fails worst; none where no run fails.
+    """
+
+    name: str
+    runs: int
+    hours: float
+    false_alarms: int
+    counts: dict[str, int]
+    rates: list[Rate]
+    spreads: list[Spread]
+    worst: dict[str, Worst]
+
+
+@dataclass(frozen=True)
+class Cross:
+    """A table of the report: what its rows and columns are, and the runs of each row."""
+
+    name: str
+    of_rows: str
+    of_columns: str | None
+    columns: list[str]
+    rows: list[CrossRow]
+
+
+@dataclass(frozen=True)
 class Summary:
     """A campaign in numbers; after a search, rates and spreads cover the random runs only.
 
@@ -95,6 +142,7 @@ class Summary:
         worst: rows of the runs with the least margin, searched or not.
         sensitivities: for each metric, the share of variance explained by each axis alone.
         found: results of the search and of the random runs beside it; empty without a search.
+        tables: the campaign's tables.
     """
 
     runs: int
@@ -107,6 +155,7 @@ class Summary:
     worst: list[dict[str, Any]]
     sensitivities: dict[str, dict[str, float | None]]
     found: list[Found]
+    tables: list[Cross]
 
 
 def summarise(plan: Plan, required: Sequence[Requirement], columns: Columns) -> Summary:
@@ -115,6 +164,7 @@ def summarise(plan: Plan, required: Sequence[Requirement], columns: Columns) -> 
     columns = {name: values[plan.searched :] for name, values in columns.items()}
     reasons = Counter(reason for reason in columns["failure"] if reason is not None)
     shown = metrics_shown(required)
+    names = plan.settings.names
     hours = sum(s or 0.0 for s in columns["simulated_s"]) / HOUR_S
     alarms = round(sum(n or 0 for n in columns["false_alarms"]))
     low, high = poisson_interval(alarms)
@@ -128,7 +178,7 @@ def summarise(plan: Plan, required: Sequence[Requirement], columns: Columns) -> 
     rates = [rate(each.name, each.text, verdicts[each.name]) for each in required]
     if len(required) > 1:
         rates.append(rate("all", "all of them", _together(list(verdicts.values()))))
-    axes = {key: columns[key] for key in plan.settings.axes}
+    axes = {key: columns[key] for key in names}
     return Summary(
         runs=len(columns["run"]),
         failed=sum(reasons.values()),
@@ -137,13 +187,80 @@ def summarise(plan: Plan, required: Sequence[Requirement], columns: Columns) -> 
         false_alarms=per_hour,
         rates=rates,
         spreads=[each for name in shown if (each := spread(name, columns[name])) is not None],
-        worst=worst(everything, list(axes)),
+        worst=worst(everything, names),
         sensitivities={
             name: {key: explained(values, numbers(columns[name])) for key, values in axes.items()}
             for name in (*shown, "margin")
         },
         found=found_by(plan, everything),
+        tables=[cross(name, plan.settings, required, columns) for name in plan.settings.tables],
     )
+
+
+def cross(
+    name: str, settings: CampaignSettings, required: Sequence[Requirement], columns: Columns
+) -> Cross:
+    """The table ``name`` of the report, from the columns of all runs."""
+    table = settings.tables[name]
+    of_run = parts_by_name(columns[table.rows])
+    by_column = [] if table.columns is None else parts_by_name(columns[table.columns])
+    rows = []
+    for row in _in_order(settings, table.rows, columns, of_run):
+        at = [run for run, its in enumerate(of_run) if its == row]
+        some = {key: [values[run] for run in at] for key, values in columns.items()}
+        counts = Counter(by_column[run] for run in at) if by_column else Counter()
+        rows.append(CrossRow(
+            name=row,
+            runs=len(at),
+            hours=sum(s or 0.0 for s in some["simulated_s"]) / HOUR_S,
+            false_alarms=round(sum(n or 0 for n in some["false_alarms"])),
+            counts=dict(counts),
+            rates=[rate(each.name, each.text, some[f"passed.{each.name}"]) for each in required],
+            spreads=[it for metric in table.metrics if (it := spread(metric, some[metric]))],
+            worst={
+                each.name: its for each in required if (its := _fails_worst(each, some)) is not None
+            },
+        ))  # fmt: skip
+    listed = _in_order(settings, table.columns, columns, by_column) if table.columns else []
+    return Cross(name, table.rows, table.columns, listed, rows)
+
+
+def _fails_worst(required: Requirement, columns: Columns) -> Worst | None:
+    margins = numbers(columns[f"margin.{required.name}"])
+    if not (margins < 0.0).any():
+        return None
+    at = int(np.nanargmin(margins))
+    values = {name: columns[name][at] for name in sorted(required.names)}
+    return Worst(columns["run"][at], float(margins[at]), values, columns["command"][at])
+
+
+def parts_by_name(values: Sequence[Any]) -> list[str]:
+    """The name of the part of each value: a few values are one part each, many are cut."""
+    known = [value for value in values if value is not None]
+    if not known or isinstance(known[0], str | bool) or len(set(known)) <= BINS:
+        return [NO_VALUE if value is None else f"{value}" for value in values]
+    parts = parts_of(known)
+    ends = {
+        part: f"{min(its):.3g} to {max(its):.3g}"
+        for part in set(parts.tolist())
+        if (its := [value for value, of in zip(known, parts, strict=True) if of == part])
+    }
+    names = iter(ends[part] for part in parts.tolist())
+    return [NO_VALUE if value is None else next(names) for value in values]
+
+
+def _in_order(
+    settings: CampaignSettings, key: str, columns: Columns, names: Sequence[str]
+) -> list[str]:
+    """The names in the order of the campaign's file, or of their values."""
+    found = set(names)
+    if key in settings.choices:
+        return [name for name in settings.choices[key] if name in found]
+    first: dict[str, Any] = {}
+    for value, name in zip(columns[key], names, strict=True):
+        if name not in first or (value is not None and value < first[name]):
+            first[name] = value
+    return sorted(first, key=lambda name: (name == NO_VALUE, first[name]))
 
 
 def found_by(plan: Plan, columns: Columns) -> list[Found]:
@@ -184,6 +301,21 @@ def metrics_shown(required: Sequence[Requirement]) -> list[str]:
     """The numbers that a report is about: those of the requirements, and ``ALWAYS_SHOWN``."""
     named = [name for each in required for name in sorted(each.names)]
     return [name for name in dict.fromkeys([*named, *ALWAYS_SHOWN]) if name not in TRUTHS]
+
+
+def columns_needed(plan: Plan, required: Sequence[Requirement]) -> list[str]:
+    """The columns of the table of runs that a summary reads."""
+    names = [
+        "run", "simulated_s", "failure", "false_alarms", "margin", "command",
+        *plan.settings.names,
+        *metrics_shown(required),
+        *(name for each in required for name in sorted(each.names)),
+        *(f"passed.{each.name}" for each in required),
+        *(f"margin.{each.name}" for each in required),
+    ]  # fmt: skip
+    for table in plan.settings.tables.values():
+        names += [name for name in (table.rows, table.columns, *table.metrics) if name is not None]
+    return list(dict.fromkeys(names))
 
 
 def rate(name: str, text: str, verdicts: Sequence[bool | None]) -> Rate:

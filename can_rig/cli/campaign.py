@@ -16,7 +16,7 @@ from can_rig.campaigns.execution import CampaignFolder, execute, open_folder
 from can_rig.campaigns.plan import Plan, plan
 from can_rig.campaigns.report import write_report
 from can_rig.campaigns.settings import read_campaign
-from can_rig.campaigns.statistics import Summary
+from can_rig.campaigns.statistics import Cross, Summary
 from can_rig.campaigns.workers import Compute, in_processes, serially
 from can_rig.cli.options import json_option, set_option
 from can_rig.cli.output import json_line, say, table, wide
@@ -27,7 +27,13 @@ from can_rig.nodes.bus_access import StopRequest
 
 @click.command("campaign")
 @click.argument("campaign", metavar="CAMPAIGN")
-@click.option("--scenario", metavar="NAME", help="In place of the campaign's own.")
+@click.option(
+    "--scenario",
+    "scenarios",
+    metavar="NAME",
+    multiple=True,
+    help="In place of the campaign's own; may be given several times.",
+)
 @set_option("Change one key of the scenario in every run")
 @click.option("--runs", type=click.IntRange(1), help="In place of the campaign's own number.")
 @click.option("--seed", type=click.IntRange(0), help="In place of the campaign's own.")
@@ -48,7 +54,7 @@ from can_rig.nodes.bus_access import StopRequest
 @json_option("The summary as one JSON object.")
 def command(
     campaign: str,
-    scenario: str | None,
+    scenarios: tuple[str, ...],
     settings: tuple[str, ...],
     runs: int | None,
     seed: int | None,
@@ -60,17 +66,18 @@ def command(
     force: bool,
     as_json: bool,
 ) -> None:
-    """Run CAMPAIGN, a TOML file or a shipped one: cars, faults, hours, latency, losses.
+    """Run a campaign of thousands of runs.
 
-    Every run becomes a row of runs.parquet with the command that repeats the run; report.html gives
-    the pass rate of each requirement, the worst runs, and the influence of each axis. Ctrl-C keeps
-    completed runs.
+    CAMPAIGN is a TOML file or a shipped one: cars, double-faults, faults, hours, latency, losses,
+    restarts, weather. Every run becomes a row of runs.parquet with the command that repeats the
+    run; report.html gives the pass rate of each requirement, the worst runs, the campaign's tables,
+    and the influence of each axis. Ctrl-C keeps completed runs.
     """
     if resume and (out is None or force):
         raise click.UsageError("--resume: must come with --out, and not with --force")
     if scheduler is not None and workers is not None:
         raise click.UsageError("--scheduler: must come without --workers")
-    keys = {"scenario": scenario, "runs": runs, "seed": seed, "search": search}
+    keys = {"scenario": list(scenarios) or None, "runs": runs, "seed": seed, "search": search}
     planned = plan(read_campaign(campaign, settings, **keys))
     folder = open_folder(out, planned, resume=resume, force=force)
     click.get_current_context().call_on_close(folder.made.close)
@@ -129,6 +136,18 @@ def _found(summary: Summary) -> Table:
     return found
 
 
+def _cross(cross: Cross) -> Table:
+    requirements = [each.name for each in cross.rows[0].rates] if cross.rows else []
+    columns = [name.replace("_", " ").lower() for name in cross.columns]
+    heads = [f"{name} fails" for name in requirements]
+    found = table(cross.of_rows, "runs", *columns, *heads, left=1)
+    for row in cross.rows:
+        counts = (str(row.counts.get(name, "")) for name in cross.columns)
+        failed = (str(rate.failed or "") for rate in row.rates)
+        found.add_row(row.name, str(row.runs), *counts, *failed)
+    return found
+
+
 def _print(summary: Summary, folder: CampaignFolder) -> None:
     rates = table("requirement", "passed", "failed", "without", "rate", "95 %", "", left=1)
     rates.columns[-1].justify = "left"
@@ -146,6 +165,8 @@ def _print(summary: Summary, folder: CampaignFolder) -> None:
     console.print(spreads)
     if summary.found:
         console.print(_found(summary))
+    for cross in summary.tables:
+        console.print(_cross(cross))
     alarms = summary.false_alarms
     if alarms["per_hour"] is not None:
         say(

@@ -14,7 +14,7 @@ from can_rig.cli.output import explain, say, show, table
 from can_rig.export.application import exported, write
 from can_rig.export.boards import COMPILER, EMULATOR
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.structs import Precision
+from firmware_model.law.structs import Precision
 
 
 @click.command("export")

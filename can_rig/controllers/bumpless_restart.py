@@ -39,8 +39,8 @@ from scipy.linalg import solve_discrete_lyapunov
 
 from can_rig.controllers.protocol import LISTEN_S, Inputs
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.filters.biquad import advance, at_rest
-from firmware_model.target.structs import FloatArray, Record
+from firmware_model.law.filters.biquad import advance, at_rest
+from firmware_model.law.structs import FloatArray, Record
 
 RETURN_S: Final = 0.4  # X_diff then keeps below 4000 N for 1 m/s², should the motor be dead
 FEWEST_SAMPLES: Final = 10  # of the free response, however long a tick is
@@ -65,19 +65,31 @@ class BumplessRestart:
     Args:
         restarted: the controller that takes over.
         scenario: gives the actuators' hold time and the noise of D*.
-        table: the controller's constant table.
+        table: the controller's constant table; None: the motion of the plant is unknown.
         lsb: resolution of D* on the wire, m/s².
     """
 
-    def __init__(self, restarted: Restarted, scenario: Scenario, table: Record, lsb: float) -> None:
+    def __init__(
+        self,
+        restarted: Restarted,
+        scenario: Scenario,
+        table: Record | None = None,
+        lsb: float = 0.0,
+    ) -> None:
         self._restarted = restarted
         held = round(scenario.actuator.hold_s / scenario.tick_s) + scenario.latency_ticks
         self._listen_ticks = max(round(LISTEN_S / scenario.tick_s), FEWEST_SAMPLES)
-        known = held <= self._listen_ticks // 2 and table.tracking.stabiliser.n == 0
+        known = (
+            table is not None
+            and held <= self._listen_ticks // 2
+            and table.tracking.stabiliser.n == 0
+        )
         self._held_ticks = held if known else None
         self._return_ticks = max(round(RETURN_S / scenario.tick_s), 1)
         self._variance = scenario.model.sensor.noise_mps2**2 + lsb**2 / 12.0
-        self._motion = FreeMotion(table, max(self._listen_ticks, self._return_ticks))
+        self._motion: FreeMotion | None = None
+        if table is not None:
+            self._motion = FreeMotion(table, max(self._listen_ticks, self._return_ticks))
         self._heard: list[float] = []
         self._level = 0.0
         self._since = 0
@@ -90,7 +102,8 @@ class BumplessRestart:
     @property
     def done(self) -> bool:
         """Whether r' is r from the next tick on."""
-        faded = abs(self._motion.output) <= math.sqrt(self._variance)
+        motion = 0.0 if self._motion is None else self._motion.output
+        faded = abs(motion) <= math.sqrt(self._variance)
         return self._since > self._return_ticks and faded
 
     @property
@@ -106,26 +119,30 @@ class BumplessRestart:
 
     def start(self) -> None:
         """Put the controller where the ticks that were heard have left the car."""
-        if self._held_ticks is None:
+        motion = self._motion
+        if self._held_ticks is None or motion is None:
             finite = [y for y in self._heard if math.isfinite(y)]
             self._level = finite[-1] if finite else 0.0
             doubt = self._level**2
         else:
             free = np.array(self._heard[self._held_ticks :])
-            doubt = self._motion.fit(free, self._variance)
+            doubt = motion.fit(free, self._variance)
         self._restarted.reset(self._level)
-        self._restarted.move(self._motion.sections, doubt)
+        if motion is not None:
+            self._restarted.move(motion.sections, doubt)
 
     def miss(self) -> None:
         """Let a tick pass without a command: the car moves on, r' comes no nearer to r."""
-        self._motion.advance()
+        if self._motion is not None:
+            self._motion.advance()
 
     def reference(self, reference: float) -> float:
         """r' of the next tick, minus the motion in F1's states."""
         s = min(self._since / self._return_ticks, 1.0)
         w = s**3 * (10.0 - 15.0 * s + 6.0 * s**2)
         self._since += 1
-        return w * (reference - self._motion.advance()) + (1.0 - w) * self._level
+        motion = 0.0 if self._motion is None else self._motion.advance()
+        return w * (reference - motion) + (1.0 - w) * self._level
 
 
 class FreeMotion:

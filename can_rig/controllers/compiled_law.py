@@ -13,8 +13,8 @@ from can_rig.errors import ExportError
 from can_rig.export.compiler import loaded, shared_library
 from can_rig.export.law import CHANGE_SPEED, ENTRIES, law_files
 from firmware_model.firmware import ChangeSpeed, Memories, Step
-from firmware_model.target.layout import precision_of, state_type
-from firmware_model.target.structs import Precision, Record, RecordArray
+from firmware_model.law.layout import precision_of, state_type
+from firmware_model.law.structs import Precision, Record, RecordArray
 
 
 class CompiledLaw:

@@ -12,12 +12,16 @@ from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Final, NamedTuple, Protocol
 
+from can_rig.frames.codec import NO_DECISION, NO_VERDICT
 from can_rig.frames.network import Network
 from can_rig.frames.protection import USABLE, CheckStatus
 from can_rig.scenario.settings import Scenario
+from firmware_model.law.status import FaultState, Mode
 
 LISTEN_S: Final = 0.05
 """A controller that starts while the plant moves listens for so long before it sends commands."""
+
+RUN, CANNOT_TELL = int(Mode.RUN), int(FaultState.CANNOT_TELL)
 
 NO_WITNESSES: Final[Mapping[str, float]] = MappingProxyType({})
 
@@ -52,14 +56,43 @@ class Answer(NamedTuple):
     """A ``Verdict``."""
 
 
+class Status(NamedTuple):
+    """The content of the status frame, in codes."""
+
+    fault_estimate: float
+    mode: int
+    fault_state: int
+    verdict: int
+
+
+def said(answer: Answer) -> Status:
+    """The status of an answer, with a code for what the controller does not say.
+
+    The node itself knows the mode: a tick without inputs never gets here without a mode.
+    """
+    _, _, estimate, mode, fault_state, verdict = answer
+    if verdict is None:
+        verdict = NO_DECISION if fault_state is None else NO_VERDICT
+    return Status(
+        math.nan if estimate is None else estimate,
+        RUN if mode is None else mode,
+        CANNOT_TELL if fault_state is None else fault_state,
+        verdict,
+    )
+
+
 class Controller(Protocol):
-    """A controller of one's own."""
+    """A controller of one's own, constructed as ``Class(setup)`` with a ``ControllerSetup``.
+
+    Without a reference or a measurement, the node holds the last commands and calls ``hold``, an
+    optional method without arguments.
+    """
 
     def reset(self, reference: float) -> None:
         """Begin in the steady state that holds the output at ``reference``."""
 
-    def step(self, inputs: Inputs) -> Answer:
-        """The answer of a tick."""
+    def step(self, inputs: Inputs) -> Answer | tuple[float, float]:
+        """The answer of a tick, or both commands alone."""
 
 
 class TakeOver(Protocol):
@@ -90,8 +123,14 @@ class TakeOver(Protocol):
         """The reference of the next tick in place of ``reference``."""
 
 
-class NodeController(Controller, Protocol):
-    """A controller as a node holds it."""
+class NodeController(Protocol):
+    """A controller as a node holds it; inputs that are not numbers have not come."""
+
+    def reset(self, reference: float) -> None:
+        """See ``Controller``."""
+
+    def step(self, inputs: Inputs) -> Answer:
+        """The answer of a tick."""
 
     @property
     def commands(self) -> tuple[float, float]:

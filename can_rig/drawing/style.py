@@ -14,7 +14,7 @@ from can_rig.drawing.names import printed
 from can_rig.scenario.disturbance_settings import DisturbanceSettings
 from can_rig.scenario.fault_settings import FaultSettings
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 INK: Final = "#1b1b1b"
 BLUE, ORANGE, GREEN = "#0b4f8a", "#b8461a", "#2f7d4f"

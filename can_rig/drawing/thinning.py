@@ -8,7 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from can_rig import paged
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 MAX_POINTS: Final = 20_000
 """A longer curve is cut into half as many slices, and the extremes of each are drawn."""

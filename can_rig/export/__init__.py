@@ -1,4 +1,4 @@
-"""The control law as C99: the lines of `firmware_model.target`, translated, compiled, and run.
+"""The control law as C99: the lines of `firmware_model.law`, translated, compiled, and run.
 
 `source` reads a module, `subset` gives everything a type and refuses the rest, `effects` refuses
 what C would compute in another order, `c_functions` and `c_files` write C; `law` and `application`

@@ -19,7 +19,7 @@ from can_rig.frames.network import Network
 from can_rig.scenario.build import dbc_of, network_of
 from can_rig.scenario.driving import controls
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.structs import Precision
+from firmware_model.law.structs import Precision
 
 HEADER: Final = "firmware.h"
 """Public header of every export, for inclusion by an application."""

@@ -26,10 +26,10 @@ from can_rig.export.c_text import (
 from can_rig.export.effects import Effects
 from can_rig.export.source import Answers, CStruct, Module, Record, Sources
 from can_rig.export.subset import Program, Typed
-from firmware_model.target import structs
-from firmware_model.target.layout import TABLE, precision_of
-from firmware_model.target.schedule import CONSTANTS
-from firmware_model.target.structs import Field, Precision, Struct
+from firmware_model.law import structs
+from firmware_model.law.layout import TABLE, precision_of
+from firmware_model.law.schedule import CONSTANTS
+from firmware_model.law.structs import Field, Precision, Struct
 
 _ELSEWHERE: Final = "is a number or a function of the exported C too: must be another name"
 _TITLES: Final = {"CONSTANTS": "Constants", "STATE": "State", "TABLE": "The constant table"}

@@ -27,7 +27,7 @@ from can_rig.export.source import (
     names_in,
 )
 from can_rig.export.subset import EXTREMES, PLAIN_REAL, ROUNDED_EXACTLY, Typed, called
-from firmware_model.target.structs import Precision
+from firmware_model.law.structs import Precision
 
 CHOICE, OR, AND, EQUALITY, ORDER, SUM, PRODUCT, UNARY, WHOLE = range(9)
 BINARY: Final = {

@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 
 from firmware_model.discretisation.filters import KEYWORDS
-from firmware_model.target.structs import Precision
+from firmware_model.law.structs import Precision
 
 WIDTH: Final = 100
 INDENT: Final = "    "

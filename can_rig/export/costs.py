@@ -24,7 +24,7 @@ from can_rig.export.compiler import placed, run
 from can_rig.export.law import CHANGE_SPEED, law_program, parts_of, speed_program
 from can_rig.export.subset import Program
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.structs import FloatArray, Precision
+from firmware_model.law.structs import FloatArray, Precision
 
 VARIANTS: Final[tuple[tuple[str, Precision], ...]] = (
     ("m4f", "float32"), ("m7", "float32"), ("m7", "float64"), ("m4f", "float64"),

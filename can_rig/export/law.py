@@ -12,8 +12,8 @@ from typing import Final
 from can_rig.export.c_files import c_files
 from can_rig.export.source import REAL, Record, Sources, Type
 from can_rig.export.subset import Program
-from firmware_model.target import controller, layout, schedule
-from firmware_model.target.structs import Precision
+from firmware_model.law import controller, layout, schedule
+from firmware_model.law.structs import Precision
 
 ENTRIES: Final = ("start_up", "step", "reset")
 """Entry points called by a node: each function takes table and state, then real numbers."""
@@ -72,7 +72,7 @@ def real_header(precision: Precision) -> str:
 
 
 def _target_sources() -> Sources:
-    """The modules of `firmware_model.target`, read."""
+    """The modules of `firmware_model.law`, read."""
     sources = Sources()
     room = layout.__name__.rpartition(".")[0]
     for name in sorted(sys.modules):

@@ -19,7 +19,7 @@ from types import FunctionType, ModuleType
 from typing import Any, Final
 
 from can_rig.errors import ExportError
-from firmware_model.target.structs import Field, Struct
+from firmware_model.law.structs import Field, Struct
 
 
 @dataclass(frozen=True)

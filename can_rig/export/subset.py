@@ -25,7 +25,7 @@ from can_rig.export.source import (
     in_words,
     indices_of,
 )
-from firmware_model.target.precision import real
+from firmware_model.law.precision import real
 
 ANNOTATED: Final = {"float": REAL, "int": INT, "bool": BOOL}
 ARITHMETIC: Final = (ast.Add, ast.Sub, ast.Mult, ast.Div, ast.Mod)

@@ -13,10 +13,10 @@ from typing import Any
 import numpy as np
 
 from firmware_model.firmware import PYTHON_LAW, Law
-from firmware_model.target.layout import precision_of, state_type, table_type
-from firmware_model.target.schedule import CONSTANTS, MAX_SPEEDS, STATE
-from firmware_model.target.status import Verdict
-from firmware_model.target.structs import (
+from firmware_model.law.layout import precision_of, state_type, table_type
+from firmware_model.law.schedule import CONSTANTS, MAX_SPEEDS, STATE
+from firmware_model.law.status import Verdict
+from firmware_model.law.structs import (
     MAX_LATENCY_TICKS,
     MAX_SECTIONS,
     FloatArray,

@@ -75,6 +75,12 @@ SPEED: Final = "speed"
 
 VERDICT_BITS: Final = 4
 
+NO_DECISION: Final = 14
+"""The code of ``Verdict`` of a controller that says neither a verdict nor a fault state."""
+
+NO_VERDICT: Final = 15
+"""The code of ``Verdict`` of a controller that says a fault state and no verdict."""
+
 
 class Layout(Protocol):
     """The conversion between a frame's content and its bytes."""

@@ -24,7 +24,7 @@ from can_rig.errors import DbcError
 from can_rig.frames.codec import ROLES, MessageCodec, Unpacked
 from can_rig.frames.databases import load_for
 from can_rig.frames.network import Network, require_distinct_data_ids, words_of
-from firmware_model.target.status import Verdict
+from firmware_model.law.status import Verdict
 
 FD_LENGTHS: Final[tuple[int, ...]] = (*range(9), 12, 16, 20, 24, 32, 48, 64)
 """Data lengths of CAN FD frames [bytes], by DLC."""

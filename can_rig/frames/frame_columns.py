@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from can_rig.frames.codec import MessageCodec, RigLayout
 from can_rig.frames.protection import COUNTERS, FRAME_BYTES
 from firmware_model.compiled import compiled
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 UInt8s = NDArray[np.uint8]
 

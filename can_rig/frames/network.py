@@ -15,10 +15,18 @@ from typing import Final
 from cantools.database.can import Message, Signal
 
 from can_rig.errors import DbcError
-from can_rig.frames.codec import ROLES, SPEED, VERDICT_BITS, MessageCodec, RigLayout
+from can_rig.frames.codec import (
+    NO_DECISION,
+    NO_VERDICT,
+    ROLES,
+    SPEED,
+    VERDICT_BITS,
+    MessageCodec,
+    RigLayout,
+)
 from can_rig.frames.databases import attribute, load_dbc
 from can_rig.frames.protection import FRAME_BYTES, Protector
-from firmware_model.target.status import Verdict
+from firmware_model.law.status import Verdict
 
 EXTENDED_FLAG = 1 << 31
 
@@ -258,8 +266,11 @@ def _require_status(signals: dict[str, Signal], where: str) -> None:
 def _require_verdict(signal: Signal, where: str) -> None:
     """Refuse a verdict at another place, or with unnamed verdicts."""
     _require_plain(signal, "Verdict", _VERDICT, where)
-    if set(signal.choices or ()) != {int(verdict) for verdict in Verdict}:
-        raise DbcError(f"{where}: signal Verdict must have a value table of 0 to {max(Verdict)}")
+    if set(signal.choices or ()) != {*map(int, Verdict), NO_DECISION, NO_VERDICT}:
+        raise DbcError(
+            f"{where}: signal Verdict must have a value table of 0 to {max(Verdict)}, "
+            f"{NO_DECISION} and {NO_VERDICT}"
+        )
 
 
 def _require_value(signal: Signal, place: tuple[int, int], where: str) -> None:

@@ -10,13 +10,13 @@ import math
 from collections import Counter
 from collections.abc import Sequence
 from itertools import chain
-from typing import Final, NamedTuple
+from typing import Final
 
 import can
 import numpy as np
 
 from can_rig.buses.local.bus import LocalBus
-from can_rig.controllers.protocol import Answer
+from can_rig.controllers.protocol import Answer, Status, said
 from can_rig.frames.codec import MessageCodec, Record, ticks_ahead
 from can_rig.frames.endpoints import Receiver, Transmitter
 from can_rig.frames.network import Network
@@ -28,28 +28,6 @@ from can_rig.plant.simulated import SimulatedPlant
 from can_rig.scenario.driving import speeds_at_ticks
 from can_rig.scenario.reference import reference, refuse_saturation
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.status import FaultState, Mode, Verdict
-
-
-class Status(NamedTuple):
-    """The content of the status frame, in codes."""
-
-    fault_estimate: float
-    mode: int
-    fault_state: int
-    verdict: int
-
-
-def said(answer: Answer) -> Status:
-    """The status of an answer, with a code for what the controller does not say."""
-    _, _, estimate, mode, fault_state, verdict = answer
-    return Status(
-        math.nan if estimate is None else estimate,
-        Mode.RUN if mode is None else mode,
-        FaultState.CANNOT_TELL if fault_state is None else fault_state,
-        Verdict.CANNOT_BE_TOLD if verdict is None else verdict,
-    )
-
 
 COMMANDS: Final = 2
 """What is received is numbered: the commands first, then the status."""

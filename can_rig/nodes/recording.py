@@ -31,7 +31,7 @@ from can_rig.frames.protection import FRAME_BYTES
 from can_rig.logs.plant_signals import plant_signals_path
 from can_rig.nodes.clock import OnTick
 from firmware_model.compiled import compiled
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 CHANNEL: Final = "vcan0"
 """So that can-utils' canplayer needs no mapping."""

@@ -15,7 +15,7 @@ from typing import Any
 
 from can_rig.nodes.bus_access import Interrupted
 from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock, OnTick, Pace
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 Carry = Callable[[int], int]
 """Carries a tick, or several from a tick on; returns the number of ticks completed.

@@ -28,7 +28,7 @@ from can_rig.plant.in_windows import LoopInWindows
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.simulation import BoolArray
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 
 def run_without_bus(

@@ -25,8 +25,8 @@ from can_rig.plant.faults.injection import injected
 from can_rig.results.isolation import Reasoning, in_words
 from can_rig.results.signals import SignalRows
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.status import Verdict
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.status import Verdict
+from firmware_model.law.structs import FloatArray
 
 COLUMNS: Final = (
     "time", "reference", "output", "command_1", "command_2", "estimate", "mode", "fault_state",

@@ -34,7 +34,7 @@ from can_rig.results.source import reference_csv, source_of
 from can_rig.scenario.build import network_of
 from can_rig.scenario.fault_settings import FaultSettings
 from can_rig.scenario.loading import written
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 LAMPS_EVERY: Final = 6
 """Updates."""

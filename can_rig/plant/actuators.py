@@ -15,7 +15,7 @@ import numpy as np
 from can_rig.scenario.plant_settings import PlantSettings
 from firmware_model.analysis.sampled_plant import held_input, split_ticks
 from firmware_model.design.actuator_dynamics import Stage
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 
 class Actuator:

@@ -22,7 +22,7 @@ from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.remembered import remembered
 from firmware_model.analysis.sampled_plant import SampledPlant, follow, sample
 from firmware_model.design.actuator_dynamics import IDEAL
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 LONGEST_STEP_S = 5e-4
 """Longest time of a constant command for a plant class whose actuators or sensor lag."""

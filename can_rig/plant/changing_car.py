@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
-from typing import Final
+from collections.abc import Iterator, Mapping
+from typing import Any, Final
 
 import numpy as np
 
@@ -15,7 +15,7 @@ from can_rig.plant.behind import (
     plant_behind,
     sampled_plant,
 )
-from can_rig.plant.disturbances import BANK, Disturbances
+from can_rig.plant.disturbances import BANK, BLOCK, Disturbances
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.driving import SpeedProfile, speed_profile
 from can_rig.scenario.plant_settings import PlantSettings
@@ -30,8 +30,9 @@ from firmware_model.analysis.changing_plant import (
 )
 from firmware_model.analysis.pushed_plant import PushedPlant, follow_pushed, pushed_plant, witness
 from firmware_model.analysis.sampled_plant import SampledPlant
+from firmware_model.analysis.world_loop import run_changing, run_pushed
 from firmware_model.design.vehicle import GRAVITY_MPS2, SPECIFIC_FORCE
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 ACCELERATIONS: Final = ("specific_force_mps2", "lateral_acceleration_mps2")
 """Columns that a car in the world reports."""
@@ -130,6 +131,22 @@ class ChangingCar:
         self._car.moved(output)
         return output, read
 
+    def run_loop(
+        self, loop: Any, begin: int, end: int, output: tuple[float, float]
+    ) -> tuple[float, float]:
+        """See ``simulation.LoopPlant``."""
+        ahead = self._tick - begin
+        for some in _pages(self._tick, end + ahead):
+            world = NO_WORLD
+            if self._world is not None:
+                world = self._world.at(range(some.start, some.stop + 1))
+            output = run_changing(
+                loop, some.start - ahead, some.stop - ahead, *output, self._constants,
+                self._car.memory, ahead, world, self._work, self._within[some.start : some.stop],
+            )  # fmt: skip
+        self._tick = end + ahead
+        return output
+
 
 class PushedCar:
     """``LinearBehind`` that the world pushes, on a dry road; see ``PlantBehind``."""
@@ -171,6 +188,27 @@ class PushedCar:
         self._tick += 1
         self._car.moved(output)
         return output, read
+
+    def run_loop(
+        self, loop: Any, begin: int, end: int, output: tuple[float, float]
+    ) -> tuple[float, float]:
+        """See ``simulation.LoopPlant``."""
+        ahead = self._tick - begin
+        for some in _pages(self._tick, end + ahead):
+            output = run_pushed(
+                loop, some.start - ahead, some.stop - ahead, *output, self._constants,
+                self._car.memory, ahead, self._world.at(range(some.start, some.stop + 1)),
+            )  # fmt: skip
+        self._tick = end + ahead
+        return output
+
+
+def _pages(begin: int, end: int) -> Iterator[range]:
+    """The ticks from ``begin`` to ``end`` in parts, so that a long run needs little memory."""
+    while begin < end:
+        stop = min(begin - begin % BLOCK + BLOCK, end)
+        yield range(begin, stop)
+        begin = stop
 
 
 def accelerations(specific_force_mps2: float, world: FloatArray) -> dict[str, float]:

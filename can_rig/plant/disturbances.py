@@ -18,7 +18,7 @@ from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.changing_plant import FRONT_FRICTION, REAR_FRICTION, WORLD_ROW
 from firmware_model.compiled import compiled
 from firmware_model.design.vehicle import WORLD
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 FORCE, MOMENT, BANK, KICK = range(4)
 """The places of ``vehicle.WORLD`` in a row."""

@@ -13,8 +13,11 @@ from pathlib import Path
 
 import numpy as np
 
-from can_rig.errors import RigError
-from can_rig.frames.codec import MessageCodec
+from can_rig.controllers.making import peer_of
+from can_rig.controllers.protocol import Inputs as ControllerInputs
+from can_rig.controllers.protocol import said
+from can_rig.errors import RigError, ScenarioError
+from can_rig.frames.codec import NO_DECISION, MessageCodec
 from can_rig.frames.frame_columns import quantised
 from can_rig.frames.network import Network
 from can_rig.plant.actuators import actuator_limits
@@ -28,13 +31,15 @@ from can_rig.scenario.driving import controls, speeds_at_ticks
 from can_rig.scenario.fault_settings import PLACES, RESTARTED
 from can_rig.scenario.reference import reference
 from can_rig.scenario.remembered import remembered
-from can_rig.scenario.settings import Scenario
+from can_rig.scenario.settings import LimitSettings, Scenario
 from firmware_model.analysis.hardware import BY, HEALTHY, NO_FAULTS, REPLACED, frame_of
+from firmware_model.analysis.read_off import NotLinearError, read_off
+from firmware_model.analysis.sampled_loop import LinearController
 from firmware_model.analysis.sampled_plant import SampledPlant
-from firmware_model.analysis.simulation import AnyPlant, Simulation, Trace
+from firmware_model.analysis.simulation import AnyPlant, LoopPlant, Simulation, Trace
 from firmware_model.discretisation.schedules import Scheduled
-from firmware_model.target import controller
-from firmware_model.target.structs import FloatArray, RecordArray
+from firmware_model.law import controller
+from firmware_model.law.structs import FloatArray, RecordArray
 
 
 @dataclass(frozen=True)
@@ -58,7 +63,7 @@ class Common:
     Attributes:
         undisturbed: the common scenario, without faults and noise.
         network: their frames.
-        of: their controller.
+        of: the rig's own law; None: a controller of another kind.
         at_rest: the controller's state at rest.
         plant: the linear plant; None: each run makes a plant object.
         quiet: the inputs without faults and sensor noise.
@@ -66,8 +71,8 @@ class Common:
 
     undisturbed: Scenario
     network: Network
-    of: Scheduled
-    at_rest: RecordArray
+    of: Scheduled | None
+    at_rest: RecordArray | None
     plant: SampledPlant | None
     quiet: Inputs
 
@@ -105,9 +110,9 @@ def common(scenario: Scenario) -> Common:
     """
     undisturbed = scenario.undisturbed
     network = network_of(undisturbed)
-    of = controls(scenario, network)  # a refusal may name the noise
+    of = law_of(scenario, network)  # a refusal may name the noise
     quiet = inputs_of(undisturbed, network)
-    at_rest = controller.init(of.table)
+    at_rest = None if of is None else controller.init(of.table)
     return Common(undisturbed, network, of, at_rest, linear_plant(undisturbed), quiet)
 
 
@@ -206,8 +211,8 @@ def frameless_loop(
     return simulation(
         scenario,
         network,
-        linear_plant(scenario) or UntilItFails(plant_of(scenario)),
-        controls(scenario, network) if of is None else of,
+        linear_plant(scenario) or until_it_fails(plant_of(scenario)),
+        law_of(scenario, network) if of is None else of,
         inputs_of(scenario, network) if inputs is None else inputs,
     )
 
@@ -216,14 +221,14 @@ def simulation(
     scenario: Scenario,
     network: Network,
     plant: SampledPlant | AnyPlant,
-    of: Scheduled,
+    of: Scheduled | None,
     inputs: Inputs,
     keeps_states: bool = False,
     at_rest: RecordArray | None = None,
 ) -> Simulation:
     """``scenario`` without a bus, at rest; for the arguments see ``frameless``, ``Simulation``."""
     return Simulation(
-        of.table,
+        InLoop(scenario) if of is None else of.table,
         plant,
         inputs.reference,
         tick_s=scenario.tick_s,
@@ -232,7 +237,7 @@ def simulation(
         bias=inputs.bias,
         arrives=inputs.delivery.used,
         faults=inputs.faults,
-        schedule=of.schedule,
+        schedule=None if of is None else of.schedule,
         speed=inputs.speed,
         hold_ticks=round(scenario.actuator.hold_s / scenario.tick_s),
         limits=actuator_limits(scenario.plant, scenario.tick_s),
@@ -249,6 +254,66 @@ def simulation(
 def _frame(codec: MessageCodec) -> FloatArray:
     bits = 8 * struct.calcsize(codec.float_format) if codec.float_format else 0
     return frame_of(codec.lsb, codec.minimum, codec.maximum, bits)
+
+
+def law_of(scenario: Scenario, network: Network | None) -> Scheduled | None:
+    """The rig's own control law; None: the scenario has a controller of another kind.
+
+    Raises:
+        ScenarioError: see ``controls``.
+    """
+    return controls(scenario, network) if scenario.controller.is_ours else None
+
+
+class InLoop:
+    """A controller of another kind in the loop without frames; see ``AnyController``.
+
+    Raises:
+        ScenarioError: see ``peer_of``.
+    """
+
+    def __init__(self, scenario: Scenario) -> None:
+        self.latency_ticks = scenario.latency_ticks
+        """See ``AnyController``."""
+        self._scenario = scenario
+        self.restart()
+
+    def restart(self) -> None:
+        """See ``AnyController``."""
+        self.peer = peer_of(self._scenario)
+
+    def answer(
+        self, reference: float, measurement: float, speed: float
+    ) -> tuple[float, float, float, int, int, int]:
+        """See ``AnyController``."""
+        answer = self.peer.step(ControllerInputs(reference, measurement, speed))
+        return answer.command_1, answer.command_2, *said(answer)
+
+
+def linear_law_of(scenario: Scenario) -> LinearController:
+    """The matrices of the scenario's controller, of another kind than the rig's own law.
+
+    Raises:
+        ScenarioError: a controller that is not linear around rest.
+    """
+    free = replace(scenario, limits=LimitSettings())
+
+    def respond(inputs: FloatArray) -> FloatArray:
+        peer = peer_of(free)
+        answers = (peer.step(ControllerInputs(r, y)) for y, r in inputs.tolist())
+        return np.array([(*answer[:2], answer.fault_estimate or 0.0) for answer in answers])
+
+    try:
+        return read_off(respond, scenario.latency_ticks)
+    except NotLinearError as error:
+        raise ScenarioError(
+            f"controller.kind = {scenario.controller.kind!r}: has no margins: {error}"
+        ) from None
+
+
+def until_it_fails(plant: PlantBehind) -> AnyPlant:
+    """``plant`` with nan as its output from its first error on; a built-in car never fails."""
+    return plant if isinstance(plant, LoopPlant) else UntilItFails(plant)
 
 
 class UntilItFails:
@@ -298,8 +363,11 @@ def carried(
             used, quantised(network.status, trace.fault_estimate[rows]), np.nan
         ),
         "mode": np.where(used, trace.mode[rows], np.nan),
-        "fault_state": np.where(used, trace.fault_state[rows], np.nan),
+        "fault_state": np.where(
+            used & (trace.verdict[rows] != NO_DECISION), trace.fault_state[rows], np.nan
+        ),
     }
     if network.status.verdicts:
-        said["verdict"] = np.where(used, trace.verdict[rows], np.nan)
+        verdict = trace.verdict[rows]
+        said["verdict"] = np.where(used & (verdict < NO_DECISION), verdict, np.nan)
     return said

@@ -18,15 +18,15 @@ from can_rig.plant.behind import LinearBehind
 from can_rig.plant.changing_car import plant_of
 from can_rig.plant.faults.frame_faults import Delivery, delivery
 from can_rig.plant.faults.plant_faults import PlantFaults
-from can_rig.plant.frameless import Inputs, UntilItFails, simulation, with_replaced
+from can_rig.plant.frameless import Inputs, UntilItFails, law_of, simulation, with_replaced
 from can_rig.plant.sensor import NoiseColumns
 from can_rig.scenario.build import network_of
-from can_rig.scenario.driving import controls, speeds_at_ticks
+from can_rig.scenario.driving import speeds_at_ticks
 from can_rig.scenario.reference import reference
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import SampledPlant
 from firmware_model.analysis.simulation import AnyPlant, BoolArray, Simulation
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 Values = TypeVar("Values", FloatArray, BoolArray)
 
@@ -73,7 +73,7 @@ class LoopInWindows:
         window = range(min(self.ticks, WINDOW_TICKS + self._looks_back))
         self.inputs = inputs = self._inputs(window, np.empty(0), 0)
         self.loop: Final[Simulation] = simulation(
-            scenario, network, plant, controls(scenario, network), inputs, keeps_states
+            scenario, network, plant, law_of(scenario, network), inputs, keeps_states
         )
 
     @property
@@ -86,7 +86,7 @@ class LoopInWindows:
         return slice(ticks.start - self.first, ticks.stop - self.first)
 
     def run(self) -> range:
-        """Some ticks more; which ones. ``loop`` has them, and those before as long as they matter.
+        """Run some more ticks and return their range; ``loop`` holds all ticks still of use.
 
         Raises:
             RigError: a plant of one's own fails; ``done`` says when.
@@ -151,7 +151,7 @@ class LoopInWindows:
 def blocks_of(scenario: Scenario) -> Iterator[tuple[range, Simulation, slice]]:
     """A run without a bus, block by block: its ticks, and where the loop has them.
 
-    A plant of one's own may fail in mid-run: what is measured is not a number from there on.
+    A user's plant may fail in mid-run: from then on the measurement is not a number.
 
     Raises:
         ScenarioError: a scenario that cannot run.

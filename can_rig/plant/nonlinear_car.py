@@ -35,7 +35,7 @@ from firmware_model.design.vehicle import (
     regular_speed,
     vehicle_state_space,
 )
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 LONGEST_STEP_S = 1e-3
 STEP_OF_FASTEST_MODE = 0.1

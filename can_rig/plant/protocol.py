@@ -18,26 +18,23 @@
 
 from __future__ import annotations
 
-import importlib
 import inspect
 import math
-import sys
 from collections.abc import Callable, Mapping
 from numbers import Real
-from pathlib import Path
-from typing import Protocol, TypeVar, runtime_checkable
+from typing import Protocol, runtime_checkable
 
 from can_rig.errors import RigError, ScenarioError, require
 from can_rig.logs.columns import TAKEN
+from can_rig.scenario.own_class import failure, find_class, guard, require_signature
 from can_rig.scenario.plant_settings import CAR, FMU, PlantSettings
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 METHODS = {
     "reset": "reset()",
     "advance": "advance(dt_s, torque_nm, force_difference_n) -> dstar_mps2",
 }
 TRIAL_S = 0.001
-Answer = TypeVar("Answer")
 
 
 @runtime_checkable
@@ -103,7 +100,7 @@ def load_plant(kind: str, settings: PlantSettings) -> PlantProtocol:
         from can_rig.plant.fmu import load_fmu  # noqa: PLC0415 (FMPy takes a second)
 
         return load_fmu(settings)
-    plant_class = _find(kind)
+    plant_class = find_class(_where(kind), kind)
     _try(kind, _construct(kind, plant_class, settings))
     return _construct(kind, plant_class, settings)
 
@@ -119,12 +116,6 @@ def require_world(kind: str, plant: PlantProtocol) -> None:
         if kind.startswith(FMU):
             right = f"must be {CAR} or a class; the rig sets only both commands of an FMU"
         raise ScenarioError(f"disturbance: plant.kind = {kind!r}: {right}")
-
-
-def failure(kind: str, what: str, error: BaseException) -> str:
-    """One line for an exception in the class or module ``kind``."""
-    reason = " ".join(str(error).split())
-    return f"plant.kind = {kind!r}: {what}: {type(error).__name__}" + (reason and f": {reason}")
 
 
 class GuardedPlant:
@@ -147,7 +138,7 @@ class GuardedPlant:
             RigError: an exception in the class.
         """
         self._time_s = 0.0
-        _guard(self._kind, "reset() failed", self._plant.reset, RigError)
+        guard(_where(self._kind), "reset() failed", self._plant.reset, RigError)
 
     def advance(
         self, dt_s: float, torque_nm: float, force_difference_n: float, *world: FloatArray
@@ -163,7 +154,7 @@ class GuardedPlant:
             raise
         except BaseException as error:
             what = f"advance failed at {self._time_s:.9g} s"
-            raise RigError(failure(self._kind, what, error)) from None
+            raise RigError(failure(_where(self._kind), what, error)) from None
         if not _is_finite(answer):
             when = f"advance at {self._time_s:.9g} s"
             raise RigError(f"plant.kind = {self._kind!r}: {when} {_not_finite(answer)}")
@@ -180,39 +171,17 @@ class GuardedPlant:
         if not isinstance(plant, ReportingPlant):
             return {}
         what = f"signals() at {self._time_s:.9g} s"
-        values = _guard(self._kind, f"{what} failed", plant.signals, RigError)
+        values = guard(_where(self._kind), f"{what} failed", plant.signals, RigError)
         return _reported(self._kind, what, values)
-
-
-def _find(kind: str) -> type[object]:
-    """The class that ``kind`` names."""
-    module_name, _, class_name = kind.partition(":")
-    here = str(Path.cwd())
-    if here not in sys.path:
-        sys.path.append(here)  # last: no stray file hides an installed package
-    importlib.invalidate_caches()
-    try:
-        module = importlib.import_module(module_name)
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:
-        missing = error.name if isinstance(error, ModuleNotFoundError) else None
-        if missing and f"{module_name}.".startswith(f"{missing}."):  # not an import of the module
-            raise ScenarioError(
-                f"plant.kind = {kind!r}: no module {missing}, neither installed nor in {here}"
-            ) from None
-        raise ScenarioError(failure(kind, f"{module_name} cannot be imported", error)) from None
-    found = getattr(module, class_name, None)
-    if not inspect.isclass(found):
-        raise ScenarioError(f"plant.kind = {kind!r}: no class {class_name} in {module.__file__}")
-    return found
 
 
 def _construct(kind: str, plant_class: type[object], settings: PlantSettings) -> PlantProtocol:
     """Make an instance with all methods; their behaviour is still untested."""
     _accepts(kind, plant_class, plant_class.__name__, settings)
     construct: Callable[..., object] = plant_class
-    plant = _guard(kind, f"{plant_class.__name__}(settings) failed", lambda: construct(settings))
+    plant = guard(
+        _where(kind), f"{plant_class.__name__}(settings) failed", lambda: construct(settings)
+    )
     missing = [name for name in METHODS if not callable(getattr(plant, name, None))]
     if missing or not isinstance(plant, PlantProtocol):
         raise ScenarioError(
@@ -226,9 +195,9 @@ def _try(kind: str, plant: PlantProtocol) -> None:
     """Reset and advance at rest, without a command; discard ``plant`` afterwards."""
     _accepts(kind, plant.reset, "reset")
     _accepts(kind, plant.advance, "advance", TRIAL_S, 0.0, 0.0)
-    _guard(kind, "reset() failed", plant.reset)
+    guard(_where(kind), "reset() failed", plant.reset)
     trial = f"advance({TRIAL_S:g}, 0, 0) at rest"
-    answer = _guard(kind, f"{trial} failed", lambda: plant.advance(TRIAL_S, 0.0, 0.0))
+    answer = guard(_where(kind), f"{trial} failed", lambda: plant.advance(TRIAL_S, 0.0, 0.0))
     if not _is_finite(answer):
         raise ScenarioError(f"plant.kind = {kind!r}: {trial} {_not_finite(answer)}")
 
@@ -262,26 +231,10 @@ def _not_finite(answer: object) -> str:
     return f"gives {' '.join(repr(answer).split())}: D* must be a finite float"
 
 
+def _where(kind: str) -> str:
+    return f"plant.kind = {kind!r}"
+
+
 def _accepts(kind: str, function: Callable[..., object], name: str, *arguments: object) -> None:
-    """Refuse a signature that rejects ``arguments`` by position."""
-    try:
-        signature = inspect.signature(function)
-    except ValueError:  # compiled code without a signature: the trial decides
-        return
-    try:
-        signature.bind(*arguments)
-    except TypeError:
-        right = METHODS.get(name, f"{name}(settings)")
-        raise ScenarioError(f"plant.kind = {kind!r}: {name}{signature}: must be {right}") from None
-
-
-def _guard(
-    kind: str, what: str, call: Callable[[], Answer], refusal: type[RigError] = ScenarioError
-) -> Answer:
-    """Return the result of ``call``; report an exception, also ``sys.exit``, in one line."""
-    try:
-        return call()
-    except KeyboardInterrupt:
-        raise
-    except BaseException as error:
-        raise refusal(failure(kind, what, error)) from None
+    right = METHODS.get(name, f"{name}(settings)")
+    require_signature(_where(kind), function, name, right, *arguments)

@@ -17,7 +17,7 @@ from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.sampled_plant import split_ticks
 from firmware_model.compiled import compiled
 from firmware_model.design.actuator_dynamics import Stage
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 
 class SensorNoise:

@@ -14,7 +14,7 @@ from can_rig.plant.faults.plant_faults import FaultsByTick
 from can_rig.plant.sensor import SensorNoise
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.hardware import LATE, SENSOR, distorted, limited, sensor_reading
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 
 class SimulatedPlant:

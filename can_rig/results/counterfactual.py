@@ -14,7 +14,7 @@ from can_rig.logs.columns import APPLIED, TRUE_OUTPUT
 from can_rig.plant.actuators import Actuator
 from can_rig.plant.changing_car import plant_of
 from can_rig.plant.faults.plant_faults import DISTORTING, PlantFaults
-from can_rig.plant.frameless import UntilItFails, common, with_files
+from can_rig.plant.frameless import common, until_it_fails, with_files
 from can_rig.plant.in_windows import blocks_of
 from can_rig.results.signals import Signals, signals_of_trace
 from can_rig.scenario.build import network_of
@@ -24,7 +24,7 @@ from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.hardware import LATE, distorted
 from firmware_model.analysis.simulation import Simulation
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 
 class Counterfactual(NamedTuple):
@@ -35,6 +35,8 @@ class Counterfactual(NamedTuple):
     force_difference_n: FloatArray
     car_mps2: FloatArray
     """D* of the car without the errors of a faulty sensor; see ``car_output``."""
+    output_mps2: FloatArray
+    """D* of the car before its sensor."""
 
 
 def fault_free(scenario: Scenario, signals: Signals) -> Counterfactual:
@@ -54,14 +56,22 @@ def noise_free(scenario: Scenario, signals: Signals, rows: int) -> Counterfactua
 
 
 def uncompensated(scenario: Scenario, signals: Signals) -> Counterfactual:
-    """The same run with faults and without compensation."""
+    """The same run with faults and without compensation; nan for a controller of one's own."""
+    if not scenario.controller.is_ours:
+        return Counterfactual(*np.full((3, len(signals)), np.nan))
     off = replace(scenario.design, compensation="off")
     return _instead(replace(scenario, design=off), signals, len(signals))
 
 
+def undisturbed(scenario: Scenario, signals: Signals) -> Counterfactual:
+    """The same run without faults, disturbances and compensation; with the same noise."""
+    off = replace(scenario.design, compensation="off")
+    return _instead(replace(scenario.healthy, disturbance=(), design=off), signals, len(signals))
+
+
 def _instead(scenario: Scenario, signals: Signals, rows: int) -> Counterfactual:
     if not len(signals):
-        return Counterfactual(np.empty(0), np.empty(0), np.empty(0))
+        return Counterfactual(*(np.empty(0) for _ in Counterfactual._fields))
     first = round(float(signals.time_s[0]) / scenario.tick_s)
     ticks = first + len(signals)
     if ticks > scenario.ticks:
@@ -73,7 +83,8 @@ def _instead(scenario: Scenario, signals: Signals, rows: int) -> Counterfactual:
     trace = loop.trace
     force = np.where(np.isnan(trace.measured), np.nan, trace.command_2)
     car = car_output(scenario, trace.measured, trace.measurement)
-    return Counterfactual(*(values[first:ticks] for values in (trace.measured, force, car)))
+    signals_found = trace.measured, force, car, trace.measurement
+    return Counterfactual(*(values[first:ticks] for values in signals_found))
 
 
 @remembered(4, by=with_files)
@@ -89,14 +100,15 @@ def _long(scenario: Scenario) -> Counterfactual:
         )
         output = trace.measurement[rows]
         columns.car_mps2[some] = car_output(scenario, measured, output, ticks.start)
+        columns.output_mps2[some] = output
     return columns
 
 
-@remembered(4, by=with_files)
+@remembered(6, by=with_files)
 def loop_of(scenario: Scenario) -> Simulation:
     """A shared loop, advanced as far as any caller needs."""
     shared = common(scenario)
-    plant = shared.plant or UntilItFails(plant_of(scenario))
+    plant = shared.plant or until_it_fails(plant_of(scenario))
     return shared.loop(scenario, shared.inputs_of(scenario), plant)
 
 
@@ -191,7 +203,8 @@ def signals_without_log(scenario: Scenario) -> Signals:
     shared = common(scenario)
     inputs = shared.inputs_of(scenario)
     loop = shared.loop(scenario, inputs, shared.plant or plant_of(scenario))
-    if shared.plant is not None and scenario.faults and not len(inputs.faults):
+    compiled = shared.plant is not None and shared.of is not None
+    if compiled and scenario.faults and not len(inputs.faults):
         _begin_without_fault(loop, scenario)
     loop.run()
     signals = signals_of_trace(loop.trace, inputs.delivery, loop.ticks, shared.network)

@@ -13,7 +13,7 @@ from typing import Final
 
 from can_rig.assessment.speeds import refuse as refuse_unstable
 from can_rig.buses.bus import in_one_process
-from can_rig.controllers.our_law import PYTHON
+from can_rig.controllers.making import controller_of, peer_of
 from can_rig.controllers.protocol import InNode, Supplied
 from can_rig.errors import INTERRUPTED, BusError, RigError
 from can_rig.files import atomic
@@ -121,7 +121,10 @@ def refuse(scenario: Scenario, allow_unstable: bool = False) -> None:
         ScenarioError: an impossible design, plant or reference, or an unstable loop.
     """
     network = network_of(scenario)
-    controls(scenario, network)
+    if scenario.controller.is_ours:
+        controls(scenario, network)
+    else:
+        peer_of(scenario)
     refuse_saturation(scenario, network)
     SimulatedPlant(scenario)
     if not allow_unstable:
@@ -149,7 +152,7 @@ def execute(
         RigError: a failure before the first recorded frame; no folder is left.
     """
     options = options or Options()
-    controller = PYTHON if options.controller is None else options.controller
+    controller = options.controller or controller_of("python", scenario)
     options = replace(options, controller=controller)
     network = network_of(scenario)
     runner, interaction = options.runner, options.interaction

@@ -17,8 +17,8 @@ from can_rig.results.signals import Signals
 from can_rig.scenario.driving import controls, speeds_at_ticks
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
-from firmware_model.target.status import Verdict
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.status import Verdict
+from firmware_model.law.structs import FloatArray
 
 DECIMALS: Final = 3  # of the evidence, a natural logarithm
 CERTAIN: Final = 1e12  # largest recorded evidence; at rest without noise it has no bound
@@ -65,6 +65,17 @@ class Reasoning:
         return self._firmware.commands
 
 
+def _as_said(signals: Signals) -> Signals:
+    """``signals`` with the verdicts of a controller of one's own, whose evidence is not known."""
+    columns = {name: paged.empty(len(signals)) for name in (VERDICT, *EVIDENCE)}
+    for rows in paged.blocks(len(signals)):
+        for column in columns.values():
+            column[rows] = np.nan
+        if signals.verdict is not None:
+            columns[VERDICT][rows] = signals.verdict[rows]
+    return replace(signals, whose_fault=columns)
+
+
 def with_verdict(scenario: Scenario, network: Network, signals: Signals) -> Signals:
     """``signals`` with the verdict of each tick and the evidence of each hypothesis.
 
@@ -75,6 +86,8 @@ def with_verdict(scenario: Scenario, network: Network, signals: Signals) -> Sign
     Raises:
         ScenarioError: the design fails.
     """
+    if not scenario.controller.is_ours:
+        return _as_said(signals)
     reasoning = Reasoning(scenario, network)
     columns = {name: paged.empty(len(signals)) for name in (VERDICT, *EVIDENCE)}
     for rows in paged.blocks(len(signals)):

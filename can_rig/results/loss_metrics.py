@@ -26,8 +26,8 @@ from can_rig.scenario.driving import at_speed_of
 from can_rig.scenario.fault_settings import CHANNELS, FaultSettings
 from can_rig.scenario.settings import Scenario
 from firmware_model.discretisation.targets import HOUR_S
-from firmware_model.target.status import FaultState, Verdict
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.status import FaultState, Verdict
+from firmware_model.law.structs import FloatArray
 
 Mask = NDArray[np.bool_]
 
@@ -90,10 +90,9 @@ def decision_metrics(scenario: Scenario, signals: Signals) -> dict[str, float | 
     missed = {each.missed_detection for each in found} - {None}
     suspected_s = [each.suspected_after_s for each in found if each.suspected_after_s is not None]
     delay_s = [each.detection_delay_s for each in found if each.detection_delay_s is not None]
-    lost, shown = np.zeros((2, len(signals)), dtype=np.bool_)
+    lost, shown = torque_lost(scenario, signals), np.zeros(len(signals), dtype=np.bool_)
     for fault in scenario.faults:
         if fault.loses_a_channel and fault.place == TORQUE:
-            lost |= _there(scenario, signals, fault)
             shown |= _shown(scenario, signals, fault)
     healthy_h = float((~lost).sum()) * scenario.tick_s / HOUR_S
     confirmed, suspected = _claims(signals, TORQUE), _suspicions(signals)
@@ -106,6 +105,15 @@ def decision_metrics(scenario: Scenario, signals: Signals) -> dict[str, float | 
         "false_alarms": alarms if len(signals) else None,
         "false_alarms_per_hour": alarms / healthy_h if healthy_h > 0.0 else None,
     }
+
+
+def torque_lost(scenario: Scenario, signals: Signals) -> Mask:
+    """(ticks,), whether a fault of the torque exists."""
+    lost = np.zeros(len(signals), dtype=np.bool_)
+    for fault in scenario.faults:
+        if fault.loses_a_channel and fault.place == TORQUE:
+            lost |= _there(scenario, signals, fault)
+    return lost
 
 
 def detection_of(scenario: Scenario, signals: Signals, at: int) -> Detection:

@@ -20,16 +20,22 @@ from can_rig.results.counterfactual import (
     signals_without_log,
     without_fault,
 )
-from can_rig.results.loss_metrics import decision_metrics, detection_of, unavoidable_deviation
+from can_rig.results.harm import harm_metrics
+from can_rig.results.loss_metrics import (
+    decision_metrics,
+    detection_of,
+    torque_lost,
+    unavoidable_deviation,
+)
 from can_rig.results.signals import Signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import at_speed_of
 from can_rig.scenario.fault_settings import CHANNELS
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
-Metrics = dict[str, float | bool | None]
+Metrics = dict[str, float | bool | str | None]
 Mask = NDArray[np.bool_]
 
 SETTLED_S = 2.0
@@ -99,9 +105,9 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
     if window.after.any():
         deviation = deviation_from(scenario, signals, fault_free(scenario, signals))
     settled = window.settled_after if window.after.any() else window.settled_before
-    torque_lost = window.lost.any() and any(f.place == CHANNELS[0] for f in scenario.faults)
+    loses_torque = window.lost.any() and any(f.place == CHANNELS[0] for f in scenario.faults)
     lost_at = at_speed_of(scenario, scenario.loss)
-    authority = control_authority(lost_at, network_of(scenario)) if torque_lost else None
+    authority = control_authority(lost_at, network_of(scenario)) if loses_torque else None
     alone = scenario.faults[0] if len(scenario.faults) == 1 else None
     bound = None if alone is None else unavoidable_deviation(scenario, signals, alone)
     unavoidable = None if bound is None else bound.deviation_mps2
@@ -135,6 +141,7 @@ def metrics(scenario: Scenario, signals: Signals) -> Metrics:
         "force_difference_needed_n": None if authority is None else authority.needed_n,
         "force_difference_available_n": None if authority is None else authority.available_n,
         "dstar_carried_mps2": None if authority is None else authority.carries_mps2,
+        **harm_metrics(scenario, signals, torque_lost(scenario, signals)),
     }
 
 
@@ -196,7 +203,7 @@ def rows(values: Metrics, plant: PlantSettings) -> list[tuple[str, str]]:
     for key, label, healthy_label, unit in _TABLE:
         value = values.get(key)
         text = label if faulted else healthy_label
-        if value is not None and text:
+        if isinstance(value, int | float) and text:
             number = f"{value:.4g} {units.get(unit, unit)}".rstrip()
             out.append((text.format(**names), number))
         elif key == "detection_delay_s" and values.get("missed_detection") is not None:
@@ -233,6 +240,7 @@ _TABLE = (
     ("error_settled_after_fault_mps2", "|error| after the fault, settled", "", "y"),
     ("deviation_peak_after_fault_mps2", "deviation from the fault-free run, peak", "", "y"),
     ("deviation_over_unavoidable", "    times the least possible", "", "x"),
+    ("deviation_peak_uncompensated_mps2", "    without compensation", "", "y"),
     ("error_integral_after_fault_mps", "|error| after the fault, integral", "", "y.s"),
     ("detection_delay_s", "loss confirmed after", "", "s"),
     ("false_alarms_per_hour", "false alarms", "false alarms", "1/h"),

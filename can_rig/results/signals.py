@@ -13,7 +13,7 @@ from can import Message
 
 from can_rig import paged
 from can_rig.drawing.column_names import column_names
-from can_rig.frames.codec import WIRE_TICKS, tick_at, ticks_ahead
+from can_rig.frames.codec import NO_DECISION, WIRE_TICKS, tick_at, ticks_ahead
 from can_rig.frames.endpoints import Receiver
 from can_rig.frames.network import Network
 from can_rig.logs.columns import ON_THE_BUS
@@ -25,7 +25,7 @@ from can_rig.plant.faults.frame_faults import Delivery
 from can_rig.plant.frameless import carried
 from can_rig.scenario.plant_settings import PlantSettings
 from firmware_model.analysis.simulation import Trace
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 ROLE_COLUMNS: Final = 5  # one column for each frame; the codes of the status frame follow
 CODES: Final = 3  # mode, fault state, verdict
@@ -244,11 +244,17 @@ class SignalRows:
             record = receiver.accept(message, self._tick_of(at, message, ahead))
             if record is not None and ahead:
                 self._begin(at, record.tick, message.timestamp, ahead)
-        if record is None or not math.isfinite(record.value):
+        if record is None:
             return
-        self.rows[row][at] = record.value
         if at == STATUS and receiver.codec.modes:
-            self.rows[row][-CODES:] = [record.mode, record.fault_state, record.verdict]
+            decided = record.verdict != NO_DECISION
+            self.rows[row][-CODES:] = [
+                record.mode,
+                record.fault_state if decided else math.nan,
+                record.verdict if record.verdict < NO_DECISION else math.nan,
+            ]
+        if math.isfinite(record.value):
+            self.rows[row][at] = record.value
 
     def _age(self, at: int, message: Message) -> int:
         """Age of a command's tick in ticks; 0 for a late command."""

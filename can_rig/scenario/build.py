@@ -25,8 +25,8 @@ from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.errors import DesignError
-from firmware_model.target.fault_decision.covariance import MAX_DIRECTIONS
-from firmware_model.target.structs import FloatArray, Record
+from firmware_model.law.fault_decision.covariance import MAX_DIRECTIONS
+from firmware_model.law.structs import FloatArray, Record
 
 MOST_PLANTS, MOST_TABLES = 64, 16  # limits of the caches; a box has 40 cars
 

@@ -25,8 +25,8 @@ from can_rig.scenario.settings import FASTEST_MPS, SLOWEST_MPS, DriveSettings, S
 from firmware_model.design.mismatch import Mismatch
 from firmware_model.discretisation.schedules import AtSpeed, Scheduled, schedule
 from firmware_model.errors import DesignError
-from firmware_model.target.schedule import MAX_SPEEDS
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.schedule import MAX_SPEEDS
+from firmware_model.law.structs import FloatArray
 
 ROUNDING = 1e-9  # relative, against refusing the fastest allowed rate
 

@@ -23,6 +23,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from can_rig.errors import ScenarioError
 from can_rig.scenario import shipped
+from can_rig.scenario.controller_settings import LIBRARY
 from can_rig.scenario.disturbance_settings import DisturbanceSettings
 from can_rig.scenario.fault_settings import NUMBER, FaultSettings
 from can_rig.scenario.plant_settings import (
@@ -213,6 +214,8 @@ FILES: Final = (
     ("drive", "file", ""),
     ("network", "dbc", ""),
     ("plant", "kind", FMU),
+    ("controller", "kind", FMU),
+    ("controller", "kind", LIBRARY),
 )
 """Keys with a file name, and the prefix of the name."""
 LIMITS: Final = ("limit_", "rate_")

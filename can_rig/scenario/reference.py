@@ -17,7 +17,7 @@ from can_rig.frames.network import Network
 from can_rig.scenario.remembered import remembered
 from can_rig.scenario.settings import MAX_REFERENCE_MPS2, ReferenceSettings, Scenario
 from firmware_model.compiled import compiled
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 TIME: Final = "time_s"
 NAME: Final = re.compile(r"[A-Za-z]+(_[A-Za-z0-9]+)+")

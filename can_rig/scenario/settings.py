@@ -15,6 +15,7 @@ from typing import Annotated, Any, Final, Literal, get_args, get_type_hints
 from pydantic import Field, NonNegativeFloat, NonNegativeInt, PositiveFloat
 from pydantic.dataclasses import dataclass
 
+from can_rig.scenario.controller_settings import ControllerSettings
 from can_rig.scenario.disturbance_settings import DisturbanceSettings
 from can_rig.scenario.fault_settings import (
     MAX_DURATION_S,
@@ -34,7 +35,7 @@ from can_rig.scenario.plant_settings import (
     SignalSettings,
 )
 from firmware_model.discretisation.rules import Rule
-from firmware_model.target.structs import MAX_LATENCY_TICKS, Precision
+from firmware_model.law.structs import MAX_LATENCY_TICKS, Precision
 
 SLOWEST_MPS: Final = 1.0  # at lower speeds our slip angles fail to describe a rolling tire
 FASTEST_MPS: Final = 100.0
@@ -334,6 +335,7 @@ class Scenario:
     seed: Annotated[int, Field(ge=0, lt=2**63)] = 0  # as a table has it
     plant: PlantSettings = dataclasses.field(default_factory=PlantSettings)
     model: PlantSettings = dataclasses.field(default_factory=PlantSettings)
+    controller: ControllerSettings = dataclasses.field(default_factory=ControllerSettings)
     design: DesignSettings = dataclasses.field(default_factory=DesignSettings)
     budget: BudgetSettings = dataclasses.field(default_factory=BudgetSettings)
     reference: ReferenceSettings = dataclasses.field(default_factory=ReferenceSettings)

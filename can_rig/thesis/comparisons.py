@@ -25,7 +25,7 @@ from firmware_model.analysis.sampled_plant import SampledPlant, advance_plant, m
 from firmware_model.analysis.simulation import simulate
 from firmware_model.design.factors import unstable
 from firmware_model.design.plants import Plant
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 START_S = 0.02  # of a closed loop, shown enlarged
 OPEN_LOOP = "chapter-2"  # the shipped scenario of Fig. 2.4

@@ -30,7 +30,7 @@ from firmware_model.design.continuous_design import ContinuousDesign
 from firmware_model.design.factors import realised
 from firmware_model.design.plants import Plant
 from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 OUTPUTS = ("r", "y", "u1", "u2", "d", "n1u1", "n2u2")
 StateSpace = tuple[FloatArray, FloatArray, FloatArray, FloatArray]

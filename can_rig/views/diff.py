@@ -13,7 +13,7 @@ from can_rig import paged
 from can_rig.errors import LogError
 from can_rig.scenario.settings import LISTS, Scenario
 from can_rig.views.signal_table import SignalTable, in_s
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 ABOUT_THE_FILE: Final = ("name", "description")
 """Keys without effect on a run."""

@@ -21,7 +21,7 @@ from can_rig.scenario.settings import Scenario
 from can_rig.views.diff import Difference, SignalDifference
 from can_rig.views.log_statistics import LogStatistics
 from can_rig.views.signal_table import SignalTable, titles
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 BEFORE, AFTER = 15, 45  # rows around the first difference
 MAX_SETTINGS: Final = 4  # in the heading; the table lists all settings

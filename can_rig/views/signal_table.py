@@ -28,7 +28,7 @@ from can_rig.results.signals import Signals, cell, signals_of, with_plant_signal
 from can_rig.results.source import log_path
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 TIME: Final = "time_s"
 

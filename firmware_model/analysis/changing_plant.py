@@ -45,7 +45,7 @@ from firmware_model.design.vehicle import (
     single_track,
 )
 from firmware_model.errors import ParameterError
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 POWERS: Final = (1, 0, -1, -2)
 """Of V_r, in whose multiples every matrix of the car is."""

@@ -14,7 +14,7 @@ from typing import Final
 import numpy as np
 
 from firmware_model.compiled import firmware
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 LATE, GAIN, ADDED, HELD, SLEW, REPLACED, BY, DISTORTION = range(8)
 """The places in the row of a fault, and how many they are."""

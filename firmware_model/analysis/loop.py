@@ -7,8 +7,8 @@ from typing import Any
 from firmware_model.analysis import hardware
 from firmware_model.analysis.sampled_plant import follow
 from firmware_model.compiled import firmware, firmware_run
-from firmware_model.target import controller
-from firmware_model.target.structs import RecordArray
+from firmware_model.law import controller
+from firmware_model.law.structs import RecordArray
 
 OUTPUT, MEASURED, COMMAND_1, COMMAND_2, ESTIMATE, EVIDENCE = range(6)
 ACTING_1, REACHED_1, READING, ROWS = 6, 8, 10, 11  # rows of a tick; two of the first two
@@ -44,9 +44,24 @@ def tick(
         read: the sensor's reading of the plant.
     """
     table, state = tables[0], controllers[0]
-    reference, bias, noise, _, arrives = inputs
+    measured = measure(inputs, grid, actuators, signals, k, y, read)
+    controller.step(table, state, inputs[0][k], measured)
+    signals[COMMAND_1, k], signals[COMMAND_2, k] = state.command_1, state.command_2
+    signals[ESTIMATE, k] = state.fault_estimate
+    signals[EVIDENCE, k] = state.sequential_test.evidence
+    states[0, k], states[1, k] = state.fault_state, state.mode
+    states[2, k] = state.hypotheses.verdict
+    return carry(table.estimator.latency_ticks, inputs, grid, actuators, signals, k)
+
+
+@firmware
+def measure(
+    inputs: Any, grid: Any, actuators: Any, signals: Any, k: int, y: float, read: float
+) -> float:
+    """What the controller gets in tick ``k`` of the plant's output; see ``tick``."""
+    _, bias, noise, _, _ = inputs
     resolution, frames = grid
-    held, silent, hold_ticks, reached, limits, faults = actuators
+    _, _, _, reached, _, faults = actuators
     measured = hardware.sensor_reading(read, bias[k], noise[k], resolution)
     if len(faults) > 0:
         signals[READING, k] = measured
@@ -57,16 +72,22 @@ def tick(
     measured = hardware.carried(measured, frames[hardware.SENSOR])
     if len(faults) > 0 and faults[k, hardware.SENSOR, hardware.REPLACED] != 0.0:
         measured = faults[k, hardware.SENSOR, hardware.BY]
-    controller.step(table, state, reference[k], measured)
     signals[OUTPUT, k] = y
     signals[MEASURED, k] = measured
-    signals[COMMAND_1, k] = hardware.carried(float(state.command_1), frames[0])
-    signals[COMMAND_2, k] = hardware.carried(float(state.command_2), frames[1])
-    signals[ESTIMATE, k] = state.fault_estimate
-    signals[EVIDENCE, k] = state.sequential_test.evidence
-    states[0, k], states[1, k] = state.fault_state, state.mode
-    states[2, k] = state.hypotheses.verdict
+    return measured
+
+
+@firmware
+def carry(
+    latency_ticks: int, inputs: Any, grid: Any, actuators: Any, signals: Any, k: int
+) -> tuple[float, float]:
+    """What reaches the actuators in tick ``k``, whose commands ``signals`` has; see ``tick``."""
+    _, _, _, _, arrives = inputs
+    _, frames = grid
+    held, silent, hold_ticks, reached, limits, faults = actuators
     for channel in range(2):
+        command = signals[COMMAND_1 + channel, k]
+        signals[COMMAND_1 + channel, k] = hardware.carried(command, frames[channel])
         if arrives[k, channel]:
             held[channel] = signals[COMMAND_1 + channel, k]
             if len(faults) > 0 and faults[k, channel, hardware.REPLACED] != 0.0:
@@ -77,7 +98,7 @@ def tick(
             if silent[channel] > hold_ticks:
                 held[channel] = 0.0
         signals[ACTING_1 + channel, k] = held[channel]
-    sent = k - table.estimator.latency_ticks
+    sent = k - latency_ticks
     for channel in range(2):
         acting = 0.0  # the first command is still on its way
         at = sent if len(faults) == 0 else sent - int(faults[k, channel, hardware.LATE])

@@ -33,7 +33,7 @@ from firmware_model.design.plants import Plant
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.errors import DesignError
-from firmware_model.target.structs import MAX_LATENCY_TICKS, FloatArray, Record
+from firmware_model.law.structs import MAX_LATENCY_TICKS, FloatArray, Record
 
 EXACT_DELAY_TICKS = 32  # up to here eigenvalues decide, above the crossovers of L do
 PARTS_OF_A_TICK = 8
@@ -170,6 +170,16 @@ def margins(
     default whenever an actuator is not whole.
     """
     law = law_in(table, effectiveness) if confirmed is None else linear_controller(table, confirmed)
+    return margins_of(law, plant, tick_s, effectiveness)
+
+
+def margins_of(
+    law: LinearController,
+    plant: Plant,
+    tick_s: float,
+    effectiveness: tuple[float, float] = HEALTHY,
+) -> Margins:
+    """The margins of a linear controller around ``plant``; see ``margins``."""
     loop = sampled_loop(law, plant, tick_s, effectiveness)
     poles = loop.poles()
     slowest = complex(poles[np.argmax(np.abs(poles))])

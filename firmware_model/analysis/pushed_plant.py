@@ -19,7 +19,7 @@ from scipy import linalg
 from firmware_model.analysis.sampled_plant import SampledPlant, follow, sample, split_ticks
 from firmware_model.compiled import firmware
 from firmware_model.design.plants import Plant
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 
 @dataclass(frozen=True)

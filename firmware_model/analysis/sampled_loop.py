@@ -36,10 +36,10 @@ from firmware_model.analysis.sampled_plant import held, split_ticks
 from firmware_model.design.plants import Plant
 from firmware_model.discretisation.sections import ComplexArray
 from firmware_model.errors import ParameterError
-from firmware_model.target import controller
-from firmware_model.target.layout import table_type
-from firmware_model.target.status import FaultState
-from firmware_model.target.structs import FloatArray, Record, RecordArray
+from firmware_model.law import controller
+from firmware_model.law.layout import table_type
+from firmware_model.law.status import FaultState
+from firmware_model.law.structs import FloatArray, Record, RecordArray
 
 
 def lumps(a: FloatArray, b: FloatArray) -> NDArray[np.int_]:

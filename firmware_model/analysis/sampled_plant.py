@@ -22,7 +22,7 @@ from scipy import linalg
 from firmware_model.compiled import compiled, firmware
 from firmware_model.design.plants import Plant
 from firmware_model.errors import ParameterError
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 WHOLE = 1e-9  # of a tick: tolerance for a whole number of ticks
 

@@ -9,9 +9,10 @@ the plant's own ``follow``.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Any, Protocol
+from typing import Any, Protocol, runtime_checkable
 
 import numpy as np
 from numpy.typing import NDArray
@@ -26,14 +27,16 @@ from firmware_model.analysis.loop import (
     OUTPUT,
     REACHED_1,
     ROWS,
+    carry,
+    measure,
     run_ticks,
     tick,
 )
-from firmware_model.analysis.sampled_plant import SampledPlant
-from firmware_model.target import controller
-from firmware_model.target.layout import precision_of
-from firmware_model.target.schedule import STATE, change_first_speed
-from firmware_model.target.structs import FloatArray, Record, RecordArray, record_type
+from firmware_model.analysis.sampled_plant import SampledPlant, follow
+from firmware_model.law import controller as law
+from firmware_model.law.layout import precision_of, table_type
+from firmware_model.law.schedule import STATE, change_first_speed
+from firmware_model.law.structs import FloatArray, Record, RecordArray, record_type
 
 BoolArray = NDArray[np.bool_]
 
@@ -80,11 +83,44 @@ class AnyPlant(Protocol):
         """
 
 
+@runtime_checkable
+class LoopPlant(AnyPlant, Protocol):
+    """A plant that advances together with the loop, in compiled code."""
+
+    def run_loop(
+        self, loop: Any, begin: int, end: int, output: tuple[float, float]
+    ) -> tuple[float, float]:
+        """Advance loop and plant from the loop's tick ``begin`` to ``end``; see ``world_loop``.
+
+        ``output`` and the result are those of ``follow``.
+        """
+
+
+class AnyController(Protocol):
+    """A controller in place of the control law, at rest when it is given to ``simulate``."""
+
+    @property
+    def latency_ticks(self) -> int:
+        """Whole ticks from a sample until its commands act."""
+
+    def answer(
+        self, reference: float, measurement: float, speed: float
+    ) -> tuple[float, float, float, int, int, int]:
+        """One tick: both commands, d̂, mode, fault state and verdict, as ``firmware.Answer``.
+
+        ``speed`` is not a number in a loop without a changing speed.
+        """
+
+    def restart(self) -> None:
+        """Begin again, as after power-up."""
+
+
 class Simulation:
     """A loop that starts from rest and advances on request.
 
     Args:
-        table: from ``tables.build``, for the plant's tick; its latency is the loop's.
+        controller: the table from ``tables.build`` for the plant's tick, whose latency is the
+            loop's; or a controller of another kind.
         plant: the car, not necessarily the table's design car.
         reference: (ticks,).
         tick_s: seconds; a ``SampledPlant`` knows it.
@@ -109,7 +145,7 @@ class Simulation:
 
     def __init__(
         self,
-        table: Record,
+        controller: Record | AnyController,
         plant: SampledPlant | AnyPlant,
         reference: FloatArray,
         *,
@@ -142,7 +178,11 @@ class Simulation:
         self._plant = plant
         self._signals = np.full((ROWS, ticks), np.nan)
         self._states = np.zeros((3, ticks), dtype=np.int64)
-        state = controller.init(table) if at_rest is None else at_rest
+        self._other: AnyController | None = None
+        if hasattr(controller, "answer"):
+            self._other, controller = controller, np.zeros((), table_type())[()]
+        table: Record = controller
+        state = law.init(table) if at_rest is None else at_rest
         self._table, self._at_rest = table, state
         self._restarts = tuple(restarts)
         tables = np.asarray(table).reshape(1)
@@ -154,7 +194,8 @@ class Simulation:
             (np.zeros(2), np.zeros(2, dtype=np.int64), hold_ticks, np.zeros(3), limits, faults),
             *(self._signals, self._states),
         )
-        self._speed = None if schedule is None or speed is None else speed.tolist()
+        changes = schedule is not None or self._other is not None
+        self._speed = speed.tolist() if changes and speed is not None else None
         if schedule is not None:
             blending = np.zeros(1, record_type(STATE, precision_of(table)))
             self._speeds = (np.array([schedule], schedule.dtype), blending, *self._loop[:2])
@@ -179,6 +220,9 @@ class Simulation:
 
     def _restart(self) -> None:
         """Put the controller at rest; a plant that changes its speed says so again."""
+        if self._other is not None:
+            self._other.restart()
+            return
         tables, states, *_ = self._loop
         states.view(np.uint8)[...] = self._at_rest.view(np.uint8)
         if self._speed is not None:
@@ -187,7 +231,7 @@ class Simulation:
 
     def _run(self, end: int) -> None:
         plant = self._plant
-        if isinstance(plant, SampledPlant):
+        if isinstance(plant, SampledPlant) and self._other is None:
             if end > self.done:
                 self._output = run_ticks(
                     *self._loop, self.done, end, *self._output, plant.constants, self._memory,
@@ -195,13 +239,41 @@ class Simulation:
                 )  # fmt: skip
                 self.done = end
             return
+        if isinstance(plant, LoopPlant) and self._other is None and self._speed is None:
+            if end > self.done:
+                self._output = plant.run_loop(self._loop, self.done, end, self._output)
+                self.done = end
+            return
         effectiveness = self.inputs[3]
         while self.done < end:
-            if self._speed is not None:
-                change_first_speed(*self._speeds, self._speed[self.done])
-            u1, u2 = tick(*self._loop, self.done, *self._output)
+            k = self.done
+            u1, u2 = self._tick(k)
             self.done += 1
-            self._output = plant.follow(u1, u2, *effectiveness[self.done - 1].tolist())
+            left = effectiveness[k].tolist()
+            if isinstance(plant, SampledPlant):
+                if len(self.plant_states):
+                    self.plant_states[k] = self._memory[0]
+                self._output = follow(plant.constants, self._memory, k, u1, u2, *left)
+            else:
+                self._output = plant.follow(u1, u2, *left)
+
+    def _tick(self, k: int) -> tuple[float, float]:
+        other = self._other
+        if other is None:
+            if self._speed is not None:
+                change_first_speed(*self._speeds, self._speed[k])
+            return tick(*self._loop, k, *self._output)
+        _, _, inputs, grid, actuators, signals, states = self._loop
+        measured = measure(inputs, grid, actuators, signals, k, *self._output)
+        speed = math.nan if self._speed is None else self._speed[k]
+        command_1, command_2, estimate, mode, fault_state, verdict = other.answer(
+            inputs[0].item(k), measured, speed
+        )
+        signals[COMMAND_1, k], signals[COMMAND_2, k], signals[ESTIMATE, k] = (
+            command_1, command_2, estimate,
+        )  # fmt: skip
+        states[:, k] = fault_state, mode, verdict
+        return carry(other.latency_ticks, inputs, grid, actuators, signals, k)
 
     def go_on_from(self, other: Simulation) -> None:
         """Copy the position of ``other``: a loop of the same table, ``SampledPlant`` and length.
@@ -270,9 +342,12 @@ class Simulation:
 
 
 def simulate(
-    table: Record, plant: SampledPlant | AnyPlant, reference: FloatArray, **inputs: Any
+    controller: Record | AnyController,
+    plant: SampledPlant | AnyPlant,
+    reference: FloatArray,
+    **inputs: Any,
 ) -> Trace:
     """Run the loop from rest to the end, a tick for each reference sample; see ``Simulation``."""
-    simulation = Simulation(table, plant, reference, **inputs)
+    simulation = Simulation(controller, plant, reference, **inputs)
     simulation.run()
     return simulation.trace

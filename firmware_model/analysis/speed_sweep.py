@@ -31,10 +31,10 @@ from firmware_model.analysis.sampled_loop import (
 )
 from firmware_model.design.plants import Plant
 from firmware_model.discretisation.schedules import Scheduled
-from firmware_model.target import controller
-from firmware_model.target.layout import precision_of
-from firmware_model.target.schedule import STATE, change_first_speed
-from firmware_model.target.structs import FloatArray, Record, record_type
+from firmware_model.law import controller
+from firmware_model.law.layout import precision_of
+from firmware_model.law.schedule import STATE, change_first_speed
+from firmware_model.law.structs import FloatArray, Record, record_type
 
 BETWEEN = 4  # speeds of the grid for each interval between two designs
 

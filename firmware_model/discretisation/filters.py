@@ -30,8 +30,8 @@ from firmware_model.discretisation.systems import (
 )
 from firmware_model.discretisation.tustin import RULES, tustin
 from firmware_model.errors import ParameterError
-from firmware_model.target.filters import biquad
-from firmware_model.target.structs import (
+from firmware_model.law.filters import biquad
+from firmware_model.law.structs import (
     MAX_SECTIONS,
     FloatArray,
     Precision,

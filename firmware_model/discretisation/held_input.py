@@ -15,7 +15,7 @@ from scipy import linalg
 
 from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.sections import ComplexArray, from_delta_zpk
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 REFINEMENTS = 16
 """At most; each triples the digits once there are some, more help only zeros that nearly meet."""

@@ -23,8 +23,8 @@ from firmware_model.discretisation.rules import Rule
 from firmware_model.discretisation.sections import ComplexArray, Sections, realisation, section
 from firmware_model.discretisation.tustin import DeltaRoots
 from firmware_model.errors import DesignError, ImproperError, ParameterError
-from firmware_model.target.schedule import SIZE
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.schedule import SIZE
+from firmware_model.law.structs import FloatArray
 
 Group = tuple[int, ...]
 """Numbers of the roots that share a section."""

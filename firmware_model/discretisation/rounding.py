@@ -15,8 +15,8 @@ from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.held_input import sampled, zeros_of
 from firmware_model.discretisation.sections import ComplexArray, Sections
 from firmware_model.discretisation.systems import Polynomials, StateSpace
-from firmware_model.target.filters import biquad
-from firmware_model.target.structs import FloatArray, Precision, RecordArray, record_type
+from firmware_model.law.filters import biquad
+from firmware_model.law.structs import FloatArray, Precision, RecordArray, record_type
 
 ROUNDING: dict[Precision, float] = {"float64": 2.0**-53, "float32": 2.0**-24}
 """Relative error of one rounding."""

@@ -21,8 +21,8 @@ from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import DELTA_ROOTS, bilinear
 from firmware_model.errors import DesignError, ParameterError, UnstablePlantError
-from firmware_model.target.schedule import CONSTANTS, MAX_SPEEDS
-from firmware_model.target.structs import Record, record_type
+from firmware_model.law.schedule import CONSTANTS, MAX_SPEEDS
+from firmware_model.law.structs import Record, record_type
 
 
 @dataclass(frozen=True)

@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from firmware_model.errors import ImproperError
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 ComplexArray = NDArray[np.complex128]
 

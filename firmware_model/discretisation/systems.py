@@ -18,7 +18,7 @@ from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.held_input import refined
 from firmware_model.discretisation.sections import ComplexArray
 from firmware_model.errors import ParameterError
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 ROUNDING = 100 * np.finfo(np.float64).eps
 """Relative distance within which two roots of another library are a conjugate pair."""

@@ -19,9 +19,9 @@ from firmware_model.discretisation.sections import Sections, make_up_gain
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import tustin
 from firmware_model.errors import DesignError, ParameterError
-from firmware_model.target.fault_decision.covariance import LOSS_STATES, MAX_DIRECTIONS
-from firmware_model.target.layout import table_type
-from firmware_model.target.structs import MAX_LATENCY_TICKS, MAX_SECTIONS, Precision, Record
+from firmware_model.law.fault_decision.covariance import LOSS_STATES, MAX_DIRECTIONS
+from firmware_model.law.layout import table_type
+from firmware_model.law.structs import MAX_LATENCY_TICKS, MAX_SECTIONS, Precision, Record
 
 AHEAD = 2.0  # least ratio of a found fault's evidence to faults at other places
 SENSOR_AHEAD = 3.0  # the ratio for a sensor fault, where an error costs a compensation

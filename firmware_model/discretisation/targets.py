@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from firmware_model.design.mismatch import TRUSTED, Mismatch
 from firmware_model.discretisation.rules import RULE_NAMES, Rule
 from firmware_model.errors import ParameterError
-from firmware_model.target.structs import MAX_LATENCY_TICKS, Precision
+from firmware_model.law.structs import MAX_LATENCY_TICKS, Precision
 
 HOUR_S = 3600.0
 
@@ -121,6 +121,6 @@ class Target:
     def evidence(self, per_hour: float) -> float:
         """The log-likelihood ratio that chance exceeds ``per_hour`` times an hour at most.
 
-        One candidate begins a tick, and exceeds h with a chance of e^-h (``sequential_test``).
+        One candidate begins a tick, and exceeds h with a chance of e^-h (``likelihood_ratio``).
         """
         return math.log(HOUR_S / (self.tick_s * per_hour))

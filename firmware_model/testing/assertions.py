@@ -17,8 +17,8 @@ from firmware_model.discretisation.sections import ComplexArray
 from firmware_model.discretisation.systems import continuous, zero_pole_gain
 from firmware_model.discretisation.tustin import image_of_infinity
 from firmware_model.errors import ParameterError
-from firmware_model.target.filters import biquad
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.filters import biquad
+from firmware_model.law.structs import FloatArray
 
 ROUNDINGS = 16
 """Roundings of each number on its way from the continuous filter to its section: more than any."""

@@ -14,10 +14,10 @@ from firmware_model.design.plants import Plant, steer_by_wire
 from firmware_model.design.vehicle import TABLE_3_2
 from firmware_model.discretisation.schedules import AtSpeed, Scheduled, schedule
 from firmware_model.discretisation.targets import Target
-from firmware_model.target import controller
-from firmware_model.target.layout import precision_of
-from firmware_model.target.schedule import STATE, change_speed
-from firmware_model.target.structs import record_type
+from firmware_model.law import controller
+from firmware_model.law.layout import precision_of
+from firmware_model.law.schedule import STATE, change_speed
+from firmware_model.law.structs import record_type
 
 TICK_S = 1e-3
 LAGS = (Stage(0.005), Stage(0.015), IDEAL)

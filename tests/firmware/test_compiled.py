@@ -14,7 +14,7 @@ from numba.core import config, event
 from numba.core.errors import NumbaError
 
 from firmware_model import compiled
-from firmware_model.target import controller
+from firmware_model.law import controller
 
 
 def test_another_state_of_what_a_file_imports_has_another_folder(
@@ -82,7 +82,7 @@ def test_refusal_to_cache_is_no_refusal_to_compile(monkeypatch: pytest.MonkeyPat
 
 
 def test_only_a_whole_run_lets_go_of_the_lock(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A tick of a node keeps it: to have it back it would wait for whoever took it."""
+    """A tick of a node keeps the lock: releasing costs a wait for the next owner."""
     monkeypatch.setattr(compiled, "njit", lambda cache, **options: lambda function: options)
     options: list[Any] = [
         mark(nothing) for mark in (compiled.firmware, compiled.compiled, compiled.firmware_run)
@@ -113,9 +113,9 @@ def test_who_waits_for_the_law_to_be_compiled_is_told(monkeypatch: pytest.Monkey
     compiled.tell_when_compiling(lambda: told.append(1))
     compile_one(compiled.firmware)
     assert told == []
-    law = getattr(controller.step, "py_func", controller.step)  # as it is where it is interpreted
+    law = getattr(controller.step, "py_func", controller.step)  # the interpreted function
     compile_one(law)
     assert told == [1]
-    monkeypatch.setattr(os, "getpid", lambda: -1)  # a process that this one has forked
+    monkeypatch.setattr(os, "getpid", lambda: -1)  # a forked process
     compile_one(law)
     assert told == [1]

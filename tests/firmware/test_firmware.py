@@ -9,10 +9,10 @@ from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
-from firmware_model.target.fault_decision.covariance import LOSS_STATES
-from firmware_model.target.filters.biquad import advance, at_rest
-from firmware_model.target.status import FaultState, Verdict
-from tests.firmware.target.cases import other_cars
+from firmware_model.law.fault_decision.covariance import LOSS_STATES
+from firmware_model.law.filters.biquad import advance, at_rest
+from firmware_model.law.status import FaultState, Verdict
+from tests.firmware.law.cases import other_cars
 
 TICK_S = 0.001
 PLANT = sample(steer_by_wire(), TICK_S)

@@ -17,7 +17,7 @@ from firmware_model.design.zpk import ZeroPoleGain
 from firmware_model.discretisation.rounding import run_error
 from firmware_model.discretisation.sections import Sections
 from firmware_model.errors import DesignError, ParameterError
-from firmware_model.target.filters import biquad
+from firmware_model.law.filters import biquad
 
 TICK_S = 1e-3
 BUTTERWORTH = signal.ZerosPolesGain(*signal.butter(4, 300.0, analog=True, output="zpk"))
@@ -72,7 +72,7 @@ def test_the_step_of_a_held_input_is_exact(system: Any) -> None:
 
 
 def test_theory_without_digits_says_nothing() -> None:
-    """1e20 less 1e20: of what the matrices meant, they have kept nothing."""
+    """1e20 less 1e20 leaves no digit of the theory."""
     lost = signal.StateSpace([[-1.0]], [[1e10]], [[-1e10]], [[1e20]])
     testing.assert_follows(
         discretise(([1.0], [1.0]), TICK_S), lost, [1e-40], tick_s=TICK_S, rule="tustin"

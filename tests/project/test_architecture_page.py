@@ -11,7 +11,7 @@ from tests.project.pages import ROOT, table, text_of
 
 
 def rooms(package: Path) -> set[str]:
-    """Every folder of ``package`` that is one itself, by its path within it."""
+    """Every package below ``package``, by its relative path."""
     inits = {path.parent for path in package.rglob("__init__.py")} - {package}
     return {f"{folder.relative_to(package)}/" for folder in inits}
 

@@ -17,7 +17,7 @@ MODULES = sorted((ROOT / "firmware_model").rglob("*.py"))
 def settings(monkeypatch):
     """As coverage itself reads them, wherever they are written."""
     monkeypatch.chdir(ROOT)
-    return coverage.Coverage(data_file=None)  # one on disk is shared with tests beside this one
+    return coverage.Coverage(data_file=None)  # a file on disk belongs to parallel tests too
 
 
 def test_the_whole_package_counts_with_its_branches_and_must_be_covered(settings):

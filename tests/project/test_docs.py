@@ -8,6 +8,7 @@ import shlex
 import subprocess
 import sys
 import tomllib
+from collections.abc import Callable
 from pathlib import Path
 
 import click
@@ -26,7 +27,7 @@ from tests.project.pages import PAGES, ROOT, blocks, command_lines, prose, text_
 COMMANDS = main.list_commands(click.Context(main))
 LINES = [(page.name, line) for page in PAGES for line in command_lines(page.read_text("utf-8"))]
 RIG = [line for _, line in LINES if line.startswith("can-rig ")]
-OTHERS = {"cantools", "git", "nice", "python", "sudo"}  # programs that are not ours
+OTHERS = {"cantools", "cc", "git", "nice", "python", "sudo"}  # programs that are not ours
 PLACES = "can_rig|dbc|docs|firmware_model|tests|tools"
 
 
@@ -65,14 +66,35 @@ def test_the_index_has_every_page() -> None:
         assert page.name == "README.md" or f"]({page.name})" in index
 
 
+@pytest.fixture
+def own_controllers(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Callable[[], None]:
+    """Goes to a folder with the controllers of the page on controllers."""
+
+    def go() -> None:
+        (code,) = blocks(text_of("docs/controllers.md"), "python")
+        (tmp_path / "mypi.py").write_text(code, "utf-8")
+        monkeypatch.chdir(tmp_path)
+        monkeypatch.syspath_prepend(tmp_path)
+        include = ROOT / "can_rig" / "controllers"
+        flags = ["-shared", "-fPIC", "-O2", f"-I{include}", "-o", "pi.so"]
+        subprocess.run(["cc", *flags, ROOT / "docs" / "examples" / "pi.c"], check=True)
+
+    return go
+
+
 @pytest.mark.parametrize("line", RIG)
-def test_a_command_parses_and_its_scenario_loads(line: str) -> None:
+def test_a_command_parses_and_its_scenario_loads(
+    line: str, own_controllers: Callable[[], None]
+) -> None:
+    if "mypi" in line or "pi.so" in line:
+        own_controllers()
     _, name, *arguments = shlex.split(line)
     command = main.get_command(click.Context(main), name)
     assert command is not None
     context = command.make_context(name, list(arguments))
     if name == "campaign":
-        keys = {key: context.params[key] for key in ("scenario", "runs", "seed")}
+        keys = {key: context.params[key] for key in ("runs", "seed")}
+        keys["scenario"] = list(context.params["scenarios"]) or None
         plan(read_campaign(context.params["campaign"], context.params["settings"], **keys))
     elif "scenario" in context.params:
         scenario = load(context.params["scenario"], context.params["settings"])
@@ -104,7 +126,7 @@ def test_every_scenario_loads(page: Path, tmp_path: Path) -> None:
         file = tmp_path / "my-car.toml"
         file.write_text(block, "utf-8")
         (tmp_path / "chassis.dbc").write_bytes(CHASSIS.read_bytes())  # that of the page on buses
-        if "[axes]" in block:  # a campaign
+        if "[axes]" in block or "[choices" in block:  # a campaign
             scenario = plan(read_campaign(str(file))).scenario_of(1)
         else:
             scenario = load(str(file))
@@ -147,7 +169,8 @@ def test_every_python_block_is_run_by_some_test() -> None:
     with_python = {ids(page) for page in PAGES if blocks(page.read_text("utf-8"), "python")}
     assert with_python == {
         *RUN,  # above
-        *("docs/logs.md", "docs/scenarios.md"),  # below, and in test_docs_logs
+        # below, in test_docs_logs, and above
+        *("docs/logs.md", "docs/scenarios.md", "docs/controllers.md"),
         "docs/recorded-drives.md",  # in test_recorded_drive
     }
 

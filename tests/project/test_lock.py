@@ -90,7 +90,7 @@ esac
 
 @pytest.fixture
 def setup(tmp_path):
-    """``tools/setup`` with a Python that only notes what it is asked, and ends as it is told."""
+    """``tools/setup`` with a Python that notes its arguments and ends with a given status."""
     calls = tmp_path / "calls"
     for name in ("pyproject.toml", "requirements.lock", "tools/setup"):
         (tmp_path / name).parent.mkdir(exist_ok=True)

@@ -1,4 +1,4 @@
-"""tools/mutation: the changes that it makes, and that it tells apart what tests notice."""
+"""tools/mutation: its changes, and its account of noticed and unnoticed changes."""
 
 from __future__ import annotations
 
@@ -54,7 +54,7 @@ def test_only_an_assignment_that_replaces_a_value_is_left_out() -> None:
 
     source = "def f(a):\n    b = a\n    c = a\n    c = b\n    a = c\n    return a\n"
     dropped = [m.line for m in mutants(source) if m.after == "pass"]
-    assert dropped == [3, 4, 5]  # without line 2 there would be no b at all
+    assert dropped == [3, 4, 5]  # line 2 defines b
 
 
 def test_a_mutant_is_the_module_with_one_line_changed() -> None:
@@ -75,7 +75,7 @@ def test_the_accepted_mutants_are_there_and_have_a_reason() -> None:
     assert len(every) > 1000
     assert len({site.key for site in every}) == len(every)
     for site in every[::7]:
-        ast.parse(site.mutant.source)  # else it would be killed for nothing
+        ast.parse(site.mutant.source)  # a syntax error is no mutant
     mutation.accepted(every)
 
 

@@ -1,4 +1,4 @@
-"""The README: one screen of what and why, and nothing in it that is not so."""
+"""The README: a screen of purpose and use, and every statement true."""
 
 from __future__ import annotations
 

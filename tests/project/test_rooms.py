@@ -124,7 +124,7 @@ BROKEN = {
         "The rooms of can_rig BROKEN",
     ),
     "target": (
-        "firmware_model/target/filters/biquad.py",
+        "firmware_model/law/filters/biquad.py",
         "from firmware_model.design import zpk",
         "The rooms of firmware_model BROKEN",
     ),

@@ -18,7 +18,6 @@ SHORTEST: dict[str, list[tuple[str, ...]]] = {
     "kill_workers": [("--runs=2", "--every=100")],
     "mutation": [("--list",)],
     "verdicts": [("--scenarios=1",)],
-    "whose_fault": [("--runs=1", "--no-kinds", "--processes=1")],
 }
 """20 s of a processor together; ``bench`` with campaign, plants or c takes more than 10 s each."""
 

@@ -72,7 +72,7 @@ def environment(tmp_path):
 
 
 def tool(environment, name, script):
-    """Puts a program first in PATH; ``$real`` is the one that it hides."""
+    """Put a program first in PATH; ``$real`` is the hidden program."""
     folder = Path(environment["PATH"].partition(":")[0])
     path = folder / name
     path.write_text(f"#!/bin/bash\nreal={shutil.which(name)}\n{script}")
@@ -163,7 +163,7 @@ def test_the_kernel_is_started_again_with_the_library_and_from_then_on_at_once(
     status, err, calls = fake()
     (built,) = (tmp_path / "cache").glob("*/*")
     assert (status, err) == (7, "")
-    assert calls == ["", "0", str(built), "0"]  # and nothing of it where COMMAND's environment is
+    assert calls == ["", "0", str(built), "0"]  # the environment of COMMAND lacks the library
     assert fake(LD_PRELOAD="")[2] == [str(built), "0"]
 
 

@@ -1,4 +1,4 @@
-"""Outputs that are there whole or not at all, and one line where they cannot be."""
+"""Outputs appear whole or not at all; a failure is a line."""
 
 from __future__ import annotations
 
@@ -96,7 +96,7 @@ def test_a_part_lies_in_a_private_folder_whose_name_nobody_foresees(tmp_path: Pa
     out = tmp_path / "a.csv"
     with atomic(out, force=True) as one, atomic(out, force=True) as other:
         assert one.parent != other.parent
-        assert one.name == other.name == "a.csv"  # some formats have the name in them
+        assert one.name == other.name == "a.csv"  # some formats store the name
         assert stat.S_IMODE(one.parent.stat().st_mode) == 0o700
         one.write_text("one")
         other.write_text("other")
@@ -136,7 +136,7 @@ def test_a_pipe_or_a_device_is_no_file_to_replace(tmp_path: Path) -> None:
 
 
 def test_what_a_killed_process_leaves_is_gone_with_the_next_output(tmp_path: Path) -> None:
-    """And what a live one holds is not, nor what only has such a name."""
+    """Parts of a live process stay, and so do foreign files of such a name."""
     program = (
         "from pathlib import Path; from can_rig.files import atomic\n"
         "with atomic(Path('a.csv'), force=True) as part:\n"

@@ -1,4 +1,4 @@
-"""Folders of results: what replaces which, what stays, and who may write at the same time."""
+"""Folders of results: replacement, survivors, and simultaneous writers."""
 
 from __future__ import annotations
 
@@ -52,7 +52,7 @@ def contents(folder: Path) -> dict[str, bytes]:
 
 
 def with_notes(folder: Path) -> tuple[dict[str, bytes], list[int]]:
-    """Files of the user's in a folder of results; what is in them, and that they are the same."""
+    """The user's files in a folder of results: their contents and inode numbers."""
     (folder / "mine" / "deep").mkdir(parents=True)
     (folder / "notes.txt").write_text("notes")
     (folder / "mine" / "deep" / "run.json").write_text("mine")

@@ -30,7 +30,7 @@ from firmware_model.analysis.sampled_loop import (
 )
 from firmware_model.design.plants import Plant
 from firmware_model.design.vehicle import VehicleParameters
-from firmware_model.target.structs import Record
+from firmware_model.law.structs import Record
 
 Range = tuple[float, float]
 Law = tuple[LinearController, tuple[float, float]]  # and the remaining shares of the actuators

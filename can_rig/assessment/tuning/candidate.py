@@ -29,7 +29,7 @@ from firmware_model.analysis.simulation import simulate
 from firmware_model.design.factors import unstable
 from firmware_model.discretisation.tables import build
 from firmware_model.errors import DesignError
-from firmware_model.target.structs import FloatArray, Record
+from firmware_model.law.structs import FloatArray, Record
 
 
 class Refusal(StrEnum):

@@ -21,20 +21,23 @@ from typing import Final, NamedTuple
 
 import can
 
-from can_rig.controllers.protocol import LISTEN_S, Answer, InNode, Inputs, TakeOver
-from can_rig.errors import BusError, SilentNodeError
+from can_rig.controllers.protocol import LISTEN_S, Answer, InNode, Inputs, TakeOver, said
+from can_rig.errors import BusError, ScenarioError, SilentNodeError
 from can_rig.frames.codec import Record, tick_from, ticks_ahead
 from can_rig.frames.network import Network
 from can_rig.nodes.bus_access import Interrupted, NodeBus, Watchdog
-from can_rig.nodes.clock import Clock
-from can_rig.nodes.ends import ControllerEnd, said
+from can_rig.nodes.clock import NS_PER_S, SYSTEM_CLOCK, Clock
+from can_rig.nodes.ends import ControllerEnd
 from can_rig.nodes.realtime.timing import require_causal
 from can_rig.plant.actuators import Actuator
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.status import FaultState, Mode, Verdict
+from firmware_model.law.status import FaultState, Mode, Verdict
 
 MOST_OTHERS: Final = 30
 """Frames looked at behind a sample before it is answered: a flood never ends."""
+
+TRIALS: Final = 5
+"""Steps at rest that tell how long a step takes at least."""
 
 SAME_CLOCK_S: Final = 1.0
 """Time stamps further from ours are of another clock."""
@@ -61,15 +64,28 @@ LISTENING: Final = said(Answer(0.0, 0.0, 0.0, Mode.INIT, FaultState.CANNOT_TELL,
 """The status of a controller that does not send commands yet."""
 
 
-def warm_up(scenario: Scenario, network: Network, controller: InNode) -> None:
+def warm_up(
+    scenario: Scenario, network: Network, controller: InNode, clock: Clock = SYSTEM_CLOCK
+) -> None:
     """Compile what a tick needs: on the bus already, the node would let frames pile up meanwhile.
 
     Raises:
-        ScenarioError: a design that cannot be made.
+        ScenarioError: a design that cannot be made, or a controller too slow for its tick.
     """
     started = controller.start(scenario, network)
     started.act(0.0, 0.0)
     started.take_over()
+    least_s = math.inf
+    for _ in range(TRIALS):
+        begin_s = clock.now_ns() / NS_PER_S
+        started.step(Inputs(0.0, 0.0))
+        least_s = min(least_s, clock.now_ns() / NS_PER_S - begin_s)
+    if least_s > scenario.tick_s:
+        raise ScenarioError(
+            f"scenario {scenario.name}: controller.kind = {scenario.controller.kind!r}: too slow "
+            f"in real time: a step takes {least_s * 1e3:.3g} ms at least and must take less than "
+            f"tick_s = {scenario.tick_s:g}; a run in lockstep waits"
+        )
 
 
 class RealTimeControllerNode:

@@ -22,7 +22,7 @@ from firmware_model.analysis.hardware import (
     NO_FAULTS,
     SLEW,
 )
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 BLOCK_TICKS: Final = 1024
 """Block length for effects computed ahead in a tick-by-tick run."""

@@ -36,8 +36,8 @@ from can_rig.scenario.driving import at_speed_of
 from can_rig.scenario.fault_settings import SENSOR
 from can_rig.scenario.plant_settings import PlantSettings
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.status import FaultState
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.status import FaultState
+from firmware_model.law.structs import FloatArray
 
 MOST_LINES: Final = 6
 """Lines for faults, and for disturbances."""

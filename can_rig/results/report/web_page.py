@@ -31,8 +31,8 @@ from can_rig.results.signals import Signals
 from can_rig.scenario.disturbance_settings import DisturbanceSettings
 from can_rig.scenario.fault_settings import FaultSettings
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.status import Verdict
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.status import Verdict
+from firmware_model.law.structs import FloatArray
 
 MOST_POINTS: Final = 100_000
 """Points of a curve; longer runs show the least and the greatest value of equal parts."""

@@ -24,7 +24,7 @@ from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import zoh
 from firmware_model.errors import ParameterError
 from firmware_model.firmware import Firmware
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 CAR = steer_by_wire()
 TICK_S = 0.001
@@ -154,7 +154,7 @@ def test_a_dead_time_longer_than_the_rings_is_refused() -> None:
 @pytest.mark.parametrize("left", [HEALTHY, TORQUE_DEAD])
 @pytest.mark.parametrize("plant", [CAR, KNOWN], ids=["unknown", "known"])
 def test_the_loop_s_matrix_is_the_simulation(plant: Plant, left: tuple[float, float]) -> None:
-    """With dead times that the design knows, and with ones that it does not."""
+    """Dead times are in the design, or only in the plant."""
     chosen = DesignSpecification(tau_s=0.02, alpha=3, tau_q_s=0.03, alpha_q=4)
     table = build(design(plant, chosen), Target(TICK_S, latency_ticks=1, estimator="zoh"))
     loop = sampled_loop(law_in(table, left), KNOWN, TICK_S, left)

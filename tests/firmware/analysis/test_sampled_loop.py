@@ -22,8 +22,8 @@ from firmware_model.discretisation.sections import Sections
 from firmware_model.discretisation.tables import build, discretise
 from firmware_model.discretisation.targets import Target
 from firmware_model.errors import ParameterError
-from firmware_model.target.structs import Record
-from tests.firmware.target.cases import changed
+from firmware_model.law.structs import Record
+from tests.firmware.law.cases import changed
 
 pytestmark = pytest.mark.filterwarnings("ignore::scipy.signal.BadCoefficients")
 
@@ -124,7 +124,7 @@ def test_poles_are_those_of_the_block_diagram(
     loop = loop_of(build(designed, target), designed.plant, 1e-3, left, extra)
     expected = by_hand(designed, target, designed.plant, left, extra)
     assert loop.spectral_radius() == pytest.approx(np.abs(expected).max(), rel=1e-8)
-    # poles far from zero one by one; those of delays that nobody hears are zero to a root of eps
+    # Poles far from zero match one by one; poles of unheard delays are zero to a root of eps.
     ours = loop.poles()
     for pole in expected[np.abs(expected) > 0.9]:
         assert np.abs(ours - pole).min() < 1e-5

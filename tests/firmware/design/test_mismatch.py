@@ -7,7 +7,7 @@ import pytest
 
 from firmware_model.design.mismatch import TRUSTED, Channels, Mismatch, principal_mismatch
 from firmware_model.design.zpk import ZeroPoleGain
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 TRACKING_S = 0.05
 GAIN_PART, LAG_PART, LAG_S = 0.2, 0.3, 0.1

@@ -191,7 +191,7 @@ TURNED = linalg.qr(np.arange(36.0).reshape(6, 6) + np.eye(6))[0]
 def test_poles_on_the_axis_are_exactly_there(
     springs: int, at_rest: int, turned: np.ndarray
 ) -> None:
-    """Double ones at 0, which eigenvalues miss by √eps, and pairs that nothing damps."""
+    """Double poles at 0, which eigenvalues miss by √eps, and undamped pairs."""
     a = turned @ free_masses(springs) @ turned.T
     plant = Plant.from_state_space("masses", a, turned[:, [3, 4]], turned[:, :1].T)
     assert plant.g1.poles.count(0j) == at_rest

@@ -1,4 +1,4 @@
-"""A filter's C files as text; what they compute is compared in `tests/rig/export`."""
+"""A filter's C files as text; `tests/rig/export` compares their results."""
 
 from __future__ import annotations
 

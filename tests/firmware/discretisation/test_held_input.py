@@ -65,7 +65,7 @@ def test_zeros_are_as_many_as_poles_or_one_less_and_each_is_one(
 
 @pytest.mark.parametrize("name", ["slow and fast", "three sections", "feedthrough in between"])
 def test_numbers_of_slow_and_fast_sections_are_of_one_size(name: str) -> None:
-    """As eigenvalues need them: what drives the states is as large as what is seen of them."""
+    """Eigenvalues need input and output matrices of equal size."""
     a, b, c = sampled(FILTERS[name], 0.001)
     assert np.abs(a).max() < 1.0
     assert 1.0 / 8.0 < np.abs(b).max() / np.abs(c).max() < 8.0

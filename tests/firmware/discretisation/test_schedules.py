@@ -34,7 +34,7 @@ def pair(radius: float, damping: float) -> list[complex]:
     st.floats(1.05, 2.0),
 )
 def test_each_has_the_response_that_it_has_alone(radii, damped, over):
-    """Poles that are conjugate at one speed and real at another, beside others that are real."""
+    """Poles are conjugate at one speed and real at another, beside real poles."""
     designs = []
     for share in np.linspace(0.0, 1.0, 9):
         damping = damped + share * (over - damped)

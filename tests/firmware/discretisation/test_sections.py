@@ -10,8 +10,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from firmware_model.discretisation.sections import Sections, from_delta_zpk, realisation
-from firmware_model.target.filters import biquad
-from firmware_model.target.structs import record_type
+from firmware_model.law.filters import biquad
+from firmware_model.law.structs import record_type
 
 coefficient = st.sampled_from([0.0, 0.5, -0.7, 1.0, 2.0])
 row = st.tuples(*[coefficient] * 5)

@@ -11,7 +11,7 @@ from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.tables import build, discretise
 from firmware_model.discretisation.targets import Target
 from firmware_model.errors import ParameterError
-from firmware_model.target.structs import MAX_LATENCY_TICKS
+from firmware_model.law.structs import MAX_LATENCY_TICKS
 
 TICK_S = 1e-3
 FAR = np.array([1e9 + 0j])  # z → ∞

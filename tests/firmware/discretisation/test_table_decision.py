@@ -11,7 +11,7 @@ from firmware_model.design.mismatch import TRUSTED, Mismatch
 from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
-from tests.firmware.target.cases import other_cars
+from tests.firmware.law.cases import other_cars
 
 CLOSED = design(steer_by_wire(), DesignSpecification())
 OTHERS = other_cars()

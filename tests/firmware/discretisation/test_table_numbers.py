@@ -19,8 +19,8 @@ from firmware_model.discretisation.tables import build, discretise
 from firmware_model.discretisation.targets import Target
 from firmware_model.discretisation.tustin import tustin, tustin_held, zoh
 from firmware_model.errors import DesignError, ParameterError
-from firmware_model.target.structs import MAX_SECTIONS
-from tests.firmware.target.cases import other_cars
+from firmware_model.law.structs import MAX_SECTIONS
+from tests.firmware.law.cases import other_cars
 
 CLOSED = design(steer_by_wire(), DesignSpecification())
 OPEN = design(chapter_2(), DesignSpecification(feedback=False))

@@ -21,7 +21,7 @@ from firmware_model.discretisation.sections import Sections
 from firmware_model.discretisation.tables import algebraic_loop_gain, build, discretise
 from firmware_model.discretisation.targets import Target
 from firmware_model.errors import DesignError, ParameterError
-from firmware_model.target.structs import MAX_LATENCY_TICKS
+from firmware_model.law.structs import MAX_LATENCY_TICKS
 from tests.firmware.discretisation.test_coprime import PENDULUM
 
 DESIGN = design(steer_by_wire(), DesignSpecification())

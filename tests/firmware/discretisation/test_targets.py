@@ -9,7 +9,7 @@ import pytest
 
 from firmware_model.discretisation.targets import Target
 from firmware_model.errors import ParameterError
-from firmware_model.target.structs import MAX_LATENCY_TICKS
+from firmware_model.law.structs import MAX_LATENCY_TICKS
 
 TINY = 5e-324
 POSITIVE = ("limit_1", "limit_2", "rate_1", "rate_2", "reference_acceleration")

@@ -1,4 +1,4 @@
-"""Zeros that are refined on the response, and those that cannot be."""
+"""Zeros refined on the response, and zeros without a refinement."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ def test_a_step_triples_the_digits(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_what_is_exact_stays_and_so_does_what_is_double() -> None:
-    """A step that is no number is none: here two estimates of one zero, at the same place."""
+    """Two equal estimates of a zero give a step of nan, and the zero stays."""
     found = refined(A, B, np.ones((1, 2)), POLES, [-2.0, -2.0])
     assert found == [-2.0, -2.0]
 

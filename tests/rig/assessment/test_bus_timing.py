@@ -15,10 +15,10 @@ from can_rig.assessment.bus_timing import (
     latency_ticks,
     network_timing,
 )
-from can_rig.assessment.frame_length import frame_bits
 from can_rig.frames.network import load_network
 from tests.helpers import DBC
 from tests.rig.assessment.simulated_bus import simulate
+from tests.rig.assessment.wire import classic
 
 STEER_BY_WIRE = load_network(DBC / "steer_by_wire.dbc")
 US = Fraction(1, 10**6)
@@ -78,7 +78,7 @@ def real_lengths(chance):
         data = codec.encode(chance.uniform(codec.minimum, codec.maximum), chance.randrange(65536))
         data[0], data[1] = chance.randrange(256), data[1] | chance.randrange(15)
         frame = can.Message(arbitration_id=codec.frame_id, is_extended_id=False, data=data)
-        yield frame_bits(frame).on_the_bus
+        yield classic(frame).on_the_bus
 
 
 def exchange(tick, compute, lengths, ticks):

@@ -13,7 +13,7 @@ from can_rig.assessment.stability import decision_figures
 from can_rig.plant.frameless import frameless
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.status import FaultState
+from firmware_model.law.status import FaultState
 
 STEADY_NM = 42.5  # for 1 m/s², docs/design.md
 SEEDS = 31
@@ -128,4 +128,4 @@ def test_the_return_of_a_part_is_seen_in_a_bend_in_which_nothing_new_was_learnt(
         confirmed = trace.fault_state == FaultState.CONFIRMED
         found += int(confirmed[back])
         assert not confirmed[back + 300 :].any()
-    assert found >= 3  # 30 % is so little that a loss of it may be another car
+    assert found >= 3  # a loss of 30 % may look like a different car

@@ -1,4 +1,4 @@
-"""Drives with limits, noise and other cars: what is found in them, against runs and by hand."""
+"""Drives with limits, noise and other cars: findings against runs and by hand."""
 
 from __future__ import annotations
 
@@ -17,7 +17,7 @@ from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
 from firmware_model.design import plants
 from firmware_model.design.vehicle import Variant, VehicleParameters
-from firmware_model.target.status import FaultState
+from firmware_model.law.status import FaultState
 
 SWINGING = ("limits.torque_rate_nm_per_s=5000", "plant.sensor.noise_mps2=0.005")
 OTHER_CAR = {  # a small car; some 40 % off the thesis's
@@ -94,7 +94,7 @@ def test_a_demand_beyond_the_authority_is_no_finding() -> None:
     weak = load("ideal", ["limits.force_difference_n=2900"])
     assert findings_of(weak) == []
     trace = frameless(weak, network_of(weak))
-    assert abs(trace.error[-1]) > 0.02  # it does not come back, which nothing could change
+    assert abs(trace.error[-1]) > 0.02  # a lasting error beyond the actuator's limit
     assert check_stability(weak).stable
 
 

@@ -26,7 +26,7 @@ from firmware_model.design.plants import steer_by_wire
 from firmware_model.discretisation.tables import build
 from firmware_model.discretisation.targets import Target
 from firmware_model.firmware import Firmware
-from tests.firmware.target.cases import changed
+from tests.firmware.law.cases import changed
 from tests.helpers import asked, rig
 
 UNSTABLE = ("tick_s=0.01", "design.estimator=zoh")  # only with the torque dead

@@ -99,7 +99,7 @@ def test_cars_from_inside_the_box_are_stable_too(found: Tunings) -> None:
 
 
 def test_the_front_is_the_front_of_all_that_would_do() -> None:
-    """No tuning that bears all the cars beats one of it in both; brute force."""
+    """By brute force: no robust tuning beats a tuning of the front in both measures."""
     scenario = scenario_of()
     some = cars(scenario.model, parameter_ranges(scenario.model, 0.0, ["speed_mps=8..12"]))
     found = tune(scenario, some, 1, candidates=SMALL)

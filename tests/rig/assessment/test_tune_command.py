@@ -66,7 +66,7 @@ def test_the_command_writes_the_picture_the_table_and_the_options(
     assert values["options"] in shown
     assert max(len(line) for line in shown.splitlines()[:-3]) <= 80
     assert sum(line.startswith(">") for line in shown.splitlines()) == 1
-    # What the options choose is what was chosen.
+    # The printed options select the chosen tuning.
     chosen_settings = [*SETTINGS, *values["options"].replace("--set ", "").split()]
     chosen = load("thesis-step", chosen_settings).design
     assert (chosen.tau_s, chosen.tau_q_s) == (

@@ -12,7 +12,7 @@ from can_rig.assessment.limitations import unavoidable
 from can_rig.assessment.resolve import load
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 STEADY_NM = 42.5  # for 1 m/s², docs/design.md
 
@@ -115,4 +115,4 @@ def test_a_dead_time_of_the_actuator_delays_the_loss_as_well() -> None:
 def test_a_loss_that_does_nothing_never_shows() -> None:
     noisy = load("ideal", ["plant.sensor.noise_mps2=0.005"])
     assert unavoidable(noisy, np.zeros(1000)) is None
-    assert unavoidable(noisy, np.full(3, STEADY_NM)) is None  # it ends before it could be told
+    assert unavoidable(noisy, np.full(3, STEADY_NM)) is None  # too short to decide

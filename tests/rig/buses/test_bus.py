@@ -1,4 +1,4 @@
-"""Names of buses, and one line for each thing that can be wrong with one."""
+"""Names of buses, and a line for each error in a name."""
 
 import errno
 import logging

@@ -1,4 +1,4 @@
-"""Each bus against the contract, or what of it that bus does not promise."""
+"""Each bus against the contract, less the promises that the bus declines."""
 
 import multiprocessing
 import os
@@ -22,7 +22,7 @@ class TestLocal(BusContract):
 
 
 class _Elsewhere(BaseManager):
-    """A process whose buses are used from this one."""
+    """A second process that lends its buses to this process."""
 
 
 _Elsewhere.register("open_bus", open_bus, exposed=["send", "recv", "shutdown"])
@@ -63,7 +63,7 @@ class TestUdpMulticast(BusContract):
 
     @pytest.fixture
     def name(self) -> str:
-        port = 20_000 + os.getpid() % 40_000  # not that of another run of these tests
+        port = 20_000 + os.getpid() % 40_000  # a different port for each test process
         return f"udp_multicast:239.74.163.2?port={port}"
 
     @pytest.fixture

@@ -26,7 +26,7 @@ SHORT = "duration_s=0.2"
 
 
 def received(bus, timeout_s=0.05):
-    """All that is there to be read."""
+    """Every message in the receive queue."""
     while (message := bus.recv(timeout_s)) is not None:
         yield message
 

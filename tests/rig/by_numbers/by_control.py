@@ -13,7 +13,7 @@ from scipy import linalg, signal
 
 from can_rig.scenario.build import continuous_plant
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 Roots = list[complex]
 

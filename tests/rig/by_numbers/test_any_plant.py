@@ -24,7 +24,7 @@ from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.margins import HEALTHY, TORQUE_DEAD, margins
 from firmware_model.analysis.sampled_plant import sample
 from firmware_model.analysis.simulation import simulate
-from firmware_model.target.status import FaultState
+from firmware_model.law.status import FaultState
 from tests.rig.by_numbers.by_control import loop, step_response
 from tests.rig.by_numbers.plants import PLANTS, written
 

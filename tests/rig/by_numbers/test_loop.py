@@ -21,7 +21,7 @@ from can_rig.results.report import page as report
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import continuous_plant, network_of
 from can_rig.thesis.comparisons import compare_scenario
-from firmware_model.target.status import FaultState
+from firmware_model.law.status import FaultState
 from tests.helpers import asked, record
 from tests.rig.by_numbers.plants import PLANTS, written
 

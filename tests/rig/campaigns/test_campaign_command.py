@@ -82,7 +82,7 @@ def test_a_shipped_campaign_by_name(tmp_path: Path) -> None:
                  "--seed", 4, "--scenario", "ideal", "--out", tmp_path / "out")  # fmt: skip
     assert done.returncode in {0, 1}, done.stderr
     said = json.loads((tmp_path / "out" / "campaign.json").read_text())
-    assert said["scenario"]["name"] == "ideal"
+    assert said["scenario"]["ideal"]["name"] == "ideal"
     assert (said["campaign"]["runs"], said["campaign"]["seed"]) == (2, 4)
 
 

@@ -114,7 +114,7 @@ def test_the_command_of_a_run_has_the_scenario_of_the_run(
     (tmp_path / "some.toml").write_text(tomli_w.dumps(campaign))
     made = plan(read_campaign(str(tmp_path / "some.toml"), settings))
     for run in range(made.runs):
-        words = shlex.split(made.command_with(made.changes_of(run)))
+        words = shlex.split(made.base.command_with(made.changes_of(run)))
         again = load(words[2], [word for word in words if "=" in word])
         assert made.scenario_of(run) == again
         assert repr(made.scenario_of(run)) == repr(again)  # 1 and 1.0 are equal

@@ -78,7 +78,7 @@ def test_an_axis_over_a_lag_keeps_what_is_believed_of_it(
         return  # one actuator has one lag
     made = planned(runs=1, axes=axes, scenario=scenario, settings={**settings, **other})
     changed = made.scenario_of(0)
-    assert changed.model == made.base.model
+    assert changed.model == made.base.scenario.model
     assert getattr(changed.plant.torque_actuator, key) == value
 
 
@@ -105,7 +105,7 @@ def test_even_samplings_are_even(sampling: str) -> None:
     for key, (low, high) in {"fault.at_s": (2.0, 6.0), "fault.left": (0.0, 0.5)}.items():
         values = np.array([made.values_of(run)[key] for run in range(256)])
         cells = np.floor((values - low) / (high - low) * 256.0 - 1e-6).astype(int).clip(0)
-        assert len(set(cells)) >= 250  # one in each, but for what rounding to nine digits moves
+        assert len(set(cells)) >= 250  # rounding moves some
 
 
 def test_a_log_scale_has_as_much_in_each_decade() -> None:
@@ -170,7 +170,11 @@ def test_a_file_names_its_scenario_from_where_it_lies(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text("duration_s = 0.3\n")
     (tmp_path / "many.toml").write_text('scenario = "mine.toml"\nruns = 2\n')
     made = plan(read_campaign(str(tmp_path / "many.toml"), ["fault.kind=none"], runs=5))
-    assert (made.runs, made.base.duration_s, made.base.loss.kind) == (5, 0.3, "none")
+    assert (made.runs, made.base.scenario.duration_s, made.base.scenario.loss.kind) == (
+        5,
+        0.3,
+        "none",
+    )
     for text, line in (("runs = ", "not readable as TOML"), ('name = "x"', "named by its file"),
                        ("settings = 3\nruns = 1", "must be a table")):  # fmt: skip
         (tmp_path / "bad.toml").write_text(text)

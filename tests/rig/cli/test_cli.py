@@ -82,7 +82,7 @@ def test_what_is_wrong_is_one_line_with_exit_status_2(arguments, reason, tmp_pat
     assert re.search(reason, line)
     left = sorted(set(os.listdir(tmp_path)) - {"runs"})  # noqa: PTH208
     assert left == before
-    assert not list(tmp_path.glob("runs/*"))  # no folder of a run that was none
+    assert not list(tmp_path.glob("runs/*"))  # a refused run leaves no folder
 
 
 @pytest.mark.parametrize(

@@ -1,4 +1,4 @@
-"""Without the packages of an extra: one line that names it, before any work is done."""
+"""Without the packages of an extra, a line names the extra before any work."""
 
 import json
 import re

@@ -1,4 +1,4 @@
-"""The bar for a person who waits: it ends at the end, and where nobody looks there is none."""
+"""The progress bar of a terminal: the bar ends at 100 %, and a pipe gets no bar."""
 
 import os
 import re

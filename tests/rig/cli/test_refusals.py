@@ -1,4 +1,4 @@
-"""Options that name what is not there: one line, exit status 2, and nothing made of it."""
+"""Options that name missing things: a line, exit status 2, no output file."""
 
 from pathlib import Path
 

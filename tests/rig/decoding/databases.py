@@ -83,7 +83,7 @@ class Layout:
     taken: set[int] = field(default_factory=set)
 
     def add(self, name: str, place: tuple[int, int, bool], **options: object) -> str | None:
-        """Put a signal there, if there is room."""
+        """Add a signal at this place, if the place is free."""
         start, length, motorola = place
         bits = bits_of(start, length, motorola)
         if bits & self.taken:

@@ -287,7 +287,7 @@ def test_an_empty_log_gives_an_empty_table(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("name", ["a.log", "a.log.gz"])
 def test_an_empty_file_is_no_log(name: str, tmp_path: Path) -> None:
-    """As of any other format: without a frame nothing says that it is candump's."""
+    """Without a frame no line shows the candump format."""
     (tmp_path / name).write_bytes(gzip.compress(b"") if name.endswith(".gz") else b"")
     done = rig("decode", tmp_path / name, "--out", tmp_path / "a.csv")
     assert done.returncode == 2

@@ -1,4 +1,4 @@
-"""Databases that break what most keep to: names twice, signals outside, lengths without bounds."""
+"""Databases that break conventions: duplicate names, signals outside, unbounded lengths."""
 
 from __future__ import annotations
 
@@ -249,7 +249,7 @@ def test_two_signals_of_one_name_are_two_signals(tmp_path: Path) -> None:
     """As in canmatrix's j1939.dbc, whose long names are the same where the short ones are not."""
     path = written(tmp_path, NAMED_ALIKE)
     with pytest.raises(DbcError, match="Lock State and Lock State are overlapping"):
-        load_database(path)  # which is what cantools takes them for
+        load_database(path)  # cantools reads the signals this way
     decoder = Decoder(load_database(path, strict=False))
     found = decoder.decode(from_messages([frame(256, b"\1\2\3")]))
     values = {name: column.tolist() for name, column in found["ONE"].signals.items()}

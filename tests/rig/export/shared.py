@@ -18,7 +18,7 @@ from can_rig.export.boards import COMPILER, EMULATOR
 from can_rig.export.compiler import WARNINGS
 from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
-from firmware_model.target.structs import Precision
+from firmware_model.law.structs import Precision
 
 PRECISIONS: tuple[Precision, ...] = get_args(Precision)
 EMULATED = pytest.mark.skipif(

@@ -31,9 +31,9 @@ from can_rig.export.trials import (
 )
 from can_rig.scenario.build import network_of
 from firmware_model.firmware import Law
-from firmware_model.target.layout import state_type, table_type
-from firmware_model.target.schedule import MAX_SPEEDS
-from firmware_model.target.structs import Precision
+from firmware_model.law.layout import state_type, table_type
+from firmware_model.law.schedule import MAX_SPEEDS
+from firmware_model.law.structs import Precision
 from tests.rig.export.shared import EMULATED, PRECISIONS
 
 MEMORIES, TICKS = 100, 12

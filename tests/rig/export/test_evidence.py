@@ -19,9 +19,9 @@ from can_rig.export.boards import COMPILER, EMULATOR
 from can_rig.export.costs import Cost, cost, instructions, sizes
 from can_rig.export.findings import DEVIATIONS, Coverage, alarms, coverage, findings, misra
 from can_rig.plant.frameless import controller_inputs
-from firmware_model.target.layout import state_type, table_type
-from firmware_model.target.schedule import CONSTANTS, STATE
-from firmware_model.target.structs import record_type
+from firmware_model.law.layout import state_type, table_type
+from firmware_model.law.schedule import CONSTANTS, STATE
+from firmware_model.law.structs import record_type
 from tests.rig.export.shared import EMULATED
 
 SCENARIO = load("default", ["duration_s=0.05", 'design.precision="float32"'])

@@ -16,7 +16,7 @@ from can_rig.export.law import law_files
 from can_rig.export.trials import reals
 from firmware_model import Filter, discretise
 from firmware_model.errors import ParameterError
-from firmware_model.target.structs import Precision
+from firmware_model.law.structs import Precision
 from tests.firmware.discretisation.random_filters import random_filter
 from tests.rig.export.shared import PRECISIONS
 

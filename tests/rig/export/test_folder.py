@@ -24,7 +24,7 @@ from can_rig.export.trials import random_table
 from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import controls
 from firmware_model.firmware import Firmware
-from firmware_model.target.structs import Precision
+from firmware_model.law.structs import Precision
 from tests.rig.export.conftest import SCENARIOS, Built
 from tests.rig.export.shared import PRECISIONS, STRICT, run
 

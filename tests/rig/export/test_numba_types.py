@@ -17,7 +17,7 @@ from numba.core.typed_passes import NopythonTypeInference
 from can_rig.export.law import law_program, speed_program
 from can_rig.export.source import BOOL, REAL, Answers, Array, Record, Scalar, Type
 from can_rig.export.subset import Program, Typed
-from firmware_model.target.structs import Precision, record_type
+from firmware_model.law.structs import Precision, record_type
 
 
 def as_numba(kind: Type, precision: Precision) -> Any:

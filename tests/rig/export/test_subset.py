@@ -22,8 +22,8 @@ HEADER = """
 import math
 import numpy as np
 from firmware_model.compiled import firmware
-from firmware_model.target.precision import real
-from firmware_model.target.structs import Field, Record
+from firmware_model.law.precision import real
+from firmware_model.law.structs import Field, Record
 
 OTHER = 0.1
 MANY, HUGE = 7, 2**32

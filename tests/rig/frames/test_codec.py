@@ -8,7 +8,7 @@ from hypothesis import assume, given
 from hypothesis import strategies as st
 
 from can_rig.frames.codec import Record
-from firmware_model.target.status import Verdict
+from firmware_model.law.status import Verdict
 from tests.rig.frames.codecs import PAIRS, codec_pairs, codecs, floats, ticks
 
 raws = st.one_of(st.integers(-(2**31) + 1, 2**31 - 1), st.sampled_from([1 - 2**31, 0, 2**31 - 1]))

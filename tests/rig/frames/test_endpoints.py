@@ -1,4 +1,4 @@
-"""Transmitter and receiver: what arrives is what was sent, or is refused and counted."""
+"""Transmitter and receiver: a frame arrives as sent, or is refused and counted."""
 
 import math
 
@@ -55,7 +55,7 @@ def missing(receiver):
 
 
 def test_a_tick_without_a_frame_is_told_to_the_checker():
-    """So that the counter that follows is expected, and what was lost is counted."""
+    """The checker then expects the next counter and counts the lost frames."""
     codec = load_network(STEER_BY_WIRE).command_1
     transmitter, receiver = Transmitter(codec), Receiver(codec)
     receiver.end_tick()

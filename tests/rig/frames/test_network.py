@@ -8,7 +8,7 @@ import pytest
 from can_rig.errors import DbcError, RigError
 from can_rig.frames.codec import ROLES
 from can_rig.frames.network import load_network
-from firmware_model.target.status import FaultState, Mode, Verdict
+from firmware_model.law.status import FaultState, Mode, Verdict
 from tests.rig.frames.codecs import STEER_BY_WIRE
 
 
@@ -27,11 +27,12 @@ def test_the_value_tables_are_the_firmware_s():
     status = load_network(STEER_BY_WIRE).status
     assert status.modes == {int(mode): mode.name for mode in Mode}
     assert status.fault_states == {int(state): state.name for state in FaultState}
-    assert status.verdicts == {int(verdict): verdict.name for verdict in Verdict}
+    verdicts = {int(verdict): verdict.name for verdict in Verdict}
+    assert status.verdicts == verdicts | {14: "NO_DECISION", 15: "NOT_AVAILABLE"}
 
 
 def test_a_status_frame_without_a_verdict_has_all_bits_for_the_estimate(tmp_path):
-    verdict = ' SG_ Verdict : 32|4@1+ (1,0) [0|9] ""  PLANT\n'
+    verdict = ' SG_ Verdict : 32|4@1+ (1,0) [0|15] ""  PLANT\n'
     text = STEER_BY_WIRE.read_text().replace(verdict, "").replace("36|28@1-", "32|32@1-")
     lines = (line for line in text.splitlines() if " 288 Verdict" not in line)
     path = tmp_path / "without.dbc"

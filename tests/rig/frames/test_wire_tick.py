@@ -42,7 +42,7 @@ def test_a_time_stamp_in_virtual_time_says_which_65536(tick, tick_s, jitter):
     st.one_of(st.integers(1, 30_000), st.integers(-30_000, -1)),
 )
 def test_a_time_stamp_of_another_clock_says_nothing(wire, turns, off):
-    """Not even one that is exactly one tick off: of a power of two there is no rounding."""
+    """A clock that is exactly a tick off, without rounding because the tick is a power of two."""
     tick_s = 2.0**-10
     assert tick_at(wire, (turns * 65536 + wire + off) * tick_s, tick_s) == wire
 

@@ -17,7 +17,7 @@ RECORD = struct.Struct("<QIBB8s")
 
 
 class Builder:
-    """Blocks one after another, from byte 168 on; links are their places."""
+    """Successive blocks from byte 168 on; links are block addresses."""
 
     def __init__(self, start: bytes = b"MDF     4.11    test    ", flags: int = 0) -> None:
         self.start, self.flags = start, flags
@@ -37,7 +37,7 @@ class Builder:
         return self.put(b"TX", [], words.encode() + b"\0")
 
     def conversion(self, kind: int, values: list[float], words: list[object] = ()) -> int:
-        """A conversion of any type; in place of a word there may be another conversion."""
+        """A conversion of any type; a conversion may stand in place of a word."""
         links = [self.text(word) if isinstance(word, str) else word(self) for word in words]
         data = struct.pack("<BBHHHdd", kind, 0, 0, len(words), len(values), 0, 0)
         return self.put(b"CC", [0] * 4 + links, data + struct.pack(f"<{len(values)}d", *values))

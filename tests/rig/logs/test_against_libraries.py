@@ -1,4 +1,4 @@
-"""tools/against_libraries: nothing differs without a reason, and what does is found."""
+"""tools/against_libraries: every difference has a reason, and a made difference is found."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""``can-rig convert`` and ``can-rig stats``: one log as another, a part of it, what is in it."""
+"""``can-rig convert`` and ``can-rig stats``: a log in another format, in part, and its contents."""
 
 from __future__ import annotations
 

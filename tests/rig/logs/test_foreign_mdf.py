@@ -33,7 +33,7 @@ START_NS = 10**18
 
 
 def virtual(builder: Builder) -> list[Member]:
-    """Bus 3, extended, sent: the same for every record, and so in none of them."""
+    """Bus 3, extended, sent: equal for all records, so virtual channels."""
     return members(
         builder,
         Member(f"{DATA}.BusChannel", 0, 0, VIRTUAL, conversion=lambda b: b.linear(3, 0)),
@@ -89,7 +89,7 @@ def test_data_in_lists_and_compressed(tmp_path: Path, layout: str) -> None:
 
 
 def among(count: int, id_bytes: int) -> bytes:
-    """Records of three groups: 2 is another one, 5 the frames, 9 their payloads."""
+    """Records of three groups: 5 holds frames, 9 payloads, 2 unrelated data."""
     data, offset = b"", 0
     for at in range(count):
         content = bytes([at] * (at % 9))

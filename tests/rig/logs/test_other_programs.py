@@ -115,4 +115,4 @@ def test_groups_are_merged_by_time(tmp_path: Path, groups: int, chunk_frames: in
         assert of_group.arbitration_id.tolist() == expected
         assert (of_group.has(EXTENDED) == (group == 1)).all()
     assert frames.has(SENT).all()
-    assert (frames.data == [0, 1, 2, 3, 0, 0, 0, 0]).all()  # what is behind the length is none
+    assert (frames.data == [0, 1, 2, 3, 0, 0, 0, 0]).all()  # bytes behind the length are not data

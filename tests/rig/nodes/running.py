@@ -89,7 +89,7 @@ def alive(pid: int) -> bool:
 
 
 def whole_ticks(log: Path) -> int:
-    """Ticks on disk, after checking that they are all there, in order and complete."""
+    """Number of ticks on disk; each tick is complete and in order."""
     frames = list(can.LogReader(log))
     ticks = len(frames) // 5
     ids = [0x100, 0x101, 0x110, 0x111, 0x120]

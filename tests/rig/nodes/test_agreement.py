@@ -27,7 +27,7 @@ SHORT = ["duration_s=0.3"]
 
 
 def both_by_hand(bus, plant, controller, log=None, real_time=False):
-    """What each of two nodes in this process ended with; the controller listens first."""
+    """The ends of two nodes in this process; the controller listens first."""
     ended, ready = {}, threading.Event()
     chosen = RunOptions(real_time, by_hand=True, timeouts=Timeouts(20.0, 20.0), controller=PYTHON)
 
@@ -143,7 +143,7 @@ def test_from_the_command_line_whoever_is_there_first(first, tmp_path):
 
 
 class Wire:
-    """A bus that gives what it is told to and keeps what is sent; time passes while it waits."""
+    """A bus with scripted messages that keeps sent messages; time passes during waits."""
 
     def __init__(self, clock):
         self.clock, self.sent, self.waiting = clock, [], []
@@ -179,7 +179,7 @@ class End:
         return [said for said in found if said.key != ASKED]
 
     def hear_another(self, key, number=None):
-        """A frame of another node of this kind; without a number the last own one comes back."""
+        """A frame of a second node of this kind; without a number the own last frame."""
         frame = ComparisonFrame(self.agreement_name).message(Comparison(key, number or 0))
         self.wire.waiting.append(frame if number is not None else self.wire.sent[-1])
 

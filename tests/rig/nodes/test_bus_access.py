@@ -1,4 +1,4 @@
-"""A bus that refuses or is full of others: how long a node waits, and what the node says then."""
+"""A bus that refuses or is full of foreign frames: the node's wait and its error line."""
 
 from __future__ import annotations
 
@@ -71,7 +71,7 @@ def test_the_line_says_what_is_wrong_now(clock: TurnedClock) -> None:
 
 
 def test_in_real_time_a_refused_frame_is_counted_and_not_sent(clock: TurnedClock) -> None:
-    """It would come in a tick that it does not belong to."""
+    """A repeated frame would arrive in a wrong tick."""
     with Refusing(clock, 2) as bus:
         tolerant = TolerantBus(bus, clock)
         for _ in range(3):
@@ -234,7 +234,7 @@ def test_an_offer_is_repeated_every_quarter_of_a_second_until_the_partner_is_hea
 
 @pytest.mark.parametrize("heard", [False, True])
 def test_the_allowed_silence_is_exact(heard, clock):
-    """Every nanosecond of it may be needed: 0.1 s is what one look counts at most."""
+    """A look counts at most 0.1 s, so every nanosecond of silence may matter."""
     with Refusing(clock, 0) as bus:
         watchdog = Watchdog(bus, "plant", Timeouts(0.1, 0.1), StopRequest(), clock=clock)
         if heard:

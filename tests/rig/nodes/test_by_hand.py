@@ -71,7 +71,7 @@ def test_ctrl_c_on_each_node_by_hand(tmp_path):
 
 
 def test_the_log_of_before_stands_until_there_is_a_new_one(tmp_path):
-    """A plant that stays alone has recorded nothing that could replace it."""
+    """A plant without a partner records no replacement."""
     log, beside = tmp_path / "bus.log", tmp_path / "bus.plant.csv"
     notes = tmp_path / "notes.txt"
     notes.write_text("mine")

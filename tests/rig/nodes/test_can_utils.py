@@ -229,7 +229,7 @@ def test_random_payloads_on_the_rigs_own_identifiers_are_rejected_and_counted(
 
 @pytest.fixture
 def gateway():
-    """Forwards plant (vcan1) ↔ controller (vcan0); called, it changes what becomes of 0x110."""
+    """Forwards plant (vcan1) ↔ controller (vcan0); a call changes the fate of 0x110."""
     rule = ["-s", "vcan0", "-d", "vcan1", "-e"]
     others, torque = [*rule, "-f", "110~7FF"], [*rule, "-f", "110:7FF"]
 

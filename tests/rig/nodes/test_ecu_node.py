@@ -1,4 +1,4 @@
-"""The bus side of a controller node in C: which frames go in, and what becomes of those sent."""
+"""The bus side of a controller node in C: frames in and frames out."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ from can_rig.frames.protection import CheckStatus
 from can_rig.nodes.lockstep import ControllerNode, EcuNode, in_real_time, lockstep_controller
 from can_rig.scenario.build import network_of
 from firmware_model.firmware import PythonLaw
-from firmware_model.target.structs import Record, RecordArray
+from firmware_model.law.structs import Record, RecordArray
 
 TICKS = 30
 HEALTHY = load("default", [f"duration_s={TICKS * 1e-3}", "fault.kind=none"])
@@ -154,7 +154,7 @@ def test_what_was_chosen_runs_and_is_ended() -> None:
 
 
 class Counting(PythonLaw):
-    """The law itself, which says that it has been started."""
+    """The law, with a count of its starts."""
 
     def __init__(self) -> None:
         self.started = 0

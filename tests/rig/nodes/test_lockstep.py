@@ -91,7 +91,7 @@ def test_a_silent_partner_is_named_whatever_others_send(
 
 
 def test_an_offer_is_repeated_as_it_was() -> None:
-    """To a controller that was not there yet: the same counters, so that either copy will do."""
+    """A late controller hears the same counters: either copy serves."""
     ends = Ends()
     ends.plant.offer(0)
     ends.plant.repeat()
@@ -121,7 +121,7 @@ def test_a_missed_tick_is_held_and_answered() -> None:
 
 
 def test_a_reference_of_another_tick_is_not_used() -> None:
-    """The reference of a tick may be lost; that of the tick before does not stand in for it."""
+    """A lost reference is not replaced by the reference of the tick before."""
     ends = Ends()
     ends.plant.offer(0)
     reference, feedback = ends.offers
@@ -193,7 +193,7 @@ def test_damaged_frames_between_the_intact_pair_delay_no_first_contact() -> None
 
 
 class Recorded:
-    """A replay in which one tick was not answered."""
+    """A replay with an unanswered tick."""
 
     def __init__(self, unanswered: int) -> None:
         self.unanswered = unanswered
@@ -228,7 +228,7 @@ def values_of(codec: MessageCodec, messages: list[can.Message]) -> list[float]:
 
 @pytest.mark.parametrize("channel", [0, 1])
 def test_the_plant_takes_the_commands_of_each_tick_and_counts_those_it_misses(channel: int) -> None:
-    """Both before their status; a tick without one of them is a tick without that."""
+    """Commands arrive before the status; a missing command counts for its tick."""
     ends = Ends()
     ends.plant = PlantNode(SINE, NETWORK, ends.from_plant)
     missed = range(12, 15)
@@ -304,8 +304,8 @@ class Late:
         return None
 
 
-QUIET_S = 0.02  # with nothing on the bus for so long, nothing is on its way any more
-QUIET_AMONG_OTHERS_S = 0.25  # where others send, one of them may wait for its processor
+QUIET_S = 0.02  # after this silence no frame is on its way
+QUIET_AMONG_OTHERS_S = 0.25  # a foreign sender may wait for its processor
 UNREAD_S = 10.0  # and no longer, whatever the time stamps say
 
 
@@ -322,7 +322,7 @@ def rest_of(path: Path, stamps_s: list[float], error: bool = False) -> tuple[int
 
 
 def after_a_tick_among_others(recorder: Recorder) -> PlantNode:
-    """Of which a command is missing, and in which a frame of another came."""
+    """A command of the tick is missing, and a foreign frame arrived."""
     bus = deque([can.Message(arbitration_id=0x700, is_extended_id=False)])
     bus += [Transmitter(codec).frame(0.0, 0) for codec in (NETWORK.command_1, NETWORK.status)]
 
@@ -369,7 +369,7 @@ def test_without_a_log_nothing_is_read() -> None:
 
 
 def test_every_frame_of_a_tick_is_in_the_log_with_who_sent_it(tmp_path: Path) -> None:
-    """Those of others too, and of no use."""
+    """Foreign frames too, useless to the rig."""
     path = tmp_path / "a.log"
     with Recorder(path, SCENARIO.tick_ns) as recorder:
         after_a_tick_among_others(recorder)

@@ -9,15 +9,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_rig.assessment.resolve import load
-from can_rig.controllers.our_law import PYTHON
+from can_rig.controllers.our_law import PYTHON, OurLaw
+from can_rig.controllers.protocol import InNode
 from can_rig.errors import BusError, ScenarioError, SilentNodeError
 from can_rig.nodes.bus_access import StopRequest, Timeouts
-from can_rig.nodes.realtime.controller_node import RealTimeControllerNode
+from can_rig.nodes.realtime.controller_node import RealTimeControllerNode, warm_up
 from can_rig.nodes.realtime.plant_node import RealTimePlantNode
 from can_rig.nodes.realtime.timing import CATCH_UP_TICKS, Schedule
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
-from firmware_model.target.status import FaultState, Mode, Verdict
+from firmware_model.law.status import FaultState, Mode, Verdict
 from tests.helpers import NAMES, decoded, record
 from tests.rig.nodes.world import (
     FEEDBACK,
@@ -25,6 +26,7 @@ from tests.rig.nodes.world import (
     PACE,
     TICK_NS,
     TORQUE,
+    Slow,
     World,
     dstar_under,
     hold_up,
@@ -165,7 +167,7 @@ def test_many_missed_ticks_are_skipped_and_the_car_drives_through_them(ticks, tm
     missing = np.isnan(signals.dstar_mps2)
     assert list(np.flatnonzero(~missing)) == there
 
-    # The car, by scipy: commands act a tick later; one that is missing is held for 10 ticks.
+    # The car, by scipy: commands act a tick later; a missing command is held for 10 ticks.
     acting, silent, last = [], 0, np.zeros(2)
     for tick in range(-1, 299):
         pair = np.array([signals.torque_nm[tick], signals.force_difference_n[tick]])
@@ -329,7 +331,7 @@ def test_a_controller_that_stood_still_goes_on(stall, bump_nm, error_mps2, tmp_p
 
     world = World(scenario_of("duration_s=3.2"), answers)
     _, plant = world.run(log)
-    assert plant.realtime()["late_frames"] == 0  # it sends nothing that nobody can use
+    assert plant.realtime()["late_frames"] == 0  # the plant sends only useful frames
     signals = read_signals(log, world.network, 0.001)
     torque = signals.torque_nm[np.isfinite(signals.torque_nm)]
     torque = np.nan_to_num(signals.torque_nm)[2000 + stall :] if stall > 10 else torque[1900:]
@@ -379,3 +381,27 @@ def test_a_second_controller_is_refused():
     stranger = can.Message(arbitration_id=TORQUE, is_extended_id=False, data=bytes(8))
     with pytest.raises(BusError, match="another controller node"):
         world.run(on_tick=on_tick)
+
+
+def test_a_controller_slower_than_its_tick_is_refused_before_the_run():
+    scenario = scenario_of("latency_ticks=1")
+    world = World(scenario)
+
+    class Sleeping(Slow):
+        ns = 0
+
+        def step(self, inputs):
+            world.ns += self.ns
+            return OurLaw.step(self, inputs)
+
+    def start(ns):
+        def made(scenario, network):
+            controller = Sleeping(world, scenario, network)
+            controller.ns = ns
+            return controller
+
+        return InNode(made)
+
+    warm_up(scenario, network_of(scenario), start(900_000), world)
+    with pytest.raises(ScenarioError, match=r"too slow in real time: a step takes 1\.1 ms"):
+        warm_up(scenario, network_of(scenario), start(1_100_000), world)

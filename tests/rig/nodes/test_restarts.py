@@ -25,7 +25,7 @@ from can_rig.scenario.driving import controls
 from can_rig.scenario.fault_settings import FaultSettings, outages
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import Firmware
-from firmware_model.target.status import FaultState
+from firmware_model.law.status import FaultState
 from tests.helpers import asked
 
 COMPILER = pytest.mark.skipif(shutil.which("cc") is None, reason="needs a C compiler")

@@ -1,4 +1,4 @@
-"""A whole run of two processes: the same bytes as one, and the folder that it leaves."""
+"""A whole run of two processes: the bytes of a run in one process, and the folder."""
 
 import gc
 import subprocess

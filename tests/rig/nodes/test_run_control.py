@@ -167,7 +167,7 @@ def test_the_log_of_a_touched_run_gives_the_same_log_again(tmp_path):
 
 
 class Silent:
-    """A bus on which nothing comes but what is waiting."""
+    """A bus that delivers only waiting messages."""
 
     def __init__(self, *waiting: can.Message):
         self.waiting = list(waiting)

@@ -27,7 +27,7 @@ from can_rig.results.signals import read_signals
 from can_rig.scenario import shipped
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.status import Verdict
+from firmware_model.law.status import Verdict
 from tests.rig.replay.recorded import DRIVES, log_of, scenario_of
 
 VALUES = (

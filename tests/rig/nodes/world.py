@@ -154,7 +154,7 @@ def value_of(message):
     return int.from_bytes(message.data[4:], "little", signed=True)
 
 
-PACE = "design.tau_q_s=0.0027"  # what a bump may be depends on it
+PACE = "design.tau_q_s=0.0027"  # the permitted bump depends on tau_q
 
 
 def scenario_of(*changes, name="ideal"):

@@ -1,4 +1,4 @@
-"""Signals of any layout: what is sent is what cantools says that it is."""
+"""Signals of any layout: the sent bytes are those of cantools."""
 
 from __future__ import annotations
 
@@ -172,7 +172,7 @@ def test_a_signal_that_cannot_do_is_one_line(
 
 
 def test_what_is_wrong_elsewhere_in_a_database_is_no_matter(tmp_path: Path) -> None:
-    """Signals that overlap, and an extended identifier that is not marked as one."""
+    """Overlapping signals, and an extended identifier without its mark."""
     other = 'BO_ 217056298 Other: 8 B\n SG_ A : 0|9@1+ (1,0) [0|0] "" A\n'
     other += ' SG_ B : 8|9@1+ (1,0) [0|0] "" A\n'
     text = database("32|16@1- (1,0) [0|0]", 8)

@@ -1,4 +1,4 @@
-"""The whole rig on frames of one's own: what others read in the log is what the rig has."""
+"""The whole rig on the user's frames: other programs read the rig's values in the log."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from can_rig.nodes.ticks import drive
 from can_rig.plant.frameless import frameless
 from can_rig.results.signals import Signals, read_signals
 from can_rig.scenario.build import network_of
-from firmware_model.target.status import FaultState
+from firmware_model.law.status import FaultState
 from tests.helpers import asked, record, rig
 from tests.rig.own_frames.scenarios import (
     FD_SIGNALS,
@@ -147,7 +147,7 @@ def test_real_time_needs_no_tick(tmp_path: Path) -> None:
 
 
 class Heard:
-    """A watchdog that hears some frames, then nothing."""
+    """A watchdog that hears some frames and then silence."""
 
     def __init__(self, frames: list[can.Message]) -> None:
         self.stop, self._left = StopRequest(), iter(frames)

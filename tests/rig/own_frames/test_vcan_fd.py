@@ -33,7 +33,7 @@ def fd_options(folder: Path) -> list[str]:
 
 
 def bare(line: list[str]) -> str:
-    """A frame without its flags: newer kernels mark in them that it is of CAN FD."""
+    """A frame without its flags, because newer kernels set a flag for CAN FD."""
     identifier, _, rest = line[0].partition("##")
     return f"{identifier}##{rest[1:]}"
 

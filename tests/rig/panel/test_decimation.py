@@ -1,4 +1,4 @@
-"""What is left for the screen: no peak disappears, and nothing that was not there appears."""
+"""Decimation for the screen keeps every peak and invents no value."""
 
 import numpy as np
 from hypothesis import given

@@ -14,7 +14,7 @@ from can_rig.results.isolation import with_verdict
 from can_rig.results.signals import read_signals
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 from tests.helpers import load, record
 
 

@@ -1,4 +1,4 @@
-"""Who may look and who may touch, and that nobody who looks holds anything up."""
+"""Access to view and to touch; viewers never slow the run."""
 
 import asyncio
 import json

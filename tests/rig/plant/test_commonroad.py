@@ -8,7 +8,7 @@ from can_rig.assessment.resolve import load
 from can_rig.plant.behind import plant_behind
 from can_rig.plant.frameless import frameless
 from can_rig.scenario.build import network_of
-from firmware_model.target.status import FaultState
+from firmware_model.law.status import FaultState
 
 LOST_S = 2.0
 

@@ -20,10 +20,13 @@ from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.without_bus import run_without_bus
 from can_rig.plant.changing_car import plant_of
 from can_rig.plant.disturbances import BLOCK, CALM, COLUMNS, Disturbances
+from can_rig.plant.frameless import UntilItFails, frameless_loop
 from can_rig.plant.nonlinear_car import NonlinearCar
 from can_rig.plant.protocol import require_world
+from can_rig.scenario.build import network_of
 from can_rig.scenario.loading import as_settings, read, with_values
 from can_rig.scenario.plant_settings import PlantSettings
+from firmware_model.analysis.simulation import LoopPlant
 from tests.firmware.analysis.world import Integrated
 from tests.rig.plant.linear import LinearPlant
 
@@ -191,6 +194,21 @@ def test_with_and_without_a_bus_it_is_the_same_world(
     assert set(COLUMNS) <= set(header)
 
 
+@pytest.mark.parametrize("settings", [[DRY], [ALL]])
+def test_a_compiled_loop_has_the_bits_of_ticks_one_by_one(settings: list[str]) -> None:
+    """Also where the loop stops within a page of the world."""
+    scenario = load("default", [*SHORT, "duration_s=9", *settings])
+    network = network_of(scenario)
+    compiled, one_by_one = (frameless_loop(scenario, network) for _ in range(2))
+    assert isinstance(compiled._plant, LoopPlant)
+    one_by_one._plant = UntilItFails(plant_of(scenario))
+    for until in (100, BLOCK, 5000, 9000):
+        compiled.run(until)
+    one_by_one.run()
+    for name, values in vars(compiled.trace).items():
+        np.testing.assert_array_equal(values, getattr(one_by_one.trace, name), err_msg=name)
+
+
 @pytest.mark.parametrize("settings", [[DRY], [ALL], [ALL, "drive.speed_mps=10"]])
 def test_the_car_of_a_scenario_is_that_of_the_equations(settings: list[str]) -> None:
     """Uncontrolled, against the ODE solver with the matrices of ``test_world``'s proof."""
@@ -214,7 +232,7 @@ def test_the_car_of_a_scenario_is_that_of_the_equations(settings: list[str]) -> 
 
 
 def test_the_nonlinear_car_gets_the_world_in_every_step_of_a_tick() -> None:
-    """Behind lags a tick has several steps; without commands they are one long step."""
+    """Behind lags a tick has several steps; without commands a single long step."""
     settings = [ALL, *SHORT, "plant.torque_actuator.lag_s=0.01", "tick_s=0.002"]
     scenario = load("nonlinear-car", settings)
     plant, alone = plant_of(scenario), NonlinearCar(scenario.plant)

@@ -20,7 +20,7 @@ from can_rig.scenario.build import controller_table, network_of
 from can_rig.scenario.fault_settings import PLACES, FaultKind
 from firmware_model.analysis.simulation import Trace
 from firmware_model.discretisation.schedules import Scheduled
-from firmware_model.target.status import Mode
+from firmware_model.law.status import Mode
 from tests.helpers import record
 from tests.rig.plant.fault_settings import fault_list
 from tests.rig.plant.linear import LinearPlant

@@ -19,7 +19,7 @@ from can_rig.scenario.build import network_of
 from can_rig.scenario.plant_settings import PlantSettings
 from firmware_model.analysis.changing_plant import changing_plant, follow_changing
 from firmware_model.design.actuator_dynamics import IDEAL
-from firmware_model.target.status import FaultState
+from firmware_model.law.status import FaultState
 from tests.rig.plant.linear import LinearPlant
 
 # --- the car once more, in forces and positions of the plane ------------------------------------

@@ -20,7 +20,7 @@ from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import controls
 from can_rig.scenario.settings import Scenario
 from firmware_model.firmware import PYTHON_LAW, ChangeSpeed, Law, Memories, Step
-from firmware_model.target.structs import Record, RecordArray
+from firmware_model.law.structs import Record, RecordArray
 
 FOLDER: Final = Path(__file__).parents[2] / "drives"
 DRIVES: Final[dict[str, dict[str, Any]]] = tomllib.loads(

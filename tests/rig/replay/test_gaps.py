@@ -1,4 +1,4 @@
-"""What is wrong with a log is named, all of it and nothing else."""
+"""Every defect of a log is named, and no other defect."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from can_rig.frames.endpoints import Transmitter
-from firmware_model.target.status import Mode
+from firmware_model.law.status import Mode
 from tests.helpers import NAMES
 from tests.rig.replay.drive import (
     ALL,

@@ -1,4 +1,4 @@
-"""Open loop: nothing differs where nothing has changed, and one change is found."""
+"""Open loop: an unchanged log shows no difference, and a single change is found."""
 
 from __future__ import annotations
 

@@ -62,7 +62,7 @@ def test_fault_free_ends_where_a_plant_fails_by_itself(tmp_path: Path) -> None:
     assert np.isnan(broken.dstar_mps2[71:]).all()
     assert np.isnan(broken.force_difference_n[71:]).all()
     assert np.abs(broken.dstar_mps2[:71]).max() > 0.0
-    # Where there is nothing to compare with there is no number.
+    # Without a run to compare with, the metric is None.
     assert metrics(scenario, quiet(scenario))["deviation_settled_after_fault_mps2"] is None
 
 

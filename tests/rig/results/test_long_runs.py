@@ -1,4 +1,4 @@
-"""A long run: its folder says what that of a short one says, in memory that hardly grows."""
+"""A long run: the folder of a short run, in memory that hardly grows."""
 
 from __future__ import annotations
 

@@ -15,7 +15,7 @@ from can_rig.results.metrics import fault_metrics, metrics
 from can_rig.results.signals import Signals
 from can_rig.scenario.settings import Scenario
 from firmware_model.design.plants import steer_by_wire
-from firmware_model.target.status import Verdict
+from firmware_model.law.status import Verdict
 from tests.rig.results.quiet import quiet
 
 LSB_MPS2 = 1e-8

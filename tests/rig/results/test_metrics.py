@@ -194,5 +194,6 @@ def test_every_key_says_its_unit() -> None:
     scenario = load("thesis-step", ["tick_s=0.01"])
     for key in metrics(scenario, quiet(scenario)):
         plain = {"deviation_over_unavoidable", "detection_over_unavoidable"}
-        plain |= {"missed_detection", "false_alarms", "suspicions"}
-        assert key.endswith(("_mps2", "_mps", "_s", "_nm", "_n", "_per_hour")) or key in plain
+        plain |= {"missed_detection", "false_alarms", "suspicions", "deviation_over_uncompensated"}
+        plain |= {"place", "verdict", "right_place", "wrong_place"}
+        assert key.endswith(("_mps2", "_mps", "_s", "_m", "_nm", "_n", "_per_hour")) or key in plain

@@ -1,4 +1,4 @@
-"""The metrics of a run that was touched are of what was done to it."""
+"""The metrics of a touched run follow the injected faults."""
 
 import json
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""Whose fault it is, in runs: what the verdict is, when, and what it does not disturb."""
+"""Whose fault it is, in runs: the verdict, its time, and undisturbed signals."""
 
 from __future__ import annotations
 
@@ -23,7 +23,7 @@ from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import controls
 from can_rig.scenario.settings import Scenario
 from firmware_model.discretisation.schedules import Scheduled
-from firmware_model.target.status import FaultState, Mode, Verdict
+from firmware_model.law.status import FaultState, Mode, Verdict
 
 LANE_CHANGE = ["reference.kind=lane-change", "reference.frequency_rad_per_s=1.34", "duration_s=5"]
 BOTH_LOST = ["fault.0.kind=actuator-dead", "fault.0.at_s=3.5", "fault.1.kind=actuator-dead",
@@ -94,7 +94,7 @@ def test_with_both_lost_a_safe_stop_takes_the_commands_back() -> None:
     ],
 )
 def test_a_sensor_that_is_found_at_fault_is_not_compensated(fault: list[str]) -> None:
-    """It costs what it costs without any compensation."""
+    """The deviation is that of a run without compensation."""
     deviations = []
     for compensation in ("on-confirmation", "off"):
         changes = [*LANE_CHANGE, "fault.at_s=3.5", *(f"fault.{key}" for key in fault)]

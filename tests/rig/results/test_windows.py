@@ -40,7 +40,7 @@ def test_windows_of_a_passing_fault_settle_after_it_has_passed() -> None:
     assert found["after"] == (10.0, 19.99)
     # Half of the second that is left: its first half is the transient of the return.
     assert found["settled_after"] == (19.5, 19.99)
-    # The tick of its end is the first without it: 10 ms, half of them, 5 ms and none.
+    # The tick of its end is the first without it: 10 ms, 5 ms, half of either, and zero.
     settings = ["tick_s=0.005", "duration_s=20", "fault.for_s=9.985"]
     assert spans(load("thesis-step", settings))["settled_after"] == (19.99, 19.995)
 

@@ -1,4 +1,4 @@
-"""Which file a scenario is read from, and what is said where there is none."""
+"""The file behind a scenario's name, and the error for a missing file."""
 
 from __future__ import annotations
 

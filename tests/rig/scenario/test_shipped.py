@@ -1,4 +1,4 @@
-"""The shipped scenarios, driven: nothing is lost that is not, and what is lost is found."""
+"""The shipped scenarios, driven: every loss is found, and no working channel is lost."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from can_rig.scenario.box import CAR as UNCERTAIN
 from can_rig.scenario.box import in_box
 from can_rig.scenario.build import network_of
 from can_rig.scenario.settings import Scenario
-from firmware_model.target.status import FaultState
+from firmware_model.law.status import FaultState
 
 LATEST_S = 0.15  # of a confirmation: a third of what a driver takes to react
 LATEST_OF_S = {"satellite": 0.6}  # it takes 0.25 s to move by what noise lets anybody see

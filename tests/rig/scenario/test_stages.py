@@ -1,4 +1,4 @@
-"""Actuators and sensor of plant and model: what follows what, and what is refused in one line."""
+"""Actuators and sensor of plant and model: derived values, and refusals in a line."""
 
 import math
 

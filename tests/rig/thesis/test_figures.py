@@ -20,7 +20,7 @@ from can_rig.thesis.comparisons import Comparison, both, compare, compare_scenar
 from can_rig.thesis.continuous import OUTPUTS, closed_loop, solve
 from can_rig.thesis.figures import refuse_existing
 from firmware_model.design.factors import realised
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 from tests.helpers import asked
 
 VARIANTS = ("published", "physics")

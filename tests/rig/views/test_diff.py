@@ -1,4 +1,4 @@
-"""Two runs beside each other; what a log would have been with another scenario."""
+"""Two runs beside each other; a log under a different scenario."""
 
 from __future__ import annotations
 

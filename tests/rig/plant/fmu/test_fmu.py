@@ -14,8 +14,8 @@ from scipy.linalg import expm
 
 from can_rig.assessment.resolve import load
 from can_rig.errors import RigError
+from can_rig.fmu.file import CO_SIMULATION, MODEL_EXCHANGE
 from can_rig.plant.behind import plant_behind
-from can_rig.plant.fmu_file import CO_SIMULATION, MODEL_EXCHANGE
 from can_rig.plant.protocol import GuardedPlant, load_plant
 from can_rig.scenario.build import continuous_car
 from can_rig.scenario.plant_settings import PlantSettings

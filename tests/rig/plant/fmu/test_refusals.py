@@ -1,4 +1,4 @@
-"""An FMU that is none, does not run here, or has not what the scenario names: one line each."""
+"""Refusals in a line each: no FMU, no binary for this machine, missing variables."""
 
 from __future__ import annotations
 

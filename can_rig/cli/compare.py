@@ -1,0 +1,122 @@
+"""``can-rig compare``: several controllers through the same faults, weather and cars."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import click
+from click.shell_completion import CompletionItem
+
+from can_rig.cli.options import force_option, json_option, set_option
+from can_rig.cli.output import json_line, say, table, wide
+from can_rig.cli.progress import counting
+from can_rig.errors import ScenarioError
+from can_rig.files import atomic, refuse_picture
+from can_rig.scenario.loading import change
+from can_rig.views.controllers_compared import CASES, Compared, compare, known_controllers
+
+
+def _controllers(_c: click.Context, _p: click.Parameter, begun: str) -> list[CompletionItem]:
+    return [CompletionItem(name) for name in known_controllers() if name.startswith(begun)]
+
+
+@click.command("compare")
+@click.argument("controllers", nargs=-1, required=True, shell_complete=_controllers)
+@click.option("--scenario", default="default", show_default=True, metavar="NAME", help="To run.")
+@click.option(
+    "--cases",
+    "groups",
+    default="faults",
+    show_default=True,
+    metavar=",".join(CASES),
+    help="Groups of cases.",
+)
+@click.option(
+    "--case",
+    "own",
+    multiple=True,
+    metavar="NAME:KEY=VALUE,KEY=VALUE",
+    help="A case of one's own, in place of the groups; repeatable.",
+)
+@set_option("Change one key of every run")
+@click.option(
+    "--out",
+    type=click.Path(path_type=Path, dir_okay=False),
+    metavar="FILE",
+    help="Draw the errors: FILE.png, .svg or .pdf.",
+)
+@json_option("A JSON object for each run.")
+@force_option
+def command(
+    controllers: tuple[str, ...],
+    scenario: str,
+    groups: str,
+    own: tuple[str, ...],
+    settings: tuple[str, ...],
+    out: Path | None,
+    as_json: bool,
+    force: bool,
+) -> None:
+    """Compare CONTROLLERS: ours, pi, module:Class, c:FILE.so, or FILE.toml with a [controller].
+
+    Every controller drives every case, without frames. Figures are from the fault or the
+    disturbance on; a case without either counts from 2 s on.
+    """
+    if out is not None:
+        refuse_picture(out, force)
+    cases = _cases(groups, own)
+    with counting("compare", "runs", len(cases) * len(controllers)) as on_run:
+        found = compare(controllers, scenario, cases, settings, lambda done, _: on_run(done))
+    if out is not None:
+        with atomic(out, force=force) as part:
+            found.draw(part)
+    if as_json:
+        for row in found.rows:
+            json_line(**vars(row))
+        return
+    figures = table("case", "controller", "peak", "rms", "settled", "confirmed", "|u1|", "|u2|",
+                    left=2)  # fmt: skip
+    before = ""
+    for row in found.rows:
+        figures.add_row("" if row.case == before else row.case, row.controller, *_cells(row))
+        before = row.case
+    wide().print(figures)
+    say("|r - y| in the output's unit; confirmed: s after the fault; u1, u2: peaks of the commands")
+    say(*(f"{row.case}, {row.controller}: {row.failure}" for row in found.rows if row.failure))
+
+
+def _cells(row: Compared) -> Sequence[str]:
+    if row.failure:
+        return ("failed",)
+    sizes = (row.error_peak_mps2, row.error_rms_mps2, row.error_settled_mps2)
+    alarm = "false alarm" if row.false_alarm else ""
+    if row.false_alarm is None:
+        alarm = "not said"
+    elif row.confirmed_after_s is not None and not alarm:
+        alarm = f"{row.confirmed_after_s:.3f}"
+    peaks = row.torque_peak_nm, row.force_difference_peak_n
+    return (*(f"{size:.4f}" for size in sizes), alarm, *(f"{peak:.0f}" for peak in peaks))
+
+
+def _cases(groups: str, own: Sequence[str]) -> dict[str, dict[str, object]]:
+    """The cases by name.
+
+    Raises:
+        ScenarioError: an unknown group, or a case without changes.
+    """
+    cases: dict[str, dict[str, object]] = {}
+    for text in own:
+        name, colon, changes = text.partition(":")
+        if not (name and colon):
+            raise ScenarioError(f"--case {text}: must be NAME:KEY=VALUE,KEY=VALUE")
+        cases[name] = {}
+        for setting in filter(None, changes.split(",")):
+            change(cases[name], setting)
+    if cases:
+        return cases
+    for group in groups.split(","):
+        if group not in CASES:
+            raise ScenarioError(f"--cases {group}: must be {', '.join(CASES)}")
+        cases |= {name: dict(changes) for name, changes in CASES[group].items()}
+    return cases

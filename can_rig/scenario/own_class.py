@@ -1,0 +1,90 @@
+"""A class of the user's, by its import path: found, called, and its failures told in one line."""
+
+from __future__ import annotations
+
+import importlib
+import inspect
+import sys
+import traceback
+from collections.abc import Callable
+from pathlib import Path
+from typing import TypeVar
+
+from can_rig.errors import RigError, ScenarioError, one_line
+
+Answer = TypeVar("Answer")
+PACKAGE = str(Path(__file__).parents[1])
+
+
+def _is_packaged(file: str) -> bool:
+    """Whether a file is of an installed package, of this one or of Python."""
+    return file.startswith((PACKAGE, "<")) or "site-packages" in file or "/lib/python3" in file
+
+
+def find_class(where: str, path: str) -> type[object]:
+    """The class at ``package.module:Class``; the search includes the current directory.
+
+    Args:
+        where: begins an error's line, as in ``plant.kind = 'mycar:Lag'``.
+        path: the class.
+
+    Raises:
+        ScenarioError: no such module or class, or a module that cannot be imported.
+    """
+    module_name, _, class_name = path.partition(":")
+    here = str(Path.cwd())
+    if here not in sys.path:
+        sys.path.append(here)  # last: no stray file hides an installed package
+    importlib.invalidate_caches()
+    try:
+        module = importlib.import_module(module_name)
+    except KeyboardInterrupt:
+        raise
+    except BaseException as error:
+        missing = error.name if isinstance(error, ModuleNotFoundError) else None
+        if missing and f"{module_name}.".startswith(f"{missing}."):  # not an import of the module
+            raise ScenarioError(
+                f"{where}: no module {missing}, neither installed nor in {here}"
+            ) from None
+        raise ScenarioError(failure(where, f"{module_name} cannot be imported", error)) from None
+    found = getattr(module, class_name, None)
+    if not inspect.isclass(found):
+        raise ScenarioError(f"{where}: no class {class_name} in {module.__file__}")
+    return found
+
+
+def failure(where: str, what: str, error: BaseException) -> str:
+    """One line for an exception in code of the user's, with the file and the line."""
+    frames = traceback.extract_tb(error.__traceback__)
+    theirs = [frame for frame in frames if not _is_packaged(frame.filename)]
+    at = f" ({theirs[-1].filename}, line {theirs[-1].lineno})" if theirs else ""
+    reason = " ".join(str(error).split())
+    return f"{where}: {what}: {type(error).__name__}" + (reason and f": {reason}") + at
+
+
+def guard(
+    where: str, what: str, call: Callable[[], Answer], refusal: type[RigError] = ScenarioError
+) -> Answer:
+    """Return the result of ``call``; report an exception, also ``sys.exit``, in one line."""
+    try:
+        return call()
+    except KeyboardInterrupt:
+        raise
+    except RigError as error:
+        raise refusal(f"{where}: {what}: {one_line(error)}") from None
+    except BaseException as error:
+        raise refusal(failure(where, what, error)) from None
+
+
+def require_signature(
+    where: str, function: Callable[..., object], name: str, right: str, *arguments: object
+) -> None:
+    """Refuse a signature that rejects ``arguments`` by position; it must be ``right``."""
+    try:
+        signature = inspect.signature(function)
+    except ValueError:  # compiled code without a signature: the trial decides
+        return
+    try:
+        signature.bind(*arguments)
+    except TypeError:
+        raise ScenarioError(f"{where}: {name}{signature}: must be {right}") from None

@@ -1,0 +1,59 @@
+"""A command within the limits of its actuator and the resolution of its frame.
+
+The rounding error of a command is added to the next command (first-order noise shaping), so the
+mean of the commands is exact and no error settles below the resolution.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+
+from firmware_model.compiled import firmware
+from firmware_model.law.precision import real
+from firmware_model.law.structs import Field, Record
+
+CONSTANTS = (
+    Field("limit", "command", "largest magnitude of a command"),
+    Field("slew", "command/tick", "largest change of a command in a tick"),
+    Field("lsb", "command", "resolution of the command's frame; 0: none"),
+)
+STATE = (Field("rounded_off", "command", "rounding error carried to the next command"),)
+
+
+@firmware
+def saturate(actuator: Record, command: float) -> float:
+    """``command`` within the actuator's magnitude."""
+    saturated: float = min(max(command, -actuator.limit), actuator.limit)
+    return saturated
+
+
+@firmware
+def saturate_rate(actuator: Record, command: float, previous: float) -> float:
+    """``command`` within the actuator's magnitude, and within its slew of the ``previous`` one."""
+    low = max(-actuator.limit, previous - actuator.slew)
+    high = min(actuator.limit, previous + actuator.slew)
+    saturated: float = min(max(command, low), high)
+    return saturated
+
+
+@firmware
+def quantise(actuator: Record, state: Record, command: float) -> float:
+    """Round ``command`` plus the last rounding error to the grid of the frame."""
+    if not actuator.lsb > 0.0:
+        return command
+    wanted = saturate(actuator, command + state.rounded_off)
+    rounded: float = np.rint(wanted / actuator.lsb) * actuator.lsb
+    left = wanted - rounded
+    state.rounded_off = left if math.isfinite(left) else real(0.0, left)
+    return rounded
+
+
+@firmware
+def command_possible(table: Record, state: Record, wanted_1: float, wanted_2: float) -> None:
+    """Limit both wanted commands to the range of the actuators."""
+    possible = saturate_rate(table.actuator_1, wanted_1, state.command_1)
+    state.command_1 = quantise(table.actuator_1, state.actuator_1, possible)
+    possible = saturate_rate(table.actuator_2, wanted_2, state.command_2)
+    state.command_2 = quantise(table.actuator_2, state.actuator_2, possible)

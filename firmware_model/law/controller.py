@@ -1,0 +1,297 @@
+"""The control law, once: u1 = C(r - y), d̂ = F1 u + F2 y, u2 = F̂ d̂ (2.1), (2.37), (3.32).
+
+For an unstable plant read N1, N2 and M y in place of G1, G2 and y (``filters.estimator``).
+
+Every runner calls ``step``: a node on a bus, a simulation, a replay, a batch of thousands. ``step``
+allocates no memory and reads only its arguments.
+
+**Commands as the plant gets them.** A command is first saturated in magnitude and rate and rounded
+to the resolution of its frame; the estimator works on the resulting value.
+
+**Compensation on confirmation.** The thesis feeds F̂ with d̂, and d̂ waits for the bus twice: once
+in the model, once on the way of u2. After a confirmed loss the controller knows the lost channel's
+command at once, so F̂ may work on s w = s G1 u1 instead, with s the lost share. The delay around
+the loop is then halved.
+
+**Whose fault it is.** The decision subtracts a known sensor bias from d̂; no other module does. A
+frozen sensor gives no information: the controller restores the commands from before the freeze and
+treats the inputs as missing. With channel 2 lost no suspicion is compensated. With both channels
+lost the commands go to zero, if the table asks for a safe stop. F̂ on d̂ compensates under every
+verdict.
+
+**Inputs that are missing.** The controller holds the commands, and the held commands act on the
+plant. So every model of the plant goes on with the held commands: F1, w (a lost channel owes these
+commands too), and F̂ where F̂ works on w. Modules that need inputs (C, the reference shaper, the
+decision) wait.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from firmware_model.compiled import firmware
+from firmware_model.law.actuator import quantise, saturate, saturate_rate
+from firmware_model.law.fault_decision.bumpless_transfer import release, transfer
+from firmware_model.law.fault_decision.decision import (
+    CLEAR,
+    acting_commands,
+    compensated_output,
+    decide,
+)
+from firmware_model.law.fault_decision.hypotheses.frozen import go_back, note_commands
+from firmware_model.law.fault_decision.hypotheses.sensor_error import advance_sensor_error
+from firmware_model.law.fault_decision.hypotheses.signatures import advance_signatures
+from firmware_model.law.fault_decision.hypotheses.verdict import (
+    SENSOR_FROZEN,
+    clear_hypotheses,
+)
+from firmware_model.law.fault_decision.likelihood_ratio import (
+    advance_candidate,
+    start_candidate,
+)
+from firmware_model.law.fault_decision.loss_model import (
+    advance_loss_model,
+    known_share,
+    loss_shown,
+    settle_loss_model,
+)
+from firmware_model.law.fault_decision.mismatch import clear_mismatch, settle_mismatch
+from firmware_model.law.fault_decision.other_cars import (
+    advance_other_cars,
+    settle_other_cars,
+    show_other_cars,
+)
+from firmware_model.law.fault_decision.probe import probe_torque
+from firmware_model.law.fault_decision.safe_stop import stops, take_commands_back
+from firmware_model.law.filters.biquad import advance, output, settle
+from firmware_model.law.filters.estimator import (
+    advance_model,
+    expect_measurement,
+    model_output,
+    settle_estimator,
+    take_measurement,
+)
+from firmware_model.law.filters.shortfall import make_up
+from firmware_model.law.filters.tracking import (
+    advance_shortfalls,
+    asked_torque,
+    missing_output,
+    settle_tracking,
+    track,
+    track_on,
+)
+from firmware_model.law.layout import precision_of, state_type
+from firmware_model.law.overflow import clear_memories
+from firmware_model.law.precision import real
+from firmware_model.law.reference_shaper import start, tracked_reference
+from firmware_model.law.status import Mode
+from firmware_model.law.structs import Record, RecordArray
+
+MODE_INIT, MODE_RUN, MODE_HOLD = int(Mode.INIT), int(Mode.RUN), int(Mode.HOLD)
+MODE_SAFE_STOP = int(Mode.SAFE_STOP)
+
+
+def init(table: Record, n: int = 1) -> RecordArray:
+    """``n`` states at rest for ``table``, in its precision: every memory zero, mode INIT."""
+    states: RecordArray = np.zeros(n, state_type(precision_of(table)))
+    for state in states:
+        start_up(table, state)
+    return states
+
+
+@firmware
+def start_up(table: Record, state: Record) -> None:
+    """Turn a state of zeros into a state at rest."""
+    clear_mismatch(table.mismatch, state.mismatch)
+
+
+@firmware
+def step(table: Record, state: Record, reference: float, measurement: float) -> None:
+    """One tick: from the reference and D* of this tick to the commands of this tick.
+
+    The answers are ``state.command_1``, ``state.command_2``, ``state.fault_estimate``,
+    ``state.mode`` and ``state.fault_state``. An input that is not finite changes no command: the
+    controller holds the last good commands, the models follow, and the mode says HOLD.
+
+    Args:
+        table: the constant table of ``tables.build``.
+        state: what ``init`` made; changed in place.
+        reference: r, in the measurement's unit, in any precision.
+        measurement: y (D*), likewise.
+    """
+    r, y = real(reference, state.reference), real(measurement, state.measurement)
+    if stops(table, state):
+        take_commands_back(table, state)
+        hold(table, state)
+        state.mode = MODE_SAFE_STOP
+    elif not (math.isfinite(r) and math.isfinite(y)):
+        hold(table, state)
+    elif state.hypotheses.verdict == SENSOR_FROZEN and y == state.measurement:
+        go_back(table, state)
+        hold(table, state)
+    else:
+        compute(table, state, r, y)
+
+
+@firmware
+def compute(table: Record, state: Record, r: float, y: float) -> None:
+    """A tick with a reference ``r`` and a measurement ``y`` to be used."""
+    note_commands(state, y)
+    state.reference, state.measurement = r, y
+    held_1, held_2 = state.command_1, state.command_2
+    estimator, compensator = table.estimator, table.compensator
+
+    # Every filter's answer to zero input: the output before this tick's commands.
+    zero = real(0.0, held_1)
+    rest_1, _ = model_output(estimator, state.estimator, zero, held_2)
+    tracked = tracked_reference(table, state)
+    wanted = tracked - table.tracking.feedback * (y + missing_output(table, state))
+    torque = asked_torque(table.tracking, state.tracking, wanted + table.tracking.feedback * rest_1)
+    if state.probe.tick > 0:
+        torque = torque + probe_torque(table.probe, state.probe)
+    made_up = make_up(table.shortfall_1, estimator.channel_1, table.actuator_1, state.shortfall_1)
+    wish_1 = torque + made_up
+    possible_1 = saturate_rate(table.actuator_1, wish_1, held_1)
+    state.command_1 = quantise(table.actuator_1, state.actuator_1, possible_1)
+
+    model_1, model_2 = model_output(estimator, state.estimator, state.command_1, zero)
+    error = wanted + table.tracking.feedback * model_1
+    track(table.tracking, state.tracking, error, state.command_1)
+    known = model_1 + model_2 - take_measurement(estimator, state.estimator, y)
+    q_rest = output(estimator.one_plus_q, state.estimator.one_plus_q, zero)
+    rest_2 = output(compensator.filter, state.compensator.filter, zero)
+    from_reference = compensator.reference_share * r
+    made_up = make_up(table.shortfall_2, estimator.channel_2, table.actuator_2, state.shortfall_2)
+
+    # Without feedthrough of u2 the sum is the residual; with feedthrough u2 of this tick is
+    # missing.
+    decide(table, state, known + estimator.feedthrough_2 * held_2, model_1, model_2)
+
+    known_loss = compensator.on_confirmation > 0
+    if known_loss:  # u2 = r2 + F̂ s w, with the w of this tick's command
+        drive = transfer(state.bumpless_transfer, compensated_output(table, state))
+        force = from_reference + rest_2 + compensator.feedthrough * drive
+    else:  # the thesis: u2 = r2 + rest + f(q_rest + q(known + g u2)), solved for u2
+        estimate = q_rest + estimator.one_plus_q_feedthrough * known
+        force = from_reference + rest_2 + compensator.feedthrough * estimate
+        force = force * compensator.loop_inverse
+        made_up = made_up * compensator.loop_inverse
+        drive = zero
+    wish_2 = force + made_up
+    possible_2 = saturate_rate(table.actuator_2, wish_2, held_2)
+    state.command_2 = quantise(table.actuator_2, state.actuator_2, possible_2)
+
+    residual = known + estimator.feedthrough_2 * state.command_2
+    estimate = advance(estimator.one_plus_q, state.estimator.one_plus_q, residual)
+    drive = drive if known_loss else estimate
+    advance(compensator.filter, state.compensator.filter, drive)
+    if not (math.isfinite(wish_1) and math.isfinite(wish_2)):
+        state.command_1, state.command_2 = held_1, held_2
+        clear_memories(table, state)
+        hold(table, state)
+        return
+    state.fault_estimate = estimate
+    state.mode = MODE_RUN
+    advance_models(table, state, torque - possible_1, force - possible_2)
+
+
+@firmware
+def hold(table: Record, state: Record) -> None:
+    """A tick without inputs: the last commands are held, and the models follow them."""
+    state.mode = MODE_HOLD
+    model_1, model_2 = model_output(
+        table.estimator, state.estimator, state.command_1, state.command_2
+    )
+    lost = known_share(state) * loss_shown(table, state)
+    expect_measurement(table.estimator, state.estimator, model_1 + model_2 - lost)
+    acting_1, acting_2 = acting_commands(table, state)
+    show_other_cars(table, state, acting_1, acting_2)
+    asked_1 = track_on(table.tracking, state.tracking, state.command_1)
+    short_1 = asked_1 - state.command_1
+    short_2 = real(0.0, state.command_2)
+    if table.compensator.on_confirmation > 0:
+        drive = transfer(state.bumpless_transfer, compensated_output(table, state))
+        force = advance(table.compensator.filter, state.compensator.filter, drive)
+        short_2 = force - state.command_2
+    advance_models(table, state, short_1, short_2)
+
+
+@firmware
+def advance_models(table: Record, state: Record, short_1: float, short_2: float) -> None:
+    """Advance every model of the plant by the commands of this tick.
+
+    ``short_1`` and ``short_2`` are asked minus possible commands of the channels.
+    """
+    advance_shortfalls(table, state, short_1, short_2)
+    advance_loss_model(table, state)
+    advance_candidate(table, state)
+    advance_other_cars(table, state)
+    advance_signatures(table, state)
+    advance_sensor_error(table, state)
+    advance_model(table.estimator, state.estimator, state.command_1, state.command_2)
+
+
+@firmware
+def reset(table: Record, state: Record, reference: float) -> None:
+    """Put the controller into the steady state of a healthy loop at a constant ``reference``.
+
+    The next ``step`` with the same reference and the settled measurement repeats the commands: no
+    bump.
+    """
+    state.reference = reference
+    target = state.reference
+    zero = real(0.0, target)
+    start(state.reference_shaper, target)
+    shown = settle(table.estimator.measurement, state.estimator.measurement, target)
+    asked_1 = settle_tracking(table.tracking, state.tracking, shown)
+    asked_2 = table.compensator.reference_share * target
+    state.actuator_1.rounded_off = state.actuator_2.rounded_off = zero
+    torque = quantise(table.actuator_1, state.actuator_1, saturate(table.actuator_1, asked_1))
+    force = quantise(table.actuator_2, state.actuator_2, saturate(table.actuator_2, asked_2))
+    state.command_1, state.command_2, state.fault_estimate = torque, force, zero
+    settle_estimator(table.estimator, state.estimator, torque, force, target)
+    settle(table.compensator.filter, state.compensator.filter, zero)
+    model_1, model_2 = model_output(table.estimator, state.estimator, torque, force)
+    settle_other_cars(table, state, torque, force)
+    settle_mismatch(table, state, model_1 + model_2)
+    state.fault_state = CLEAR  # before what is lost settles: nothing is
+    settle_loss_model(table, state)
+    start_candidate(table, state)
+    clear_hypotheses(state)
+    state.safe_stop.elapsed = 0.0
+    state.shortfall_1.accumulators[:] = 0.0
+    state.shortfall_2.accumulators[:] = 0.0
+    state.probe.tick = 0
+    state.decision.pause = 0
+    release(state.bumpless_transfer)
+    state.mode = MODE_INIT
+
+
+@firmware
+def step_many(tables: RecordArray, states: RecordArray, references: Any, measurements: Any) -> None:
+    """``step`` for each of n controllers: record arrays (n,), reference and measurement (n,)."""
+    for i in range(len(states)):
+        step(tables[i], states[i], references[i], measurements[i])
+
+
+@firmware
+def step_first(
+    tables: RecordArray, states: RecordArray, reference: float, measurement: float
+) -> tuple[float, float, float, int, int, int]:
+    """Run ``step`` for the first controller and return its answers.
+
+    Arrays of one record are the fastest way from interpreted code to compiled code and back.
+    """
+    state = states[0]
+    step(tables[0], state, reference, measurement)
+    return (
+        state.command_1,
+        state.command_2,
+        state.fault_estimate,
+        state.mode,
+        state.fault_state,
+        state.hypotheses.verdict,
+    )

@@ -1,0 +1,241 @@
+"""Is channel 1 lost? The tick-by-tick decision on the fault estimate d̂.
+
+``mismatch`` removes the effect of other cars from d̂, ``loss_model`` removes known losses, and
+``likelihood_ratio`` weighs the rest for a loss, or for the return of a lost channel. The evidence g
+makes a loss
+
+    SUSPECTED   from ``suspect`` on: the compensation begins, at the pace of a bumpless transfer
+    CONFIRMED   from ``confirm`` on, by chance once in a given number of hours
+
+and clears a confirmed loss from ``recover`` on for the return: a false return costs more than a
+late return. A suspicion ends with its candidate.
+
+A table with a ``share_drift`` has no test: a state of the Kalman filter follows the lost share at
+all times, and a lost share above one half is CONFIRMED.
+
+A fault of the sensor or of channel 2 changes d̂ too. If ``hypotheses`` finds such a fault, the
+suspected loss of channel 1 is withdrawn; the unexplained rest counts as a loss. A table with a
+``probe`` tests the motor before confirmation and compensates only afterwards: a d̂ without an
+answer to a small torque stays SUSPECTED. If channel 1 contributes too little to show its loss
+within ``horizon``, a small d̂ proves no health, and the state is CANNOT_TELL instead of CLEAR.
+"""
+
+from __future__ import annotations
+
+from firmware_model.compiled import firmware
+from firmware_model.law.fault_decision.bumpless_transfer import begin_transfer
+from firmware_model.law.fault_decision.hypotheses.sensor_error import sensor_error_shown
+from firmware_model.law.fault_decision.hypotheses.signatures import begin_all
+from firmware_model.law.fault_decision.hypotheses.verdict import (
+    FORCE_LOST,
+    found_elsewhere,
+    weigh_hypotheses,
+)
+from firmware_model.law.fault_decision.likelihood_ratio import (
+    candidate_output,
+    candidate_shown,
+    forget_candidate,
+    lost_share,
+    start_candidate,
+    update_test,
+)
+from firmware_model.law.fault_decision.loss_model import (
+    earlier_shown,
+    follow_share,
+    known_share,
+    loss_output,
+    loss_shown,
+    possible_share,
+    take_over_candidate,
+)
+from firmware_model.law.fault_decision.mismatch import innovation, learn_loss, predict_mismatch
+from firmware_model.law.fault_decision.other_cars import show_other_cars
+from firmware_model.law.fault_decision.probe import begin_probe, correlate, end_probe
+from firmware_model.law.precision import real
+from firmware_model.law.status import FaultState
+from firmware_model.law.structs import Field, Record
+
+CLEAR, SUSPECTED, CONFIRMED, CANNOT_TELL = (
+    int(FaultState.CLEAR),
+    int(FaultState.SUSPECTED),
+    int(FaultState.CONFIRMED),
+    int(FaultState.CANNOT_TELL),
+)
+
+LEAST_SHARE = 0.01  # of a confirmed loss: no division by nothing
+
+CONSTANTS = (
+    Field("confirm", "1", "evidence that confirms a loss"),
+    Field("recover", "1", "evidence that ends a loss: more, because a return is not urgent"),
+    Field("suspect", "1", "evidence from which a loss is compensated provisionally"),
+    Field("horizon", "tick", "time within which a new loss must show"),
+    Field("pause_ticks", "tick", "pause after a probe without a finding", "int32"),
+    Field("tracks_share", "1", "1: a Kalman filter follows the lost share; 0: a test", "int32"),
+)
+STATE = (
+    Field("pause", "tick", "until the next probe", "int32"),
+    Field("suspected_share", "1", "part of channel 1 that a suspicion takes for lost"),
+)
+
+
+@firmware
+def decide(table: Record, state: Record, residual: float, model_1: float, model_2: float) -> None:
+    """The fault state of this tick.
+
+    Args:
+        table: the constant table.
+        state: changed in place.
+        residual: G1 u1 + G2 u2 - y of this tick.
+        model_1: G1 u1 in the residual: a working channel 1 adds G1 u1 to y.
+        model_2: G2 u2 likewise.
+    """
+    constants, test = table.decision, state.sequential_test
+    acting_1, acting_2 = acting_commands(table, state)
+    show_other_cars(table, state, acting_1, acting_2)
+    before, w = state.fault_state, loss_shown(table, state)
+    known = sensor_error_shown(table, state)
+    residual = residual + known
+    predict_mismatch(table, state, model_1 + model_2, w, earlier_shown(table, state))
+    new = innovation(table.mismatch, state.mismatch, residual - state.loss_model.share * w)
+    follow_share(table.loss_model, state)
+    if table.decision.tracks_share:
+        state.fault_state = CONFIRMED if known_share(state) > real(0.5, w) else CLEAR
+        return
+    if state.probe.tick > 0:
+        evaluate_probe(table, state, residual)
+        return
+    state.decision.pause = max(state.decision.pause - 1, 0)
+    share = table.sequential_test.share
+    update_test(table, state, new, -known_share(state) if before == CONFIRMED else share)
+    weigh_hypotheses(table, state, new, model_1 + model_2 - state.loss_model.share * w)
+    probing = table.probe.ticks > 0
+    if found_elsewhere(state.hypotheses) and not probing:
+        state.mismatch.previous_residual += sensor_error_shown(table, state) - known
+        acquit(table, state)
+        return
+    proven = test.evidence > constants.confirm
+    if before == CONFIRMED:
+        if test.evidence > constants.recover:
+            recover(table, state)
+        return
+    if proven and not probing:
+        confirm(table, state)
+    elif proven and state.decision.pause == 0:
+        state.fault_state = SUSPECTED
+        begin_probe(state.probe)
+    elif test.evidence > constants.suspect or (before == SUSPECTED and test.evidence > 0.0):
+        state.fault_state = SUSPECTED
+        if before != SUSPECTED and not probing:
+            begin_suspicion(table, state)
+    else:
+        shows = constants.horizon * model_1 * model_1
+        state.fault_state = CLEAR
+        if shows < constants.confirm * state.mismatch.variance:
+            state.fault_state = CANNOT_TELL
+        if before == SUSPECTED and not probing:
+            transfer_to_losses(table, state, real(0.0, new))
+
+
+@firmware
+def begin_suspicion(table: Record, state: Record) -> None:
+    """Compensate the candidate's possible cost so far; zero if channel 2 is lost."""
+    constants, test = table.sequential_test, state.sequential_test
+    share = possible_share(max(lost_share(constants, test), constants.share))
+    if state.hypotheses.verdict == FORCE_LOST:
+        share = real(0.0, share)
+    state.decision.suspected_share = share
+    transfer_to_losses(table, state, share)
+
+
+@firmware
+def acquit(table: Record, state: Record) -> None:
+    """Withdraw a suspected loss of channel 1: the fault is in the sensor or the force difference.
+
+    With channel 2 lost no suspicion is compensated. The function ends the decision's compensation;
+    F̂ on d̂ goes on, because a wrong verdict would remove the compensation of a real loss.
+    """
+    force_lost = state.hypotheses.verdict == FORCE_LOST
+    if force_lost or state.fault_state == SUSPECTED:
+        transfer_to_losses(table, state, real(0.0, state.command_1))
+    state.fault_state = CLEAR
+    start_candidate(table, state)
+
+
+@firmware
+def acting_commands(table: Record, state: Record) -> tuple[float, float]:
+    """The commands visible in the measurement, without the known loss."""
+    one = real(1.0, state.command_1)
+    share = one - known_share(state) if state.fault_state == CONFIRMED else one
+    command_1 = state.estimator.showing_1 * share
+    command_2 = state.estimator.showing_2
+    if table.estimator.shown_ticks_2 == 0:  # this tick's command is unknown yet, or held
+        command_2 = state.command_2
+    return command_1, command_2
+
+
+@firmware
+def evaluate_probe(table: Record, state: Record, residual: float) -> None:
+    """Take in a tick of the probe; at its end confirm the loss, or wait with the next probe."""
+    if not correlate(table.probe, state.probe, residual, candidate_shown(table, state)):
+        return
+    if end_probe(state.probe) >= table.probe.least_share:
+        confirm(table, state)
+    else:
+        state.decision.pause = table.decision.pause_ticks
+        start_candidate(table, state)
+
+
+@firmware
+def confirm(table: Record, state: Record) -> None:
+    """Take channel 1 for lost since the start of the candidate."""
+    take_candidate(
+        table,
+        state,
+        lost_share(table.sequential_test, state.sequential_test),
+        real(1.0, state.command_1),
+    )
+    state.fault_state = CONFIRMED
+
+
+@firmware
+def recover(table: Record, state: Record) -> None:
+    """Channel 1 works again, since the start of the candidate."""
+    take_candidate(table, state, known_share(state), -real(1.0, state.command_1))
+    state.fault_state = CLEAR
+
+
+@firmware
+def take_candidate(table: Record, state: Record, share: float, sign: float) -> None:
+    """Accept the candidate: ``share`` is lost (``sign`` 1) or works again (-1).
+
+    From now on the filter learns the errors of share and moment.
+    """
+    constants, test = table.loss_model, state.sequential_test
+    share = max(share, real(LEAST_SHARE, share))
+    doubt = constants.doubt / max(test.information, table.decision.suspect)
+    doubt = max(doubt, constants.least_doubt)
+    moment = constants.moment * test.age
+    transfer_to_losses(table, state, sign * possible_share(share))
+    take_over_candidate(table, state, share, sign)
+    forget_candidate(table, state, sign * share)
+    learn_loss(state.mismatch, min(constants.share_variance, doubt), moment * moment)
+    start_candidate(table, state)
+    begin_all(state.hypotheses.signatures)
+
+
+@firmware
+def transfer_to_losses(table: Record, state: Record, share: float) -> None:
+    """Begin a bumpless transfer of F̂ to the known loss and ``share`` of the candidate."""
+    loss, test = state.loss_model, state.sequential_test
+    lost = loss.followed * loss.previous_output + share * test.previous_output
+    now = loss.followed * loss_output(table, state) + share * candidate_output(table, state)
+    begin_transfer(table.bumpless_transfer, state.bumpless_transfer, lost, now - lost)
+
+
+@firmware
+def compensated_output(table: Record, state: Record) -> float:
+    """The input of F̂: the known loss plus the suspected loss."""
+    lost: float = state.loss_model.followed * loss_output(table, state)
+    if state.fault_state == SUSPECTED and table.probe.ticks == 0:
+        lost = lost + state.decision.suspected_share * candidate_output(table, state)
+    return lost

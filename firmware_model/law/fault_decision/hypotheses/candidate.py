@@ -1,0 +1,99 @@
+"""One hypothesis: a signature of unknown size in d̂, from an onset on.
+
+A fault adds its size m times a signature f to d̂; f is known from the onset on. As in
+``likelihood_ratio`` f is whitened like the noise, minus the part absorbed by the estimates of the
+car. Of all sizes between ``least`` and ``most`` the likeliest explains the innovations ν, of
+variance S, with the log-likelihood ratio
+
+    m (c - ½ m i),    c = Σ f ν/S,  i = Σ f²/S,  m = c/i within its limits
+
+the *evidence*. A size fitted afterwards does not prove the onset, so a second sum predicts each
+tick with the size of the tick before. A predicted sum below ``restart`` rejects the onset, and the
+present tick becomes the new onset; so does a candidate older than ``lifetime`` without a finding.
+"""
+
+from __future__ import annotations
+
+import math
+
+from firmware_model.compiled import firmware
+from firmware_model.law.fault_decision.covariance import MAX_STATES
+from firmware_model.law.precision import real
+from firmware_model.law.structs import Field, Record
+
+LIMITS = (
+    Field("least", "1", "least size, in the unit of the signature"),
+    Field("most", "1", "largest size, in the unit of the signature"),
+)
+CONSTANTS = (
+    Field("restart", "1", "predicted log-likelihood ratio that rejects the onset"),
+    Field("lifetime", "tick", "age of a restart without a finding"),
+    Field("promising", "1", "evidence that prevents the restart by age"),
+)
+STATE = (
+    Field("explained", "1", "effect of the signature on θ", shape=(MAX_STATES,)),
+    Field("previous_shown", "y", "the signature in d̂ of the last tick"),
+    Field("age", "tick", "since the onset"),
+    Field("correlation", "1", "c for a size of 1"),
+    Field("information", "1", "i for a size of 1"),
+    Field("size_now", "1", "m, in the unit of the signature"),
+    Field("foretold", "1", "log-likelihood ratio with the sizes of the ticks before"),
+    Field("evidence", "1", "log-likelihood ratio with m"),
+)
+
+
+@firmware
+def take_in(
+    table: Record, state: Record, own: Record, limits: Record, shown: float, innovation: float
+) -> None:
+    """Take in a tick.
+
+    Args:
+        table: the constant table.
+        state: of the controller; ``mismatch`` is that of this tick.
+        own: state of this module; changed in place.
+        limits: the limits of the size.
+        shown: the part of a size-1 signature in d̂ of this tick.
+        innovation: ν.
+    """
+    mismatch, half = state.mismatch, real(0.5, shown)
+    signature = shown - table.mismatch.colour * own.previous_shown
+    own.previous_shown = shown
+    for i in range(table.mismatch.n):
+        signature -= mismatch.regressor[i] * own.explained[i]
+    for i in range(table.mismatch.n):
+        own.explained[i] = mismatch.memory[i] * (own.explained[i] + mismatch.gain[i] * signature)
+    weight = signature / mismatch.variance
+    correlation, information = weight * innovation, weight * signature
+    own.foretold += own.size_now * (correlation - half * own.size_now * information)
+    own.correlation += correlation
+    own.information += information
+    own.age += real(1.0, shown)
+    own.size_now = likeliest(own.correlation, own.information, limits)
+    own.evidence = own.size_now * (own.correlation - half * own.size_now * own.information)
+
+
+@firmware
+def likeliest(correlation: float, information: float, limits: Record) -> float:
+    """The likeliest size within ``limits``; 0 without information."""
+    size = real(0.0, correlation)
+    if information > real(0.0, correlation):
+        size = min(max(correlation / information, limits.least), limits.most)
+    return size
+
+
+@firmware
+def has_failed(constants: Record, own: Record) -> bool:
+    """Whether the onset is rejected, or too old to gain more evidence."""
+    if not (own.foretold > constants.restart and math.isfinite(own.evidence)):
+        return True
+    old: bool = own.age >= constants.lifetime and not own.evidence > constants.promising
+    return old
+
+
+@firmware
+def start(own: Record) -> None:
+    """The onset is now."""
+    own.explained[:] = 0.0
+    own.previous_shown = own.age = own.correlation = own.information = 0.0
+    own.size_now = own.foretold = own.evidence = 0.0

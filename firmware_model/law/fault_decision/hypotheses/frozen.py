@@ -1,0 +1,73 @@
+"""A frozen sensor repeats the same number, whatever the car does.
+
+If the modelled car has moved since the last change of y, two facts speak for a frozen sensor. Noise
+never repeats for long: each repetition has a small chance, and its -ln is evidence. And y lacks the
+motion since: a signature of known size in d̂. A car at rest may repeat a number with a healthy
+sensor and less noise than specified.
+"""
+
+from __future__ import annotations
+
+from firmware_model.compiled import firmware
+from firmware_model.law.actuator import command_possible
+from firmware_model.law.fault_decision.hypotheses import candidate
+from firmware_model.law.fault_decision.hypotheses.candidate import start, take_in
+from firmware_model.law.precision import real
+from firmware_model.law.structs import Field, Record
+
+CONSTANTS = (
+    Field("size_of_one", "1", "limits of the size, always 1", candidate.LIMITS),
+    Field("least_motion", "y", "least modelled motion for a repetition to count"),
+    Field("repetition", "1", "-ln of the chance that noise repeats a number"),
+)
+STATE = (
+    Field("candidate", "1", "how well missing motion explains d̂", candidate.STATE),
+    Field("measurement", "y", "the repeated number"),
+    Field("expected", "y", "modelled y at the first occurrence"),
+    Field("repetitions", "1", "repetitions since"),
+    Field("command_1", "u1", "command 1 of the tick before the number"),
+    Field("command_2", "u2", "command 2 of the tick before the number"),
+    Field("evidence", "1", "log-likelihood ratio"),
+)
+
+
+@firmware
+def weigh_frozen(table: Record, state: Record, innovation: float, expected: float) -> None:
+    """Take in a tick, of which the model expects y to be ``expected``."""
+    constants, own = table.hypotheses.frozen, state.hypotheses.frozen
+    if state.measurement != own.measurement:
+        thaw(own)
+        own.measurement, own.expected = state.measurement, expected
+        return
+    own.repetitions += real(1.0, expected)
+    moved = expected - own.expected
+    missing = moved
+    if table.estimator.measurement.n > 0:  # the model predicts M y, not y
+        missing = real(0.0, expected)
+    take_in(table, state, own.candidate, constants.size_of_one, missing, innovation)
+    own.evidence = real(0.0, expected)
+    if abs(moved) > constants.least_motion:
+        own.evidence = own.candidate.evidence + own.repetitions * constants.repetition
+
+
+@firmware
+def note_commands(state: Record, measurement: float) -> None:
+    """Prepare the tick of a ``measurement``: the number may be the first frozen one."""
+    own = state.hypotheses.frozen
+    if measurement != own.measurement:
+        own.command_1 = state.command_1
+        own.command_2 = state.command_2
+
+
+@firmware
+def go_back(table: Record, state: Record) -> None:
+    """Restore the last commands computed without a frozen number."""
+    own = state.hypotheses.frozen
+    command_possible(table, state, own.command_1, own.command_2)
+
+
+@firmware
+def thaw(state: Record) -> None:
+    """The next number is another."""
+    start(state.candidate)
+    state.repetitions = state.evidence = 0.0

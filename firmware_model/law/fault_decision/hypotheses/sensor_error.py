@@ -1,0 +1,71 @@
+"""The known error of the sensor in y, after a bias or drift has been found.
+
+The decision removes the known error from d̂ completely, so a later loss of the motor is found
+without extra delay. A continuing drift is found repeatedly, each time by its growth since. C and F1
+ignore the known error: without a second sensor, subtracting a believed bias does not improve y.
+"""
+
+from __future__ import annotations
+
+from firmware_model.compiled import firmware
+from firmware_model.law.filters import biquad
+from firmware_model.law.filters.biquad import advance, output
+from firmware_model.law.precision import real
+from firmware_model.law.structs import Field, Record
+
+STATE = (
+    Field("offset", "y", "known error of the sensor in y"),
+    Field("answer", "y", "state of M driven by the offset", biquad.STATE),
+)
+
+
+@firmware
+def sensor_error_shown(table: Record, state: Record) -> float:
+    """The part of G1 u1 + G2 u2 missing in d̂ of this tick: M times the offset."""
+    own = state.hypotheses.sensor_error
+    shown: float = output(table.estimator.measurement, own.answer, own.offset)
+    return shown
+
+
+@firmware
+def advance_sensor_error(table: Record, state: Record) -> None:
+    """A tick on."""
+    own = state.hypotheses.sensor_error
+    advance(table.estimator.measurement, own.answer, own.offset)
+
+
+@firmware
+def learn_sensor_error(table: Record, state: Record, found: Record, input_now: float) -> bool:
+    """Add a found sensor error; θ forgets the error's influence.
+
+    Args:
+        table: the constant table.
+        state: of the controller; changed in place.
+        found: the hypothesis; its size has the unit of the signature.
+        input_now: input of the signature before M: -1 for a bias.
+
+    Returns:
+        Whether the earlier error is gone: less than half is left. False where a probe tests the
+        motor: then the verdict has no effect.
+    """
+    if table.probe.ticks > 0:
+        return False
+    own, size = state.hypotheses.sensor_error, found.candidate.size_now
+    half, before = real(0.5, size), own.offset
+    for i in range(table.mismatch.n):
+        state.mismatch.theta[i] -= size * found.candidate.explained[i]
+    own.offset = before - size * input_now
+    for i in range(table.estimator.measurement.n):
+        for j in range(2):
+            own.answer.accumulators[i, j] -= size * found.answer.accumulators[i, j]
+    gone: bool = abs(own.offset) < half * abs(before)
+    if gone:
+        clear_sensor_error(own)
+    return gone
+
+
+@firmware
+def clear_sensor_error(own: Record) -> None:
+    """It adds nothing."""
+    own.offset = 0.0
+    own.answer.accumulators[:] = 0.0

@@ -1,0 +1,122 @@
+"""The effect of a fault of size 1 on d̂ = G1 u1 + G2 u2 - y, from the onset on.
+
+A torque offset o acts like an additional command and adds -G1 o. A lost force difference adds the
+missing part of G2 u2. A biased sensor adds -b to d̂ in the first tick of the bias; no torque makes
+such a jump, and the jump distinguishes a bias from a loss. A drift is a ramp. For an unstable plant
+M multiplies y, bias and drift.
+
+A new bias or drift would show in the present d̂: if the present tick alone explains more than all
+ticks since the old onset, the onset moves to the present tick.
+"""
+
+from __future__ import annotations
+
+from firmware_model.compiled import firmware
+from firmware_model.law.fault_decision.hypotheses import candidate
+from firmware_model.law.fault_decision.hypotheses.candidate import has_failed, start, take_in
+from firmware_model.law.filters import biquad
+from firmware_model.law.filters.biquad import advance, output
+from firmware_model.law.precision import real
+from firmware_model.law.structs import Field, Record
+
+CONSTANTS = (
+    Field("candidate", "1", "thresholds of a restart", candidate.CONSTANTS),
+    Field("torque_offset", "u1", "limits of its size", candidate.LIMITS),
+    Field("force_lost", "1", "limits of the lost share", candidate.LIMITS),
+    Field("sensor_biased", "y", "limits of its size", candidate.LIMITS),
+    Field("sensor_drifting", "y/tick", "limits of its size", candidate.LIMITS),
+)
+ONE = (
+    Field("candidate", "1", "fit of the signature to d̂", candidate.STATE),
+    Field("answer", "y", "state of the signature's filter: G1, G2 or M", biquad.STATE),
+)
+STATE = (
+    Field("torque_offset", "u1", "an offset of the torque", ONE),
+    Field("force_lost", "1", "loss of channel 2", ONE),
+    Field("sensor_biased", "y", "a bias of the sensor", ONE),
+    Field("sensor_drifting", "y/tick", "a drift of the sensor", ONE),
+    Field("ramp", "tick", "the drift of 1/tick as of this tick"),
+    Field("commanded", "y²", "Σ (commanded effect of channel 2 on y)²"),
+    Field("missing", "y²", "Σ commanded effect · missing effect in y"),
+    Field("before", "1", "evidence of a lost channel 2 from before the onset of the other's loss"),
+    Field("jump", "1", "evidence of the bias in its first tick alone"),
+)
+
+
+@firmware
+def weigh_signatures(table: Record, state: Record, innovation: float) -> None:
+    """Update all candidates with the innovation; restart rejected candidates."""
+    constants, own = table.hypotheses.signatures, state.hypotheses.signatures
+    g1, g2, m = table.estimator.channel_1, table.estimator.channel_2, table.estimator.measurement
+    one = real(1.0, innovation)
+    offset, force = own.torque_offset, own.force_lost
+    shown = output(g1, offset.answer, -one)
+    take_in(table, state, offset.candidate, constants.torque_offset, shown, innovation)
+    if has_failed(constants.candidate, offset.candidate):
+        begin(offset)
+    shown = output(g2, force.answer, state.other_cars.command_2)
+    take_in(table, state, force.candidate, constants.force_lost, shown, innovation)
+    own.commanded += shown * shown
+    own.missing += shown * state.mismatch.previous_residual
+    if has_failed(constants.candidate, force.candidate):
+        begin(force)
+        own.commanded = own.missing = own.before = 0.0
+    if not state.sequential_test.age > real(0.0, one):  # the candidate for channel 1 begins again
+        own.before = force.candidate.evidence
+    half = real(0.5, innovation)
+    fresh = half * innovation * innovation / state.mismatch.variance
+    bias, drift = own.sensor_biased, own.sensor_drifting
+    shown = output(m, bias.answer, -one)
+    take_in(table, state, bias.candidate, constants.sensor_biased, shown, innovation)
+    if fresh > bias.candidate.evidence or has_failed(constants.candidate, bias.candidate):
+        begin(bias)
+        shown = output(m, bias.answer, -one)
+        take_in(table, state, bias.candidate, constants.sensor_biased, shown, innovation)
+    if bias.candidate.age == one:  # begun now, or by a verdict in the tick before
+        own.jump = bias.candidate.evidence
+    shown = output(m, drift.answer, own.ramp)
+    take_in(table, state, drift.candidate, constants.sensor_drifting, shown, innovation)
+    if fresh > drift.candidate.evidence or has_failed(constants.candidate, drift.candidate):
+        begin(drift)
+        own.ramp = -one
+        shown = output(m, drift.answer, own.ramp)
+        take_in(table, state, drift.candidate, constants.sensor_drifting, shown, innovation)
+
+
+@firmware
+def begin(hypothesis: Record) -> None:
+    """Its onset is now."""
+    start(hypothesis.candidate)
+    hypothesis.answer.accumulators[:] = 0.0
+
+
+@firmware
+def begin_all(state: Record) -> None:
+    """The onset of each is now."""
+    begin(state.torque_offset)
+    begin(state.force_lost)
+    begin(state.sensor_biased)
+    begin(state.sensor_drifting)
+    state.ramp = state.jump = state.commanded = state.missing = state.before = 0.0
+
+
+@firmware
+def answers_no_more(state: Record) -> bool:
+    """Whether y follows less than half of channel 2's commands since the onset of its loss.
+
+    The test uses d̂ directly: neither another car nor a small sensor error explains so large a d̂.
+    """
+    gone: bool = state.missing > real(0.5, state.missing) * state.commanded
+    return gone
+
+
+@firmware
+def advance_signatures(table: Record, state: Record) -> None:
+    """A tick on; ``other_cars`` has the command 2 of it."""
+    own, estimator = state.hypotheses.signatures, table.estimator
+    one = real(1.0, own.ramp)
+    advance(estimator.channel_1, own.torque_offset.answer, -one)
+    advance(estimator.channel_2, own.force_lost.answer, state.other_cars.command_2)
+    advance(estimator.measurement, own.sensor_biased.answer, -one)
+    advance(estimator.measurement, own.sensor_drifting.answer, own.ramp)
+    own.ramp -= one

@@ -1,0 +1,269 @@
+"""Whose fault is d̂: the hypothesis with the best explanation of d̂.
+
+The evidence of a hypothesis is the log-likelihood ratio of the innovations with and without the
+fault, each fault with a private onset. A found fault needs the evidence of a confirmed loss, and
+``ahead`` times the evidence of faults elsewhere: torque, force difference or sensor must be far
+ahead of both other places, because a loss with an onset error of a few ticks keeps hardly half of
+its evidence. With less evidence the verdict is "cannot tell". The verdict names the likeliest fault
+at the found place. The verdict stands until another fault is found; the same fault with the
+opposite sign ends the verdict. The known sensor errors add up; a small remaining sum ends the
+sensor verdict.
+
+A lost torque has a separate test, ``likelihood_ratio``; after confirmation the evidence is the
+learnt share in standard deviations from zero. Likewise another car: the evidence belongs to the
+direction with the clearest difference. Another car explains d̂ without any fault.
+
+A table with a ``share_drift`` has neither test nor verdict.
+"""
+
+from __future__ import annotations
+
+from typing import Any
+
+from firmware_model.compiled import firmware
+from firmware_model.law.fault_decision.covariance import LOSS_STATES, variance_of
+from firmware_model.law.fault_decision.hypotheses import (
+    candidate,
+    frozen,
+    sensor_error,
+    signatures,
+)
+from firmware_model.law.fault_decision.hypotheses.candidate import likeliest
+from firmware_model.law.fault_decision.hypotheses.frozen import thaw, weigh_frozen
+from firmware_model.law.fault_decision.hypotheses.sensor_error import (
+    clear_sensor_error,
+    learn_sensor_error,
+)
+from firmware_model.law.fault_decision.hypotheses.signatures import (
+    answers_no_more,
+    begin_all,
+    weigh_signatures,
+)
+from firmware_model.law.fault_decision.loss_model import known_share
+from firmware_model.law.precision import real
+from firmware_model.law.status import FaultState, Verdict
+from firmware_model.law.structs import Field, Record
+
+CONFIRMED = int(FaultState.CONFIRMED)
+NOTHING, CANNOT_BE_TOLD = int(Verdict.NOTHING), int(Verdict.CANNOT_BE_TOLD)
+TORQUE_LOST, TORQUE_OFFSET = int(Verdict.TORQUE_LOST), int(Verdict.TORQUE_OFFSET)
+FORCE_LOST, BOTH_LOST = int(Verdict.FORCE_LOST), int(Verdict.BOTH_LOST)
+SENSOR_BIASED, SENSOR_DRIFTING = int(Verdict.SENSOR_BIASED), int(Verdict.SENSOR_DRIFTING)
+SENSOR_FROZEN, ANOTHER_CAR = int(Verdict.SENSOR_FROZEN), int(Verdict.ANOTHER_CAR)
+HYPOTHESES = 8  # NOTHING (evidence 0), the faults, ANOTHER_CAR
+
+CONSTANTS = (
+    Field(
+        "signatures", "1", "of torque offset, lost force and sensor errors", signatures.CONSTANTS
+    ),
+    Field("frozen", "1", "of a frozen sensor", frozen.CONSTANTS),
+    Field("torque_lost", "1", "limits of the lost or returned share", candidate.LIMITS),
+    Field("ahead", "1", "least ratio of a verdict's evidence to faults at other places"),
+    Field("sensor_ahead", "1", "least ratio for a sensor fault"),
+    Field("jump", "1", "evidence of a bias in its first tick, at least"),
+    Field("both_lost", "1", "lead in evidence for a loss of channel 2 after a loss of channel 1"),
+)
+STATE = (
+    Field("signatures", "1", "of torque offset, lost force and sensor errors", signatures.STATE),
+    Field("frozen", "1", "of a frozen sensor", frozen.STATE),
+    Field("evidence", "1", "of each hypothesis, by the number of its verdict", shape=(HYPOTHESES,)),
+    Field("verdict", "1", "a Verdict", "int32"),
+    Field("found", "1", "fault found in this tick; 0: none", "int32"),
+    Field("found_size", "1", "size of a found actuator fault"),
+    Field("sensor_error", "y", "known error of the sensor", sensor_error.STATE),
+)
+
+
+@firmware
+def weigh_hypotheses(table: Record, state: Record, innovation: float, expected: float) -> None:
+    """Compute the evidence and the verdict of this tick.
+
+    Args:
+        table: the constant table.
+        state: changed in place; ``mismatch`` and ``sequential_test`` already updated in this tick.
+        innovation: innovation of d̂.
+        expected: y by the model.
+    """
+    weigh_signatures(table, state, innovation)
+    weigh_frozen(table, state, innovation, expected)
+    own = state.hypotheses
+    own.evidence[TORQUE_LOST] = torque_evidence(table, state)
+    own.evidence[TORQUE_OFFSET] = own.signatures.torque_offset.candidate.evidence
+    own.evidence[FORCE_LOST] = own.signatures.force_lost.candidate.evidence
+    own.evidence[SENSOR_BIASED] = own.signatures.sensor_biased.candidate.evidence
+    own.evidence[SENSOR_DRIFTING] = own.signatures.sensor_drifting.candidate.evidence
+    own.evidence[SENSOR_FROZEN] = own.frozen.evidence
+    own.evidence[ANOTHER_CAR] = other_car_evidence(table, state)
+    judge(table, state)
+
+
+@firmware
+def torque_evidence(table: Record, state: Record) -> float:
+    """The evidence of a lost torque: from the test, or from the share after confirmation."""
+    limits, test = table.hypotheses.torque_lost, state.sequential_test
+    half = real(0.5, test.evidence)
+    if state.fault_state == CONFIRMED:
+        share = known_share(state)
+        return half * share * share / variance_of(state.mismatch.covariance, table.mismatch.n, 0)
+    share = likeliest(test.correlation, test.information, limits)
+    evidence: float = share * (test.correlation - half * share * test.information)
+    return evidence
+
+
+@firmware
+def other_car_evidence(table: Record, state: Record) -> float:
+    """The evidence of the direction with the clearest difference between car and model."""
+    mismatch, n, half = state.mismatch, table.mismatch.n, real(0.5, state.command_1)
+    most = real(0.0, half)
+    for i in range(LOSS_STATES, LOSS_STATES + table.other_cars.n):
+        theta = mismatch.theta[i]
+        most = max(most, half * theta * theta / variance_of(mismatch.covariance, n, i))
+    return most
+
+
+@firmware
+def judge(table: Record, state: Record) -> None:
+    """The verdict of this tick."""
+    own, evidence, confirm = state.hypotheses, state.hypotheses.evidence, table.decision.confirm
+    lost, was = state.fault_state == CONFIRMED, own.verdict
+    own.found = NOTHING
+    own.verdict = standing(table, state)
+    if own.verdict == NOTHING:
+        own.found_size = 0.0
+    torque = strongest(evidence, TORQUE_LOST, FORCE_LOST)
+    if lost:  # what is tested is its end
+        torque = max(state.sequential_test.evidence, evidence[TORQUE_OFFSET])
+    force, sensor = evidence[FORCE_LOST], strongest(evidence, SENSOR_BIASED, ANOTHER_CAR)
+    actuators = max(torque, force)
+    most = max(actuators, sensor)
+    second = max(min(torque, force), min(actuators, sensor))
+    if lost:
+        ahead = force - max(torque, sensor) > table.hypotheses.both_lost
+        if ahead and answers_no_more(own.signatures):
+            own.verdict = BOTH_LOST
+    elif most > confirm and is_clear(table, state, most, second):
+        find(table, state, likeliest_fault(evidence, most))
+    elif own.verdict == NOTHING and most > confirm:
+        own.verdict = CANNOT_BE_TOLD
+    elif own.verdict == NOTHING:
+        enough = table.decision.suspect if was == ANOTHER_CAR else confirm
+        own.verdict = ANOTHER_CAR if evidence[ANOTHER_CAR] > enough else NOTHING
+
+
+@firmware
+def is_clear(table: Record, state: Record, most: float, second: float) -> bool:
+    """Whether the fault with the ``most`` evidence is distinguished from faults at other places.
+
+    A bias begins with a jump; no torque can jump. Only d̂ since the onset of a lost channel 1
+    distinguishes a lost channel 2 from a lost channel 1: where F̂ works on d̂, u2 answers to every
+    d̂, and an earlier d̂ gives no present evidence.
+    """
+    own, constants = state.hypotheses, table.hypotheses
+    if own.evidence[SENSOR_BIASED] == most and own.signatures.jump < constants.jump:
+        return False
+    ahead: float = constants.ahead
+    if strongest(own.evidence, SENSOR_BIASED, ANOTHER_CAR) == most:
+        ahead = constants.sensor_ahead
+    if own.evidence[FORCE_LOST] == most:
+        most = most - own.signatures.before
+    clear: bool = most > ahead * second
+    return clear
+
+
+@firmware
+def standing(table: Record, state: Record) -> int:
+    """The standing verdict of the last tick, without a new finding."""
+    own = state.hypotheses
+    verdict: int = own.verdict
+    if state.fault_state == CONFIRMED:
+        if verdict != BOTH_LOST:
+            verdict = CANNOT_BE_TOLD
+            if own.evidence[TORQUE_LOST] > table.decision.confirm:
+                verdict = TORQUE_LOST
+        return verdict
+    if verdict == SENSOR_FROZEN and own.frozen.repetitions > real(0.0, own.found_size):
+        return verdict
+    if verdict == TORQUE_LOST or verdict > SENSOR_DRIFTING:
+        verdict = NOTHING
+    return verdict
+
+
+@firmware
+def strongest(evidence: Any, first: int, end: int) -> float:
+    """The most evidence of a fault from ``first`` on, before ``end``."""
+    most: float = evidence[first]
+    for i in range(first + 1, end):
+        most = max(most, evidence[i])
+    return most
+
+
+@firmware
+def likeliest_fault(evidence: Any, most: float) -> int:
+    """The fault with the evidence ``most``; the first fault among equals."""
+    fault = ANOTHER_CAR
+    for i in range(1, ANOTHER_CAR):
+        last = ANOTHER_CAR - i
+        if evidence[last] == most:
+            fault = last
+    return fault
+
+
+@firmware
+def find(table: Record, state: Record, fault: int) -> None:
+    """Record a found ``fault``: the fault is present, or an earlier fault is gone.
+
+    The weighed evidence is now known, so every candidate starts with a new onset.
+    """
+    own, weighed = state.hypotheses, state.hypotheses.signatures
+    size = size_of(weighed, fault)
+    if fault == SENSOR_BIASED:
+        gone = learn_sensor_error(table, state, weighed.sensor_biased, real(-1.0, size))
+    elif fault == SENSOR_DRIFTING:
+        gone = learn_sensor_error(table, state, weighed.sensor_drifting, weighed.ramp)
+    else:
+        opposite = own.found_size * size < real(0.0, size)
+        gone = opposite and place_of(fault) == place_of(own.verdict)
+    if fault != TORQUE_LOST:
+        begin_all(weighed)
+    own.found_size = size
+    own.found = fault
+    own.verdict = NOTHING if gone else fault
+
+
+@firmware
+def place_of(fault: int) -> int:
+    """The first fault of the place where ``fault`` is: torque, force difference or sensor."""
+    if fault < FORCE_LOST:
+        return TORQUE_LOST
+    return min(fault, SENSOR_BIASED)
+
+
+@firmware
+def found_elsewhere(own: Record) -> bool:
+    """Whether this tick found the begin or the end of a fault outside the torque."""
+    elsewhere: bool = place_of(own.found) != TORQUE_LOST
+    return elsewhere
+
+
+@firmware
+def size_of(own: Record, fault: int) -> float:
+    """The size of a found actuator fault; 0 for other faults."""
+    size = real(0.0, own.ramp)
+    if fault == TORQUE_OFFSET:
+        size = own.torque_offset.candidate.size_now
+    elif fault == FORCE_LOST:
+        size = own.force_lost.candidate.size_now
+    return size
+
+
+@firmware
+def clear_hypotheses(state: Record) -> None:
+    """Nothing is known."""
+    own = state.hypotheses
+    begin_all(own.signatures)
+    thaw(own.frozen)
+    own.frozen.measurement = own.frozen.expected = own.found_size = 0.0
+    own.frozen.command_1 = own.frozen.command_2 = 0.0
+    own.evidence[:] = 0.0
+    clear_sensor_error(own.sensor_error)
+    own.verdict = own.found = NOTHING

@@ -1,0 +1,171 @@
+"""The sequential test for the moment of a loss, or of the return, of channel 1.
+
+The effect of a loss is known except for moment and share: after the loss d̂ = s w, with w the
+answer of G1 to the commands since. So one candidate runs along, restarted whenever the evidence
+contradicts the candidate, and the log-likelihood ratio grows with every tick (Page's cumulative sum
+of a known signature: Basseville and Nikiforov, Detection of Abrupt Changes, 1993, 7.2.4):
+
+    g⁺ = g + (f ν - ½ f²)/S
+
+with ν the innovation of d̂ (``mismatch``), S its variance, and f the effect of a loss of ``share``
+on ν: w, whitened like the noise, minus the part absorbed by the estimates of the car. A g below -1
+rejects the moment, and the candidate restarts at this tick. An f that fades before a decision
+restarts the candidate too, because no more evidence can follow. The chance that a healthy car takes
+one candidate beyond h is e^-h at most (Wald), and there is at most one a tick: so h is the
+logarithm of the ticks between two false alarms, whatever the drive, and needs no tuning.
+
+The test for the return of a lost channel is the same with the opposite sign.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+
+from firmware_model.compiled import firmware
+from firmware_model.law.fault_decision.covariance import MAX_STATES
+from firmware_model.law.filters import biquad
+from firmware_model.law.filters.biquad import advance, output
+from firmware_model.law.filters.estimator import pending_command
+from firmware_model.law.precision import real
+from firmware_model.law.structs import MAX_SHOWN_TICKS, Field, Record
+
+CONSTANTS = (
+    Field("share", "1", "tested lost share of channel 1"),
+    Field("restart", "1", "log-likelihood ratio of a restart"),
+    Field("freshness", "1", "least growth of information per doubled age; else the candidate ends"),
+    Field("needed", "1", "information of a decision"),
+    Field("promising", "1", "evidence that keeps an old candidate"),
+    Field("deviations", "1", "deviations by which a share above 1 must exceed 1"),
+)
+STATE = (
+    Field("channel_1", "y", "state of G1 driven by the commands since the start", biquad.STATE),
+    Field(
+        "earlier", "y", "state of G1 driven only by the last command before the start", biquad.STATE
+    ),
+    Field("delay", "y", "ring of w on its way into d̂", shape=(MAX_SHOWN_TICKS,)),
+    Field("previous_output", "y", "w of the last tick"),
+    Field("previous_shown", "y", "w of the last tick as contained in d̂"),
+    Field("explained", "1", "effect of w on θ", shape=(MAX_STATES,)),
+    Field("age", "tick", "since the start"),
+    Field("evidence", "1", "g, log-likelihood ratio"),
+    Field("correlation", "1", "Σ ν f/S for a share of 1"),
+    Field("information", "1", "Σ f²/S for a share of 1"),
+    Field("half_age", "tick", "age at the last check of growth"),
+    Field("half_information", "1", "information at the last check of growth"),
+)
+
+
+@firmware
+def candidate_output(table: Record, state: Record) -> float:
+    """Return w of this tick, driven by this tick's command."""
+    candidate = state.sequential_test.channel_1
+    w: float = output(table.estimator.channel_1, candidate, state.command_1)
+    return w
+
+
+@firmware
+def update_test(table: Record, state: Record, innovation: float, share: float) -> None:
+    """Take in a tick; ``share`` is signed: above 0 a loss is looked for, below 0 a return."""
+    test, mismatch = state.sequential_test, state.mismatch
+    shown = candidate_shown(table, state)
+    signature = shown - table.mismatch.colour * test.previous_shown
+    test.previous_shown = shown
+    for i in range(table.mismatch.n):
+        signature -= mismatch.regressor[i] * test.explained[i]
+    for i in range(table.mismatch.n):
+        test.explained[i] = mismatch.memory[i] * (test.explained[i] + mismatch.gain[i] * signature)
+    correlation = signature * innovation / mismatch.variance
+    information = signature * signature / mismatch.variance
+    half = real(0.5, share)
+    test.evidence += share * (correlation - half * share * information)
+    test.correlation += correlation
+    test.information += information
+    test.age += real(1.0, share)
+    constants, none = table.sequential_test, real(0.0, share)
+    suspected = share > none and test.evidence > constants.promising  # and acted upon
+    stale = is_stale(constants, test) and not suspected
+    if stale or not test.evidence > constants.restart:
+        start_candidate(table, state)
+
+
+@firmware
+def is_stale(constants: Record, test: Record) -> bool:
+    """Whether a candidate of doubled age has gained hardly any information.
+
+    Neither a good part of the present information, nor enough for a decision.
+    """
+    two = real(2.0, test.age)
+    if test.age < two * max(test.half_age, two):
+        return False
+    learnt = test.information - test.half_information
+    fresh = min(constants.freshness * test.half_information, constants.needed)
+    test.half_age = test.age
+    test.half_information = test.information
+    stale: bool = learnt < fresh
+    return stale
+
+
+@firmware
+def candidate_shown(table: Record, state: Record) -> float:
+    """Return w as contained in d̂ of this tick, late by bus and dead time."""
+    if table.estimator.shown_ticks_1 > 0:
+        w: float = state.sequential_test.delay[state.estimator.shown_index_1]
+        return w
+    return candidate_output(table, state)
+
+
+@firmware
+def start_candidate(table: Record, state: Record) -> None:
+    """Restart: all past commands acted; the commands on the way are lost."""
+    test, estimator = state.sequential_test, table.estimator
+    g1, shown = estimator.channel_1, estimator.shown_ticks_1
+    test.channel_1.accumulators[:] = 0.0
+    test.earlier.accumulators[:] = 0.0
+    test.explained[:] = 0.0
+    test.evidence = test.correlation = test.information = test.age = 0.0
+    test.previous_output = test.previous_shown = 0.0
+    test.half_age = test.half_information = 0.0
+    for i in range(shown):
+        command = pending_command(estimator, state.estimator, i)
+        w = output(g1, test.channel_1, command)
+        test.delay[(state.estimator.shown_index_1 + i) % shown] = w
+        test.previous_output = w
+        advance(g1, test.channel_1, command)
+    before = state.command_1
+    if shown > 0:  # the last acting command has left the ring and hardly differs
+        before = pending_command(estimator, state.estimator, 0)
+    advance(g1, test.earlier, before)
+
+
+@firmware
+def advance_candidate(table: Record, state: Record) -> None:
+    """Advance w by this tick's command, computed or held."""
+    test = state.sequential_test
+    w = advance(table.estimator.channel_1, test.channel_1, state.command_1)
+    test.previous_output = w
+    advance(table.estimator.channel_1, test.earlier, real(0.0, w))
+    if table.estimator.shown_ticks_1 > 0:
+        test.delay[state.estimator.shown_index_1] = w
+
+
+@firmware
+def forget_candidate(table: Record, state: Record, share: float) -> None:
+    """Remove the effect of ``share`` of w from θ: θ took the loss for another car."""
+    theta, explained = state.mismatch.theta, state.sequential_test.explained
+    for i in range(table.mismatch.n):
+        theta[i] -= share * explained[i]
+
+
+@firmware
+def lost_share(constants: Record, test: Record) -> float:
+    """The share of channel 1 that explains ``innovation`` best, by least squares, 0 or above.
+
+    Above 1 only if necessary: channel 1 then moves this car more than the model.
+    """
+    zero, one = real(0.0, test.evidence), real(1.0, test.evidence)
+    if not test.information > zero:
+        return one
+    best = test.correlation / test.information
+    least = best - constants.deviations / np.sqrt(test.information)
+    share: float = min(max(best, zero), max(one, least))
+    return share

@@ -1,0 +1,148 @@
+"""The model of d̂ after a loss: s w, with w the answer of G1 to the lost commands.
+
+The thesis's (2.9) for a complete loss: the missing contribution of channel 1 to y. Once the channel
+works again no more commands are lost, and w fades like the missing motion.
+
+At first s and the moment of the loss are known only roughly: ``mismatch`` learns both errors from
+the following ticks. F̂ differentiates, so it gets s as two lags in a row follow it.
+"""
+
+from __future__ import annotations
+
+from firmware_model.compiled import firmware
+from firmware_model.law.filters import biquad
+from firmware_model.law.filters.biquad import advance, output, settle
+from firmware_model.law.precision import real
+from firmware_model.law.status import FaultState
+from firmware_model.law.structs import MAX_SHOWN_TICKS, Field, Record
+
+CONFIRMED = int(FaultState.CONFIRMED)
+
+CONSTANTS = (
+    Field("share_variance", "1", "largest variance of s at the confirmation"),
+    Field("doubt", "1", "variance of s at the confirmation, times its information"),
+    Field("least_doubt", "1", "least variance of s, for a car with another G1"),
+    Field("moment", "1", "deviation of the moment, as a part of the detection time"),
+    Field("follow", "1", "part of the distance to s per tick of a lag"),
+)
+STATE = (
+    Field("channel_1", "y", "state of G1 driven by the lost commands", biquad.STATE),
+    Field(
+        "earlier", "y", "state of G1 driven only by the last command before the loss", biquad.STATE
+    ),
+    Field("share", "1", "s, the lost share of channel 1 at the confirmation"),
+    Field("between", "1", "s behind the first lag"),
+    Field("followed", "1", "s behind the second lag"),
+    Field("previous_output", "y", "w of the last tick"),
+    Field("delay", "y", "ring of w on its way into d̂", shape=(MAX_SHOWN_TICKS,)),
+)
+
+
+@firmware
+def loss_output(table: Record, state: Record) -> float:
+    """Return w of this tick, driven by this tick's command."""
+    w: float = output(
+        table.estimator.channel_1, state.loss_model.channel_1, lost_command(table, state)
+    )
+    return w
+
+
+@firmware
+def loss_shown(table: Record, state: Record) -> float:
+    """Return w as contained in d̂ of this tick, late by bus and dead time."""
+    if table.estimator.shown_ticks_1 > 0:
+        w: float = state.loss_model.delay[state.estimator.shown_index_1]
+        return w
+    return loss_output(table, state)
+
+
+@firmware
+def earlier_shown(table: Record, state: Record) -> float:
+    """Return the change of the delayed w if the confirmed loss were one tick older."""
+    zero = real(0.0, state.command_1)
+    return output(table.estimator.channel_1, state.loss_model.earlier, zero)
+
+
+@firmware
+def known_share(state: Record) -> float:
+    """The present estimate of s, 0..1."""
+    return possible_share(state.loss_model.share + state.mismatch.theta[0])
+
+
+@firmware
+def possible_share(share: float) -> float:
+    """Limit ``share`` to the inactive part of command 1, 0..1."""
+    possible: float = min(max(share, real(0.0, share)), real(1.0, share))
+    return possible
+
+
+@firmware
+def follow_share(constants: Record, state: Record) -> None:
+    """What F̂ gets of s, a tick later."""
+    loss = state.loss_model
+    loss.between += constants.follow * (known_share(state) - loss.between)
+    loss.followed += constants.follow * (loss.between - loss.followed)
+
+
+@firmware
+def lost_command(table: Record, state: Record) -> float:
+    """The command with the lost share s: this tick's command, or zero before a known loss."""
+    command: float = state.command_1
+    if state.fault_state == CONFIRMED or table.decision.tracks_share:
+        return command
+    return real(0.0, command)
+
+
+@firmware
+def advance_loss_model(table: Record, state: Record) -> None:
+    """Advance w by this tick's command, computed or held."""
+    loss = state.loss_model
+    w = advance(table.estimator.channel_1, loss.channel_1, lost_command(table, state))
+    loss.previous_output = w
+    advance(table.estimator.channel_1, loss.earlier, real(0.0, w))
+    if table.estimator.shown_ticks_1 > 0:
+        loss.delay[state.estimator.shown_index_1] = w
+
+
+@firmware
+def take_over_candidate(table: Record, state: Record, share: float, sign: float) -> None:
+    """Add the candidate to the loss (``sign`` 1) or subtract the candidate (-1): s w is continuous.
+
+    Args:
+        table: the constant table.
+        state: changed in place.
+        share: s from now on; a fading earlier loss becomes part of the new loss.
+        sign: 1 or -1.
+    """
+    loss, test = state.loss_model, state.sequential_test
+    earlier = known_share(state) / share
+    for i in range(table.estimator.channel_1.n):
+        for j in range(2):
+            before = earlier * loss.channel_1.accumulators[i, j]
+            loss.channel_1.accumulators[i, j] = before + sign * test.channel_1.accumulators[i, j]
+            loss.earlier.accumulators[i, j] = test.earlier.accumulators[i, j]
+    for i in range(table.estimator.shown_ticks_1):
+        loss.delay[i] = earlier * loss.delay[i] + sign * test.delay[i]
+    loss.previous_output = earlier * loss.previous_output + sign * test.previous_output
+    loss.share = share
+    loss.between = loss.followed = possible_share(share)
+
+
+@firmware
+def settle_loss_model(table: Record, state: Record) -> None:
+    """Reset to no loss, in the steady state for the command of this tick."""
+    clear_loss_model(state)
+    loss = state.loss_model
+    w = settle(table.estimator.channel_1, loss.channel_1, lost_command(table, state))
+    loss.previous_output = w
+    loss.delay[:] = w
+
+
+@firmware
+def clear_loss_model(state: Record) -> None:
+    """Nothing is lost."""
+    loss = state.loss_model
+    loss.channel_1.accumulators[:] = 0.0
+    loss.earlier.accumulators[:] = 0.0
+    loss.delay[:] = 0.0
+    loss.share = loss.between = loss.followed = loss.previous_output = 0.0

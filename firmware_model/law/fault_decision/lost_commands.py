@@ -1,0 +1,86 @@
+"""Commands that came too late to act: the models of the plant undo the late commands.
+
+F1 goes on with the commands of the actuators. The missing output is a shortfall, and the law makes
+up for a shortfall. A lost channel, known or not, does not owe a command that never arrived.
+"""
+
+from __future__ import annotations
+
+from firmware_model.compiled import firmware
+from firmware_model.law.filters.biquad import advance
+from firmware_model.law.precision import real
+from firmware_model.law.status import FaultState
+from firmware_model.law.structs import MAX_SECTIONS, Record, RecordArray
+
+CONFIRMED = int(FaultState.CONFIRMED)
+
+
+@firmware
+def act(table: Record, state: Record, motion: Record, command_1: float, command_2: float) -> None:
+    """Let these commands act from the next tick on, in place of the late commands.
+
+    Args:
+        table: the constant table, of a latency of at least one tick.
+        state: changed in place.
+        motion: a state of any cascade, overwritten.
+        command_1: the command of actuator 1.
+        command_2: the command of actuator 2.
+    """
+    estimator = state.estimator
+    at = estimator.delay_index
+    lost_1 = real(estimator.delay_1[at] - command_1, state.command_1)
+    lost_2 = real(estimator.delay_2[at] - command_2, state.command_2)
+    estimator.delay_1[at] = command_1
+    estimator.delay_2[at] = command_2
+    lose_command_1(table, state, motion, lost_1)
+    lose_command_2(table, state, motion, lost_2)
+
+
+@firmware
+def lose_command_1(table: Record, state: Record, motion: Record, lost: float) -> None:
+    """Subtract ``lost`` from the acting command 1."""
+    constants, test, loss = table.estimator, state.sequential_test, state.loss_model
+    owes = state.fault_state == CONFIRMED or table.decision.tracks_share > 0
+    first = state.estimator.shown_index_1 - constants.latency_ticks
+    motion.accumulators[:] = 0.0
+    for k in range(constants.latency_ticks):
+        missing = advance(constants.channel_1, motion, lost)
+        i = (first + k) % constants.shown_ticks_1
+        test.delay[i] -= missing
+        if owes:
+            loss.delay[i] -= missing
+        lost = real(0.0, lost)
+    for i in range(MAX_SECTIONS):
+        for j in range(2):
+            missing = motion.accumulators[i, j]
+            state.shortfall_1.accumulators[i, j] += missing
+            test.channel_1.accumulators[i, j] -= missing
+            if owes:
+                loss.channel_1.accumulators[i, j] -= missing
+
+
+@firmware
+def lose_command_2(table: Record, state: Record, motion: Record, lost: float) -> None:
+    """Subtract ``lost`` from the acting command 2."""
+    constants = table.estimator
+    first = state.estimator.shown_index_2 - constants.latency_ticks
+    motion.accumulators[:] = 0.0
+    for k in range(constants.latency_ticks):
+        i = (first + k) % constants.shown_ticks_2
+        state.tracking.delay[i] += advance(constants.channel_2, motion, lost)
+        lost = real(0.0, lost)
+    for i in range(MAX_SECTIONS):
+        for j in range(2):
+            state.shortfall_2.accumulators[i, j] += motion.accumulators[i, j]
+
+
+@firmware
+def act_first(
+    tables: RecordArray,
+    states: RecordArray,
+    motions: RecordArray,
+    command_1: float,
+    command_2: float,
+) -> None:
+    """``act`` for the first of the controllers; see ``controller.step_first``."""
+    act(tables[0], states[0], motions[0], command_1, command_2)

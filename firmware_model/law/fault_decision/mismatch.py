@@ -1,0 +1,212 @@
+"""The difference between a car and the model, learnt from d̂ tick by tick, and the innovation.
+
+To first order in its differences a car without a fault shows
+
+    d̂ = Σ θ_i x_i
+
+with x_i the effect of the cars along the principal directions of the box (``other_cars``). A Kalman
+filter learns θ; θ starts at zero and wanders slowly around zero,
+
+    θ⁺ = φ θ + ...,  covariance P0 at rest,
+
+from d̂ itself. The signature of a loss passes the same gains (``likelihood_ratio``), so only the
+part that no other car explains counts as evidence (Willsky and Jones, IEEE Trans. Autom. Control 21
+(1976) 108).
+
+After a confirmed loss two more states learn the error of the share (x is the lost w) and the error
+of the moment in ticks (x is the effect of one more command): share and moment are only roughly
+known at first.
+
+With a ``share_drift`` the lost share is a state from the start, and wanders even in a steady car.
+
+The effect of other cars beyond the first order is a remainder that changes as slowly as the car
+moves: one more θ with x = 1. Both wander only while the car moves: the steady state of a bend is
+constant, so the filter soon knows the steady d̂ and distinguishes a loss at once. The measure of
+motion is the fading largest change of the x_i, M, against their fading largest extent: the
+remainder's variance is a share of the first, and θ wanders at the ratio of both. The remainder is
+of second order, so the variance grows with the square of the mean θ² that is still possible: a car
+close to the model leaves little remainder. A trusted model has no x.
+"""
+
+from __future__ import annotations
+
+import math
+
+from firmware_model.compiled import firmware
+from firmware_model.law.fault_decision import covariance
+from firmware_model.law.fault_decision.covariance import (
+    LOSS_STATES,
+    SIZES,
+    clear_covariance,
+    fade,
+    grow,
+    measure,
+    replace_loss,
+    variance_of,
+)
+from firmware_model.law.precision import real
+from firmware_model.law.structs import Field, Record
+
+CONSTANTS = (
+    Field("n", "1", "states: share and moment of a loss, other cars, the remainder", "int32"),
+    Field("prior", "1", "P0, initial variance of each θ; of the remainder 1"),
+    Field("forgetting", "1", "1 - φ of each θ where the car moves", shape=SIZES),
+    Field("growth", "1", "1 - φ², times the variance of θ", shape=SIZES),
+    Field("motion", "1", "(time constant of the remainder/tick)², from changes to extents"),
+    Field("beyond", "1", "variance of the remainder, as a share of M, for cars all over the box"),
+    Field(
+        "rule", "1", "variance of the error of F1's rule, as a share of the change of G1 u1 + G2 u2"
+    ),
+    Field("white", "1", "white share of the remainder's variance"),
+    Field("fading", "1", "factor per tick of M and of the largest extent"),
+    Field("noise", "y²", "variance of the whitened noise of a tick"),
+    Field("colour", "1", "a of the noise, n(k) = a n(k-1) + white"),
+)
+STATE = (
+    Field("x", "y", "x of the last tick", shape=SIZES),
+    Field("regressor", "y", "x of this tick, whitened", shape=SIZES),
+    Field("theta", "1", "θ", shape=SIZES),
+    Field("covariance", "1", "P", covariance.STATE),
+    Field("gain", "1/y", "gain of the last update of θ", shape=SIZES),
+    Field("memory", "1", "φ of each θ in the last update", shape=SIZES),
+    Field("extent", "y²", "fading largest Σ x²"),
+    Field("change", "y²", "M, fading largest Σ (time constant · dx/dt)²"),
+    Field("rule", "y²", "fading part due to F1's rule or to the initial error"),
+    Field("remainder", "y²", "variance of the remainder"),
+    Field("previous_model_output", "y", "G1 u1 + G2 u2 of the last tick"),
+    Field("previous_residual", "y", "d̂ of the last tick, less the known loss"),
+    Field("variance", "y²", "S, of the innovation"),
+)
+
+
+@firmware
+def predict_mismatch(
+    table: Record, state: Record, model_output: float, lost: float, earlier: float
+) -> None:
+    """Compute x of this tick and the part of x in the noise variance.
+
+    Args:
+        table: the constant table.
+        state: changed in place; ``other_cars`` shows this tick.
+        model_output: G1 u1 + G2 u2 as contained in d̂.
+        lost: w of a confirmed loss as contained in d̂; 0 without loss.
+        earlier: the change of w if the loss were one tick older.
+    """
+    constants, mismatch, shown = table.mismatch, state.mismatch, state.other_cars.shown
+    a, x, previous = constants.colour, mismatch.regressor, mismatch.x
+    extent = change = real(0.0, model_output)
+    x[0] = lost - a * previous[0]
+    x[1] = earlier - a * previous[1]
+    previous[0], previous[1] = lost, earlier
+    for i in range(table.other_cars.n):
+        k, now = LOSS_STATES + i, shown[i]
+        x[k] = now - a * previous[k]
+        moved = now - previous[k]
+        previous[k] = now
+        extent += now * now
+        change += moved * moved
+    if constants.n > LOSS_STATES:
+        x[constants.n - 1] = real(1.0, model_output) - a
+    moved = model_output - mismatch.previous_model_output
+    mismatch.previous_model_output = model_output
+    fading, motion = constants.fading, constants.motion
+    mismatch.extent = max(fading * mismatch.extent, finite(extent))
+    mismatch.change = max(fading * mismatch.change, finite(motion * change))
+    beyond, rule = constants.beyond * mismatch.change, finite(constants.rule * moved * moved)
+    mismatch.rule = max(fading * mismatch.rule, rule)
+    off = difference(table, mismatch)
+    mismatch.remainder = max(beyond * off * off, mismatch.rule)
+
+
+@firmware
+def difference(table: Record, state: Record) -> float:
+    """Mean square of θ for this car relative to the box; 1 at most."""
+    constants, cars = table.mismatch, table.other_cars.n
+    zero, one = real(0.0, constants.prior), real(1.0, constants.prior)
+    squares = box = zero
+    for i in range(LOSS_STATES, LOSS_STATES + cars):
+        squares += variance_of(state.covariance, constants.n, i) + state.theta[i] * state.theta[i]
+        box += constants.prior
+    return min(squares / box, one) if box > zero else one
+
+
+@firmware
+def finite(value: float) -> float:
+    """Return ``value``, or zero if not finite: an overflow must not stay in a memory."""
+    return value if math.isfinite(value) else real(0.0, value)
+
+
+@firmware
+def innovation(constants: Record, state: Record, residual: float) -> float:
+    """Return the innovation of ``residual`` (d̂ minus the known loss); θ and P are updated.
+
+    Leaves the gain in ``state.gain`` and the innovation's variance in ``state.variance``.
+    """
+    n, x, gain = constants.n, state.regressor, state.gain
+    theta, memory = state.theta, state.memory
+    new: float = residual - constants.colour * state.previous_residual
+    state.previous_residual = residual
+    for i in range(n):
+        new -= x[i] * theta[i]
+    noise = constants.noise + constants.white * state.remainder
+    state.variance = measure(state.covariance, n, x, noise, gain)
+    one = real(1.0, new)
+    wander = min(state.change / state.extent, one) if state.extent > real(0.0, new) else one
+    for i in range(n):
+        moves = wander if i >= LOSS_STATES else one
+        memory[i] = one - moves * constants.forgetting[i]
+        theta[i] = memory[i] * (theta[i] + gain[i] * new)
+    fade(state.covariance, n, memory)
+    if constants.growth[0] > real(0.0, new):
+        grow(state.covariance, 0, constants.growth[0])
+    for i in range(LOSS_STATES, n):
+        growth = state.remainder if i == n - 1 else wander
+        grow(state.covariance, i, constants.growth[i] * growth)
+    if not (math.isfinite(new) and math.isfinite(state.variance)):
+        clear_mismatch(constants, state)
+    return new
+
+
+@firmware
+def clear_mismatch(constants: Record, state: Record) -> None:
+    """Forget the car: no knowledge of θ, car at rest."""
+    state.x[:] = 0.0
+    state.theta[:] = 0.0
+    clear_covariance(state.covariance)
+    for i in range(LOSS_STATES, constants.n - 1):
+        state.covariance.variances[i] = constants.prior
+    state.extent = state.change = state.rule = state.remainder = 0.0
+    state.previous_model_output = 0.0
+    state.previous_residual = 0.0
+
+
+@firmware
+def settle_mismatch(table: Record, state: Record, model_output: float) -> None:
+    """The steady state that ``other_cars`` shows; nothing is known of the car."""
+    clear_mismatch(table.mismatch, state.mismatch)
+    zero = real(0.0, model_output)
+    predict_mismatch(table, state, model_output, zero, zero)
+    state.mismatch.change = state.mismatch.rule = state.mismatch.remainder = (
+        0.0  # it came there long ago
+    )
+
+
+def doubt_motion(constants: Record, state: Record, variance: float) -> None:
+    """Allow an initial error of y with this ``variance`` that fades with time."""
+    state.rule = variance
+    if constants.n > LOSS_STATES:
+        state.covariance.variances[constants.n - 1] = variance
+
+
+@firmware
+def learn_loss(state: Record, share: float, moment: float) -> None:
+    """From now on learn how far share and moment of a loss are off; nothing, with zeros.
+
+    Args:
+        state: of this module; changed in place.
+        share: variance of the share.
+        moment: variance of the moment, in ticks².
+    """
+    state.theta[:LOSS_STATES] = 0.0
+    state.x[:LOSS_STATES] = 0.0
+    replace_loss(state.covariance, share, moment)

@@ -1,0 +1,149 @@
+"""The effect on d̂ of healthy cars that differ from the model.
+
+    x_i = (G1_i - G1) u1 + (G2_i - G2) u2
+
+with G1_i, G2_i the models of another car, along the i-th principal direction of the allowed box of
+cars and scaled to the end of the box (``design.mismatch``). A known lost command drives no model.
+
+For an unstable plant, in coprime factors over the same poles,
+
+    x_i = (N1_i - N1) u1 + (N2_i - N2) u2 - (M_i - M) y
+"""
+
+from __future__ import annotations
+
+from firmware_model.compiled import firmware
+from firmware_model.law.fault_decision.covariance import MAX_DIRECTIONS
+from firmware_model.law.filters import biquad
+from firmware_model.law.filters.biquad import advance, output, settle
+from firmware_model.law.structs import Field, Record
+
+CAR = (
+    Field("channel_1", "y/u1", "G1 of this car", biquad.CONSTANTS),
+    Field("channel_2", "y/u2", "G2 of this car", biquad.CONSTANTS),
+    Field("measurement", "1", "M of this car; no section for a stable car", biquad.CONSTANTS),
+)
+CAR_STATE = (
+    Field("channel_1", "y", "its state", biquad.STATE),
+    Field("channel_2", "y", "its state", biquad.STATE),
+    Field("measurement", "y", "its state", biquad.STATE),
+)
+CONSTANTS = (
+    Field("n", "1", "principal directions in use", "int32"),
+    Field("scale", "1", "from a car of this table to the end of the box"),
+    Field("car_1", "1", "the car along the first direction", CAR),
+    Field("car_2", "1", "likewise the second", CAR),
+    Field("car_3", "1", "likewise the third", CAR),
+    Field("car_4", "1", "likewise the fourth", CAR),
+)
+STATE = (
+    Field("model", "y", "the model, driven by the same commands", CAR_STATE),
+    Field("car_1", "y", "the first car", CAR_STATE),
+    Field("car_2", "y", "the second car", CAR_STATE),
+    Field("car_3", "y", "the third car", CAR_STATE),
+    Field("car_4", "y", "the fourth car", CAR_STATE),
+    Field("shown", "y", "x_i of this tick", shape=(MAX_DIRECTIONS,)),
+    Field("command_1", "u1", "command 1 in the measurement, without the known loss"),
+    Field("command_2", "u2", "command 2 likewise"),
+)
+
+
+@firmware
+def show_other_cars(table: Record, state: Record, command_1: float, command_2: float) -> None:
+    """Return x of this tick; these commands begin to act on the measurement."""
+    cars, own, shown = table.other_cars, state.other_cars, state.other_cars.shown
+    own.command_1, own.command_2 = command_1, command_2
+    if cars.n == 0:
+        return
+    u1, u2, y = command_1, command_2, state.estimator.measured
+    model = output(table.estimator.channel_1, own.model.channel_1, u1)
+    model += output(table.estimator.channel_2, own.model.channel_2, u2)
+    if table.estimator.measurement.n > 0:
+        model -= output(table.estimator.measurement, own.model.measurement, y)
+    shown[0] = (car_output(cars.car_1, own.car_1, u1, u2, y) - model) * cars.scale
+    if cars.n > 1:
+        shown[1] = (car_output(cars.car_2, own.car_2, u1, u2, y) - model) * cars.scale
+    if cars.n > 2:
+        shown[2] = (car_output(cars.car_3, own.car_3, u1, u2, y) - model) * cars.scale
+    if cars.n > 3:
+        shown[3] = (car_output(cars.car_4, own.car_4, u1, u2, y) - model) * cars.scale
+
+
+@firmware
+def advance_other_cars(table: Record, state: Record) -> None:
+    """Advance every car by the commands of ``show_other_cars``, or what became of command 2."""
+    cars, own, y = table.other_cars, state.other_cars, state.estimator.measured
+    if table.estimator.shown_ticks_2 == 0:
+        own.command_2 = state.command_2
+    if cars.n > 0:
+        advance(table.estimator.channel_1, own.model.channel_1, own.command_1)
+        advance(table.estimator.channel_2, own.model.channel_2, own.command_2)
+        advance(table.estimator.measurement, own.model.measurement, y)
+        advance_car(cars.car_1, own.car_1, own.command_1, own.command_2, y)
+    if cars.n > 1:
+        advance_car(cars.car_2, own.car_2, own.command_1, own.command_2, y)
+    if cars.n > 2:
+        advance_car(cars.car_3, own.car_3, own.command_1, own.command_2, y)
+    if cars.n > 3:
+        advance_car(cars.car_4, own.car_4, own.command_1, own.command_2, y)
+
+
+@firmware
+def settle_other_cars(table: Record, state: Record, command_1: float, command_2: float) -> None:
+    """The steady state for constant commands."""
+    cars, own, y = table.other_cars, state.other_cars, state.estimator.measured
+    settle(table.estimator.channel_1, own.model.channel_1, command_1)
+    settle(table.estimator.channel_2, own.model.channel_2, command_2)
+    settle(table.estimator.measurement, own.model.measurement, y)
+    settle_car(cars.car_1, own.car_1, command_1, command_2, y)
+    settle_car(cars.car_2, own.car_2, command_1, command_2, y)
+    settle_car(cars.car_3, own.car_3, command_1, command_2, y)
+    settle_car(cars.car_4, own.car_4, command_1, command_2, y)
+    show_other_cars(table, state, command_1, command_2)
+
+
+@firmware
+def clear_other_cars(state: Record) -> None:
+    """Every car is at rest."""
+    own = state.other_cars
+    clear_car(own.model)
+    clear_car(own.car_1)
+    clear_car(own.car_2)
+    clear_car(own.car_3)
+    clear_car(own.car_4)
+    own.shown[:] = 0.0
+    own.command_1 = own.command_2 = 0.0
+
+
+@firmware
+def car_output(car: Record, state: Record, u1: float, u2: float, y: float) -> float:
+    """What a car explains of ``y``: G1 u1 + G2 u2, or N1 u1 + N2 u2 less M y."""
+    explained: float = output(car.channel_1, state.channel_1, u1)
+    explained += output(car.channel_2, state.channel_2, u2)
+    if car.measurement.n > 0:
+        explained -= output(car.measurement, state.measurement, y)
+    return explained
+
+
+@firmware
+def advance_car(car: Record, state: Record, u1: float, u2: float, y: float) -> None:
+    """A tick on."""
+    advance(car.channel_1, state.channel_1, u1)
+    advance(car.channel_2, state.channel_2, u2)
+    advance(car.measurement, state.measurement, y)
+
+
+@firmware
+def settle_car(car: Record, state: Record, u1: float, u2: float, y: float) -> None:
+    """Its steady state."""
+    settle(car.channel_1, state.channel_1, u1)
+    settle(car.channel_2, state.channel_2, u2)
+    settle(car.measurement, state.measurement, y)
+
+
+@firmware
+def clear_car(state: Record) -> None:
+    """At rest."""
+    state.channel_1.accumulators[:] = 0.0
+    state.channel_2.accumulators[:] = 0.0
+    state.measurement.accumulators[:] = 0.0

@@ -1,0 +1,40 @@
+"""Both actuators are lost: the commands are taken back to zero, without a bump.
+
+No command moves the plant any more, and a standing command would act at once if an actuator came
+back. So each command goes to zero in a straight line, as far as the rate limit allows, and stays
+zero until ``reset``, whatever the measurement. The models follow, as during a HOLD.
+
+A table with a duration of 0 only reports the verdict and goes on.
+"""
+
+from __future__ import annotations
+
+from firmware_model.compiled import firmware
+from firmware_model.law.actuator import command_possible
+from firmware_model.law.precision import real
+from firmware_model.law.status import Verdict
+from firmware_model.law.structs import Field, Record
+
+BOTH_LOST = int(Verdict.BOTH_LOST)
+
+CONSTANTS = (Field("duration", "tick", "duration of the way to zero; 0: the commands go on"),)
+STATE = (Field("elapsed", "tick", "ticks since the start of the way to zero"),)
+
+
+@firmware
+def stops(table: Record, state: Record) -> bool:
+    """Whether both actuators have been found lost, and the commands have to go."""
+    lost: bool = state.hypotheses.verdict == BOTH_LOST and table.safe_stop.duration > 0.0
+    return lost
+
+
+@firmware
+def take_commands_back(table: Record, state: Record) -> None:
+    """A tick nearer to zero."""
+    own, one = state.safe_stop, real(1.0, state.command_1)
+    left = table.safe_stop.duration - own.elapsed
+    share = real(0.0, one)
+    if left > one:
+        share = (left - one) / left
+        own.elapsed += one
+    command_possible(table, state, share * state.command_1, share * state.command_2)

@@ -1,0 +1,22 @@
+"""The compensator u2 = r2 + F̂ d̂ of (2.37), with the algebraic loop through d̂ solved.
+
+With a Tustin estimator at zero latency this tick's d̂ depends on this tick's u2, which depends on
+this tick's d̂: F̂ is biproper and Tustin's G2 feeds through, with loop gain T/(2τ+T) for the
+thesis's design. A factor known at design time solves the loop exactly, also under saturation: for a
+loop gain below 1 the saturated solution of the linear loop is the solution of the saturated loop.
+With a held-input estimator, or any latency, the gain is 0.
+"""
+
+from __future__ import annotations
+
+from firmware_model.law.filters import biquad
+from firmware_model.law.structs import Field
+
+CONSTANTS = (
+    Field("filter", "u2/y", "F̂", biquad.CONSTANTS),
+    Field("feedthrough", "u2/y", "of F̂ to the same tick"),
+    Field("loop_inverse", "1", "1/(1 - gain of the algebraic loop)"),
+    Field("reference_share", "u2/y", "of the reference, that goes to channel 2 directly"),
+    Field("on_confirmation", "1", "1: F̂ acts on a confirmed loss; 0, the thesis: always", "int32"),
+)
+STATE = (Field("filter", "u2", "state of F̂", biquad.STATE),)

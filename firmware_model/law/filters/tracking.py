@@ -1,0 +1,99 @@
+"""The tracking controller u1 = C (r - y) of (3.32), in a form that no limit can make oscillate.
+
+C = Q/(1 - Q G1) is the filter Q = q̂/G1 fed with the part of y outside the model:
+
+    u1 = Q (r - y + G1 u1)
+
+G1 u1 comes from the estimator: the limited and rounded command, with the delay of the bus. So as
+long as the car equals the model, y - G1 u1 is the disturbance, whatever the limits of the actuator:
+limits of magnitude and rate are outside the loop (internal model control: Garcia and Morari, Ind.
+Eng. Chem. Process Des. Dev. 21 (1982) 308). Another car closes the loop only by the difference from
+the model. The gain of Q G1 is 1 at zero frequency: the integrator.
+
+After a loss channel 2 closes the loop. The shortfall of channel 2, G2 (asked - possible), is
+subtracted from the model's output: so the limits of channel 2 are outside the loop too.
+
+For an unstable plant the model is N1, and a filter R of the command stabilises the plant:
+u1 = Q (r - y + N1 u1) + R u1 (``design.continuous_design``). Then limits have to stay in the loop.
+"""
+
+from __future__ import annotations
+
+from firmware_model.compiled import firmware
+from firmware_model.law.filters import biquad
+from firmware_model.law.filters.biquad import advance, output, settle
+from firmware_model.law.precision import real
+from firmware_model.law.structs import MAX_SHOWN_TICKS, Field, Record
+
+CONSTANTS = (
+    Field("filter", "u1/y", "Q; 1 in the open loop", biquad.CONSTANTS),
+    Field("feedback", "1", "1: Q works on r - y + G1 u1; 0, the open loop: on r"),
+    Field("stabiliser", "1", "R; no section where the plant is stable", biquad.CONSTANTS),
+    Field("excuses_limits", "1", "1: make-up of shortfalls; 0: unstable plant"),
+    Field("loop_inverse", "1", "1/(1 - gain of the loop u1 → G1 u1 → u1 within a tick)"),
+)
+STATE = (
+    Field("filter", "u1", "state of Q", biquad.STATE),
+    Field("stabiliser", "u1", "state of R", biquad.STATE),
+    Field("error", "y", "r - y + G1 u1 of the last tick with inputs"),
+    Field("delay", "y", "ring of G2 (asked - possible) on its way", shape=(MAX_SHOWN_TICKS,)),
+)
+
+
+@firmware
+def missing_output(table: Record, state: Record) -> float:
+    """Return G2 (asked - possible) in the measurement of this tick."""
+    if table.estimator.shown_ticks_2 > 0:
+        missing: float = state.tracking.delay[state.estimator.shown_index_2]
+        return missing
+    none = real(0.0, state.command_2)
+    return output(table.estimator.channel_2, state.shortfall_2, none)
+
+
+@firmware
+def asked_torque(constants: Record, state: Record, error: float) -> float:
+    """Return u1 for ``error`` = r - y + G1 u1, with G1 u1 before this tick's command."""
+    torque: float = output(constants.filter, state.filter, error)
+    if constants.stabiliser.n > 0:
+        torque += output(constants.stabiliser, state.stabiliser, real(0.0, torque))
+    inverse: float = constants.loop_inverse
+    return torque * inverse
+
+
+@firmware
+def track(constants: Record, state: Record, error: float, command: float) -> None:
+    """Advance Q by ``error`` = r - y + G1 u1, this tick's command included as it was limited."""
+    state.error = error
+    advance(constants.filter, state.filter, error)
+    if constants.stabiliser.n > 0:
+        advance(constants.stabiliser, state.stabiliser, command)
+
+
+@firmware
+def track_on(constants: Record, state: Record, command: float) -> float:
+    """Pass a tick without inputs as if C saw no change; return the command that C would ask for."""
+    torque: float = advance(constants.filter, state.filter, state.error)
+    if constants.stabiliser.n > 0:
+        torque += advance(constants.stabiliser, state.stabiliser, command)
+    return torque
+
+
+@firmware
+def advance_shortfalls(table: Record, state: Record, short_1: float, short_2: float) -> None:
+    """Advance the shortfalls of both channels by this tick's asked - possible."""
+    counts = table.tracking.excuses_limits
+    advance(table.estimator.channel_1, state.shortfall_1, short_1 * counts)
+    missing = advance(table.estimator.channel_2, state.shortfall_2, short_2 * counts)
+    if table.estimator.shown_ticks_2 > 0:
+        state.tracking.delay[state.estimator.shown_index_2] = missing
+
+
+@firmware
+def settle_tracking(constants: Record, state: Record, reference: float) -> float:
+    """The steady state where M y is ``reference``, of a plant that is the model; the command."""
+    state.delay[:] = 0.0
+    state.error = reference
+    command: float = settle(constants.filter, state.filter, reference)
+    if constants.stabiliser.n > 0:  # R is 0 for a constant
+        settle(constants.stabiliser, state.stabiliser, command)
+    return command

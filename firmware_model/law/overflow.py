@@ -1,0 +1,75 @@
+"""Recovery of the memories after an overflow: a lost number must not stay lost."""
+
+from __future__ import annotations
+
+import math
+
+from firmware_model.compiled import firmware
+from firmware_model.law.fault_decision.bumpless_transfer import release
+from firmware_model.law.fault_decision.decision import CLEAR, compensated_output
+from firmware_model.law.fault_decision.hypotheses.verdict import clear_hypotheses
+from firmware_model.law.fault_decision.likelihood_ratio import start_candidate
+from firmware_model.law.fault_decision.loss_model import clear_loss_model
+from firmware_model.law.fault_decision.mismatch import clear_mismatch
+from firmware_model.law.fault_decision.other_cars import clear_other_cars, show_other_cars
+from firmware_model.law.filters.biquad import output
+from firmware_model.law.filters.estimator import clear_estimator, model_output
+from firmware_model.law.filters.shortfall import make_up
+from firmware_model.law.filters.tracking import missing_output
+from firmware_model.law.precision import real
+from firmware_model.law.reference_shaper import start
+from firmware_model.law.structs import Record
+
+
+@firmware
+def clear_memories(table: Record, state: Record) -> None:
+    """Restart the memories fed by the measurement; keep finite memories of the commands.
+
+    A known loss stays known.
+    """
+    state.probe.tick = 0
+    state.tracking.filter.accumulators[:] = 0.0
+    state.tracking.stabiliser.accumulators[:] = 0.0
+    state.tracking.error = 0.0
+    state.estimator.one_plus_q.accumulators[:] = 0.0
+    state.estimator.measurement.accumulators[:] = 0.0
+    if not table.compensator.on_confirmation:
+        state.compensator.filter.accumulators[:] = 0.0
+    clear_mismatch(table.mismatch, state.mismatch)
+    if not math.isfinite(sum_of_models(table, state)):
+        clear_models(state)
+    start_candidate(table, state)
+    clear_hypotheses(state)
+
+
+@firmware
+def sum_of_models(table: Record, state: Record) -> float:
+    """Sum of all memories of the commands: not finite if one memory is lost."""
+    zero = real(0.0, state.command_1)
+    model_1, model_2 = model_output(table.estimator, state.estimator, zero, zero)
+    known = model_1 + model_2 + compensated_output(table, state) + missing_output(table, state)
+    show_other_cars(table, state, zero, zero)
+    for i in range(table.other_cars.n):
+        known += state.other_cars.shown[i]
+    force = output(table.compensator.filter, state.compensator.filter, zero)
+    estimator, lost_1, lost_2 = table.estimator, state.shortfall_1, state.shortfall_2
+    force += make_up(table.shortfall_1, estimator.channel_1, table.actuator_1, lost_1)
+    force += make_up(table.shortfall_2, estimator.channel_2, table.actuator_2, lost_2)
+    total: float = known + force + state.reference_shaper.shaped
+    return total
+
+
+@firmware
+def clear_models(state: Record) -> None:
+    """Forget the plant: plant at rest, no loss."""
+    start(state.reference_shaper, real(0.0, state.command_1))
+    state.shortfall_1.accumulators[:] = 0.0
+    state.shortfall_2.accumulators[:] = 0.0
+    state.tracking.delay[:] = 0.0
+    state.actuator_1.rounded_off = state.actuator_2.rounded_off = 0.0
+    state.compensator.filter.accumulators[:] = 0.0
+    clear_estimator(state.estimator)
+    clear_loss_model(state)
+    clear_other_cars(state)
+    release(state.bumpless_transfer)
+    state.fault_state = CLEAR

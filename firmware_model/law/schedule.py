@@ -1,0 +1,258 @@
+"""A controller for a car whose speed changes: constants blended between designs at several speeds.
+
+**Coefficients.** Between two neighbouring designs each coefficient is a straight line over 1/V; the
+car's matrices are polynomials in 1/V. Every filter has the same poles in the same section at all
+speeds (``discretisation.paired``), so that a coefficient has one meaning.
+
+**States.** The meaning of a section's memory changes with the speed: the accumulators are s = T(V)
+x, with x the state of the car (side slip, yaw rate, steering) and the actuator. The car's state
+does not jump when its speed changes, so s turns with T. Over the interval between two designs
+
+    ds/dλ = L s,   L = log(T_after T_before⁻¹),   λ = 0..1 the share of the way from one to the next
+
+and a change of λ turns s by 1 + Δλ L + (Δλ L)²/2. So every model of the car (F1, loss model,
+candidate of the test, other cars, shortfalls) keeps its motion, and braking alone causes no d̂ in a
+healthy car.
+
+``controller.step`` does not know the schedule: this module blends the table before ``step``, in a
+tick with a new speed.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from firmware_model.compiled import firmware
+from firmware_model.law.precision import real
+from firmware_model.law.structs import MAX_SECTIONS, Field, Record, RecordArray
+
+MAX_SPEEDS = 16
+CARRIED = 4  # sections of a model whose state turns: actuator, car and sensor of order 8
+SIZE = 2 * CARRIED
+FILTER = (MAX_SPEEDS, MAX_SECTIONS * 5)
+TURN = (MAX_SPEEDS, SIZE * SIZE)
+GAIN = (MAX_SPEEDS, MAX_SECTIONS * 2)
+EACH = (MAX_SPEEDS,)
+
+CONSTANTS = (
+    Field("n", "1", "number of speeds", "int32"),
+    Field("speed", "m/s", "of each design, ascending", shape=EACH),
+    Field("tracking", "u1/y", "Q at each", shape=FILTER),
+    Field("tracking_inverse", "1", "loop_inverse of C at each", shape=EACH),
+    Field("channel_1", "y/u1", "G1 at each", shape=FILTER),
+    Field("channel_2", "y/u2", "G2 at each", shape=FILTER),
+    Field("feedthrough_2", "y/u2", "of G2 at each", shape=EACH),
+    Field("compensator", "u2/y", "F̂ at each", shape=FILTER),
+    Field("compensator_feedthrough", "u2/y", "of F̂ at each", shape=EACH),
+    Field("compensator_inverse", "1", "loop_inverse of F̂ at each", shape=EACH),
+    Field("make_up_1", "u1/y", "gain of the shortfall of channel 1 at each", shape=GAIN),
+    Field("make_up_2", "u2/y", "gain of the shortfall of channel 2 at each", shape=GAIN),
+    Field("car_1_channel_1", "y/u1", "G1 of the first other car at each", shape=FILTER),
+    Field("car_1_channel_2", "y/u2", "its G2", shape=FILTER),
+    Field("car_2_channel_1", "y/u1", "G1 of the second", shape=FILTER),
+    Field("car_2_channel_2", "y/u2", "its G2", shape=FILTER),
+    Field("car_3_channel_1", "y/u1", "G1 of the third", shape=FILTER),
+    Field("car_3_channel_2", "y/u2", "its G2", shape=FILTER),
+    Field("car_4_channel_1", "y/u1", "G1 of the fourth", shape=FILTER),
+    Field("car_4_channel_2", "y/u2", "its G2", shape=FILTER),
+    Field("turn_1", "1", "L of G1 from each speed to the next, row by row", shape=TURN),
+    Field("turn_2", "1", "L of G2", shape=TURN),
+    Field("car_1_turn_1", "1", "L of G1 of the first other car", shape=TURN),
+    Field("car_1_turn_2", "1", "L of its G2", shape=TURN),
+    Field("car_2_turn_1", "1", "L of G1 of the second", shape=TURN),
+    Field("car_2_turn_2", "1", "L of its G2", shape=TURN),
+    Field("car_3_turn_1", "1", "L of G1 of the third", shape=TURN),
+    Field("car_3_turn_2", "1", "L of its G2", shape=TURN),
+    Field("car_4_turn_1", "1", "L of G1 of the fourth", shape=TURN),
+    Field("car_4_turn_2", "1", "L of its G2", shape=TURN),
+)
+STATE = (
+    Field("place", "1", "of the speed: the number of the design below it, and λ"),
+    Field("turned", "1", "L s of one filter", shape=(SIZE,)),
+    Field("again", "1", "L L s", shape=(SIZE,)),
+)
+
+
+@firmware
+def change_speed(schedule: Record, own: Record, table: Record, state: Record, speed: float) -> None:
+    """Blend ``table`` for ``speed`` and carry the states of the models over.
+
+    A speed beyond the designs counts as the nearest design's speed; a speed that is not a number
+    changes no value.
+
+    Args:
+        schedule: constants of this module.
+        own: state of this module; changed in place.
+        table: that of the controller; changed in place.
+        state: that of the controller; changed in place.
+        speed: of the car, m/s.
+    """
+    v = real(speed, own.place)
+    if not math.isfinite(v):
+        return
+    place = place_of(schedule, v)
+    if place == own.place:
+        return
+    move(schedule, own, table, state, place)
+    own.place = place
+    at = int(place)
+    blend(schedule, table, at, place - real(at, place))
+
+
+@firmware
+def change_first_speed(
+    schedules: RecordArray,
+    owns: RecordArray,
+    tables: RecordArray,
+    states: RecordArray,
+    speed: float,
+) -> None:
+    """``change_speed`` for the first of the controllers; see ``controller.step_first``."""
+    change_speed(schedules[0], owns[0], tables[0], states[0], speed)
+
+
+@firmware
+def place_of(schedule: Record, speed: float) -> float:
+    """The number of the design below ``speed``, and the share of the way from there to the next."""
+    zero, one = real(0.0, speed), real(1.0, speed)
+    place = zero
+    for i in range(schedule.n - 1):
+        low, high = schedule.speed[i], schedule.speed[i + 1]
+        if speed > low:  # 1/V goes from 1/low to 1/high
+            share = min((speed - low) / (high - low) * (high / speed), one)
+            place = real(i, speed) + share
+    return place
+
+
+@firmware
+def move(schedule: Record, own: Record, table: Record, state: Record, place: float) -> None:
+    """Turn all states from ``own.place`` to ``place``, interval by interval."""
+    last = schedule.n - 2
+    for k in range(schedule.n - 1):
+        i = k
+        if place < own.place:
+            i = last - k
+        low = real(i, place)
+        high = low + real(1.0, place)
+        end = min(max(place, low), high)
+        begin = min(max(own.place, low), high)
+        if end != begin:
+            turn_models(schedule, own, table, state, i, end - begin)
+
+
+@firmware
+def turn_models(
+    schedule: Record, own: Record, table: Record, state: Record, at: int, way: float
+) -> None:
+    """Turn every state of a model of the car by ``way`` within the interval ``at``."""
+    turn(schedule.turn_1, own, state.estimator.channel_1, at, way)
+    turn(schedule.turn_2, own, state.estimator.channel_2, at, way)
+    turn(schedule.turn_1, own, state.shortfall_1, at, way)
+    turn(schedule.turn_2, own, state.shortfall_2, at, way)
+    turn(schedule.turn_1, own, state.sequential_test.channel_1, at, way)
+    turn(schedule.turn_1, own, state.sequential_test.earlier, at, way)
+    turn(schedule.turn_1, own, state.loss_model.channel_1, at, way)
+    turn(schedule.turn_1, own, state.loss_model.earlier, at, way)
+    turn(schedule.turn_1, own, state.hypotheses.signatures.torque_offset.answer, at, way)
+    turn(schedule.turn_2, own, state.hypotheses.signatures.force_lost.answer, at, way)
+    cars = state.other_cars
+    if table.other_cars.n > 0:
+        turn(schedule.turn_1, own, cars.model.channel_1, at, way)
+        turn(schedule.turn_2, own, cars.model.channel_2, at, way)
+        turn(schedule.car_1_turn_1, own, cars.car_1.channel_1, at, way)
+        turn(schedule.car_1_turn_2, own, cars.car_1.channel_2, at, way)
+    if table.other_cars.n > 1:
+        turn(schedule.car_2_turn_1, own, cars.car_2.channel_1, at, way)
+        turn(schedule.car_2_turn_2, own, cars.car_2.channel_2, at, way)
+    if table.other_cars.n > 2:
+        turn(schedule.car_3_turn_1, own, cars.car_3.channel_1, at, way)
+        turn(schedule.car_3_turn_2, own, cars.car_3.channel_2, at, way)
+    if table.other_cars.n > 3:
+        turn(schedule.car_4_turn_1, own, cars.car_4.channel_1, at, way)
+        turn(schedule.car_4_turn_2, own, cars.car_4.channel_2, at, way)
+
+
+@firmware
+def turn(turns: Any, own: Record, filter_state: Record, at: int, way: float) -> None:
+    """s → s + way L s + (way L)² s/2 of one filter.
+
+    Args:
+        turns: L of each interval, shape ``TURN``.
+        own: state of this module, for intermediate results.
+        filter_state: the filter's; changed in place.
+        at: the interval.
+        way: Δλ.
+    """
+    s = filter_state.accumulators
+    half = real(0.5, way)
+    for row in range(SIZE):
+        total = real(0.0, way)
+        for m in range(CARRIED):
+            total += turns[at, SIZE * row + 2 * m] * s[m, 0]
+            total += turns[at, SIZE * row + 2 * m + 1] * s[m, 1]
+        own.turned[row] = total * way
+    for row in range(SIZE):
+        total = real(0.0, way)
+        for column in range(SIZE):
+            total += turns[at, SIZE * row + column] * own.turned[column]
+        own.again[row] = total * way * half
+    for m in range(CARRIED):
+        s[m, 0] += own.turned[2 * m] + own.again[2 * m]
+        s[m, 1] += own.turned[2 * m + 1] + own.again[2 * m + 1]
+
+
+@firmware
+def blend(schedule: Record, table: Record, at: int, share: float) -> None:
+    """Make ``table`` that of the place ``share`` of the way from the design ``at`` to the next."""
+    blend_filter(schedule.tracking, table.tracking.filter, at, share)
+    blend_filter(schedule.channel_1, table.estimator.channel_1, at, share)
+    blend_filter(schedule.channel_2, table.estimator.channel_2, at, share)
+    blend_filter(schedule.compensator, table.compensator.filter, at, share)
+    table.tracking.loop_inverse = between(schedule.tracking_inverse, at, share)
+    table.estimator.feedthrough_2 = between(schedule.feedthrough_2, at, share)
+    table.compensator.feedthrough = between(schedule.compensator_feedthrough, at, share)
+    table.compensator.loop_inverse = between(schedule.compensator_inverse, at, share)
+    blend_gain(schedule.make_up_1, table.shortfall_1, table.estimator.channel_1.n, at, share)
+    blend_gain(schedule.make_up_2, table.shortfall_2, table.estimator.channel_2.n, at, share)
+    cars = table.other_cars
+    blend_filter(schedule.car_1_channel_1, cars.car_1.channel_1, at, share)
+    blend_filter(schedule.car_1_channel_2, cars.car_1.channel_2, at, share)
+    blend_filter(schedule.car_2_channel_1, cars.car_2.channel_1, at, share)
+    blend_filter(schedule.car_2_channel_2, cars.car_2.channel_2, at, share)
+    blend_filter(schedule.car_3_channel_1, cars.car_3.channel_1, at, share)
+    blend_filter(schedule.car_3_channel_2, cars.car_3.channel_2, at, share)
+    blend_filter(schedule.car_4_channel_1, cars.car_4.channel_1, at, share)
+    blend_filter(schedule.car_4_channel_2, cars.car_4.channel_2, at, share)
+
+
+@firmware
+def between(values: Any, at: int, share: float) -> float:
+    """The value on the line from the ``at``-th of ``values`` to the next."""
+    value: float = values[at]
+    if share != 0.0:
+        value += share * (values[at + 1] - values[at])
+    return value
+
+
+@firmware
+def blend_filter(designs: Any, cascade: Record, at: int, share: float) -> None:
+    """Blend the coefficients of a cascade; ``designs`` has one row for each speed."""
+    n = cascade.n
+    for i in range(n):
+        for j in range(5):
+            value = designs[at, 5 * i + j]
+            if share != 0.0:
+                value += share * (designs[at + 1, 5 * i + j] - value)
+            cascade.coefficients[i, j] = value
+
+
+@firmware
+def blend_gain(designs: Any, shortfall: Record, n: int, at: int, share: float) -> None:
+    """The gain of a shortfall of ``n`` sections likewise."""
+    for i in range(n):
+        for j in range(2):
+            value = designs[at, 2 * i + j]
+            if share != 0.0:
+                value += share * (designs[at + 1, 2 * i + j] - value)
+            shortfall.gain[i, j] = value

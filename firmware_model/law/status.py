@@ -1,0 +1,69 @@
+"""Inputs and answers of a tick, and the names of modes and fault states."""
+
+from __future__ import annotations
+
+from enum import IntEnum
+
+from firmware_model.law.structs import Field
+
+
+class Mode(IntEnum):
+    """The mode of the controller, as sent in the status frame."""
+
+    INIT = 0
+    """No tick has run since ``init`` or ``reset``."""
+    RUN = 1
+    """The last tick was computed from its inputs."""
+    HOLD = 2
+    """The last tick's input was not a finite number: the last good commands are held."""
+    SAFE_STOP = 3
+    """Both actuators are lost: the commands are taken back to zero, until ``reset``."""
+
+
+class FaultState(IntEnum):
+    """What ``decision`` makes of d̂."""
+
+    CLEAR = 0
+    """Nothing speaks for a loss, and the loss of all of channel 1 would show."""
+    SUSPECTED = 1
+    """d̂ speaks for a loss, not yet clearly enough."""
+    CONFIRMED = 2
+    """It did clearly enough, and channel 1 has not been seen to work since."""
+    CANNOT_TELL = 3
+    """Channel 1 contributes so little at present that its loss would not show."""
+
+
+class Verdict(IntEnum):
+    """The verdict of ``hypotheses``: the fault that explains d̂ best, by far."""
+
+    NOTHING = 0
+    """Nothing speaks for a fault."""
+    TORQUE_LOST = 1
+    """Channel 1 is lost, or a part of it."""
+    TORQUE_OFFSET = 2
+    """Channel 1 does more or less than it is told, by a constant."""
+    FORCE_LOST = 3
+    """Channel 2 is lost, or a part of it."""
+    SENSOR_BIASED = 4
+    """The sensor is off by a constant."""
+    SENSOR_DRIFTING = 5
+    """The sensor is off by more and more."""
+    SENSOR_FROZEN = 6
+    """The sensor says the same, whatever the plant does."""
+    ANOTHER_CAR = 7
+    """No fault: the plant is not the model."""
+    BOTH_LOST = 8
+    """Channel 2 is lost after channel 1."""
+    CANNOT_BE_TOLD = 9
+    """There is a fault, and more than one hypothesis that explains it."""
+
+
+STATE = (
+    Field("reference", "y", "r of this tick"),
+    Field("measurement", "y", "y (D*) of this tick"),
+    Field("command_1", "u1", "command to channel 1, saturated and quantised"),
+    Field("command_2", "u2", "command to channel 2, saturated and quantised"),
+    Field("fault_estimate", "y", "d̂"),
+    Field("mode", "1", "a Mode", "int32"),
+    Field("fault_state", "1", "a FaultState", "int32"),
+)

@@ -1,0 +1,55 @@
+"""Cars, targets and tables that several of these tests look at."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+
+from firmware_model.design.mismatch import Channels, Mismatch, principal_mismatch
+from firmware_model.design.plants import steer_by_wire
+from firmware_model.design.vehicle import VehicleParameters
+from firmware_model.law.fault_decision.covariance import MAX_DIRECTIONS, MAX_STATES
+from firmware_model.law.structs import FloatArray, Record, RecordArray
+
+NOMINAL = VehicleParameters()
+CAR = steer_by_wire(NOMINAL)
+TICK_S = 1e-3
+
+
+def car_at(place: FloatArray) -> VehicleParameters:
+    """Mass, speed, front and rear tires up to 20 % off, at ``place`` in the box of -1..1."""
+    names = (
+        "mass_kg", "speed_mps", "front_cornering_stiffness_n_per_rad",
+        "rear_cornering_stiffness_n_per_rad",
+    )  # fmt: skip
+    changes = {
+        name: getattr(NOMINAL, name) * (1.0 + 0.2 * float(part))
+        for name, part in zip(names, place, strict=False)
+    }
+    return VehicleParameters(**changes)
+
+
+def channels_at(place: FloatArray) -> Channels:
+    plant = steer_by_wire(car_at(place))
+    return plant.g1, plant.g2
+
+
+def other_cars(parameters: int = 3) -> Mismatch:
+    return principal_mismatch(channels_at, parameters, 0.05, 1, MAX_DIRECTIONS)
+
+
+def changed(table: Record, **numbers: dict[str, Any]) -> RecordArray:
+    """A copy, shape (1,), with other numbers: ``decision={"confirm": 4.0}``."""
+    tables = np.zeros(1, table.dtype)
+    tables[0] = table
+    for part, values in numbers.items():
+        for name, value in values.items():
+            tables[part][name] = value
+    return tables
+
+
+def covariance_of(mismatch: Record) -> FloatArray:
+    """P of its filter, from the factors."""
+    factor = np.triu(mismatch.covariance.upper, 1) + np.eye(MAX_STATES)
+    return np.asarray(factor * mismatch.covariance.variances @ factor.T)

@@ -1,0 +1,103 @@
+"""What an actuator makes of a command: magnitude, rate and resolution, against numpy's clip."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from firmware_model.law.actuator import CONSTANTS, STATE, quantise, saturate, saturate_rate
+from firmware_model.law.structs import Record, record_type
+
+some = st.floats(-1e3, 1e3)
+size = st.floats(1e-3, 1e3)  # of a limit
+
+
+def actuator(limit: float = math.inf, slew: float = math.inf, lsb: float = 0.0) -> Record:
+    made = np.zeros(1, record_type(CONSTANTS, "float64"))[0]
+    made.limit, made.slew, made.lsb = limit, slew, lsb
+    return made
+
+
+def at_rest() -> Record:
+    return np.zeros(1, record_type(STATE, "float64"))[0]
+
+
+@given(some, size)
+def test_a_command_is_clipped_at_both_limits(command: float, limit: float) -> None:
+    assert saturate(actuator(limit), command) == np.clip(command, -limit, limit)
+
+
+@given(some, some, size, size)
+def test_its_rate_is_clipped_too_and_the_limit_comes_first(
+    command: float, previous: float, limit: float, slew: float
+) -> None:
+    previous = float(np.clip(previous, -limit, limit))
+    within_rate = np.clip(command, previous - slew, previous + slew)
+    expected = np.clip(within_rate, -limit, limit)
+    assert saturate_rate(actuator(limit, slew), command, previous) == expected
+
+
+def test_each_end_of_the_rate_and_of_the_limit() -> None:
+    """Limits are applied by hand: no limit hides a second limit."""
+    motor = actuator(limit=10.0, slew=3.0)
+    for command, previous, expected in (
+        (8.0, 1.0, 4.0), (-8.0, 1.0, -2.0), (2.0, 1.0, 2.0),
+        (99.0, 9.0, 10.0), (-99.0, -9.0, -10.0), (99.0, -9.0, -6.0), (-99.0, 9.0, 6.0),
+    ):  # fmt: skip
+        assert saturate_rate(motor, command, previous) == expected
+
+
+@given(some, st.sampled_from([1e-3, 0.25, 2.0]))
+def test_a_command_is_the_nearest_multiple_of_its_resolution(command: float, lsb: float) -> None:
+    rounded = quantise(actuator(lsb=lsb), at_rest(), command)
+    assert abs(rounded - command) <= lsb / 2 * (1 + 1e-9)
+    assert rounded / lsb == pytest.approx(round(rounded / lsb), abs=1e-6)
+
+
+@given(st.lists(some, min_size=1, max_size=50), st.sampled_from([1e-3, 0.25, 2.0]))
+def test_all_commands_together_are_rounded_once(commands: list[float], lsb: float) -> None:
+    """First-order noise shaping: by half a step for the sum of all, not for each of them."""
+    motor, state = actuator(lsb=lsb), at_rest()
+    rounded = [quantise(motor, state, command) for command in commands]
+    off = np.cumsum(commands) - np.cumsum(rounded)
+    assert np.abs(off).max() <= lsb / 2 * (1 + 1e-9) + 1e-9
+    steps = np.array(rounded) / lsb
+    np.testing.assert_allclose(steps, np.rint(steps), atol=1e-6)
+
+
+@pytest.mark.parametrize("command", [0.1, -0.3, 0.499, 1.3])
+def test_a_command_between_two_steps_is_their_mean(command: float) -> None:
+    motor, state = actuator(lsb=1.0), at_rest()
+    rounded = [quantise(motor, state, command) for _ in range(1000)]
+    assert np.mean(rounded) == pytest.approx(command, abs=0.5 / 1000)
+    assert set(rounded) == {np.floor(command), np.ceil(command)}
+
+
+@given(st.lists(some, min_size=1, max_size=50), st.sampled_from([0.25, 1.0]), st.integers(1, 40))
+def test_what_is_left_takes_no_command_beyond_its_limit(
+    commands: list[float], lsb: float, steps: int
+) -> None:
+    """Nor does it pile up there: a command that leaves the limit finds half a step at most."""
+    limit = steps * lsb
+    motor, state = actuator(limit, lsb=lsb), at_rest()
+    for command in commands:
+        rounded = quantise(motor, state, saturate(motor, command))
+        assert abs(rounded) <= limit
+        assert abs(state.rounded_off) <= lsb / 2
+
+
+@pytest.mark.parametrize("command", [math.inf, math.nan])
+def test_what_overflowed_leaves_nothing(command: float) -> None:
+    motor, state = actuator(lsb=0.5), at_rest()
+    quantise(motor, state, 0.2)
+    quantise(motor, state, command)
+    assert state.rounded_off == 0.0
+
+
+def test_without_a_resolution_a_command_stays_as_it_is() -> None:
+    assert quantise(actuator(), at_rest(), 0.123456789) == 0.123456789
+    assert quantise(actuator(lsb=1e-3), at_rest(), 0.0125) == 0.012  # ties go to even

@@ -1,0 +1,89 @@
+"""The same bits compiled and interpreted, in both precisions, through every part of the law."""
+
+from __future__ import annotations
+
+import itertools
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_model.analysis.sampled_plant import follow_plant, sample
+from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.design.plants import steer_by_wire
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Target
+from firmware_model.law import controller
+from firmware_model.law.status import FaultState, Mode
+from tests.firmware.both_ways import lines_compiled_and_interpreted
+from tests.firmware.law.cases import other_cars
+
+TICK_S, TICKS, LOST, BACK = 1e-3, 270, 120, 230
+CAR = steer_by_wire()
+PLANT = sample(CAR, TICK_S)
+DESIGN = design(CAR, DesignSpecification(tau_s=0.002, tau_q_s=0.01))
+LIMITED = {"limit_1": 300.0, "limit_2": 3000.0, "lsb_1": 1e-3, "lsb_2": 1e-2}
+NOISE_RMS = 2e-4
+COMPENSATING = {"on_confirmation": True, "noise_rms": 1e-3}
+TARGETS: dict[str, dict[str, Any]] = {
+    "thesis": {"estimator": "tustin", **LIMITED},
+    "rates": {"latency_ticks": 2, "rate_1": 2000.0, "rate_2": 5e4, **LIMITED},
+    "shaped reference": {"latency_ticks": 1, "reference_acceleration": 60.0, **LIMITED},
+    "on confirmation": {"latency_ticks": 1, **COMPENSATING, **LIMITED},
+    "other cars": {"latency_ticks": 1, "mismatch": other_cars(3), **COMPENSATING},
+    "coloured noise": {"latency_ticks": 1, "mismatch": other_cars(1), "noise_pole": 0.5,
+                       "resolution": 1e-3, **COMPENSATING},
+    "all": {
+        "latency_ticks": 2, "reference_acceleration": 60.0, "rate_1": 5000.0, "rate_2": 1e5,
+        "mismatch": other_cars(2), "probe": 2.0, "probe_rad_per_s": 300.0, **COMPENSATING,
+        **LIMITED,
+    },
+}  # fmt: skip
+
+
+def records(name: str, precision: Any) -> list[bytes]:
+    """The whole state after every tick: through a loss, a recovery, missing inputs, a reset."""
+    target = Target(TICK_S, precision=precision, **{"estimator": "zoh", **TARGETS[name]})
+    table = build(DESIGN, target)
+    states, rng = controller.init(table), np.random.default_rng(8)
+    state, x, y = states[0], PLANT.rest, 0.0
+    after, modes = [], set()
+    controller.reset(table, state, 0.25)
+    for k in range(TICKS):
+        reference = 0.25 if k < 40 else math.copysign(1.0, math.sin(0.03 * k))
+        noise = NOISE_RMS * rng.standard_normal()
+        missing = k in (60, 180, 181, 182)
+        controller.step(table, state, math.nan if missing else reference, y + noise)
+        after.append(states.tobytes())
+        modes.add((int(state.mode), int(state.fault_state)))
+        left = 0.0 if LOST <= k < BACK else 1.0
+        u1, u2 = left * float(state.command_1), float(state.command_2)
+        y = follow_plant(PLANT.phi, PLANT.gamma, PLANT.c, x, u1, u2)
+    assert {mode for mode, _ in modes} == {Mode.RUN, Mode.HOLD}
+    if "on_confirmation" in TARGETS[name]:
+        assert FaultState.CONFIRMED in {fault for _, fault in modes}
+    return after
+
+
+SINGLE = ("thesis", "on confirmation", "coloured noise", "all")  # with all that the others have
+CASES = [*itertools.product(TARGETS, ["float64"]), *itertools.product(SINGLE, ["float32"])]
+
+
+@pytest.mark.compiled
+def test_compiled_and_interpreted_states_are_bit_identical() -> None:
+    outputs = lines_compiled_and_interpreted(__file__)
+    compiled, interpreted = outputs
+    assert len(compiled) == len(interpreted) == len(CASES) * TICKS
+    different = [
+        f"{CASES[i // TICKS]}: tick {i % TICKS}"
+        for i, (one, other) in enumerate(zip(compiled, interpreted, strict=True))
+        if one != other
+    ]
+    assert different == []
+
+
+if __name__ == "__main__":
+    for case in CASES:
+        for record in records(*case):
+            print(record.hex())

@@ -1,0 +1,212 @@
+"""The control law as it runs: identities, saturation, bad input, reset, order of convergence."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from firmware_model.analysis.sampled_plant import sample
+from firmware_model.analysis.simulation import simulate
+from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.design.plants import chapter_2, steer_by_wire
+from firmware_model.design.zpk import ZeroPoleGain
+from firmware_model.discretisation.tables import build, discretise
+from firmware_model.discretisation.targets import Target
+from firmware_model.discretisation.tustin import tustin
+from firmware_model.firmware import Firmware
+from firmware_model.law import controller
+from tests.firmware.law.cases import changed
+
+CAR = steer_by_wire()
+DESIGN = design(CAR, DesignSpecification())
+OPEN_LOOP = design(chapter_2(), DesignSpecification(tau_s=0.01, feedback=False))
+
+
+def _drive(firmware: Firmware, reference: np.ndarray, y: np.ndarray) -> np.ndarray:
+    """Commands and d̂, shape (ticks, 3)."""
+    return np.array([firmware.step(r, m)[:3] for r, m in zip(reference, y, strict=True)])
+
+
+def test_is_the_law_of_its_own_filters() -> None:
+    """u1 = C(r - y), Tustin's; u2 = F̂ d̂ and d̂ = G1 u1 + G2 u2 - y, both at once, by scipy."""
+    tick_s, n = 1e-3, 400
+    rng = np.random.default_rng(3)
+    reference, y = rng.standard_normal((2, n))
+    filters = discretise(DESIGN, Target(tick_s))
+    u1, u2, estimate = _drive(Firmware(build(DESIGN, Target(tick_s))), reference, y).T
+
+    def through(sections, values):  # type: ignore[no-untyped-def]
+        return signal.sosfilt(sections.sos, values)
+
+    size = np.abs(estimate).max()
+    tracked = through(tustin(DESIGN.tracking.controller, tick_s), reference - y)
+    np.testing.assert_allclose(u1, tracked, atol=1e-8 * np.abs(tracked).max())
+    np.testing.assert_allclose(
+        u2, through(filters.compensator, estimate), atol=1e-8 * np.abs(u2).max()
+    )
+    modelled = through(filters.estimator_1, u1) + through(filters.estimator_2, u2)
+    np.testing.assert_allclose(estimate, modelled - y, atol=1e-8 * size)
+
+
+@pytest.mark.parametrize("latency", [0, 1, 3])
+@pytest.mark.parametrize("rule", ["tustin", "tustin-held", "zoh"])
+def test_estimator_works_on_the_commands_as_the_plant_gets_them(rule: str, latency: int) -> None:
+    """Limited, rounded and late: d̂ + y is F1 of exactly those commands."""
+    target = Target(
+        1e-3,
+        latency,
+        rule,
+        limit_1=40.0,
+        limit_2=500.0,
+        lsb_1=0.25,
+        lsb_2=2.0,  # type: ignore[arg-type]
+    )
+    n = 300
+    y = 0.01 * np.random.default_rng(4).standard_normal(n)
+    u1, u2, estimate = _drive(Firmware(build(DESIGN, target)), np.zeros(n), y).T
+    assert np.abs(u1).max() == 40.0
+    np.testing.assert_array_equal(u1 % 0.25, 0.0)
+    np.testing.assert_array_equal(u2 % 2.0, 0.0)
+    assert np.abs(u2).max() <= 500.0
+    filters = discretise(DESIGN, target)
+    late_1, late_2 = (np.concatenate([np.zeros(latency), u])[:n] for u in (u1, u2))
+    modelled = signal.sosfilt(filters.estimator_1.sos, late_1) + signal.sosfilt(
+        filters.estimator_2.sos, late_2
+    )
+    np.testing.assert_allclose(estimate, modelled - y, atol=1e-9)
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("variant", ["physics", "published"])
+@pytest.mark.parametrize("latency", [0, 1, 2, 5])
+def test_exact_estimator_is_silent_while_healthy(variant: str, latency: int) -> None:
+    """d̂ is zero to rounding for any reference and any latency."""
+    plant = steer_by_wire(variant=variant)  # type: ignore[arg-type]
+    slow = DesignSpecification(tau_s=0.02, tau_q_s=0.02)
+    table = build(design(plant, slow), Target(1e-3, latency, "zoh"))
+    reference = np.sign(np.sin(np.arange(5000) * 3e-3)) + np.sin(np.arange(5000) * 0.05)
+    trace = simulate(table, sample(plant, 1e-3), reference)
+    assert np.abs(trace.fault_estimate).max() < 1e-12 * np.abs(trace.measurement).max()
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("variant", ["physics", "published"])
+def test_estimate_equals_the_lost_channel_after_the_fault(variant: str) -> None:
+    """(2.9): d̂ = G1 u1, what torque would have given; settled it is the whole reference."""
+    plant = steer_by_wire(variant=variant)  # type: ignore[arg-type]
+    table = build(design(plant, DesignSpecification()), Target(1e-3))
+    left = np.ones((8000, 2))
+    left[4000:, 0] = 0.0
+    trace = simulate(table, sample(plant, 1e-3), np.ones(8000), effectiveness=left)
+    assert np.abs(trace.error[3000:4000]).max() < 1e-9
+    assert np.abs(trace.error[-500:]).max() < 1e-9
+    # F̂ rings at 17.7 rad/s with damping .20: after 4 s e^-14 of it is left
+    np.testing.assert_allclose(trace.fault_estimate[-500:], 1.0, rtol=1e-5)
+    np.testing.assert_allclose(trace.command_1[-1], 1.0 / plant.g1.dc_gain, rtol=1e-5)
+    np.testing.assert_allclose(trace.command_2[-1], 1.0 / plant.g2.dc_gain, rtol=1e-5)
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("latency", [1, 2, 4])
+def test_published_tuning_survives_a_latency_that_it_knows(latency: int) -> None:
+    """C works on what the delayed model does not explain: healthy and after the loss."""
+    left = np.ones((9000, 2))
+    left[3000:, 0] = 0.0
+    matched = build(DESIGN, Target(1e-3, latency, "zoh"))
+    trace = simulate(matched, sample(CAR, 1e-3), np.ones(9000), effectiveness=left)
+    assert np.abs(trace.error[2500:3000]).max() < 1e-9
+    assert np.abs(trace.error[-500:]).max() < 1e-6
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize(("design_of", "tick_s"), [(DESIGN, 5e-4), (OPEN_LOOP, 5e-3)])
+def test_smooth_input_converges_with_order_two(design_of, tick_s: float) -> None:  # type: ignore[no-untyped-def]
+    """Firmware fed smooth r(t), y(t) against the continuous law fed the same, by lsim.
+
+    Eliminating the loop, d̂ = (G1 u1 - y)/(1 - G2 F̂) and u2 = F̂ d̂; with G2 F̂ = q that is
+    d̂ = (1 + 1/(τs))(G1 u1 - y).
+    """
+    tau_s = design_of.specification.tau_s
+    duration_s = 0.6
+    fine_s = tick_s / 16.0
+
+    def smooth(time_s: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        rise = np.where(time_s > 0, time_s, 0.0) ** 4 / (0.1 + time_s**4)
+        return rise * np.cos(3.0 * time_s), 0.98 * rise * np.cos(3.0 * time_s + 0.01)
+
+    def continuous() -> np.ndarray:
+        time_s = np.arange(round(duration_s / fine_s)) * fine_s
+        reference, y = smooth(time_s)
+
+        def through(g: ZeroPoleGain, values: np.ndarray) -> np.ndarray:
+            system = signal.ZerosPolesGain(g.zeros, g.poles, g.gain)
+            return signal.lsim(system.to_ss(), values, time_s)[1]
+
+        feedback = design_of.tracking is not None
+        u1 = through(design_of.tracking.controller, reference - y) if feedback else reference
+        lost = through(design_of.plant.g1, u1) - y
+        if not feedback:
+            lost = lost + through(design_of.plant.g2, reference)
+        estimate = lost + through(ZeroPoleGain((), (0.0,), 1.0 / tau_s), lost)
+        u2 = through(design_of.compensator, estimate) + (0.0 if feedback else reference)
+        return np.stack([u1, u2, estimate])[:, ::16]
+
+    exact = continuous()
+
+    def distance(step: int) -> np.ndarray:
+        time_s = np.arange(0, exact.shape[1], step) * tick_s
+        reference, y = smooth(time_s)
+        never = {"confirm": math.inf}  # this y, of which u2 has no part, is a channel 2 lost
+        table = changed(build(design_of, Target(tick_s * step)), decision=never)[0]
+        ours = _drive(Firmware(table), reference, y).T
+        return np.abs(ours - exact[:, ::step]).max(axis=1)
+
+    coarse, middle = distance(4), distance(2)
+    names = ("u1", "u2", "d") if design_of.tracking is not None else ("u2", "d")  # u1 is r itself
+    for name, far, near in list(zip(("u1", "u2", "d"), coarse, middle, strict=True))[-len(names) :]:
+        assert math.log2(far / near) == pytest.approx(2.0, abs=0.2), name
+
+
+@pytest.mark.compiled
+def test_free_parameter_q_filters_the_estimate() -> None:
+    """Theorem 2.3.1 with 1 + Q = 1/(0.05s+1): d̂ is that filter of (2.9)'s d̂."""
+    lag = ZeroPoleGain.lag(0.05, 1)
+    minus_high_pass = ZeroPoleGain((0.0,), (-20.0,), -1.0)  # Q = lag - 1 = -s/(s + 20)
+    plain = design(CAR, DesignSpecification(compensation=False))
+    shaped = design(CAR, DesignSpecification(compensation=False, q=minus_high_pass))
+    n = 500
+    y = np.random.default_rng(5).standard_normal(n)
+    unfiltered = _drive(Firmware(build(plain, Target(1e-3))), np.zeros(n), y)[:, 2]
+    filtered = _drive(Firmware(build(shaped, Target(1e-3))), np.zeros(n), y)[:, 2]
+    expected = signal.sosfilt(tustin(lag, 1e-3).sos, unfiltered)
+    np.testing.assert_allclose(filtered, expected, atol=1e-6 * np.abs(expected).max())
+
+
+def test_a_batch_is_its_members() -> None:
+    tables = [build(DESIGN, Target(1e-3)), build(DESIGN, Target(1e-3, 2, "zoh"))]
+    many = np.zeros(2, tables[0].dtype)
+    for i, table in enumerate(tables):
+        many[i] = table
+    states = controller.init(tables[0], n=2)
+    singles = [Firmware(t) for t in tables]
+    for k in range(20):
+        inputs = np.array([0.1 * k, 1.0]), np.array([0.05 * k, 0.3])
+        controller.step_many(many, states, *inputs)
+        for i, single in enumerate(singles):
+            answer = single.step(inputs[0][i], inputs[1][i])
+            assert states["command_2"][i] == answer.command_2
+
+
+@pytest.mark.compiled
+def test_float32_table_follows_the_float64_one() -> None:
+    """Settled loop in single precision: D* within a few float32 roundings of the reference."""
+    trace = simulate(
+        build(DESIGN, Target(1e-3, estimator="zoh", precision="float32")),
+        sample(CAR, 1e-3),
+        np.ones(4000),
+    )
+    assert np.abs(trace.error[-500:]).max() < 1e-5
+    assert np.abs(trace.fault_estimate[-500:]).max() < 1e-3

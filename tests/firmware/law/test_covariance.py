@@ -1,0 +1,159 @@
+"""P in factors is P: against plain matrices, and where plain matrices fail."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from firmware_model.law.fault_decision import covariance
+from firmware_model.law.fault_decision.covariance import (
+    LOSS_STATES,
+    MAX_STATES,
+    clear_covariance,
+    fade,
+    grow,
+    measure,
+    replace_loss,
+    variance_of,
+)
+from firmware_model.law.structs import Precision, Record, record_type
+
+Matrix = NDArray[np.float64]
+N = MAX_STATES
+
+
+def matrix(state: Record) -> Matrix:
+    """U D Uᵀ, in double."""
+    upper = np.triu(state.upper.astype(float), 1) + np.eye(N)
+    return upper * state.variances.astype(float) @ upper.T
+
+
+VARIANCES = np.array([1.0, 2.0, 0.5, 0.0, 0.3, 4.0, 0.7])
+
+
+def begun(precision: Precision = "float64", variances: Any = VARIANCES) -> Record:
+    state = np.zeros(1, record_type(covariance.STATE, precision))[0]
+    state.variances[:] = variances
+    return state
+
+
+numbers = st.lists(st.floats(-3.0, 3.0), min_size=N, max_size=N).map(np.array)
+parts = st.lists(st.floats(0.0, 1.0), min_size=N, max_size=N).map(np.array)
+
+
+@pytest.mark.compiled
+@given(measurements=st.lists(numbers, max_size=8))
+def test_a_variance_is_on_the_diagonal(measurements: list[Matrix]) -> None:
+    state = begun()
+    for x in measurements:
+        measure(state, N, x, 0.5, np.zeros(N))
+    variances = [variance_of(state, N, i) for i in range(N)]
+    np.testing.assert_allclose(variances, matrix(state).diagonal(), atol=1e-12)
+
+
+@given(measurements=st.lists(numbers, min_size=1, max_size=8), noise=st.floats(1e-3, 10.0))
+def test_a_measurement_is_that_of_full_matrices(measurements: list[Matrix], noise: float) -> None:
+    """S, K and P of Joseph's form (I - K xᵀ) P (I - K xᵀ)ᵀ + K Kᵀ noise."""
+    state, gain = begun(), np.zeros(N)
+    p = np.diag(VARIANCES)
+    for x in measurements:
+        variance = measure(state, N, x, noise, gain)
+        s = x @ p @ x + noise
+        k = p @ x / s
+        left = np.eye(N) - np.outer(k, x)
+        p = left @ p @ left.T + noise * np.outer(k, k)
+        assert variance == pytest.approx(s, rel=1e-9)
+        np.testing.assert_allclose(gain, k, atol=1e-9)
+        np.testing.assert_allclose(matrix(state), p, atol=1e-9)
+
+
+@given(x=numbers, memory=parts.map(lambda part: 0.01 + 0.99 * part), added=parts)
+def test_what_fades_and_what_is_added_is_that_of_full_matrices(
+    x: Matrix, memory: Matrix, added: Matrix
+) -> None:
+    state = begun()
+    measure(state, N, x, 0.1, np.zeros(N))
+    before = matrix(state)
+    fade(state, N, memory)
+    faded = before * np.outer(memory, memory)
+    np.testing.assert_allclose(matrix(state), faded, atol=1e-12)
+    for i in range(N):
+        grow(state, i, added[i])
+    np.testing.assert_allclose(matrix(state), faded + np.diag(added), atol=1e-12)
+
+
+@given(measurements=st.lists(numbers, min_size=1, max_size=8),
+       share=st.floats(0.0, 4.0), moment=st.floats(0.0, 4.0))  # fmt: skip
+def test_new_states_of_a_loss_know_nothing_of_each_other_and_the_rest(
+    measurements: list[Matrix], share: float, moment: float
+) -> None:
+    """The covariances of the rest, which the factors without the first columns hold, stay."""
+    state = begun()
+    for x in measurements:
+        measure(state, N, x, 0.1, np.zeros(N))
+    expected = matrix(state)
+    expected[:LOSS_STATES, :] = expected[:, :LOSS_STATES] = 0.0
+    expected[0, 0], expected[1, 1] = share, moment
+    replace_loss(state, share, moment)
+    np.testing.assert_allclose(matrix(state), expected, atol=1e-12)
+
+
+def test_what_is_cleared_is_zero() -> None:
+    state = begun()
+    measure(state, N, np.arange(1.0, 1.0 + N), 0.1, np.zeros(N))
+    assert np.triu(matrix(state), 1).any()
+    clear_covariance(state)
+    assert not state.upper.any()  # which would be seen once the variances grow again
+    assert not state.variances.any()
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@settings(max_examples=40)
+@given(seed=st.integers(0, 2**32 - 1), noise=st.sampled_from([1e-18, 1e-6, 1e-2]),
+       size=st.sampled_from([1e-2, 1.0, 1e2]), grows=st.sampled_from([0.0, 1e-6]))  # fmt: skip
+def test_it_stays_positive_semidefinite_and_the_innovation_s_variance_above_its_noise(
+    seed: int, noise: float, size: float, grows: float, precision: Precision
+) -> None:
+    """Where the same x is measured again and again, which leaves P itself indefinite."""
+    draw, state = np.random.default_rng(seed), begun(precision, 0.36)
+    x = (size * draw.standard_normal(N)).astype(precision)
+    gain = np.zeros(N, precision)
+    for _ in range(300):
+        x *= (1.0 + 1e-3 * draw.standard_normal(N)).astype(precision)
+        variance = measure(state, N, x, state.variances.dtype.type(noise), gain)
+        assert variance >= np.dtype(precision).type(noise)
+        for i in range(N):
+            grow(state, i, state.variances.dtype.type(grows))
+        p = matrix(state)
+        assert np.isfinite(p).all()
+        assert (state.variances >= 0.0).all()
+        assert np.linalg.eigvalsh(p).min() >= -1e-14 * np.abs(p).max()
+
+
+@pytest.mark.compiled
+def test_single_precision_keeps_what_plain_matrices_lose() -> None:
+    """Steady x of 10 and noise of 1e-3 rms: P - K Kᵀ S in single precision has S < 0 soon."""
+    x = np.array([10.0, 20.0, -30.0, 15.0, -5.0, 8.0, 1.0], np.float32)
+    state, gain = begun("float32", 0.36), np.zeros(N, np.float32)
+    exact, plain = np.eye(N) * 0.36, np.eye(N, dtype=np.float32) * np.float32(0.36)
+    noise, worst = np.float32(1e-6), np.inf
+    for k in range(400):
+        moved = x * (1.0 + 0.01 * np.sin(0.01 * k + np.arange(N))).astype(np.float32)
+        ours = measure(state, N, moved, noise, gain)
+        exact_x = moved.astype(float)
+        s = exact_x @ exact @ exact_x + float(noise)
+        k_exact = exact @ exact_x / s
+        left = np.eye(N) - np.outer(k_exact, exact_x)
+        exact = left @ exact @ left.T + float(noise) * np.outer(k_exact, k_exact)
+        assert ours == pytest.approx(s, rel=1e-2)
+        seen = plain @ moved
+        variance = moved @ seen + noise
+        worst = min(worst, float(variance))
+        plain = plain - np.outer(seen, seen) / variance
+    assert worst < 0.0

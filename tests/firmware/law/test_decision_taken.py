@@ -1,0 +1,208 @@
+"""Effects of a decision: transfer, loss model, doubts, the next candidate, probes."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_model.law.fault_decision.bumpless_transfer import begin_transfer
+from firmware_model.law.fault_decision.decision import CLEAR, CONFIRMED, SUSPECTED
+from firmware_model.law.fault_decision.likelihood_ratio import candidate_output
+from firmware_model.law.fault_decision.loss_model import known_share, loss_output
+from firmware_model.law.structs import Record
+from tests.firmware.law.test_decision_steps import ABOVE, PROBE, begun, moving, tick
+
+
+def transferred(table: Record, before: Record, after: Record, share: float) -> Any:
+    """The transfer of ``after``, and its expectation: to the known loss and to this candidate.
+
+    ``before`` is the state within the tick, as it was when the transfer began.
+    """
+    expected = before.bumpless_transfer.copy()
+    loss, test = before.loss_model, before.sequential_test
+    lost = loss.followed * loss.previous_output + share * test.previous_output
+    w, of_candidate = loss_output(table, before), candidate_output(table, before)
+    now = loss.followed * w + share * of_candidate
+    begin_transfer(table.bumpless_transfer, expected, lost, now - lost)
+    ours = after.bumpless_transfer
+    names = ("missed", "missed_growth", "missed_memory")
+    return [[float(part[name]) for name in names] for part in (ours, expected)]
+
+
+def set_up(evidence: float, before: int, share: float, **changes: Any) -> tuple[Record, Record]:
+    """A candidate in motion, and a tick without new information."""
+    table, state = begun(evidence, before, **changes)
+    moving(state, share)
+    test = state.sequential_test
+    test.correlation, test.information, test.age = 9.0, 10.0, 20.0
+    test.explained[0] = 0.02
+    table.sequential_test.restart = -math.inf
+    table.mismatch.noise = 1e12  # far above the information of a tick
+    table.mismatch.growth[:] = table.mismatch.forgetting[:] = 0.0
+    table.loss_model.follow = 0.0
+    table.decision.horizon = 1e30
+    return table, state
+
+
+@pytest.mark.parametrize("before", [CLEAR, SUSPECTED])
+def test_a_confirmed_loss_takes_the_candidate_over(before: int) -> None:
+    table, state = set_up(20.0, before, 0.0)
+    was = state.copy()
+    assert tick(table, state) == CONFIRMED
+    assert state.loss_model.share == pytest.approx(0.9)
+    assert state.loss_model.followed == pytest.approx(0.9)
+    ours, expected = transferred(table, was, state, 0.9)
+    np.testing.assert_allclose(ours, expected, rtol=1e-9)
+    np.testing.assert_allclose(
+        state.loss_model.channel_1.accumulators, was.sequential_test.channel_1.accumulators
+    )
+    test = state.sequential_test
+    assert (test.evidence, test.correlation, test.information, test.age) == (0.0, 0.0, 0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("information", "least", "variance"),
+    [(10.0, 0.0, 0.09), (1000.0, 0.0, 0.009), (1000.0, 0.02, 0.02), (1000.0, 0.2, 0.09)],
+)
+def test_the_doubt_in_a_share_is_the_less_the_more_is_known(
+    information: float, least: float, variance: float
+) -> None:
+    """9 over the information on it, at least ``least_doubt``, at most ``share_variance``."""
+    table, state = set_up(20.0, CLEAR, 0.0, loss_model={"least_doubt": least})
+    state.sequential_test.correlation = 0.9 * information
+    state.sequential_test.information = information
+    tick(table, state)
+    # The moment to half of the 21 ticks that it took.
+    np.testing.assert_allclose(
+        state.mismatch.covariance.variances[:2], [variance, (0.5 * 21.0) ** 2], rtol=1e-9
+    )
+
+
+def test_information_of_less_than_a_suspicion_is_no_reason_to_doubt_more() -> None:
+    table, state = set_up(20.0, CLEAR, 0.0, loss_model={"share_variance": 100.0})
+    state.sequential_test.correlation, state.sequential_test.information = 0.9, 1.0
+    tick(table, state)
+    assert state.mismatch.covariance.variances[0] == pytest.approx(9.0 / 4.0)
+
+
+def test_a_confirmed_share_is_never_nothing() -> None:
+    table, state = set_up(20.0, CLEAR, 0.0)
+    state.sequential_test.correlation = 0.0
+    tick(table, state)
+    assert state.loss_model.share == pytest.approx(0.01)
+
+
+@pytest.mark.parametrize("share", [0.6, 0.0])
+def test_a_return_takes_away_what_is_known_to_be_lost(share: float) -> None:
+    """Of a share of nothing a hundredth, by which is divided."""
+    table, state = set_up(60.0, CONFIRMED, share)
+    was = state.copy()
+    assert tick(table, state) == CLEAR
+    taken = max(share, 0.01)
+    assert state.loss_model.share == pytest.approx(taken)
+    ours, expected = transferred(table, was, state, -taken)
+    np.testing.assert_allclose(ours, expected, rtol=1e-9)
+    motion = was.loss_model.channel_1.accumulators * (share / taken)
+    np.testing.assert_allclose(
+        state.loss_model.channel_1.accumulators,
+        motion - was.sequential_test.channel_1.accumulators,
+    )
+    assert state.sequential_test.evidence == 0.0
+
+
+@pytest.mark.parametrize(("before", "sign"), [(CLEAR, 1.0), (CONFIRMED, -1.0)])
+def test_what_the_car_was_taken_for_because_of_the_candidate_is_forgotten(
+    before: int, sign: float
+) -> None:
+    table, state = set_up(60.0, before, 0.6)
+    state.sequential_test.explained[2] = 0.02
+    state.sequential_test.correlation = 6.0
+    state.mismatch.theta[2] = 0.5
+    tick(table, state)
+    assert state.mismatch.theta[2] == pytest.approx(0.5 - sign * 0.6 * 0.02)
+    assert state.mismatch.theta[:2].tolist() == [0.0, 0.0]
+
+
+def test_a_suspicion_begins_with_a_transfer_and_goes_on_without() -> None:
+    table, state = set_up(5.0, CLEAR, 0.3)
+    was = state.copy()
+    assert tick(table, state) == SUSPECTED
+    ours, expected = transferred(table, was, state, 0.9)
+    np.testing.assert_allclose(ours, expected, rtol=1e-9)
+    state.bumpless_transfer.missed = 123.0
+    assert tick(table, state) == SUSPECTED
+    assert state.bumpless_transfer.missed == 123.0
+
+
+def test_a_suspicion_ends_with_a_transfer_to_what_is_left() -> None:
+    table, state = set_up(-0.5, SUSPECTED, 0.3)
+    was = state.copy()
+    was.fault_state = CLEAR
+    assert tick(table, state) == CLEAR
+    ours, expected = transferred(table, was, state, 0.0)
+    np.testing.assert_allclose(ours, expected, rtol=1e-9)
+    state.bumpless_transfer.missed = 123.0
+    assert tick(table, state) == CLEAR
+    assert state.bumpless_transfer.missed == 123.0
+
+
+def test_a_pause_ends_at_zero() -> None:
+    table, state = begun()
+    state.decision.pause = 2
+    pauses = []
+    for _ in range(4):
+        tick(table, state)
+        pauses.append(int(state.decision.pause))
+    assert pauses == [1, 0, 0, 0]
+
+
+@pytest.mark.parametrize("pause", [0, 1, 2])
+def test_with_a_probe_a_loss_is_proven_before_it_is_confirmed(pause: int) -> None:
+    """Not before the pause is over, and nothing is made up for meanwhile."""
+    table, state = set_up(20.0, CLEAR, 0.0, probe=PROBE)
+    state.decision.pause = pause
+    transfer = state.bumpless_transfer.copy()
+    assert tick(table, state) == SUSPECTED
+    assert state.probe.tick == (0 if pause == 2 else 1)
+    assert state.bumpless_transfer.tobytes() == transfer.tobytes()
+
+
+def test_with_a_probe_a_suspicion_comes_and_goes_without_a_transfer() -> None:
+    for evidence, before, after in ((5.0, CLEAR, SUSPECTED), (-0.5, SUSPECTED, CLEAR)):
+        table, state = set_up(evidence, before, 0.0, probe=PROBE)
+        if after == CLEAR:
+            state.sequential_test.channel_1.accumulators[:] = 0.0
+        transfer = state.bumpless_transfer.copy()
+        assert tick(table, state) == after
+        assert state.bumpless_transfer.tobytes() == transfer.tobytes()
+
+
+@pytest.mark.parametrize("found", [0.4 * ABOVE, 0.4, 0.4 / ABOVE])
+def test_the_last_tick_of_a_probe_confirms_the_loss_or_begins_again(found: float) -> None:
+    """The tick itself adds nothing here: no d̂, and no w."""
+    table, state = set_up(20.0, SUSPECTED, 0.0, probe=PROBE)
+    state.sequential_test.channel_1.accumulators[:] = 0.0
+    state.command_1 = 0.0
+    state.probe.tick, state.probe.cosine = 1, 1.0
+    state.probe.correlation[:] = [found, 0.0, 1.0, 0.0]
+    for left in (2, 1):
+        assert tick(table, state) == SUSPECTED
+        assert state.sequential_test.evidence == 20.0  # the test waits
+        assert state.probe.tick == 4 - left
+    after = tick(table, state)
+    assert after == (CONFIRMED if found >= 0.4 else SUSPECTED)
+    assert state.probe.tick == 0
+    assert state.sequential_test.evidence == 0.0
+    assert state.decision.pause == (0 if found >= 0.4 else 7)
+    assert (known_share(state) > 0.0) == (found >= 0.4)
+
+
+def test_a_probe_correlates_the_estimate_and_w_of_its_ticks() -> None:
+    table, state = set_up(20.0, SUSPECTED, 0.0, probe=PROBE)
+    state.probe.tick, state.probe.cosine, state.probe.sine = 1, 1.0, 0.0
+    w = float(candidate_output(table, state))
+    tick(table, state, residual=0.7)
+    np.testing.assert_allclose(state.probe.correlation, [0.7, 0.0, w, 0.0])

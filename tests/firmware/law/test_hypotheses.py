@@ -1,0 +1,221 @@
+"""One hypothesis: its signature in the innovations, its evidence, its onset."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from scipy import optimize, signal, stats
+
+from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Target
+from firmware_model.law import controller
+from firmware_model.law.fault_decision.hypotheses.candidate import (
+    has_failed,
+    likeliest,
+    start,
+    take_in,
+)
+from firmware_model.law.fault_decision.hypotheses.frozen import weigh_frozen
+from firmware_model.law.fault_decision.hypotheses.signatures import (
+    advance_signatures,
+    begin_all,
+    weigh_signatures,
+)
+from firmware_model.law.fault_decision.mismatch import innovation
+from firmware_model.law.structs import FloatArray, Record, RecordArray
+from tests.firmware.law.cases import CAR, TICK_S, changed, other_cars
+
+DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
+TICKS = 60
+
+
+def tables_of(**changes: Any) -> RecordArray:
+    target = Target(TICK_S, 1, "zoh", noise_rms=0.01, **changes)
+    never = {"restart": -math.inf, "lifetime": math.inf}
+    tables = changed(build(DESIGN, target))
+    for name, value in never.items():
+        tables[0].hypotheses.signatures.candidate[name] = value
+    return tables
+
+
+NO_CARS = tables_of()
+NO_CARS[0].mismatch.n = 0
+
+
+def filtered(table: Record, residual: FloatArray, x: FloatArray) -> tuple[FloatArray, Record]:
+    """The innovations of a residual, where other cars show x; and the filter that made them."""
+    state = controller.init(table)[0]
+    n, rows = int(table.mismatch.n), []
+    for k, value in enumerate(residual.tolist()):
+        state.mismatch.regressor[:n] = x[k, :n]
+        rows.append(innovation(table.mismatch, state.mismatch, value))
+    return np.array(rows), state
+
+
+@pytest.mark.parametrize("noise_pole", [0.0, 0.6])
+def test_a_signature_is_what_the_fault_changes_in_the_innovations(noise_pole: float) -> None:
+    """The filter is linear in d̂: with and without the fault its innovations differ by m f."""
+    table = tables_of(mismatch=other_cars(3), noise_pole=noise_pole)[0]
+    draw = np.random.default_rng(3)
+    n, size = int(table.mismatch.n), 0.7
+    x = draw.standard_normal((TICKS, n))
+    shown = np.cumsum(draw.standard_normal(TICKS))
+    healthy = draw.standard_normal(TICKS)
+    without, _ = filtered(table, healthy, x)
+    with_fault, _ = filtered(table, healthy + size * shown, x)
+    state = controller.init(table)[0]
+    own = state.hypotheses.signatures.sensor_biased.candidate
+    limits = table.hypotheses.signatures.sensor_biased
+    correlation = information = 0.0
+    for k in range(TICKS):
+        state.mismatch.regressor[:n] = x[k]
+        new = innovation(table.mismatch, state.mismatch, float(healthy[k] + size * shown[k]))
+        assert new == pytest.approx(with_fault[k], rel=1e-12)
+        take_in(table, state, own, limits, float(shown[k]), new)
+        f = (with_fault[k] - without[k]) / size
+        correlation += f * new / state.mismatch.variance
+        information += f * f / state.mismatch.variance
+    assert own.correlation == pytest.approx(correlation, rel=1e-8)
+    assert own.information == pytest.approx(information, rel=1e-8)
+
+
+@given(new=st.floats(0.1, 10.0), variance=st.floats(0.01, 1.0))
+def test_a_bias_jumps_in_the_tick_after_a_verdict_as_in_any_other(
+    new: float, variance: float
+) -> None:
+    """Its onset is that tick already, so it begins again or not as the last bit falls."""
+    table, state = NO_CARS[0], controller.init(NO_CARS[0])[0]
+    begin_all(state.hypotheses.signatures)
+    state.mismatch.variance = variance
+    weigh_signatures(table, state, new)
+    assert state.hypotheses.signatures.jump == pytest.approx(0.5 * new**2 / variance, rel=1e-12)
+
+
+@given(st.integers(0, 10**6), st.sampled_from([(-math.inf, math.inf), (0.5, 1.5), (-0.1, 0.1)]))
+def test_evidence_is_the_likelihood_ratio_of_the_likeliest_size(
+    seed: int, limits: tuple[float, float]
+) -> None:
+    """Against the log-densities of white noise, and scipy's search for the size."""
+    draw = np.random.default_rng(seed)
+    f, sigma = draw.standard_normal(12), draw.uniform(0.5, 2.0, 12)
+    new = draw.uniform(-1, 1) * f + sigma * draw.standard_normal(12)
+    table, state = NO_CARS[0], controller.init(NO_CARS[0])[0]
+    own, bounds = state.hypotheses.signatures.force_lost.candidate, table.hypotheses.torque_lost
+    bounds.least, bounds.most = limits
+    for k in range(12):
+        state.mismatch.variance = sigma[k] ** 2
+        take_in(table, state, own, bounds, float(f[k]), float(new[k]))
+
+    def log_ratio(size: float) -> float:
+        with_fault = stats.norm.logpdf(new, size * f, sigma).sum()
+        return float(with_fault - stats.norm.logpdf(new, 0.0, sigma).sum())
+
+    within = np.clip(limits, -10.0, 10.0)
+    best = optimize.minimize_scalar(
+        lambda m: -log_ratio(m), bounds=within, method="bounded", options={"xatol": 1e-9}
+    )
+    assert own.evidence == pytest.approx(log_ratio(float(own.size_now)), abs=1e-9)
+    assert own.evidence == pytest.approx(-best.fun, abs=1e-6)
+
+
+def test_where_nothing_is_known_the_size_is_none() -> None:
+    limits = tables_of()[0].hypotheses.signatures.force_lost
+    assert likeliest(3.0, 0.0, limits) == 0.0
+    assert likeliest(-3.0, 1.0, limits) == limits.least == 0.5
+
+
+@pytest.mark.every_case
+@pytest.mark.parametrize(
+    ("age", "evidence", "foretold", "failed"),
+    [
+        (10.0, 0.0, 0.0, False),
+        (10.0, 0.0, -1.1, True),
+        (10.0, 0.0, math.nan, True),
+        (10.0, math.nan, 0.0, True),
+        (1000.0, 3.0, 0.0, True),
+        (1000.0, 8.0, 0.0, False),
+        (999.0, 3.0, 0.0, False),
+    ],
+)
+def test_a_candidate_begins_again_where_it_has_failed(
+    age: float, evidence: float, foretold: float, failed: bool
+) -> None:
+    table = build(DESIGN, Target(TICK_S, 1, "zoh", noise_rms=0.01))
+    own = controller.init(table)[0].hypotheses.signatures.torque_offset.candidate
+    own.age, own.evidence, own.foretold = age, evidence, foretold
+    assert has_failed(table.hypotheses.signatures.candidate, own) == failed
+    start(own)
+    assert not any(np.any(own[name]) for name in own.dtype.names)
+
+
+def test_what_each_fault_adds_to_the_estimate() -> None:
+    """Against the step response of the continuous plant and a simulation by scipy's state space."""
+    tables = tables_of()
+    table, state = tables[0], controller.init(tables[0])[0]
+    table.mismatch.n = 0
+    own = state.hypotheses.signatures
+    state.mismatch.variance = 1.0
+    draw = np.random.default_rng(1)
+    force = 1000.0 * draw.standard_normal(TICKS)
+    rows = []
+    for k in range(TICKS):
+        state.other_cars.command_2 = force[k]
+        weigh_signatures(table, state, 0.0)
+        rows.append(
+            [own[name].candidate.previous_shown
+             for name in ("torque_offset", "force_lost", "sensor_biased", "sensor_drifting")]
+        )  # fmt: skip
+        advance_signatures(table, state)
+        if k == 0:  # the onset that is looked at: from now on
+            begin_all(own)
+            advance_signatures(table, state)
+    offset, lost, bias, drift = np.array(rows[1:]).T
+    t = TICK_S * np.arange(1, TICKS)
+    g1, g2 = ((channel.numerator(), channel.denominator()) for channel in (CAR.g1, CAR.g2))
+    _, expected = signal.step(g1, T=np.concatenate([[0.0], t]))
+    np.testing.assert_allclose(offset, -expected[1:], rtol=1e-6, atol=1e-12)
+    np.testing.assert_array_equal(bias, -1.0)
+    np.testing.assert_array_equal(drift, -np.arange(1, TICKS))
+    held = signal.dlsim(signal.cont2discrete(g2, TICK_S), force)[1].ravel()
+    np.testing.assert_allclose(lost, held[1:], rtol=1e-4, atol=1e-7)
+
+
+@pytest.mark.parametrize("moves", [False, True])
+def test_a_frozen_sensor_repeats_itself_while_the_model_moves(moves: bool) -> None:
+    """Then -ln of the chance of each repetition, and the likelihood of the missing motion."""
+    tables = tables_of(resolution=0.001)
+    table, state = tables[0], controller.init(tables[0])[0]
+    table.mismatch.n = 0
+    own = state.hypotheses.frozen
+    state.mismatch.variance = 0.02**2
+    expected = 0.1 * np.arange(6) if moves else np.zeros(6)
+    for k in range(6):
+        state.measurement = 0.3
+        weigh_frozen(table, state, float(expected[k] - expected[0]), float(expected[k]))
+    draw = np.random.default_rng(0).standard_normal((2, 400_000)) * 0.01
+    chance = np.mean(np.diff(np.rint(draw / 0.001), axis=0) == 0.0)
+    missing = expected[1:] - expected[0]
+    ratio = stats.norm.logpdf(0.0, 0.0, 0.02) - stats.norm.logpdf(missing, 0.0, 0.02)
+    assert own.repetitions == 5.0
+    evidence = -5.0 * math.log(chance) + ratio.sum() if moves else 0.0
+    assert own.evidence == pytest.approx(evidence, rel=0.02)
+    state.measurement = 0.301
+    weigh_frozen(table, state, 0.0, 0.0)
+    assert (own.repetitions, own.evidence) == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("noise_rms", "resolution", "evidence"),
+    [(0.0, 0.0, 0.0), (0.0, 0.01, 0.0), (0.001, 0.01, 0.0), (0.01, 0.0, math.log(1e6))],
+)
+def test_a_repetition_says_nothing_without_noise_and_no_more_than_a_sensor_resolves(
+    noise_rms: float, resolution: float, evidence: float
+) -> None:
+    table = build(DESIGN, Target(TICK_S, 1, "zoh", noise_rms=noise_rms, resolution=resolution))
+    assert table.hypotheses.frozen.repetition == pytest.approx(evidence)

@@ -1,0 +1,96 @@
+"""The table and the state are C structs, and every member says what it is."""
+
+from __future__ import annotations
+
+import ctypes
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_model.law.layout import STATE, TABLE, precision_of, state_type, table_type
+from firmware_model.law.structs import Field, Struct
+
+UNITS = {"1", "tick", "y", "u1", "u2", "command", "output", "input"}
+TYPES = {"table": (TABLE, table_type), "state": (STATE, state_type)}
+PRECISIONS = {"float32": ctypes.c_float, "float64": ctypes.c_double}
+
+
+def fields(struct: Struct) -> Iterator[Field]:
+    """Every field, those of nested structs included."""
+    for field in struct:
+        yield field
+        if isinstance(field.kind, tuple):
+            yield from fields(field.kind)
+
+
+def c_struct(struct: Struct, real: Any) -> type[ctypes.Structure]:
+    """The struct as ctypes lays it out: by the natural alignment of its members."""
+    members = []
+    for field in struct:
+        kind: Any = real if field.kind == "real" else ctypes.c_int32
+        if isinstance(field.kind, tuple):
+            kind = c_struct(field.kind, real)
+        for size in reversed(field.shape):
+            kind = kind * size
+        members.append((field.name, kind))
+    return type("CStruct", (ctypes.Structure,), {"_fields_": members})
+
+
+def compare(layout: np.dtype[Any], struct: type[ctypes.Structure]) -> None:
+    assert layout.itemsize == ctypes.sizeof(struct)
+    assert list(layout.names or ()) == [name for name, *_ in struct._fields_]
+    for name, kind, *_ in struct._fields_:
+        member, offset = layout.fields[name][:2]  # type: ignore[index]
+        assert offset == getattr(struct, name).offset, name
+        assert member.itemsize == ctypes.sizeof(kind), name
+        if member.names:
+            compare(member, kind)
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("which", TYPES)
+def test_members_lie_where_a_c_compiler_puts_them(which: str, precision: Any) -> None:
+    struct, type_of = TYPES[which]
+    compare(type_of(precision), c_struct(struct, PRECISIONS[precision]))
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+@pytest.mark.parametrize("which", TYPES)
+def test_there_are_numbers_of_the_precision_and_32_bit_integers_alone(
+    which: str, precision: Any
+) -> None:
+    def leaves(layout: np.dtype[Any]) -> Iterator[np.dtype[Any]]:
+        for name in layout.names or ():
+            member = layout[name]
+            yield from leaves(member) if member.names else [member.base]
+
+    assert set(leaves(TYPES[which][1](precision))) == {np.dtype(precision), np.dtype(np.int32)}
+
+
+@pytest.mark.parametrize("which", TYPES)
+def test_every_field_says_its_unit_and_its_meaning(which: str) -> None:
+    for field in fields(TYPES[which][0]):
+        assert {unit.removesuffix("²") for unit in field.unit.split("/")} <= UNITS, field
+        assert field.meaning, field
+        assert field.meaning == field.meaning.strip(" ."), field
+
+
+@pytest.mark.parametrize("which", TYPES)
+def test_no_field_hides_an_attribute_of_a_record(which: str) -> None:
+    """Interpreted, fields are attributes: ``size`` or ``real`` would be something else."""
+    assert not {field.name for field in fields(TYPES[which][0])} & set(dir(np.record))
+
+
+def test_a_nested_field_is_written_in_place() -> None:
+    state = np.zeros(1, state_type())[0]
+    state.reference_shaper.shaped = 2.0
+    state.estimator.channel_1.accumulators[1, 0] = 3.0
+    assert state["reference_shaper"]["shaped"] == 2.0
+    assert state["estimator"]["channel_1"]["accumulators"][1, 0] == 3.0
+
+
+@pytest.mark.parametrize("precision", PRECISIONS)
+def test_a_table_says_its_precision(precision: Any) -> None:
+    assert precision_of(np.zeros(1, table_type(precision))[0]) == precision

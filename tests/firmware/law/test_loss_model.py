@@ -1,0 +1,192 @@
+"""The known loss s w: its inputs, the part of a candidate, and the estimate of s."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.testing import assert_allclose
+from scipy import signal
+
+from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Target
+from firmware_model.discretisation.tustin import tustin
+from firmware_model.law import controller
+from firmware_model.law.fault_decision.likelihood_ratio import (
+    advance_candidate,
+    candidate_output,
+    candidate_shown,
+    start_candidate,
+)
+from firmware_model.law.fault_decision.loss_model import (
+    advance_loss_model,
+    clear_loss_model,
+    earlier_shown,
+    follow_share,
+    known_share,
+    loss_output,
+    loss_shown,
+    settle_loss_model,
+    take_over_candidate,
+)
+from firmware_model.law.filters.biquad import output
+from firmware_model.law.filters.estimator import advance_model
+from firmware_model.law.status import FaultState
+from firmware_model.law.structs import FloatArray, Record
+from tests.firmware.law.cases import CAR, TICK_S, changed
+
+DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
+COMMANDS = np.cumsum(np.random.default_rng(1).standard_normal(30))
+LATENCIES = [0, 1, 3]
+
+
+def begun(latency: int) -> tuple[Record, Record]:
+    """A channel 1 that is lost; by Tustin's rule w has a feedthrough."""
+    table = build(DESIGN, Target(TICK_S, latency))
+    state = controller.init(table)[0]
+    state.fault_state = FaultState.CONFIRMED
+    return table, state
+
+
+def advance(table: Record, state: Record, command: float) -> None:
+    state.command_1 = command
+    advance_loss_model(table, state)
+    advance_candidate(table, state)
+    advance_model(table.estimator, state.estimator, command, 0.0)
+
+
+def late(w: FloatArray, latency: int) -> FloatArray:
+    return np.concatenate([np.zeros(latency), w])[: len(w)]
+
+
+@pytest.mark.parametrize("latency", LATENCIES)
+def test_w_is_the_answer_of_g1_to_the_commands_that_are_lost(latency: int) -> None:
+    """Commands of a working channel are not lost: w fades with the motion."""
+    table, state = begun(latency)
+    rows = []
+    for k, command in enumerate(COMMANDS):
+        state.fault_state = FaultState.CONFIRMED if k < 20 else FaultState.CLEAR
+        state.command_1 = command
+        rows.append((loss_output(table, state), loss_shown(table, state)))
+        advance(table, state, command)
+        rows[-1] += (float(state.loss_model.previous_output),)
+    w = signal.sosfilt(tustin(CAR.g1, TICK_S).sos, np.where(np.arange(30) < 20, COMMANDS, 0.0))
+    now, shown, previous = np.array(rows).T
+    assert_allclose(now, w, atol=1e-12)
+    assert_allclose(previous, w, atol=1e-12)
+    assert_allclose(shown, late(w, latency), atol=1e-12)
+
+
+@pytest.mark.parametrize("latency", LATENCIES)
+@pytest.mark.parametrize("start", [0, 11])
+def test_the_candidate_is_driven_by_all_commands_that_had_not_acted(
+    start: int, latency: int
+) -> None:
+    """The candidate knows w one tick before its start, and the speed of w from there."""
+    table, state = begun(latency)
+    w = signal.sosfilt(
+        tustin(CAR.g1, TICK_S).sos, np.where(np.arange(30) < start - latency, 0.0, COMMANDS)
+    )
+    for k, command in enumerate(COMMANDS):
+        if k == start:
+            start_candidate(table, state)
+            before = w[k - 1] if k > 0 and latency > 0 else 0.0
+            assert state.sequential_test.previous_output == pytest.approx(before, abs=1e-12)
+        state.command_1 = command
+        shown = candidate_shown(table, state)
+        advance(table, state, command)
+        if k >= start:
+            assert state.sequential_test.previous_output == pytest.approx(w[k], abs=1e-12)
+            assert shown == pytest.approx(late(w, latency)[k], abs=1e-12)
+
+
+@pytest.mark.parametrize("latency", LATENCIES)
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(("known", "share"), [(0.0, 0.7), (0.5, 0.9), (0.8, 0.8)])
+def test_s_w_is_continuous_where_a_candidate_is_taken_over(
+    known: float, share: float, sign: float, latency: int
+) -> None:
+    """s w of before and the candidate's, in this tick, the last and all that come."""
+    table, state = begun(latency)
+    for k, command in enumerate(COMMANDS):
+        if k == 17:
+            start_candidate(table, state)
+        advance(table, state, command)
+    state.loss_model.share = known - 0.1
+    state.mismatch.theta[0] = 0.1 if known else 0.0  # what has been learnt of the share since
+    if known == 0.0:
+        state.loss_model.share = 0.0
+    apart, together = state.copy(), state
+    take_over_candidate(table, together, share, sign)
+    loss = together.loss_model
+    assert loss.share == loss.between == loss.followed == share
+    assert share * loss.previous_output == pytest.approx(
+        known * apart.loss_model.previous_output
+        + sign * share * apart.sequential_test.previous_output
+    )
+    for _ in range(6):  # whatever is lost from now on: here, nothing
+        apart.command_1 = together.command_1 = 0.0
+        for known_w, its_w in ((loss_output, candidate_output), (loss_shown, candidate_shown)):
+            expected = known * known_w(table, apart) + sign * share * its_w(table, apart)
+            assert share * known_w(table, together) == pytest.approx(expected, abs=1e-12)
+            assert abs(expected) > 1e-6
+        older = output(table.estimator.channel_1, apart.sequential_test.earlier, 0.0)
+        assert earlier_shown(table, together) == pytest.approx(older, rel=1e-12)
+        assert abs(older) > 1e-9
+        advance(table, apart, 0.0)
+        advance(table, together, 0.0)
+
+
+@pytest.mark.parametrize("latency", LATENCIES)
+def test_where_the_share_is_followed_at_all_times_w_settles_too(latency: int) -> None:
+    """All of G1 u1 may be lost then, whatever the fault state; of a settled one nothing is."""
+    tables = changed(build(DESIGN, Target(TICK_S, latency)), decision={"tracks_share": 1})
+    table, state = tables[0], controller.init(tables[0])[0]
+    for command in COMMANDS:
+        advance(table, state, command)
+    state.loss_model.share = state.loss_model.followed = 0.4
+    state.command_1 = 3.0
+    settle_loss_model(table, state)
+    assert (state.loss_model.share, state.loss_model.followed) == (0.0, 0.0)
+    steady = pytest.approx(3.0 * CAR.g1.dc_gain, rel=1e-9)
+    assert state.loss_model.previous_output == steady
+    for _ in range(5):
+        assert loss_output(table, state) == steady
+        assert loss_shown(table, state) == steady
+        advance(table, state, 3.0)
+
+
+def test_what_is_cleared_is_nothing() -> None:
+    _, state = begun(3)
+    for name in ("share", "between", "followed", "previous_output", "delay"):
+        state.loss_model[name] = 1.0
+    state.loss_model.channel_1.accumulators[:] = math.pi
+    state.loss_model.earlier.accumulators[:] = math.pi
+    clear_loss_model(state)
+    for name in ("share", "between", "followed", "previous_output", "delay"):
+        assert not np.any(state.loss_model[name]), name
+    assert not state.loss_model.channel_1.accumulators.any()
+    assert not state.loss_model.earlier.accumulators.any()
+
+
+def test_the_share_that_is_compensated_follows_by_two_lags() -> None:
+    """1 - (1 + t/τ) exp(-t/τ), τ of 10 ms, to first order in the tick."""
+    table, state = begun(0)
+    state.loss_model.share = 1.0
+    followed = []
+    for _ in range(60):
+        follow_share(table.loss_model, state)
+        followed.append(float(state.loss_model.followed))
+    expected = signal.lfilter([0.01], np.poly([0.9, 0.9]), np.ones(60))
+    np.testing.assert_allclose(followed, expected, rtol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("share", "off", "known"), [(0.9, 0.4, 1.0), (0.1, -0.4, 0.0), (0.5, 0.1, 0.6)]
+)
+def test_a_known_share_is_none_to_all(share: float, off: float, known: float) -> None:
+    _, state = begun(0)
+    state.loss_model.share, state.mismatch.theta[0] = share, off
+    assert known_share(state) == pytest.approx(known)

@@ -1,0 +1,79 @@
+"""The make-up of one tick, alone: against least squares over all that comes."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import signal
+
+from firmware_model.discretisation.sections import Sections, make_up_gain
+from firmware_model.law import actuator
+from firmware_model.law.filters import biquad, shortfall
+from firmware_model.law.filters.shortfall import make_up
+from firmware_model.law.structs import Record, record_type
+
+ROWS = {
+    "a lag": [[0.0, 0.3, 0.0, 0.4, 0.0]],
+    "a lag with feedthrough": [[0.7, 0.3, 0.0, 0.4, 0.0]],
+    "an oscillator": [[0.0, 0.1, 0.3, 0.5, 0.3]],
+    "only its second number": [[0.0, 0.0, 0.3, 0.5, 0.3]],
+    "two sections": [[0.5, 0.2, 0.05, 0.9, 0.4], [0.2, -0.3, 0.1, 0.6, 0.2]],
+    "one of first order before": [[0.3, 0.1, 0.0, 0.5, 0.0], [0.4, 0.2, 0.1, 0.8, 0.3]],
+    "one of first order behind": [[0.3, 0.1, 0.2, 0.5, 0.4], [0.4, 0.2, 0.0, 0.6, 0.0]],
+    "a gain behind": [[0.3, 0.1, 0.2, 0.5, 0.4], [0.4, 0.0, 0.0, 0.0, 0.0]],
+}
+
+
+def records(rows: NDArray[np.float64], slew: float = math.inf) -> list[Record]:
+    """Constants of the make-up, the cascade, the actuator, and a state."""
+    kinds = (shortfall.CONSTANTS, biquad.CONSTANTS, actuator.CONSTANTS, shortfall.STATE)
+    constants, cascade, limits, state = (
+        np.zeros(1, record_type(kind, "float64"))[0] for kind in kinds
+    )
+    cascade.n = len(rows)
+    cascade.coefficients[: len(rows)] = rows
+    constants.gain[: len(rows)] = make_up_gain(Sections(rows.copy(), 1e-3))
+    limits.slew = slew
+    return [constants, cascade, limits, state]
+
+
+@pytest.mark.parametrize("name", ROWS)
+def test_it_leaves_the_least_of_the_missing_output(name: str) -> None:
+    """One command acts in this tick; the output fades within 300 ticks."""
+    rows = np.array(ROWS[name])
+    constants, cascade, limits, state = records(rows)
+    short = np.random.default_rng(2).standard_normal(30)
+    for value in short.tolist():
+        biquad.advance(cascade, state, value)
+    sos = Sections(rows.copy(), 1e-3).sos
+    free = signal.sosfilt(sos, np.concatenate([short, np.zeros(300)]))[len(short) :]
+    unit = signal.sosfilt(sos, np.eye(1, 300)[0])
+    best = float(unit @ free / (unit @ unit))
+    assert make_up(constants, cascade, limits, state) == pytest.approx(best, rel=1e-9)
+    assert abs(best) > 1e-3
+
+
+def test_however_slow_it_fades() -> None:
+    """A lag of a million ticks: y = s and the sum of squares of a geometric series."""
+    rate = 1e-6
+    gain = make_up_gain(Sections(np.array([[0.0, rate, 0.0, rate, 0.0]]), 1e-3))
+    # V = y² + P (x⁺)², P = 1/(1 - (1 - r)²), x⁺ = (1 - r) x - r v: least at v = (1 - r) x/r.
+    np.testing.assert_allclose(gain, [[(1.0 - rate) / rate, 0.0]], rtol=1e-9)
+
+
+def test_what_answers_to_nothing_cannot_make_up() -> None:
+    rows = np.array([[0.0, 0.0, 0.0, 0.5, 0.1]])
+    assert make_up_gain(Sections(rows, 1e-3)).tolist() == [[0.0, 0.0]]
+
+
+@pytest.mark.parametrize(("slew", "given"), [(100.0, -7.0), (5.0, -5.0), (7.0, -7.0)])
+def test_it_is_what_can_be_taken_back_within_a_tick(slew: float, given: float) -> None:
+    constants, cascade, limits, state = records(np.array(ROWS["two sections"]), slew)
+    constants.gain[:3] = [[1.0, 2.0], [3.0, 4.0], [9.0, 9.0]]
+    state.accumulators[:3] = [[1.0, -2.0], [4.0, -4.0], [9.0, 9.0]]  # the third is not in use
+    for sign in (1.0, -1.0):
+        state.accumulators[:] *= sign
+        assert make_up(constants, cascade, limits, state) == sign * given

@@ -1,0 +1,163 @@
+"""Every memory of a state, one by one, after a reset and after an overflow."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Target
+from firmware_model.law import controller
+from firmware_model.law.fault_decision.hypotheses.verdict import clear_hypotheses
+from firmware_model.law.fault_decision.likelihood_ratio import start_candidate
+from firmware_model.law.layout import STATE
+from firmware_model.law.overflow import clear_memories
+from firmware_model.law.status import FaultState, Mode
+from firmware_model.law.structs import Record, Struct
+from tests.firmware.law.cases import CAR, TICK_S, other_cars
+
+DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
+LATENCY = 3
+
+
+def table_of(**changes: Any) -> Record:
+    chosen = {"mismatch": other_cars(4), "on_confirmation": True, "lsb_1": 0.01, **changes}
+    return build(DESIGN, Target(TICK_S, LATENCY, "tustin-held", **chosen))
+
+
+def leaves(struct: Struct, record: Record, path: str = "") -> dict[str, Any]:
+    """Every number of a state, by the path that leads to it."""
+    found: dict[str, Any] = {}
+    for field in struct:
+        name = f"{path}{field.name}"
+        if isinstance(field.kind, tuple):
+            found |= leaves(field.kind, record[field.name], f"{name}.")
+        else:
+            found[name] = np.array(record[field.name])
+    return found
+
+
+def used(table: Record, seed: int = 1) -> Record:
+    """A state in which every number is another than at rest."""
+    state = controller.init(table)[0]
+    draw = np.random.default_rng(seed)
+
+    def fill(struct: Struct, record: Record) -> None:
+        for field in struct:
+            if isinstance(field.kind, tuple):
+                fill(field.kind, record[field.name])
+            elif field.kind == "real":
+                record[field.name] = draw.uniform(0.1, 0.2, field.shape)
+            else:
+                record[field.name] = 2
+
+    fill(STATE, state)
+    state.fault_state, state.mode = FaultState.CONFIRMED, Mode.RUN
+    return state
+
+
+def changes(before: Record, after: Record) -> set[str]:
+    """The paths of what differs."""
+    old, new = leaves(STATE, before), leaves(STATE, after)
+    return {path for path in old if old[path].tobytes() != new[path].tobytes()}
+
+
+def answers(table: Record, state: Record, ticks: int = 25) -> list[list[float]]:
+    """Answers and findings of the law in the following ticks."""
+    draw, rows = np.random.default_rng(8), []
+    for k in range(ticks):
+        measurement = math.nan if k in (4, 5) else 0.4 + 0.01 * draw.standard_normal()
+        controller.step(table, state, 0.4 + 0.01 * k, measurement)
+        test, known = state.sequential_test, state.mismatch
+        said = (state.command_1, state.command_2, state.fault_estimate, state.mode)
+        rows.append([*said, state.fault_state, test.evidence, *known.theta, *known.x, known.change])
+    return [[float(number) for number in row] for row in rows]
+
+
+@pytest.mark.parametrize("reference", [0.4, 0.0])
+@pytest.mark.parametrize("on_confirmation", [True, False])
+def test_after_a_reset_nothing_is_left_of_what_was_before(
+    reference: float, on_confirmation: bool
+) -> None:
+    """The same bits from then on as of a new controller, whatever the memories held."""
+    table = table_of(reference_acceleration=40.0, on_confirmation=on_confirmation)
+    found = []
+    for state in (controller.init(table)[0], used(table), used(table, seed=2)):
+        controller.reset(table, state, reference)
+        assert (state.mode, state.fault_state) == (Mode.INIT, FaultState.CLEAR)
+        assert state.reference == reference
+        assert state.command_1 == pytest.approx(reference / CAR.g1.dc_gain, abs=0.01)
+        assert (state.fault_estimate, state.decision.pause) == (0.0, 0)
+        found.append(answers(table, state))
+    assert found[1] == found[2] == found[0]
+
+
+@pytest.mark.parametrize("on_confirmation", [True, False])
+def test_an_overflow_forgets_what_the_measurement_feeds_alone(on_confirmation: bool) -> None:
+    """All else follows the commands, which are finite, and goes on; so a loss stays known."""
+    table = table_of(on_confirmation=on_confirmation)
+    state = used(table)
+    expected = state.copy()
+    clear_memories(table, state)
+    expected.probe.tick = 0
+    expected.tracking.filter.accumulators[:] = 0.0
+    expected.tracking.error = 0.0
+    expected.tracking.stabiliser.accumulators[:] = 0.0
+    expected.estimator.measurement.accumulators[:] = 0.0
+    expected.estimator.one_plus_q.accumulators[:] = 0.0
+    if not on_confirmation:
+        expected.compensator.filter.accumulators[:] = 0.0
+    known = expected.mismatch
+    for name in ("x", "theta", "extent", "change", "remainder", "previous_model_output",
+                 "previous_residual", "rule"):  # fmt: skip
+        known[name] = 0.0
+    known.covariance.upper[:] = 0.0
+    known.covariance.variances[:] = [0.0, 0.0, 0.36, 0.36, 0.36, 0.36, 0.0]
+    start_candidate(table, expected)
+    clear_hypotheses(expected)
+    asked = {"estimator.showing_1", "estimator.showing_2", "other_cars.command_1",
+             "other_cars.command_2", "other_cars.shown"}  # fmt: skip
+    assert changes(state, expected) <= asked  # what each model shows of no command
+    assert state.fault_state == FaultState.CONFIRMED
+
+
+LOST = [
+    "estimator.channel_1.accumulators",
+    "estimator.channel_2.accumulators",
+    "shortfall_1.accumulators",
+    "shortfall_2.accumulators",
+    "compensator.filter.accumulators",
+    "loss_model.channel_1.accumulators",
+    "other_cars.model.channel_1.accumulators",
+    *(f"other_cars.car_{i}.channel_2.accumulators" for i in (1, 2, 3, 4)),
+    "reference_shaper.shaped",
+]
+
+
+@pytest.mark.parametrize("path", LOST)
+def test_where_one_of_the_models_is_lost_nothing_is_known_any_more(path: str) -> None:
+    """From then on the same bits as of a new controller that has sent the same commands."""
+    table = table_of(reference_acceleration=40.0)
+    state, fresh = used(table), controller.init(table)[0]
+    *parts, name = path.split(".")
+    part: Any = state
+    for each in parts:
+        part = part[each]
+    if name == "accumulators":
+        part[name][0, 0] = math.inf
+    else:
+        part[name] = math.inf
+    state.loss_model.followed = 1.0
+    clear_memories(table, state)
+    assert state.fault_state == FaultState.CLEAR
+    state.decision.pause = 0
+    fresh.command_1, fresh.command_2 = state.command_1, state.command_2
+    for name in ("delay_1", "delay_2", "delay_index", "shown_index_1", "shown_index_2"):
+        fresh.estimator[name] = state.estimator[name]  # what is on its way still comes
+    fresh.reference_shaper.previous_reference = state.reference_shaper.previous_reference
+    start_candidate(table, fresh)
+    assert answers(table, state) == answers(table, fresh)

@@ -1,0 +1,231 @@
+"""What is learnt of the car: x by scipy's filters, and what θ and its variance make of it."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import signal
+
+from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Target
+from firmware_model.discretisation.tustin import zoh
+from firmware_model.law import controller
+from firmware_model.law.fault_decision.covariance import MAX_STATES
+from firmware_model.law.fault_decision.mismatch import (
+    difference,
+    innovation,
+    learn_loss,
+    predict_mismatch,
+    settle_mismatch,
+)
+from firmware_model.law.fault_decision.other_cars import (
+    advance_other_cars,
+    settle_other_cars,
+    show_other_cars,
+)
+from firmware_model.law.structs import Record, RecordArray
+from tests.firmware.law.cases import CAR, TICK_S, changed, covariance_of, other_cars
+
+DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
+COLOUR, NOISE_RMS = 0.6, 0.01
+
+
+def tables_of(parameters: int, **changes: Any) -> RecordArray:
+    of = {"noise_rms": NOISE_RMS, "noise_pole": COLOUR, **changes}
+    mismatch = other_cars(parameters)
+    return changed(build(DESIGN, Target(TICK_S, 0, "zoh", mismatch=mismatch, **of)))
+
+
+COMMANDS = np.cumsum(np.random.default_rng(4).standard_normal(100))
+MODELLED = signal.sosfilt(zoh(CAR.g1, TICK_S).sos, COMMANDS)
+LOST, EARLIER = np.random.default_rng(5).standard_normal((2, 100))
+
+
+def differences(parameters: int, u: NDArray[Any] = COMMANDS) -> list[NDArray[Any]]:
+    """x of commands 1 alone, by scipy."""
+    modelled = signal.sosfilt(zoh(CAR.g1, TICK_S).sos, u)
+    return [
+        (signal.sosfilt(zoh(g1, TICK_S).sos, u) - modelled) / 0.05
+        for g1, _ in other_cars(parameters).cars
+    ]
+
+
+def predict(
+    table: Record, state: Record, command: float, model: float, lost: float, earlier: float = 0.0
+) -> None:
+    """A tick of the other cars and of the mismatch."""
+    show_other_cars(table, state, command, 0.0)
+    predict_mismatch(table, state, model, lost, earlier)
+    advance_other_cars(table, state)
+
+
+def predicted(table: Record) -> NDArray[Any]:
+    """A row a tick: regressor, extent, M and the remainder's variance."""
+    state, rows = controller.init(table)[0], []
+    for drive in zip(COMMANDS, MODELLED, LOST, EARLIER, strict=True):
+        predict(table, state, *drive)
+        known = state.mismatch
+        rows.append([*known.regressor, known.extent, known.change, known.remainder])
+    return np.array(rows)
+
+
+def whitened(x: NDArray[Any]) -> NDArray[Any]:
+    return np.asarray(signal.lfilter([1.0, -COLOUR], [1.0], x))
+
+
+@pytest.mark.parametrize("parameters", [1, 2, 3, 4])
+def test_x_is_the_lost_w_what_is_earlier_the_difference_of_the_cars_and_one_whitened(
+    parameters: int,
+) -> None:
+    rows = predicted(tables_of(parameters)[0])
+    np.testing.assert_allclose(rows[:, 0], whitened(LOST), atol=1e-12)
+    np.testing.assert_allclose(rows[:, 1], whitened(EARLIER), atol=1e-12)
+    for i, x in enumerate(differences(parameters), start=2):
+        np.testing.assert_allclose(rows[:, i], whitened(x), atol=1e-10 * np.abs(x).max())
+    np.testing.assert_allclose(rows[:, 2 + parameters], 1.0 - COLOUR)  # of the remainder
+    assert not rows[:, parameters + 3 : MAX_STATES].any()
+
+
+def fading_largest(values: NDArray[Any]) -> NDArray[Any]:
+    """max over j <= k of values[j] exp(-2 (k - j) T/1 s)."""
+    k = np.arange(len(values))
+    faded = values * np.exp(-2.0 * TICK_S * (k[:, None] - k))
+    return np.where(k[:, None] >= k, faded, 0.0).max(axis=1)
+
+
+def test_motion_is_measured_against_extent() -> None:
+    """Of the cars alone: how much is lost says nothing of how the car moves."""
+    rows, x = predicted(tables_of(2)[0]), differences(2)
+    extent = sum(value**2 for value in x)
+    change = sum(np.diff(value, prepend=0.0) ** 2 for value in x) * (0.12 / TICK_S) ** 2
+    remainder = 0.01 * 0.36 * fading_largest(change)
+    for ours, expected in zip(
+        rows[:, MAX_STATES:].T, (fading_largest(extent), fading_largest(change), remainder),
+        strict=True,
+    ):  # fmt: skip
+        np.testing.assert_allclose(ours, expected, rtol=1e-9, atol=1e-12 * expected.max())
+
+
+def test_a_rule_that_is_not_exact_leaves_a_tick_s_change_of_the_model() -> None:
+    """Without other cars: the remainder alone, for a rule that lags or leads by up to a tick."""
+    exact = predicted(tables_of(0)[0])
+    np.testing.assert_allclose(exact[:, 1], whitened(EARLIER), atol=1e-12)
+    assert not exact[:, 2:].any()
+    held = predicted(build(DESIGN, Target(TICK_S, 0, "tustin-held", noise_pole=COLOUR)))
+    np.testing.assert_allclose(held[:, 2], 1.0 - COLOUR)
+    steps = np.diff(MODELLED, prepend=0.0) ** 2
+    np.testing.assert_allclose(held[:, -1], fading_largest(steps), rtol=1e-9, atol=1e-300)
+
+
+def test_what_is_not_finite_stays_in_no_memory() -> None:
+    table = build(DESIGN, Target(TICK_S, 0, "tustin-held"))
+    state = controller.init(table)[0]
+    for model in (1e200, 0.0):
+        predict(table, state, 0.0, model, 0.0)
+        assert state.mismatch.remainder == 0.0
+
+
+def test_a_new_loss_has_no_past() -> None:
+    """Its w begins at nothing: it is neither whitened nor told to have changed by the last one."""
+    table = tables_of(2)[0]
+    state = controller.init(table)[0]
+    for command, model in zip(COMMANDS[:9], MODELLED, strict=False):
+        predict(table, state, command, model, 0.3, 0.2)
+        innovation(table.mismatch, state.mismatch, 0.1)
+    before = state.mismatch.copy()
+    learn_loss(state.mismatch, 0.09, 25.0)
+    assert state.mismatch.theta[:2].tolist() == state.mismatch.x[:2].tolist() == [0.0, 0.0]
+    for name in ("theta", "x"):
+        np.testing.assert_array_equal(state.mismatch[name][2:], before[name][2:])
+    predict(table, state, COMMANDS[9], MODELLED[9], 0.7, 0.4)
+    assert state.mismatch.regressor[:2].tolist() == [0.7, 0.4]
+
+
+STILL = {"forgetting": 0.0, "growth": 0.0, "white": 0.0}
+
+
+@pytest.mark.parametrize("place", [(0.5, 0.0), (-0.7, 0.4)])
+def test_theta_finds_the_place_of_a_car(place: tuple[float, float]) -> None:
+    """A car that lies along the directions exactly, and noise: θ to within its own deviation."""
+    tables = changed(tables_of(2)[0], mismatch={**STILL, "noise": 1e-10, "colour": 0.0})
+    state, x = controller.init(tables[0])[0], differences(2)
+    noise = 1e-5 * np.random.default_rng(5).standard_normal(len(COMMANDS))
+    residuals = place[0] * x[0] + place[1] * x[1] + noise
+    for command, model, residual in zip(COMMANDS, MODELLED, residuals, strict=True):
+        predict(tables[0], state, command, model, 0.0)
+        innovation(tables[0].mismatch, state.mismatch, residual)
+    deviation = np.sqrt(np.diag(covariance_of(state.mismatch)))[2:4]
+    assert (np.abs(state.mismatch.theta[2:4] - place) < 4.0 * deviation).all()
+    assert deviation.max() < 0.05
+
+
+@pytest.mark.parametrize("colour", [0.0, 0.9])
+def test_innovations_of_coloured_noise_on_another_car_are_white_and_as_large_as_said(
+    colour: float,
+) -> None:
+    """A car within the box, that does not wander: S is what its innovations have in the mean."""
+    ticks, draw = 1000, np.random.default_rng(7)
+    tables = changed(tables_of(2, noise_pole=colour)[0], mismatch=STILL)
+    u = 30.0 * np.sin(0.02 * np.arange(ticks))
+    modelled = signal.sosfilt(zoh(CAR.g1, TICK_S).sos, u)
+    noise = signal.lfilter(
+        [NOISE_RMS * math.sqrt(1.0 - colour**2)], [1.0, -colour], draw.standard_normal(ticks)
+    )
+    x = differences(2, u)
+    state, new = controller.init(tables[0])[0], []
+    for k, residual in enumerate(noise + 0.6 * x[0] - 0.3 * x[1]):
+        predict(tables[0], state, u[k], modelled[k], 0.0)
+        value = innovation(tables[0].mismatch, state.mismatch, residual)
+        new.append(value / math.sqrt(state.mismatch.variance))
+    normal = np.array(new[200:])
+    assert normal.var() == pytest.approx(1.0, abs=0.1)
+    for lag in (1, 2, 5):
+        assert abs(np.mean(normal[lag:] * normal[:-lag])) < 4.0 / math.sqrt(ticks)
+
+
+def test_a_settled_car_has_not_moved() -> None:
+    """In a steady bend: x is that of the steady state, and M is nothing."""
+    table = tables_of(2)[0]
+    state, torque = controller.init(table)[0], 1.0 / CAR.g1.dc_gain
+    known = state.mismatch
+    known.theta[:] = known.x[:] = 7.0
+    known.covariance.upper[:] = 0.3
+    settle_other_cars(table, state, torque, 0.0)
+    settle_mismatch(table, state, 1.0)
+    assert not known.theta.any()
+    assert known.x[:2].tolist() == known.regressor[:2].tolist() == [0.0, 0.0]
+    for _ in range(5):
+        predict(table, state, torque, 1.0, 0.0)
+    for x, (g1, _) in zip(known.x[2:], other_cars(2).cars, strict=False):
+        assert x == pytest.approx((g1.dc_gain * torque - 1.0) / 0.05, rel=1e-9)
+    assert known.change == pytest.approx(0.0, abs=1e-9 * known.extent)
+    assert known.remainder == pytest.approx(0.0, abs=1e-9 * known.extent)
+    assert np.diag(covariance_of(known)).tolist() == [0.0, 0.0, 0.36, 0.36, 0.0, 0.0, 0.0]
+
+
+@pytest.mark.parametrize("part", [1.0, 0.5, 0.1])
+def test_the_remainder_is_of_second_order(part: float) -> None:
+    """Of a car with ``part`` of the box's θ, known or not, it is the square of that."""
+    table = tables_of(4)[0]
+    state = controller.init(table)[0]
+    known, cars = state.mismatch, slice(2, 6)
+    known.covariance.variances[cars] = 0.36 * part**2
+    known.covariance.variances[2] = 0.0
+    known.theta[2] = 0.6 * part
+    for command in (0.0, 1.0, 2.0, 3.0):
+        predict(table, state, command, 0.0, 0.0)
+    assert known.change > 0.0
+    assert known.remainder == pytest.approx(0.01 * 0.36 * part**4 * known.change, rel=1e-9)
+
+
+def test_a_car_beyond_the_box_is_as_different_as_the_box_at_most() -> None:
+    table = tables_of(2)[0]
+    state = controller.init(table)[0]
+    assert difference(table, state.mismatch) == 1.0  # nothing is known of it
+    state.mismatch.theta[2:4] = 10.0
+    assert difference(table, state.mismatch) == 1.0

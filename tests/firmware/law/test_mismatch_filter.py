@@ -1,0 +1,144 @@
+"""What is learnt of the car: against a Kalman filter in full matrices."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+from numpy.typing import NDArray
+
+from firmware_model.law.fault_decision import mismatch
+from firmware_model.law.fault_decision.covariance import LOSS_STATES, MAX_DIRECTIONS, MAX_STATES
+from firmware_model.law.fault_decision.mismatch import clear_mismatch, innovation, learn_loss
+from firmware_model.law.structs import Precision, Record, record_type
+from tests.firmware.law.cases import covariance_of
+
+COLOUR = 0.6
+
+
+def begun(precision: Precision = "float64", **changes: Any) -> tuple[Record, Record]:
+    """Constants and state of a filter with four other cars and some numbers of its own."""
+    constants = np.zeros(1, record_type(mismatch.CONSTANTS, precision))[0]
+    state = np.zeros(1, record_type(mismatch.STATE, precision))[0]
+    chosen = {
+        "n": MAX_STATES, "prior": 0.36, "forgetting": [0.0, 0.0, 0.01, 0.02, 0.03, 0.05, 0.1],
+        "growth": [0.0, 0.0, 0.01, 0.003, 0.002, 0.004, 0.2], "white": 0.1, "noise": 1e-4,
+        "colour": COLOUR, **changes,
+    }  # fmt: skip
+    for name, value in chosen.items():
+        constants[name] = value
+    clear_mismatch(constants, state)
+    return constants, state
+
+
+class FullMatrices:
+    """The same filter, in Joseph's form: P stays symmetric and positive."""
+
+    def __init__(self, constants: Record) -> None:
+        self.constants, self.theta = constants, np.zeros(MAX_STATES)
+        self.p = np.diag([0.0] * LOSS_STATES + [float(constants.prior)] * MAX_DIRECTIONS + [0.0])
+
+    def learn_loss(self, share: float, moment: float) -> None:
+        self.theta[:2] = self.p[:2, :] = self.p[:, :2] = 0.0
+        self.p[0, 0], self.p[1, 1] = share, moment
+
+    def step(self, x: NDArray[Any], value: float, wander: float, remainder: float) -> Any:
+        """Innovation and its variance."""
+        c = self.constants
+        r = c.noise + c.white * remainder
+        s = x @ self.p @ x + r
+        new = value - x @ self.theta
+        gain = self.p @ x / s
+        moves = np.array([1.0] * LOSS_STATES + [wander] * (MAX_STATES - LOSS_STATES))
+        memory = np.diag(1.0 - moves * c.forgetting)
+        grows = np.diag(c.growth * np.array([1.0, 0.0] + [wander] * MAX_DIRECTIONS + [remainder]))
+        left = np.eye(MAX_STATES) - np.outer(gain, x)
+        self.theta = memory @ (self.theta + gain * new)
+        p = left @ self.p @ left.T + r * np.outer(gain, gain)
+        self.p = memory @ p @ memory + grows
+        return new, s
+
+
+@pytest.mark.parametrize("drifts", [0.0, 0.05])
+@pytest.mark.parametrize("seed", range(3))
+def test_it_is_the_kalman_filter_of_full_matrices(seed: int, drifts: float) -> None:
+    """Also where the lost share drifts, which needs no motion of the car."""
+    draw = np.random.default_rng(seed)
+    constants, state = begun()
+    constants.growth[0], constants.forgetting[0] = drifts, 0.3 * drifts
+    theirs, before = FullMatrices(constants), 0.0
+    for k, residual in enumerate(draw.standard_normal(60)):
+        if k in (20, 45):  # a first and a second confirmed loss
+            learn_loss(state, 0.09, 25.0)
+            theirs.learn_loss(0.09, 25.0)
+        state.regressor[:] = x = draw.standard_normal(MAX_STATES)
+        state.extent, state.change, state.remainder = draw.uniform(0.0, 2.0, 3)
+        wander = min(state.change / state.extent, 1.0)
+        expected = theirs.step(x, residual - COLOUR * before, wander, float(state.remainder))
+        before = residual
+        ours = innovation(constants, state, residual)
+        assert (ours, state.variance) == pytest.approx(expected, rel=1e-9, abs=1e-12)
+        np.testing.assert_allclose(state.theta, theirs.theta, atol=1e-9)
+        np.testing.assert_allclose(covariance_of(state), theirs.p, atol=1e-9)
+
+
+def test_so_is_a_residual_that_is_no_number_though_x_is_one() -> None:
+    constants, state = begun()
+    state.regressor[:] = state.extent = 0.1
+    innovation(constants, state, math.inf)
+    assert np.isfinite(state.variance)
+    assert not state.theta.any()
+    assert state.previous_residual == 0.0
+
+
+def test_a_car_that_has_never_moved_may_be_any() -> None:
+    """Nothing has shown yet, so there is no ratio of change to extent."""
+    constants, state = begun()
+    state.extent = state.change = 0.0
+    innovation(constants, state, 0.1)
+    np.testing.assert_allclose(state.memory, 1.0 - constants.forgetting)
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("precision", ["float64", "float32"])
+@given(seed=st.integers(0, 2**32 - 1), noise=st.sampled_from([1e-18, 1e-8, 1e-2]),
+       moves=st.sampled_from([0.0, 1e-4, 1.0]))  # fmt: skip
+def test_the_variance_of_an_innovation_is_never_below_that_of_the_noise(
+    seed: int, noise: float, moves: float, precision: Precision
+) -> None:
+    """A car that hardly moves shows the same x for ever, of which more and more is known."""
+    draw = np.random.default_rng(seed)
+    constants, state = begun(precision, noise=noise)
+    of_loss = np.array([0.09, 25.0], precision)
+    learn_loss(state, *of_loss)
+    still = 10.0 * draw.standard_normal(MAX_STATES)
+    for _ in range(200):
+        state.regressor[:] = still * (1.0 + moves * draw.standard_normal(MAX_STATES))
+        state.extent, state.change, state.remainder = 1.0, moves, 0.1 * moves
+        innovation(constants, state, state.extent.dtype.type(1e-3 * draw.standard_normal()))
+        assert state.variance >= constants.noise
+        assert (state.covariance.variances >= 0.0).all()
+        assert np.isfinite(state.theta).all()
+
+
+@pytest.mark.parametrize("huge", [1e200, math.inf, math.nan])
+def test_an_overflow_is_forgotten(huge: float) -> None:
+    constants, state = begun()
+    constants.prior = 0.49
+    _, fresh = begun(prior=0.49)
+    learn_loss(state, 0.09, 25.0)
+    state.x[:] = state.previous_model_output = 3.0
+    for value in (0.1, huge, -huge):
+        state.regressor[:] = value
+        state.extent, state.change, state.remainder = value, value, 0.0
+        innovation(constants, state, value)
+    for name in (
+        "x", "theta", "extent", "change", "remainder", "previous_model_output", "previous_residual",
+    ):  # fmt: skip
+        np.testing.assert_array_equal(state[name], fresh[name], err_msg=name)
+    assert state.covariance.variances.tolist() == fresh.covariance.variances.tolist()
+    assert not state.covariance.upper.any()

@@ -1,0 +1,108 @@
+"""Steady states and what disturbs them: reset, input that is no number, overflow."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import pytest
+
+from firmware_model.analysis.sampled_plant import sample
+from firmware_model.analysis.simulation import simulate
+from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.design.mismatch import TRUSTED, Mismatch
+from firmware_model.design.plants import chapter_2, steer_by_wire
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Target
+from firmware_model.firmware import Firmware
+from firmware_model.law.status import FaultState, Mode
+from tests.firmware.law.cases import other_cars
+
+CAR = steer_by_wire()
+DESIGN = design(CAR, DesignSpecification())
+OPEN_LOOP = design(chapter_2(), DesignSpecification(tau_s=0.01, feedback=False))
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("bad", [math.nan, math.inf, -math.inf])
+@pytest.mark.parametrize("which", ["reference", "measurement"])
+def test_an_input_that_is_no_number_holds_the_last_good_command(which: str, bad: float) -> None:
+    table = build(DESIGN, Target(1e-3, estimator="zoh"))
+    plant = sample(CAR, 1e-3)
+    healthy, dropout = np.ones(1500), np.zeros(1500)
+    dropout[1000:1010] = bad
+    if which == "reference":
+        trace = simulate(table, plant, healthy + dropout)
+    else:
+        trace = simulate(table, plant, healthy, noise=dropout)
+    np.testing.assert_array_equal(trace.command_1[1000:1010], trace.command_1[999])
+    np.testing.assert_array_equal(trace.command_2[1000:1010], trace.command_2[999])
+    assert np.isfinite(trace.command_1).all()
+    assert np.isfinite(trace.fault_estimate).all()
+    assert np.abs(trace.fault_estimate[1010:]).max() < 1e-10  # F1 followed the held command
+    assert abs(trace.error[-1]) < 1e-4
+
+    firmware = Firmware(table)
+    assert firmware.step(1.0, 0.0).mode == Mode.RUN
+    before = firmware.step(1.0, 0.1)
+    held = firmware.step(bad, 0.1) if which == "reference" else firmware.step(1.0, bad)
+    assert held.mode == Mode.HOLD
+    assert held[:3] == before[:3]
+    assert firmware.step(1.0, 0.1).mode == Mode.RUN
+
+
+def test_an_overflow_is_forgotten_and_not_kept() -> None:
+    firmware = Firmware(build(DESIGN, Target(1e-3)))
+    good = firmware.step(1.0, 0.0)
+    lost = firmware.step(1.0, 1e308)
+    assert lost.mode == Mode.HOLD
+    assert lost[:2] == good[:2]
+    for _ in range(20):
+        after = firmware.step(0.0, 0.0)
+    assert after.mode == Mode.RUN
+    assert np.isfinite(after[:3]).all()
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("mismatch", [TRUSTED, other_cars(2)], ids=["trusted", "other cars"])
+@pytest.mark.parametrize("overflow", [1.7e308, -1.7e308])
+def test_an_overflow_of_the_measurement_leaves_a_confirmed_loss_compensated(
+    overflow: float, mismatch: Mismatch
+) -> None:
+    """F1, w and F̂ follow commands, which are finite: only C, that sees D*, begins anew."""
+    target = Target(
+        1e-3, 1, "zoh", limit_1=400.0, limit_2=1e4, mismatch=mismatch, on_confirmation=True
+    )
+    tame = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
+    left, noise = np.ones((3000, 2)), np.zeros(3000)
+    left[300:, 0] = 0.0
+    noise[1000] = overflow
+    plant, table = sample(CAR, 1e-3), build(tame, target)
+    trace = simulate(table, plant, np.ones(3000), effectiveness=left, noise=noise)
+    assert trace.fault_state[999] == FaultState.CONFIRMED
+    assert trace.mode[1000] == Mode.HOLD
+    assert (trace.fault_state[1000:] == FaultState.CONFIRMED).all()
+    assert np.abs(trace.error[1001:]).max() < 0.7  # D* follows C, which begins at zero
+    assert abs(trace.error[-1]) < 0.01
+    assert trace.command_2[-1] == pytest.approx(1.0 / CAR.g2.dc_gain, rel=0.01)
+
+
+@pytest.mark.parametrize("reference", [1.0, -0.4, 0.0])
+@pytest.mark.parametrize("latency", [0, 2])
+def test_reset_to_steady_state_repeats_the_settled_commands(reference: float, latency: int) -> None:
+    firmware = Firmware(build(DESIGN, Target(1e-3, latency, "zoh")))
+    firmware.step(0.3, 0.1)
+    firmware.reset(reference)
+    for _ in range(200):
+        answer = firmware.step(reference, reference)
+        assert answer.command_1 == pytest.approx(reference / CAR.g1.dc_gain, rel=1e-9)
+        assert answer.command_2 == pytest.approx(0.0, abs=1e-6)
+        assert answer.fault_estimate == pytest.approx(0.0, abs=1e-9)
+
+
+def test_reset_of_the_open_loop() -> None:
+    firmware = Firmware(build(OPEN_LOOP, Target(1e-3)))
+    firmware.reset(2.0)
+    y = 2.0 * (chapter_2().g1.dc_gain + chapter_2().g2.dc_gain)
+    answer = firmware.step(2.0, y)
+    assert answer[:3] == pytest.approx((2.0, 2.0, 0.0), abs=1e-9)

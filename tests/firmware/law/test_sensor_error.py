@@ -1,0 +1,160 @@
+"""A sensor's error that has been found is taken out of d̂ as if it had never been in it."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import pytest
+
+from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.discretisation.tables import build
+from firmware_model.discretisation.targets import Target
+from firmware_model.law import controller
+from firmware_model.law.fault_decision.decision import acquit
+from firmware_model.law.fault_decision.hypotheses.sensor_error import (
+    advance_sensor_error,
+    learn_sensor_error,
+    sensor_error_shown,
+)
+from firmware_model.law.fault_decision.hypotheses.signatures import (
+    advance_signatures,
+    begin_all,
+    weigh_signatures,
+)
+from firmware_model.law.fault_decision.mismatch import innovation
+from firmware_model.law.filters import biquad
+from firmware_model.law.status import FaultState
+from firmware_model.law.structs import FloatArray, Record
+from tests.firmware.law.cases import CAR, TICK_S, changed, other_cars
+
+DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
+TICKS, FOUND = 60, 25
+
+
+def table_of(**changes: Any) -> Record:
+    """One whose hypotheses keep their onset."""
+    target = Target(TICK_S, 1, "zoh", noise_rms=0.01, **changes)
+    never = {"restart": -np.inf, "lifetime": np.inf}
+    table = changed(build(DESIGN, target))[0]
+    for name, value in never.items():
+        table.hypotheses.signatures.candidate[name] = value
+    return table
+
+
+def with_lags(table: Record) -> Record:
+    """The same with an M: 0.05 z²/(z² - 1.6 z + 0.65), as sections in δ have it."""
+    table.estimator.measurement.n = 1
+    table.estimator.measurement.coefficients[0] = 0.05, 0.1, 0.05, 0.4, 0.05
+    return table
+
+
+def through_lags(values: FloatArray) -> FloatArray:
+    answers = np.zeros(len(values) + 2)
+    for k, value in enumerate(values):
+        answers[k + 2] = 0.05 * value + 1.6 * answers[k + 1] - 0.65 * answers[k]
+    return answers[2:]
+
+
+def filtered(table: Record, state: Record, residual: FloatArray, x: FloatArray) -> list[float]:
+    rows, n = [], int(table.mismatch.n)
+    for value, row in zip(residual.tolist(), x, strict=True):
+        state.mismatch.regressor[:n] = row
+        rows.append(float(innovation(table.mismatch, state.mismatch, value)))
+    return rows
+
+
+@pytest.mark.parametrize("lags", [False, True])
+@pytest.mark.parametrize("name", ["sensor_biased", "sensor_drifting"])
+def test_what_follows_is_what_would_have_been_without_the_error(name: str, lags: bool) -> None:
+    """Innovations, θ and gains: the filter has forgotten the error, and gets none any more."""
+    table = table_of(mismatch=other_cars(3), noise_pole=0.6)
+    if lags:
+        table = with_lags(table)
+    draw = np.random.default_rng(5)
+    x = draw.standard_normal((TICKS, int(table.mismatch.n)))
+    healthy, size = 1e-4 * draw.standard_normal(TICKS), 0.3
+    error = np.full(TICKS, size)
+    if name == "sensor_drifting":  # it stops when it is found
+        error *= np.minimum(np.arange(TICKS) + 1.0, FOUND)
+    shown = through_lags(error) if lags else error
+    fresh = controller.init(table)[0]
+    without = filtered(table, fresh, healthy, x)
+    state, rows = controller.init(table)[0], []
+    own = state.hypotheses.signatures
+    own.ramp, n = -1.0, int(table.mismatch.n)  # onset: the first tick
+    for k in range(TICKS):
+        known = sensor_error_shown(table, state)
+        state.mismatch.regressor[:n] = x[k]
+        residual = healthy[k] - shown[k] + known
+        new = innovation(table.mismatch, state.mismatch, residual)
+        rows.append(new)
+        weigh_signatures(table, state, new)
+        if k == FOUND - 1:
+            own[name].candidate["size_now"] = size
+            ramp = own.ramp if name == "sensor_drifting" else -1.0
+            assert not learn_sensor_error(table, state, own[name], ramp)
+            state.mismatch.previous_residual += sensor_error_shown(table, state) - known
+            begin_all(own)
+        advance_signatures(table, state)
+        advance_sensor_error(table, state)
+    assert state.hypotheses.sensor_error.offset == pytest.approx(error[-1])
+    np.testing.assert_allclose(rows[FOUND:], without[FOUND:], rtol=1e-6, atol=1e-11)
+    np.testing.assert_allclose(state.mismatch.theta, fresh.mismatch.theta, rtol=1e-6, atol=1e-11)
+    assert np.abs(np.array(rows[:FOUND]) - without[:FOUND]).max() > 0.1
+
+
+@pytest.mark.every_case
+@pytest.mark.parametrize(
+    ("sizes", "gone"),
+    [
+        ([0.1], False),
+        ([0.1, -0.04], False),
+        ([0.1, -0.06], True),
+        ([0.1, 0.1, -0.1], False),
+        ([0.1, -0.21], False),  # as large on the other side
+        ([-0.1, 0.04], False),
+        ([-0.1, 0.06], True),
+    ],
+)
+def test_an_error_is_gone_where_less_than_half_is_left(sizes: list[float], gone: bool) -> None:
+    table = table_of()
+    state = controller.init(table)[0]
+    biased = state.hypotheses.signatures.sensor_biased
+    for size in sizes:
+        biased.candidate["size_now"] = size
+        over = learn_sensor_error(table, state, biased, -1.0)
+    assert over == gone
+    assert state.hypotheses.sensor_error.offset == pytest.approx(0.0 if gone else sum(sizes))
+
+
+@pytest.mark.parametrize("ticks", [1, 100])
+def test_where_a_probe_asks_the_motor_nothing_is_taken_out(ticks: int) -> None:
+    table = table_of()
+    table.probe.ticks = ticks
+    state = controller.init(table)[0]
+    biased = state.hypotheses.signatures.sensor_biased
+    biased.candidate["size_now"] = 0.1
+    assert not learn_sensor_error(table, state, biased, -1.0)
+    assert state.hypotheses.sensor_error.offset == 0.0
+
+
+def test_a_suspicion_ends_and_is_given_back_without_a_bump() -> None:
+    table = table_of(on_confirmation=True)
+    state = controller.init(table)[0]
+    state.fault_state = FaultState.SUSPECTED
+    state.command_1 = 12.0
+    state.sequential_test.evidence = state.sequential_test.age = 9.0
+    state.bumpless_transfer.carried, state.bumpless_transfer.carried_speed = 0.2, 0.001
+    acquit(table, state)
+    assert (state.fault_state, state.sequential_test.evidence) == (FaultState.CLEAR, 0.0)
+    # What F̂ still carries fades from where it was.
+    assert state.bumpless_transfer.missed == pytest.approx(-0.2)
+
+
+def test_lags_of_these_tests_are_those_of_the_section() -> None:
+    table = with_lags(table_of())
+    memory, u = biquad.at_rest(), np.random.default_rng(1).standard_normal(30)
+    m = table.estimator.measurement
+    answers = [biquad.advance(m, memory, value) for value in u]
+    np.testing.assert_allclose(answers, through_lags(u), rtol=1e-12, atol=1e-14)

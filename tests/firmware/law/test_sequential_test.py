@@ -1,0 +1,281 @@
+"""Evidence for a loss: against the likelihoods of two Gaussian hypotheses, computed as a whole.
+
+The test adds up innovations tick by tick. Here the same data are one Gaussian vector, with the
+covariance that noise and another car give it, and scipy says how likely it is with and without
+what a loss would add.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from scipy import signal, stats
+
+from firmware_model.analysis.sampled_plant import follow_plant, sample
+from firmware_model.analysis.simulation import simulate
+from firmware_model.design.continuous_design import DesignSpecification, design
+from firmware_model.design.mismatch import TRUSTED, Mismatch
+from firmware_model.discretisation.tables import SHARE, build
+from firmware_model.discretisation.targets import Target
+from firmware_model.discretisation.tustin import zoh
+from firmware_model.law import controller
+from firmware_model.law.fault_decision.likelihood_ratio import (
+    lost_share,
+    start_candidate,
+    update_test,
+)
+from firmware_model.law.filters.biquad import output
+from firmware_model.law.status import FaultState
+from firmware_model.law.structs import FloatArray, RecordArray
+from tests.firmware.law.cases import CAR, TICK_S, changed, other_cars
+
+DESIGN = design(CAR, DesignSpecification(tau_s=0.005, tau_q_s=0.02))
+PLANT = sample(CAR, TICK_S)
+NOISE_RMS = 0.01
+NEVER = {"decision": {"confirm": math.inf, "recover": math.inf, "suspect": math.inf}}
+FOR_EVER = {"sequential_test": {"restart": -math.inf}, **NEVER}
+
+
+@dataclass(frozen=True)
+class Run:
+    """By tick: command 1, d̂, evidence, and what of the filter's motion is not under test here."""
+
+    command_1: FloatArray
+    estimate: FloatArray
+    evidence: FloatArray
+    regressor: FloatArray
+    memory: FloatArray
+    extent: FloatArray
+    change: FloatArray
+    remainder: FloatArray
+    share: FloatArray
+
+
+def drive(tables: RecordArray, measured: FloatArray, starts: tuple[int, ...] = ()) -> Run:
+    """The law on a reference that swings, D* as given; a candidate begins at ``starts``."""
+    states = controller.init(tables[0])
+    state, rows = states[0], []
+    for k, y in enumerate(measured.tolist()):
+        if k in starts:
+            start_candidate(tables[0], state)
+        controller.step(tables[0], state, math.sin(0.05 * k), y)
+        known = state.mismatch
+        rows.append((
+            state.command_1, state.fault_estimate, state.sequential_test.evidence,
+            known.regressor.copy(), known.memory.copy(),
+            known.extent, known.change, known.remainder,
+            lost_share(tables[0].sequential_test, state.sequential_test),
+        ))  # fmt: skip
+    return Run(*(np.array(column, dtype=np.float64) for column in zip(*rows, strict=True)))
+
+
+def target(latency: int = 1, mismatch: Mismatch = TRUSTED, **changes: Any) -> Target:
+    chosen = {"noise_rms": NOISE_RMS, "mismatch": mismatch, **changes}
+    return Target(TICK_S, latency, "zoh", **chosen)
+
+
+def lost_output(run: Run, latency: int, start: int) -> FloatArray:
+    """w in d̂: G1, by scipy, of the commands that have acted since ``start``."""
+    acting = np.concatenate([np.zeros(latency), run.command_1])[: len(run.command_1)]
+    acting[:start] = 0.0
+    return np.asarray(signal.sosfilt(zoh(CAR.g1, TICK_S).sos, acting))
+
+
+@pytest.mark.parametrize("start", [0, 17])
+@pytest.mark.parametrize("latency", [0, 1, 3, 8])
+def test_on_a_trusted_model_it_is_that_of_white_noise(latency: int, start: int) -> None:
+    tables = changed(build(DESIGN, target(latency)), **FOR_EVER)
+    run = drive(tables, 0.01 * np.random.default_rng(1).standard_normal(60), (start,))
+    signature = SHARE * lost_output(run, latency, start)
+    without, with_loss = (
+        stats.norm.logpdf(run.estimate - mean, scale=NOISE_RMS) for mean in (0.0, signature)
+    )
+    expected = np.cumsum((with_loss - without)[start:])
+    assert np.abs(expected).max() > 1.0
+    np.testing.assert_allclose(run.evidence[start:], expected, rtol=1e-6, atol=1e-9)
+
+
+@pytest.mark.parametrize("latency", [0, 1, 3])
+@pytest.mark.parametrize("start", [0, 17])
+@pytest.mark.parametrize("colour", [0.0, 0.6])
+def test_with_other_cars_it_is_that_of_all_data_at_once(
+    colour: float, start: int, latency: int
+) -> None:
+    """Cov(xᵀθ of two ticks) from θ's own steps; whitened data, because its noise is coloured."""
+    of = target(latency, other_cars(2), noise_pole=colour)
+    table = build(DESIGN, of)
+    run = drive(
+        changed(table, **FOR_EVER), 0.01 * np.random.default_rng(2).standard_normal(60), (start,)
+    )
+    constants, ticks = table.mismatch, len(run.estimate)
+    n = int(constants.n)
+    seen = signal.lfilter([1.0, -colour], [1.0], run.estimate)
+    # w is nothing before the start, and d̂ not yet whitened against a w of before.
+    signature = SHARE * signal.lfilter([1.0, -colour], [1.0], lost_output(run, latency, start))
+    theta = np.diag([0.0, 0.0] + [0.36] * (n - 3) + [0.0])  # nothing is lost
+    p = np.zeros((ticks, ticks))
+    x = run.regressor[:, :n]
+    for j in range(ticks):
+        later = theta
+        for i in range(j, ticks):
+            p[i, j] = p[j, i] = x[i] @ later @ x[j]
+            later = run.memory[i, :n, None] * later
+        wander = min(run.change[j] / run.extent[j], 1.0) if run.extent[j] > 0.0 else 1.0
+        grows = constants.growth[:n] * ([0.0, 0.0] + [wander] * (n - 3) + [run.remainder[j]])
+        phi = np.diag(run.memory[j, :n])
+        theta = phi @ theta @ phi + np.diag(grows)
+    p += np.diag((1.0 - colour**2) * NOISE_RMS**2 + constants.white * run.remainder)
+    expected = [
+        stats.multivariate_normal.logpdf(seen[:k], signature[:k], p[:k, :k])
+        - stats.multivariate_normal.logpdf(seen[:k], np.zeros(k), p[:k, :k])
+        for k in range(start + 1, ticks + 1)
+    ]
+    assert np.abs(expected).max() > 1.0
+    np.testing.assert_allclose(run.evidence[start:], expected, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("mismatch", [TRUSTED, other_cars(2)], ids=["trusted", "other cars"])
+@pytest.mark.parametrize("colour", [0.0, 0.8])
+def test_noise_takes_a_candidate_beyond_h_as_seldom_as_wald_says(
+    colour: float, mismatch: Mismatch
+) -> None:
+    """At most e^-h of the candidates; three deviations of the count more are chance."""
+    ticks = 200_000
+    draw = np.random.default_rng(3)
+    white = NOISE_RMS * math.sqrt(1.0 - colour**2) * draw.standard_normal(ticks)
+    noise = signal.lfilter([1.0], [1.0, -colour], white)
+    tables = changed(build(DESIGN, target(1, mismatch, noise_pole=colour)), **NEVER)
+    trace = simulate(tables[0], PLANT, np.sin(0.005 * np.arange(ticks)), noise=noise)
+    began = np.flatnonzero(trace.evidence == 0.0)
+    largest = np.maximum.reduceat(trace.evidence, began)
+    assert len(began) > 1000
+    for h in (2.0, 3.0, 4.0):
+        bound = len(began) * math.exp(-h)
+        assert (largest > h).sum() <= bound + 3.0 * math.sqrt(bound)
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("latency", [0, 1, 3, 8])
+@pytest.mark.parametrize("left", [0.0, 0.5])
+def test_without_noise_a_loss_is_found_at_its_first_sample_and_so_is_its_share(
+    left: float, latency: int
+) -> None:
+    """The tick of the loss is the last whose sample is still whole."""
+    lost, back, ticks = 300, 2300, 2600
+    table = build(DESIGN, target(latency, noise_rms=0.0, on_confirmation=True))
+    effectiveness = np.ones((ticks, 2))
+    effectiveness[lost:back, 0] = left
+    trace = simulate(table, PLANT, np.ones(ticks), effectiveness=effectiveness)
+    confirmed = trace.fault_state == FaultState.CONFIRMED
+    assert not confirmed[: lost + 1].any()
+    assert confirmed[lost + 1 : back + 1].all()
+    assert not confirmed[back + 1 :].any()
+    whole = 1.0 / CAR.g2.dc_gain
+    assert trace.command_2[back - 1] == pytest.approx((1.0 - left) * whole, rel=0.05)
+
+
+@pytest.mark.compiled
+@pytest.mark.parametrize("left", [0.0, 0.3, 0.6])
+def test_the_share_is_the_part_of_the_torque_that_is_lost(left: float) -> None:
+    """Least squares over all ticks since the start, for a candidate that knows the moment."""
+    lost, ticks = 40, 400
+    tables = changed(build(DESIGN, target(0)), **FOR_EVER)
+    noise = NOISE_RMS * np.random.default_rng(6).standard_normal(ticks)
+    states = controller.init(tables[0])
+    state, x, y, shares = states[0], PLANT.rest.copy(), 0.0, 0.0
+    for k in range(ticks):
+        if k == lost:
+            start_candidate(tables[0], state)
+        controller.step(tables[0], state, math.sin(0.02 * k), y + noise[k])
+        working = left if k >= lost else 1.0
+        u1, u2 = working * float(state.command_1), float(state.command_2)
+        y = follow_plant(PLANT.phi, PLANT.gamma, PLANT.c, x, u1, u2)
+        shares = float(lost_share(tables[0].sequential_test, state.sequential_test))
+    assert shares == pytest.approx(1.0 - left, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("correlation", "information", "share"),
+    [(1.0, 4.0, 0.25), (-1.0, 4.0, 0.0), (9.0, 4.0, 1.0), (0.0, 0.0, 1.0), (3.0, math.nan, 1.0)],
+)
+def test_a_share_is_none_to_all(correlation: float, information: float, share: float) -> None:
+    table = build(DESIGN, target())
+    test = controller.init(table)[0].sequential_test
+    test.correlation, test.information = correlation, information
+    assert lost_share(table.sequential_test, test) == share
+
+
+@pytest.mark.parametrize(
+    ("best", "information", "share"), [(0.9, 1e2, 0.9), (1.2, 1e2, 1.0), (1.2, 1e4, 1.17)]
+)
+def test_more_than_all_is_lost_where_cars_differ_by_three_deviations(
+    best: float, information: float, share: float
+) -> None:
+    """1/√(Σ f²/S) is that of least squares; a channel 1 may do more to a car than to the model."""
+    table = build(DESIGN, target(1, other_cars(1)))
+    test = controller.init(table)[0].sequential_test
+    test.correlation, test.information = best * information, information
+    assert lost_share(table.sequential_test, test) == pytest.approx(share, rel=1e-9)
+
+
+def test_a_candidate_is_as_old_as_the_ticks_that_it_has_seen() -> None:
+    tables = changed(build(DESIGN, target()), **FOR_EVER)
+    state, ages = controller.init(tables[0])[0], []
+    for k in range(8):
+        if k == 5:
+            start_candidate(tables[0], state)
+        controller.step(tables[0], state, 0.1 * k, 0.0)
+        ages.append(int(state.sequential_test.age))
+    assert ages == [1, 2, 3, 4, 5, 1, 2, 3]
+
+
+@pytest.mark.parametrize("latency", [0, 1, 3])
+def test_a_loss_that_is_a_tick_older_adds_the_answer_to_one_command(latency: int) -> None:
+    """The pulse response of G1, by scipy; of a command that is gone the next one stands for it."""
+    start, ticks = 17, 60
+    table = build(DESIGN, target(latency))
+    tables = changed(table, **FOR_EVER)
+    state, commands, answers = controller.init(tables[0])[0], [], []
+    for k in range(ticks):
+        if k == start:
+            start_candidate(tables[0], state)
+        answers.append(output(table.estimator.channel_1, state.sequential_test.earlier, 0.0))
+        controller.step(tables[0], state, math.sin(0.05 * k), 0.0)
+        commands.append(float(state.command_1))
+    pulse = np.zeros(ticks)
+    pulse[start - 1] = commands[start - latency] if latency else commands[start - 1]
+    expected = signal.sosfilt(zoh(CAR.g1, TICK_S).sos, pulse)
+    assert np.abs(expected).max() > 0.0
+    np.testing.assert_allclose(answers[start:], expected[start:], rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("evidence", "grown", "again"),
+    [(0.5, 1.05, True), (0.5, 1.15, False), (9.0, 1.05, False), (-2.0, 2.0, True)],
+)
+def test_a_candidate_that_learns_no_more_begins_again(
+    evidence: float, grown: float, again: bool
+) -> None:
+    """At twice its age with less than a tenth more information, unless it is a suspicion."""
+    table = build(DESIGN, target())
+    state = controller.init(table)[0]
+    test = state.sequential_test
+    test.age, test.evidence, test.information = 63.0, evidence, 8.0 * grown
+    test.half_age, test.half_information = 32.0, 8.0
+    state.mismatch.variance = NOISE_RMS**2
+    update_test(table, state, 0.0, 0.8)  # nothing acts, so this tick tells nothing
+    assert test.age == (0.0 if again else 64.0)
+
+
+def test_evidence_that_overflowed_begins_again() -> None:
+    tables: NDArray[Any] = changed(build(DESIGN, target()), **NEVER)
+    state = controller.init(tables[0])[0]
+    state.sequential_test.evidence = math.nan
+    controller.step(tables[0], state, 1.0, 0.0)
+    assert state.sequential_test.evidence == 0.0

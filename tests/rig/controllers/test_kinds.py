@@ -1,0 +1,361 @@
+"""Controllers of every kind on the same frames: classes, filters, C libraries, FMUs, shipped."""
+
+from __future__ import annotations
+
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy import signal
+
+from can_rig.assessment.resolve import load
+from can_rig.assessment.stability import check_stability
+from can_rig.controllers.filters_law import FiltersLaw
+from can_rig.controllers.library import HEADER
+from can_rig.controllers.making import controller_of, peer_of
+from can_rig.controllers.protocol import Answer, Inputs, said
+from can_rig.errors import ExportError, RigError
+from can_rig.nodes.bus_access import StopRequest
+from can_rig.plant.frameless import linear_law_of
+from can_rig.results.execution import Options, execute, refuse
+from can_rig.results.signals import read_signals
+from can_rig.scenario.build import controller_table, network_of
+from can_rig.scenario.controller_settings import PEERS
+from can_rig.scenario.settings import Scenario
+from firmware_model.analysis.read_off import read_off
+from firmware_model.analysis.sampled_loop import linear_controller
+from firmware_model.discretisation.filters import discretise
+from firmware_model.firmware import Firmware
+from firmware_model.law.structs import FloatArray
+from tests.rig.plant.fmu.building import build
+
+SHORT = ["duration_s=0.6", "fault.at_s=0.3"]
+FILTERS = [
+    "controller.kind=filters", "controller.c.num=[20.0, 100.0]", "controller.c.den=[1.0, 0.0]",
+    "controller.f1_u1.num=[0.02]", "controller.f1_u1.den=[0.1, 1.0]", "controller.f2.num=[-1.0]",
+    "controller.f2.den=[0.02, 1.0]", "controller.f_hat.num=[1000.0]", "controller.f_hat.den=[1.0]",
+]  # fmt: skip
+
+
+@pytest.fixture
+def own(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """A folder of one's own, which imports look into; afterwards its modules are forgotten."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setattr(sys, "path", [*sys.path])
+    before = set(sys.modules)
+    yield tmp_path
+    for name in set(sys.modules) - before:
+        if str(tmp_path) in str(getattr(sys.modules[name], "__file__", "")):
+            del sys.modules[name]
+
+
+def of(kind: str, *settings: str) -> Scenario:
+    return load("default", [f"controller.kind={kind}", *SHORT, *settings])
+
+
+def logged(scenario: Scenario, where: Path, bus: str | None = None) -> bytes:
+    done = execute(scenario, where, StopRequest(), Options(report=False, bus=bus))
+    assert done is not None
+    assert done.failure is None, done.failure
+    return (where / "bus.log").read_bytes()
+
+
+@pytest.mark.parametrize("kind", [*PEERS, "filters"])
+def test_with_and_without_frames_the_log_is_the_same(kind: str, tmp_path: Path) -> None:
+    scenario = of(kind) if kind != "filters" else load("default", [*FILTERS, *SHORT])
+    without = logged(scenario, tmp_path / "without")
+    assert logged(scenario, tmp_path / "frames", "virtual:kinds") == without
+    assert without != logged(of("ours"), tmp_path / "ours")
+
+
+def test_what_a_controller_does_not_say_is_empty(tmp_path: Path) -> None:
+    for kind, says in (("pi", []), ("kalman", ["fault_estimate_mps2", "fault_state"])):
+        scenario = of(kind)
+        logged(scenario, tmp_path / kind)
+        signals = read_signals(tmp_path / kind / "bus.log", network_of(scenario), scenario.tick_s)
+        for name in ("fault_estimate_mps2", "fault_state", "verdict"):
+            column = getattr(signals, name)
+            assert np.isfinite(column).all() == (name in says), (kind, name)
+            assert np.isnan(column).all() == (name not in says), (kind, name)
+        assert (signals.mode == 1).all()
+
+
+def test_a_code_says_what_is_not_said() -> None:
+    assert said(Answer(0.0, 0.0))[2:] == (3, 14)
+    assert said(Answer(0.0, 0.0, fault_state=1))[2:] == (1, 15)
+    assert said(Answer(0.0, 0.0, 1.0, 2, 2, 4)) == (1.0, 2, 2, 4)
+
+
+# --- a class -------------------------------------------------------------------------------------
+
+BAD = {
+    "return 1 / 0, 0.0": r"step failed at 0 s: ZeroDivisionError: .* \(.*bad\.py, line 7\)",
+    "return float('nan'), 0.0": r"step at 0 s answers \(nan, 0\.0\): command_1 must be a finite",
+    "return 0.0, 1e400": r"step at 0 s answers \(0\.0, inf\): command_2 must be a finite",
+    "return 1.0": r"step at 0 s answers 1\.0: must be \(command_1, command_2\) or an Answer",
+    "return 1.0, 2.0, 3.0, 9": r"mode must be None or a code of 0 to 3",
+    "raise SystemExit": r"step failed at 0 s: SystemExit",
+}
+
+
+@pytest.mark.parametrize("body", BAD)
+def test_a_bad_answer_is_one_line(body: str, own: Path) -> None:
+    (own / "bad.py").write_text(
+        "class Bad:\n    def __init__(self, setup):\n        pass\n"
+        "    def reset(self, reference):\n        pass\n"
+        f"    def step(self, inputs):\n        {body}\n"
+    )
+    with pytest.raises(RigError, match=BAD[body]) as caught:
+        peer_of(of("bad:Bad")).step(Inputs(0.0, 0.0))
+    assert "\n" not in str(caught.value)
+
+
+MODULES = {
+    "class C:\n    pass": r"C\(\): must be C\(setup\)",
+    "class C:\n    def __init__(self, setup): pass": r"no method reset and no method step",
+    "import nothing_such": r"cannot be imported: ModuleNotFoundError: .*nothing_such",
+    "class D:\n    pass": r"no class C in .*bad_module\.py",
+    "class C:\n    def __init__(self, setup): raise KeyError(3)": r"KeyError: 3 \(.*line 2\)",
+    "class C(": r"cannot be imported: SyntaxError",
+}
+
+
+@pytest.mark.parametrize("text", MODULES)
+def test_a_bad_class_is_refused_before_the_run(text: str, own: Path) -> None:
+    (own / "bad_module.py").write_text(text + "\n")
+    with pytest.raises(RigError, match=MODULES[text]) as caught:
+        refuse(of("bad_module:C"))
+    assert str(caught.value).startswith("controller.kind = 'bad_module:C': ")
+
+
+def test_limits_and_missing_inputs_are_the_nodes(own: Path) -> None:
+    (own / "much.py").write_text(
+        "class Much:\n    held = 0\n    def __init__(self, setup): pass\n"
+        "    def reset(self, reference): pass\n    def hold(self): Much.held += 1\n"
+        "    def step(self, inputs): return 1e9, -1e9\n"
+    )
+    limits = ["limits.torque_nm=100", "limits.torque_rate_nm_per_s=1000",
+              "limits.force_difference_n=500"]  # fmt: skip
+    peer = peer_of(of("much:Much", *limits))
+    answers = [peer.step(Inputs(1.0, 0.0)) for _ in range(200)]
+    assert [round(each.command_1) for each in answers[:3]] == [1, 2, 3]
+    assert answers[-1][:2] == (100.0, -500.0)
+    held = peer.step(Inputs(np.nan, 0.0))
+    assert held[:2] == (100.0, -500.0)
+    assert held.mode == 2
+    assert sys.modules["much"].Much.held == 1
+
+
+def test_other_ways_to_run_belong_to_the_law() -> None:
+    with pytest.raises(ExportError, match="--controller c: must be left out"):
+        controller_of("c", of("pi"))
+
+
+# --- filters -------------------------------------------------------------------------------------
+
+RNG = np.random.default_rng(0)
+INPUTS: FloatArray = RNG.standard_normal((400, 2))
+
+
+def answers_of(law: FiltersLaw) -> FloatArray:
+    return np.array([law.step(Inputs(*row))[:3] for row in INPUTS.tolist()])
+
+
+def test_filters_answer_as_scipys_in_series() -> None:
+    """u1 = C (r - y), then d̂ = F1 u1 + F2 y, then u2 = F̂ d̂, by ``lfilter`` one after another."""
+    tick_s = 0.001
+    named = {
+        "c": ([20.0, 100.0], [1.0, 0.0]), "f1_u1": ([0.02], [1e-3, 0.1, 1.0]),
+        "f2": ([-1.0], [0.02, 1.0]), "f_hat": ([3.0, 1000.0], [0.01, 1.0]),
+    }  # fmt: skip
+    law = FiltersLaw({name: discretise(each, tick_s) for name, each in named.items()})
+    z = {name: signal.bilinear(*each, fs=1.0 / tick_s) for name, each in named.items()}
+    r, y = INPUTS.T
+    u1 = signal.lfilter(*z["c"], r - y)
+    d = signal.lfilter(*z["f1_u1"], u1) + signal.lfilter(*z["f2"], y)
+    expected = np.column_stack([u1, signal.lfilter(*z["f_hat"], d), d])
+    answers = answers_of(law)
+    assert np.abs(answers - expected).max(axis=0) == pytest.approx(
+        0.0, abs=1e-9 * np.abs(expected).max()
+    )
+
+
+def test_a_loop_within_a_tick_is_solved_once() -> None:
+    """u2 = F̂ d̂ and d̂ = y + F1 u2, both without delay: d̂ = y/(1 - f g)."""
+    law = FiltersLaw({
+        "f2": discretise(([1.0], [1.0]), 0.001), "f1_u2": discretise(([0.5], [1.0]), 0.001),
+        "f_hat": discretise(([1.2], [1.0]), 0.001),
+    })  # fmt: skip
+    assert answers_of(law)[:, 2] == pytest.approx(INPUTS[:, 1] / (1.0 - 0.6))
+    with pytest.raises(ValueError, match="a loop without delay"):
+        FiltersLaw({
+            "f1_u2": discretise(([0.5], [1.0]), 0.001), "f_hat": discretise(([2.0], [1.0]), 0.001),
+        })  # fmt: skip
+
+
+FORMS = {
+    "num, den in z": ["controller.c.num=[0.5, 0.1]", "controller.c.den=[1.0, -0.6]"],
+    "poles in z": [
+        "controller.c.zeros=[-0.2]",
+        "controller.c.poles=[0.6]",
+        "controller.c.gain=0.5",
+    ],
+    "sos": ["controller.c.sos=[[0.5, 0.1, 0.0, 1.0, -0.6, 0.0]]"],
+}
+
+
+@pytest.mark.parametrize("form", FORMS)
+def test_one_filter_in_z_in_every_form(form: str) -> None:
+    domain = [] if form == "sos" else ["controller.c.domain=z"]
+    peer = peer_of(of("filters", *FORMS[form], *domain))
+    u1 = [peer.step(Inputs(r, 0.0)).command_1 for r in INPUTS[:, 0].tolist()]
+    assert u1 == pytest.approx(signal.lfilter([0.5, 0.1], [1.0, -0.6], INPUTS[:, 0]))
+
+
+@pytest.mark.parametrize(
+    ("settings", "line"),
+    [
+        (["controller.c.num=[1.0, 0.0, 0.0]", "controller.c.den=[1.0, 1.0]"], "controller.c: "),
+        (["controller.c.num=[1.0]"], "den: must be given beside num"),
+        (["controller.c.sos=[[1.0]]"], r"sos\[0\]: has 1 numbers: must have 6"),
+        ([], "a filter must be set"),
+    ],
+)
+def test_a_filter_that_is_none_is_refused(settings: list[str], line: str) -> None:
+    with pytest.raises(RigError, match=line):
+        refuse(of("filters", *settings))
+
+
+# --- margins -------------------------------------------------------------------------------------
+
+
+def test_our_own_law_read_off_its_answers_has_its_matrices_response() -> None:
+    """The same law twice: by its memories, and by its impulse response alone."""
+    scenario = load("default", ["limits.torque_nm=1e6", "limits.force_difference_n=1e6"])
+    table = controller_table(scenario, None)
+
+    def respond(inputs: FloatArray) -> FloatArray:
+        firmware = Firmware(table)
+        firmware.reset(0.0)
+        return np.array([firmware.step(r, y)[:3] for y, r in inputs.tolist()])
+
+    found, exact = read_off(respond, scenario.latency_ticks), linear_controller(table)
+    for omega in (0.1, 1.0, 10.0, 100.0, 1000.0):
+        z = np.exp(1j * omega * scenario.tick_s)
+        one, other = (
+            law.c @ np.linalg.solve(z * np.eye(len(law.a)) - law.a, law.b) + law.d
+            for law in (found, exact)
+        )
+        assert np.abs(one - other).max(axis=1) == pytest.approx(
+            0.0, abs=1e-4 * float(np.abs(other).max())
+        )
+
+
+def test_the_margins_of_filters_are_those_of_their_transfer_functions() -> None:
+    scenario = load("default", [*FILTERS, "budget.box=0"])
+    law = linear_law_of(scenario)
+    c = discretise(([20.0, 100.0], [1.0, 0.0]), scenario.tick_s)
+    for omega in (0.5, 5.0, 50.0):
+        z = np.exp(1j * omega * scenario.tick_s)
+        response = law.c @ np.linalg.solve(z * np.eye(len(law.a)) - law.a, law.b) + law.d
+        assert response[0, 1] == pytest.approx(complex(c.frequency_response(omega)), rel=1e-4)
+        assert response[0, 0] == pytest.approx(-response[0, 1], rel=1e-6)
+
+
+def test_a_controller_that_is_not_linear_has_no_margins(own: Path) -> None:
+    (own / "relay.py").write_text(
+        "class Relay:\n    def __init__(self, setup): pass\n    def reset(self, reference): pass\n"
+        "    def step(self, inputs): return (10.0 if inputs.reference > 0 else -10.0), 0.0\n"
+    )
+    with pytest.raises(RigError, match="has no margins: its answers around rest are not linear"):
+        check_stability(of("relay:Relay"))
+    refuse(of("relay:Relay"))  # runs all the same
+
+
+def test_an_unstable_loop_is_refused() -> None:
+    settings = ["controller.c.num=[-500.0]", "controller.c.den=[1.0]"]
+    with pytest.raises(RigError, match=r"controller\.kind = 'filters': unstable \(healthy\)"):
+        refuse(of("filters", *settings))
+
+
+# --- a C library ---------------------------------------------------------------------------------
+
+EXAMPLE = Path(__file__).parents[3] / "docs" / "examples" / "pi.c"
+CC = shutil.which("cc")
+needs_compiler = pytest.mark.skipif(CC is None, reason="no C compiler")
+
+
+def example_of_the_page() -> str:
+    page = (EXAMPLE.parents[1] / "controllers.md").read_text("utf-8")
+    return page.split("```python\n")[1].split("```")[0]
+
+
+def library(folder: Path, text: str, name: str = "own") -> Path:
+    source, made = folder / f"{name}.c", folder / f"{name}.so"
+    source.write_text(text)
+    flags = ["-std=c99", "-Wall", "-Wextra", "-Werror", "-shared", "-fPIC", "-O2"]
+    subprocess.run([str(CC), *flags, f"-I{HEADER.parent}", "-o", made, source], check=True)
+    return made
+
+
+@needs_compiler
+def test_the_example_in_c_is_the_example_in_python(tmp_path: Path, own: Path) -> None:
+    (own / "mypi.py").write_text(example_of_the_page())
+    numbers = ["controller.parameters.kp=20.0", "controller.parameters.ki=100.0"]
+    made = library(tmp_path, EXAMPLE.read_text())
+    in_c = logged(of(f"c:{made}", *numbers), tmp_path / "c")
+    assert in_c == logged(of("mypi:PI", *numbers), tmp_path / "python")
+
+
+@needs_compiler
+@pytest.mark.parametrize(
+    ("change", "line"),
+    [
+        (("controller_free", "other_free"), "controller_free missing"),
+        (("return 1;", "return 2;"), r"controller_abi\(\) is 2: must be 1"),
+        (("return made;", "return 0;"), "controller_new answers NULL"),
+    ],
+)
+def test_a_library_that_is_none_is_refused(
+    change: tuple[str, str], line: str, tmp_path: Path
+) -> None:
+    text = EXAMPLE.read_text()
+    assert change[0] in text
+    text = text.replace(
+        '#include "controller.h"', '#include "controller.h"\nvoid other_free(void *c);'
+    )
+    with pytest.raises(RigError, match=line):
+        refuse(of(f"c:{library(tmp_path, text.replace(*change), 'bad')}"))
+
+
+def test_a_file_that_is_no_library_is_refused(tmp_path: Path) -> None:
+    (tmp_path / "text.so").write_text("no library")
+    with pytest.raises(RigError, match="cannot be loaded"):
+        refuse(of(f"c:{tmp_path / 'text.so'}"))
+
+
+# --- an FMU --------------------------------------------------------------------------------------
+
+
+def test_an_fmu_is_a_controller(tmp_path: Path) -> None:
+    """x' = -x + r - y, u1 = 10 x, as an FMU and by scipy's exact matrices of a held input."""
+    if CC is None:
+        pytest.skip("no C compiler")
+    fmu = build(tmp_path / "law.fmu", 2, np.array([[-1.0]]), np.array([[1.0, -1.0]]), [10.0])
+    names = {"reference": "u1", "measurement": "u2", "command_1": "y", "command_2": "y"}
+    settings = [f'controller.variables.{key}="{name}"' for key, name in names.items()]
+    peer = peer_of(of(f"fmu:{fmu}", *settings))
+    x, decay = 0.0, float(np.exp(-1e-3))
+    for row in INPUTS.tolist():
+        r, y = row
+        answer = peer.step(Inputs(r, y))
+        x = decay * x + (1.0 - decay) * (r - y)
+        assert answer[:2] == pytest.approx((10.0 * x, 10.0 * x), abs=1e-6)
+        assert answer[2:] == (None, None, None, None)
+    with pytest.raises(RigError, match=r"controller\.variables\.command_1 = 'none': the FMU has"):
+        peer_of(of(f"fmu:{fmu}", *settings, 'controller.variables.command_1="none"'))
+    with pytest.raises(RigError, match=r"controller\.variables\.reference: must be set"):
+        peer_of(of(f"fmu:{fmu}"))

@@ -1,0 +1,131 @@
+"""What compensation does to the car, against independent runs and a closed form."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from can_rig.assessment.resolve import load
+from can_rig.logs.columns import TRUE_OUTPUT
+from can_rig.plant.frameless import frameless
+from can_rig.results.counterfactual import signals_without_log
+from can_rig.results.harm import harm_metrics
+from can_rig.results.loss_metrics import torque_lost
+from can_rig.results.metrics import metrics_of
+from can_rig.scenario.build import network_of
+from can_rig.scenario.settings import Scenario
+
+SHORT = ["duration_s=3", "fault.at_s=1"]
+UNCOMPENSATED = ["tick_s=0.01", "duration_s=3", "fault.kind=none", "design.compensation=off"]
+GUST = 'disturbance={kind="gust", at_s=0.5, for_s=2, force_n=600, arm_m=0.3}'
+
+
+def output(scenario: Scenario) -> np.ndarray[tuple[int], np.dtype[np.float64]]:
+    return frameless(scenario, network_of(scenario)).measurement
+
+
+@pytest.mark.parametrize("settings", [[], [GUST, "fault.kind=none"]])
+def test_the_peaks_are_those_of_three_runs(settings: list[str]) -> None:
+    scenario = load("default", [*SHORT, *settings])
+    off = load("default", [*SHORT, *settings, "design.compensation=off"])
+    calm = replace(off, fault=(), disturbance=())
+    values = metrics_of(scenario)
+    peaks = [float(np.abs(output(each) - output(calm)).max()) for each in (scenario, off)]
+    assert values["deviation_peak_mps2"] == peaks[0]
+    assert values["deviation_peak_uncompensated_mps2"] == peaks[1] > 0.0
+    assert values["deviation_over_uncompensated"] == peaks[0] / peaks[1]
+
+
+@pytest.mark.parametrize("compensation", ["on-confirmation", "off"])
+def test_a_healthy_car_without_alarms_deviates_from_nothing(compensation: str) -> None:
+    values = metrics_of(
+        load("ideal", ["duration_s=2", "fault.kind=none", f"design.compensation={compensation}"])
+    )
+    assert values["deviation_peak_mps2"] == values["astray_m"] == 0.0
+    assert values["deviation_over_uncompensated"] is None
+    assert values["compensated_unneeded_s"] == values["force_difference_unneeded_peak_n"] == 0.0
+    assert (values["place"], values["verdict"]) == ("nothing", "NOTHING")
+    assert (values["right_place"], values["wrong_place"]) == (None, False)
+
+
+@given(away=st.floats(-3.0, 3.0).filter(bool), begin=st.integers(0, 250))
+def test_a_constant_deviation_leads_half_a_t_squared_astray(away: float, begin: int) -> None:
+    """Within the two seconds of a driver, or what the run has of them."""
+    scenario = load("thesis-step", UNCOMPENSATED)
+    signals = signals_without_log(scenario)
+    moved = signals.plant[TRUE_OUTPUT].copy()
+    moved[begin:] += away
+    signals = replace(signals, plant={TRUE_OUTPUT: moved})
+    values = harm_metrics(scenario, signals, torque_lost(scenario, signals))
+    assert values["deviation_peak_mps2"] == pytest.approx(abs(away))
+    n = min(300 - begin, 200)
+    assert values["astray_m"] == pytest.approx(abs(away) * 1e-4 * n * (n + 1) / 2.0, abs=1e-8)
+
+
+def test_no_window_is_longer_than_two_seconds() -> None:
+    """The drift before the two seconds does not count."""
+    off = load("thesis-step", [*UNCOMPENSATED, "duration_s=20"])
+    signals = signals_without_log(off)
+    moved = signals.plant[TRUE_OUTPUT].copy()
+    moved[100:200] += 1.0  # 1 m/s aside after a second, and from there on
+    lost = torque_lost(off, signals)
+    values = harm_metrics(off, replace(signals, plant={TRUE_OUTPUT: moved}), lost)
+    assert values["astray_m"] == pytest.approx(1.5, rel=0.01)  # 0.5 m in the second, 1 m after it
+
+
+def test_x_diff_counts_as_unneeded_only_while_the_torque_works() -> None:
+    scenario = load("default", ["duration_s=3", "fault.at_s=1", "fault.for_s=0.5"])
+    signals = signals_without_log(scenario)
+    lost = torque_lost(scenario, signals)
+    assert np.flatnonzero(lost).tolist() == list(range(1000, 1500))
+    values = harm_metrics(scenario, signals, lost)
+    spare = signals.force_difference_n[~lost]
+    assert values["force_difference_unneeded_peak_n"] == np.abs(spare).max() > 0.0
+    rms = float(np.sqrt(np.mean(spare**2)))
+    assert values["force_difference_unneeded_rms_n"] == pytest.approx(rms)
+    seconds = 1e-3 * np.count_nonzero(np.abs(spare) > 40.0)  # 1 % of limits.force_difference_n
+    assert values["compensated_unneeded_s"] == pytest.approx(seconds)
+    assert values["torque_rms_nm"] == pytest.approx(np.sqrt(np.mean(signals.torque_nm**2)))
+
+
+def test_a_log_without_reports_of_the_plant_has_no_true_deviation() -> None:
+    scenario = load("default", SHORT)
+    signals = replace(signals_without_log(scenario), plant={})
+    values = harm_metrics(scenario, signals, torque_lost(scenario, signals))
+    assert values["deviation_peak_mps2"] is values["astray_uncompensated_m"] is None
+    assert values["verdict"] == "TORQUE_LOST"
+
+
+@pytest.mark.parametrize(
+    ("codes", "settings", "verdict", "right", "wrong"),
+    [
+        ([0, 1, 1, 4], [], "TORQUE_LOST", True, False),
+        ([0, 1, 4, 4], [], "SENSOR_BIASED", False, True),
+        ([7, 7, 7, 9], [], "CANNOT_BE_TOLD", False, False),
+        ([7, 7, 7, 0], [], "NOTHING", False, False),
+        ([0, 8, 8, 0], [], "BOTH_LOST", False, True),
+        ([0, 3, 3, np.nan], ["fault.channel=force-difference"], "FORCE_LOST", True, False),
+        ([0, 2, 0, 0], ["fault.kind=none"], "TORQUE_OFFSET", None, True),
+    ],
+)
+def test_the_longest_verdict_is_right_or_wrong(
+    codes: list[float], settings: list[str], verdict: str, right: bool | None, wrong: bool
+) -> None:
+    scenario = load("ideal", ["duration_s=0.004", "fault.at_s=0", *settings])
+    signals = replace(signals_without_log(scenario), verdict=np.array(codes, dtype=np.float64))
+    values = harm_metrics(scenario, signals, torque_lost(scenario, signals))
+    assert (values["verdict"], values["right_place"], values["wrong_place"]) == (
+        verdict, right, wrong,
+    )  # fmt: skip
+
+
+def test_a_verdict_from_before_the_fault_does_not_count() -> None:
+    scenario = load("ideal", ["duration_s=0.006", "fault.at_s=0.003"])
+    codes = np.array([1.0, 1.0, 1.0, 4.0, 0.0, 0.0])
+    signals = replace(signals_without_log(scenario), verdict=codes)
+    values = harm_metrics(scenario, signals, torque_lost(scenario, signals))
+    assert values["verdict"] == "SENSOR_BIASED"

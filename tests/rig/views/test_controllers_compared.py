@@ -1,0 +1,87 @@
+"""Controllers through the same cases: figures worked out again from a run with frames."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import can_rig
+from can_rig.assessment.resolve import load
+from can_rig.errors import ScenarioError
+from can_rig.nodes.bus_access import StopRequest
+from can_rig.results.execution import Options, execute
+from can_rig.scenario.loading import as_settings
+from can_rig.views.controllers_compared import CASES
+from tests.helpers import asked
+
+LOST = {"fault.kind": "actuator-dead", "fault.at_s": 0.8}
+SHORT = {"duration_s": 1.2}
+
+
+def test_the_figures_are_those_of_a_run_with_frames(tmp_path: Path) -> None:
+    found = can_rig.compare(["ours", "pi"], changes=SHORT, cases={"lost": LOST, "none": {
+        "fault.kind": "none", "plant.mass_kg*": 1.1, "model.mass_kg*": 1.0}})  # fmt: skip
+    assert [(row.case, row.controller) for row in found.rows] == [
+        (case, controller) for case in ("lost", "none") for controller in ("ours", "pi")
+    ]
+    for row in found.rows[:2]:
+        settings = [*as_settings(SHORT | LOST), f"controller.kind={row.controller}"]
+        where = tmp_path / row.controller
+        execute(load("default", settings), where, StopRequest(),
+                Options(report=False, bus="virtual:compared"))  # fmt: skip
+        names, *lines = (where / "signals.csv").read_text().splitlines()
+        table = np.genfromtxt(lines, delimiter=",")
+        column = {name: table[:, at] for at, name in enumerate(names.split(","))}
+        size = np.abs(column["reference_mps2"] - column["true_dstar_mps2"])
+        after = column["time_s"] >= 0.8
+        assert row.error_peak_mps2 == pytest.approx(size[after].max(), rel=1e-6)
+        assert row.error_rms_mps2 == pytest.approx(np.sqrt(np.mean(size[after] ** 2)), rel=1e-6)
+        assert row.torque_peak_nm == pytest.approx(np.nanmax(np.abs(column["torque_nm"])), rel=1e-6)
+    ours, pi = found.rows[:2]
+    assert ours.error_peak_mps2 < 0.1
+    assert pi.error_peak_mps2 > 0.5
+    assert (ours.false_alarm, pi.false_alarm) == (False, None)
+    assert list(found.table["controller"]) == ["ours", "pi", "ours", "pi"]
+    found.draw(tmp_path / "picture.png")
+    assert (tmp_path / "picture.png").read_bytes()[:4] == b"\x89PNG"
+
+
+@pytest.mark.parametrize("group", CASES)
+def test_every_shipped_case_loads(group: str) -> None:
+    for changes in CASES[group].values():
+        plain = {key: value for key, value in changes.items() if not key.endswith("*")}
+        assert load("default", as_settings(plain))
+
+
+def test_a_run_that_fails_is_a_line_and_the_others_go_on() -> None:
+    done = asked(
+        "compare", "pi", "no_such_module:C", "--set", "duration_s=0.2", "--case", "a:seed=1"
+    )
+    assert done.returncode == 0
+    assert "failed" in done.stdout
+    assert "no_such_module:C: controller.kind = 'no_such_module:C': no module" in " ".join(
+        done.stdout.split()
+    )
+
+
+@pytest.mark.parametrize(
+    ("words", "line"),
+    [
+        (["--cases", "holidays"], "--cases holidays: must be faults, weather, cars"),
+        (["--case", "x"], "--case x: must be NAME:KEY=VALUE,KEY=VALUE"),
+        (["--case", "x:nonsense=1"], "nonsense: unknown key"),
+        (["--case", "x:seed*=2"], "must be a factor of a key of plant or model"),
+    ],
+)
+def test_a_bad_case_is_one_line(words: list[str], line: str) -> None:
+    done = asked("compare", "pi", "--set", "duration_s=0.1", *words)
+    assert done.returncode == 2
+    assert line in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+def test_python_names_its_own_argument() -> None:
+    with pytest.raises(ScenarioError, match=r"cases = 'holidays': must be faults, weather, cars"):
+        can_rig.compare(["pi"], cases="holidays")
