@@ -1,8 +1,8 @@
 """The check of a scenario with changing speed: at the ends of the drive, and between.
 
-At the slowest and the fastest speed the check equals the check at constant speed. Between both ends
-the loop must be stable at every speed of a fine grid, and during the fastest change,
-``drive.speed_rate_max_mps2`` (``analysis.speed_sweep``).
+At the slowest speed with a design and at the fastest speed, the check equals the check at constant
+speed. Between both ends the loop must be stable at every speed of a fine grid, and during the
+fastest change, ``drive.speed_rate_max_mps2`` (``analysis.speed_sweep``).
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from can_rig.assessment.stability import (
 )
 from can_rig.errors import ScenarioError
 from can_rig.scenario.build import continuous_plant, network_of
-from can_rig.scenario.driving import controls, frozen, speed_profile
+from can_rig.scenario.driving import controls, designed_for, frozen, speed_profile
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.margins import HEALTHY, Margins
 from firmware_model.analysis.speed_sweep import SpeedSweep, sweep
@@ -147,7 +147,7 @@ def _unstable(name: str, found: SpeedSweep) -> str:
 
 def _ends(scenario: Scenario) -> list[Scenario]:
     """The scenario at its slowest and its fastest speed, with the design for that speed."""
-    slowest, fastest = speed_profile(scenario).range_mps
+    slowest, fastest = (designed_for(scenario, v) for v in speed_profile(scenario).range_mps)
     ends = [frozen(scenario, speed) for speed in dict.fromkeys((slowest, fastest))]
     alone = scenario.design.speeds_mps or ()
     if len(alone) != 1:

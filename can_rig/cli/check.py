@@ -12,6 +12,7 @@ from can_rig.assessment.stability import table_rows
 from can_rig.cli.options import json_option, scenario_options
 from can_rig.cli.output import explain, json_line, say, show_beside
 from can_rig.cli.progress import car_bar
+from can_rig.scenario.driving import notes_of_drive
 
 
 @click.command("check")
@@ -28,6 +29,6 @@ def command(scenario: str, settings: tuple[str, ...], as_json: bool) -> None:
         json_line(**result.as_dict())
     else:
         show_beside(*table_rows(result.states))
-        explain(*result.notes, *result.scenario.notes)
+        explain(*result.notes, *result.scenario.notes, *notes_of_drive(result.scenario))
         say(result.verdict)
     sys.exit(0 if result.stable else 1)

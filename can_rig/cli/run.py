@@ -35,6 +35,7 @@ from can_rig.results.execution import INTERRUPTED_RUN, Options, refuse
 from can_rig.results.isolation import verdict_rows
 from can_rig.results.metrics import Metrics, fault_rows, rows
 from can_rig.results.run_folder import Outcome, log_of
+from can_rig.scenario.driving import notes_of_drive
 from can_rig.scenario.settings import Scenario
 
 
@@ -60,7 +61,7 @@ def closing_table(scenario: Scenario, values: Metrics, outcome: Outcome, folder:
         closing.append((f"bus of the {node}", ", ".join(f"{n} {k}" for k, n in events.items())))
     if closing:
         show_pairs(closing)
-    say(*scenario.notes)
+    say(*scenario.notes, *notes_of_drive(scenario))
     say(*timing.scheduling_lines(outcome.realtime or {}))
     if outcome.outcome == INTERRUPTED_RUN:
         say(f"stopped after {outcome.ticks} of {scenario.ticks} ticks; these are in the run folder")

@@ -44,7 +44,8 @@ def plant_of(scenario: Scenario) -> PlantBehind:
     Raises:
         ScenarioError: an unstable car, a class without the plant's methods, an invalid drive.
     """
-    world = Disturbances(scenario) if scenario.disturbances else None
+    made = Disturbances(scenario)
+    world = made if scenario.disturbances or not made.is_calm else None
     if scenario.drive.is_given or (world and world.changes_friction and not scenario.plant.is_own):
         return ChangingCar(scenario, world)
     if world is None:
@@ -89,11 +90,9 @@ class ChangingCar:
         self._car = LinearBehind(scenario.plant, scenario.tick_s)
         self._world, self._says_speed = world, scenario.drive.is_given
         self._constants, self._work = changing.constants, changing.work
-        self._within = changing.speeds(profile, range(scenario.ticks))
-        time_s = np.arange(scenario.ticks, dtype=np.float64) * (scenario.tick_ns * 1e-9)
-        self._at_ticks = profile(time_s).tolist()
-        self._tick = 0
-        spare = (self._car.sampled.memory, changing.work, self._within[0])
+        self._changing, self._profile, self._tick_s = changing, profile, scenario.tick_ns * 1e-9
+        self._tick, self._page_at, self._page = 0, -1, np.zeros((0, 0, 0))
+        spare = (self._car.sampled.memory, changing.work, self._within(0))
         follow_changing(self._constants, *spare, 0, 0.0, 0.0, 1.0, 1.0, NO_WORLD)  # compiles
         specific_force(self._constants, self._car.memory[0], fastest, NO_WORLD)
 
@@ -102,7 +101,7 @@ class ChangingCar:
     ) -> Mapping[str, float]:
         """See ``PlantBehind``."""
         values = dict(self._car.report(command_1, command_2, left_1, left_2))
-        speed_mps = self._at_ticks[self._tick]
+        speed_mps = self._profile(np.array(self._tick * self._tick_s)).item()
         if self._says_speed:
             values[SPEED] = speed_mps
         if self._world is None:
@@ -119,7 +118,7 @@ class ChangingCar:
             self._constants,
             self._car.memory,
             self._work,
-            self._within[self._tick],
+            self._within(self._tick),
             self._tick,
             command_1,
             command_2,
@@ -130,6 +129,15 @@ class ChangingCar:
         self._tick += 1
         self._car.moved(output)
         return output, read
+
+    def _within(self, tick: int) -> FloatArray:
+        """``ChangingPlant.speeds`` of a tick, computed in pages, however long the run is."""
+        first = tick - tick % BLOCK
+        if first != self._page_at:
+            self._page = self._changing.speeds(self._profile, range(first, first + BLOCK))
+            self._page_at = first
+        within: FloatArray = self._page[tick - first]
+        return within
 
     def run_loop(
         self, loop: Any, begin: int, end: int, output: tuple[float, float]
@@ -142,7 +150,8 @@ class ChangingCar:
                 world = self._world.at(range(some.start, some.stop + 1))
             output = run_changing(
                 loop, some.start - ahead, some.stop - ahead, *output, self._constants,
-                self._car.memory, ahead, world, self._work, self._within[some.start : some.stop],
+                self._car.memory, ahead, world, self._work,
+                self._changing.speeds(self._profile, some),
             )  # fmt: skip
         self._tick = end + ahead
         return output

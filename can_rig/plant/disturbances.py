@@ -13,11 +13,10 @@ from typing import Final
 import numpy as np
 
 from can_rig.scenario.disturbance_settings import DisturbanceSettings
-from can_rig.scenario.driving import speed_profile
+from can_rig.scenario.driving import WORLD_COLUMNS, SpeedProfile, speed_profile
 from can_rig.scenario.settings import Scenario
 from firmware_model.analysis.changing_plant import FRONT_FRICTION, REAR_FRICTION, WORLD_ROW
 from firmware_model.compiled import compiled
-from firmware_model.design.vehicle import WORLD
 from firmware_model.law.structs import FloatArray
 
 FORCE, MOMENT, BANK, KICK = range(4)
@@ -26,15 +25,11 @@ FORCE, MOMENT, BANK, KICK = range(4)
 BLOCK: Final = 4096
 """Ticks of a page, and of turbulence with a random generator of its own."""
 
-COLUMNS: Final = (*WORLD, "front_friction", "rear_friction")
-"""Names of a row's values."""
-
-
 CALM: Final[FloatArray] = np.array([0.0, 0.0, 0.0, 0.0, 1.0, 1.0])
 
 
 class Disturbances:
-    """The disturbances of a scenario.
+    """The disturbances of a scenario, and those that a recorded drive brings.
 
     Raises:
         ScenarioError: an invalid drive; turbulence needs the speed.
@@ -47,7 +42,9 @@ class Disturbances:
             for number, each in enumerate(scenario.disturbance)
             if each.kind != "none"
         ]
-        self.is_calm = not self._parts
+        self._drive = speed_profile(scenario) if scenario.drive.is_given else None
+        brought = self._drive.world if self._drive else {}
+        self.is_calm = not (self._parts or brought)
         """Whether nothing ever pushes, on a dry road."""
         self._page_at, self._page = -1, np.zeros((0, WORLD_ROW))
         self.changes_friction = any(each.kind == "friction" for each, _ in self._parts)
@@ -61,12 +58,12 @@ class Disturbances:
 
     def report(self, tick: int) -> dict[str, float]:
         """The world at ``tick``, by column."""
-        return dict(zip(COLUMNS, self.during(tick)[0].tolist(), strict=True))
+        return dict(zip(WORLD_COLUMNS, self.during(tick)[0].tolist(), strict=True))
 
     def at(self, ticks: range) -> FloatArray:
         """(len(ticks), ``WORLD_ROW``), the world at consecutive ``ticks`` from 0 on.
 
-        A row has the values of ``COLUMNS``.
+        A row has the values of ``WORLD_COLUMNS``.
         """
         rows = np.tile(CALM, (len(ticks), 1))
         for each, turbulence in self._parts:
@@ -85,9 +82,22 @@ class Disturbances:
                 for place, factor in ((FRONT_FRICTION, each.front), (REAR_FRICTION, each.rear)):
                     if factor is not None:
                         rows[:, place] *= 1.0 + (factor - 1.0) * share
+        if self._drive is not None:
+            now = np.arange(ticks.start, ticks.stop, dtype=np.float64)
+            _bring(self._drive, now * (self._tick_ns * 1e-9), rows)
         if ticks.start == 0:
             rows[:1] = CALM
         return rows
+
+
+def _bring(drive: SpeedProfile, time_s: FloatArray, rows: FloatArray) -> None:
+    """Add the world of a recorded drive at ``time_s`` to ``rows``."""
+    for name in drive.world:
+        place, values = WORLD_COLUMNS.index(name), drive.world_at(name, time_s)
+        if place in (FRONT_FRICTION, REAR_FRICTION):
+            rows[:, place] *= values
+        else:
+            rows[:, place] += values
 
 
 def level(disturbance: DisturbanceSettings, ticks: range, tick_ns: int) -> FloatArray:

@@ -9,7 +9,6 @@ from __future__ import annotations
 import struct
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
@@ -30,7 +29,7 @@ from can_rig.scenario.build import network_of
 from can_rig.scenario.driving import controls, speeds_at_ticks
 from can_rig.scenario.fault_settings import PLACES, RESTARTED
 from can_rig.scenario.reference import reference
-from can_rig.scenario.remembered import remembered
+from can_rig.scenario.remembered import remembered, state_of_file
 from can_rig.scenario.settings import LimitSettings, Scenario
 from firmware_model.analysis.hardware import BY, HEALTHY, NO_FAULTS, REPLACED, frame_of
 from firmware_model.analysis.read_off import NotLinearError, read_off
@@ -91,9 +90,7 @@ def with_files(scenario: Scenario) -> Iterator[object]:
     """The sources of a run: its scenario, and the states of the files named there."""
     yield scenario
     for file in (scenario.reference.file, scenario.drive.file):
-        if file and Path(file).is_file():
-            state = Path(file).stat()
-            yield state.st_mtime_ns, state.st_size
+        yield from state_of_file(file)
 
 
 def undisturbed_with_files(scenario: Scenario) -> Iterator[object]:

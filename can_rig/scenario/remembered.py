@@ -2,8 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
 from functools import wraps
+from pathlib import Path
 from typing import ParamSpec, TypeVar
 
 Arguments = ParamSpec("Arguments")
@@ -35,3 +36,11 @@ def remembered(
         return asked
 
     return keeping
+
+
+def state_of_file(file: str) -> Iterator[object]:
+    """Time stamp and size of ``file``, which tell whether the file has changed."""
+    path = Path(file)
+    if file and path.is_file():
+        state = path.stat()
+        yield state.st_mtime_ns, state.st_size

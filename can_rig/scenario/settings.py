@@ -37,13 +37,14 @@ from can_rig.scenario.plant_settings import (
 from firmware_model.discretisation.rules import Rule
 from firmware_model.law.structs import MAX_LATENCY_TICKS, Precision
 
-SLOWEST_MPS: Final = 1.0  # at lower speeds our slip angles fail to describe a rolling tire
+SLOWEST_DESIGN_MPS: Final = 1.0  # at lower speeds a torque hardly turns the car
 FASTEST_MPS: Final = 100.0
 
 LISTS: Final[dict[str, Any]] = {"fault": FaultSettings, "disturbance": DisturbanceSettings}
 """Keys with a table or a list of tables, and the settings of a table."""
 
-Speed = Annotated[float, Field(ge=SLOWEST_MPS, le=FASTEST_MPS)]
+Speed = Annotated[float, Field(ge=0.0, le=FASTEST_MPS)]
+DesignSpeed = Annotated[float, Field(ge=SLOWEST_DESIGN_MPS, le=FASTEST_MPS)]
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -51,17 +52,19 @@ class DriveSettings:
     """The car's speed, by at most one of three keys; the controller hears the speed on the bus.
 
     ``speed_mps`` is constant; ``ramps`` has pairs of time in s and speed in m/s, joined by straight
-    lines; ``file`` is a CSV of these two columns. Before the first and after the last pair the
-    speed stays. Without any key, the speed is ``plant.speed_mps``, and no frame carries the speed.
+    lines; ``file`` is a CSV of these two columns, perhaps with the world's inputs beside them.
+    Before the first and after the last pair the speed stays. Without any key, the speed is
+    ``plant.speed_mps``, and no frame carries the speed.
     """
 
     speed_mps: Speed | None = None
     ramps: tuple[tuple[Moment, Speed], ...] | None = None
     file: str = ""
     speed_rate_max_mps2: PositiveFloat = 8.0
+    gap_max_s: PositiveFloat = 10.0
 
     def __post_init__(self) -> None:
-        given = [key for key in ("speed_mps", "ramps", "file") if getattr(self, key)]
+        given = [key for key in ("speed_mps", "ramps", "file") if self._has(key)]
         if len(given) > 1:
             raise ValueError(f"{given[1]}: must not stand beside {given[0]}; a drive has one speed")
         times = [time_s for time_s, _ in self.ramps or ()]
@@ -72,7 +75,10 @@ class DriveSettings:
     @property
     def is_given(self) -> bool:
         """Whether the scenario has a drive."""
-        return bool(self.speed_mps or self.ramps or self.file)
+        return any(map(self._has, ("speed_mps", "ramps", "file")))
+
+    def _has(self, key: str) -> bool:
+        return getattr(self, key) not in (None, (), "")
 
 
 DataId = Annotated[int, Field(ge=1, le=0xFFFF)]
@@ -243,7 +249,7 @@ class DesignSettings:
     probe_rad_per_s: Annotated[float, Field(ge=0.01)] = 10.0
     safe_stop_s: NonNegativeFloat = 0.0
     precision: Precision = "float64"
-    speeds_mps: tuple[Speed, ...] | None = None
+    speeds_mps: tuple[DesignSpeed, ...] | None = None
 
 
 @dataclass(frozen=True, config=STRICT)

@@ -19,11 +19,12 @@ from can_rig.nodes.bus_access import StopRequest
 from can_rig.nodes.runner import run_in_process
 from can_rig.nodes.without_bus import run_without_bus
 from can_rig.plant.changing_car import plant_of
-from can_rig.plant.disturbances import BLOCK, CALM, COLUMNS, Disturbances
+from can_rig.plant.disturbances import BLOCK, CALM, Disturbances
 from can_rig.plant.frameless import UntilItFails, frameless_loop
 from can_rig.plant.nonlinear_car import NonlinearCar
 from can_rig.plant.protocol import require_world
 from can_rig.scenario.build import network_of
+from can_rig.scenario.driving import WORLD_COLUMNS
 from can_rig.scenario.loading import as_settings, read, with_values
 from can_rig.scenario.plant_settings import PlantSettings
 from firmware_model.analysis.simulation import LoopPlant
@@ -191,7 +192,7 @@ def test_with_and_without_a_bus_it_is_the_same_world(
     nodes, columns = recorded(tmp_path, name, *SHORT, *settings)
     assert nodes == columns
     header = nodes[1].splitlines()[0].decode().split(",")
-    assert set(COLUMNS) <= set(header)
+    assert set(WORLD_COLUMNS) <= set(header)
 
 
 @pytest.mark.parametrize("settings", [[DRY], [ALL]])
@@ -228,7 +229,7 @@ def test_the_car_of_a_scenario_is_that_of_the_equations(settings: list[str]) -> 
     assert reports[100]["specific_force_mps2"] == pytest.approx(force, rel=1e-5)
     own = p.speed_mps * (solved.rates(0.1, x, given[100])[0] + x[1])
     assert reports[100]["lateral_acceleration_mps2"] == pytest.approx(own, rel=1e-5)
-    assert [reports[100][name] for name in COLUMNS] == rows[100].tolist()
+    assert [reports[100][name] for name in WORLD_COLUMNS] == rows[100].tolist()
 
 
 def test_the_nonlinear_car_gets_the_world_in_every_step_of_a_tick() -> None:

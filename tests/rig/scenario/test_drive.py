@@ -21,6 +21,7 @@ from can_rig.scenario.driving import (
     speeds_at_ticks,
 )
 from can_rig.scenario.reference import reference
+from firmware_model.design.vehicle import LOW_SPEED_MPS
 
 RAMP = "drive.ramps=[[1, 10], [3, 16]]"
 
@@ -46,8 +47,8 @@ def test_a_drive_from_a_file(tmp_path: Path) -> None:
     (tmp_path / "mine.toml").write_text('[drive]\nfile = "v.csv"\n')
     profile = speed_profile(load(str(tmp_path / "mine.toml")))
     assert profile(np.array([0.0, 2.0, 9.0])).tolist() == [10.0, 13.0, 16.0]
-    (tmp_path / "v.csv").write_text("1,10\n3,0\n")
-    with pytest.raises(ScenarioError, match="speed_mps = 0: must be 1 to 100"):
+    (tmp_path / "v.csv").write_text("1,10\n3,101\n")
+    with pytest.raises(ScenarioError, match="line 2: speed_mps = 101: must be 0 to 100"):
         speed_profile(load(str(tmp_path / "mine.toml")))
 
 
@@ -56,6 +57,8 @@ def test_designs_are_near_enough_to_each_other_and_reach_both_ends() -> None:
     assert speeds[0] == pytest.approx(8.0) and speeds[-1] == pytest.approx(30.0)
     assert (np.diff(np.log(speeds)) <= np.log(RATIO) * (1 + 1e-9)).all()
     assert len(design_speeds(load("default", ["drive.ramps=[[0, 1], [60, 100]]"]))) == 16
+    assert design_speeds(load("default", ["drive.ramps=[[0, 0], [9, 9]]"]))[0] == LOW_SPEED_MPS
+    assert len(design_speeds(load("default", ["drive.speed_mps=0"]))) == 2  # hears the speed
     assert design_speeds(load("default", [RAMP, "design.speeds_mps=[11]"])) == (11.0,)
 
 

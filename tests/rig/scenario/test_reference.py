@@ -76,6 +76,7 @@ GOOD = {
     "byte order mark and header": b"\xef\xbb\xbftime,r\n1,10\n2,30\n",
     "comments and empty lines": b"# a ramp\n\n1,10\n\n2,3e1\n",
     "no last line end": b"1,10\n2,30",
+    "decimal commas": b"time;r\n1,0;10,0\n2,0;30,0\n",
 }
 
 
@@ -111,15 +112,13 @@ BAD = {
     "nan": (b"1,2\n2,nan\n", "line 2: '2,nan': must be two finite numbers"),
     "infinite": (b"1,2\n2,inf\n", "line 2: '2,inf': must be two finite numbers"),
     "a gap": (b"t,r\n\n1,2\n2,\n", "line 4: '2,': must be two finite numbers"),
-    "semicolons": (b"1;2\n2;3\n", "line 2: '2;3': must be two finite numbers"),
+    "points": (b"1.2\n2.3\n", "line 1: '1.2': must be two finite numbers"),
     "milliseconds": (b"time_ms,r\n0,2\n", "line 1: 'time_ms,r': must be time_s,reference_mps2"),
     "another signal": (b"time_s,speed_mps\n0,2\n", "must be time_s,reference_mps2"),
     "kilometres an hour": (b"t,v [km/h]\n0,2\n", "must be time_s,reference_mps2"),
     "the other way round": (b"reference_mps2,time_s\n1,0\n", "must be time_s,reference_mps2"),
-    "times of a clock": (
-        b"1763880000,1\n1763880001,2\n",
-        "begins at 1763880000 s, and the run ends",
-    ),
+    "milliseconds since 1970": (b"1763880000000,1\n", "line 1: 1763880000000 s: must be seconds"),
+    "begins after the run": (b"20,1\n21,2\n", "begins at 20 s, and the run ends at 20 s"),
     "time stands still": (b"1,2\n1,3\n", "line 2: 1 s after 1 s: times must increase"),
     "beyond any frame": (
         b"1,2\n2,-1e300\n",

@@ -68,7 +68,7 @@ DEFAULT = {
     ("plant.output.name='rate'",): "plant.output: must not be set for kind = 'steer-by",
     ("drive.speed_mps=10", "drive.ramps=[[0, 10]]"): "drive.ramps: must not stand beside speed_mps",
     ("drive.ramps=[[2, 10], [1, 12]]",): "time 1 s after 2 s: times must increase",
-    ("drive.speed_mps=0.5",): "drive.speed_mps = 0.5: must be at least 1",
+    ("drive.speed_mps=-1",): "drive.speed_mps = -1: must be at least 0",
     ("drive.ramps=[[0, 10], [1, 101]]",): "must be at most 100",
     ("design.speeds_mps=[10, 12]",): "design.speeds_mps: must not be set without a drive",
     (RAMP, "design.speeds_mps=[12, 10]"): "design.speeds_mps: 10 after 12: must increase",

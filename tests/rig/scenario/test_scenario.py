@@ -27,7 +27,9 @@ def flat(values, prefix=""):
 
 
 ACTUATOR_LIMITS = re.compile(r"actuator\.(limit|rate)_")
-BY_NUMBERS = re.compile(r"plant\.((kind|fmi_type|a|b|c)$|g1|g2|input_|output)|network")  # elsewhere
+BY_NUMBERS = re.compile(
+    r"plant\.((kind|fmi_type|a|b|c)$|g1|g2|input_|output)|network|controller"
+)  # elsewhere
 DEFAULTS = flat(Scenario("x").as_dict())
 OF_A_DRIVE = {  # tests/rig/scenario/test_drive.py
     "drive.speed_mps",
@@ -37,7 +39,7 @@ OF_A_DRIVE = {  # tests/rig/scenario/test_drive.py
     "reference.lane_changes_s",
 }
 OTHER = {
-    "drive.speed_rate_max_mps2": 3.0,
+    "drive.speed_rate_max_mps2": 3.0, "drive.gap_max_s": 3.0,
     "reference.lane_m": 4.0,
     "reference.preview_s": 1.5,
     "reference.reaction_s": 0.1,
