@@ -40,14 +40,14 @@ from can_rig.scenario.driving import controls, design_speeds
 from can_rig.scenario.log_signals import MPS2, NM, ROLES, N
 from can_rig.scenario.settings import (
     FASTEST_MPS,
-    SLOWEST_MPS,
+    SLOWEST_DESIGN_MPS,
     DriveSettings,
     NetworkSettings,
     Scenario,
 )
 from firmware_model.firmware import Firmware
-from firmware_model.target.status import FaultState, Mode, Verdict
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.status import FaultState, Mode, Verdict
+from firmware_model.law.structs import FloatArray
 
 SLOWEST_SHARE: Final = 0.1
 """The lowest design speed is at least this share of the highest: a car that parks does not spread
@@ -284,11 +284,11 @@ def _scenario_of(scenario: Scenario, drive: Drive) -> Scenario:
     if speed is None or scenario.design.speeds_mps:
         return scenario
     highest = float(np.nanmax(speed))
-    lowest = max(float(np.nanmin(speed)), SLOWEST_MPS, SLOWEST_SHARE * highest)
-    if not SLOWEST_MPS <= highest <= FASTEST_MPS:
+    lowest = max(float(np.nanmin(speed)), SLOWEST_DESIGN_MPS, SLOWEST_SHARE * highest)
+    if not SLOWEST_DESIGN_MPS <= highest <= FASTEST_MPS:
         raise ScenarioError(
             f"scenario {scenario.name}: network.signals.speed: reaches {highest:.4g} m/s: must be "
-            f"{SLOWEST_MPS:g} to {FASTEST_MPS:g} m/s; unit or factor may be wrong"
+            f"{SLOWEST_DESIGN_MPS:g} to {FASTEST_MPS:g} m/s; unit or factor may be wrong"
         )
     if highest <= STEADY * lowest:
         middle = math.sqrt(highest * lowest)
@@ -301,7 +301,7 @@ def _between(lowest_mps: float, highest_mps: float) -> DriveSettings:
     return DriveSettings(ramps=((0.0, lowest_mps), (1000.0, highest_mps)))
 
 
-ANY_SPEED: Final = _between(SLOWEST_MPS, FASTEST_MPS)
+ANY_SPEED: Final = _between(SLOWEST_DESIGN_MPS, FASTEST_MPS)
 
 
 def _columns(

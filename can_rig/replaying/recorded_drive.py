@@ -30,7 +30,7 @@ from can_rig.results.source import Reading, Source
 from can_rig.scenario.log_signals import ROLES, LogSignal, known_units, terms, unit_factor
 from can_rig.scenario.settings import MAX_TICKS, Scenario
 from firmware_model.design.vehicle import dstar
-from firmware_model.target.structs import FloatArray
+from firmware_model.law.structs import FloatArray
 
 AGE_IN_PERIODS: Final = 5.0
 """Without ``max_age_s``: a sample is missing once this many periods of its signal have passed."""
