@@ -139,6 +139,23 @@ class Firmware:
         """
         act_first(self._tables, self._states, self._motions, command_1, command_2)
 
+    def drive_with(self, input_1: float, input_2: float) -> None:
+        """Set the plant's inputs from the next ``step`` on, as measured in a recorded drive.
+
+        F1 and the decision work on these inputs instead of the controller's commands. Unlike after
+        ``act``, the law makes up for nothing. The latency must be at least one tick.
+        """
+        state = self._states[0]
+        memories = (
+            state.shortfall_1.accumulators,
+            state.shortfall_2.accumulators,
+            state.tracking.delay,
+        )
+        before = [memory.copy() for memory in memories]
+        self.act(input_1, input_2)
+        for memory, kept in zip(memories, before, strict=True):
+            memory[...] = kept
+
     @property
     def hypotheses(self) -> verdict.State:
         """What ``hypotheses`` makes of d̂, now and after any further ``step``; read only."""

@@ -46,11 +46,11 @@ def network_of(scenario: Scenario) -> Network:
         ScenarioError: a fault that these frames cannot represent.
     """
     chosen = scenario.network
-    if not chosen.signals:
+    if not chosen.signals.of_frames:
         return _network(dbc_of(scenario), scenario.drive.is_given)
     data_ids = {role: number for role, number in asdict(chosen.data_ids).items() if number}
     ticks = asdict(chosen.ticks) if chosen.ticks else chosen.tick
-    network = map_network(chosen.dbc, Roles(asdict(chosen.signals), ticks, data_ids))
+    network = map_network(chosen.dbc, Roles(chosen.signals.of_frames, ticks, data_ids))
     codecs = (network.command_1, network.command_2, network.feedback)
     for fault in scenario.faults:
         if fault.kind != "frames-corrupted":
@@ -66,8 +66,10 @@ def network_of(scenario: Scenario) -> Network:
 
 
 def dbc_of(scenario: Scenario) -> Path:
-    """The file of the scenario's frames."""
-    return Path(scenario.network.dbc) if scenario.network.dbc else shipped_dbc(scenario.dbc)
+    """The file of the scenario's frames; the signals of a recorded drive alone are not a run's."""
+    chosen = scenario.network
+    own = chosen.dbc and (chosen.signals.of_frames or not chosen.signals)
+    return Path(chosen.dbc) if own else shipped_dbc(scenario.dbc)
 
 
 @cache
