@@ -24,6 +24,7 @@ from can_rig.scenario.fault_settings import (
     Moment,
     outages,
 )
+from can_rig.scenario.log_signals import OF_A_CAR, Role
 from can_rig.scenario.plant_settings import (
     BUILT_IN,
     BY_NUMBERS,
@@ -93,7 +94,7 @@ OPTIONAL: Final = ("mode", "fault_state", "verdict")
 class _Names:
     """Names by key: all except those in ``OPTIONAL``, or an empty table."""
 
-    def _given(self) -> dict[str, str]:
+    def _given(self) -> dict[str, Any]:
         return vars(self)
 
     def __bool__(self) -> bool:
@@ -110,23 +111,63 @@ class _Names:
 
 @dataclass(frozen=True, config=STRICT)
 class SignalNames(_Names):
-    """The signal of each role, as ``Message.Signal``; all except the last three are required."""
+    """The signal of each role, as ``Message.Signal``.
 
-    reference: str = ""
-    feedback: str = ""
-    command_1: str = ""
-    command_2: str = ""
+    A run needs the first five, whose frames the nodes send. A recorded drive needs ``feedback``, or
+    ``yaw_rate``, ``lateral_acceleration`` and ``speed``; and ``torque`` as measured, or
+    ``command_1`` as sent. Its roles may be tables with a unit and a factor, and lists, whose values
+    are added.
+    """
+
+    reference: Role = ""
+    feedback: Role = ""
+    command_1: Role = ""
+    command_2: Role = ""
     fault_estimate: str = ""
     mode: str = ""
     fault_state: str = ""
     verdict: str = ""
+    yaw_rate: Role = ""
+    lateral_acceleration: Role = ""
+    speed: Role = ""
+    torque: Role = ""
+    force_difference: Role = ""
 
     def __post_init__(self) -> None:
-        for key, name in self._given().items():
+        for key in ("fault_estimate", *OPTIONAL):
+            name = getattr(self, key)
             message, dot, signal = name.partition(".")
             if name and not (message and dot and signal):
                 raise ValueError(f"{key} = {name!r}: must be Message.Signal")
-        self._require_all("signals, as Message.Signal")
+        if not any(getattr(self, key) for key in OF_A_CAR):
+            self._require_all("signals, as Message.Signal")
+            return
+        for key in () if self.feedback else ("yaw_rate", "lateral_acceleration", "speed"):
+            if not getattr(self, key):
+                raise ValueError(f"{key}: must be set, for D* of a recorded drive, or feedback")
+        if not (self.torque or self.command_1):
+            raise ValueError("torque: must be set, the measured input of a recorded drive")
+
+    def _given(self) -> dict[str, Any]:
+        return {key: name for key, name in vars(self).items() if key not in OF_A_CAR}
+
+    @property
+    def of_frames(self) -> dict[str, str]:
+        """The names of a run's frames by role; empty for the signals of a recorded drive alone."""
+        given = self._given()
+        whole = all(
+            isinstance(name, str) and (name or key in OPTIONAL) for key, name in given.items()
+        )
+        return given if whole else {}
+
+    @property
+    def are_of_a_drive(self) -> bool:
+        """Whether the roles are those of a recorded drive."""
+        return any(getattr(self, key) for key in OF_A_CAR)
+
+    def __bool__(self) -> bool:
+        """Whether any name is given."""
+        return any(vars(self).values())
 
 
 @dataclass(frozen=True, config=STRICT)
@@ -180,7 +221,7 @@ class NetworkSettings:
             or self.ticks
             or any(number is not None for number in vars(self.data_ids).values())
         )
-        if others and not self.signals:
+        if others and not self.signals.of_frames:
             raise ValueError("signals: must be set beside network.tick, ticks and data_ids")
 
 
@@ -449,7 +490,7 @@ def _refuse_speeds(scenario: Scenario) -> None:
     """Require the linear car, whose frames carry the speed, for drives and several speeds."""
     speeds = scenario.design.speeds_mps
     if not scenario.drive.is_given:
-        if speeds:
+        if speeds and not scenario.network.signals.speed:
             raise ValueError(
                 "design.speeds_mps: must not be set without a drive; the design is for "
                 "model.speed_mps"
@@ -460,7 +501,7 @@ def _refuse_speeds(scenario: Scenario) -> None:
             raise ValueError(
                 f"drive: {table}.kind = {plant.kind!r}: must be {CAR}, the car that has a speed"
             )
-    if scenario.network.signals:
+    if scenario.network.signals.of_frames:
         raise ValueError(
             "drive: network.signals: must not be set; the speed has a message in the rig's own "
             "frames only"
