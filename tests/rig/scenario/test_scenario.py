@@ -115,7 +115,11 @@ def test_what_the_shipped_scenarios_say_of_their_bus_and_actuators_holds():
 
 
 def test_the_list_of_changes_below_names_every_key():
-    own = {key for key in DEFAULTS if not key.startswith("model.")} - {"name", "disturbance"}
+    own = {key for key in DEFAULTS if not key.startswith("model.")} - {
+        "name",
+        "disturbance",
+        "sensor",
+    }
     assert set(OTHER) == {key for key in own if not BY_NUMBERS.match(key) and key not in OF_A_DRIVE}
     assert all(DEFAULTS[key] != value for key, value in OTHER.items())
 
