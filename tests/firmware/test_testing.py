@@ -281,6 +281,7 @@ REFUSED_COEFFICIENTS: dict[str, tuple[Any, str]] = {
 }
 
 
+@pytest.mark.every_case
 @pytest.mark.parametrize("kind", REFUSED_COEFFICIENTS)
 def test_wrong_coefficients_are_refused_in_one_line(kind: str) -> None:
     asked, message = REFUSED_COEFFICIENTS[kind]

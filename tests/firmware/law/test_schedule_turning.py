@@ -8,7 +8,7 @@ import pytest
 
 from firmware_model.law.layout import table_type
 from firmware_model.law.schedule import MAX_SPEEDS, Constants, blend, place_of, turn_models
-from firmware_model.law.structs import record_type
+from firmware_model.law.structs import fields_of, record_type
 from tests.firmware.scheduled import SPEEDS, TARGET, Blended, scheduled
 
 OF = scheduled(cars=1)
@@ -99,7 +99,7 @@ def test_everything_that_is_blended_lies_on_the_line_between_two_designs():
     Behind the last design of a full schedule there is none, and none is read.
     """
     schedule = np.zeros(1, record_type(Constants, "float64"))[0]
-    for i, field in enumerate(Constants[2:]):
+    for i, field in enumerate(fields_of(Constants)[2:]):
         value = schedule[field.name]
         value[:] = np.random.default_rng(i).standard_normal(value.shape)
     table, sections = np.zeros(1, table_type("float64"))[0], 3
