@@ -231,15 +231,19 @@ class AsAnyController:
         return self.firmware.step(reference, measurement)
 
 
+@pytest.mark.every_case
+@pytest.mark.parametrize("keeps", [False, True])
 @pytest.mark.parametrize("restarts", [(), (20,)])
 def test_the_firmware_as_any_controller_gives_the_bits_of_the_law(
-    restarts: tuple[int, ...],
+    restarts: tuple[int, ...], keeps: bool
 ) -> None:
     for plant in (lambda: sample(CAR, TICK_S), Recorded):
-        law, other = (
-            simulate(each, plant(), REFERENCE, tick_s=TICK_S, restarts=restarts, keeps_states=keeps)
-            for each, keeps in ((TABLE, False), (AsAnyController(), plant is not Recorded))
-        )
+        law = simulate(TABLE, plant(), REFERENCE, tick_s=TICK_S, restarts=restarts)
+        keeps_states = keeps and plant is not Recorded
+        other = simulate(
+            AsAnyController(), plant(), REFERENCE, tick_s=TICK_S, restarts=restarts,
+            keeps_states=keeps_states,
+        )  # fmt: skip
         for name in ("measurement", "command_1", "command_2", "fault_estimate", "fault_state"):
             np.testing.assert_array_equal(getattr(other, name), getattr(law, name))
         assert np.abs(law.command_1).max() > 0.0
